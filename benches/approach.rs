@@ -1,4 +1,5 @@
-//! A place to stand in halls of five million points, and the graph of their things: `cargo bench --bench approach`.
+//! A place to stand in halls of five million points, and the graph of their things: `cargo bench
+//! --bench approach`.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
@@ -28,10 +29,23 @@ fn hall(room_m: f32, things: usize) -> Vec<Instance> {
         let is_table = i.is_multiple_of(2);
         let (size, base) = if is_table { ([1.2, 0.8, 0.75], 0.0) } else { ([0.2, 0.2, 0.3], 0.75) };
         let size = Vector3::from(size);
-        let center = Point3::new((column as f32 + 0.5) * apart, (row as f32 + 0.5) * apart, base + size.z / 2.0);
+        let center = Point3::new(
+            (column as f32 + 0.5) * apart,
+            (row as f32 + 0.5) * apart,
+            base + size.z / 2.0,
+        );
         let name = if is_table { "table" } else { "lamp" }.to_owned();
         let aabb = Aabb { center, size };
-        SceneObject { id: i as u32 + 1, name, aabb, rotated: None, cloud_points: 0, mean_rgb: None, colours: Vec::new(), seen_as: None }
+        SceneObject {
+            id: i as u32 + 1,
+            name,
+            aabb,
+            rotated: None,
+            cloud_points: 0,
+            mean_rgb: None,
+            colours: Vec::new(),
+            seen_as: None,
+        }
     };
     instances_of(
         &Annotations { objects: (0..things).map(object).collect(), of_point: None },
@@ -44,7 +58,8 @@ fn hall(room_m: f32, things: usize) -> Vec<Instance> {
 fn cloud(room_m: f32, instances: &[Instance]) -> (Vec<Point3<f32>>, Vec<InstanceId>) {
     let mut state = 1_u64;
     let mut chance = || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 40) as f32 / (1_u64 << 24) as f32
     };
     let mut positions = Vec::with_capacity(POINTS);
@@ -99,11 +114,13 @@ fn measured(room_m: f32, things: usize) {
         ("to see, with the way there", Some(FloorPoint { x: 0.3, y: 0.3, z: 0.0 }), None),
         ("to reach, with the way there", Some(FloorPoint { x: 0.3, y: 0.3, z: 0.0 }), Some(0.8)),
     ] {
-        let wish = Wish { robot: Robot { reach_m, ..robot }, from, distances_m: [0.0, 2.5], max_poses: 3 };
+        let wish =
+            Wish { robot: Robot { reach_m, ..robot }, from, distances_m: [0.0, 2.5], max_poses: 3 };
         let mut found = 0;
         let taken = timed(CALLS, |i| {
             let id = InstanceId((i * 37 % things) as u32 + 1);
-            found += usize::from(approach(&occupancy, &instances, id, &wish).unwrap().poses.is_ok());
+            found +=
+                usize::from(approach(&occupancy, &instances, id, &wish).unwrap().poses.is_ok());
         });
         println!(
             "a place {what}: p50 {:.1} ms, p95 {:.1} ms, {found} of {CALLS} found",
@@ -114,6 +131,7 @@ fn measured(room_m: f32, things: usize) {
     let extent = Aabb::around(&positions).unwrap();
     let names = NameIndex::of(&instances);
     let view = SceneView { instances: &instances, extent, names: &names, appearance: None };
-    let taken = timed(20, |_| assert!(!Graph::of(view, Levels::All, Guessed::ByLooks).edges.is_empty()));
+    let taken =
+        timed(20, |_| assert!(!Graph::of(view, Levels::All, Guessed::ByLooks).edges.is_empty()));
     println!("the graph of {things} things: p50 {:.1} ms", taken[10]);
 }

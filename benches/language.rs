@@ -1,4 +1,5 @@
-//! Reading a question, deciding it over 200 and 5,000 instances, and the shortlist over embeddings: `cargo bench --bench language`.
+//! Reading a question, deciding it over 200 and 5,000 instances, and the shortlist over embeddings:
+//! `cargo bench --bench language`.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
@@ -26,18 +27,33 @@ const QUESTIONS: [&str; 7] = [
 
 /// A hall of `count` things of a dozen kinds on a grid, named by the encoder as in a parsed scene.
 fn hall(count: usize) -> Vec<Instance> {
-    let nouns: Vec<_> =
-        ["chair", "desk", "door", "sofa", "coffee table", "mug", "window", "bookcase", "whiteboard", "monitor", "plant", "stool"]
-            .iter()
-            .map(|name| Lexicon::get().find(name).unwrap())
-            .collect();
+    let nouns: Vec<_> = [
+        "chair",
+        "desk",
+        "door",
+        "sofa",
+        "coffee table",
+        "mug",
+        "window",
+        "bookcase",
+        "whiteboard",
+        "monitor",
+        "plant",
+        "stool",
+    ]
+    .iter()
+    .map(|name| Lexicon::get().find(name).unwrap())
+    .collect();
     let side = (count as f32).sqrt().ceil() as usize;
-    let middle = |range: &uniground_core::models::attributes::Range| f32::midpoint(range.low, range.high).max(0.02);
+    let middle = |range: &uniground_core::models::attributes::Range| {
+        f32::midpoint(range.low, range.high).max(0.02)
+    };
     let object = |i: usize| {
         let noun = nouns[i % nouns.len()];
         let size = Vector3::new(middle(&noun.long), middle(&noun.short), middle(&noun.height));
         let base = middle(&noun.base);
-        let center = Point3::new((i % side) as f32 * 1.5, (i / side) as f32 * 1.5, base + size.z / 2.0);
+        let center =
+            Point3::new((i % side) as f32 * 1.5, (i / side) as f32 * 1.5, base + size.z / 2.0);
         let aabb = Aabb { center, size };
         SceneObject {
             id: i as u32 + 1,
@@ -67,11 +83,21 @@ fn deciding(c: &mut Criterion) {
     group.sample_size(20);
     for count in [200, 5000] {
         let instances = hall(count);
-        let extent = Aabb::around(instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>().iter()).unwrap();
-        let scene = SceneView { instances: &instances, extent, names: &NameIndex::of(&instances), appearance: None };
+        let extent = Aabb::around(
+            instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>().iter(),
+        )
+        .unwrap();
+        let scene = SceneView {
+            instances: &instances,
+            extent,
+            names: &NameIndex::of(&instances),
+            appearance: None,
+        };
         for query in QUESTIONS {
             let question = Question::of(query);
-            group.bench_function(format!("{count}: {query}"), |b| b.iter(|| ground(scene, black_box(&question))));
+            group.bench_function(format!("{count}: {query}"), |b| {
+                b.iter(|| ground(scene, black_box(&question)))
+            });
         }
     }
     group.finish();
@@ -83,7 +109,9 @@ fn shortlisting(c: &mut Criterion) {
     let mut group = c.benchmark_group("shortlist");
     group.sample_size(10);
     for (count, cores) in [(10_000, 1), (1_000_000, 1), (1_000_000, 2)] {
-        let row: Vec<f32> = (0..count * DIM).map(|i| (i.wrapping_mul(2_654_435_761) % 1000) as f32 / 16_000.0 - 0.03).collect();
+        let row: Vec<f32> = (0..count * DIM)
+            .map(|i| (i.wrapping_mul(2_654_435_761) % 1000) as f32 / 16_000.0 - 0.03)
+            .collect();
         let embeddings = Embeddings::new(DIM, &row);
         let query = row[..DIM].to_vec();
         drop(row);

@@ -1,9 +1,9 @@
 //! Our parts beside the public ones, on the same input and in turns: `make bench-peers`, or
 //! `cargo bench --bench peers -- [--pcl PROGRAM] [--python PYTHON] [--write FILE] [FOLDER]`.
 //!
-//! PCL's VCCS is the program built from `benches/peers/vccs.cpp`; `open3d` and `onnxruntime` answer from the Python
-//! given (`scripts/bench-peers.sh` makes one). A peer that is not there is a row that says so. `room1` of `../shared/scenes`, or of
-//! the folder given.
+//! PCL's VCCS is the program built from `benches/peers/vccs.cpp`; `open3d` and `onnxruntime` answer
+//! from the Python given (`scripts/bench-peers.sh` makes one). A peer that is not there is a row
+//! that says so. `room1` of `../shared/scenes`, or of the folder given.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
@@ -67,7 +67,9 @@ fn main() {
     let room = AnnotatedRoom::load(&folder, "room1", scratch).unwrap();
     let input = Input::new(room.bundle.cloud, scratch.join("written.ply"));
 
-    let vccs = pcl.context("no --pcl PROGRAM given").and_then(|program| Vccs::new(&program, &input.cloud, scratch));
+    let vccs = pcl
+        .context("no --pcl PROGRAM given")
+        .and_then(|program| Vccs::new(&program, &input.cloud, scratch));
     let open3d = Peer::start(python.as_deref(), "open3d_peer.py", &input.for_open3d());
     let bundle = beside("models/sam2-hiera-tiny");
     let asked = segmenter(&bundle);
@@ -81,21 +83,33 @@ fn main() {
     comparisons.extend(rows::perception(&asked, &onnxruntime));
     let outcomes: Vec<_> = comparisons.into_iter().map(Comparison::run).collect();
 
-    let versions = [vccs.as_ref().ok().and_then(Vccs::version), open3d.versions(), onnxruntime.versions()];
-    let text = sheet::written(&format!("room1's cloud, {} points", input.cloud.len()), &load, &versions, &outcomes);
+    let versions =
+        [vccs.as_ref().ok().and_then(Vccs::version), open3d.versions(), onnxruntime.versions()];
+    let text = sheet::written(
+        &format!("room1's cloud, {} points", input.cloud.len()),
+        &load,
+        &versions,
+        &outcomes,
+    );
     println!("{text}");
     if let Some(file) = write {
         std::fs::write(file, text).unwrap();
     }
 }
 
-/// A segmenter with a picture encoded: as many threads for its encoder as there are cores, one for each of two decoders.
+/// A segmenter with a picture encoded: as many threads for its encoder as there are cores, one for
+/// each of two decoders.
 fn segmenter(bundle: &Utf8Path) -> anyhow::Result<Asked> {
-    let settings =
-        RuntimeSettings { library: Some(beside(".onnxruntime/libonnxruntime.so")), threads: Some(THREADS), ..RuntimeSettings::default() };
+    let settings = RuntimeSettings {
+        library: Some(beside(".onnxruntime/libonnxruntime.so")),
+        threads: Some(THREADS),
+        ..RuntimeSettings::default()
+    };
     let models = Models::default().with_segmenter(&OnnxRuntime::load(&settings)?, bundle)?;
     let segmenter = models.segmenters.first().cloned().context("the bundle is a segmenter")?;
-    let picture = RgbImage::from_fn(640, 480, |x, y| Rgb([(x / 3) as u8, (y / 2) as u8, ((x * y) >> 6) as u8]));
+    let picture = RgbImage::from_fn(640, 480, |x, y| {
+        Rgb([(x / 3) as u8, (y / 2) as u8, ((x * y) >> 6) as u8])
+    });
     let encoded = segmenter.encode(&picture)?;
     Ok(Asked { segmenter, picture, encoded })
 }

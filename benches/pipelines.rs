@@ -26,37 +26,71 @@ fn unpacked(folder: &Utf8Path) {
 }
 
 fn load(folder: &Utf8Path) -> SceneBundle {
-    ingest::load(&ingest::open(folder).unwrap(), &ImportSettings::default(), &Progress::silent()).unwrap()
+    ingest::load(&ingest::open(folder).unwrap(), &ImportSettings::default(), &Progress::silent())
+        .unwrap()
 }
 
 fn pipelines(c: &mut Criterion) {
     let temporary = tempfile::tempdir().unwrap();
     let folder = Utf8Path::from_path(temporary.path()).unwrap();
     unpacked(folder);
-    let (bundle, settings, masks) = (load(folder), ParsingSettings::default(), RgbdMasks::default());
+    let (bundle, settings, masks) =
+        (load(folder), ParsingSettings::default(), RgbdMasks::default());
     let frames = bundle.frames.clone();
     let silent = Progress::silent();
-    let parsed = scene_parsing::parse(bundle.clone(), &Perception::with_masks(&masks), &settings, &Checkpoints::none(), &silent).unwrap();
+    let parsed = scene_parsing::parse(
+        bundle.clone(),
+        &Perception::with_masks(&masks),
+        &settings,
+        &Checkpoints::none(),
+        &silent,
+    )
+    .unwrap();
 
     let mut group = c.benchmark_group("stage 1, sample scene");
     group.sample_size(10).measurement_time(Duration::from_secs(8));
-    group.bench_function("import: check, decode, fuse the cloud", |b| b.iter(|| load(black_box(folder))));
-    group.bench_function("superpoints", |b| b.iter(|| superpoints::compute(&bundle.cloud, &settings.superpoints, &silent).unwrap()));
+    group.bench_function("import: check, decode, fuse the cloud", |b| {
+        b.iter(|| load(black_box(folder)))
+    });
+    group.bench_function("superpoints", |b| {
+        b.iter(|| superpoints::compute(&bundle.cloud, &settings.superpoints, &silent).unwrap())
+    });
     let frame = frames[0].decode().unwrap();
-    group.bench_function("rgbd masks, one frame", |b| b.iter(|| masks.masks(black_box(&frame), &silent)));
+    group.bench_function("rgbd masks, one frame", |b| {
+        b.iter(|| masks.masks(black_box(&frame), &silent))
+    });
     group.bench_function("parse: superpoints to views", |b| {
-        b.iter(|| scene_parsing::parse(bundle.clone(), &Perception::with_masks(&masks), &settings, &Checkpoints::none(), &silent).unwrap());
+        b.iter(|| {
+            scene_parsing::parse(
+                bundle.clone(),
+                &Perception::with_masks(&masks),
+                &settings,
+                &Checkpoints::none(),
+                &silent,
+            )
+            .unwrap()
+        });
     });
     let instance = parsed.instances.iter().find(|instance| !instance.views.is_empty()).unwrap();
     let photograph = frames.iter().find(|frame| frame.index == instance.views[0].frame).unwrap();
     group.bench_function("evidence picture: decode, draw, encode", |b| {
-        b.iter(|| evidence::picture(&photograph.decode_colour().unwrap(), &instance.views[0], Picture::Frame));
+        b.iter(|| {
+            evidence::picture(
+                &photograph.decode_colour().unwrap(),
+                &instance.views[0],
+                Picture::Frame,
+            )
+        });
     });
     group.finish();
 
     let mut group = c.benchmark_group("stage 2, sample scene");
-    let scene =
-        SceneView { instances: &parsed.instances, extent: parsed.extent, names: &NameIndex::of(&parsed.instances), appearance: None };
+    let scene = SceneView {
+        instances: &parsed.instances,
+        extent: parsed.extent,
+        names: &NameIndex::of(&parsed.instances),
+        appearance: None,
+    };
     let question = |query: &str| Question::of(query);
     for query in ["the orange stool", "the bookcase between the red sofa and the desk"] {
         let question = question(query);

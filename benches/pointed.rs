@@ -1,9 +1,11 @@
-//! Things that stage 1 misses, pointed at in a photograph: `make bench-pointed`, or `cargo bench --bench pointed -- [--models DIR] [FOLDER]`.
+//! Things that stage 1 misses, pointed at in a photograph: `make bench-pointed`, or `cargo bench
+//! --bench pointed -- [--models DIR] [FOLDER]`.
 //!
-//! Every annotated object that no instance of any level covers (box IoU under .25) is pointed at in the middle of the photograph that shows
-//! most of it, and what is cut out there is held against its annotated box: by the built-in masks, and by the segmenters among the models.
-//! Where an encoder is among them: whether the two photographs that a model is offered for the object's name show it, beside two taken by
-//! chance.
+//! Every annotated object that no instance of any level covers (box IoU under .25) is pointed at in
+//! the middle of the photograph that shows most of it, and what is cut out there is held against
+//! its annotated box: by the built-in masks, and by the segmenters among the models.
+//! Where an encoder is among them: whether the two photographs that a model is offered for the
+//! object's name show it, beside two taken by chance.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to measure
 
@@ -44,24 +46,49 @@ fn main() {
     let loaded = models.load().unwrap().models;
     let mut table = Table::new();
     table.load_preset(presets::ASCII_MARKDOWN);
-    table.set_header(["room", "missed", "best instance", "built-in masks", "segmenter", "an instance already", "seconds"]);
+    table.set_header([
+        "room",
+        "missed",
+        "best instance",
+        "built-in masks",
+        "segmenter",
+        "an instance already",
+        "seconds",
+    ]);
     let (mut missed, mut found, mut offered) = (0, [0, 0], Offered::default());
     for name in rooms(&folder) {
         let scratch = tempfile::tempdir().unwrap();
-        let room = AnnotatedRoom::load(&folder, &name, Utf8Path::from_path(scratch.path()).unwrap()).unwrap();
+        let room =
+            AnnotatedRoom::load(&folder, &name, Utf8Path::from_path(scratch.path()).unwrap())
+                .unwrap();
         let settings = ParsingSettings::default();
         let rgbd = RgbdMasks { settings: settings.rgbd_masks };
         let perception = Perception::with_masks(&rgbd);
-        let parsed = scene_parsing::parse(room.bundle.clone(), &perception, &settings, &Checkpoints::none(), &Progress::silent()).unwrap();
-        let covered = |aabb: &Aabb| parsed.instances.iter().map(|i| i.aabb.iou(aabb)).fold(0.0, f32::max);
-        let objects: Vec<_> = room.objects(MIN_POINTS).into_iter().filter(|o| covered(&o.aabb) < COVERED).collect();
+        let parsed = scene_parsing::parse(
+            room.bundle.clone(),
+            &perception,
+            &settings,
+            &Checkpoints::none(),
+            &Progress::silent(),
+        )
+        .unwrap();
+        let covered =
+            |aabb: &Aabb| parsed.instances.iter().map(|i| i.aabb.iou(aabb)).fold(0.0, f32::max);
+        let objects: Vec<_> =
+            room.objects(MIN_POINTS).into_iter().filter(|o| covered(&o.aabb) < COVERED).collect();
         let ids: Vec<u32> = objects.iter().map(|o| o.id).collect();
         let shown = Shown::of(&room, &room.masks(), &ids);
         if let Some(encoder) = &loaded.encoder {
-            let seen = frame_appearance::look(&room.bundle.frames, encoder, &settings.appearance, &Progress::silent())
-                .unwrap()
-                .unwrap();
-            for (object, at) in objects.iter().zip(0..).filter(|(_, at)| shown.best[*at].is_some()) {
+            let seen = frame_appearance::look(
+                &room.bundle.frames,
+                encoder,
+                &settings.appearance,
+                &Progress::silent(),
+            )
+            .unwrap()
+            .unwrap();
+            for (object, at) in objects.iter().zip(0..).filter(|(_, at)| shown.best[*at].is_some())
+            {
                 let vector = encoder.embed_name(&object.name).unwrap().vector.unwrap();
                 offered.count(&room, &shown, at, object.id, &seen.nearest(&vector, 2));
             }
@@ -71,16 +98,31 @@ fn main() {
             missed += 1;
             let start = Instant::now();
             let find = |segmenter: Option<&Segmenter>| {
-                let pointing = Pointing { cloud: &parsed.cloud, frames: &room.bundle.frames, segmenter, settings: &settings };
+                let pointing = Pointing {
+                    cloud: &parsed.cloud,
+                    frames: &room.bundle.frames,
+                    segmenter,
+                    settings: &settings,
+                };
                 pointing.find(place, &parsed.instances, &[]).unwrap()
             };
-            let iou = |found: &Option<Instance>| found.as_ref().map_or(0.0, |found| found.aabb.iou(&object.aabb));
+            let iou = |found: &Option<Instance>| {
+                found.as_ref().map_or(0.0, |found| found.aabb.iou(&object.aabb))
+            };
             let ours = find(None);
             let theirs = loaded.segmenters.first().map(|segmenter| find(Some(segmenter)));
             found[0] += u32::from(iou(&ours) >= COVERED);
             found[1] += u32::from(theirs.as_ref().is_some_and(|theirs| iou(theirs) >= COVERED));
-            eprintln!("{name} {}: {:.2} {:.2}", object.name, iou(&ours), theirs.as_ref().map_or(0.0, iou));
-            let known = ours.as_ref().and_then(|ours| known_as(&parsed.instances, ours)).map_or("", |_| "yes");
+            eprintln!(
+                "{name} {}: {:.2} {:.2}",
+                object.name,
+                iou(&ours),
+                theirs.as_ref().map_or(0.0, iou)
+            );
+            let known = ours
+                .as_ref()
+                .and_then(|ours| known_as(&parsed.instances, ours))
+                .map_or("", |_| "yes");
             table.add_row([
                 name.clone(),
                 object.name.clone(),
@@ -114,7 +156,8 @@ const SEEN_PX: usize = 100;
 
 impl Shown {
     fn of(room: &AnnotatedRoom, masks: &AnnotatedMasks, ids: &[u32]) -> Self {
-        /// Frames that are looked into, spread over all: looking pixels up in the annotations takes its time.
+        /// Frames that are looked into, spread over all: looking pixels up in the annotations takes
+        /// its time.
         const FRAMES: usize = 15;
         let mut best: Vec<(usize, Option<Place>)> = vec![(0, None); ids.len()];
         let (mut showing, mut looked) = (vec![0_u32; ids.len()], 0_u32);
@@ -127,11 +170,20 @@ impl Shown {
                 *showing += u32::from(pixels >= SEEN_PX);
                 if pixels > best.0 {
                     let (u, v) = innermost(&image, *id as u16);
-                    *best = (pixels, Some(Place { frame: frame.index, at: decoded.colour_position(u as f32, v as f32) }));
+                    *best = (
+                        pixels,
+                        Some(Place {
+                            frame: frame.index,
+                            at: decoded.colour_position(u as f32, v as f32),
+                        }),
+                    );
                 }
             }
         }
-        let share = showing.into_iter().map(|showing| f64::from(showing) / f64::from(looked.max(1))).collect();
+        let share = showing
+            .into_iter()
+            .map(|showing| f64::from(showing) / f64::from(looked.max(1)))
+            .collect();
         Self { best: best.into_iter().map(|(_, place)| place).collect(), share }
     }
 }
@@ -149,10 +201,21 @@ struct Offered {
 }
 
 impl Offered {
-    fn count(&mut self, room: &AnnotatedRoom, shown: &Shown, at: usize, id: u32, offered: &[FrameIndex]) {
+    fn count(
+        &mut self,
+        room: &AnnotatedRoom,
+        shown: &Shown,
+        at: usize,
+        id: u32,
+        offered: &[FrameIndex],
+    ) {
         let shows = |index: &FrameIndex| {
             let frame = room.bundle.frames.iter().find(|frame| frame.index == *index).unwrap();
-            let image = room.masks().masks(&frame.decode().unwrap(), &Progress::silent()).unwrap().remove(0);
+            let image = room
+                .masks()
+                .masks(&frame.decode().unwrap(), &Progress::silent())
+                .unwrap()
+                .remove(0);
             pixels_of(&image, id) >= SEEN_PX
         };
         self.asked += 1;
@@ -171,7 +234,8 @@ impl std::fmt::Display for Offered {
     }
 }
 
-/// The pixel of a mask that is farthest from its rim: what is left when it is peeled as often as it can be.
+/// The pixel of a mask that is farthest from its rim: what is left when it is peeled as often as it
+/// can be.
 fn innermost(image: &IdImage, id: u16) -> (u32, u32) {
     let mut left: Vec<(u32, u32)> = (0..image.height)
         .flat_map(|v| (0..image.width).map(move |u| (u, v)))
@@ -180,7 +244,11 @@ fn innermost(image: &IdImage, id: u16) -> (u32, u32) {
     loop {
         let inside: std::collections::HashSet<(u32, u32)> = left.iter().copied().collect();
         let is_inner = |&&(u, v): &&(u32, u32)| {
-            u > 0 && v > 0 && [(u - 1, v), (u + 1, v), (u, v - 1), (u, v + 1)].iter().all(|near| inside.contains(near))
+            u > 0
+                && v > 0
+                && [(u - 1, v), (u + 1, v), (u, v - 1), (u, v + 1)]
+                    .iter()
+                    .all(|near| inside.contains(near))
         };
         let inner: Vec<(u32, u32)> = left.iter().filter(is_inner).copied().collect();
         if inner.is_empty() {
@@ -192,9 +260,15 @@ fn innermost(image: &IdImage, id: u16) -> (u32, u32) {
 
 /// Names of the annotated rooms in a folder, sorted.
 fn rooms(folder: &Utf8Path) -> Vec<String> {
-    let entries = folder.read_dir_utf8().map(|entries| entries.flatten().collect::<Vec<_>>()).unwrap_or_default();
+    let entries = folder
+        .read_dir_utf8()
+        .map(|entries| entries.flatten().collect::<Vec<_>>())
+        .unwrap_or_default();
     let zips = entries.iter().filter_map(|entry| entry.file_name().strip_suffix(".zip"));
-    let mut names: Vec<String> = zips.filter(|name| Annotations::file_of(folder, name).is_some()).map(str::to_owned).collect();
+    let mut names: Vec<String> = zips
+        .filter(|name| Annotations::file_of(folder, name).is_some())
+        .map(str::to_owned)
+        .collect();
     names.sort_unstable();
     names
 }

@@ -1,18 +1,22 @@
-//! How sentences that people wrote are read, beside the visual programs of ZSVG3D: `make bench-programs PROGRAMS=folder`, or
-//! `cargo bench --bench programs -- [--list target|anchor|relation] [--of 4] [--rest 0] FOLDER`.
+//! How sentences that people wrote are read, beside the visual programs of ZSVG3D: `make
+//! bench-programs PROGRAMS=folder`, or `cargo bench --bench programs -- [--list
+//! target|anchor|relation] [--of 4] [--rest 0] FOLDER`.
 //!
-//! The folder holds `nr3d_val.json` and `scanrefer_val.json` of the public repository `CurryYuan/ZSVG3D`: for each sentence a program that a
-//! chat model wrote, `BOX0=LOC(object='chair')`, `TARGET=CLOSEST(targets=BOX0, anchors=BOX1)`. They are for measuring only and no part of
-//! this project; of the scenes only those with an even number from 100 on are read, the others are kept for whoever judges this.
-//! `--of 4 --rest 2` takes scenes 4n + 2 only. What is compared:
+//! The folder holds `nr3d_val.json` and `scanrefer_val.json` of the public repository
+//! `CurryYuan/ZSVG3D`: for each sentence a program that a chat model wrote,
+//! `BOX0=LOC(object='chair')`, `TARGET=CLOSEST(targets=BOX0, anchors=BOX1)`. They are for measuring
+//! only and no part of this project; of the scenes only those with an even number from 100 on are
+//! read, the others are kept for whoever judges this. `--of 4 --rest 2` takes scenes 4n + 2 only.
+//! What is compared:
 //!
 //! - **target**: the noun of what the last statement leads to through `targets`;
-//! - **anchors**: of each `LOC` that the way there names as an anchor, whether the reading has something of that noun besides the target;
-//! - **relation**: of each operation on the way, whether the reading says one of those in [`MEANT`] of the target. Operations that are not
-//!   listed there are not compared, and counted.
+//! - **anchors**: of each `LOC` that the way there names as an anchor, whether the reading has
+//!   something of that noun besides the target;
+//! - **relation**: of each operation on the way, whether the reading says one of those in [`MEANT`]
+//!   of the target. Operations that are not listed there are not compared, and counted.
 //!
-//! Programs are often wrong ("in front of a chair" becomes `RIGHT`), so relations are counted once more where the sentence has a word of
-//! the operation ([`SAID`]).
+//! Programs are often wrong ("in front of a chair" becomes `RIGHT`), so relations are counted once
+//! more where the sentence has a word of the operation ([`SAID`]).
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to measure
 
@@ -23,9 +27,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use uniground_core::grounding::query::{Measure, ParsedQuery, Phrase, RelationKind, Trait, parse};
 use uniground_core::models::attributes::Lexicon;
 
-/// Operations, and what a reading may say instead of each: a kind of relation, a superlative or a trait by its word.
+/// Operations, and what a reading may say instead of each: a kind of relation, a superlative or a
+/// trait by its word.
 const MEANT: [(&str, &[&str]); 24] = [
-    ("CLOSEST", &["closest", "near", "around", "leaning", "against_wall", "in_corner", "on", "inside"]),
+    (
+        "CLOSEST",
+        &["closest", "near", "around", "leaning", "against_wall", "in_corner", "on", "inside"],
+    ),
     ("NEAR", &["closest", "near", "around", "leaning", "on", "inside"]),
     ("FARTHEST", &["farthest", "far", "opposite"]),
     ("LEFT", &["left_of", "leftmost"]),
@@ -66,7 +74,19 @@ const SAID: [(&str, &[&str]); 12] = [
     ("FARTHEST", &["far", "furth"]),
     (
         "CLOSEST",
-        &["close", "near", "next", "by", "beside", "adjacent", "against", "at", "along", "alongside", "around"],
+        &[
+            "close",
+            "near",
+            "next",
+            "by",
+            "beside",
+            "adjacent",
+            "against",
+            "at",
+            "along",
+            "alongside",
+            "around",
+        ],
     ),
 ];
 
@@ -119,9 +139,12 @@ impl Program {
     fn follow(&mut self, statements: &[(&str, &str)], at: usize, anchor: bool) {
         let call = statements[at].1;
         let operation = call.split('(').next().unwrap_or_default();
-        let named = |name: &str| statements[..at].iter().rposition(|(said, _)| *said == name.trim());
+        let named =
+            |name: &str| statements[..at].iter().rposition(|(said, _)| *said == name.trim());
         if operation == "LOC" {
-            let object = call.split_once(['\'', '"']).map_or("", |(_, rest)| rest.trim_end_matches([')', '\'', '"']));
+            let object = call
+                .split_once(['\'', '"'])
+                .map_or("", |(_, rest)| rest.trim_end_matches([')', '\'', '"']));
             if anchor {
                 self.anchors.insert(object.to_owned());
             } else {
@@ -132,25 +155,37 @@ impl Program {
         if !anchor {
             self.operations.insert(operation.to_owned());
         }
-        let targets = ["targets", "data", "values", "boxes"].iter().find_map(|key| argument(call, key));
+        let targets =
+            ["targets", "data", "values", "boxes"].iter().find_map(|key| argument(call, key));
         if let Some(at) = targets.and_then(|names| names.split(',').find_map(named)) {
             self.follow(statements, at, anchor);
         }
-        for at in argument(call, "anchors").into_iter().flat_map(|names| names.split(',')).filter_map(named) {
+        for at in argument(call, "anchors")
+            .into_iter()
+            .flat_map(|names| names.split(','))
+            .filter_map(named)
+        {
             self.follow(statements, at, true);
         }
     }
 }
 
-/// Whether a reading's noun is that of a program's phrase: the same word, the same thing of the lexicon, or a word of the phrase's end.
+/// Whether a reading's noun is that of a program's phrase: the same word, the same thing of the
+/// lexicon, or a word of the phrase's end.
 fn agrees(head: &str, said: &str) -> bool {
     let meant = parse(said).target;
     let lexicon = Lexicon::get();
-    let things = |word: &str| lexicon.find_all(word).iter().map(|noun| noun.name.clone()).collect::<BTreeSet<_>>();
+    let things = |word: &str| {
+        lexicon.find_all(word).iter().map(|noun| noun.name.clone()).collect::<BTreeSet<_>>()
+    };
     let one = |word: &str| word.strip_suffix('s').unwrap_or(word).to_owned();
-    let same = |a: &str, b: &str| !a.is_empty() && (one(a) == one(b) || !things(a).is_disjoint(&things(b)));
+    let same = |a: &str, b: &str| {
+        !a.is_empty() && (one(a) == one(b) || !things(a).is_disjoint(&things(b)))
+    };
     let last = said.split(' ').next_back().unwrap_or_default();
-    same(head, &meant.head) || same(head, last) || same(head.split(' ').next_back().unwrap_or_default(), last)
+    same(head, &meant.head)
+        || same(head, last)
+        || same(head.split(' ').next_back().unwrap_or_default(), last)
 }
 
 /// Every thing a phrase names besides its own.
@@ -232,7 +267,8 @@ fn compare(sentence: &Sentence, list: Option<&str>, agreement: &mut Agreement) {
     if let Some(other) = &read.other_reading {
         others(other, &mut named);
     }
-    let seen_from = read.viewpoint.iter().map(|viewpoint| &viewpoint.anchor).chain(&read.standpoint);
+    let seen_from =
+        read.viewpoint.iter().map(|viewpoint| &viewpoint.anchor).chain(&read.standpoint);
     named.extend(seen_from);
     for anchor in &program.anchors {
         let found = named.iter().any(|phrase| agrees(&phrase.head, anchor));
@@ -252,11 +288,12 @@ fn compare(sentence: &Sentence, list: Option<&str>, agreement: &mut Agreement) {
         let (all, told) = agreement.by_operation.entry(operation).or_default();
         agreement.relations.count(right);
         all.count(right);
-        let is_said = SAID.iter().find(|(known, _)| known == operation).is_none_or(|(_, beginnings)| {
-            words
-                .split(|c: char| !c.is_alphanumeric())
-                .any(|word| beginnings.iter().any(|beginning| word.starts_with(beginning)))
-        });
+        let is_said =
+            SAID.iter().find(|(known, _)| known == operation).is_none_or(|(_, beginnings)| {
+                words
+                    .split(|c: char| !c.is_alphanumeric())
+                    .any(|word| beginnings.iter().any(|beginning| word.starts_with(beginning)))
+            });
         if is_said {
             agreement.relations_said.count(right);
             told.count(right);
@@ -291,7 +328,9 @@ fn main() {
         }
     }
     let Some(folder) = folder else {
-        println!("left out: no folder with nr3d_val.json and scanrefer_val.json was given (make bench-programs PROGRAMS=folder)");
+        println!(
+            "left out: no folder with nr3d_val.json and scanrefer_val.json was given (make bench-programs PROGRAMS=folder)"
+        );
         return;
     };
     let mut table = Table::new();
@@ -301,15 +340,32 @@ fn main() {
     by_operation.load_preset(presets::ASCII_MARKDOWN);
     by_operation.set_header(["sentences", "operation", "agrees", "where it is said"]);
     for file in ["nr3d_val", "scanrefer_val"] {
-        let sentences: Vec<Sentence> =
-            serde_json::from_str(&std::fs::read_to_string(folder.join(format!("{file}.json"))).unwrap()).unwrap();
-        let open = sentences
-            .iter()
-            .filter(|sentence| sentence.scene() >= 100 && sentence.scene().is_multiple_of(2) && sentence.scene() % of == rest);
+        let sentences: Vec<Sentence> = serde_json::from_str(
+            &std::fs::read_to_string(folder.join(format!("{file}.json"))).unwrap(),
+        )
+        .unwrap();
+        let open = sentences.iter().filter(|sentence| {
+            sentence.scene() >= 100
+                && sentence.scene().is_multiple_of(2)
+                && sentence.scene() % of == rest
+        });
         let mut agreement = Agreement::default();
         open.for_each(|sentence| compare(sentence, list.as_deref(), &mut agreement));
-        let Agreement { target, anchors, relations, relations_said, uncompared, by_operation: operations } = agreement;
-        table.add_row([file.to_owned(), target.shown(), anchors.shown(), relations.shown(), relations_said.shown()]);
+        let Agreement {
+            target,
+            anchors,
+            relations,
+            relations_said,
+            uncompared,
+            by_operation: operations,
+        } = agreement;
+        table.add_row([
+            file.to_owned(),
+            target.shown(),
+            anchors.shown(),
+            relations.shown(),
+            relations_said.shown(),
+        ]);
         for (operation, (all, told)) in operations {
             by_operation.add_row([file, operation, &all.shown(), &told.shown()]);
         }

@@ -1,10 +1,13 @@
 //! Stage 1 against annotated rooms: `make bench-quality`, or
-//! `cargo bench --bench quality -- [--settings FILE] [--misses] [--brief] [--rooms room1,room2] [FOLDER]`.
+//! `cargo bench --bench quality -- [--settings FILE] [--misses] [--brief] [--rooms room1,room2]
+//! [FOLDER]`.
 //!
-//! The rooms (all archives with annotations beside them) lie in `../shared/scenes` where this project is built, or in the folder given. A
-//! single run is a matter of luck to within an object or two, so every figure is also given over several turns of the world about Z. The
-//! ladder tells, step by step, what is still recoverable. `--brief` is for whoever works on stage 1: instances only, as is and on the mean
-//! of six runs, five of which do without a fifth of the frames; boxes are those that were annotated, which they are not in a turned world.
+//! The rooms (all archives with annotations beside them) lie in `../shared/scenes` where this
+//! project is built, or in the folder given. A single run is a matter of luck to within an object
+//! or two, so every figure is also given over several turns of the world about Z. The ladder tells,
+//! step by step, what is still recoverable. `--brief` is for whoever works on stage 1: instances
+//! only, as is and on the mean of six runs, five of which do without a fifth of the frames; boxes
+//! are those that were annotated, which they are not in a turned world.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to measure
 
@@ -13,7 +16,9 @@ use comfy_table::{Table, presets};
 use uniground::evaluation::annotated::AnnotatedRoom;
 use uniground::evaluation::annotations::{Annotations, SceneObject};
 use uniground::evaluation::ladder;
-use uniground::evaluation::segmentation::{InstanceScore, score_instances, score_structure, score_superpoints};
+use uniground::evaluation::segmentation::{
+    InstanceScore, score_instances, score_structure, score_superpoints,
+};
 use uniground::evaluation::systems::{NamedBy, instances_of};
 use uniground_core::models::attributes::Lexicon;
 use uniground_core::progress::Progress;
@@ -46,10 +51,16 @@ fn options() -> Options {
     let mut args = std::env::args().skip(1).filter(|a| a != "--bench");
     while let Some(arg) = args.next() {
         match arg.as_str() {
-            "--settings" => options.settings = serde_json::from_str(&std::fs::read_to_string(args.next().unwrap()).unwrap()).unwrap(),
+            "--settings" => {
+                options.settings =
+                    serde_json::from_str(&std::fs::read_to_string(args.next().unwrap()).unwrap())
+                        .unwrap()
+            }
             "--misses" => options.misses = true,
             "--brief" => options.brief = true,
-            "--rooms" => options.rooms = Some(args.next().unwrap().split(',').map(str::to_owned).collect()),
+            "--rooms" => {
+                options.rooms = Some(args.next().unwrap().split(',').map(str::to_owned).collect())
+            }
             folder => options.folder = folder.into(),
         }
     }
@@ -76,7 +87,9 @@ fn brief(rooms: &[String], Options { folder, settings, misses, .. }: &Options) {
     let mut table = instance_table();
     for name in rooms {
         let temporary = tempfile::tempdir().unwrap();
-        let room = AnnotatedRoom::load(folder, name, Utf8Path::from_path(temporary.path()).unwrap()).unwrap();
+        let room =
+            AnnotatedRoom::load(folder, name, Utf8Path::from_path(temporary.path()).unwrap())
+                .unwrap();
         let rgbd = RgbdMasks { settings: settings.rgbd_masks };
         let (as_is, seconds) = measure(&room, &rgbd, settings, *misses);
         table.add_row(row(name, rgbd.name(), "as is", &as_is, seconds));
@@ -93,15 +106,22 @@ fn brief(rooms: &[String], Options { folder, settings, misses, .. }: &Options) {
 }
 
 fn in_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options) {
-    let mut superpoint_table = table(&["room", "points", "superpoints", "purity", "achievable mIoU"]);
+    let mut superpoint_table =
+        table(&["room", "points", "superpoints", "purity", "achievable mIoU"]);
     let mut instance_table = instance_table();
-    let mut ladder_table = table(&["room", "masks", "step", "pieces", "box .25", "box .5", "points .25", "points .5"]);
+    let mut ladder_table =
+        table(&["room", "masks", "step", "pieces", "box .25", "box .5", "points .25", "points .5"]);
     let mut structure_table = table(&["room", "masks", "recall", "precision"]);
-    let mut naming_table = table(&["room", "boxes: first name", "in five", "instances: first name", "in five"]);
+    let mut naming_table =
+        table(&["room", "boxes: first name", "in five", "instances: first name", "in five"]);
     for name in rooms {
         let temporary = tempfile::tempdir().unwrap();
-        let room = AnnotatedRoom::load(folder, name, Utf8Path::from_path(temporary.path()).unwrap()).unwrap();
-        let found = superpoints::compute(&room.bundle.cloud, &settings.superpoints, &Progress::silent()).unwrap();
+        let room =
+            AnnotatedRoom::load(folder, name, Utf8Path::from_path(temporary.path()).unwrap())
+                .unwrap();
+        let found =
+            superpoints::compute(&room.bundle.cloud, &settings.superpoints, &Progress::silent())
+                .unwrap();
         let cut = score_superpoints(&found.of_point, &room.truth);
         superpoint_table.add_row([
             name.to_owned(),
@@ -111,9 +131,17 @@ fn in_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options)
             format!("{:.3}", cut.achievable_iou),
         ]);
         let rgbd = RgbdMasks { settings: settings.rgbd_masks };
-        let runs: Vec<_> = TURNS_DEG.iter().map(|&deg| measure(&room.turned(deg), &rgbd, settings, false)).collect();
+        let runs: Vec<_> = TURNS_DEG
+            .iter()
+            .map(|&deg| measure(&room.turned(deg), &rgbd, settings, false))
+            .collect();
         let parsed = parse(&room, &rgbd, settings);
-        let structure = score_structure(&parsed.instances, &parsed.instance_of_point, &room.structures(), &room.truth);
+        let structure = score_structure(
+            &parsed.instances,
+            &parsed.instance_of_point,
+            &room.structures(),
+            &room.truth,
+        );
         structure_table.add_row([
             name.clone(),
             rgbd.name().to_owned(),
@@ -131,42 +159,77 @@ fn in_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options)
             for rung in ladder::climb(&room, masks, settings, MIN_POINTS).unwrap() {
                 let (boxes, points) = rung.recall();
                 let figures = boxes.iter().chain(&points).map(|share| format!("{share:.3}"));
-                let head = [name.clone(), masks.name().to_owned(), rung.step, rung.pieces.to_string()];
+                let head =
+                    [name.clone(), masks.name().to_owned(), rung.step, rung.pieces.to_string()];
                 ladder_table.add_row(head.into_iter().chain(figures));
             }
         }
     }
-    println!("{superpoint_table}\n\n{instance_table}\n\n{structure_table}\n\n{ladder_table}\n\n{naming_table}");
+    println!(
+        "{superpoint_table}\n\n{instance_table}\n\n{structure_table}\n\n{ladder_table}\n\n{naming_table}"
+    );
 }
 
 /// Names of the annotated rooms in a folder, sorted.
 fn rooms(folder: &Utf8Path) -> Vec<String> {
-    let entries = folder.read_dir_utf8().map(|entries| entries.flatten().collect::<Vec<_>>()).unwrap_or_default();
+    let entries = folder
+        .read_dir_utf8()
+        .map(|entries| entries.flatten().collect::<Vec<_>>())
+        .unwrap_or_default();
     let zips = entries.iter().filter_map(|entry| entry.file_name().strip_suffix(".zip"));
-    let mut names: Vec<String> = zips.filter(|name| Annotations::file_of(folder, name).is_some()).map(str::to_owned).collect();
+    let mut names: Vec<String> = zips
+        .filter(|name| Annotations::file_of(folder, name).is_some())
+        .map(str::to_owned)
+        .collect();
     names.sort_unstable();
     names
 }
 
-/// Share of objects whose annotated name is the first, or among the kept, of the names the encoder gives: on their annotated boxes,
-/// and on the instances that cover them at least half.
-fn naming(folder: &Utf8Path, room: &AnnotatedRoom, name: &str, settings: &ParsingSettings) -> Vec<String> {
+/// Share of objects whose annotated name is the first, or among the kept, of the names the encoder
+/// gives: on their annotated boxes, and on the instances that cover them at least half.
+fn naming(
+    folder: &Utf8Path,
+    room: &AnnotatedRoom,
+    name: &str,
+    settings: &ParsingSettings,
+) -> Vec<String> {
     let (annotations, _) = Annotations::read(&Annotations::file_of(folder, name).unwrap());
     let rgbd = RgbdMasks { settings: settings.rgbd_masks };
     let parsed = parse(room, &rgbd, settings);
     let known = |name: &str| Lexicon::get().find(name).map(|noun| noun.name.clone());
-    let objects = || annotations.objects.iter().filter(|o| o.structure().is_none() && known(&o.name).is_some());
-    let boxed = instances_of(&annotations, &room.bundle.cloud, NamedBy::Encoder);
-    let covering =
-        |object: &SceneObject| parsed.instances.iter().max_by(|a, b| a.aabb.iou(&object.aabb).total_cmp(&b.aabb.iou(&object.aabb)));
-    let on_boxes: Vec<_> = objects().map(|o| (o, boxed.iter().find(|i| i.aabb == o.aabb).unwrap())).collect();
-    let on_parsed: Vec<_> = objects().map(|o| (o, covering(o).unwrap())).filter(|(o, i)| i.aabb.iou(&o.aabb) >= 0.5).collect();
-    let share = |pairs: &[(&SceneObject, &Instance)], kept: usize| {
-        let named =
-            |(o, i): &&(&SceneObject, &Instance)| i.names.iter().take(kept).any(|guess| Some(&guess.name) == known(&o.name).as_ref());
-        format!("{:.2} of {}", pairs.iter().filter(named).count() as f32 / pairs.len() as f32, pairs.len())
+    let objects = || {
+        annotations.objects.iter().filter(|o| o.structure().is_none() && known(&o.name).is_some())
     };
-    vec![name.to_owned(), share(&on_boxes, 1), share(&on_boxes, 5), share(&on_parsed, 1), share(&on_parsed, 5)]
+    let boxed = instances_of(&annotations, &room.bundle.cloud, NamedBy::Encoder);
+    let covering = |object: &SceneObject| {
+        parsed
+            .instances
+            .iter()
+            .max_by(|a, b| a.aabb.iou(&object.aabb).total_cmp(&b.aabb.iou(&object.aabb)))
+    };
+    let on_boxes: Vec<_> =
+        objects().map(|o| (o, boxed.iter().find(|i| i.aabb == o.aabb).unwrap())).collect();
+    let on_parsed: Vec<_> = objects()
+        .map(|o| (o, covering(o).unwrap()))
+        .filter(|(o, i)| i.aabb.iou(&o.aabb) >= 0.5)
+        .collect();
+    let share = |pairs: &[(&SceneObject, &Instance)], kept: usize| {
+        let named = |(o, i): &&(&SceneObject, &Instance)| {
+            i.names.iter().take(kept).any(|guess| Some(&guess.name) == known(&o.name).as_ref())
+        };
+        format!(
+            "{:.2} of {}",
+            pairs.iter().filter(named).count() as f32 / pairs.len() as f32,
+            pairs.len()
+        )
+    };
+    vec![
+        name.to_owned(),
+        share(&on_boxes, 1),
+        share(&on_boxes, 5),
+        share(&on_parsed, 1),
+        share(&on_parsed, 5),
+    ]
 }
 
 fn table(header: &[&str]) -> Table {
@@ -176,18 +239,40 @@ fn table(header: &[&str]) -> Table {
 }
 
 fn parse(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSettings) -> ParsedScene {
-    scene_parsing::parse(room.bundle.clone(), &Perception::with_masks(masks), settings, &Checkpoints::none(), &Progress::silent()).unwrap()
+    scene_parsing::parse(
+        room.bundle.clone(),
+        &Perception::with_masks(masks),
+        settings,
+        &Checkpoints::none(),
+        &Progress::silent(),
+    )
+    .unwrap()
 }
 
-fn measure(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSettings, misses: bool) -> (InstanceScore, f32) {
+fn measure(
+    room: &AnnotatedRoom,
+    masks: &dyn MaskSource,
+    settings: &ParsingSettings,
+    misses: bool,
+) -> (InstanceScore, f32) {
     score(room, &parse(room, masks, settings), masks.name(), misses)
 }
 
-fn score(room: &AnnotatedRoom, parsed: &ParsedScene, masks: &str, misses: bool) -> (InstanceScore, f32) {
+fn score(
+    room: &AnnotatedRoom,
+    parsed: &ParsedScene,
+    masks: &str,
+    misses: bool,
+) -> (InstanceScore, f32) {
     let objects = room.objects(MIN_POINTS);
-    let score = score_instances(&parsed.instances, &parsed.instance_of_point, &objects, &room.truth);
-    for (i, object) in objects.iter().enumerate().filter(|(i, _)| misses && score.box_iou[*i] < 0.5) {
-        println!("{} {:>3} {:<18} box {:.2} points {:.2}", masks, object.id, object.name, score.box_iou[i], score.point_iou[i]);
+    let score =
+        score_instances(&parsed.instances, &parsed.instance_of_point, &objects, &room.truth);
+    for (i, object) in objects.iter().enumerate().filter(|(i, _)| misses && score.box_iou[*i] < 0.5)
+    {
+        println!(
+            "{} {:>3} {:<18} box {:.2} points {:.2}",
+            masks, object.id, object.name, score.box_iou[i], score.point_iou[i]
+        );
     }
     (score, parsed.report.stages.iter().map(|s| s.seconds).sum())
 }
@@ -216,7 +301,8 @@ fn figures(score: &InstanceScore) -> [f32; 10] {
     let ([box_25, box_50], [point_25, point_50]) = (score.box_recall(), score.point_recall());
     let [reached_25, reached_50] = score.reachable_recall();
     let mean = |iou: &[f32]| iou.iter().sum::<f32>() / iou.len().max(1) as f32;
-    let [boxes, points, reached] = [&score.box_iou, &score.point_iou, &score.reachable_box_iou].map(|iou| mean(iou));
+    let [boxes, points, reached] =
+        [&score.box_iou, &score.point_iou, &score.reachable_box_iou].map(|iou| mean(iou));
     [box_25, box_50, point_25, point_50, score.ap50, boxes, points, reached_25, reached_50, reached]
 }
 
@@ -228,11 +314,17 @@ fn row(room: &str, masks: &str, turned: &str, score: &InstanceScore, seconds: f3
         .collect()
 }
 
-fn mean_and_range(room: &str, masks: &str, turned: &str, runs: &[(InstanceScore, f32)]) -> Vec<String> {
+fn mean_and_range(
+    room: &str,
+    masks: &str,
+    turned: &str,
+    runs: &[(InstanceScore, f32)],
+) -> Vec<String> {
     let n = runs.len() as f32;
     let figure = |i: usize| {
         let values: Vec<f32> = runs.iter().map(|(score, _)| figures(score)[i]).collect();
-        let (lo, hi) = values.iter().fold((f32::INFINITY, 0.0_f32), |(lo, hi), v| (lo.min(*v), hi.max(*v)));
+        let (lo, hi) =
+            values.iter().fold((f32::INFINITY, 0.0_f32), |(lo, hi), v| (lo.min(*v), hi.max(*v)));
         format!("{:.3} ({lo:.2}-{hi:.2})", values.iter().sum::<f32>() / n)
     };
     let instances = runs.iter().map(|(score, _)| score.instances).sum::<usize>() / runs.len();

@@ -1,5 +1,6 @@
-//! What it takes to bring scans in: clouds of ten million points on one core, a check of a thousand frames, and a scan of five
-//! thousand frames imported by a service, beside `cp`. `cargo bench --bench readers [-- clouds|check|import]`
+//! What it takes to bring scans in: clouds of ten million points on one core, a check of a thousand
+//! frames, and a scan of five thousand frames imported by a service, beside `cp`. `cargo bench
+//! --bench readers [-- clouds|check|import]`
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
@@ -21,7 +22,8 @@ use uniground_types::scenes::ImportRequest;
 const POINTS: usize = 10_000_000;
 const CHECKED_FRAMES: usize = 1000;
 const IMPORTED_FRAMES: usize = 5000;
-/// What a frame of those has: five gigabytes in all, where the disk has room for three times that; `MB=` says otherwise.
+/// What a frame of those has: five gigabytes in all, where the disk has room for three times that;
+/// `MB=` says otherwise.
 const IMPORTED_MB: usize = 5000;
 const TURNS: usize = 5;
 const UNIGROUND: &str = env!("CARGO_BIN_EXE_uniground");
@@ -65,7 +67,9 @@ fn read_clouds() {
             let cloud = one_core.install(|| read_cloud(&file)).unwrap();
             assert_eq!(cloud.len(), POINTS);
         });
-        println!("{name}: {POINTS} points, {megabytes} MB, one core: median {median:.2} s, best {best:.2} s, worst {worst:.2} s");
+        println!(
+            "{name}: {POINTS} points, {megabytes} MB, one core: median {median:.2} s, best {best:.2} s, worst {worst:.2} s"
+        );
     }
 }
 
@@ -74,10 +78,13 @@ fn check() {
     let root = Utf8Path::from_path(folder.path()).unwrap();
     frames::write(root, CHECKED_FRAMES, 0);
     let [best, median, worst] = timed(TURNS, || {
-        let checked = Command::new(UNIGROUND).args(["import", root.as_str(), "--check"]).output().unwrap();
+        let checked =
+            Command::new(UNIGROUND).args(["import", root.as_str(), "--check"]).output().unwrap();
         assert!(checked.status.success(), "{}", String::from_utf8_lossy(&checked.stderr));
     });
-    println!("import --check of {CHECKED_FRAMES} frames: median {median:.2} s, best {best:.2} s, worst {worst:.2} s");
+    println!(
+        "import --check of {CHECKED_FRAMES} frames: median {median:.2} s, best {best:.2} s, worst {worst:.2} s"
+    );
 }
 
 /// Both ends on the disk: a copy that is only in memory is none.
@@ -97,7 +104,8 @@ fn import() {
         sync(root);
     });
     fs::remove_dir_all(&copy).unwrap();
-    let (seconds, peak_mb) = (0..2).map(|_| import_once(root)).min_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
+    let (seconds, peak_mb) =
+        (0..2).map(|_| import_once(root)).min_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
 
     println!(
         "{IMPORTED_FRAMES} frames, {megabytes} MB: cp -r and sync {copied:.1} s, imported by a service {seconds:.1} s, \
@@ -135,7 +143,15 @@ struct Server {
 impl Server {
     fn start(data: &Utf8PathBuf, scans: &Utf8Path) -> Self {
         let mut child = Command::new(UNIGROUND)
-            .args(["serve", "--listen", "127.0.0.1:0", "--masks", "builtin", "--encoder", "builtin"])
+            .args([
+                "serve",
+                "--listen",
+                "127.0.0.1:0",
+                "--masks",
+                "builtin",
+                "--encoder",
+                "builtin",
+            ])
             .args(["--data-dir", data.as_str(), "--import-root", scans.as_str()])
             .stdout(Stdio::piped())
             .stderr(Stdio::null())

@@ -1,9 +1,11 @@
 //! How stage 1 grows with the scan: `make bench-scale`, or `cargo bench --bench scale -- [FOLDER]`.
 //!
-//! `room1` of `../shared/scenes` (or of the folder given) side by side, once to eight times, 75 frames a room. Prints seconds,
-//! memory and what n log n would give, then how long a parse takes to stop when asked to.
+//! `room1` of `../shared/scenes` (or of the folder given) side by side, once to eight times, 75
+//! frames a room. Prints seconds, memory and what n log n would give, then how long a parse takes
+//! to stop when asked to.
 
-// A bench that can not set up has nothing to time; the parse runs on a thread of its own to be stopped from outside.
+// A bench that can not set up has nothing to time; the parse runs on a thread of its own to be
+// stopped from outside.
 #![allow(missing_docs, clippy::unwrap_used, clippy::disallowed_methods)]
 
 use camino::{Utf8Path, Utf8PathBuf};
@@ -25,19 +27,29 @@ const STEP_M: f32 = 8.0;
 
 fn main() {
     let folder = std::env::args().skip(1).find(|a| a != "--bench").map(Utf8PathBuf::from);
-    let folder = folder.unwrap_or_else(|| Utf8PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/scenes"));
+    let folder = folder
+        .unwrap_or_else(|| Utf8PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/scenes"));
     if !folder.join("room1.zip").exists() {
         println!("left out: no annotated rooms in {folder}");
         return;
     }
     let temporary = tempfile::tempdir().unwrap();
-    let room = AnnotatedRoom::load(&folder, "room1", Utf8Path::from_path(temporary.path()).unwrap())
-        .unwrap()
-        .bundle;
+    let room =
+        AnnotatedRoom::load(&folder, "room1", Utf8Path::from_path(temporary.path()).unwrap())
+            .unwrap()
+            .bundle;
 
     let mut table = Table::new();
     table.load_preset(presets::ASCII_MARKDOWN);
-    table.set_header(["points", "frames", "instances", "seconds", "of n log n", "peak MB", "slowest stages"]);
+    table.set_header([
+        "points",
+        "frames",
+        "instances",
+        "seconds",
+        "of n log n",
+        "peak MB",
+        "slowest stages",
+    ]);
     let mut first = None;
     for rooms in [1, 2, 4, 8] {
         let bundle = side_by_side(&room, rooms);
@@ -49,7 +61,8 @@ fn main() {
         let (first_seconds, first_unit) = *first.get_or_insert((seconds, unit));
         let mut stages = parsed.report.stages.clone();
         stages.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
-        let slowest: Vec<String> = stages.iter().take(3).map(|s| format!("{} {:.1} s", s.stage, s.seconds)).collect();
+        let slowest: Vec<String> =
+            stages.iter().take(3).map(|s| format!("{} {:.1} s", s.stage, s.seconds)).collect();
         table.add_row([
             points.to_string(),
             frames.to_string(),
@@ -62,7 +75,8 @@ fn main() {
     }
     println!("{table}");
     let bundle = side_by_side(&room, 4);
-    let waits: Vec<f32> = (1..20).map(|i| seconds_to_stop(bundle.clone(), i as f32 / 20.0)).collect();
+    let waits: Vec<f32> =
+        (1..20).map(|i| seconds_to_stop(bundle.clone(), i as f32 / 20.0)).collect();
     println!(
         "asked to stop at 5, 10, .. 95 % of {} points: at most {:.2} s until it has",
         bundle.cloud.len(),
@@ -70,7 +84,10 @@ fn main() {
     );
 }
 
-fn parse(bundle: SceneBundle, progress: &Progress) -> Result<uniground_core::scene::ParsedScene, scene_parsing::ParseError> {
+fn parse(
+    bundle: SceneBundle,
+    progress: &Progress,
+) -> Result<uniground_core::scene::ParsedScene, scene_parsing::ParseError> {
     scene_parsing::parse(
         bundle,
         &Perception::with_masks(&RgbdMasks::default()),
@@ -110,7 +127,8 @@ fn seconds_to_stop(bundle: SceneBundle, at: f32) -> f32 {
             move || cancel.is_cancelled()
         },
     );
-    let worker = std::thread::spawn(move || parse(bundle, &progress).map(|parsed| parsed.report.instances));
+    let worker =
+        std::thread::spawn(move || parse(bundle, &progress).map(|parsed| parsed.report.instances));
     // Not at the report itself, where it would be noticed at once, but a moment later.
     waiting.recv().unwrap();
     std::thread::sleep(Duration::from_millis(5));

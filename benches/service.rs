@@ -1,5 +1,5 @@
-//! The service as a process: time to parse the sample scene, questions over HTTP, memory of a 1 GB upload.
-//! `cargo bench --bench service`
+//! The service as a process: time to parse the sample scene, questions over HTTP, memory of a 1 GB
+//! upload. `cargo bench --bench service`
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
@@ -12,7 +12,12 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use uniground_client::Client;
 
-const QUESTIONS: [&str; 4] = ["find the coffee table", "the orange stool", "the mug on the coffee table", "the green fridge"];
+const QUESTIONS: [&str; 4] = [
+    "find the coffee table",
+    "the orange stool",
+    "the mug on the coffee table",
+    "the green fridge",
+];
 const ROUNDS: usize = 1000;
 const UPLOAD_MB: usize = 1024;
 
@@ -27,7 +32,17 @@ impl Server {
         let data = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(data.path()).unwrap();
         let mut child = Command::new(env!("CARGO_BIN_EXE_uniground"))
-            .args(["serve", "--listen", "127.0.0.1:0", "--data-dir", folder.as_str(), "--masks", "builtin", "--encoder", "builtin"])
+            .args([
+                "serve",
+                "--listen",
+                "127.0.0.1:0",
+                "--data-dir",
+                folder.as_str(),
+                "--masks",
+                "builtin",
+                "--encoder",
+                "builtin",
+            ])
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn()
@@ -56,13 +71,16 @@ impl Drop for Server {
 
 #[tokio::main]
 async fn main() {
-    let archive = fs::read(Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/living_room.zip")).unwrap();
+    let archive =
+        fs::read(Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/living_room.zip"))
+            .unwrap();
     let mut times = Vec::new();
     let mut last = None;
     for _ in 0..5 {
         let server = Server::start();
         let start = Instant::now();
-        let created = server.client.create_scene(None, "application/zip", archive.clone()).await.unwrap();
+        let created =
+            server.client.create_scene(None, "application/zip", archive.clone()).await.unwrap();
         server.client.follow_job(&created.job.unwrap().id, |_| {}).await.unwrap();
         times.push(start.elapsed());
         last = Some((server, created.scene.id));
@@ -75,14 +93,18 @@ async fn main() {
         s(times[0]),
         s(times[4])
     );
-    // A parse starts the kernel's peak anew with every stage and reports each; what came after the last stage is still there.
+    // A parse starts the kernel's peak anew with every stage and reports each; what came after the
+    // last stage is still there.
     let stages = server.client.report(&scene).await.unwrap().parse.unwrap().stages;
-    let of_stages = stages.iter().filter_map(|stage| stage.peak_memory_mb).max().map_or(0.0, f64::from);
+    let of_stages =
+        stages.iter().filter_map(|stage| stage.peak_memory_mb).max().map_or(0.0, f64::from);
     println!("  peak resident memory while parsing it: {:.0} MB", server.peak_mb().max(of_stages));
 
     let mut latencies = Vec::new();
     for i in 0..ROUNDS {
-        let request = serde_json::from_value(serde_json::json!({"query": QUESTIONS[i % QUESTIONS.len()]})).unwrap();
+        let request =
+            serde_json::from_value(serde_json::json!({"query": QUESTIONS[i % QUESTIONS.len()]}))
+                .unwrap();
         let start = Instant::now();
         server.client.ground(&scene, &request).await.unwrap();
         latencies.push(start.elapsed());

@@ -1,7 +1,9 @@
 //! Superpoints beside PCL's VCCS on the same cloud, alternating: `make bench-superpoints`, or
-//! `cargo bench --bench superpoints -- [--pcl PROGRAM] [FOLDER]` with the program built from `benches/peers/vccs.cpp`.
+//! `cargo bench --bench superpoints -- [--pcl PROGRAM] [FOLDER]` with the program built from
+//! `benches/peers/vccs.cpp`.
 //!
-//! Both are timed from points in memory to labels in memory. `room1` of `../shared/scenes`, or of the folder given.
+//! Both are timed from points in memory to labels in memory. `room1` of `../shared/scenes`, or of
+//! the folder given.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
@@ -54,11 +56,17 @@ fn main() {
     let default = SuperpointSettings::default();
     let mut contestants: Vec<Contestant> = vec![
         ("uniground default".into(), ours(default)),
-        ("uniground .05/.2".into(), ours(SuperpointSettings { voxel_m: 0.05, seed_m: 0.2, ..default })),
+        (
+            "uniground .05/.2".into(),
+            ours(SuperpointSettings { voxel_m: 0.05, seed_m: 0.2, ..default }),
+        ),
     ];
     if let Some(pcl) = &pcl {
         for (voxel, seed) in [(".05", ".2"), (".02", ".2")] {
-            contestants.push((format!("PCL {voxel}/{seed}"), Box::new(move || pcl.run(voxel, seed).unwrap())));
+            contestants.push((
+                format!("PCL {voxel}/{seed}"),
+                Box::new(move || pcl.run(voxel, seed).unwrap()),
+            ));
         }
     }
     let mut seconds = vec![Vec::new(); contestants.len()];
@@ -74,7 +82,14 @@ fn main() {
     let reference = contestants.iter().position(|(name, _)| name == "PCL .05/.2");
     let mut table = Table::new();
     table.load_preset(presets::ASCII_MARKDOWN);
-    table.set_header(["", "median ms", "of PCL .05/.2", "superpoints", "purity", "achievable mIoU"]);
+    table.set_header([
+        "",
+        "median ms",
+        "of PCL .05/.2",
+        "superpoints",
+        "purity",
+        "achievable mIoU",
+    ]);
     for (i, (name, _)) in contestants.iter().enumerate() {
         let score = scores[i].unwrap();
         table.add_row([

@@ -1,5 +1,5 @@
-//! Stage 2 with a vision-language model, without the model's own time: pictures, prompts, and what the service adds to a call.
-//! `cargo bench --bench vlm`
+//! Stage 2 with a vision-language model, without the model's own time: pictures, prompts, and what
+//! the service adds to a call. `cargo bench --bench vlm`
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
@@ -13,14 +13,14 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use uniground::app;
 use uniground::config::{
-    AccessConfig, BlobsConfig, BundlesConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, Role, RuntimeConfig,
-    ServeConfig, VlmConfig, WebhookConfig,
+    AccessConfig, BlobsConfig, BundlesConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat,
+    ModelsConfig, Role, RuntimeConfig, ServeConfig, VlmConfig, WebhookConfig,
 };
 use uniground_client::Client;
 use uniground_core::grounding::album::{Album, AlbumScene};
 use uniground_core::grounding::vlm::{
-    Conversation, EvidenceMode, Options, PictureSettings, PromptContext, REMAINING, VisualEvidence, collect, contact_sheets, naming,
-    narrowing,
+    Conversation, EvidenceMode, Options, PictureSettings, PromptContext, REMAINING, VisualEvidence,
+    collect, contact_sheets, naming, narrowing,
 };
 use uniground_core::grounding::{NameIndex, Question, SceneView, ground_with_context, query};
 use uniground_core::ingest::Unpacked;
@@ -42,8 +42,15 @@ const ROUNDS: usize = 15;
 
 fn main() {
     let examples = Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("examples");
-    let queries: Value = serde_json::from_slice(&fs::read(examples.join("living_room.queries.json")).unwrap()).unwrap();
-    let queries: Vec<String> = queries.as_array().unwrap().iter().map(|q| q["query"].as_str().unwrap().to_owned()).collect();
+    let queries: Value =
+        serde_json::from_slice(&fs::read(examples.join("living_room.queries.json")).unwrap())
+            .unwrap();
+    let queries: Vec<String> = queries
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|q| q["query"].as_str().unwrap().to_owned())
+        .collect();
     let scan = examples.join("living_room.zip");
     let sample = Sample::parse(&scan);
     sample.time_evidence(&queries);
@@ -64,15 +71,32 @@ impl Sample {
     fn parse(scan: &Utf8Path) -> Self {
         let folder = Unpacked::of(scan).unwrap();
         let settings = ParseSettings::default();
-        let parsed = parse_scan(&folder.path, &settings, &Models::default(), &Checkpoints::none(), &Progress::silent()).unwrap();
+        let parsed = parse_scan(
+            &folder.path,
+            &settings,
+            &Models::default(),
+            &Checkpoints::none(),
+            &Progress::silent(),
+        )
+        .unwrap();
         Self { parsed, _folder: folder }
     }
 
     fn context(&self, words: &str, top_k: usize) -> PromptContext {
         let scene = &self.parsed.scene;
-        let view =
-            SceneView { instances: &scene.instances, extent: scene.extent, names: &NameIndex::of(&scene.instances), appearance: None };
-        ground_with_context(view, &Question { top_k, ..Question::of(words) }, query::parse(words), Duration::ZERO).1
+        let view = SceneView {
+            instances: &scene.instances,
+            extent: scene.extent,
+            names: &NameIndex::of(&scene.instances),
+            appearance: None,
+        };
+        ground_with_context(
+            view,
+            &Question { top_k, ..Question::of(words) },
+            query::parse(words),
+            Duration::ZERO,
+        )
+        .1
     }
 
     /// The scene with nothing drawn yet, over `points` of its cloud.
@@ -80,16 +104,21 @@ impl Sample {
         let (scene, all) = (&self.parsed.scene, &self.parsed.scene.cloud);
         let every = all.len() as f64 / points as f64;
         let kept = (0..points).map(|i| (i as f64 * every) as usize);
-        let cloud =
-            PointCloud { positions: kept.clone().map(|i| all.positions[i]).collect(), colours: kept.map(|i| all.colours[i]).collect() };
+        let cloud = PointCloud {
+            positions: kept.clone().map(|i| all.positions[i]).collect(),
+            colours: kept.map(|i| all.colours[i]).collect(),
+        };
         let frames = self.parsed.frames.clone();
         let render_scene = RenderScene::of_parsed(cloud, &scene.instances);
-        Arc::new(Album::new(scene.extent, render_scene, None, String::new(), frames)).scene(scene.instances.clone().into())
+        Arc::new(Album::new(scene.extent, render_scene, None, String::new(), frames))
+            .scene(scene.instances.clone().into())
     }
 
-    /// Three renders of 680 x 680 and five collages, drawn and encoded; photographs come from files, the cloud is in memory.
+    /// Three renders of 680 x 680 and five collages, drawn and encoded; photographs come from
+    /// files, the cloud is in memory.
     fn time_evidence(&self, queries: &[String]) {
-        let context = queries.iter().map(|q| self.context(q, 5)).find(|c| c.candidates.len() == 5).unwrap();
+        let context =
+            queries.iter().map(|q| self.context(q, 5)).find(|c| c.candidates.len() == 5).unwrap();
         let settings = PictureSettings::of(Options::default());
         let mut times: Vec<f64> = (0..ROUNDS)
             .map(|_| {
@@ -108,11 +137,13 @@ impl Sample {
         );
     }
 
-    /// Tokens of the first call, reckoned: text at four characters each, pictures by tiles of 512 pixels.
+    /// Tokens of the first call, reckoned: text at four characters each, pictures by tiles of 512
+    /// pixels.
     fn count_tokens(&self, queries: &[String]) {
         let scene = self.fresh(self.parsed.scene.cloud.len());
         // Names as somebody gives them who looks; the encoder's stand in for a model's.
-        let name = |id: u32| format!("{} object", self.parsed.scene.instances[id as usize - 1].label());
+        let name =
+            |id: u32| format!("{} object", self.parsed.scene.instances[id as usize - 1].label());
         let (mut full, mut cached, mut sheet, mut two_step, mut text) = (0, 0, 0, 0, 0);
         let mut photographed = 0;
         for words in queries {
@@ -122,7 +153,11 @@ impl Sample {
             let first_step = {
                 let ids: Vec<InstanceId> = many.candidates.iter().map(|c| c.id).collect();
                 let sheets = contact_sheets(scene.as_ref(), &ids).unwrap();
-                Tokens::of(&narrowing(&many, &VisualEvidence { sheets, ..VisualEvidence::default() })).total()
+                Tokens::of(&narrowing(
+                    &many,
+                    &VisualEvidence { sheets, ..VisualEvidence::default() },
+                ))
+                .total()
             };
             two_step += first_step;
             let modes = [
@@ -134,9 +169,12 @@ impl Sample {
             for (evidence, context, total) in modes {
                 let settings = PictureSettings::of(Options { evidence, ..Options::default() });
                 let pictures = collect(scene.as_ref(), context, &settings).unwrap();
-                let names: BTreeMap<u32, String> = context.candidates.iter().map(|c| (c.id.0, name(c.id.0))).collect();
+                let names: BTreeMap<u32, String> =
+                    context.candidates.iter().map(|c| (c.id.0, name(c.id.0))).collect();
                 let options = Options { evidence, ..Options::default() };
-                let request = Conversation { context, evidence: &pictures, options, names, unnamed: None }.first_request();
+                let request =
+                    Conversation { context, evidence: &pictures, options, names, unnamed: None }
+                        .first_request();
                 let tokens = Tokens::of(&request);
                 *total += tokens.total();
                 match evidence {
@@ -146,7 +184,14 @@ impl Sample {
                 }
             }
         }
-        let objects: Vec<InstanceId> = self.parsed.scene.instances.iter().filter(|i| i.structure.is_none()).map(|i| i.id).collect();
+        let objects: Vec<InstanceId> = self
+            .parsed
+            .scene
+            .instances
+            .iter()
+            .filter(|i| i.structure.is_none())
+            .map(|i| i.id)
+            .collect();
         let naming: u64 = objects
             .chunks(naming::PER_SHEET)
             .filter_map(|ids| {
@@ -155,9 +200,18 @@ impl Sample {
             })
             .sum();
         let count = queries.len() as u64;
-        println!("\n| evidence | prompt tokens per question (of {count}) | of full |\n|---|---|---|");
-        println!("| full, 5 candidates, one call | {} (text at most {text}) | 1.00 |", full / count);
-        println!("| sheet, {ON_SHEETS} candidates, one call | {} | {:.2} |", sheet / count, sheet as f64 / full as f64);
+        println!(
+            "\n| evidence | prompt tokens per question (of {count}) | of full |\n|---|---|---|"
+        );
+        println!(
+            "| full, 5 candidates, one call | {} (text at most {text}) | 1.00 |",
+            full / count
+        );
+        println!(
+            "| sheet, {ON_SHEETS} candidates, one call | {} | {:.2} |",
+            sheet / count,
+            sheet as f64 / full as f64
+        );
         println!(
             "| two_step, {ON_SHEETS} then {REMAINING}, two calls | {} | {:.2} |",
             two_step / count,
@@ -179,7 +233,9 @@ async fn overhead(scan: &[u8], queries: &[String]) {
     let server = Server::start(ModelsConfig::builtin()).await;
     let created = server.client.create_scene(None, "application/zip", scan.to_vec()).await.unwrap();
     server.client.follow_job(&created.job.unwrap().id, |_| {}).await.unwrap();
-    println!("\n| | questions | service beside the model, ms: p50 | p95 | pictures, ms: p50 | p95 |\n|---|---|---|---|---|---|");
+    println!(
+        "\n| | questions | service beside the model, ms: p50 | p95 | pictures, ms: p50 | p95 |\n|---|---|---|---|---|---|"
+    );
     for pass in ["first time", "again"] {
         let (mut beside, mut pictures) = (Vec::new(), Vec::new());
         for words in queries {
@@ -200,8 +256,8 @@ async fn overhead(scan: &[u8], queries: &[String]) {
     server.running.stop().await.unwrap();
 }
 
-/// Pictures for questions while a parse with a segmenter runs, and on a quiet server. The tiny bundle stands for a real one unless
-/// `MASKS` names one in `models/`.
+/// Pictures for questions while a parse with a segmenter runs, and on a quiet server. The tiny
+/// bundle stands for a real one unless `MASKS` names one in `models/`.
 async fn beside_a_parse(scan: &[u8], queries: &[String]) {
     let root = Utf8Path::new(env!("CARGO_MANIFEST_DIR"));
     let (masks, folder) = match std::env::var("MASKS") {
@@ -214,12 +270,16 @@ async fn beside_a_parse(scan: &[u8], queries: &[String]) {
         runtime: RuntimeConfig { onnxruntime_lib: Some(library), ..RuntimeConfig::default() },
         ..BundlesConfig::default()
     };
-    let server = Server::start(ModelsConfig { masks: masks.clone(), bundles, ..ModelsConfig::builtin() }).await;
+    let server =
+        Server::start(ModelsConfig { masks: masks.clone(), bundles, ..ModelsConfig::builtin() })
+            .await;
     let built_in = |share: f64| json!({"settings": {"models": {"masks": "builtin"}, "parsing": {"views": {"min_share_of_best": share}}}});
     let scene = server.client.create_scene(None, "application/zip", scan.to_vec()).await.unwrap();
     server.client.cancel_job(&scene.job.unwrap().id).await.unwrap();
     let scene = scene.scene.id;
-    println!("\n| pictures for a question, ms | questions | p50 | p95 | worst | whole question, ms: p95 |\n|---|---|---|---|---|---|");
+    println!(
+        "\n| pictures for a question, ms | questions | p50 | p95 | worst | whole question, ms: p95 |\n|---|---|---|---|---|---|"
+    );
     for (pass, share) in [("quiet", 0.3), ("beside a parse with a segmenter", 0.31)] {
         // A parse of its own for each pass: nothing of it has been drawn.
         let job = server.client.parse(&scene, &built_in(share)).await.unwrap();
@@ -260,7 +320,9 @@ impl Server {
     async fn start(models: ModelsConfig) -> Self {
         let reply = || async {
             let text = "Predicted ID: 1\nExplanation: x\nCandidate Names: 1 -> thing\nTarget name matches?: true\nAnchor ID: unknown\nRelation used: none";
-            Json(json!({"choices": [{"message": {"content": text}}], "usage": {"prompt_tokens": 1, "completion_tokens": 1}}))
+            Json(
+                json!({"choices": [{"message": {"content": text}}], "usage": {"prompt_tokens": 1, "completion_tokens": 1}}),
+            )
         };
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let url = format!("http://{}/v1", listener.local_addr().unwrap());
@@ -278,9 +340,16 @@ impl Server {
             access: AccessConfig::default(),
             models,
             fetch_models: false,
-            vlm: VlmConfig { vlm_url: Some(url), vlm_model: Some("instant".into()), ..VlmConfig::default() },
+            vlm: VlmConfig {
+                vlm_url: Some(url),
+                vlm_model: Some("instant".into()),
+                ..VlmConfig::default()
+            },
             webhook: WebhookConfig::default(),
-            limits: LimitsConfig { reader_program: Some(env!("CARGO_BIN_EXE_uniground").into()), ..LimitsConfig::default() },
+            limits: LimitsConfig {
+                reader_program: Some(env!("CARGO_BIN_EXE_uniground").into()),
+                ..LimitsConfig::default()
+            },
             log: LogConfig { log_format: LogFormat::Text, otlp_endpoint: None },
         };
         let running = app::start(&config).await.unwrap();
@@ -312,7 +381,10 @@ impl Server {
         };
         loop {
             let job = self.client.job(&id).await.unwrap();
-            assert!(!job.state.is_final(), "the parse ended before a question could be asked: {job:?}");
+            assert!(
+                !job.state.is_final(),
+                "the parse ended before a question could be asked: {job:?}"
+            );
             if job.stage.as_deref() == Some("masks_and_lifting") {
                 return id;
             }

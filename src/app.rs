@@ -1,4 +1,5 @@
-//! Composition root: configuration to parts to a running service to a clean stop. The only place that knows every part.
+//! Composition root: configuration to parts to a running service to a clean stop. The only place
+//! that knows every part.
 
 use crate::chat::{ChatClient, ReplayCache};
 use crate::config::{ChosenModels, Part, ServeConfig, Vectors, Work};
@@ -53,9 +54,14 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
     );
     let api_key = config.api_key()?;
     let webhook = config.webhook.webhook()?;
-    let store = Store::open_with(&config.data_dir, &config.database.location, &config.blobs.home()?, config.database.lease())
-        .await
-        .with_context(|| format!("the data folder {}{}", config.data_dir, elsewhere(config)))?;
+    let store = Store::open_with(
+        &config.data_dir,
+        &config.database.location,
+        &config.blobs.home()?,
+        config.database.lease(),
+    )
+    .await
+    .with_context(|| format!("the data folder {}{}", config.data_dir, elsewhere(config)))?;
     if config.database.vectors == Vectors::Pgvector {
         store.want_vectors().await?;
     }
@@ -80,20 +86,41 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
     warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
     tracing::info!("{told}");
     for model in &models.loaded {
-        tracing::info!(name = model.name, fingerprint = model.fingerprint, runs_on = model.runs_on, "loaded a model");
+        tracing::info!(
+            name = model.name,
+            fingerprint = model.fingerprint,
+            runs_on = model.runs_on,
+            "loaded a model"
+        );
     }
-    let vlm_settings = VlmSettings { daily_usd: config.vlm.vlm_daily_usd, json: config.vlm.vlm_json, names: config.vlm.names };
+    let vlm_settings = VlmSettings {
+        daily_usd: config.vlm.vlm_daily_usd,
+        json: config.vlm.vlm_json,
+        names: config.vlm.names,
+    };
     let chat = config.vlm.client(ReplayCache::Off)?.map(Arc::new);
     let vlm = chat.clone().map(|chat| Vlm::new(chat, vlm_settings, store.clone(), metrics.clone()));
     let parsing = background::pool().context("threads for parses")?;
-    let inference = config.models.bundles.inference_url.as_deref().filter(|_| !models.loaded.is_empty());
-    let inference = inference.map(Probe::new).transpose().context("a client for the inference server")?;
-    let service = Service::new(store.clone(), jobs.clone(), keys, config.limits.service_limits(), vlm, models, parsing)
-        .watching(inference)
-        .importing_from(config.access.import_root.clone())
-        .reading_with(config.limits.scan_reader())
-        .telling(http::told);
-    let listener = TcpListener::bind(config.listen).await.with_context(|| format!("listening on {}", config.listen))?;
+    let inference =
+        config.models.bundles.inference_url.as_deref().filter(|_| !models.loaded.is_empty());
+    let inference =
+        inference.map(Probe::new).transpose().context("a client for the inference server")?;
+    let service = Service::new(
+        store.clone(),
+        jobs.clone(),
+        keys,
+        config.limits.service_limits(),
+        vlm,
+        models,
+        parsing,
+    )
+    .watching(inference)
+    .importing_from(config.access.import_root.clone())
+    .reading_with(config.limits.scan_reader())
+    .telling(http::told);
+    let listener = TcpListener::bind(config.listen)
+        .await
+        .with_context(|| format!("listening on {}", config.listen))?;
     let address = listener.local_addr()?;
 
     let shutdown = CancellationToken::new();
@@ -129,7 +156,8 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
         scopes: Arc::new(http::scopes()),
         shutdown: shutdown.clone(),
         metrics: metrics.clone(),
-        allowed_hosts: is_private.then(|| Arc::new(AllowedHosts::new(&config.access.allowed_hosts))),
+        allowed_hosts: is_private
+            .then(|| Arc::new(AllowedHosts::new(&config.access.allowed_hosts))),
         origins: Origins::new(&config.access.cors_origins).context("--cors-origin")?,
         event_streams: EventStreams::beside(most),
         mcp: Mcp::over_http(service.clone(), shutdown.child_token()),
@@ -141,16 +169,26 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
 
 /// What is not in the data folder.
 fn elsewhere(config: &ServeConfig) -> String {
-    let database = Some(&config.database.location).filter(|at| **at != Location::Folder).map(ToString::to_string);
-    let blobs = Some(&config.blobs.at).filter(|at| **at != BlobsAt::Folder).map(ToString::to_string);
+    let database = Some(&config.database.location)
+        .filter(|at| **at != Location::Folder)
+        .map(ToString::to_string);
+    let blobs =
+        Some(&config.blobs.at).filter(|at| **at != BlobsAt::Folder).map(ToString::to_string);
     let named: Vec<String> = database.into_iter().chain(blobs).collect();
     if named.is_empty() { String::new() } else { format!(" with {}", named.join(" and ")) }
 }
 
 /// Gives a kind of job its lane.
-fn start_lane<K: JobKind>(jobs: &Jobs, kind: K, at_once: Option<usize>, shutdown: &CancellationToken) -> JoinHandle<()> {
+fn start_lane<K: JobKind>(
+    jobs: &Jobs,
+    kind: K,
+    at_once: Option<usize>,
+    shutdown: &CancellationToken,
+) -> JoinHandle<()> {
     let (jobs, shutdown) = (jobs.clone(), shutdown.clone());
-    tokio::spawn(async move { jobs.run_lane(Arc::new(kind), at_once.unwrap_or(K::CONCURRENCY), shutdown).await })
+    tokio::spawn(async move {
+        jobs.run_lane(Arc::new(kind), at_once.unwrap_or(K::CONCURRENCY), shutdown).await
+    })
 }
 
 /// Does what other processes' doings ask for, as soon as they are known here.
@@ -169,14 +207,20 @@ async fn heed_news(mut newsroom: Newsroom, jobs: Jobs, keys: Keyring, shutdown: 
         if !matches!(news, News::JobWaits { .. })
             && let Err(error) = keys.reload().await
         {
-            tracing::warn!(error = &error as &dyn std::error::Error, "keys that others made or revoked can not be read");
+            tracing::warn!(
+                error = &error as &dyn std::error::Error,
+                "keys that others made or revoked can not be read"
+            );
         }
         let next = timeout(SILENCE, Box::pin(newsroom.next()));
         news = match shutdown.run_until_cancelled(next).await {
             None => return,
             Some(Ok(Ok(news))) => news,
             Some(Ok(Err(error))) => {
-                tracing::warn!(error = &error as &dyn std::error::Error, "news of other processes do not come in");
+                tracing::warn!(
+                    error = &error as &dyn std::error::Error,
+                    "news of other processes do not come in"
+                );
                 let _ = shutdown.run_until_cancelled(sleep(TROUBLE)).await;
                 News::Missed
             }
@@ -185,7 +229,8 @@ async fn heed_news(mut newsroom: Newsroom, jobs: Jobs, keys: Keyring, shutdown: 
     }
 }
 
-/// Says at the start, and not with somebody's question, that the vision-language model's server is not there, or what it will not take.
+/// Says at the start, and not with somebody's question, that the vision-language model's server is
+/// not there, or what it will not take.
 async fn look_for_model(chat: Arc<ChatClient>, service: Service) {
     let Some(vlm) = service.vlm() else { return };
     if let Err(error) = chat.reach().await {
@@ -196,23 +241,31 @@ async fn look_for_model(chat: Arc<ChatClient>, service: Service) {
         return vlm.found_gone();
     }
     for limit in chat.limits().await {
-        tracing::warn!(limit, "the vision-language model's server has a limit that questions will meet");
+        tracing::warn!(
+            limit,
+            "the vision-language model's server has a limit that questions will meet"
+        );
     }
 }
 
-/// Removes what was kept long enough, sweeps, and looks whether what is stored is still what was written: a while after the start, and every day.
+/// Removes what was kept long enough, sweeps, and looks whether what is stored is still what was
+/// written: a while after the start, and every day.
 async fn keep_house(service: Service, shutdown: CancellationToken) {
     const DAY: Duration = Duration::from_hours(24);
     let mut wait = Duration::from_mins(1);
     while shutdown.run_until_cancelled(sleep(wait)).await.is_some() {
         if let Some(Err(error)) = shutdown.run_until_cancelled(service.keep_house()).await {
-            tracing::warn!(error = &error as &dyn std::error::Error, "the daily look at what is stored could not be finished");
+            tracing::warn!(
+                error = &error as &dyn std::error::Error,
+                "the daily look at what is stored could not be finished"
+            );
         }
         wait = DAY;
     }
 }
 
-/// Notes what the rooms are known by whose parses are new, or of which something else is known by now.
+/// Notes what the rooms are known by whose parses are new, or of which something else is known by
+/// now.
 async fn keep_index(service: Service, shutdown: CancellationToken) {
     const EVERY: Duration = Duration::from_secs(3);
     while shutdown.run_until_cancelled(sleep(EVERY)).await.is_some() {
@@ -230,12 +283,16 @@ async fn keep_reserve(store: Store, shutdown: CancellationToken) {
     }
 }
 
-/// Goes on with uploads that were all there when their server stopped, or that a full queue or disk kept waiting.
+/// Goes on with uploads that were all there when their server stopped, or that a full queue or disk
+/// kept waiting.
 async fn make_left_uploads(service: Service, shutdown: CancellationToken) {
     const EVERY: Duration = Duration::from_secs(10);
     while let Some(made) = shutdown.run_until_cancelled(service.make_left_uploads()).await {
         if let Err(error) = made {
-            tracing::warn!(error = &error as &dyn std::error::Error, "uploads that wait could not be looked up");
+            tracing::warn!(
+                error = &error as &dyn std::error::Error,
+                "uploads that wait could not be looked up"
+            );
         }
         if shutdown.run_until_cancelled(sleep(EVERY)).await.is_none() {
             return;
@@ -243,7 +300,8 @@ async fn make_left_uploads(service: Service, shutdown: CancellationToken) {
     }
 }
 
-/// As many connections as wanted, as far as the system gives file descriptors for them; the rest is for files.
+/// As many connections as wanted, as far as the system gives file descriptors for them; the rest is
+/// for files.
 fn most_connections(wanted: u32) -> usize {
     use rustix::process::{Resource, getrlimit, setrlimit};
     let mut limit = getrlimit(Resource::Nofile);
@@ -265,7 +323,8 @@ impl RunningService {
         self.service.clone()
     }
 
-    /// Stops: no new requests, running ones finish, running jobs go back to their queues, the database is closed.
+    /// Stops: no new requests, running ones finish, running jobs go back to their queues, the
+    /// database is closed.
     ///
     /// # Errors
     /// When the server or a lane had panicked before.

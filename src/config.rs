@@ -11,7 +11,10 @@ mod retention;
 pub use blobs::BlobsConfig;
 pub use choice::ChosenModels;
 pub use database::{DatabaseConfig, Vectors};
-pub use models::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS, BundlesConfig, LIBRARY_FOLDER, ModelsConfig, RuntimeConfig};
+pub use models::{
+    AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS, BundlesConfig, LIBRARY_FOLDER, ModelsConfig,
+    RuntimeConfig,
+};
 pub use part::{Part, Role, Work, WorkerConfig};
 pub use registries::registries;
 pub use retention::RetentionConfig;
@@ -62,7 +65,8 @@ pub struct ServeConfig {
     pub access: AccessConfig,
     #[command(flatten)]
     pub models: ModelsConfig,
-    /// Fetch what --masks and --encoder want and do not find, checked, before the server starts; without a network it starts all the same
+    /// Fetch what --masks and --encoder want and do not find, checked, before the server starts;
+    /// without a network it starts all the same
     #[arg(long, env = "UNIGROUND_FETCH_MODELS")]
     pub fetch_models: bool,
     #[command(flatten)]
@@ -79,22 +83,37 @@ pub struct ServeConfig {
 #[allow(clippy::doc_markdown)] // Help is no Markdown.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct AccessConfig {
-    /// File that holds the key callers must show as a bearer token (or the key itself in UNIGROUND_API_KEY)
+    /// File that holds the key callers must show as a bearer token (or the key itself in
+    /// UNIGROUND_API_KEY)
     #[arg(long, env = "UNIGROUND_API_KEY_FILE", value_name = "FILE")]
     pub api_key_file: Option<Utf8PathBuf>,
-    /// Serve a non-loopback address without a key: anybody who reaches it can read and delete every scene
+    /// Serve a non-loopback address without a key: anybody who reaches it can read and delete
+    /// every scene
     #[arg(long, env = "UNIGROUND_ALLOW_ANYBODY")]
     pub allow_anybody: bool,
-    /// Another name this server may be called by without a key, besides localhost; may be given several times, or with commas
-    #[arg(long = "allowed-host", env = "UNIGROUND_ALLOWED_HOSTS", value_name = "HOST", value_delimiter = ',')]
+    /// Another name this server may be called by without a key, besides localhost; may be given
+    /// several times, or with commas
+    #[arg(
+        long = "allowed-host",
+        env = "UNIGROUND_ALLOWED_HOSTS",
+        value_name = "HOST",
+        value_delimiter = ','
+    )]
     pub allowed_hosts: Vec<String>,
     /// Origin whose pages may use this server from a browser, like <https://robots.example>; may be given several times, or with commas
-    #[arg(long = "cors-origin", env = "UNIGROUND_CORS_ORIGINS", value_name = "ORIGIN", value_delimiter = ',')]
+    #[arg(
+        long = "cors-origin",
+        env = "UNIGROUND_CORS_ORIGINS",
+        value_name = "ORIGIN",
+        value_delimiter = ','
+    )]
     pub cors_origins: Vec<String>,
-    /// Folder of this machine whose scans may be imported without being uploaded (POST /v1/scenes/import)
+    /// Folder of this machine whose scans may be imported without being uploaded (POST
+    /// /v1/scenes/import)
     #[arg(long, env = "UNIGROUND_IMPORT_ROOT", value_name = "DIR")]
     pub import_root: Option<Utf8PathBuf>,
-    /// File that holds what links without a key are signed with (or the secret itself in UNIGROUND_LINK_SECRET); default: a new one at each start
+    /// File that holds what links without a key are signed with (or the secret itself in
+    /// UNIGROUND_LINK_SECRET); default: a new one at each start
     #[arg(long, env = "UNIGROUND_LINK_SECRET_FILE", value_name = "FILE")]
     pub link_secret_file: Option<Utf8PathBuf>,
 }
@@ -106,24 +125,31 @@ impl AccessConfig {
     /// When it can not be read, or is too short to protect anything.
     pub fn link_secret(&self) -> anyhow::Result<Option<LinkSecret>> {
         let secret = match &self.link_secret_file {
-            Some(file) => Some(fs::read_to_string(file).with_context(|| format!("the secret's file {file}"))?),
+            Some(file) => Some(
+                fs::read_to_string(file).with_context(|| format!("the secret's file {file}"))?,
+            ),
             None => std::env::var("UNIGROUND_LINK_SECRET").ok(),
         };
         let Some(secret) = secret.map(|secret| secret.trim().to_owned()) else { return Ok(None) };
-        ensure!(secret.len() >= MIN_KEY_BYTES, "the links' secret is too short: at least {MIN_KEY_BYTES} characters");
+        ensure!(
+            secret.len() >= MIN_KEY_BYTES,
+            "the links' secret is too short: at least {MIN_KEY_BYTES} characters"
+        );
         telemetry::hide(&secret);
         Ok(Some(LinkSecret::new(secret.as_bytes())))
     }
 }
 
-/// A server that is told when jobs end, as Standard Webhooks have it. The secret is in UNIGROUND_WEBHOOK_SECRET or in a file.
+/// A server that is told when jobs end, as Standard Webhooks have it. The secret is in
+/// UNIGROUND_WEBHOOK_SECRET or in a file.
 #[allow(clippy::doc_markdown)] // Help is no Markdown.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct WebhookConfig {
     /// Address that is told when a job ends
     #[arg(long, env = "UNIGROUND_WEBHOOK_URL", value_name = "URL")]
     pub webhook_url: Option<String>,
-    /// File that holds what webhooks are signed with, whsec_ and base64 (or the secret itself in UNIGROUND_WEBHOOK_SECRET)
+    /// File that holds what webhooks are signed with, whsec_ and base64 (or the secret itself in
+    /// UNIGROUND_WEBHOOK_SECRET)
     #[arg(long, env = "UNIGROUND_WEBHOOK_SECRET_FILE", value_name = "FILE")]
     pub webhook_secret_file: Option<Utf8PathBuf>,
     /// Let webhooks go to this machine and its own network
@@ -140,15 +166,20 @@ impl WebhookConfig {
         let Some(url) = &self.webhook_url else { return Ok(None) };
         telemetry::hide_secrets_of(url);
         let secret = match &self.webhook_secret_file {
-            Some(file) => fs::read_to_string(file).with_context(|| format!("the secret's file {file}"))?,
-            None => std::env::var("UNIGROUND_WEBHOOK_SECRET").context("--webhook-url needs a secret")?,
+            Some(file) => {
+                fs::read_to_string(file).with_context(|| format!("the secret's file {file}"))?
+            }
+            None => {
+                std::env::var("UNIGROUND_WEBHOOK_SECRET").context("--webhook-url needs a secret")?
+            }
         };
         telemetry::hide(secret.trim());
         Ok(Some(Webhook::new(url, &secret, self.webhook_allow_private).context("--webhook-url")?))
     }
 }
 
-/// A vision-language model behind an OpenAI-compatible chat endpoint. Its key is in UNIGROUND_VLM_API_KEY or in a file.
+/// A vision-language model behind an OpenAI-compatible chat endpoint. Its key is in
+/// UNIGROUND_VLM_API_KEY or in a file.
 #[allow(clippy::doc_markdown)] // Help is no Markdown.
 #[derive(Debug, Clone, clap::Args)]
 pub struct VlmConfig {
@@ -182,7 +213,8 @@ pub struct VlmConfig {
     /// The first wait between two attempts, milliseconds
     #[arg(long, env = "UNIGROUND_VLM_BACKOFF_MS", default_value_t = DEFAULT_VLM_BACKOFF_MS, value_name = "MS")]
     pub vlm_backoff_ms: u64,
-    /// When the model names everything in a scene: its names decide what is meant from then on, whoever answers
+    /// When the model names everything in a scene: its names decide what is meant from then on,
+    /// whoever answers
     #[arg(long, env = "UNIGROUND_NAMES", value_enum, default_value_t)]
     pub names: WhenNamed,
     /// Ask for answers as JSON by a schema, where the endpoint knows schemas
@@ -213,18 +245,35 @@ impl VlmConfig {
     /// The client, if a model is configured.
     ///
     /// # Errors
-    /// An address without a model or the other way round, an address that is none, or an unreadable key file.
+    /// An address without a model or the other way round, an address that is none, or an unreadable
+    /// key file.
     pub fn client(&self, replay_cache: ReplayCache) -> anyhow::Result<Option<ChatClient>> {
-        let Self { vlm_url, vlm_model, vlm_api_key_file, vlm_prompt_usd, vlm_completion_usd, vlm_daily_usd, .. } = self;
+        let Self {
+            vlm_url,
+            vlm_model,
+            vlm_api_key_file,
+            vlm_prompt_usd,
+            vlm_completion_usd,
+            vlm_daily_usd,
+            ..
+        } = self;
         let (base_url, model) = match (vlm_url, vlm_model) {
             (None, None) => return Ok(None),
             (Some(url), Some(model)) => (url.clone(), model.clone()),
             (Some(_), None) => bail!("--vlm-url needs --vlm-model"),
             (None, Some(_)) => bail!("--vlm-model needs --vlm-url"),
         };
-        ensure!(reqwest::Url::parse(&base_url).is_ok_and(|url| url.has_host()), "--vlm-url: this is not an address");
+        ensure!(
+            reqwest::Url::parse(&base_url).is_ok_and(|url| url.has_host()),
+            "--vlm-url: this is not an address"
+        );
         let api_key = match vlm_api_key_file {
-            Some(file) => Some(fs::read_to_string(file).with_context(|| format!("the key file {file}"))?.trim().to_owned()),
+            Some(file) => Some(
+                fs::read_to_string(file)
+                    .with_context(|| format!("the key file {file}"))?
+                    .trim()
+                    .to_owned(),
+            ),
             None => std::env::var("UNIGROUND_VLM_API_KEY").ok().map(|key| key.trim().to_owned()),
         };
         let api_key = api_key.filter(|key| !key.is_empty());
@@ -235,11 +284,17 @@ impl VlmConfig {
             ("--vlm-completion-usd", Some(*vlm_completion_usd)),
             ("--vlm-daily-usd", *vlm_daily_usd),
         ] {
-            ensure!(usd.is_none_or(|usd| usd.is_finite() && usd >= 0.0), "{flag}: must be 0 or more");
+            ensure!(
+                usd.is_none_or(|usd| usd.is_finite() && usd >= 0.0),
+                "{flag}: must be 0 or more"
+            );
         }
         // Without prices nothing seems to cost anything, and a budget would protect nobody.
         let is_free = *vlm_prompt_usd == 0.0 && *vlm_completion_usd == 0.0;
-        ensure!(!is_free || vlm_daily_usd.is_none(), "--vlm-daily-usd needs --vlm-prompt-usd and --vlm-completion-usd");
+        ensure!(
+            !is_free || vlm_daily_usd.is_none(),
+            "--vlm-daily-usd needs --vlm-prompt-usd and --vlm-completion-usd"
+        );
         let prices = Prices { prompt_usd: *vlm_prompt_usd, completion_usd: *vlm_completion_usd };
         let patience = Patience {
             timeout: Duration::from_secs(self.vlm_timeout_s),
@@ -247,8 +302,15 @@ impl VlmConfig {
             backoff: Duration::from_millis(self.vlm_backoff_ms),
             ..Patience::default()
         };
-        let endpoint = Endpoint { base_url, model, api_key, prices, concurrency: self.vlm_concurrency as usize };
-        let client = ChatClient::new(endpoint, patience, replay_cache).context("a client for the model's server")?;
+        let endpoint = Endpoint {
+            base_url,
+            model,
+            api_key,
+            prices,
+            concurrency: self.vlm_concurrency as usize,
+        };
+        let client = ChatClient::new(endpoint, patience, replay_cache)
+            .context("a client for the model's server")?;
         Ok(Some(client))
     }
 }
@@ -277,10 +339,12 @@ pub struct LimitsConfig {
     /// Room on the disk that uploads, parses and batches leave to the rest, bytes
     #[arg(long, env = "UNIGROUND_KEEP_FREE_BYTES", default_value_t = DEFAULT_KEEP_FREE_BYTES)]
     pub keep_free_bytes: u64,
-    /// Memory that the server may come to hold; a parse that would take more is not begun. Default: its container's limit, or the machine's
+    /// Memory that the server may come to hold; a parse that would take more is not begun.
+    /// Default: its container's limit, or the machine's
     #[arg(long, env = "UNIGROUND_MAX_MEMORY_BYTES")]
     pub max_memory_bytes: Option<u64>,
-    /// Memory that a process which imports an uploaded scan may take, MB; one that checks an upload may take a quarter of it
+    /// Memory that a process which imports an uploaded scan may take, MB; one that checks an
+    /// upload may take a quarter of it
     #[arg(long, env = "UNIGROUND_READER_MEMORY_MB", default_value_t = DEFAULT_READER_MEMORY_MB, value_name = "MB", value_parser = clap::value_parser!(u64).range(256..=1_048_576))]
     pub reader_memory_mb: u64,
     /// Program that reads uploaded scans in processes of its own; default: this one
@@ -344,7 +408,10 @@ impl LimitsConfig {
     /// Processes that read uploaded scans.
     #[must_use]
     pub fn scan_reader(&self) -> ScanReader {
-        ScanReader::isolated(ChildProcess::new(self.reader_program.clone(), self.reader_memory_mb << 20))
+        ScanReader::isolated(ChildProcess::new(
+            self.reader_program.clone(),
+            self.reader_memory_mb << 20,
+        ))
     }
 }
 
@@ -355,11 +422,16 @@ impl ServeConfig {
     /// When it can not be read, or is too short to protect anything.
     pub fn api_key(&self) -> anyhow::Result<Option<String>> {
         let key = match &self.access.api_key_file {
-            Some(file) => Some(fs::read_to_string(file).with_context(|| format!("the key file {file}"))?),
+            Some(file) => {
+                Some(fs::read_to_string(file).with_context(|| format!("the key file {file}"))?)
+            }
             None => std::env::var("UNIGROUND_API_KEY").ok(),
         };
         let Some(key) = key.map(|key| key.trim().to_owned()) else { return Ok(None) };
-        ensure!(key.len() >= MIN_KEY_BYTES, "the API key is too short: at least {MIN_KEY_BYTES} characters");
+        ensure!(
+            key.len() >= MIN_KEY_BYTES,
+            "the API key is too short: at least {MIN_KEY_BYTES} characters"
+        );
         telemetry::hide(&key);
         Ok(Some(key))
     }

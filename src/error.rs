@@ -36,9 +36,13 @@ pub enum Error {
     ReportPictureNotFound { name: String },
     #[error("scene {scene_id} was parsed without an encoder and has no embeddings")]
     NoEmbeddings { scene_id: String },
-    #[error("scene {scene_id} has no scene_to_map: say where it lies in the map, PATCH /v1/scenes/{scene_id}")]
+    #[error(
+        "scene {scene_id} has no scene_to_map: say where it lies in the map, PATCH /v1/scenes/{scene_id}"
+    )]
     NoMap { scene_id: String },
-    #[error("scene {scene_id} was parsed before its files' own coordinates were kept: parse it again")]
+    #[error(
+        "scene {scene_id} was parsed before its files' own coordinates were kept: parse it again"
+    )]
     NoSourceFrame { scene_id: String },
     #[error("there is no answer {id}")]
     AnswerNotFound { id: String },
@@ -46,13 +50,17 @@ pub enum Error {
     KeyNotFound { id: String },
     #[error("the key this was asked for with is refused by now")]
     KeyRefused,
-    #[error("this key may have {most} scenes, unfinished uploads counted, and has them: delete one, or ask for more")]
+    #[error(
+        "this key may have {most} scenes, unfinished uploads counted, and has them: delete one, or ask for more"
+    )]
     TooManyScenes { most: u32 },
     #[error("there is no correction {id} of this scene's current parse")]
     CorrectionNotFound { id: String },
     #[error("correction {by} is about what this one has made: take that one back first")]
     CorrectionInUse { by: String },
-    #[error("instance {id} is no thing whose points are known, but a part, a whole, found for a question, or gone: it can not be merged")]
+    #[error(
+        "instance {id} is no thing whose points are known, but a part, a whole, found for a question, or gone: it can not be merged"
+    )]
     NotAThing { id: InstanceId },
     #[error(
         "no parts of instance {id} are known, so that nothing would take its place: dismiss it, or parse the scene with finer settings"
@@ -76,7 +84,9 @@ pub enum Error {
     SceneNotReady { id: String, job_id: Option<String> },
     #[error("{pointer}: {detail}")]
     Invalid { pointer: String, detail: String },
-    #[error("no vision-language model is configured; use reasoner \"auto\" or \"builtin\", and parser \"builtin\"")]
+    #[error(
+        "no vision-language model is configured; use reasoner \"auto\" or \"builtin\", and parser \"builtin\""
+    )]
     VlmNotConfigured,
     #[error("the vision-language model's server is down: it is tried again in {again_in_s} s")]
     VlmDown { again_in_s: u64 },
@@ -84,23 +94,31 @@ pub enum Error {
     VlmFailed { why: String, attempts: u32 },
     #[error(transparent)]
     OverBudget(OverBudget),
-    #[error("answer {id} has no prompt and no replies: no model was asked, or they are no longer kept")]
+    #[error(
+        "answer {id} has no prompt and no replies: no model was asked, or they are no longer kept"
+    )]
     NoTranscript { id: String },
     #[error("answer {id} has no picture {name:?}")]
     AnswerPictureNotFound { id: String, name: String },
     #[error(transparent)]
     Model(#[from] ModelError),
-    #[error("the scene was parsed with the encoder {parsed_with}, this server has {here}: parse it again, or say \"allow_builtin\"")]
+    #[error(
+        "the scene was parsed with the encoder {parsed_with}, this server has {here}: parse it again, or say \"allow_builtin\""
+    )]
     EncoderChanged { parsed_with: String, here: String },
     #[error("the question took longer than {seconds} s")]
     QuestionTimedOut { seconds: f32 },
     #[error("too many questions at once")]
     Overloaded,
-    #[error("the stored parse is damaged ({what}); it is being made anew from the scan: ask again when the scene's job is done")]
+    #[error(
+        "the stored parse is damaged ({what}); it is being made anew from the scan: ask again when the scene's job is done"
+    )]
     ParseDamaged { parse_id: String, what: String },
     #[error("this Idempotency-Key came with another request before: use a new key for a new one")]
     IdempotencyKeyReused,
-    #[error("this server imports nothing from its own disk: its operator names a folder with --import-root")]
+    #[error(
+        "this server imports nothing from its own disk: its operator names a folder with --import-root"
+    )]
     ImportNotAllowed,
     #[error("there is no {path:?} below the folder that is imported from")]
     ImportNotFound { path: String },
@@ -125,7 +143,9 @@ pub enum Error {
     TooMany { what: &'static str, most: usize },
     #[error("{what}")]
     NoScan { what: &'static str },
-    #[error("the upload is too slow: at least {bytes_per_s} bytes a second, and never {silence_s} s of silence")]
+    #[error(
+        "the upload is too slow: at least {bytes_per_s} bytes a second, and never {silence_s} s of silence"
+    )]
     UploadTooSlow { bytes_per_s: u64, silence_s: u64 },
     #[error("the upload holds more than {max_bytes} bytes")]
     UploadTooLarge { max_bytes: u64 },
@@ -133,7 +153,9 @@ pub enum Error {
     UploadNotFound { id: String },
     #[error("upload {id} was not gone on with for too long: begin a new one")]
     UploadExpired { id: String },
-    #[error("somebody is sending to upload {id}, or it is being made a scene: ask for its offset when that is over")]
+    #[error(
+        "somebody is sending to upload {id}, or it is being made a scene: ask for its offset when that is over"
+    )]
     UploadBusy { id: String },
     #[error("{offset} bytes of this upload are there: go on at this offset")]
     WrongOffset { offset: u64 },
@@ -162,8 +184,12 @@ impl From<AskError> for Error {
     fn from(error: AskError) -> Self {
         match error {
             AskError::Budget(budget) => Self::OverBudget(budget),
-            AskError::Chat(ChatFailure { error: ChatError::Down { again_in_s }, .. }) => Self::VlmDown { again_in_s },
-            AskError::Chat(failure) => Self::VlmFailed { why: failure.error.to_string(), attempts: failure.attempts },
+            AskError::Chat(ChatFailure { error: ChatError::Down { again_in_s }, .. }) => {
+                Self::VlmDown { again_in_s }
+            }
+            AskError::Chat(failure) => {
+                Self::VlmFailed { why: failure.error.to_string(), attempts: failure.attempts }
+            }
             AskError::CallsUsedUp { .. } => Self::VlmFailed { why: error.to_string(), attempts: 0 },
         }
     }
@@ -227,7 +253,8 @@ impl Error {
         Self::Invalid { pointer: pointer.into(), detail: detail.into() }
     }
 
-    /// Whether the same may go well a while later: a disk that was full, a database that was locked, a model that did not answer.
+    /// Whether the same may go well a while later: a disk that was full, a database that was
+    /// locked, a model that did not answer.
     #[must_use]
     pub fn may_pass(&self) -> bool {
         matches!(
@@ -251,7 +278,9 @@ impl Error {
     pub fn is_disk_full(&self) -> bool {
         match self {
             Self::Store(error) | Self::Jobs(JobsError::Store(error)) => error.is_full(),
-            Self::Io(error) | Self::Ingest(IngestError::Io { source: error, .. }) => is_disk_full(error),
+            Self::Io(error) | Self::Ingest(IngestError::Io { source: error, .. }) => {
+                is_disk_full(error)
+            }
             Self::DiskNearlyFull { .. } => true,
             _ => false,
         }
@@ -268,7 +297,9 @@ impl Error {
     pub fn is_blobs_away(&self) -> bool {
         match self {
             Self::Store(error) | Self::Jobs(JobsError::Store(error)) => error.is_blobs_away(),
-            Self::Io(error) | Self::Ingest(IngestError::Io { source: error, .. }) => Away::is_behind(error),
+            Self::Io(error) | Self::Ingest(IngestError::Io { source: error, .. }) => {
+                Away::is_behind(error)
+            }
             _ => false,
         }
     }

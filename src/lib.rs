@@ -1,4 +1,5 @@
-//! uniground: 3D visual grounding as a service. The method is in [`uniground_core`], what crosses the wire in [`uniground_types`].
+//! uniground: 3D visual grounding as a service. The method is in [`uniground_core`], what crosses
+//! the wire in [`uniground_types`].
 pub mod app;
 pub mod chat;
 pub mod cli;

@@ -6,7 +6,13 @@ fn main() -> ExitCode {
     match uniground::cli::run(&uniground::cli::Cli::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         // `| head` has seen enough: no failure.
-        Err(error) if error.downcast_ref::<io::Error>().is_some_and(|e| e.kind() == io::ErrorKind::BrokenPipe) => ExitCode::SUCCESS,
+        Err(error)
+            if error
+                .downcast_ref::<io::Error>()
+                .is_some_and(|e| e.kind() == io::ErrorKind::BrokenPipe) =>
+        {
+            ExitCode::SUCCESS
+        }
         Err(error) => {
             eprintln!("uniground: {}", uniground::telemetry::scrubbed(&format!("{error:#}")));
             ExitCode::FAILURE

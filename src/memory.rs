@@ -1,13 +1,16 @@
 //! What memory this process has and may have.
 
-use sysinfo::{MemoryRefreshKind, ProcessRefreshKind, ProcessesToUpdate, RefreshKind, System, get_current_pid};
+use sysinfo::{
+    MemoryRefreshKind, ProcessRefreshKind, ProcessesToUpdate, RefreshKind, System, get_current_pid,
+};
 
 /// Bytes of memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Memory {
     /// What of this process is not swapped out.
     pub resident: u64,
-    /// What it may come to have: its container's limit, or all of the machine's; no more than others leave of that.
+    /// What it may come to have: its container's limit, or all of the machine's; no more than
+    /// others leave of that.
     pub most: u64,
 }
 
@@ -16,12 +19,19 @@ impl Memory {
     #[must_use]
     pub fn now() -> Option<Self> {
         let id = get_current_pid().ok()?;
-        let of_machine = RefreshKind::nothing().with_memory(MemoryRefreshKind::nothing().with_ram());
+        let of_machine =
+            RefreshKind::nothing().with_memory(MemoryRefreshKind::nothing().with_ram());
         let mut system = System::new_with_specifics(of_machine).ok()?;
-        system.refresh_processes_specifics(ProcessesToUpdate::Some(&[id]), false, ProcessRefreshKind::nothing().with_memory());
+        system.refresh_processes_specifics(
+            ProcessesToUpdate::Some(&[id]),
+            false,
+            ProcessRefreshKind::nothing().with_memory(),
+        );
         let process = system.process(id)?;
         let of_machine = system.total_memory();
-        let most = process.cgroup_limits().map_or(of_machine, |limits| limits.total_memory.min(of_machine));
+        let most = process
+            .cgroup_limits()
+            .map_or(of_machine, |limits| limits.total_memory.min(of_machine));
         let resident = process.memory();
         Some(Self { resident, most: most.min(resident.saturating_add(system.available_memory())) })
     }

@@ -12,7 +12,8 @@ const DEEPEST: usize = 16;
 pub enum Links<'a> {
     /// All of them: the files are the caller's own.
     All,
-    /// Those that stay below a folder, which is given as it is (canonical); what lies elsewhere is left out.
+    /// Those that stay below a folder, which is given as it is (canonical); what lies elsewhere is
+    /// left out.
     Below(&'a Utf8Path),
 }
 
@@ -25,7 +26,8 @@ pub enum PackingError {
     File { path: Utf8PathBuf, source: io::Error },
 }
 
-/// A tar of all files that are not hidden. Sorted, and without times: the same folder is the same archive.
+/// A tar of all files that are not hidden. Sorted, and without times: the same folder is the same
+/// archive.
 ///
 /// # Errors
 /// [`PackingError`].
@@ -39,12 +41,17 @@ pub fn pack(folder: &Utf8Path, links: Links, to: impl Write) -> Result<(), Packi
     let mut archive = tar::Builder::new(to);
     for path in files {
         let name = path.strip_prefix(folder).unwrap_or(&path);
-        append(&mut archive, &path, name).map_err(|source| PackingError::File { path: path.clone(), source })?;
+        append(&mut archive, &path, name)
+            .map_err(|source| PackingError::File { path: path.clone(), source })?;
     }
     archive.finish().map_err(|source| PackingError::File { path: folder.to_owned(), source })
 }
 
-fn append(archive: &mut tar::Builder<impl Write>, path: &Utf8Path, name: &Utf8Path) -> io::Result<()> {
+fn append(
+    archive: &mut tar::Builder<impl Write>,
+    path: &Utf8Path,
+    name: &Utf8Path,
+) -> io::Result<()> {
     let file = File::open(path)?;
     let mut header = tar::Header::new_gnu();
     header.set_size(file.metadata()?.len());
@@ -52,7 +59,12 @@ fn append(archive: &mut tar::Builder<impl Write>, path: &Utf8Path, name: &Utf8Pa
     archive.append_data(&mut header, name, file)
 }
 
-fn collect(folder: &Utf8Path, links: Links, deeper: usize, files: &mut Vec<Utf8PathBuf>) -> Result<(), PackingError> {
+fn collect(
+    folder: &Utf8Path,
+    links: Links,
+    deeper: usize,
+    files: &mut Vec<Utf8PathBuf>,
+) -> Result<(), PackingError> {
     let unreadable = |source| PackingError::File { path: folder.to_owned(), source };
     for entry in folder.read_dir_utf8().map_err(unreadable)? {
         let path = entry.map_err(unreadable)?.into_path();
@@ -62,7 +74,9 @@ fn collect(folder: &Utf8Path, links: Links, deeper: usize, files: &mut Vec<Utf8P
         }
         match fs::metadata(&path) {
             Ok(metadata) if metadata.is_file() => files.push(path),
-            Ok(metadata) if metadata.is_dir() && deeper > 0 => collect(&path, links, deeper - 1, files)?,
+            Ok(metadata) if metadata.is_dir() && deeper > 0 => {
+                collect(&path, links, deeper - 1, files)?
+            }
             // A link to nowhere, a socket: no part of a scan.
             _ => {}
         }
@@ -117,7 +131,9 @@ mod tests {
             fs::write(root.join(place).join("secret.txt"), place).unwrap();
         }
         let (scans, room) = (root.join("scans"), root.join("scans/room"));
-        let link = |to: &str, name: &str| std::os::unix::fs::symlink(root.join(to), room.join(name)).unwrap();
+        let link = |to: &str, name: &str| {
+            std::os::unix::fs::symlink(root.join(to), room.join(name)).unwrap()
+        };
         link("elsewhere", "a");
         link("elsewhere/secret.txt", "b.txt");
         link("scans/shared", "c");
@@ -130,6 +146,9 @@ mod tests {
         assert_eq!(packed(Links::Below(&scans)), ["c/secret.txt", "secret.txt"]);
         assert_eq!(packed(Links::All), ["a/secret.txt", "b.txt", "c/secret.txt", "secret.txt"]);
         fs::create_dir(scans.join("empty")).unwrap();
-        assert!(matches!(pack(&scans.join("empty"), Links::All, io::sink()), Err(PackingError::Empty(_))));
+        assert!(matches!(
+            pack(&scans.join("empty"), Links::All, io::sink()),
+            Err(PackingError::Empty(_))
+        ));
     }
 }

@@ -1,4 +1,5 @@
-//! The log, on stderr, and traces, to a collector. Secrets this process was told are blotted out of it, at every level and whoever logs them.
+//! The log, on stderr, and traces, to a collector. Secrets this process was told are blotted out of
+//! it, at every level and whoever logs them.
 
 mod traces;
 
@@ -35,16 +36,20 @@ fn start_at(levels: &str) {
     }
 }
 
-/// Starts logging, and sending traces where that is wanted, as long as what is returned lives; a second call in the same process changes
-/// nothing.
+/// Starts logging, and sending traces where that is wanted, as long as what is returned lives; a
+/// second call in the same process changes nothing.
 ///
 /// # Errors
 /// An endpoint that is no address.
 pub fn start(config: &LogConfig) -> anyhow::Result<Option<Traces>> {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info,sqlx=warn,ort=warn,object_store=warn"));
+    let filter = EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| EnvFilter::new("info,sqlx=warn,ort=warn,object_store=warn"));
     let log = fmt::layer().with_writer(|| Scrubbed);
     let log = match config.log_format {
-        LogFormat::Text => log.with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr())).with_filter(filter).boxed(),
+        LogFormat::Text => log
+            .with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr()))
+            .with_filter(filter)
+            .boxed(),
         LogFormat::Json => log.json().with_filter(filter).boxed(),
     };
     let (layer, traces) = config.otlp_endpoint.as_deref().map(traces::sent_to).transpose()?.unzip();
@@ -112,9 +117,10 @@ mod tests {
     #[test]
     fn secrets_are_blotted_out_wherever_they_stand() {
         hide("sk-telemetry-test");
-        hide_secrets_of("https://user:pass%20telemetry@host.example/v1?api-version=2026&key=telemetry%2Fkey");
-        let line =
-            "authorization: Bearer sk-telemetry-test, https://user:pass%20telemetry@host.example/v1?key=telemetry%2Fkey telemetry/key";
+        hide_secrets_of(
+            "https://user:pass%20telemetry@host.example/v1?api-version=2026&key=telemetry%2Fkey",
+        );
+        let line = "authorization: Bearer sk-telemetry-test, https://user:pass%20telemetry@host.example/v1?key=telemetry%2Fkey telemetry/key";
         let told = scrubbed(line);
         assert!(
             !told.contains("sk-telemetry")

@@ -1,5 +1,5 @@
-//! Which trace a request belongs to, as W3C's `traceparent` says it: taken from callers, handed on to the model's endpoint. Without a collector
-//! nothing is taken and nothing handed on.
+//! Which trace a request belongs to, as W3C's `traceparent` says it: taken from callers, handed on
+//! to the model's endpoint. Without a collector nothing is taken and nothing handed on.
 
 use opentelemetry::propagation::TextMapPropagator;
 use opentelemetry_http::{HeaderExtractor, HeaderInjector};
@@ -19,6 +19,7 @@ pub fn adopt(span: &Span, headers: &HeaderMap) {
 #[must_use]
 pub fn handed_on() -> HeaderMap {
     let mut headers = HeaderMap::new();
-    TraceContextPropagator::new().inject_context(&Span::current().context(), &mut HeaderInjector(&mut headers));
+    TraceContextPropagator::new()
+        .inject_context(&Span::current().context(), &mut HeaderInjector(&mut headers));
     headers
 }

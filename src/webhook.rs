@@ -1,5 +1,6 @@
-//! Telling another server that something happened, as Standard Webhooks (version 1) has it: signed, and never to an address that only this
-//! machine or its own network can reach, unless the operator says so.
+//! Telling another server that something happened, as Standard Webhooks (version 1) has it: signed,
+//! and never to an address that only this machine or its own network can reach, unless the operator
+//! says so.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -39,7 +40,9 @@ pub enum WebhookError {
 pub enum BadWebhook {
     #[error("this is not an address with http or https")]
     Address,
-    #[error("{0} is an address of this machine or its own network: say --webhook-allow-private where that is meant")]
+    #[error(
+        "{0} is an address of this machine or its own network: say --webhook-allow-private where that is meant"
+    )]
     Private(String),
     #[error("the secret is base64 of at least {SHORTEST_SECRET} bytes, after whsec_")]
     Secret,
@@ -53,17 +56,23 @@ impl Webhook {
     /// # Errors
     /// [`BadWebhook`].
     pub fn new(url: &str, secret: &str, allow_private: bool) -> Result<Self, BadWebhook> {
-        let url = Url::parse(url).ok().filter(|url| matches!(url.scheme(), "http" | "https") && url.has_host());
+        let url = Url::parse(url)
+            .ok()
+            .filter(|url| matches!(url.scheme(), "http" | "https") && url.has_host());
         let url = url.ok_or(BadWebhook::Address)?;
-        let secret = STANDARD.decode(secret.trim().trim_start_matches(PREFIX)).map_err(|_| BadWebhook::Secret)?;
+        let secret = STANDARD
+            .decode(secret.trim().trim_start_matches(PREFIX))
+            .map_err(|_| BadWebhook::Secret)?;
         if secret.len() < SHORTEST_SECRET {
             return Err(BadWebhook::Secret);
         }
         choose_cryptography();
         // Whoever answers may not send it on elsewhere.
-        let mut http = reqwest::Client::builder().redirect(redirect::Policy::none()).timeout(TIMEOUT);
+        let mut http =
+            reqwest::Client::builder().redirect(redirect::Policy::none()).timeout(TIMEOUT);
         if !allow_private {
-            // A name is looked up when it is connected to, and what it means then counts; a number is looked at here.
+            // A name is looked up when it is connected to, and what it means then counts; a number
+            // is looked at here.
             http = http.dns_resolver(Arc::new(PublicOnly)).no_proxy();
             let host = url.host_str().unwrap_or_default().trim_matches(['[', ']']);
             if host.parse::<IpAddr>().is_ok_and(|address| !is_public(address)) {
@@ -73,7 +82,8 @@ impl Webhook {
         Ok(Self { http: http.build()?, url, secret })
     }
 
-    /// Delivers a message; `id` is the same whenever it is delivered again. `at` is the time now, seconds.
+    /// Delivers a message; `id` is the same whenever it is delivered again. `at` is the time now,
+    /// seconds.
     ///
     /// # Errors
     /// [`WebhookError`]: it was not taken, and may be tried again.
@@ -92,7 +102,9 @@ impl Webhook {
 
     fn signature(&self, id: &str, at: i64, body: &str) -> String {
         // Any length is a key.
-        let Ok(mut mac) = Hmac::<Sha256>::new_from_slice(&self.secret) else { return String::new() };
+        let Ok(mut mac) = Hmac::<Sha256>::new_from_slice(&self.secret) else {
+            return String::new();
+        };
         mac.update(format!("{id}.{at}.{body}").as_bytes());
         format!("v1,{}", STANDARD.encode(mac.finalize().into_bytes()))
     }
@@ -108,7 +120,9 @@ impl Resolve for PublicOnly {
             let found = tokio::net::lookup_host((host.as_str(), 0)).await?;
             let public: Vec<SocketAddr> = found.filter(|address| is_public(address.ip())).collect();
             match public.is_empty() {
-                true => Err(format!("{host} is an address of this machine or its own network").into()),
+                true => {
+                    Err(format!("{host} is an address of this machine or its own network").into())
+                }
                 false => Ok(Box::new(public.into_iter()) as Addrs),
             }
         })
@@ -127,7 +141,10 @@ fn is_public(address: IpAddr) -> bool {
                 Some(mapped) => is_public_v4(mapped),
                 None if segments[..6] == [0x64, 0xff9b, 0, 0, 0, 0] => is_public_v4(inner()),
                 // What is given out worldwide begins with 001; of that 2001:db8::/32 is for books.
-                None => segments[0] & 0xe000 == 0x2000 && !(segments[0] == 0x2001 && segments[1] == 0x0db8),
+                None => {
+                    segments[0] & 0xe000 == 0x2000
+                        && !(segments[0] == 0x2001 && segments[1] == 0x0db8)
+                }
             }
         }
     }
@@ -158,7 +175,11 @@ mod tests {
     #[test]
     fn signatures_are_those_of_standard_webhooks() {
         let webhook = Webhook::new("https://example.com/hook", SECRET, false).unwrap();
-        let signature = webhook.signature("msg_p5jXN8AQM9LWM0D4loKWxJek", 1_614_265_330, "{\"test\": 2432232314}");
+        let signature = webhook.signature(
+            "msg_p5jXN8AQM9LWM0D4loKWxJek",
+            1_614_265_330,
+            "{\"test\": 2432232314}",
+        );
         assert_eq!(signature, "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE=");
     }
 
@@ -181,14 +202,26 @@ mod tests {
             "[64:ff9b::10.0.0.1]",
         ] {
             let url = format!("http://{private}/hook");
-            assert!(matches!(Webhook::new(&url, SECRET, false), Err(BadWebhook::Private(_))), "{private}");
+            assert!(
+                matches!(Webhook::new(&url, SECRET, false), Err(BadWebhook::Private(_))),
+                "{private}"
+            );
             assert!(Webhook::new(&url, SECRET, true).is_ok(), "{private}");
         }
         for public in ["1.1.1.1", "[2606:4700:4700::1111]", "example.com"] {
-            assert!(Webhook::new(&format!("https://{public}/hook"), SECRET, false).is_ok(), "{public}");
+            assert!(
+                Webhook::new(&format!("https://{public}/hook"), SECRET, false).is_ok(),
+                "{public}"
+            );
         }
-        assert!(matches!(Webhook::new("ftp://example.com", SECRET, false), Err(BadWebhook::Address)));
-        assert!(matches!(Webhook::new("https://example.com", "whsec_c2hvcnQ=", false), Err(BadWebhook::Secret)));
+        assert!(matches!(
+            Webhook::new("ftp://example.com", SECRET, false),
+            Err(BadWebhook::Address)
+        ));
+        assert!(matches!(
+            Webhook::new("https://example.com", "whsec_c2hvcnQ=", false),
+            Err(BadWebhook::Secret)
+        ));
     }
 
     #[tokio::test]

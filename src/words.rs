@@ -1,4 +1,5 @@
-//! Words of the command line that stand for values of the pipelines and the API, with a line of help each.
+//! Words of the command line that stand for values of the pipelines and the API, with a line of
+//! help each.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use serde::de::DeserializeOwned;
@@ -16,11 +17,18 @@ pub fn provider() -> impl TypedValueParser<Value = Provider> {
 }
 
 pub fn preset() -> impl TypedValueParser<Value = ParsePreset> {
-    words(&[("default", "What measures best over several rooms"), ("paper", "Every value the paper states")])
+    words(&[
+        ("default", "What measures best over several rooms"),
+        ("paper", "Every value the paper states"),
+    ])
 }
 
 pub fn reasoner() -> impl TypedValueParser<Value = ReasonerChoice> {
-    words(&[("auto", "A vision-language model when one is configured, else the built-in reasoner"), ("vlm", ""), ("builtin", "")])
+    words(&[
+        ("auto", "A vision-language model when one is configured, else the built-in reasoner"),
+        ("vlm", ""),
+        ("builtin", ""),
+    ])
 }
 
 pub fn scope() -> impl TypedValueParser<Value = Scope> {
@@ -54,7 +62,8 @@ pub fn frame() -> impl TypedValueParser<Value = FrameChoice> {
 /// US dollars.
 ///
 /// # Errors
-/// What is no amount of money. JSON has no word for `NaN`: it would be left out, and with it the limit.
+/// What is no amount of money. JSON has no word for `NaN`: it would be left out, and with it the
+/// limit.
 pub fn usd(text: &str) -> Result<f64, String> {
     checked(text, |usd| numbers::zero_or_more("", usd))
 }
@@ -73,11 +82,18 @@ fn checked(text: &str, check: impl FnOnce(f64) -> Result<(), FieldError>) -> Res
 }
 
 /// Words in the spelling of the command line; the API writes them with underscores.
-fn words<T: DeserializeOwned + Clone + Send + Sync + 'static>(known: &[(&'static str, &'static str)]) -> impl TypedValueParser<Value = T> {
+fn words<T: DeserializeOwned + Clone + Send + Sync + 'static>(
+    known: &[(&'static str, &'static str)],
+) -> impl TypedValueParser<Value = T> {
     let value = |(word, help): &(&'static str, &'static str)| {
-        if help.is_empty() { PossibleValue::new(*word) } else { PossibleValue::new(*word).help(*help) }
+        if help.is_empty() {
+            PossibleValue::new(*word)
+        } else {
+            PossibleValue::new(*word).help(*help)
+        }
     };
-    PossibleValuesParser::new(known.iter().map(value)).try_map(|word| serde_json::from_value(word.replace('-', "_").into()))
+    PossibleValuesParser::new(known.iter().map(value))
+        .try_map(|word| serde_json::from_value(word.replace('-', "_").into()))
 }
 
 #[cfg(test)]
@@ -88,7 +104,11 @@ mod tests {
     #[test]
     fn every_word_stands_for_a_value() {
         fn check<T: Clone + Send + Sync + 'static>(parser: impl TypedValueParser<Value = T>) {
-            let words: Vec<String> = parser.possible_values().unwrap().map(|value| value.get_name().to_owned()).collect();
+            let words: Vec<String> = parser
+                .possible_values()
+                .unwrap()
+                .map(|value| value.get_name().to_owned())
+                .collect();
             for word in words {
                 let command = Command::new("x").arg(Arg::new("word").value_parser(parser.clone()));
                 let read = command.try_get_matches_from(["x", &word]);

@@ -5,7 +5,8 @@ use uniground_core::geometry::statistics::median;
 
 /// Runs that count, after one of each side that does not.
 pub const ROUNDS: usize = 9;
-/// Between runs: threads of a peer that still spin for more work must not take a core from the next.
+/// Between runs: threads of a peer that still spin for more work must not take a core from the
+/// next.
 const PAUSE: Duration = Duration::from_millis(50);
 
 /// One run: milliseconds, and in a few words what came out.
@@ -63,9 +64,11 @@ fn turn(side: &mut Side) -> anyhow::Result<Run> {
     side()
 }
 
-/// The median of all but the first run. One failure spoils the row: what is left would be a selection.
+/// The median of all but the first run. One failure spoils the row: what is left would be a
+/// selection.
 fn summed_up(runs: Vec<anyhow::Result<Run>>) -> Result<Run, String> {
-    let runs = runs.into_iter().collect::<anyhow::Result<Vec<_>>>().map_err(|e| format!("{e:#}"))?;
+    let runs =
+        runs.into_iter().collect::<anyhow::Result<Vec<_>>>().map_err(|e| format!("{e:#}"))?;
     let mut ms: Vec<f32> = runs.iter().skip(1).map(|run| run.ms).collect();
     let gives = runs.last().map(|run| run.gives.clone()).unwrap_or_default();
     Ok(Run { ms: median(&mut ms).unwrap_or_default(), gives })

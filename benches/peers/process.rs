@@ -1,4 +1,5 @@
-//! A peer as a long-lived child: one command a line, one answer a line, timed by the peer itself (`protocol.py`).
+//! A peer as a long-lived child: one command a line, one answer a line, timed by the peer itself
+//! (`protocol.py`).
 
 use crate::duel::Run;
 use anyhow::{Context, anyhow, bail, ensure};
@@ -15,11 +16,15 @@ pub struct Peer {
 }
 
 impl Peer {
-    /// Starts a script of `benches/peers` and gives it what it will work on, before anything is timed.
+    /// Starts a script of `benches/peers` and gives it what it will work on, before anything is
+    /// timed.
     pub fn start(python: Option<&str>, script: &str, commands: &[String]) -> Self {
         let started = python.context("no --python PYTHON given").and_then(|python| {
             let mut process = Process::start(python, script)?;
-            let prepared = commands.iter().map(|command| process.ask(command)).collect::<anyhow::Result<_>>()?;
+            let prepared = commands
+                .iter()
+                .map(|command| process.ask(command))
+                .collect::<anyhow::Result<_>>()?;
             Ok((process, prepared))
         });
         match started {
@@ -69,13 +74,16 @@ impl Process {
         let answers = BufReader::new(child.stdout.take().context("no stdout")?);
         let mut process = Self { child, commands, answers, complaints, versions: String::new() };
         let line = process.line()?;
-        line.strip_prefix("ready ").with_context(|| line.clone())?.clone_into(&mut process.versions);
+        line.strip_prefix("ready ")
+            .with_context(|| line.clone())?
+            .clone_into(&mut process.versions);
         Ok(process)
     }
 
     /// Sends one command and waits for its answer.
     fn ask(&mut self, command: &str) -> anyhow::Result<Run> {
-        writeln!(self.commands.as_ref().context("closed")?, "{command}").with_context(|| self.last_complaint())?;
+        writeln!(self.commands.as_ref().context("closed")?, "{command}")
+            .with_context(|| self.last_complaint())?;
         let line = self.line()?;
         let (ms, gives) = line.split_once(' ').unwrap_or((&line, ""));
         ensure!(ms != "error", "{gives}");
@@ -92,7 +100,8 @@ impl Process {
 
     fn last_complaint(&mut self) -> String {
         let mut text = String::new();
-        let read = self.complaints.rewind().and_then(|()| self.complaints.read_to_string(&mut text));
+        let read =
+            self.complaints.rewind().and_then(|()| self.complaints.read_to_string(&mut text));
         let last = text.lines().rfind(|line| !line.trim().is_empty());
         read.ok()
             .and(last)

@@ -48,13 +48,20 @@ impl Input {
     pub fn for_open3d(&self) -> [String; 3] {
         let camera = ROOM_VIEW.camera(&self.extent);
         let of = camera.intrinsics;
-        let ceiling_m = quantile(&mut self.cloud.positions.iter().map(|p| p.z).collect::<Vec<_>>(), CEILING_PERCENTILE).unwrap();
+        let ceiling_m = quantile(
+            &mut self.cloud.positions.iter().map(|p| p.z).collect::<Vec<_>>(),
+            CEILING_PERCENTILE,
+        )
+        .unwrap();
         let rows = camera.world_to_camera().to_homogeneous().transpose();
         let pose: String = rows.iter().map(|v| format!(" {v}")).collect();
         let side_m = typical_spacing_m(&self.cloud.positions) * SPLAT_OVERLAP;
         [
             format!("read {}", self.file),
-            format!("camera {} {} {} {} {} {} {ceiling_m}{pose}", of.width, of.height, of.fx, of.fy, of.cx, of.cy),
+            format!(
+                "camera {} {} {} {} {} {} {ceiling_m}{pose}",
+                of.width, of.height, of.fx, of.fy, of.cx, of.cy
+            ),
             format!("squares {side_m}"),
         ]
     }
@@ -84,7 +91,8 @@ pub fn superpoints<'a>(input: &'a Input, vccs: &'a anyhow::Result<Vccs>) -> Vec<
         what: format!("superpoints {}/{} beside PCL VCCS {voxel}/.2", ours.voxel_m, ours.seed_m),
         ours: Ours::Same(own_superpoints(input, ours)),
         peer: Box::new(move || {
-            let (seconds, labels) = vccs.as_ref().map_err(|e| anyhow!("{e:#}"))?.run(voxel, ".2")?;
+            let (seconds, labels) =
+                vccs.as_ref().map_err(|e| anyhow!("{e:#}"))?.run(voxel, ".2")?;
             let distinct: HashSet<u32> = labels.into_iter().filter(|label| *label > 0).collect();
             Ok(Run { ms: seconds * 1000.0, gives: format!("{} superpoints", distinct.len()) })
         }),
@@ -151,7 +159,9 @@ pub fn normals<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
         what,
         ours: Ours::Within(own_superpoints(input, SuperpointSettings::default())),
         peer: asked(open3d, command),
-        differ: format!("{differ} Ours is a part of superpoints and can not be had alone: the figure is that of all of superpoints."),
+        differ: format!(
+            "{differ} Ours is a part of superpoints and can not be had alone: the figure is that of all of superpoints."
+        ),
     };
     vec![
         against(
@@ -173,8 +183,20 @@ pub fn drawing<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
     let against = |how: &str, command: &str, differ: String| Comparison {
         what: format!("picture of the room, {size}, Open3D {how}"),
         ours: Ours::Same(Box::new(|| {
-            let drawn = |picture: &image::RgbImage| format!("{} pixels", picture.pixels().filter(|p| p.0 != BACKGROUND).count());
-            Ok(timed(|| scene_picture(&RenderScene::of(input.cloud.clone()), &input.extent, &ROOM_VIEW, &[]), drawn))
+            let drawn = |picture: &image::RgbImage| {
+                format!("{} pixels", picture.pixels().filter(|p| p.0 != BACKGROUND).count())
+            };
+            Ok(timed(
+                || {
+                    scene_picture(
+                        &RenderScene::of(input.cloud.clone()),
+                        &input.extent,
+                        &ROOM_VIEW,
+                        &[],
+                    )
+                },
+                drawn,
+            ))
         })),
         peer: asked(open3d, command.into()),
         differ,
@@ -209,7 +231,10 @@ pub struct Asked {
     pub encoded: Encoded,
 }
 
-pub fn perception<'a>(ours: &'a anyhow::Result<Asked>, onnxruntime: &'a Peer) -> Vec<Comparison<'a>> {
+pub fn perception<'a>(
+    ours: &'a anyhow::Result<Asked>,
+    onnxruntime: &'a Peer,
+) -> Vec<Comparison<'a>> {
     let measured = |work: fn(&Asked) -> String| -> Ours<'a> {
         Ours::Same(Box::new(move || match ours {
             Ok(asked) => Ok(timed(|| work(asked), Clone::clone)),

@@ -6,11 +6,21 @@ use std::fmt::Write;
 use std::thread::available_parallelism;
 
 /// Everything the bench says: where it ran, against what, the figures, and how to read them.
-pub fn written(input: &str, load: &str, versions: &[Option<String>], outcomes: &[DuelResult]) -> String {
+pub fn written(
+    input: &str,
+    load: &str,
+    versions: &[Option<String>],
+    outcomes: &[DuelResult],
+) -> String {
     let mut table = Table::new();
-    table
-        .load_preset(presets::ASCII_MARKDOWN)
-        .set_header(["", "ours, ms", "peer, ms", "ours / peer", "ours gives", "the peer gives"]);
+    table.load_preset(presets::ASCII_MARKDOWN).set_header([
+        "",
+        "ours, ms",
+        "peer, ms",
+        "ours / peer",
+        "ours gives",
+        "the peer gives",
+    ]);
     table.add_rows(outcomes.iter().map(row));
     let mut notes = String::new();
     for DuelResult { what, differ, .. } in outcomes {
@@ -58,12 +68,19 @@ fn figure(ms: f32) -> String {
 
 fn machine() -> String {
     let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let model = info.lines().find_map(|l| l.strip_prefix("model name")?.split_once(": ").map(|(_, m)| m.trim()));
+    let model = info
+        .lines()
+        .find_map(|l| l.strip_prefix("model name")?.split_once(": ").map(|(_, m)| m.trim()));
     let cores = available_parallelism().map_or_else(|_| "?".into(), |n| n.to_string());
-    format!("{}, {cores} cores, {} threads for ours", model.unwrap_or("unknown processor"), rayon::current_num_threads())
+    format!(
+        "{}, {cores} cores, {} threads for ours",
+        model.unwrap_or("unknown processor"),
+        rayon::current_num_threads()
+    )
 }
 
-/// What else kept the machine busy in the minute before: on a loaded one whoever uses more cores loses more.
+/// What else kept the machine busy in the minute before: on a loaded one whoever uses more cores
+/// loses more.
 pub fn load() -> String {
     let averages = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
     averages.split(' ').next().filter(|load| !load.is_empty()).unwrap_or("unknown").to_owned()

@@ -36,7 +36,8 @@ impl Vccs {
         };
         let seconds = (after("extract")? + after("label-back")?) / 1000.0;
         let bytes = std::fs::read(&self.labels)?;
-        let labels = bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+        let labels =
+            bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
         Ok((seconds, labels))
     }
 

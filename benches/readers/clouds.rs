@@ -6,8 +6,13 @@ use std::io::{BufWriter, Write};
 
 type WriteCloud = fn(&Utf8Path, usize);
 
-pub const FORMATS: [(&str, WriteCloud); 5] =
-    [("cloud.ply", ply), ("doubles.ply", ply_doubles), ("cloud.pcd", pcd), ("cloud.las", las), ("cloud.laz", laz)];
+pub const FORMATS: [(&str, WriteCloud); 5] = [
+    ("cloud.ply", ply),
+    ("doubles.ply", ply_doubles),
+    ("cloud.pcd", pcd),
+    ("cloud.las", las),
+    ("cloud.laz", laz),
+];
 
 /// A point of a surface with some noise, the same every time; metres.
 fn point(i: usize) -> ([f32; 3], [u8; 3]) {
@@ -31,7 +36,8 @@ fn ply(file: &Utf8Path, points: usize) {
         "ply\nformat binary_little_endian 1.0\nelement vertex {points}\nproperty float x\nproperty float y\nproperty float z\n"
     )
     .unwrap();
-    write!(out, "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n").unwrap();
+    write!(out, "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n")
+        .unwrap();
     for (at, colour) in (0..points).map(point) {
         at.iter().for_each(|v| out.write_all(&v.to_le_bytes()).unwrap());
         out.write_all(&colour).unwrap();
@@ -48,7 +54,8 @@ fn ply_doubles(file: &Utf8Path, points: usize) {
     )
     .unwrap();
     write!(out, "property float nx\nproperty float ny\nproperty float nz\n").unwrap();
-    write!(out, "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n").unwrap();
+    write!(out, "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n")
+        .unwrap();
     for (at, colour) in (0..points).map(point) {
         at.iter().for_each(|v| out.write_all(&f64::from(*v).to_le_bytes()).unwrap());
         out.write_all(&[0; 12]).unwrap();
@@ -59,8 +66,13 @@ fn ply_doubles(file: &Utf8Path, points: usize) {
 
 fn pcd(file: &Utf8Path, points: usize) {
     let mut out = create(file);
-    write!(out, "VERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n").unwrap();
-    write!(out, "WIDTH {points}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {points}\nDATA binary\n").unwrap();
+    write!(out, "VERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n")
+        .unwrap();
+    write!(
+        out,
+        "WIDTH {points}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {points}\nDATA binary\n"
+    )
+    .unwrap();
     for (at, [r, g, b]) in (0..points).map(point) {
         at.iter().for_each(|v| out.write_all(&v.to_le_bytes()).unwrap());
         out.write_all(&[b, g, r, 0]).unwrap();

@@ -14,14 +14,17 @@ const VIEWS: usize = 20;
 /// Corners of the room, metres; the camera stands in its middle.
 const INSIDE: [[f32; 2]; 3] = [[-3.0, 3.0], [-2.5, 2.5], [-1.4, 1.2]];
 
-/// The plain layout with so many frames; pictures are made longer until all of them have so many bytes.
+/// The plain layout with so many frames; pictures are made longer until all of them have so many
+/// bytes.
 pub fn write(root: &Utf8Path, frames: usize, bytes: usize) {
     for name in ["color", "depth", "pose"] {
         fs::create_dir_all(root.join(name)).unwrap();
     }
-    fs::write(root.join("intrinsic.txt"), format!("{FOCAL} 0 319.5\n0 {FOCAL} 239.5\n0 0 1\n")).unwrap();
+    fs::write(root.join("intrinsic.txt"), format!("{FOCAL} 0 319.5\n0 {FOCAL} 239.5\n0 0 1\n"))
+        .unwrap();
     let views: Vec<_> = (0..VIEWS).map(view).collect();
-    let own: usize = views.iter().map(|(colour, depth, _)| colour.len() + depth.len()).sum::<usize>() / VIEWS;
+    let own: usize =
+        views.iter().map(|(colour, depth, _)| colour.len() + depth.len()).sum::<usize>() / VIEWS;
     let more = (bytes / frames).saturating_sub(own);
     for i in 0..frames {
         let (colour, depth, pose) = &views[i % VIEWS];
@@ -38,7 +41,9 @@ fn with_comment(jpeg: &[u8], mut more: usize, frame: usize) -> Vec<u8> {
         let length = more.min(60_000);
         out.extend([0xff, 0xfe]);
         out.extend((length as u16 + 2).to_be_bytes());
-        out.extend((0..length).map(|i| ((i ^ frame).wrapping_mul(2_654_435_761) >> 13) as u8 & 0x7f));
+        out.extend(
+            (0..length).map(|i| ((i ^ frame).wrapping_mul(2_654_435_761) >> 13) as u8 & 0x7f),
+        );
         more -= length;
     }
     out.extend(&jpeg[2..]);
@@ -48,9 +53,11 @@ fn with_comment(jpeg: &[u8], mut more: usize, frame: usize) -> Vec<u8> {
 /// Colour, depth and pose of a view.
 fn view(i: usize) -> (Vec<u8>, Vec<u8>, String) {
     let (sin, cos) = (i as f32 / VIEWS as f32 * TAU).sin_cos();
-    // Right, down and forward of a camera that looks along the floor, half a turn in twenty steps apart.
+    // Right, down and forward of a camera that looks along the floor, half a turn in twenty steps
+    // apart.
     let axes = [[sin, -cos, 0.0], [0.0, 0.0, -1.0], [cos, sin, 0.0]];
-    let rows: String = (0..3).map(|r| format!("{} {} {} 0\n", axes[0][r], axes[1][r], axes[2][r])).collect();
+    let rows: String =
+        (0..3).map(|r| format!("{} {} {} 0\n", axes[0][r], axes[1][r], axes[2][r])).collect();
     let depth_m = |u: u32, v: u32| {
         let (x, y) = ((u as f32 - 319.5) / FOCAL, (v as f32 - 239.5) / FOCAL);
         let hit = |axis: usize| {
@@ -59,15 +66,24 @@ fn view(i: usize) -> (Vec<u8>, Vec<u8>, String) {
         };
         hit(0).min(hit(1)).min(hit(2))
     };
-    let noise =
-        |u: u32, v: u32| (u.wrapping_mul(2_654_435_761) ^ v.wrapping_mul(2_246_822_519) ^ i as u32).wrapping_mul(3_266_489_917) >> 28;
+    let noise = |u: u32, v: u32| {
+        (u.wrapping_mul(2_654_435_761) ^ v.wrapping_mul(2_246_822_519) ^ i as u32)
+            .wrapping_mul(3_266_489_917)
+            >> 28
+    };
     let colour = RgbImage::from_fn(WIDTH, HEIGHT, |u, v| {
         let shade = (depth_m(u, v) * 50.0) as u32 + noise(u, v);
         Rgb([shade, shade + 20, shade / 2 + 60].map(|c| c.min(255) as u8))
     });
     // A sensor's last millimetres are noise.
-    let depth = ImageBuffer::from_fn(WIDTH, HEIGHT, |u, v| Luma([(depth_m(u, v) * 1000.0) as u16 + noise(u, v) as u16]));
-    (encoded(colour.into(), ImageFormat::Jpeg), encoded(depth.into(), ImageFormat::Png), format!("{rows}0 0 0 1\n"))
+    let depth = ImageBuffer::from_fn(WIDTH, HEIGHT, |u, v| {
+        Luma([(depth_m(u, v) * 1000.0) as u16 + noise(u, v) as u16])
+    });
+    (
+        encoded(colour.into(), ImageFormat::Jpeg),
+        encoded(depth.into(), ImageFormat::Png),
+        format!("{rows}0 0 0 1\n"),
+    )
 }
 
 fn encoded(picture: DynamicImage, format: ImageFormat) -> Vec<u8> {

@@ -1,4 +1,5 @@
-//! Vision-language models behind any OpenAI-compatible chat endpoint, and their answers recorded for replay.
+//! Vision-language models behind any OpenAI-compatible chat endpoint, and their answers recorded
+//! for replay.
 
 mod limits;
 mod replay_cache;
@@ -19,7 +20,9 @@ use std::time::{Duration, Instant};
 use tokio::sync::Semaphore;
 use tokio::time::sleep;
 use uniground_client::choose_cryptography;
-use uniground_core::models::chat::{ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, Part, Picture, Prices, Tokens};
+use uniground_core::models::chat::{
+    ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, Part, Picture, Prices, Tokens,
+};
 use uniground_core::models::with_causes;
 
 /// Where a model is asked, and what it costs.
@@ -57,7 +60,12 @@ pub struct Patience {
 
 impl Default for Patience {
     fn default() -> Self {
-        Self { timeout: Duration::from_mins(5), attempts: 5, backoff: Duration::from_secs(1), longest_wait: Duration::from_secs(20) }
+        Self {
+            timeout: Duration::from_mins(5),
+            attempts: 5,
+            backoff: Duration::from_secs(1),
+            longest_wait: Duration::from_secs(20),
+        }
     }
 }
 
@@ -138,21 +146,27 @@ impl Attempt {
 const MAX_REDIRECTS: usize = 3;
 /// Longest the endpoint's server is looked for.
 const LONGEST_LOOK: Duration = Duration::from_secs(5);
-/// Servers count differently, pictures above all; what lies beyond these times what was reckoned is no count.
+/// Servers count differently, pictures above all; what lies beyond these times what was reckoned is
+/// no count.
 const MOST_PROMPT_TIMES: u64 = 20;
 /// Models think before they speak, and are paid for that.
 const MOST_COMPLETION_TIMES: u64 = 1000;
 /// What is said around the shortest question.
 const FEW_TOKENS: u64 = 1000;
 
-/// A server's count of tokens, where it can be one. Servers that do not count are not free: then it is what was reckoned.
+/// A server's count of tokens, where it can be one. Servers that do not count are not free: then it
+/// is what was reckoned.
 fn believed(counted: Option<u64>, reckoned: u64, most_times: u64) -> u64 {
     let least = reckoned / most_times;
     let most = reckoned.max(FEW_TOKENS).saturating_mul(most_times);
     match counted {
         Some(counted) if counted > 0 && (least..=most).contains(&counted) => counted,
         Some(counted) => {
-            tracing::warn!(counted, reckoned, "the model's server told a number of tokens that can not be: what was reckoned is taken");
+            tracing::warn!(
+                counted,
+                reckoned,
+                "the model's server told a number of tokens that can not be: what was reckoned is taken"
+            );
             reckoned
         }
         None => reckoned,
@@ -162,13 +176,24 @@ fn believed(counted: Option<u64>, reckoned: u64, most_times: u64) -> u64 {
 impl ChatClient {
     /// # Errors
     /// No client can be made: the system's certificates can not be read, say.
-    pub fn new(endpoint: Endpoint, patience: Patience, replay_cache: ReplayCache) -> Result<Self, reqwest::Error> {
+    pub fn new(
+        endpoint: Endpoint,
+        patience: Patience,
+        replay_cache: ReplayCache,
+    ) -> Result<Self, reqwest::Error> {
         choose_cryptography();
         let turns = Semaphore::new(endpoint.concurrency.max(1));
         // Prompts and pictures go where the operator said and nowhere else.
         let redirect = redirect::Policy::custom(|attempt| {
-            let same_place = attempt.previous().first().is_some_and(|first| first.origin() == attempt.url().origin());
-            if same_place && attempt.previous().len() < MAX_REDIRECTS { attempt.follow() } else { attempt.stop() }
+            let same_place = attempt
+                .previous()
+                .first()
+                .is_some_and(|first| first.origin() == attempt.url().origin());
+            if same_place && attempt.previous().len() < MAX_REDIRECTS {
+                attempt.follow()
+            } else {
+                attempt.stop()
+            }
         });
         let http = reqwest::Client::builder().redirect(redirect).build()?;
         Ok(Self { http, endpoint, patience, replay_cache, turns })
@@ -181,11 +206,16 @@ impl ChatClient {
     pub async fn reach(&self) -> Result<(), reqwest::Error> {
         let url = format!("{}/models", self.endpoint.base_url.trim_end_matches('/'));
         let request = self.http.get(url).timeout(LONGEST_LOOK);
-        let request = self.endpoint.api_key.iter().fold(request, reqwest::RequestBuilder::bearer_auth);
+        let request =
+            self.endpoint.api_key.iter().fold(request, reqwest::RequestBuilder::bearer_auth);
         request.send().await.map(drop).map_err(reqwest::Error::without_url)
     }
 
-    async fn ask_live(&self, request: &ChatRequest, mut body: Value) -> Result<ChatReply, ChatFailure> {
+    async fn ask_live(
+        &self,
+        request: &ChatRequest,
+        mut body: Value,
+    ) -> Result<ChatReply, ChatFailure> {
         let start = Instant::now();
         let (mut attempts, mut lost) = (0, 0);
         loop {
@@ -194,17 +224,31 @@ impl ChatClient {
                 Ok(Completion { choices, usage }) => {
                     let latency_ms = start.elapsed().as_secs_f64() * 1e3;
                     // Nothing said is a reply as well, if one that says nothing.
-                    let text = choices.into_iter().next().and_then(|choice| choice.message.text()).unwrap_or_default();
+                    let text = choices
+                        .into_iter()
+                        .next()
+                        .and_then(|choice| choice.message.text())
+                        .unwrap_or_default();
                     let Usage { prompt_tokens, completion_tokens } = usage.unwrap_or_default();
-                    let prompt_tokens = believed(prompt_tokens, Tokens::of(request).total(), MOST_PROMPT_TIMES);
-                    let completion_tokens = believed(completion_tokens, Tokens::of_text(&text), MOST_COMPLETION_TIMES);
-                    return Ok(ChatReply { text, prompt_tokens, completion_tokens, attempts, lost, latency_ms });
+                    let prompt_tokens =
+                        believed(prompt_tokens, Tokens::of(request).total(), MOST_PROMPT_TIMES);
+                    let completion_tokens =
+                        believed(completion_tokens, Tokens::of_text(&text), MOST_COMPLETION_TIMES);
+                    return Ok(ChatReply {
+                        text,
+                        prompt_tokens,
+                        completion_tokens,
+                        attempts,
+                        lost,
+                        latency_ms,
+                    });
                 }
                 Err(attempt) => attempt,
             };
             lost += u32::from(may_be_billed);
             // A server that knows no schemas is asked without one.
-            let refuses_schema = matches!(&error, ChatError::Refused { status: 400 | 404 | 422 | 501, .. });
+            let refuses_schema =
+                matches!(&error, ChatError::Refused { status: 400 | 404 | 422 | 501, .. });
             if refuses_schema && body.get("response_format").is_some() {
                 body = self.body(request, false);
                 continue;
@@ -212,33 +256,51 @@ impl ChatClient {
             // A server that wants hours will not answer this question.
             let too_long = wait.is_some_and(|wait| wait > self.patience.longest_wait);
             if !again || too_long || attempts >= self.patience.attempts {
-                return Err(ChatFailure { error, attempts, lost, latency_ms: start.elapsed().as_secs_f64() * 1e3 });
+                return Err(ChatFailure {
+                    error,
+                    attempts,
+                    lost,
+                    latency_ms: start.elapsed().as_secs_f64() * 1e3,
+                });
             }
-            // Jitter from the clock spreads callers that failed together; nothing that is kept depends on it.
+            // Jitter from the clock spreads callers that failed together; nothing that is kept
+            // depends on it.
             let jitter = f64::from(start.elapsed().subsec_nanos() % 1000) / 1000.0;
-            let backoff = self.patience.backoff.mul_f64(f64::from(1_u32 << (attempts - 1).min(16)) * (1.0 + 0.25 * jitter));
+            let backoff = self
+                .patience
+                .backoff
+                .mul_f64(f64::from(1_u32 << (attempts - 1).min(16)) * (1.0 + 0.25 * jitter));
             sleep(wait.unwrap_or(backoff).min(self.patience.longest_wait)).await;
         }
     }
 
     async fn send(&self, body: &Value) -> Result<Completion, Attempt> {
         let url = format!("{}/chat/completions", self.endpoint.base_url.trim_end_matches('/'));
-        let mut request = self.http.post(url).headers(trace_context::handed_on()).timeout(self.patience.timeout).json(body);
+        let mut request = self
+            .http
+            .post(url)
+            .headers(trace_context::handed_on())
+            .timeout(self.patience.timeout)
+            .json(body);
         if let Some(key) = &self.endpoint.api_key {
             request = request.bearer_auth(key);
         }
         // A connection that was never made has sent nothing.
         let transport = |error: reqwest::Error| {
             let may_be_billed = !error.is_connect() && !error.is_builder();
-            Attempt { error: ChatError::Transport(with_causes(&error.without_url())), again: true, wait: None, may_be_billed }
+            Attempt {
+                error: ChatError::Transport(with_causes(&error.without_url())),
+                again: true,
+                wait: None,
+                may_be_billed,
+            }
         };
         let _turn = self.turns.acquire().await;
         let response = request.send().await.map_err(transport)?;
         let (status, wait) = (response.status(), retry_after(&response));
-        let text = bounded(response)
-            .await
-            .map_err(transport)?
-            .ok_or_else(|| Attempt::unread(format!("it is longer than {MAX_REPLY_BYTES} bytes"), false))?;
+        let text = bounded(response).await.map_err(transport)?.ok_or_else(|| {
+            Attempt::unread(format!("it is longer than {MAX_REPLY_BYTES} bytes"), false)
+        })?;
         if !status.is_success() {
             let again = matches!(status.as_u16(), 408 | 409 | 429) || status.is_server_error();
             let error = ChatError::Refused {
@@ -247,10 +309,20 @@ impl ChatClient {
                 detail: detail(&self.without_key(&text)),
             };
             // Behind an error of the server's own the model may have been at work.
-            return Err(Attempt { error, again, wait, may_be_billed: status.is_server_error() || status.as_u16() == 408 });
+            return Err(Attempt {
+                error,
+                again,
+                wait,
+                may_be_billed: status.is_server_error() || status.as_u16() == 408,
+            });
         }
-        let completion: Completion = serde_json::from_str(&text).map_err(|error| Attempt::unread(error.to_string(), true))?;
-        if completion.choices.is_empty() { Err(Attempt::unread("there is no choice".into(), true)) } else { Ok(completion) }
+        let completion: Completion = serde_json::from_str(&text)
+            .map_err(|error| Attempt::unread(error.to_string(), true))?;
+        if completion.choices.is_empty() {
+            Err(Attempt::unread("there is no choice".into(), true))
+        } else {
+            Ok(completion)
+        }
     }
 
     /// Some servers repeat the key they were shown.
@@ -277,7 +349,8 @@ impl ChatClient {
             "messages": [{"role": "system", "content": request.system}, {"role": "user", "content": user}],
         });
         if let Some((name, schema)) = request.schema.as_ref().filter(|_| with_schema) {
-            body["response_format"] = json!({"type": "json_schema", "json_schema": {"name": name, "schema": schema}});
+            body["response_format"] =
+                json!({"type": "json_schema", "json_schema": {"name": name, "schema": schema}});
         }
         body
     }
@@ -293,14 +366,18 @@ impl ChatModel for ChatClient {
     }
 
     /// From the replay cache where it has the answer.
-    fn ask<'a>(&'a self, request: &'a ChatRequest) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
+    fn ask<'a>(
+        &'a self,
+        request: &'a ChatRequest,
+    ) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
         async move {
             let never_asked = |error| ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 };
             let body = self.body(request, request.schema.is_some());
             if self.replay_cache.is_off() {
                 return self.ask_live(request, body).await;
             }
-            let key: String = Sha256::digest(body.to_string()).iter().map(|byte| format!("{byte:02x}")).collect();
+            let key: String =
+                Sha256::digest(body.to_string()).iter().map(|byte| format!("{byte:02x}")).collect();
             if let Some(reply) = self.replay_cache.reply(&key) {
                 return Ok(reply);
             }
@@ -341,9 +418,9 @@ fn retry_after(response: &Response) -> Option<Duration> {
 fn detail(body: &str) -> String {
     const MAX_CHARS: usize = 300;
     let parsed: Option<Value> = serde_json::from_str(body).ok();
-    let message = parsed
-        .as_ref()
-        .and_then(|v| v.pointer("/error/message").or_else(|| v.get("message")).or_else(|| v.get("detail")));
+    let message = parsed.as_ref().and_then(|v| {
+        v.pointer("/error/message").or_else(|| v.get("message")).or_else(|| v.get("detail"))
+    });
     let text = message.and_then(Value::as_str).unwrap_or(body);
     text.chars().take(MAX_CHARS).collect()
 }

@@ -1,7 +1,7 @@
 //! Answers of models, recorded: a table that was paid for once can be computed again for nothing.
 //!
-//! One JSON line per answer: `{"key", "model", "reply"}`. The key is the SHA-256 of the request as sent, pictures and all; neither
-//! address nor API key is part of it.
+//! One JSON line per answer: `{"key", "model", "reply"}`. The key is the SHA-256 of the request as
+//! sent, pictures and all; neither address nor API key is part of it.
 
 use anyhow::{Context, ensure};
 use camino::Utf8Path;
@@ -38,7 +38,11 @@ impl ReplayCache {
     /// When the file can not be written, or holds something else.
     pub fn record(path: &Utf8Path) -> anyhow::Result<Self> {
         let known = if path.exists() { read(path)?.0 } else { HashMap::new() };
-        let file = OpenOptions::new().create(true).append(true).open(path).with_context(|| path.to_string())?;
+        let file = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(path)
+            .with_context(|| path.to_string())?;
         // What was cut off in mid-line is no answer, and must not run into the next.
         let text = fs::read(path).with_context(|| path.to_string())?;
         let whole = text.iter().rposition(|byte| *byte == b'\n').map_or(0, |at| at + 1);
@@ -52,7 +56,10 @@ impl ReplayCache {
     /// An unreadable or empty file.
     pub fn replay(path: &Utf8Path) -> anyhow::Result<(Self, String)> {
         let (known, model) = read(path)?;
-        Ok((Self::Replay { known }, model.with_context(|| format!("{path}: nothing was recorded"))?))
+        Ok((
+            Self::Replay { known },
+            model.with_context(|| format!("{path}: nothing was recorded"))?,
+        ))
     }
 
     pub(super) fn is_off(&self) -> bool {
@@ -66,13 +73,20 @@ impl ReplayCache {
     pub(super) fn reply(&self, key: &str) -> Option<ChatReply> {
         match self {
             Self::Off => None,
-            Self::Record { known, .. } => known.lock().unwrap_or_else(PoisonError::into_inner).get(key).cloned(),
+            Self::Record { known, .. } => {
+                known.lock().unwrap_or_else(PoisonError::into_inner).get(key).cloned()
+            }
             Self::Replay { known } => known.get(key).cloned(),
         }
     }
 
     /// Writes an answer down, if this cache does.
-    pub(super) fn record_reply(&self, key: &str, model: &str, reply: &ChatReply) -> std::io::Result<()> {
+    pub(super) fn record_reply(
+        &self,
+        key: &str,
+        model: &str,
+        reply: &ChatReply,
+    ) -> std::io::Result<()> {
         let Self::Record { file, known } = self else { return Ok(()) };
         let line = Line { key: key.to_owned(), model: model.to_owned(), reply: reply.clone() };
         let mut text = serde_json::to_vec(&line)?;
@@ -107,8 +121,14 @@ mod tests {
     fn a_file_that_was_cut_off_is_continued() {
         let folder = tempfile::tempdir().unwrap();
         let path = Utf8Path::from_path(folder.path()).unwrap().join("answers.jsonl");
-        let reply =
-            |text: &str| ChatReply { text: text.into(), prompt_tokens: 1, completion_tokens: 1, attempts: 1, lost: 0, latency_ms: 0.0 };
+        let reply = |text: &str| ChatReply {
+            text: text.into(),
+            prompt_tokens: 1,
+            completion_tokens: 1,
+            attempts: 1,
+            lost: 0,
+            latency_ms: 0.0,
+        };
         ReplayCache::record(&path).unwrap().record_reply("one", "m", &reply("1")).unwrap();
         let whole = fs::read_to_string(&path).unwrap();
         fs::write(&path, format!("{whole}{}", &whole[..whole.len() / 2])).unwrap();
@@ -116,6 +136,9 @@ mod tests {
         assert_eq!(again.reply("one"), Some(reply("1")));
         again.record_reply("two", "m", &reply("2")).unwrap();
         let (played, _) = ReplayCache::replay(&path).unwrap();
-        assert_eq!((played.reply("one"), played.reply("two")), (Some(reply("1")), Some(reply("2"))));
+        assert_eq!(
+            (played.reply("one"), played.reply("two")),
+            (Some(reply("1")), Some(reply("2")))
+        );
     }
 }

@@ -11,7 +11,8 @@ use std::time::Instant;
 
 #[derive(Debug, clap::Args)]
 pub struct BackupArgs {
-    /// A folder, which is brought up to date if it is an earlier backup; or an archive: NAME.tar, NAME.tar.zst, - for standard output
+    /// A folder, which is brought up to date if it is an earlier backup; or an archive: NAME.tar,
+    /// NAME.tar.zst, - for standard output
     to: Utf8PathBuf,
     /// Folder of the server, which may run
     #[arg(long, env = "UNIGROUND_DATA_DIR", default_value = "./data")]
@@ -29,9 +30,14 @@ pub async fn run(BackupArgs { to, data_dir, json: as_json }: &BackupArgs) -> any
     let BackedUp { scenes, answers, folders, bytes, new_folders, new_bytes, left_out } = done;
     // Standard output may be the backup itself.
     eprintln!("{to}: {scenes} scenes, {answers} answers, {folders} folders, {}", size(bytes));
-    eprintln!("new: {new_folders} folders, {}, in {:.1} s", size(new_bytes), begun.elapsed().as_secs_f32());
+    eprintln!(
+        "new: {new_folders} folders, {}, in {:.1} s",
+        size(new_bytes),
+        begun.elapsed().as_secs_f32()
+    );
     if *as_json {
-        let left_out: Vec<_> = left_out.iter().map(|(folder, what)| json!({"folder": folder, "what": what})).collect();
+        let left_out: Vec<_> =
+            left_out.iter().map(|(folder, what)| json!({"folder": folder, "what": what})).collect();
         print_json(&json!({
             "to": to, "scenes": scenes, "answers": answers, "folders": folders, "bytes": bytes,
             "new_folders": new_folders, "new_bytes": new_bytes, "left_out": left_out,
@@ -42,6 +48,8 @@ pub async fn run(BackupArgs { to, data_dir, json: as_json }: &BackupArgs) -> any
     }
     match left_out.len() {
         0 => Ok(()),
-        n => bail!("{n} folders are lost or damaged and not in the backup: see uniground doctor --data-dir {data_dir}"),
+        n => bail!(
+            "{n} folders are lost or damaged and not in the backup: see uniground doctor --data-dir {data_dir}"
+        ),
     }
 }

@@ -23,13 +23,15 @@ pub struct BatchArgs {
 
 #[derive(Debug, clap::Subcommand)]
 enum Command {
-    /// Ask every question of a file and write the answers, in order; the same command again goes on where it stopped
+    /// Ask every question of a file and write the answers, in order; the same command again goes on
+    /// where it stopped
     Run(RunArgs),
 }
 
 #[derive(Debug, clap::Args)]
 struct RunArgs {
-    /// Questions, a line each: plain, or as JSON with a scene of their own and whatever else a question may have
+    /// Questions, a line each: plain, or as JSON with a scene of their own and whatever else a
+    /// question may have
     file: Utf8PathBuf,
     /// The scene of lines that name none: its name, its id, or how one of them begins
     #[arg(long)]
@@ -109,14 +111,20 @@ pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyho
 const AWAY: Duration = Duration::from_secs(1);
 
 /// The same questions under the same options are the same batch, however often they are submitted.
-async fn submit(client: &Client, args: &RunArgs, scene: Option<String>, lines: String) -> anyhow::Result<Batch> {
+async fn submit(
+    client: &Client,
+    args: &RunArgs,
+    scene: Option<String>,
+    lines: String,
+) -> anyhow::Result<Batch> {
     let options = [
         ("scene_id", scene),
         ("label", args.label.clone()),
         ("concurrency", args.concurrency.map(|c| c.to_string())),
         ("max_cost_usd", args.max_cost_usd.map(|usd| usd.to_string())),
     ];
-    let query: Vec<(&str, String)> = options.into_iter().filter_map(|(name, value)| Some((name, value?))).collect();
+    let query: Vec<(&str, String)> =
+        options.into_iter().filter_map(|(name, value)| Some((name, value?))).collect();
     let digest = Sha256::digest(serde_json::to_vec(&(&lines, &query))?);
     let key: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
     let batch = client.create_batch_of_lines(lines, &query, Some(&key)).await?;
@@ -129,7 +137,9 @@ async fn submit(client: &Client, args: &RunArgs, scene: Option<String>, lines: S
 /// JSONL of a file's lines; a line that is no JSON object is a question.
 fn lines_of(text: &str) -> String {
     let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
-    let item = |line: &str| if line.starts_with('{') { line.to_owned() } else { json!({"query": line}).to_string() };
+    let item = |line: &str| {
+        if line.starts_with('{') { line.to_owned() } else { json!({"query": line}).to_string() }
+    };
     lines.map(|line| item(line) + "\n").collect()
 }
 
@@ -143,10 +153,18 @@ impl Out {
     /// Goes on behind the last whole line.
     fn open(path: Option<&Utf8Path>) -> anyhow::Result<Self> {
         let Some(path) = path else { return Ok(Self { to: Box::new(io::stdout()), lines: 0 }) };
-        let before = if path.exists() { fs::read(path).with_context(|| path.to_string())? } else { Vec::new() };
+        let before = if path.exists() {
+            fs::read(path).with_context(|| path.to_string())?
+        } else {
+            Vec::new()
+        };
         let whole = before.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
         let lines = before[..whole].split_inclusive(|byte| *byte == b'\n').count();
-        let file: File = OpenOptions::new().create(true).append(true).open(path).with_context(|| path.to_string())?;
+        let file: File = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(path)
+            .with_context(|| path.to_string())?;
         file.set_len(whole as u64)?;
         Ok(Self { to: Box::new(file), lines: u32::try_from(lines)? })
     }
@@ -169,7 +187,9 @@ fn is_passing(error: &ClientError) -> bool {
 
 fn progress_bar(items: u32) -> ProgressBar {
     let bar = ProgressBar::with_draw_target(Some(u64::from(items)), ProgressDrawTarget::stderr());
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len}  {per_sec}  {eta} left  {msg}") {
+    if let Ok(style) =
+        ProgressStyle::with_template("{bar:40} {pos}/{len}  {per_sec}  {eta} left  {msg}")
+    {
         bar.set_style(style);
     }
     bar
@@ -180,7 +200,8 @@ fn costs(batch: &Batch) -> String {
 }
 
 fn told(batch: &Batch) -> String {
-    let statuses: Vec<String> = batch.by_status.iter().map(|(status, number)| format!("{number} {status}")).collect();
+    let statuses: Vec<String> =
+        batch.by_status.iter().map(|(status, number)| format!("{number} {status}")).collect();
     format!(
         "batch {}: {} of {} questions asked ({}), {}",
         batch.id,

@@ -13,7 +13,8 @@ const LISTED: usize = 12;
 /// Characters of an id that is written out.
 const ID: usize = 36;
 
-/// The id of the scene that is meant. A whole id is believed: whether there is such a scene is asked with what is done next.
+/// The id of the scene that is meant. A whole id is believed: whether there is such a scene is
+/// asked with what is done next.
 ///
 /// # Errors
 /// None, or several: the message lists what there is. [`ClientError`].
@@ -25,7 +26,9 @@ pub async fn id_of(client: &Client, wanted: &str) -> anyhow::Result<String> {
     let found = matching(&scenes, wanted);
     match &found[..] {
         [only] => Ok(only.id.clone()),
-        [] if scenes.is_empty() => bail!("there is no scene {wanted:?}: there are none yet\n`uniground upload SCAN` brings one"),
+        [] if scenes.is_empty() => bail!(
+            "there is no scene {wanted:?}: there are none yet\n`uniground upload SCAN` brings one"
+        ),
         [] => bail!(
             "there is no scene {wanted:?}; there are\n{}\n`uniground scenes` tells more of them",
             listed(&scenes.iter().collect::<Vec<_>>())
@@ -41,16 +44,22 @@ pub async fn id_of(client: &Client, wanted: &str) -> anyhow::Result<String> {
 /// What was to be done with a scene, and there is none such: what there is instead.
 pub async fn known_or(client: &Client, wanted: &str, error: ClientError) -> anyhow::Error {
     match &error {
-        ClientError::Problem(problem) if problem.code == "scene_not_found" => match all(client).await {
-            Ok(scenes) if scenes.is_empty() => {
-                anyhow::anyhow!("there is no scene {wanted}: there are none yet\n`uniground upload SCAN` brings one")
+        ClientError::Problem(problem) if problem.code == "scene_not_found" => {
+            match all(client).await {
+                Ok(scenes) if scenes.is_empty() => {
+                    anyhow::anyhow!(
+                        "there is no scene {wanted}: there are none yet\n`uniground upload SCAN` brings one"
+                    )
+                }
+                Ok(scenes) => {
+                    let listed = listed(&scenes.iter().collect::<Vec<_>>());
+                    anyhow::anyhow!(
+                        "there is no scene {wanted}; there are\n{listed}\n`uniground scenes` tells more of them"
+                    )
+                }
+                Err(_) => error.into(),
             }
-            Ok(scenes) => {
-                let listed = listed(&scenes.iter().collect::<Vec<_>>());
-                anyhow::anyhow!("there is no scene {wanted}; there are\n{listed}\n`uniground scenes` tells more of them")
-            }
-            Err(_) => error.into(),
-        },
+        }
         _ => error.into(),
     }
 }
@@ -71,7 +80,8 @@ pub async fn all(client: &Client) -> Result<Vec<Scene>, ClientError> {
     }
 }
 
-/// What `--scene` needs to say so that this scene is meant and no other: its name, or its id where that is shared.
+/// What `--scene` needs to say so that this scene is meant and no other: its name, or its id where
+/// that is shared.
 pub fn shortest(scenes: &[Scene], scene: &Scene) -> String {
     match matching(scenes, &scene.name)[..] {
         [only] if only.id == scene.id => quoted(&scene.name),
@@ -79,17 +89,21 @@ pub fn shortest(scenes: &[Scene], scene: &Scene) -> String {
     }
 }
 
-/// The first of these that finds any: the id, the name, the name in other letters, the beginning of an id or a name.
+/// The first of these that finds any: the id, the name, the name in other letters, the beginning of
+/// an id or a name.
 fn matching<'a>(scenes: &'a [Scene], wanted: &str) -> Vec<&'a Scene> {
     let lower = wanted.to_lowercase();
-    let ways: [&dyn Fn(&Scene) -> bool; 4] =
-        [&|scene| scene.id == lower, &|scene| scene.name == wanted, &|scene| scene.name.to_lowercase() == lower, &|scene| {
-            scene.id.starts_with(&lower) || scene.name.to_lowercase().starts_with(&lower)
-        }];
+    let ways: [&dyn Fn(&Scene) -> bool; 4] = [
+        &|scene| scene.id == lower,
+        &|scene| scene.name == wanted,
+        &|scene| scene.name.to_lowercase() == lower,
+        &|scene| scene.id.starts_with(&lower) || scene.name.to_lowercase().starts_with(&lower),
+    ];
     if lower.is_empty() {
         return Vec::new();
     }
-    let found = ways.iter().map(|means| scenes.iter().filter(|scene| means(scene)).collect::<Vec<_>>());
+    let found =
+        ways.iter().map(|means| scenes.iter().filter(|scene| means(scene)).collect::<Vec<_>>());
     found.into_iter().find(|found| !found.is_empty()).unwrap_or_default()
 }
 
@@ -125,9 +139,15 @@ mod tests {
 
     #[test]
     fn a_whole_name_comes_before_the_beginning_of_another() {
-        let scenes =
-            [scene("01a2-aa", "Kitchen"), scene("01a2-ab", "kitchen"), scene("01a2-b0", "kitchen upstairs"), scene("01b0-00", "hall")];
-        let ids = |wanted: &str| matching(&scenes, wanted).iter().map(|scene| scene.id.clone()).collect::<Vec<_>>();
+        let scenes = [
+            scene("01a2-aa", "Kitchen"),
+            scene("01a2-ab", "kitchen"),
+            scene("01a2-b0", "kitchen upstairs"),
+            scene("01b0-00", "hall"),
+        ];
+        let ids = |wanted: &str| {
+            matching(&scenes, wanted).iter().map(|scene| scene.id.clone()).collect::<Vec<_>>()
+        };
         assert_eq!(ids("kitchen"), ["01a2-ab"]);
         assert_eq!(ids("KITCHEN"), ["01a2-aa", "01a2-ab"]);
         assert_eq!(ids("kitchen u"), ["01a2-b0"]);
@@ -139,7 +159,8 @@ mod tests {
 
     #[test]
     fn a_shared_name_is_not_enough() {
-        let scenes = [scene("01a2-aa", "hall"), scene("01a2-ab", "hall"), scene("01a2-ac", "living room")];
+        let scenes =
+            [scene("01a2-aa", "hall"), scene("01a2-ab", "hall"), scene("01a2-ac", "living room")];
         assert_eq!(shortest(&scenes, &scenes[0]), "01a2-aa");
         assert_eq!(shortest(&scenes, &scenes[2]), "'living room'");
     }

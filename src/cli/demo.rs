@@ -1,4 +1,5 @@
-//! `uniground demo`: the whole job on the sample scene, against a real server on a free loopback port.
+//! `uniground demo`: the whole job on the sample scene, against a real server on a free loopback
+//! port.
 
 use super::private::Private;
 use super::{following, table};
@@ -28,7 +29,8 @@ pub struct DemoArgs {
     #[arg(long, default_value = "demo-out", value_name = "FOLDER")]
     out: Utf8PathBuf,
     // Not of the environment: the demo is quick unless somebody says otherwise here.
-    /// Where 2D masks come from: builtin, auto, or a bundle, as for the server; a segmenter takes seconds a frame
+    /// Where 2D masks come from: builtin, auto, or a bundle, as for the server; a segmenter takes
+    /// seconds a frame
     #[arg(long, default_value = BUILTIN, value_name = "BUNDLE")]
     masks: String,
     /// What compares pictures and words: builtin, auto, or a bundle, as for the server
@@ -39,7 +41,12 @@ pub struct DemoArgs {
 }
 
 /// One unique object, one attribute, one relation, and one that is not in the room.
-const QUESTIONS: [&str; 4] = ["find the coffee table", "the orange stool", "the mug on the coffee table", "the green fridge"];
+const QUESTIONS: [&str; 4] = [
+    "find the coffee table",
+    "the orange stool",
+    "the mug on the coffee table",
+    "the green fridge",
+];
 /// The sample scene: the demo runs from any folder.
 /// How the same goes with models.
 const WITH_MODELS: &str = "With two small networks more is found, in minutes instead of seconds:\n  uniground models fetch && uniground demo --masks auto --encoder auto";
@@ -49,9 +56,17 @@ const LISTED: usize = 12;
 pub async fn run(args: &DemoArgs) -> anyhow::Result<()> {
     telemetry::start_quiet();
     let data = tempfile::tempdir()?;
-    let models = ModelsConfig { masks: args.masks.clone(), encoder: args.encoder.clone(), bundles: args.bundles.clone() };
+    let models = ModelsConfig {
+        masks: args.masks.clone(),
+        encoder: args.encoder.clone(),
+        bundles: args.bundles.clone(),
+    };
     let service = Private::start(Utf8PathBuf::try_from(data.path().to_owned())?, models).await?;
-    println!("uniground {} on http://{}, data in a fresh folder\n", env!("CARGO_PKG_VERSION"), service.address);
+    println!(
+        "uniground {} on http://{}, data in a fresh folder\n",
+        env!("CARGO_PKG_VERSION"),
+        service.address
+    );
     let shown = show(args, &service.client).await;
     service.stop().await?;
     shown?;
@@ -76,9 +91,12 @@ async fn show(args: &DemoArgs, client: &Client) -> anyhow::Result<()> {
             pictures.push(path);
         }
     }
-    let used: Vec<String> = client.models().await?.models.into_iter().map(|model| model.name).collect();
+    let used: Vec<String> =
+        client.models().await?.models.into_iter().map(|model| model.name).collect();
     match used.is_empty() {
-        true => println!("Names come from sizes and colours only: no model was used. {WITH_MODELS}"),
+        true => {
+            println!("Names come from sizes and colours only: no model was used. {WITH_MODELS}")
+        }
         false => println!("Models that took part: {}.", used.join(", ")),
     }
     println!("Pictures of the room with each answer's box:");
@@ -90,7 +108,8 @@ async fn upload(client: &Client, archive: Option<&Utf8Path>) -> anyhow::Result<S
     let (name, kind, bytes) = match archive {
         None => ("the sample scene", ArchiveKind::Zip, LIVING_ROOM.to_vec()),
         Some(file) => {
-            let kind = ArchiveKind::of_file_name(file.as_str()).with_context(|| format!("{file}: expected .zip, .tar or .tar.zst"))?;
+            let kind = ArchiveKind::of_file_name(file.as_str())
+                .with_context(|| format!("{file}: expected .zip, .tar or .tar.zst"))?;
             (file.as_str(), kind, fs::read(file).with_context(|| file.to_string())?)
         }
     };
@@ -115,7 +134,12 @@ async fn print_found(client: &Client, scene: &Scene) -> anyhow::Result<()> {
     Ok(())
 }
 
-async fn save_picture(client: &Client, answer: &Answer, out: &Utf8Path, number: usize) -> anyhow::Result<Option<Utf8PathBuf>> {
+async fn save_picture(
+    client: &Client,
+    answer: &Answer,
+    out: &Utf8Path,
+    number: usize,
+) -> anyhow::Result<Option<Utf8PathBuf>> {
     if answer.status == Status::NoMatch {
         return Ok(None);
     }

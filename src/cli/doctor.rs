@@ -1,4 +1,5 @@
-//! `uniground doctor`: whether a data folder is whole, and what can be done where it is not. The server must not run.
+//! `uniground doctor`: whether a data folder is whole, and what can be done where it is not. The
+//! server must not run.
 
 use super::output::print_json;
 use super::table;
@@ -46,7 +47,8 @@ pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
     if !as_json {
         println!("{}", table::of_findings(&findings));
     }
-    let (cured, left): (Vec<_>, Vec<_>) = findings.iter().partition(|finding| finding.trouble.remedy().is_some());
+    let (cured, left): (Vec<_>, Vec<_>) =
+        findings.iter().partition(|finding| finding.trouble.remedy().is_some());
     let mut waiting = None;
     if *repair {
         service.repair(&findings).await?;
@@ -54,13 +56,22 @@ pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
     }
     match waiting {
         _ if *as_json => print_json(&as_value(data_dir, &findings, waiting))?,
-        Some(waiting) => println!("repaired: {}; {waiting} parses wait for the server", cured.len()),
+        Some(waiting) => {
+            println!("repaired: {}; {waiting} parses wait for the server", cured.len())
+        }
         None if cured.is_empty() => {}
-        None => println!("{} of them can be repaired: uniground doctor --repair --data-dir {data_dir}", cured.len()),
+        None => println!(
+            "{} of them can be repaired: uniground doctor --repair --data-dir {data_dir}",
+            cured.len()
+        ),
     }
     store.close().await;
     let harmless = |trouble: &Trouble| matches!(trouble, Trouble::StrayFile);
-    let open = if *repair { left.iter().filter(|finding| !harmless(&finding.trouble)).count() } else { findings.len() };
+    let open = if *repair {
+        left.iter().filter(|finding| !harmless(&finding.trouble)).count()
+    } else {
+        findings.len()
+    };
     match open {
         0 => Ok(()),
         open => bail!("{open} findings are open"),

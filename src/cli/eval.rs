@@ -48,15 +48,19 @@ struct DiffArgs {
 #[allow(clippy::doc_markdown)]
 #[derive(Debug, Args)]
 struct RunArgs {
-    /// A folder with *.queries.json, suite.json or task folders; or a list (ScanRefer, EmbodiedScan) or table (Nr3D, Sr3D, VLM-Grounder)
+    /// A folder with *.queries.json, suite.json or task folders; or a list (ScanRefer,
+    /// EmbodiedScan) or table (Nr3D, Sr3D, VLM-Grounder)
     suite: Option<Utf8PathBuf>,
-    /// Write report.json, report.md, index.html here; replies are kept here too, so that a run goes on where it stopped
+    /// Write report.json, report.md, index.html here; replies are kept here too, so that a run
+    /// goes on where it stopped
     #[arg(long, default_value = "eval-out")]
     out: Utf8PathBuf,
     /// Where scans and annotations of the scenes lie, if not beside the suite
     #[arg(long, value_name = "FOLDER")]
     scenes: Option<Utf8PathBuf>,
-    /// What to vary: `axis=value,value;axis=…` over source, names, preset, masks, encoder, parser, reasoner, candidates, query_text, prompt, ablation, evidence, top_k, convention, and settings of a parse like parsing.merging.max_hop
+    /// What to vary: `axis=value,value;axis=…` over source, names, preset, masks, encoder, parser,
+    /// reasoner, candidates, query_text, prompt, ablation, evidence, top_k, convention, and
+    /// settings of a parse like parsing.merging.max_hop
     #[arg(long, default_value = "", value_parser = check_matrix)]
     matrix: String,
     /// Ask a running server instead of this executable (its key: UNIGROUND_API_KEY)
@@ -87,10 +91,12 @@ struct RunArgs {
     /// Of the sample and of the bootstrap
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// ScanNet's scannetv2-labels.combined.tsv: tells unique from multiple by ScanRefer's eighteen classes
+    /// ScanNet's scannetv2-labels.combined.tsv: tells unique from multiple by ScanRefer's eighteen
+    /// classes
     #[arg(long, value_name = "FILE")]
     label_map: Option<Utf8PathBuf>,
-    /// Hand over annotated target classes and anchors, as the paper's code does; the report says so
+    /// Hand over annotated target classes and anchors, as the paper's code does; the report says
+    /// so
     #[arg(long)]
     paper_compatible: bool,
     /// What to call this run in the report, e.g. the commit
@@ -124,9 +130,11 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
 }
 
 fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
-    let base = Configuration { paper_compatible: args.paper_compatible, ..Configuration::default() };
+    let base =
+        Configuration { paper_compatible: args.paper_compatible, ..Configuration::default() };
     let cells = configuration::cells(&args.matrix, &base)?;
-    let baseline = args.baseline.as_deref().map(Baseline::read).transpose().context("--baseline")?;
+    let baseline =
+        args.baseline.as_deref().map(Baseline::read).transpose().context("--baseline")?;
     let options = SuiteOptions { scenes: args.scenes.clone(), label_map: args.label_map.clone() };
     let mut suite = Suite::open(suite, &options)?;
     if let Some(count) = args.sample_scenes {
@@ -139,11 +147,17 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
         Box::new(Server::connect(address, std::env::var("UNIGROUND_API_KEY").ok())?)
     } else {
         let usage = ModelUse { max_usd: args.max_usd, json: args.vlm.vlm_json };
-        let system = InProcess::new(args.models.clone(), vlm_client(args)?, args.record.as_deref(), usage)?;
+        let system =
+            InProcess::new(args.models.clone(), vlm_client(args)?, args.record.as_deref(), usage)?;
         Box::new(system.keeping_parses_in(&args.out.join("parses")))
     };
     suite.omissions.iter().for_each(|omission| eprintln!("left out: {omission}"));
-    let run = RunOptions { out: &args.out, cells: &cells, concurrency: args.concurrency.into(), progress: &show_progress };
+    let run = RunOptions {
+        out: &args.out,
+        cells: &cells,
+        concurrency: args.concurrency.into(),
+        progress: &show_progress,
+    };
     let results = run_suite(&suite, system.as_ref(), &run)?;
     let facts = RunFacts {
         system: system.name(),
@@ -160,7 +174,10 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
     writeln!(out, "{}", report.markdown())?;
     writeln!(out, "{}", args.out.join("index.html"))?;
     tell_losses(&report);
-    ensure!(report.cells.iter().any(|cell| !cell.outcomes.is_empty()), "nothing was scored: every expression was left out");
+    ensure!(
+        report.cells.iter().any(|cell| !cell.outcomes.is_empty()),
+        "nothing was scored: every expression was left out"
+    );
     let now = Baseline::of(&report);
     if let Some(file) = &args.write_baseline {
         now.write(file)?;
@@ -173,7 +190,12 @@ fn tell_losses(report: &Report) {
     for cell in &report.cells {
         let all = cell.outcomes.len() + cell.left_out.len();
         if let Some(first) = cell.left_out.first() {
-            eprintln!("{}: {} of {all} expressions left out: {}", cell.name, cell.left_out.len(), first.reason);
+            eprintln!(
+                "{}: {} of {all} expressions left out: {}",
+                cell.name,
+                cell.left_out.len(),
+                first.reason
+            );
         }
         let mut errors = cell.outcomes.iter().filter_map(|o| o.error.as_ref());
         if let Some(first) = errors.next() {
@@ -191,14 +213,27 @@ fn vlm_client(args: &RunArgs) -> anyhow::Result<Option<ChatClient>> {
         let vlm_url = args.vlm.vlm_url.clone().or_else(|| Some("http://localhost".into()));
         return VlmConfig { vlm_url, vlm_model, ..args.vlm.clone() }.client(recorded);
     }
-    let cache = args.record.as_deref().map_or(Ok(ReplayCache::Off), ReplayCache::record).context("--record")?;
+    let cache = args
+        .record
+        .as_deref()
+        .map_or(Ok(ReplayCache::Off), ReplayCache::record)
+        .context("--record")?;
     let client = args.vlm.client(cache)?;
-    ensure!(args.record.is_none() || client.is_some(), "--record: no model is configured (--vlm-url, --vlm-model)");
+    ensure!(
+        args.record.is_none() || client.is_some(),
+        "--record: no model is configured (--vlm-url, --vlm-model)"
+    );
     Ok(client)
 }
 
-/// Fails on a drop, and on cells or expressions the baseline has and the run has not: what is not measured can not be held.
-fn hold_against(baseline: &Baseline, now: &Baseline, report: &Report, out: &mut impl Write) -> anyhow::Result<()> {
+/// Fails on a drop, and on cells or expressions the baseline has and the run has not: what is not
+/// measured can not be held.
+fn hold_against(
+    baseline: &Baseline,
+    now: &Baseline,
+    report: &Report,
+    out: &mut impl Write,
+) -> anyhow::Result<()> {
     let queries = queries(report);
     let (changes, _) = baseline.against(now);
     writeln!(
@@ -207,10 +242,12 @@ fn hold_against(baseline: &Baseline, now: &Baseline, report: &Report, out: &mut 
         baseline.label.as_ref().map_or_else(String::new, |label| format!(" ({label})"))
     )?;
     writeln!(out, "{}", describe(&changes, |id| queries.get(id).cloned()))?;
-    let missing: Vec<&String> = baseline.cells.keys().filter(|name| !now.cells.contains_key(*name)).collect();
+    let missing: Vec<&String> =
+        baseline.cells.keys().filter(|name| !now.cells.contains_key(*name)).collect();
     ensure!(missing.is_empty(), "the baseline has cells this run has not: {missing:?}");
     for (name, before) in &baseline.cells {
-        let gone = before.right.keys().filter(|id| !now.cells[name].right.contains_key(*id)).count();
+        let gone =
+            before.right.keys().filter(|id| !now.cells[name].right.contains_key(*id)).count();
         ensure!(gone == 0, "{name}: {gone} expressions of the baseline were not scored");
     }
     let drops: Vec<&str> = changes

@@ -1,4 +1,5 @@
-//! Packages fetched for somebody who watches: a bar on a terminal, a line a package elsewhere, a line a file that is in place.
+//! Packages fetched for somebody who watches: a bar on a terminal, a line a package elsewhere, a
+//! line a file that is in place.
 
 use crate::config::{ModelsConfig, registries};
 use crate::packages::{Event, Home, PARTS, Part, Places, fetch};
@@ -7,7 +8,8 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{self, IsTerminal, Write};
 use uniground_core::models::neural::OnnxRuntime;
 
-/// Fetches one part after the other; one that fails keeps nobody from the rest. What is in place is told on `out`, the rest on stderr.
+/// Fetches one part after the other; one that fails keeps nobody from the rest. What is in place is
+/// told on `out`, the rest on stderr.
 ///
 /// # Errors
 /// How many could not be fetched, after each was told; an address of a registry that is none.
@@ -31,12 +33,15 @@ pub fn fetch_all(parts: &[&Part], places: &Places, out: &mut dyn Write) -> anyho
     }
 }
 
-/// What a server with these flags would use and does not find. A library that is found anywhere will do.
+/// What a server with these flags would use and does not find. A library that is found anywhere
+/// will do.
 pub fn wanted(config: &ModelsConfig) -> Vec<&'static Part> {
-    let is_bundle_wanted = |part: &&Part| matches!(part.home, Home::Bundle(name, role) if config.wants(role, name));
+    let is_bundle_wanted =
+        |part: &&Part| matches!(part.home, Home::Bundle(name, role) if config.wants(role, name));
     let bundles: Vec<&Part> = PARTS.iter().filter(is_bundle_wanted).collect();
-    let is_library_wanted =
-        !bundles.is_empty() && config.bundles.is_usual() && OnnxRuntime::find(&config.bundles.runtime.settings()).is_err();
+    let is_library_wanted = !bundles.is_empty()
+        && config.bundles.is_usual()
+        && OnnxRuntime::find(&config.bundles.runtime.settings()).is_err();
     let library = PARTS.iter().filter(|part| is_library_wanted && part.home == Home::Library);
     library.chain(bundles).collect()
 }
@@ -51,8 +56,12 @@ impl Shown<'_> {
         match event {
             Event::There(folder) => self.line(&format!("{folder} is there")),
             Event::Placed(file) => self.line(file.as_str()),
-            Event::Begins(package, bytes) if io::stderr().is_terminal() => self.bar = Some(bar(package, bytes)),
-            Event::Begins(package, bytes) => eprintln!("fetching {package}, {:.1} MB", bytes as f64 / 1e6),
+            Event::Begins(package, bytes) if io::stderr().is_terminal() => {
+                self.bar = Some(bar(package, bytes))
+            }
+            Event::Begins(package, bytes) => {
+                eprintln!("fetching {package}, {:.1} MB", bytes as f64 / 1e6)
+            }
             Event::Received(bytes) => self.bar.iter().for_each(|bar| bar.set_position(bytes)),
             Event::Arrived => self.bar.take().into_iter().for_each(|bar| bar.finish_and_clear()),
         }
@@ -79,7 +88,11 @@ mod tests {
     use super::*;
 
     fn names(masks: &str, encoder: &str) -> Vec<&'static str> {
-        let mut config = ModelsConfig { masks: masks.into(), encoder: encoder.into(), ..ModelsConfig::builtin() };
+        let mut config = ModelsConfig {
+            masks: masks.into(),
+            encoder: encoder.into(),
+            ..ModelsConfig::builtin()
+        };
         // A library somebody named: the usual one is nobody's wish.
         config.bundles.runtime.onnxruntime_lib = Some("elsewhere.so".into());
         wanted(&config).iter().map(|part| part.name).collect()

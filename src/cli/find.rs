@@ -11,12 +11,15 @@ use uniground_types::question::ReasonerChoice;
 
 #[allow(clippy::doc_markdown)] // Help is no Markdown.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Exit codes: 0 answered, whether it was found or not; 1 not answered; 2 wrong usage.")]
+#[command(
+    after_help = "Exit codes: 0 answered, whether it was found or not; 1 not answered; 2 wrong usage."
+)]
 pub struct FindArgs {
     /// What to find, in plain English
     #[arg(value_name = "QUESTION")]
     query: String,
-    /// Look in this scene alone: its name, its id, or how one of them begins; may be given several times
+    /// Look in this scene alone: its name, its id, or how one of them begins; may be given several
+    /// times
     #[arg(long, value_name = "SCENE")]
     scene: Vec<String>,
     /// Look only in scenes with these labels
@@ -71,7 +74,8 @@ fn print(found: &ManyAnswers) -> anyhow::Result<()> {
         0 => String::new(),
         left_out => format!(", {left_out} could not be asked: {}", found.not_asked[0].detail),
     };
-    let narrowed = if found.narrowed { ", the likeliest of more than there is time for" } else { "" };
+    let narrowed =
+        if found.narrowed { ", the likeliest of more than there is time for" } else { "" };
     eprintln!("{} looked into{narrowed}{left_out}", counted(found.looked_into));
     Ok(())
 }

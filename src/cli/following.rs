@@ -1,4 +1,5 @@
-//! A scan on its way into a service, for somebody who watches: bytes sent, then stages of the parse.
+//! A scan on its way into a service, for somebody who watches: bytes sent, then stages of the
+//! parse.
 
 use super::hints;
 use super::scan_file::ScanFile;
@@ -24,7 +25,11 @@ const PARSING: &str = "{bar:40} {percent:>3}%  {msg}";
 ///
 /// # Errors
 /// A file that can not be read, [`ClientError`].
-pub async fn send(client: &Client, scan: &ScanFile, query: &[(&str, &str)]) -> anyhow::Result<Created> {
+pub async fn send(
+    client: &Client,
+    scan: &ScanFile,
+    query: &[(&str, &str)],
+) -> anyhow::Result<Created> {
     let (file, bytes) = scan.bytes()?;
     let bar = bar(bytes, SENDING).with_message("uploading");
     let sent = client.upload(reqwest::Body::wrap(Sent::of(file, bytes, bar.clone())), query).await;
@@ -36,10 +41,17 @@ pub async fn send(client: &Client, scan: &ScanFile, query: &[(&str, &str)]) -> a
 ///
 /// # Errors
 /// A file that can not be read, [`ClientError`].
-pub async fn add(client: &Client, scan: &ScanFile, scene_id: &str, world: FrameChoice) -> anyhow::Result<Created> {
+pub async fn add(
+    client: &Client,
+    scan: &ScanFile,
+    scene_id: &str,
+    world: FrameChoice,
+) -> anyhow::Result<Created> {
     let (file, bytes) = scan.bytes()?;
     let bar = bar(bytes, SENDING).with_message("uploading");
-    let sent = client.add_frames(scene_id, world, reqwest::Body::wrap(Sent::of(file, bytes, bar.clone()))).await;
+    let sent = client
+        .add_frames(scene_id, world, reqwest::Body::wrap(Sent::of(file, bytes, bar.clone())))
+        .await;
     bar.finish_and_clear();
     Ok(sent?)
 }
@@ -54,7 +66,11 @@ pub async fn follow(client: &Client, job_id: &str) -> Result<Job, ClientError> {
     let job = client
         .follow_job(job_id, |job| {
             advance(&bar, job);
-            if !io::stderr().is_terminal() && stage != job.stage && job.stage.is_some() && !job.state.is_final() {
+            if !io::stderr().is_terminal()
+                && stage != job.stage
+                && job.stage.is_some()
+                && !job.state.is_final()
+            {
                 stage.clone_from(&job.stage);
                 eprintln!("{:>5.1} %  {}", job.progress * 100.0, stage_of(job));
             }
@@ -98,7 +114,8 @@ fn stage_of(job: &Job) -> &str {
     }
 }
 
-/// A file as the body of a request. Its length is told, so that a server without room says so before the first byte.
+/// A file as the body of a request. Its length is told, so that a server without room says so
+/// before the first byte.
 struct Sent {
     stream: ReaderStream<tokio::fs::File>,
     left: u64,
@@ -107,7 +124,11 @@ struct Sent {
 
 impl Sent {
     fn of(file: File, bytes: u64, bar: ProgressBar) -> Self {
-        Self { stream: ReaderStream::with_capacity(tokio::fs::File::from_std(file), 256 << 10), left: bytes, bar }
+        Self {
+            stream: ReaderStream::with_capacity(tokio::fs::File::from_std(file), 256 << 10),
+            left: bytes,
+            bar,
+        }
     }
 }
 
@@ -115,7 +136,10 @@ impl Body for Sent {
     type Data = Bytes;
     type Error = io::Error;
 
-    fn poll_frame(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<io::Result<Frame<Bytes>>>> {
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<io::Result<Frame<Bytes>>>> {
         let chunk = Pin::new(&mut self.stream).poll_next(context);
         if let Poll::Ready(Some(Ok(chunk))) = &chunk {
             self.left = self.left.saturating_sub(chunk.len() as u64);
@@ -135,6 +159,10 @@ mod tests {
 
     #[test]
     fn the_templates_of_the_bars_are_some() {
-        assert!([SENDING, PARSING].iter().all(|template| ProgressStyle::with_template(template).is_ok()));
+        assert!(
+            [SENDING, PARSING]
+                .iter()
+                .all(|template| ProgressStyle::with_template(template).is_ok())
+        );
     }
 }

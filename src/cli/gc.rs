@@ -28,7 +28,8 @@ pub struct GcArgs {
     retention: RetentionConfig,
 }
 
-/// Unused room in the database for which it is written anew, where nothing was removed now: what a refused batch has left, say.
+/// Unused room in the database for which it is written anew, where nothing was removed now: what a
+/// refused batch has left, say.
 const WORTH_COMPACTING_BYTES: u64 = 16 << 20;
 
 pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
@@ -42,7 +43,9 @@ pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
     let limits = LimitsConfig { retention: retention.clone(), ..LimitsConfig::default() };
     let service = Service::at_rest(store.clone(), limits.service_limits()).await?;
     let removed = service.let_go(Beside::Nobody).await?;
-    let (entries, bytes) = removed.iter().fold((0, 0), |(entries, bytes), one| (entries + one.entries, bytes + one.bytes));
+    let (entries, bytes) = removed
+        .iter()
+        .fold((0, 0), |(entries, bytes), one| (entries + one.entries, bytes + one.bytes));
     if *as_json {
         println!(
             "{}",

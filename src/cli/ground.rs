@@ -11,7 +11,9 @@ use std::io::{self, Write};
 use uniground_client::{Client, ClientError};
 use uniground_core::grounding::Status;
 use uniground_types::answer::Answer;
-use uniground_types::question::{EvidenceMode, FrameChoice, GroundRequest, Observer, ReasonerChoice};
+use uniground_types::question::{
+    EvidenceMode, FrameChoice, GroundRequest, Observer, ReasonerChoice,
+};
 use uniground_types::scenes::{Scene, SceneStatus};
 
 #[allow(clippy::doc_markdown)] // Help is no Markdown.
@@ -22,7 +24,8 @@ use uniground_types::scenes::{Scene, SceneStatus};
     after_help = "Exit codes: 0 answered, whatever the status (no match, too); 1 not answered; 2 wrong usage."
 )]
 pub struct GroundArgs {
-    /// A scan to ask about without a server: a folder, an archive, a .sens or .r3d file, a cloud or a mesh
+    /// A scan to ask about without a server: a folder, an archive, a .sens or .r3d file, a cloud
+    /// or a mesh
     #[arg(value_name = "SCAN", conflicts_with = "scene")]
     scan: Option<Utf8PathBuf>,
     /// What to find, in plain English
@@ -48,8 +51,8 @@ pub struct GroundArgs {
     /// Most the question may cost, US dollars
     #[arg(long, value_name = "USD", value_parser = words::usd)]
     max_cost_usd: Option<f64>,
-    /// Who "me" is, and from where left and right are seen: metres, and the direction of view in degrees from +X towards +Y.
-    /// Without Z, eyes are at 1.5 m
+    /// Who "me" is, and from where left and right are seen: metres, and the direction of view in
+    /// degrees from +X towards +Y. Without Z, eyes are at 1.5 m
     #[arg(long, value_name = "X,Y[,Z],YAW", allow_hyphen_values = true, value_parser = eyes)]
     observer: Option<Eyes>,
     /// Whose coordinates --observer is in, and boxes are told in beside the scene's own
@@ -88,7 +91,10 @@ fn eyes(text: &str) -> Result<Eyes, String> {
 impl Eyes {
     fn observer(self) -> Observer {
         let [x, y] = self.at;
-        Observer { position: [x, y, self.z.unwrap_or(EYE_HEIGHT_M)], yaw_rad: self.yaw_deg.to_radians() as f32 }
+        Observer {
+            position: [x, y, self.z.unwrap_or(EYE_HEIGHT_M)],
+            yaw_rad: self.yaw_deg.to_radians() as f32,
+        }
     }
 }
 
@@ -96,7 +102,10 @@ pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
     let usage = |kind, message: &str| -> ! { wrong_usage("ground", kind, message) };
     if args.frame == FrameChoice::Source && args.observer.is_some_and(|eyes| eyes.z.is_none()) {
         // Files may have another axis up, and other units.
-        usage(ErrorKind::ValueValidation, "--observer: in the files' own coordinates all of x,y,z,yaw are wanted");
+        usage(
+            ErrorKind::ValueValidation,
+            "--observer: in the files' own coordinates all of x,y,z,yaw are wanted",
+        );
     }
     let request = GroundRequest {
         top_k: args.top_k,
@@ -138,13 +147,15 @@ async fn ask(args: &GroundArgs, scene: &str, request: &GroundRequest) -> anyhow:
     let client = args.server.client()?;
     let id = choosing::id_of(&client, scene).await?;
     let asked = match client.ground(&id, request).await {
-        Err(ClientError::Problem(problem)) if problem.code == "scene_not_ready" => match (args.wait, &problem.job_id) {
-            (true, Some(job)) => {
-                wait(&client, job).await?;
-                client.ground(&id, request).await
+        Err(ClientError::Problem(problem)) if problem.code == "scene_not_ready" => {
+            match (args.wait, &problem.job_id) {
+                (true, Some(job)) => {
+                    wait(&client, job).await?;
+                    client.ground(&id, request).await
+                }
+                _ => return Err(not_ready(&client, &id, ClientError::Problem(problem)).await),
             }
-            _ => return Err(not_ready(&client, &id, ClientError::Problem(problem)).await),
-        },
+        }
         asked => asked,
     };
     match asked {
@@ -157,9 +168,10 @@ async fn ask(args: &GroundArgs, scene: &str, request: &GroundRequest) -> anyhow:
 async fn not_ready(client: &Client, id: &str, error: ClientError) -> anyhow::Error {
     match client.scene(id).await {
         Ok(Scene { error: Some(why), .. }) => hints::ParseFailed(why).into(),
-        Ok(Scene { status: SceneStatus::Parsing, .. }) => {
-            hints::ended(&error.into(), "--wait waits until it is; `uniground scenes` tells how far it has come")
-        }
+        Ok(Scene { status: SceneStatus::Parsing, .. }) => hints::ended(
+            &error.into(),
+            "--wait waits until it is; `uniground scenes` tells how far it has come",
+        ),
         _ => error.into(),
     }
 }

@@ -1,4 +1,5 @@
-//! Errors end with the command that helps: a last line, for somebody who does not know the manual by heart.
+//! Errors end with the command that helps: a last line, for somebody who does not know the manual
+//! by heart.
 
 use camino::Utf8Path;
 use uniground_client::ClientError;
@@ -36,26 +37,35 @@ pub fn with_help(error: anyhow::Error) -> anyhow::Error {
     match error.chain().find_map(|cause| cause.downcast_ref::<ClientError>()) {
         Some(ClientError::Transport(transport)) if transport.is_connect() => {
             // A password in the address is no part of the origin.
-            let address = transport.url().map_or_else(|| "this address".into(), |url| url.origin().ascii_serialization());
+            let address = transport
+                .url()
+                .map_or_else(|| "this address".into(), |url| url.origin().ascii_serialization());
             let why = error.chain().last().map(ToString::to_string).unwrap_or_default();
             let help = "is it running? `uniground serve` starts one; one at another address: --server, or UNIGROUND_SERVER";
             anyhow::anyhow!("no server answers at {address}: {why}\n{help}")
         }
         Some(ClientError::Problem(problem)) if problem.status == 401 => {
-            let help = match std::env::var_os("UNIGROUND_API_KEY").is_some_and(|key| !key.is_empty()) {
-                true => "the key in UNIGROUND_API_KEY is none that this server takes",
-                false => "set UNIGROUND_API_KEY to your key",
-            };
+            let help =
+                match std::env::var_os("UNIGROUND_API_KEY").is_some_and(|key| !key.is_empty()) {
+                    true => "the key in UNIGROUND_API_KEY is none that this server takes",
+                    false => "set UNIGROUND_API_KEY to your key",
+                };
             ended(&error, &format!("{help}; `uniground key create` makes one, with an admin's key"))
         }
-        Some(ClientError::Problem(problem)) if problem.code == "scope_missing" => {
-            ended(&error, "`uniground key create NAME --scope write` makes a key that may more, with an admin's key")
+        Some(ClientError::Problem(problem)) if problem.code == "scope_missing" => ended(
+            &error,
+            "`uniground key create NAME --scope write` makes a key that may more, with an admin's key",
+        ),
+        Some(ClientError::Problem(problem)) if problem.code == "scene_not_found" => {
+            ended(&error, "`uniground scenes` lists what there is")
         }
-        Some(ClientError::Problem(problem)) if problem.code == "scene_not_found" => ended(&error, "`uniground scenes` lists what there is"),
-        Some(ClientError::BadAddress(_)) => ended(&error, "an address is like http://127.0.0.1:8080: --server, or UNIGROUND_SERVER"),
-        Some(ClientError::Unexpected { .. }) => {
-            ended(&error, "is this a server of uniground? another address: --server, or UNIGROUND_SERVER")
+        Some(ClientError::BadAddress(_)) => {
+            ended(&error, "an address is like http://127.0.0.1:8080: --server, or UNIGROUND_SERVER")
         }
+        Some(ClientError::Unexpected { .. }) => ended(
+            &error,
+            "is this a server of uniground? another address: --server, or UNIGROUND_SERVER",
+        ),
         _ => error,
     }
 }
@@ -67,10 +77,11 @@ pub fn of_scan(error: anyhow::Error, scan: &Utf8Path) -> anyhow::Error {
         (_, Some(ParseFailed(job))) => Some(job.code.as_str()),
         _ => None,
     });
-    let local = error.chain().find_map(|cause| match (cause.downcast_ref(), cause.downcast_ref()) {
-        (Some(ScanError::Ingest(ingest)), _) | (_, Some(ingest)) => Some(ingest),
-        _ => None,
-    });
+    let local =
+        error.chain().find_map(|cause| match (cause.downcast_ref(), cause.downcast_ref()) {
+            (Some(ScanError::Ingest(ingest)), _) | (_, Some(ingest)) => Some(ingest),
+            _ => None,
+        });
     let is_named = error.to_string().contains(scan.as_str());
     let ended = |help: &str| match is_named {
         true => ended(&error, help),

@@ -1,4 +1,5 @@
-//! `uniground import`: looks at a scan of any layout, says how it is read, and writes it down in the neutral one.
+//! `uniground import`: looks at a scan of any layout, says how it is read, and writes it down in
+//! the neutral one.
 
 mod archive;
 mod page;
@@ -25,7 +26,8 @@ pub struct ImportArgs {
     /// Only look: files, poses, and a sample of the pictures; no cloud is fused
     #[arg(long)]
     check: bool,
-    /// Write the scan in the neutral layout (scene.json): rectified pictures, poses level with Z up, metres
+    /// Write the scan in the neutral layout (scene.json): rectified pictures, poses level with Z
+    /// up, metres
     #[arg(long, value_name = "FILE.zip", conflicts_with = "check")]
     out: Option<Utf8PathBuf>,
     /// Write index.html with pictures and report.json here
@@ -69,7 +71,11 @@ struct Told<'a> {
 impl<'a> Told<'a> {
     fn of(imported: &'a Imported) -> Self {
         let extent = imported.cloud.as_ref().and_then(|cloud| Aabb::around(&cloud.positions));
-        Self { report: &imported.report, neighbours: imported.neighbours, extent_m: extent.map(|extent| extent.size.into()) }
+        Self {
+            report: &imported.report,
+            neighbours: imported.neighbours,
+            extent_m: extent.map(|extent| extent.size.into()),
+        }
     }
 }
 
@@ -91,7 +97,8 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
         Inspected { frames: bundle.frames, cloud: Some(bundle.cloud), report: bundle.report }
     };
     let neighbours = ingest::neighbours(&frames);
-    let imported = Imported { report, frames, cloud, neighbours, seconds: begun.elapsed().as_secs_f32() };
+    let imported =
+        Imported { report, frames, cloud, neighbours, seconds: begun.elapsed().as_secs_f32() };
     if let Some(out) = &args.report {
         write_report(out, &args.scan, &imported)?;
     }
@@ -101,21 +108,32 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
     let mut stdout = io::stdout().lock();
     match args.json {
         true => writeln!(stdout, "{}", serde_json::to_string_pretty(&Told::of(&imported))?)?,
-        false => summary(&imported).iter().try_for_each(|(what, value)| writeln!(stdout, "{what:<12} {value}"))?,
+        false => summary(&imported)
+            .iter()
+            .try_for_each(|(what, value)| writeln!(stdout, "{what:<12} {value}"))?,
     }
     Ok(())
 }
 
 /// What a person wants to know, a line each.
-fn summary(Imported { report, cloud, seconds, neighbours, .. }: &Imported) -> Vec<(&'static str, String)> {
+fn summary(
+    Imported { report, cloud, seconds, neighbours, .. }: &Imported,
+) -> Vec<(&'static str, String)> {
     let mut lines = vec![("read as", format!("{} in {seconds:.1} s", report.format))];
-    let skipped = if report.frames_skipped > 0 { format!(", {} skipped", report.frames_skipped) } else { String::new() };
+    let skipped = if report.frames_skipped > 0 {
+        format!(", {} skipped", report.frames_skipped)
+    } else {
+        String::new()
+    };
     lines.push(("frames", format!("{}{skipped}", report.frames)));
     if report.frames > 0 {
-        let agreement = report
-            .reprojection_agreement
-            .map_or("not to be told".into(), |a| format!("{:.0}% of the points in view", a * 100.0));
-        lines.push(("depth fits", format!("{agreement} (poses {:?}, cameras {})", report.pose, report.camera_axes)));
+        let agreement = report.reprojection_agreement.map_or("not to be told".into(), |a| {
+            format!("{:.0}% of the points in view", a * 100.0)
+        });
+        lines.push((
+            "depth fits",
+            format!("{agreement} (poses {:?}, cameras {})", report.pose, report.camera_axes),
+        ));
     }
     if let Some(Neighbours { depth_error_m, drift_m, worst_drift_m, worst_after }) = neighbours {
         let [error, drift, worst] = [depth_error_m, drift_m, worst_drift_m].map(|m| m * 1000.0);
@@ -125,7 +143,9 @@ fn summary(Imported { report, cloud, seconds, neighbours, .. }: &Imported) -> Ve
         ));
     }
     let level = match &report.levelling {
-        Some(level) if level.turned => format!("tilted by {:.1} degrees, turned level: {}", level.tilt_deg, level.evidence),
+        Some(level) if level.turned => {
+            format!("tilted by {:.1} degrees, turned level: {}", level.tilt_deg, level.evidence)
+        }
         Some(level) => format!("level within {:.1} degrees: {}", level.tilt_deg, level.evidence),
         None => "taken as it is".into(),
     };
@@ -135,7 +155,10 @@ fn summary(Imported { report, cloud, seconds, neighbours, .. }: &Imported) -> Ve
         let points = cloud.as_ref().map_or(0, PointCloud::len);
         lines.push((
             "cloud",
-            format!("{points} points ({whose}), {:.2} x {:.2} x {:.2} m", extent.size.x, extent.size.y, extent.size.z),
+            format!(
+                "{points} points ({whose}), {:.2} x {:.2} x {:.2} m",
+                extent.size.x, extent.size.y, extent.size.z
+            ),
         ));
     }
     if let Some(way) = report.source_to_scene.filter(|way| way.metres_per_unit != 1.0) {
@@ -160,10 +183,15 @@ fn write_report(out: &Utf8Path, scan: &Utf8Path, imported: &Imported) -> anyhow:
     ensure!(!out.as_str().is_empty(), "--report: the folder's name is empty");
     fs::create_dir_all(out).with_context(|| format!("--report {out}"))?;
     let mut pictures = Vec::new();
-    if let Some((cloud, extent)) = imported.cloud.as_ref().and_then(|cloud| Some((cloud, Aabb::around(&cloud.positions)?))) {
+    if let Some((cloud, extent)) =
+        imported.cloud.as_ref().and_then(|cloud| Some((cloud, Aabb::around(&cloud.positions)?)))
+    {
         let scene = RenderScene::of(cloud.clone());
         for (name, title, orbit) in VIEWS {
-            fs::write(out.join(format!("{name}.jpg")), jpeg(&scene_picture(&scene, &extent, &orbit, &[])))?;
+            fs::write(
+                out.join(format!("{name}.jpg")),
+                jpeg(&scene_picture(&scene, &extent, &orbit, &[])),
+            )?;
             pictures.push((name, title));
         }
     }

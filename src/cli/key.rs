@@ -101,14 +101,20 @@ enum Keys {
 }
 
 impl Keys {
-    async fn of(Place { server, data_dir, database, blobs, json: _ }: &Place) -> anyhow::Result<Self> {
+    async fn of(
+        Place { server, data_dir, database, blobs, json: _ }: &Place,
+    ) -> anyhow::Result<Self> {
         match data_dir {
             Some(folder) => Self::of_folder(folder, database, blobs).await,
             None => Ok(Self::Server(Client::new(server, std::env::var("UNIGROUND_API_KEY").ok())?)),
         }
     }
 
-    async fn of_folder(folder: &Utf8Path, database: &DatabaseConfig, blobs: &BlobsConfig) -> anyhow::Result<Self> {
+    async fn of_folder(
+        folder: &Utf8Path,
+        database: &DatabaseConfig,
+        blobs: &BlobsConfig,
+    ) -> anyhow::Result<Self> {
         let store = Store::open_beside(folder, &database.location, &blobs.home()?)
             .await
             .with_context(|| format!("the data folder {folder} (while its server runs, leave --data-dir out and ask the server)"))?;
@@ -172,15 +178,29 @@ pub async fn run(args: &KeyArgs) -> anyhow::Result<()> {
             let revoked = revoked?;
             match place.json {
                 true => print_json(&revoked),
-                false => Ok(writeln!(io::stdout(), "{} ({}) is refused from now on", revoked.prefix, revoked.name)?),
+                false => Ok(writeln!(
+                    io::stdout(),
+                    "{} ({}) is refused from now on",
+                    revoked.prefix,
+                    revoked.name
+                )?),
             }
         }
     }
 }
 
 async fn create(args: &CreateArgs) -> anyhow::Result<()> {
-    let CreateArgs { name, scope, expires_in_days, requests_per_minute, max_scenes, daily_usd, place } = args;
-    let ahead = expires_in_days.map(|days| Timestamp::now().checked_add((i64::from(days) * 24).hours()));
+    let CreateArgs {
+        name,
+        scope,
+        expires_in_days,
+        requests_per_minute,
+        max_scenes,
+        daily_usd,
+        place,
+    } = args;
+    let ahead =
+        expires_in_days.map(|days| Timestamp::now().checked_add((i64::from(days) * 24).hours()));
     let new = NewKey {
         name: name.clone(),
         scope: *scope,
@@ -197,13 +217,22 @@ async fn create(args: &CreateArgs) -> anyhow::Result<()> {
         return print_json(&created);
     }
     writeln!(io::stdout(), "{}", created.secret)?;
-    eprintln!("a key that may {}, shown this once: Authorization: Bearer {}_…", created.key.scope.word(), created.key.prefix);
+    eprintln!(
+        "a key that may {}, shown this once: Authorization: Bearer {}_…",
+        created.key.scope.word(),
+        created.key.prefix
+    );
     Ok(())
 }
 
 /// By id or by how the secret begins.
 async fn revoke(keys: &Keys, key: &str) -> anyhow::Result<Key> {
-    let found: Vec<Key> = keys.all().await?.into_iter().filter(|known| known.id == key || known.prefix == key).collect();
+    let found: Vec<Key> = keys
+        .all()
+        .await?
+        .into_iter()
+        .filter(|known| known.id == key || known.prefix == key)
+        .collect();
     ensure!(!found.is_empty(), "there is no key {key}");
     keys.revoke(&found[0].id).await
 }

@@ -1,6 +1,8 @@
-//! A question about a scan on the disk, without a server: a service of this process's own parses it, answers and stops.
+//! A question about a scan on the disk, without a server: a service of this process's own parses
+//! it, answers and stops.
 //!
-//! Its folder stays: the same bytes under the same settings are known again, by their hash, and the next question is answered at once.
+//! Its folder stays: the same bytes under the same settings are known again, by their hash, and the
+//! next question is answered at once.
 
 use super::private::Private;
 use super::scan_file::ScanFile;
@@ -22,14 +24,17 @@ use uniground_types::scenes::Scene;
 #[allow(clippy::doc_markdown)] // Help is no Markdown.
 #[derive(Debug, clap::Args)]
 pub struct LocalArgs {
-    /// Where parses are kept between questions; may be deleted at any time [default: uniground in $XDG_CACHE_HOME, or in ~/.cache]
+    /// Where parses are kept between questions; may be deleted at any time [default: uniground in
+    /// $XDG_CACHE_HOME, or in ~/.cache]
     #[arg(long, value_name = "FOLDER", conflicts_with = "scene")]
     cache: Option<Utf8PathBuf>,
     /// The axis that points up in the scan: x, -x, y, -y, z or -z
     #[arg(long, allow_hyphen_values = true, value_parser = super::parse::up_axis, conflicts_with = "scene")]
     up: Option<UpAxis>,
-    // Not of the environment: whoever is in a hurry gets an answer in seconds unless something else is said here.
-    /// Where 2D masks come from: builtin, auto, or a bundle, as for the server; a segmenter takes seconds a frame
+    // Not of the environment: whoever is in a hurry gets an answer in seconds unless something
+    // else is said here.
+    /// Where 2D masks come from: builtin, auto, or a bundle, as for the server; a segmenter takes
+    /// seconds a frame
     #[arg(long, default_value = BUILTIN, value_name = "BUNDLE")]
     masks: String,
     /// What compares pictures and words: builtin, auto, or a bundle, as for the server
@@ -47,13 +52,18 @@ const WITH_MODELS: &str = "Names come from sizes and colours only. With two smal
 
 /// # Errors
 /// What is wrong with the scan, the folder or the question.
-pub async fn answer(scan: &Utf8Path, args: &LocalArgs, request: GroundRequest) -> anyhow::Result<Answer> {
+pub async fn answer(
+    scan: &Utf8Path,
+    args: &LocalArgs,
+    request: GroundRequest,
+) -> anyhow::Result<Answer> {
     telemetry::start_quiet_about_jobs();
     let file = ScanFile::open(scan)?;
     let hash = file.hash()?;
     let cache = args.cache.clone().map_or_else(usual_cache, Ok)?;
     let service = start(&cache, args).await?;
-    let answered = ask(&service.client, &Asked { scan, file, hash, cache: &cache, args }, request).await;
+    let answered =
+        ask(&service.client, &Asked { scan, file, hash, cache: &cache, args }, request).await;
     service.stop().await?;
     answered
 }
@@ -67,23 +77,35 @@ struct Asked<'a> {
 }
 
 fn usual_cache() -> anyhow::Result<Utf8PathBuf> {
-    let folder = |name| std::env::var(name).ok().map(Utf8PathBuf::from).filter(|path| path.is_absolute());
-    let caches = folder("XDG_CACHE_HOME").or_else(|| folder("HOME").map(|home| home.join(".cache")));
+    let folder =
+        |name| std::env::var(name).ok().map(Utf8PathBuf::from).filter(|path| path.is_absolute());
+    let caches =
+        folder("XDG_CACHE_HOME").or_else(|| folder("HOME").map(|home| home.join(".cache")));
     Ok(caches
-        .context("--cache FOLDER: where are parses to be kept? Neither XDG_CACHE_HOME nor HOME says")?
+        .context(
+            "--cache FOLDER: where are parses to be kept? Neither XDG_CACHE_HOME nor HOME says",
+        )?
         .join("uniground"))
 }
 
 /// Waits for whoever asks a question with the same folder.
-async fn start(cache: &Utf8Path, LocalArgs { masks, encoder, bundles, .. }: &LocalArgs) -> anyhow::Result<Private> {
-    let models = ModelsConfig { masks: masks.clone(), encoder: encoder.clone(), bundles: bundles.clone() };
-    let is_used = |error: &anyhow::Error| error.chain().any(|cause| matches!(cause.downcast_ref(), Some(StoreError::InUse)));
+async fn start(
+    cache: &Utf8Path,
+    LocalArgs { masks, encoder, bundles, .. }: &LocalArgs,
+) -> anyhow::Result<Private> {
+    let models =
+        ModelsConfig { masks: masks.clone(), encoder: encoder.clone(), bundles: bundles.clone() };
+    let is_used = |error: &anyhow::Error| {
+        error.chain().any(|cause| matches!(cause.downcast_ref(), Some(StoreError::InUse)))
+    };
     let mut is_told = false;
     loop {
         match Private::start(cache.to_owned(), models.clone()).await {
             Err(error) if is_used(&error) => {
                 if !std::mem::replace(&mut is_told, true) {
-                    eprintln!("another uniground uses {cache}: waiting for it (--cache FOLDER takes another folder)");
+                    eprintln!(
+                        "another uniground uses {cache}: waiting for it (--cache FOLDER takes another folder)"
+                    );
                 }
                 sleep(AGAIN).await;
             }
@@ -100,14 +122,22 @@ async fn ask(client: &Client, asked: &Asked<'_>, request: GroundRequest) -> anyh
 }
 
 /// The id of the scan's scene, parsed as it is wanted.
-async fn parsed(client: &Client, Asked { scan, file, hash, cache, args }: &Asked<'_>) -> anyhow::Result<String> {
+async fn parsed(
+    client: &Client,
+    Asked { scan, file, hash, cache, args }: &Asked<'_>,
+) -> anyhow::Result<String> {
     let begun = Instant::now();
     give_up_others(client).await?;
     let scene = match known(client, hash).await? {
         Some(scene) => scene,
-        None => following::send(client, file, &[("name", file.name.as_str()), ("parse", "false")]).await?.scene,
+        None => {
+            following::send(client, file, &[("name", file.name.as_str()), ("parse", "false")])
+                .await?
+                .scene
+        }
     };
-    let settings = args.up.map_or_else(|| json!({}), |up| json!({"settings": {"import": {"up": up}}}));
+    let settings =
+        args.up.map_or_else(|| json!({}), |up| json!({"settings": {"import": {"up": up}}}));
     let job = client.parse(&scene.id, &settings).await?;
     if job.state.is_final() {
         following::outcome(&job)?;
@@ -130,7 +160,8 @@ async fn known(client: &Client, hash: &str) -> Result<Option<Scene>, ClientError
     Ok(choosing::all(client).await?.into_iter().find(|scene| scene.content_hash == *hash))
 }
 
-/// What was interrupted earlier goes on where it stopped when it is asked for again, and keeps nobody waiting until then.
+/// What was interrupted earlier goes on where it stopped when it is asked for again, and keeps
+/// nobody waiting until then.
 async fn give_up_others(client: &Client) -> Result<(), ClientError> {
     for state in ["running", "queued"] {
         for job in client.jobs(&[("kind", "parse"), ("state", state)]).await?.jobs {

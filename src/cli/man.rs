@@ -9,7 +9,8 @@ use std::io::{self, Write};
 
 #[derive(Debug, clap::Args)]
 pub struct ManArgs {
-    /// Write a page for every command here; without it the first page goes to standard output: uniground man | man -l -
+    /// Write a page for every command here; without it the first page goes to standard output:
+    /// uniground man | man -l -
     #[arg(long, value_name = "FOLDER")]
     out: Option<Utf8PathBuf>,
 }

@@ -1,4 +1,5 @@
-//! `uniground migrate`: a store moved over to another folder, another database, or both. No server may run on either.
+//! `uniground migrate`: a store moved over to another folder, another database, or both. No server
+//! may run on either.
 
 use super::output::print_json;
 use super::table;
@@ -18,13 +19,27 @@ pub struct MigrateArgs {
     #[arg(long, value_name = "FOLDER")]
     from: Utf8PathBuf,
     /// Where its rows are: "sqlite", in a file of the folder, or postgres://USER@HOST/DATABASE
-    #[arg(long, env = "UNIGROUND_FROM_DATABASE", hide_env_values = true, value_name = "DATABASE", default_value = "sqlite")]
+    #[arg(
+        long,
+        env = "UNIGROUND_FROM_DATABASE",
+        hide_env_values = true,
+        value_name = "DATABASE",
+        default_value = "sqlite"
+    )]
     from_database: Location,
-    /// Where it goes: an empty folder, or one that is not there yet. The same folder: only its rows move, to the other database
+    /// Where it goes: an empty folder, or one that is not there yet. The same folder: only its
+    /// rows move, to the other database
     #[arg(long, value_name = "FOLDER")]
     to: Utf8PathBuf,
-    /// Where its rows go: "sqlite", or postgres://USER@HOST/DATABASE, an empty database that is there
-    #[arg(long, env = "UNIGROUND_TO_DATABASE", hide_env_values = true, value_name = "DATABASE", default_value = "sqlite")]
+    /// Where its rows go: "sqlite", or postgres://USER@HOST/DATABASE, an empty database that is
+    /// there
+    #[arg(
+        long,
+        env = "UNIGROUND_TO_DATABASE",
+        hide_env_values = true,
+        value_name = "DATABASE",
+        default_value = "sqlite"
+    )]
     to_database: Location,
     /// Print what was moved as JSON
     #[arg(long)]
@@ -55,12 +70,20 @@ pub async fn run(args: &MigrateArgs) -> anyhow::Result<()> {
         return print_json(&as_value(&from, &to, &moved));
     }
     println!("{}", table::of_moved(&moved));
-    println!("moved from {} to {} in {:.1} s", told(&from), told(&to), begun.elapsed().as_secs_f32());
+    println!(
+        "moved from {} to {} in {:.1} s",
+        told(&from),
+        told(&to),
+        begun.elapsed().as_secs_f32()
+    );
     for (folder, what) in &moved.damaged {
         println!("damaged before, and as it was: {folder}: {what}");
     }
     if moved.texts_changed > 0 {
-        println!("{} texts had a character that PostgreSQL does not keep (NUL): U+FFFD stands there", moved.texts_changed);
+        println!(
+            "{} texts had a character that PostgreSQL does not keep (NUL): U+FFFD stands there",
+            moved.texts_changed
+        );
     }
     println!("next: {}", next(&from, &to, &moved));
     Ok(())
@@ -72,7 +95,11 @@ fn told(place: &Place) -> String {
 
 /// What is to be done now.
 fn next(from: &Place, to: &Place, moved: &Moved) -> String {
-    let database = if to.database == Location::Folder { "sqlite".to_owned() } else { format!("{}, as it was said here", to.database) };
+    let database = if to.database == Location::Folder {
+        "sqlite".to_owned()
+    } else {
+        format!("{}, as it was said here", to.database)
+    };
     let start = format!("start the server with --data-dir {} --database {database}", to.data_dir);
     let (is_in_place, rows) = (moved.files.is_empty(), format!("the rows in {}", from.database));
     let old = match &moved.set_aside {
@@ -86,13 +113,16 @@ fn next(from: &Place, to: &Place, moved: &Moved) -> String {
 
 fn as_value(from: &Place, to: &Place, moved: &Moved) -> serde_json::Value {
     let Moved { rows, texts_changed, files, damaged, set_aside } = moved;
-    let place = |place: &Place| json!({"data_dir": place.data_dir, "database": place.database.to_string()});
-    let rows: serde_json::Map<_, _> = rows.iter().map(|(table, rows)| ((*table).to_owned(), (*rows).into())).collect();
+    let place =
+        |place: &Place| json!({"data_dir": place.data_dir, "database": place.database.to_string()});
+    let rows: serde_json::Map<_, _> =
+        rows.iter().map(|(table, rows)| ((*table).to_owned(), (*rows).into())).collect();
     let files: Vec<_> = files
         .iter()
         .map(|kind| json!({"kind": kind.kind, "folders": kind.folders, "bytes": kind.bytes, "copied_bytes": kind.copied_bytes}))
         .collect();
-    let damaged: Vec<_> = damaged.iter().map(|(folder, what)| json!({"folder": folder, "what": what})).collect();
+    let damaged: Vec<_> =
+        damaged.iter().map(|(folder, what)| json!({"folder": folder, "what": what})).collect();
     json!({
         "from": place(from), "to": place(to), "rows": rows, "texts_changed": texts_changed, "files": files, "damaged": damaged,
         "set_aside": set_aside,

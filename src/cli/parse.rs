@@ -21,13 +21,15 @@ use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};
 pub struct ParseArgs {
     /// A scan: a folder, an archive, a .sens or .r3d file, a cloud or a mesh
     scan: Utf8PathBuf,
-    /// Write index.html with pictures of every step, report.json, instances.json, instances.ply and embeddings.npy here
+    /// Write index.html with pictures of every step, report.json, instances.json, instances.ply
+    /// and embeddings.npy here
     #[arg(long, value_name = "FOLDER")]
     report: Option<Utf8PathBuf>,
     /// Where settings start from
     #[arg(long, default_value = "default", value_parser = words::preset())]
     preset: ParsePreset,
-    /// Single values that replace those of the preset, as JSON: the `settings` of the HTTP parse request
+    /// Single values that replace those of the preset, as JSON: the `settings` of the HTTP parse
+    /// request
     #[arg(long, value_name = "FILE")]
     settings: Option<Utf8PathBuf>,
     /// The axis that points up in the scan: x, -x, y, -y, z or -z
@@ -56,9 +58,10 @@ pub(super) fn up_axis(text: &str) -> Result<UpAxis, String> {
 
 pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
     let overrides = match &args.settings {
-        Some(file) => {
-            Some(serde_json::from_str(&fs::read_to_string(file).with_context(|| file.to_string())?).with_context(|| file.to_string())?)
-        }
+        Some(file) => Some(
+            serde_json::from_str(&fs::read_to_string(file).with_context(|| file.to_string())?)
+                .with_context(|| file.to_string())?,
+        ),
         None => None,
     };
     let mut settings = ParseSettings::from_request(args.preset, overrides)?;
@@ -68,7 +71,8 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
         fs::create_dir_all(out).with_context(|| format!("--report {out}"))?;
     }
     ensure!(args.scan.exists(), "{}: there is no such file or folder", args.scan);
-    let folder = Unpacked::of(&args.scan).map_err(|error| hints::of_scan(error.into(), &args.scan))?;
+    let folder =
+        Unpacked::of(&args.scan).map_err(|error| hints::of_scan(error.into(), &args.scan))?;
     let ChosenModels { models, told, warnings } = args.models.load()?;
     warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
     eprintln!("{told}");
@@ -76,7 +80,8 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
     let progress = Progress::new(show_progress, || false);
     let scan = parse_scan(&folder.path, &settings, &models, &Checkpoints::none(), &progress);
     show_progress("", 1.0);
-    let ParsedScan { import, frames, scene: parsed, models } = scan.map_err(|error| hints::of_scan(error.into(), &args.scan))?;
+    let ParsedScan { import, frames, scene: parsed, models } =
+        scan.map_err(|error| hints::of_scan(error.into(), &args.scan))?;
 
     let report = Report { import: &import, models: &models, parse: &parsed.report };
     if let Some(out) = &args.report {
@@ -90,7 +95,10 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
         for picture in &pictures {
             fs::write(out.join(format!("{}.jpg", picture.name)), &picture.jpeg)?;
         }
-        fs::write(out.join("index.html"), report_page::render(&args.scan, &import, &parsed, &pictures))?;
+        fs::write(
+            out.join("index.html"),
+            report_page::render(&args.scan, &import, &parsed, &pictures),
+        )?;
     }
     if args.json {
         writeln!(io::stdout(), "{}", serde_json::to_string_pretty(&report)?)?;
@@ -103,12 +111,17 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
 /// One line that is written over; nothing where nobody watches.
 fn show_progress(stage: &str, done: f32) {
     if std::io::stderr().is_terminal() {
-        let percent = if stage.is_empty() { String::new() } else { format!("{:.1} %", done * 100.0) };
+        let percent =
+            if stage.is_empty() { String::new() } else { format!("{:.1} %", done * 100.0) };
         eprint!("\r{percent:>7} {stage:<24}\r");
     }
 }
 
-fn print_summary(out: &mut impl Write, Report { import, models, parse }: &Report, instances: &[Instance]) -> io::Result<()> {
+fn print_summary(
+    out: &mut impl Write,
+    Report { import, models, parse }: &Report,
+    instances: &[Instance],
+) -> io::Result<()> {
     writeln!(
         out,
         "{} frames, {} points, {} superpoints, {} instances ({} structural), {} parts and wholes, {} regions dropped",
@@ -123,7 +136,11 @@ fn print_summary(out: &mut impl Write, Report { import, models, parse }: &Report
     writeln!(out, "masks {}, encoder {}", models.masks, models.encoder)?;
     for stage in &parse.stages {
         let memory = stage.peak_memory_mb.map_or_else(String::new, |mb| format!("{mb:>6} MB"));
-        writeln!(out, "  {:<20} {:>7.2} s {memory} {:>9}", stage.stage, stage.seconds, stage.produced)?;
+        writeln!(
+            out,
+            "  {:<20} {:>7.2} s {memory} {:>9}",
+            stage.stage, stage.seconds, stage.produced
+        )?;
     }
     for warning in import.warnings.iter().chain(&parse.warnings) {
         writeln!(out, "  warning: {warning}")?;

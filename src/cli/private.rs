@@ -3,8 +3,8 @@
 use super::server::client;
 use crate::app::{self, RunningService};
 use crate::config::{
-    AccessConfig, BlobsConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, Role, ServeConfig, VlmConfig,
-    WebhookConfig,
+    AccessConfig, BlobsConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig,
+    Role, ServeConfig, VlmConfig, WebhookConfig,
 };
 use camino::Utf8PathBuf;
 use std::net::{Ipv4Addr, SocketAddr};

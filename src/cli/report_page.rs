@@ -11,7 +11,12 @@ table{border-collapse:collapse}td,th{padding:.2rem .8rem;border-bottom:1px solid
 img{max-width:100%;border:1px solid #ddd}figure{margin:1.5rem 0}.warning{background:#fff4d6;padding:.3rem .8rem;margin:.3rem 0}";
 
 /// The whole page; pictures are links to `<name>.jpg` beside it.
-pub(super) fn render(scan: &Utf8Path, import: &ImportReport, scene: &ParsedScene, pictures: &[ReportPicture]) -> String {
+pub(super) fn render(
+    scan: &Utf8Path,
+    import: &ImportReport,
+    scene: &ParsedScene,
+    pictures: &[ReportPicture],
+) -> String {
     let report = &scene.report;
     let mut page = format!(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>{0}</title><style>{STYLE}</style><h1>{0}</h1>",

@@ -23,7 +23,9 @@ pub struct RestoreArgs {
     json: bool,
 }
 
-pub async fn run(RestoreArgs { from, data_dir, check: only_check, json: as_json }: &RestoreArgs) -> anyhow::Result<()> {
+pub async fn run(
+    RestoreArgs { from, data_dir, check: only_check, json: as_json }: &RestoreArgs,
+) -> anyhow::Result<()> {
     telemetry::start_quiet();
     let source = Source::of(from);
     let (restored, done) = match data_dir {
@@ -33,7 +35,8 @@ pub async fn run(RestoreArgs { from, data_dir, check: only_check, json: as_json 
     };
     let Restored { taken_at, program, scenes, answers, folders, bytes, left_out } = restored;
     if *as_json {
-        let left_out: Vec<_> = left_out.iter().map(|(folder, what)| json!({"folder": folder, "what": what})).collect();
+        let left_out: Vec<_> =
+            left_out.iter().map(|(folder, what)| json!({"folder": folder, "what": what})).collect();
         return print_json(&json!({
             "from": from, "restored_to": data_dir.as_ref().filter(|_| !only_check), "taken_at": taken_at, "program": program,
             "scenes": scenes, "answers": answers, "folders": folders, "bytes": bytes, "left_out": left_out,

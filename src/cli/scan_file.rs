@@ -1,4 +1,5 @@
-//! A scan on the disk as the bytes that are uploaded: a file as it is where a service knows it by its bytes, everything else packed.
+//! A scan on the disk as the bytes that are uploaded: a file as it is where a service knows it by
+//! its bytes, everything else packed.
 
 use super::hints;
 use crate::packing::{Links, pack};
@@ -31,7 +32,9 @@ impl ScanFile {
         let name = name_of(scan);
         let source = match is_known_by_its_bytes(scan).with_context(|| scan.to_string())? {
             true => Source::File(scan.to_owned()),
-            false => Source::Folder(Unpacked::of(scan).map_err(|error| hints::of_scan(error.into(), scan))?),
+            false => Source::Folder(
+                Unpacked::of(scan).map_err(|error| hints::of_scan(error.into(), scan))?,
+            ),
         };
         Ok(Self { name, source })
     }
@@ -84,7 +87,8 @@ fn is_known_by_its_bytes(scan: &Utf8Path) -> io::Result<bool> {
     File::open(scan)?.take(Packed::HEAD_BYTES as u64).read_to_end(&mut head)?;
     let packed = Packed::of_head(&head, scan.as_str());
     // What is called an archive and is none is for the service to tell.
-    Ok(matches!(packed, Some(Packed::Archive(_) | Packed::Sens)) || ArchiveKind::of_file_name(scan.as_str()).is_some())
+    Ok(matches!(packed, Some(Packed::Archive(_) | Packed::Sens))
+        || ArchiveKind::of_file_name(scan.as_str()).is_some())
 }
 
 struct Hashing(Sha256);

@@ -24,7 +24,11 @@ pub async fn run(args: &ScenesArgs) -> anyhow::Result<()> {
         return print_json(&scenes);
     }
     if scenes.is_empty() {
-        eprintln!("no scenes at {} yet: uniground upload SCAN{}", args.server.address(), args.server.flag());
+        eprintln!(
+            "no scenes at {} yet: uniground upload SCAN{}",
+            args.server.address(),
+            args.server.flag()
+        );
         return Ok(());
     }
     let mut rows = Vec::with_capacity(scenes.len());

@@ -9,12 +9,14 @@ use std::fs;
 use std::io::{self, Write};
 use tokio::signal::unix::{SignalKind, signal};
 
-/// Fetches what the server would use and does not find, if that is wished. Whatever becomes of it, the server can start.
+/// Fetches what the server would use and does not find, if that is wished. Whatever becomes of it,
+/// the server can start.
 pub fn fetch(config: &ServeConfig) {
     if !config.fetch_models {
         return;
     }
-    let places = Places { models: config.models.bundles.models.clone(), library: LIBRARY_FOLDER.into() };
+    let places =
+        Places { models: config.models.bundles.models.clone(), library: LIBRARY_FOLDER.into() };
     if let Err(error) = fetch_all(&wanted(&config.models), &places, &mut io::stderr()) {
         eprintln!("{error:#}; the server goes on with what is there");
     }
@@ -25,7 +27,10 @@ pub async fn run(config: &ServeConfig) -> anyhow::Result<()> {
 }
 
 /// Runs what `start` starts until somebody stops it.
-pub async fn until_stopped(config: &ServeConfig, start: impl Future<Output = anyhow::Result<RunningService>>) -> anyhow::Result<()> {
+pub async fn until_stopped(
+    config: &ServeConfig,
+    start: impl Future<Output = anyhow::Result<RunningService>>,
+) -> anyhow::Result<()> {
     // Sends what is left when this ends.
     let _traces = telemetry::start(&config.log)?;
     let mut terminate = signal(SignalKind::terminate())?;
@@ -43,11 +48,13 @@ pub async fn until_stopped(config: &ServeConfig, start: impl Future<Output = any
     running.stop().await
 }
 
-/// Returns whether this process was started with SIGHUP ignored, as `nohup` does: then it goes on when its terminal is closed. Known on
-/// Linux only.
+/// Returns whether this process was started with SIGHUP ignored, as `nohup` does: then it goes on
+/// when its terminal is closed. Known on Linux only.
 fn ignores_hangup() -> bool {
     const SIGHUP_BIT: u64 = 1;
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    ignored.is_some_and(|mask| u64::from_str_radix(mask.trim(), 16).is_ok_and(|mask| mask & SIGHUP_BIT != 0))
+    ignored.is_some_and(|mask| {
+        u64::from_str_radix(mask.trim(), 16).is_ok_and(|mask| mask & SIGHUP_BIT != 0)
+    })
 }

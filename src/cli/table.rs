@@ -21,8 +21,13 @@ pub fn of_many(found: &ManyAnswers) -> Table {
     let mut table = empty();
     table.set_header(["Scene", "Status", "ID", "What", "Box (m, Z up)"]);
     for SceneAnswer { scene_name, labels, answer } in &found.answers {
-        let filed: Vec<String> = labels.iter().map(|(name, value)| format!("{name}={value}")).collect();
-        let scene = if filed.is_empty() { scene_name.clone() } else { format!("{scene_name}\n{}", filed.join(", ")) };
+        let filed: Vec<String> =
+            labels.iter().map(|(name, value)| format!("{name}={value}")).collect();
+        let scene = if filed.is_empty() {
+            scene_name.clone()
+        } else {
+            format!("{scene_name}\n{}", filed.join(", "))
+        };
         let id = answer.answer.predicted_id;
         let what = id.and_then(|id| answer.answer.candidate_names.get(&id.0).cloned());
         table.add_row([
@@ -58,17 +63,29 @@ pub fn of_answer(answer: &Answer) -> Table {
     let matches = fields.target_name_matches.map(|yes| if yes { "yes" } else { "no" }.to_owned());
     let mut table = empty();
     table.set_header(vec!["Question".to_owned(), answer.query.clone()]);
-    table.add_row(vec!["Status".to_owned(), format!("{} (confidence {:.2})", status_of(answer), answer.confidence)]);
-    table.add_row(vec!["Predicted ID".to_owned(), or_none(fields.predicted_id.map(|id| id.to_string()))]);
+    table.add_row(vec![
+        "Status".to_owned(),
+        format!("{} (confidence {:.2})", status_of(answer), answer.confidence),
+    ]);
+    table.add_row(vec![
+        "Predicted ID".to_owned(),
+        or_none(fields.predicted_id.map(|id| id.to_string())),
+    ]);
     table.add_row(vec!["Explanation".to_owned(), fields.explanation.clone()]);
-    table.add_row(vec!["Candidate Names".to_owned(), if names.is_empty() { "none".into() } else { names }]);
+    table.add_row(vec![
+        "Candidate Names".to_owned(),
+        if names.is_empty() { "none".into() } else { names },
+    ]);
     table.add_row(vec!["Target name matches?".to_owned(), or_none(matches)]);
     table.add_row(vec!["Anchor ID".to_owned(), or_none(fields.anchor_id.map(|id| id.to_string()))]);
     table.add_row(vec!["Relation used".to_owned(), or_none(fields.relation_used.clone())]);
     table.add_row(vec!["Box (m, Z up)".to_owned(), or_none(answer.aabb.as_ref().map(of_box))]);
     if let Some(placed) = &answer.in_frame {
         let boxes: Vec<String> = placed.boxes.iter().map(of_placed_box).collect();
-        table.add_row(vec![name_of_frame(placed), or_none(Some(boxes.join("\n")).filter(|boxes| !boxes.is_empty()))]);
+        table.add_row(vec![
+            name_of_frame(placed),
+            or_none(Some(boxes.join("\n")).filter(|boxes| !boxes.is_empty())),
+        ]);
     }
     table.add_row(vec!["Time".to_owned(), format!("{:.2} ms", answer.timings_ms.total)]);
     table
@@ -83,8 +100,12 @@ fn name_of_frame(InFrame { frame, frame_id, .. }: &InFrame) -> String {
 }
 
 fn of_placed_box(PlacedBox { center: c, size: s, orientation: q, .. }: &PlacedBox) -> String {
-    let turned = format!("turned by x, y, z, w = ({:.3}, {:.3}, {:.3}, {:.3})", q[0], q[1], q[2], q[3]);
-    format!("center ({:.2}, {:.2}, {:.2}) size {:.2} x {:.2} x {:.2}, {turned}", c[0], c[1], c[2], s[0], s[1], s[2])
+    let turned =
+        format!("turned by x, y, z, w = ({:.3}, {:.3}, {:.3}, {:.3})", q[0], q[1], q[2], q[3]);
+    format!(
+        "center ({:.2}, {:.2}, {:.2}) size {:.2} x {:.2} x {:.2}, {turned}",
+        c[0], c[1], c[2], s[0], s[1], s[2]
+    )
 }
 
 /// Scenes of a server, each with how far it has come.
@@ -92,8 +113,15 @@ pub fn of_scenes(scenes: &[(&Scene, String)]) -> Table {
     let mut table = empty();
     table.set_header(vec!["ID", "Name", "State", "Things", "Age"]);
     for (scene, state) in scenes {
-        let things = scene.counts.as_ref().map_or_else(String::new, |counts| counts.instances.to_string());
-        table.add_row(vec![scene.id.clone(), scene.name.clone(), state.clone(), things, age(&scene.created_at)]);
+        let things =
+            scene.counts.as_ref().map_or_else(String::new, |counts| counts.instances.to_string());
+        table.add_row(vec![
+            scene.id.clone(),
+            scene.name.clone(),
+            state.clone(),
+            things,
+            age(&scene.created_at),
+        ]);
     }
     // A part of an id that is broken in two can not be copied.
     if let Some(column) = table.column_mut(0) {
@@ -115,8 +143,17 @@ pub fn of_changes(changes: &Changes) -> Table {
         ("no thing of its own any more", regrouped),
     ];
     for MovedThing { before, after, distance_m } in moved {
-        let ids = if before.id == after.id { before.id.to_string() } else { format!("{} -> {}", before.id, after.id) };
-        table.add_row(vec![format!("moved by {distance_m:.2} m"), ids, after.label.clone(), of_box(&after.aabb)]);
+        let ids = if before.id == after.id {
+            before.id.to_string()
+        } else {
+            format!("{} -> {}", before.id, after.id)
+        };
+        table.add_row(vec![
+            format!("moved by {distance_m:.2} m"),
+            ids,
+            after.label.clone(),
+            of_box(&after.aabb),
+        ]);
     }
     for (change, things) in lists {
         for ChangedThing { id, label, aabb } in things {
@@ -142,7 +179,11 @@ pub fn of_findings(findings: &[Finding]) -> Table {
     let mut table = empty();
     table.set_header(vec!["What", "Trouble", "Remedy"]);
     for Finding { trouble, detail } in findings {
-        table.add_row(vec![trouble.to_string(), detail.clone(), trouble.remedy().unwrap_or("none").to_owned()]);
+        table.add_row(vec![
+            trouble.to_string(),
+            detail.clone(),
+            trouble.remedy().unwrap_or("none").to_owned(),
+        ]);
     }
     table
 }
@@ -150,7 +191,15 @@ pub fn of_findings(findings: &[Finding]) -> Table {
 /// Keys of a server.
 pub fn of_keys(keys: &[Key]) -> Table {
     let mut table = empty();
-    table.set_header(vec!["Begins", "Name", "Scope", "Limits", "Spent today", "Last used", "State"]);
+    table.set_header(vec![
+        "Begins",
+        "Name",
+        "Scope",
+        "Limits",
+        "Spent today",
+        "Last used",
+        "State",
+    ]);
     for key in keys {
         let limits = [
             key.requests_per_minute.map(|n| format!("{n} a minute")),
@@ -168,7 +217,9 @@ pub fn of_keys(keys: &[Key]) -> Table {
             key.scope.word().to_owned(),
             limits.into_iter().flatten().collect::<Vec<_>>().join(", "),
             format!("{:.4} USD", key.spent_today_usd),
-            key.last_used_at.as_deref().map_or_else(|| "never".into(), |at| at.chars().take(16).collect()),
+            key.last_used_at
+                .as_deref()
+                .map_or_else(|| "never".into(), |at| at.chars().take(16).collect()),
             state,
         ]);
     }
@@ -190,10 +241,22 @@ pub fn of_moved(moved: &Moved) -> Table {
     let mut table = empty();
     table.set_header(vec!["What", "How many", "Size", "Of it copied"]);
     for (name, rows) in moved.rows.iter().filter(|(_, rows)| *rows > 0) {
-        table.add_row(vec![format!("rows of {name}"), rows.to_string(), String::new(), String::new()]);
+        table.add_row(vec![
+            format!("rows of {name}"),
+            rows.to_string(),
+            String::new(),
+            String::new(),
+        ]);
     }
-    for KindOfFiles { kind, folders, bytes, copied_bytes } in moved.files.iter().filter(|kind| kind.folders > 0) {
-        table.add_row(vec![format!("files of {kind}"), folders.to_string(), size(*bytes), size(*copied_bytes)]);
+    for KindOfFiles { kind, folders, bytes, copied_bytes } in
+        moved.files.iter().filter(|kind| kind.folders > 0)
+    {
+        table.add_row(vec![
+            format!("files of {kind}"),
+            folders.to_string(),
+            size(*bytes),
+            size(*copied_bytes),
+        ]);
     }
     table
 }
@@ -217,7 +280,11 @@ pub fn of_alternatives(alternatives: &[Alternative]) -> Table {
     let mut table = empty();
     table.set_header(vec!["Could be", "Belief", "Box (m, Z up)"]);
     for alternative in alternatives {
-        table.add_row(vec![alternative.id.to_string(), format!("{:.2}", alternative.confidence), of_box(&alternative.aabb)]);
+        table.add_row(vec![
+            alternative.id.to_string(),
+            format!("{:.2}", alternative.confidence),
+            of_box(&alternative.aabb),
+        ]);
     }
     table
 }

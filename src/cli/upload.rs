@@ -17,10 +17,12 @@ use uniground_types::scenes::Created;
 pub struct UploadArgs {
     /// A scan: a folder, an archive, a .sens or .r3d file, a cloud or a mesh
     scan: Utf8PathBuf,
-    /// A scene to add the scan's frames to, by name or id: what stays keeps its id, and what came, went and moved is told
+    /// A scene to add the scan's frames to, by name or id: what stays keeps its id, and what came,
+    /// went and moved is told
     #[arg(long, value_name = "SCENE", conflicts_with_all = ["name", "up", "metres_per_unit", "no_levelling"])]
     to: Option<String>,
-    /// With --to: whose coordinates the poses are in, those of the files the scene was made of, the scene's, or those of the map it lies in
+    /// With --to: whose coordinates the poses are in, those of the files the scene was made of,
+    /// the scene's, or those of the map it lies in
     #[arg(long, requires = "to", default_value = "source", value_parser = words::frame())]
     world: FrameChoice,
     /// What to call the scene [default: the file's name without its ending]
@@ -60,7 +62,8 @@ async fn add(client: &Client, scene: &str, args: &UploadArgs) -> anyhow::Result<
     let before = client.scene(&id).await?;
     let file = ScanFile::open(&args.scan)?;
     let sent = following::add(client, &file, &id, args.world).await;
-    let Created { scene, job } = sent.map_err(|error| error.context(format!("nothing was added to {}", before.name)))?;
+    let Created { scene, job } =
+        sent.map_err(|error| error.context(format!("nothing was added to {}", before.name)))?;
     let Some(job) = job.filter(|_| !args.no_wait) else {
         return if args.json { print_json(&scene) } else { Ok(writeln!(io::stdout(), "{id}")?) };
     };
@@ -69,12 +72,17 @@ async fn add(client: &Client, scene: &str, args: &UploadArgs) -> anyhow::Result<
     let changes = client.changes_since(&id, before.parse_version).await?;
     match (args.json, changes.changes.is_empty()) {
         (true, _) => print_json(&changes),
-        (false, true) => Ok(writeln!(io::stdout(), "nothing changed: {} things as before", changes.changes.unchanged)?),
+        (false, true) => Ok(writeln!(
+            io::stdout(),
+            "nothing changed: {} things as before",
+            changes.changes.unchanged
+        )?),
         (false, false) => Ok(writeln!(io::stdout(), "{}", table::of_changes(&changes.changes))?),
     }
 }
 
-/// The id goes to standard output, and everything for people to stderr: `scene=$(uniground upload room.zip)`.
+/// The id goes to standard output, and everything for people to stderr: `scene=$(uniground upload
+/// room.zip)`.
 async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
     let file = ScanFile::open(&args.scan)?;
     let name = args.name.as_deref().unwrap_or(&file.name);
@@ -82,7 +90,8 @@ async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
     let metres_per_unit = args.metres_per_unit.map(|metres| metres.to_string());
     let metres_per_unit = metres_per_unit.as_deref().map(|metres| ("metres_per_unit", metres));
     let levelling = args.no_levelling.then_some(("levelling", "off"));
-    let query: Vec<(&str, &str)> = [("name", name)].into_iter().chain(up).chain(metres_per_unit).chain(levelling).collect();
+    let query: Vec<(&str, &str)> =
+        [("name", name)].into_iter().chain(up).chain(metres_per_unit).chain(levelling).collect();
     let Created { scene, job } = following::send(client, &file, &query).await?;
     let begun = Instant::now();
     let (is_awaited, job) = (!args.no_wait, job.filter(|job| !job.state.is_final()));
@@ -100,8 +109,12 @@ async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
     let known = choosing::all(client).await.unwrap_or_default();
     let (named, flag) = (choosing::shortest(&known, &scene), args.server.flag());
     match is_awaited || job.is_none() {
-        true => eprintln!("ask: uniground ground --scene {named}{flag} \"the chair next to the door\""),
-        false => eprintln!("it is being parsed; ask: uniground ground --scene {named}{flag} --wait \"the chair next to the door\""),
+        true => {
+            eprintln!("ask: uniground ground --scene {named}{flag} \"the chair next to the door\"")
+        }
+        false => eprintln!(
+            "it is being parsed; ask: uniground ground --scene {named}{flag} --wait \"the chair next to the door\""
+        ),
     }
     Ok(())
 }

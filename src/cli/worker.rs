@@ -1,4 +1,5 @@
-//! `uniground worker`: does jobs beside servers over the same database, until SIGTERM, SIGHUP or Ctrl-C.
+//! `uniground worker`: does jobs beside servers over the same database, until SIGTERM, SIGHUP or
+//! Ctrl-C.
 
 use super::serve;
 use crate::app;

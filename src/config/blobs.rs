@@ -10,24 +10,29 @@ use std::time::Duration;
 const DEFAULT_CACHE_BYTES: u64 = 50 << 30;
 const DEFAULT_GRACE_S: u64 = 24 * 60 * 60;
 
-/// In the data folder, or in an object store that speaks S3. Its address, region and keys are those other programs use: AWS_ENDPOINT_URL,
-/// AWS_REGION, AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_SESSION_TOKEN, or the machine's role.
+/// In the data folder, or in an object store that speaks S3. Its address, region and keys are those
+/// other programs use: AWS_ENDPOINT_URL, AWS_REGION, AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY,
+/// AWS_SESSION_TOKEN, or the machine's role.
 #[allow(clippy::doc_markdown)] // Help is no Markdown.
 #[derive(Debug, Clone, clap::Args)]
 pub struct BlobsConfig {
-    /// Where scans and parses are kept: "folder", in the data folder, or s3://BUCKET/PREFIX; the data folder then holds copies of what is used
+    /// Where scans and parses are kept: "folder", in the data folder, or s3://BUCKET/PREFIX; the
+    /// data folder then holds copies of what is used
     #[arg(long = "blobs", env = "UNIGROUND_BLOBS", value_name = "PLACE", default_value = "folder")]
     pub at: BlobsAt,
-    /// File with keys to the bucket, as ~/.aws/credentials has them (its profile "default", or the one of AWS_PROFILE)
+    /// File with keys to the bucket, as ~/.aws/credentials has them (its profile "default", or the
+    /// one of AWS_PROFILE)
     #[arg(long, env = "UNIGROUND_BLOBS_CREDENTIALS_FILE", value_name = "FILE")]
     pub blobs_credentials_file: Option<Utf8PathBuf>,
     /// What copies that nobody uses may come to, bytes
     #[arg(long, env = "UNIGROUND_BLOBS_CACHE_BYTES", default_value_t = DEFAULT_CACHE_BYTES, value_name = "BYTES")]
     pub blobs_cache_bytes: u64,
-    /// Send callers to the object store for clouds, points and embeddings, by links that work for a quarter of an hour; they must reach it
+    /// Send callers to the object store for clouds, points and embeddings, by links that work for
+    /// a quarter of an hour; they must reach it
     #[arg(long, env = "UNIGROUND_BLOBS_REDIRECT")]
     pub blobs_redirect: bool,
-    /// How old objects must be that no record speaks of to be removed, seconds; putting one scan there may take half of it
+    /// How old objects must be that no record speaks of to be removed, seconds; putting one scan
+    /// there may take half of it
     #[arg(long, env = "UNIGROUND_BLOBS_GRACE_S", default_value_t = DEFAULT_GRACE_S, value_name = "SECONDS", value_parser = clap::value_parser!(u64).range(1..))]
     pub blobs_grace_s: u64,
 }
@@ -56,9 +61,13 @@ impl BlobsConfig {
         }
         let keys = match &self.blobs_credentials_file {
             Some(file) => {
-                let text = fs::read_to_string(file).with_context(|| format!("the credentials file {file}"))?;
+                let text = fs::read_to_string(file)
+                    .with_context(|| format!("the credentials file {file}"))?;
                 let profile = std::env::var("AWS_PROFILE").unwrap_or_else(|_| "default".into());
-                Some(keys_of(&text, &profile).with_context(|| format!("the credentials file {file}"))?)
+                Some(
+                    keys_of(&text, &profile)
+                        .with_context(|| format!("the credentials file {file}"))?,
+                )
             }
             None => None,
         };
@@ -103,7 +112,10 @@ mod tests {
     fn keys_are_those_of_the_profile() {
         let file = "[other]\naws_access_key_id = OTHER\n[default]\naws_access_key_id=MINE\naws_secret_access_key = se/cret+=\n";
         let keys = keys_of(file, "default").unwrap();
-        assert_eq!((keys.id.as_str(), keys.secret.as_str(), keys.session), ("MINE", "se/cret+=", None));
+        assert_eq!(
+            (keys.id.as_str(), keys.secret.as_str(), keys.session),
+            ("MINE", "se/cret+=", None)
+        );
         let told = keys_of(file, "other").unwrap_err().to_string();
         assert!(told.contains("[other]") && !told.contains("OTHER"), "{told}");
     }

@@ -3,10 +3,14 @@
 use super::models::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS, BundlesConfig, ModelsConfig};
 use anyhow::Context;
 use std::io;
-use uniground_core::models::neural::{BundleListing, Engine, ModelError, Models, Provider, Role, folder_of, list};
+use uniground_core::models::neural::{
+    BundleListing, Engine, ModelError, Models, Provider, Role, folder_of, list,
+};
 
-/// What a segmenter costs where it runs on processor cores: seconds where the built-in masks take a tenth of one (docs/MODELS.md).
-const SEGMENTER_COST: &str = "SAM 2 tiny takes about 6 s a frame on two cores; --masks builtin is fast";
+/// What a segmenter costs where it runs on processor cores: seconds where the built-in masks take a
+/// tenth of one (docs/MODELS.md).
+const SEGMENTER_COST: &str =
+    "SAM 2 tiny takes about 6 s a frame on two cores; --masks builtin is fast";
 
 /// The models, and how they came to be chosen.
 #[derive(Debug)]
@@ -40,24 +44,35 @@ impl<'a> Wish<'a> {
 }
 
 impl ModelsConfig {
-    /// Loads what is configured, and under `auto` the first bundle by name that works. Blocks: not for asynchronous code.
+    /// Loads what is configured, and under `auto` the first bundle by name that works. Blocks: not
+    /// for asynchronous code.
     ///
     /// # Errors
-    /// What is wrong with a bundle that was named, or with a library, a provider or an inference server that was.
+    /// What is wrong with a bundle that was named, or with a library, a provider or an inference
+    /// server that was.
     pub fn load(&self) -> anyhow::Result<ChosenModels> {
         let Self { masks, encoder, bundles } = self;
         let (masks, encoder) = (Wish::of(masks, BUILTIN_MASKS), Wish::of(encoder, BUILTIN_ENCODER));
-        let mut choosing = Choosing { bundles, lying: Vec::new(), engine: None, models: Models::default(), warnings: Vec::new() };
+        let mut choosing = Choosing {
+            bundles,
+            lying: Vec::new(),
+            engine: None,
+            models: Models::default(),
+            warnings: Vec::new(),
+        };
         if [masks, encoder].contains(&Wish::Auto) {
             choosing.look();
         }
         let is_named = [masks, encoder].iter().any(|wish| matches!(wish, Wish::Named(_)));
-        let lies_there = (masks == Wish::Auto && choosing.lies(Role::Masks)) || (encoder == Wish::Auto && choosing.lies(Role::Encoder));
+        let lies_there = (masks == Wish::Auto && choosing.lies(Role::Masks))
+            || (encoder == Wish::Auto && choosing.lies(Role::Encoder));
         if is_named || lies_there {
             match bundles.engine() {
                 Ok(engine) => choosing.engine = Some(engine),
                 Err(error) if is_named || !bundles.is_usual() => return Err(error),
-                Err(error) => choosing.warnings.push(format!("bundles in {} can not be used: {error:#}", bundles.models)),
+                Err(error) => choosing
+                    .warnings
+                    .push(format!("bundles in {} can not be used: {error:#}", bundles.models)),
             }
         }
         let masks = choosing.choose(Role::Masks, masks).context("--masks")?;
@@ -83,7 +98,8 @@ impl ModelsConfig {
 
 struct Choosing<'a> {
     bundles: &'a BundlesConfig,
-    /// What lies in the folder of bundles, by name; only looked at where something is left to choose.
+    /// What lies in the folder of bundles, by name; only looked at where something is left to
+    /// choose.
     lying: Vec<BundleListing>,
     /// Only where something may have to run.
     engine: Option<Box<dyn Engine>>,
@@ -114,7 +130,8 @@ impl Choosing<'_> {
             Wish::Builtin => Ok("built in (as asked)".into()),
             Wish::Named(names) => {
                 let names_of_masks = names.split('+');
-                let names: Vec<&str> = if role == Role::Masks { names_of_masks.collect() } else { vec![names] };
+                let names: Vec<&str> =
+                    if role == Role::Masks { names_of_masks.collect() } else { vec![names] };
                 for name in &names {
                     self.models = self.with(role, &folder_of(name, &self.bundles.models))?;
                 }
@@ -127,7 +144,8 @@ impl Choosing<'_> {
     /// The first by name that works.
     fn choose_lying(&mut self, role: Role) -> String {
         let folder = &self.bundles.models;
-        let candidates: Vec<BundleListing> = self.lying.iter().filter(|bundle| bundle.role == Some(role)).cloned().collect();
+        let candidates: Vec<BundleListing> =
+            self.lying.iter().filter(|bundle| bundle.role == Some(role)).cloned().collect();
         let names: Vec<&str> = candidates.iter().map(|bundle| bundle.name.as_str()).collect();
         if names.is_empty() {
             let kind = if role == Role::Masks { "segmenter" } else { "dual encoder" };
@@ -141,11 +159,18 @@ impl Choosing<'_> {
             match self.with(role, &bundle.folder) {
                 Ok(models) => {
                     self.models = models;
-                    let on_cores = self.bundles.inference_url.is_none() && self.bundles.runtime.provider == Provider::Cpu;
-                    let cost = if role == Role::Masks && on_cores { format!("; {SEGMENTER_COST}") } else { String::new() };
+                    let on_cores = self.bundles.inference_url.is_none()
+                        && self.bundles.runtime.provider == Provider::Cpu;
+                    let cost = if role == Role::Masks && on_cores {
+                        format!("; {SEGMENTER_COST}")
+                    } else {
+                        String::new()
+                    };
                     return format!("{} (found in {folder}{cost})", bundle.name);
                 }
-                Err(error) => self.warnings.push(format!("{} can not be used: {error:#}", bundle.name)),
+                Err(error) => {
+                    self.warnings.push(format!("{} can not be used: {error:#}", bundle.name))
+                }
             }
         }
         format!("built in (broken: {names})")

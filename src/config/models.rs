@@ -22,10 +22,12 @@ pub const BUILTIN_ENCODER: &str = "attributes";
 #[allow(clippy::doc_markdown)] // Help is no Markdown.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ModelsConfig {
-    /// Where 2D masks come from: auto (the first segmenter in --models that works, else built in), builtin, or a segmenter's bundle, by name or folder; several joined by + all have a vote
+    /// Where 2D masks come from: auto (the first segmenter in --models that works, else built in),
+    /// builtin, or a segmenter's bundle, by name or folder; several joined by + all have a vote
     #[arg(long, env = "UNIGROUND_MASKS", default_value = AUTO, value_name = "BUNDLE")]
     pub masks: String,
-    /// What compares pictures and words: auto (the first dual encoder in --models that works, else built in), builtin, or a dual encoder's bundle, by name or folder
+    /// What compares pictures and words: auto (the first dual encoder in --models that works, else
+    /// built in), builtin, or a dual encoder's bundle, by name or folder
     #[arg(long, env = "UNIGROUND_ENCODER", default_value = AUTO, value_name = "BUNDLE")]
     pub encoder: String,
     #[command(flatten)]
@@ -41,7 +43,8 @@ pub struct BundlesConfig {
     pub models: Utf8PathBuf,
     #[command(flatten)]
     pub runtime: RuntimeConfig,
-    /// Run the bundles' networks at this inference server (KServe v2 protocol) instead of here, under the names <bundle>-<file>
+    /// Run the bundles' networks at this inference server (KServe v2 protocol) instead of here,
+    /// under the names <bundle>-<file>
     #[arg(long, env = "UNIGROUND_INFERENCE_URL", value_name = "URL")]
     pub inference_url: Option<String>,
     /// How long one call to the inference server may take, seconds
@@ -53,7 +56,8 @@ pub struct BundlesConfig {
 #[allow(clippy::doc_markdown)] // Help is no Markdown.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct RuntimeConfig {
-    /// ONNX Runtime's library [default: ORT_DYLIB_PATH, ./.onnxruntime/libonnxruntime.so, or beside the executable]
+    /// ONNX Runtime's library [default: ORT_DYLIB_PATH, ./.onnxruntime/libonnxruntime.so, or
+    /// beside the executable]
     #[arg(long, env = "UNIGROUND_ONNXRUNTIME_LIB", value_name = "FILE")]
     pub onnxruntime_lib: Option<Utf8PathBuf>,
     /// What networks run on; one that is not there is an error
@@ -86,11 +90,14 @@ impl Default for BundlesConfig {
 }
 
 impl BundlesConfig {
-    /// Nothing was said about what runs networks: where the usual library is not found, nobody asked for it.
+    /// Nothing was said about what runs networks: where the usual library is not found, nobody
+    /// asked for it.
     #[must_use]
     pub fn is_usual(&self) -> bool {
         let RuntimeConfig { onnxruntime_lib, provider, model_threads: _ } = &self.runtime;
-        self.inference_url.is_none() && onnxruntime_lib.is_none() && *provider == Provider::default()
+        self.inference_url.is_none()
+            && onnxruntime_lib.is_none()
+            && *provider == Provider::default()
     }
 
     /// The engine that runs networks. Blocks: not for asynchronous code.
@@ -101,7 +108,10 @@ impl BundlesConfig {
         Ok(match &self.inference_url {
             Some(url) => {
                 telemetry::hide_secrets_of(url);
-                ensure!(reqwest::Url::parse(url).is_ok_and(|url| url.has_host()), "--inference-url: this is not an address");
+                ensure!(
+                    reqwest::Url::parse(url).is_ok_and(|url| url.has_host()),
+                    "--inference-url: this is not an address"
+                );
                 Box::new(RemoteServer::new(url, Duration::from_secs(self.inference_timeout_s))?)
             }
             None => Box::new(OnnxRuntime::load(&self.runtime.settings())?),
@@ -113,6 +123,10 @@ impl RuntimeConfig {
     #[must_use]
     pub fn settings(&self) -> RuntimeSettings {
         let Self { onnxruntime_lib, provider, model_threads } = self;
-        RuntimeSettings { library: onnxruntime_lib.clone(), provider: *provider, threads: model_threads.map(usize::from) }
+        RuntimeSettings {
+            library: onnxruntime_lib.clone(),
+            provider: *provider,
+            threads: model_threads.map(usize::from),
+        }
     }
 }

@@ -78,7 +78,11 @@ impl From<Role> for Part {
 
 impl From<&WorkerConfig> for Part {
     fn from(config: &WorkerConfig) -> Self {
-        Self { serves: false, works: config.kinds.clone(), concurrency: config.concurrency.map(usize::from) }
+        Self {
+            serves: false,
+            works: config.kinds.clone(),
+            concurrency: config.concurrency.map(usize::from),
+        }
     }
 }
 

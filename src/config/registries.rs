@@ -24,10 +24,14 @@ pub fn registries() -> anyhow::Result<Registries> {
 }
 
 /// `environment` looks up variables, `file` reads what is there.
-fn told(environment: &dyn Fn(&str) -> Option<String>, file: &dyn Fn(&Utf8PathBuf) -> Option<String>) -> anyhow::Result<Registries> {
+fn told(
+    environment: &dyn Fn(&str) -> Option<String>,
+    file: &dyn Fn(&Utf8PathBuf) -> Option<String>,
+) -> anyhow::Result<Registries> {
     let home = environment("HOME").map(Utf8PathBuf::from);
     let below_home = |path: &str| home.as_ref().map(|home| home.join(path));
-    let of_user = environment("XDG_CONFIG_HOME").map_or_else(|| below_home(".config"), |folder| Some(folder.into()));
+    let of_user = environment("XDG_CONFIG_HOME")
+        .map_or_else(|| below_home(".config"), |folder| Some(folder.into()));
     let pip_files = [
         environment("PIP_CONFIG_FILE").map(Utf8PathBuf::from),
         of_user.map(|folder| folder.join("pip/pip.conf")),
@@ -41,24 +45,45 @@ fn told(environment: &dyn Fn(&str) -> Option<String>, file: &dyn Fn(&Utf8PathBuf
             .map(Utf8PathBuf::from),
         below_home(".npmrc"),
     ];
-    let first = |variables: &[&str], files: &[Option<Utf8PathBuf>], read: &dyn Fn(&str) -> Option<String>| {
-        let variables = variables.iter().find_map(|name| Some((environment(name)?, (*name).to_owned())));
-        variables.or_else(|| files.iter().flatten().find_map(|path| Some((read(&file(path)?)?, path.to_string()))))
+    let first = |variables: &[&str],
+                 files: &[Option<Utf8PathBuf>],
+                 read: &dyn Fn(&str) -> Option<String>| {
+        let variables =
+            variables.iter().find_map(|name| Some((environment(name)?, (*name).to_owned())));
+        variables.or_else(|| {
+            files.iter().flatten().find_map(|path| Some((read(&file(path)?)?, path.to_string())))
+        })
     };
     let pypi = first(&["PIP_INDEX_URL"], &pip_files, &index_of_pip);
     let npm = first(&["NPM_CONFIG_REGISTRY", "npm_config_registry"], &npm_files, &registry_of_npm);
     Ok(Registries {
-        pypi: registry(pypi, PYPI, "Another index is named with PIP_INDEX_URL, or index-url in pip.conf")?,
-        npm: registry(npm, NPM, "Another registry is named with NPM_CONFIG_REGISTRY, or registry in .npmrc")?,
+        pypi: registry(
+            pypi,
+            PYPI,
+            "Another index is named with PIP_INDEX_URL, or index-url in pip.conf",
+        )?,
+        npm: registry(
+            npm,
+            NPM,
+            "Another registry is named with NPM_CONFIG_REGISTRY, or registry in .npmrc",
+        )?,
     })
 }
 
-fn registry(told: Option<(String, String)>, public: &str, remedy: &str) -> anyhow::Result<Registry> {
-    let (address, by) = told.map_or_else(|| (public.to_owned(), None), |(address, by)| (address, Some(by)));
+fn registry(
+    told: Option<(String, String)>,
+    public: &str,
+    remedy: &str,
+) -> anyhow::Result<Registry> {
+    let (address, by) =
+        told.map_or_else(|| (public.to_owned(), None), |(address, by)| (address, Some(by)));
     // It may hold a password: the message does without it.
     let base = Url::parse(&address).ok().filter(Url::has_host);
-    let base = base.with_context(|| format!("{}: this is not the address of a registry", by.as_deref().unwrap_or_default()))?;
-    let remedy = by.map_or_else(|| format!("{remedy}."), |by| format!("{remedy}; this one is from {by}."));
+    let base = base.with_context(|| {
+        format!("{}: this is not the address of a registry", by.as_deref().unwrap_or_default())
+    })?;
+    let remedy =
+        by.map_or_else(|| format!("{remedy}."), |by| format!("{remedy}; this one is from {by}."));
     Ok(Registry { base, remedy })
 }
 
@@ -91,15 +116,19 @@ mod tests {
     use super::*;
 
     fn told_by(variables: &[(&str, &str)], files: &[(&str, &str)]) -> anyhow::Result<[String; 2]> {
-        let of =
-            |pairs: &[(&str, &str)], wanted: &str| pairs.iter().find(|(name, _)| *name == wanted).map(|(_, value)| (*value).to_owned());
+        let of = |pairs: &[(&str, &str)], wanted: &str| {
+            pairs.iter().find(|(name, _)| *name == wanted).map(|(_, value)| (*value).to_owned())
+        };
         let told = told(&|name| of(variables, name), &|path| of(files, path.as_str()))?;
         Ok([told.pypi.base.to_string(), told.npm.base.to_string()])
     }
 
     #[test]
     fn without_a_word_the_public_registries_are_asked() {
-        assert_eq!(told_by(&[], &[]).unwrap(), ["https://pypi.org/simple", "https://registry.npmjs.org/"]);
+        assert_eq!(
+            told_by(&[], &[]).unwrap(),
+            ["https://pypi.org/simple", "https://registry.npmjs.org/"]
+        );
     }
 
     #[test]
@@ -116,11 +145,21 @@ mod tests {
             ),
         ];
         let home = ("HOME", "/home/me");
-        assert_eq!(told_by(&[home], &files).unwrap(), ["https://user.example/simple", "https://npm.example/"]);
+        assert_eq!(
+            told_by(&[home], &files).unwrap(),
+            ["https://user.example/simple", "https://npm.example/"]
+        );
         let nobody = told_by(&[], &files).unwrap();
         assert_eq!(nobody, ["https://machine.example/simple", "https://registry.npmjs.org/"]);
-        let variables = [home, ("PIP_INDEX_URL", "https://a.example/simple"), ("npm_config_registry", "https://b.example")];
-        assert_eq!(told_by(&variables, &files).unwrap(), ["https://a.example/simple", "https://b.example/"]);
+        let variables = [
+            home,
+            ("PIP_INDEX_URL", "https://a.example/simple"),
+            ("npm_config_registry", "https://b.example"),
+        ];
+        assert_eq!(
+            told_by(&variables, &files).unwrap(),
+            ["https://a.example/simple", "https://b.example/"]
+        );
     }
 
     #[test]

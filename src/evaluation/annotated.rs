@@ -1,5 +1,5 @@
-//! Annotated rooms: an archive `<room>.zip`, its objects in `<room>.scene.json` and, where given, the object of each point
-//! of its cloud in `<room>.cloud_instance.npy`.
+//! Annotated rooms: an archive `<room>.zip`, its objects in `<room>.scene.json` and, where given,
+//! the object of each point of its cloud in `<room>.cloud_instance.npy`.
 
 use super::annotations::{Annotations, SceneObject};
 use super::segmentation::AnnotatedObject;
@@ -31,33 +31,59 @@ pub struct AnnotatedRoom {
 }
 
 impl AnnotatedRoom {
-    /// Loads `<name>.zip` and its annotations from `folder`; the archive is unpacked into `scratch`, which must outlive the room.
+    /// Loads `<name>.zip` and its annotations from `folder`; the archive is unpacked into
+    /// `scratch`, which must outlive the room.
     ///
     /// # Errors
     /// Unreadable or malformed files, named.
     pub fn load(folder: &Utf8Path, name: &str, scratch: &Utf8Path) -> anyhow::Result<Self> {
-        let file = Annotations::file_of(folder, name).with_context(|| format!("{folder}: no annotations of {name}"))?;
+        let file = Annotations::file_of(folder, name)
+            .with_context(|| format!("{folder}: no annotations of {name}"))?;
         let (annotations, omissions) = Annotations::read(&file);
-        ensure!(omissions.is_empty(), "{}", omissions.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "));
-        unpack(&folder.join(format!("{name}.zip")), ArchiveKind::Zip, scratch, &UnpackLimits::default())?;
+        ensure!(
+            omissions.is_empty(),
+            "{}",
+            omissions.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
+        );
+        unpack(
+            &folder.join(format!("{name}.zip")),
+            ArchiveKind::Zip,
+            scratch,
+            &UnpackLimits::default(),
+        )?;
         let bundle = ingest::load(
             &ingest::open(scratch)?,
             &ImportSettings { levelling: LevellingChoice::Off, ..ImportSettings::default() },
             &Progress::silent(),
         )?;
-        let truth = annotations.label(&bundle.cloud).into_iter().map(Option::unwrap_or_default).collect();
+        let truth =
+            annotations.label(&bundle.cloud).into_iter().map(Option::unwrap_or_default).collect();
         Ok(Self { bundle, truth, annotations: Arc::new(annotations), turned_deg: 0.0 })
     }
 
-    /// Movable things with at least `min_points` annotated points. In a turned world their boxes are those of their points.
+    /// Movable things with at least `min_points` annotated points. In a turned world their boxes
+    /// are those of their points.
     #[must_use]
     pub fn objects(&self, min_points: u32) -> Vec<AnnotatedObject> {
         let objects = self.annotations.objects(min_points);
         if self.turned_deg == 0.0 {
             return objects;
         }
-        let around = |id: u32| Aabb::around(self.bundle.cloud.positions.iter().zip(&self.truth).filter(|(_, t)| **t == id).map(|(p, _)| p));
-        objects.into_iter().filter_map(|o| Some(AnnotatedObject { aabb: around(o.id)?, ..o })).collect()
+        let around = |id: u32| {
+            Aabb::around(
+                self.bundle
+                    .cloud
+                    .positions
+                    .iter()
+                    .zip(&self.truth)
+                    .filter(|(_, t)| **t == id)
+                    .map(|(p, _)| p),
+            )
+        };
+        objects
+            .into_iter()
+            .filter_map(|o| Some(AnnotatedObject { aabb: around(o.id)?, ..o }))
+            .collect()
     }
 
     /// Annotated ids that are floor, wall or ceiling.
@@ -66,7 +92,8 @@ impl AnnotatedRoom {
         self.annotations.objects.iter().filter_map(|o| Some((o.id, o.structure()?))).collect()
     }
 
-    /// The annotations as a source of 2D masks, for the world as it was annotated: not after [`turned`](Self::turned).
+    /// The annotations as a source of 2D masks, for the world as it was annotated: not after
+    /// [`turned`](Self::turned).
     #[must_use]
     pub fn masks(&self) -> AnnotatedMasks {
         self.annotations.masks(&self.bundle.cloud)
@@ -100,31 +127,43 @@ impl AnnotatedRoom {
 
 impl Annotations {
     fn objects(&self, min_points: u32) -> Vec<AnnotatedObject> {
-        let movable = self.objects.iter().filter(|o| o.structure().is_none() && o.cloud_points >= min_points);
+        let movable =
+            self.objects.iter().filter(|o| o.structure().is_none() && o.cloud_points >= min_points);
         movable
-            .map(|o| AnnotatedObject { id: o.id, name: o.name.clone(), aabb: o.aabb, points: o.cloud_points })
+            .map(|o| AnnotatedObject {
+                id: o.id,
+                name: o.name.clone(),
+                aabb: o.aabb,
+                points: o.cloud_points,
+            })
             .collect()
     }
 
-    /// The annotated id of each point of a cloud, where it has one: as annotated when it is the room's own, else by the annotated boxes. Data
-    /// sets have objects of number 0.
+    /// The annotated id of each point of a cloud, where it has one: as annotated when it is the
+    /// room's own, else by the annotated boxes. Data sets have objects of number 0.
     pub(super) fn label(&self, cloud: &PointCloud) -> Vec<Option<u32>> {
         match &self.of_point {
-            Some(of_point) if of_point.len() == cloud.len() => of_point.iter().map(|&id| (id != 0).then_some(id)).collect(),
+            Some(of_point) if of_point.len() == cloud.len() => {
+                of_point.iter().map(|&id| (id != 0).then_some(id)).collect()
+            }
             _ => cloud.positions.iter().map(|p| self.at(p, 0.02)).collect(),
         }
     }
 
-    /// The object at a place that was measured with an error of about `noise_m`; `None` when no box is near.
+    /// The object at a place that was measured with an error of about `noise_m`; `None` when no box
+    /// is near.
     ///
-    /// Of all boxes that hold the place the smallest wins: a cup in a shelf is no shelf. What lies on a floor or wall belongs to
-    /// it, unless the box is a flat one that lies there too (rugs, pictures) or is let into it (windows, doors).
+    /// Of all boxes that hold the place the smallest wins: a cup in a shelf is no shelf. What lies
+    /// on a floor or wall belongs to it, unless the box is a flat one that lies there too
+    /// (rugs, pictures) or is let into it (windows, doors).
     fn at(&self, p: &Point3<f32>, noise_m: f32) -> Option<u32> {
         let holding = |slack: f32| self.objects.iter().filter(move |o| o.distance(p) <= slack);
         let smallest = holding(noise_m).min_by(|a, b| a.volume().total_cmp(&b.volume()));
         let structural = holding(noise_m).find(|o| o.structure().is_some());
         match (smallest, structural) {
-            (Some(object), Some(structure)) => Some(if object.is_part_of(structure) { object.id } else { structure.id }),
+            (Some(object), Some(structure)) => {
+                Some(if object.is_part_of(structure) { object.id } else { structure.id })
+            }
             (Some(object), None) => Some(object.id),
             (None, _) => None,
         }
@@ -172,8 +211,8 @@ type LabelledPoint = (Point3<f32>, u32);
 /// Points this near lend their annotation to a pixel, metres.
 const NEAR_M: f32 = 0.03;
 
-/// Annotated 2D masks: each depth pixel takes the object of the nearest annotated point, or of the boxes where only those
-/// are known. Isolates grouping and boxes from masks.
+/// Annotated 2D masks: each depth pixel takes the object of the nearest annotated point, or of the
+/// boxes where only those are known. Isolates grouping and boxes from masks.
 #[derive(Clone)]
 pub struct AnnotatedMasks {
     annotations: Arc<Annotations>,
@@ -211,9 +250,13 @@ impl MaskSource for AnnotatedMasks {
         let intrinsics = frame.depth_camera.intrinsics;
         let at = |u: u32, v: u32| match frame.depth.at((u, v)) {
             0.0 => 0,
-            z_m => self.at(&(camera_to_world * intrinsics.unproject(u as f32, v as f32, z_m)), z_m) as u16,
+            z_m => self.at(&(camera_to_world * intrinsics.unproject(u as f32, v as f32, z_m)), z_m)
+                as u16,
         };
-        let ids = (0..height).flat_map(|v| (0..width).map(move |u| (u, v))).map(|(u, v)| at(u, v)).collect();
+        let ids = (0..height)
+            .flat_map(|v| (0..width).map(move |u| (u, v)))
+            .map(|(u, v)| at(u, v))
+            .collect();
         Ok(vec![IdImage { width, height, ids }])
     }
 }
@@ -225,10 +268,19 @@ mod tests {
     /// `ScanNet` counts from 0: what belongs to nothing is not its object 0.
     #[test]
     fn a_point_of_no_object_is_not_of_object_zero() {
-        let boxes = [-1.0, 1.0].map(|x| ("box".to_owned(), Aabb { center: Point3::new(x, 0.0, 0.0), size: Vector3::new(1.0, 1.0, 1.0) }));
+        let boxes = [-1.0, 1.0].map(|x| {
+            (
+                "box".to_owned(),
+                Aabb { center: Point3::new(x, 0.0, 0.0), size: Vector3::new(1.0, 1.0, 1.0) },
+            )
+        });
         let mut annotations = Annotations::named(&boxes);
         annotations.objects.iter_mut().for_each(|object| object.id -= 1);
-        let positions = vec![Point3::new(-1.0, 0.0, 0.0), Point3::new(1.0, 0.0, 0.0), Point3::new(9.0, 0.0, 0.0)];
+        let positions = vec![
+            Point3::new(-1.0, 0.0, 0.0),
+            Point3::new(1.0, 0.0, 0.0),
+            Point3::new(9.0, 0.0, 0.0),
+        ];
         let cloud = PointCloud { colours: vec![[0; 3]; 3], positions };
         assert_eq!(annotations.label(&cloud), [Some(0), Some(1), None]);
     }

@@ -1,8 +1,9 @@
 //! What is known of a scene: its objects, their names and boxes.
 //!
-//! Read from `<scene>.scene.json` (`{"objects": [{"id", "name", "min", "max", "obb"?, …}]}`) or `<scene>.json` (a list of
-//! `{"bbox_id", "target", "bbox_3d"}` with six or nine numbers: centre, full extent and, for nine, the `ZXY` Euler angles of
-//! `EmbodiedScan` in radians). Metres, world frame of the scan as imported (Z up).
+//! Read from `<scene>.scene.json` (`{"objects": [{"id", "name", "min", "max", "obb"?, …}]}`) or
+//! `<scene>.json` (a list of `{"bbox_id", "target", "bbox_3d"}` with six or nine numbers: centre,
+//! full extent and, for nine, the `ZXY` Euler angles of `EmbodiedScan` in radians). Metres, world
+//! frame of the scan as imported (Z up).
 
 use super::records::{Omission, Record};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -94,30 +95,42 @@ impl Annotations {
     pub fn read(file: &Utf8Path) -> (Self, Vec<Omission>) {
         let text = match fs::read_to_string(file) {
             Ok(text) => text.trim_start_matches('\u{feff}').to_owned(),
-            Err(error) => return (Self::default(), vec![Omission::new(file, None, error.to_string())]),
+            Err(error) => {
+                return (Self::default(), vec![Omission::new(file, None, error.to_string())]);
+            }
         };
         let mut omissions = Vec::new();
         let mut objects: BTreeMap<u32, SceneObject> = BTreeMap::new();
         let mut take = |line: u64, object: Result<SceneObject, Omission>| match object {
             Ok(object) if objects.contains_key(&object.id) => {
-                omissions.push(Omission::new(file, line, format!("object {} is annotated twice", object.id)));
+                omissions.push(Omission::new(
+                    file,
+                    line,
+                    format!("object {} is annotated twice", object.id),
+                ));
             }
             Ok(object) => {
                 objects.insert(object.id, object);
             }
             Err(omission) => omissions.push(omission),
         };
-        let broken = |error: serde_json::Error| vec![Omission::new(file, error.line() as u64, error.to_string())];
+        let broken = |error: serde_json::Error| {
+            vec![Omission::new(file, error.line() as u64, error.to_string())]
+        };
         if text.trim_start().starts_with('[') {
             match Record::all(&text) {
-                Ok(records) => records.iter().for_each(|r| take(r.line, r.decode(file).and_then(|o| of_lookup(o, file, r.line)))),
+                Ok(records) => records.iter().for_each(|r| {
+                    take(r.line, r.decode(file).and_then(|o| of_lookup(o, file, r.line)))
+                }),
                 Err(error) => return (Self::default(), broken(error)),
             }
         } else {
             match serde_json::from_str::<SceneFile>(&text) {
                 Ok(scene) => {
                     let records = Record::located(&text, &scene.objects);
-                    records.iter().for_each(|r| take(r.line, r.decode(file).and_then(|o| of_object(o, file, r.line))));
+                    records.iter().for_each(|r| {
+                        take(r.line, r.decode(file).and_then(|o| of_object(o, file, r.line)))
+                    });
                 }
                 Err(error) => return (Self::default(), broken(error)),
             }
@@ -155,13 +168,18 @@ impl Annotations {
         self.objects.binary_search_by_key(&id, |o| o.id).ok().map(|i| &self.objects[i])
     }
 
-    /// The same objects in a world turned about Z. Axis-aligned boxes are those around the turned ones.
+    /// The same objects in a world turned about Z. Axis-aligned boxes are those around the turned
+    /// ones.
     #[must_use]
     pub fn turned(&self, deg: f32) -> Self {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), deg.to_radians());
         let turned = |object: &SceneObject| {
             let own = object.rotated_box();
-            let rotated = RotatedBox { center: turn * own.center, size: own.size, rotation: turn * own.rotation };
+            let rotated = RotatedBox {
+                center: turn * own.center,
+                size: own.size,
+                rotation: turn * own.rotation,
+            };
             SceneObject { aabb: rotated.aabb(), rotated: Some(rotated), ..object.clone() }
         };
         Self { objects: self.objects.iter().map(turned).collect(), of_point: self.of_point.clone() }
@@ -178,7 +196,9 @@ impl SceneObject {
     /// The part of the building its name says it is.
     #[must_use]
     pub fn structure(&self) -> Option<Structure> {
-        [Structure::Floor, Structure::Ceiling, Structure::Wall].into_iter().find(|s| s.word() == self.name)
+        [Structure::Floor, Structure::Ceiling, Structure::Wall]
+            .into_iter()
+            .find(|s| s.word() == self.name)
     }
 
     #[must_use]
@@ -200,7 +220,8 @@ fn of_object(record: ObjectRecord, file: &Utf8Path, line: u64) -> Result<SceneOb
         size: Vector3::from(size),
         rotation: UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_deg.to_radians()),
     });
-    let object = SceneObject { id, name, aabb, rotated, cloud_points, mean_rgb, colours, seen_as: None };
+    let object =
+        SceneObject { id, name, aabb, rotated, cloud_points, mean_rgb, colours, seen_as: None };
     sound(object).map_err(|what| Omission::new(file, line, format!("object {id}: {what}")))
 }
 
@@ -232,7 +253,9 @@ fn box_of_numbers(numbers: &[f32]) -> Result<RotatedBox, String> {
         _ => return Err(format!("the box has {} numbers, expected 6 or 9", numbers.len())),
     };
     let about = |axis, angle| UnitQuaternion::from_axis_angle(&axis, angle);
-    let rotation = about(Vector3::z_axis(), turn[0]) * about(Vector3::x_axis(), turn[1]) * about(Vector3::y_axis(), turn[2]);
+    let rotation = about(Vector3::z_axis(), turn[0])
+        * about(Vector3::x_axis(), turn[1])
+        * about(Vector3::y_axis(), turn[2]);
     Ok(RotatedBox { center: Point3::from(center), size: Vector3::from(size), rotation })
 }
 
@@ -245,13 +268,17 @@ fn sound(object: SceneObject) -> Result<SceneObject, String> {
     Ok(object)
 }
 
-/// Why a box can not be scored against, if so. Flat ones can not: their overlap with anything is nothing.
+/// Why a box can not be scored against, if so. Flat ones can not: their overlap with anything is
+/// nothing.
 pub(super) fn check_box(aabb: &Aabb) -> Result<(), String> {
     let within = |v: &f32| v.is_finite() && v.abs() <= MAX_COORDINATE_M;
     if !aabb.center.iter().chain(aabb.size.iter()).all(within) {
         Err("the box has coordinates that are no metres in a room".into())
     } else if aabb.size.iter().any(|&edge| edge <= 0.0) {
-        Err(format!("the box has no volume ({} x {} x {} m)", aabb.size.x, aabb.size.y, aabb.size.z))
+        Err(format!(
+            "the box has no volume ({} x {} x {} m)",
+            aabb.size.x, aabb.size.y, aabb.size.z
+        ))
     } else {
         Ok(())
     }
@@ -271,7 +298,8 @@ fn read_seen_names(file: &Utf8Path, objects: &mut [SceneObject]) -> Result<(), O
     }
     let broken = |error: String| Omission::new(&file, None, error);
     let text = fs::read_to_string(&file).map_err(|error| broken(error.to_string()))?;
-    let SeenNames { mut names } = serde_json::from_str(&text).map_err(|error| broken(error.to_string()))?;
+    let SeenNames { mut names } =
+        serde_json::from_str(&text).map_err(|error| broken(error.to_string()))?;
     objects.iter_mut().for_each(|object| object.seen_as = names.remove(&object.id));
     Ok(())
 }
@@ -287,7 +315,8 @@ fn read_of_point(file: &Utf8Path) -> Result<Option<Vec<u32>>, Omission> {
     read_npy(&bytes).map(Some).map_err(|reason| told(reason.into()))
 }
 
-/// A one-dimensional array of little-endian `u16` in numpy's format, which is all the annotations use.
+/// A one-dimensional array of little-endian `u16` in numpy's format, which is all the annotations
+/// use.
 fn read_npy(bytes: &[u8]) -> Result<Vec<u32>, &'static str> {
     if !bytes.starts_with(b"\x93NUMPY\x01") || bytes.len() < 10 {
         return Err("not an .npy file of version 1");
@@ -324,11 +353,16 @@ mod tests {
             ]}"#,
         );
         assert_eq!(annotations.objects.iter().map(|o| o.id).collect::<Vec<_>>(), [3, 7]);
-        assert!(annotations.object(7).unwrap().rotated.is_some() && annotations.object(8).is_none());
+        assert!(
+            annotations.object(7).unwrap().rotated.is_some() && annotations.object(8).is_none()
+        );
         assert_eq!(annotations.object(3).unwrap().structure(), Some(Structure::Wall));
         let told: Vec<_> = omissions.iter().map(|o| (o.line, o.reason.as_str())).collect();
         assert_eq!(told[0], (Some(3), "object 7 is annotated twice"));
-        assert!(told[1].0 == Some(4) && told[1].1.contains("object 8: the box has no volume"), "{told:?}");
+        assert!(
+            told[1].0 == Some(4) && told[1].1.contains("object 8: the box has no volume"),
+            "{told:?}"
+        );
         assert!(told[2].0 == Some(5) && told[2].1.contains("min"), "{told:?}");
     }
 
@@ -341,7 +375,10 @@ mod tests {
                 {"bbox_id": 2, "target": "lamp", "bbox_3d": [0, 0, 0, 1]}]"#,
         );
         assert_eq!(annotations.objects[0].name, "coffee table");
-        assert!((annotations.objects[1].aabb.size - Vector3::new(1.0, 2.0, 0.5)).norm() < 1e-5, "{annotations:?}");
+        assert!(
+            (annotations.objects[1].aabb.size - Vector3::new(1.0, 2.0, 0.5)).norm() < 1e-5,
+            "{annotations:?}"
+        );
         assert_eq!(
             omissions[0].to_string().split_once(".json").unwrap().1,
             ":3: object 2: the box has 4 numbers, expected 6 or 9"

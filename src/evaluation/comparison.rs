@@ -14,7 +14,8 @@ use std::fs;
 
 const FORMAT: &str = "uniground-baseline/1";
 
-/// What a later run is held against: which expressions were right, and the accuracy's interval then.
+/// What a later run is held against: which expressions were right, and the accuracy's interval
+/// then.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Baseline {
     pub format: String,
@@ -26,7 +27,8 @@ pub struct Baseline {
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BaselineCell {
-    /// Lower ends of the 95 % intervals of the share right at an IoU of 0.25 and 0.5, all expressions counted.
+    /// Lower ends of the 95 % intervals of the share right at an IoU of 0.25 and 0.5, all
+    /// expressions counted.
     pub low: [f32; 2],
     /// By expression: right at 0.25, right at 0.5.
     pub right: BTreeMap<String, [bool; 2]>,
@@ -56,14 +58,16 @@ pub struct Change {
 }
 
 impl Change {
-    /// Worse by more than luck: below the interval of before, or the paired difference is surely negative.
+    /// Worse by more than luck: below the interval of before, or the paired difference is surely
+    /// negative.
     #[must_use]
     pub fn is_drop(&self) -> bool {
         self.after < self.low_before || self.interval.1 < 0.0
     }
 }
 
-/// An expression by id and words: where ids are places in a list, the words tell whether it is still the same one.
+/// An expression by id and words: where ids are places in a list, the words tell whether it is
+/// still the same one.
 #[must_use]
 pub fn key(outcome: &ScoredExpression) -> String {
     format!("{}~{:.6}", outcome.id, digest::of(outcome.query.as_bytes()))
@@ -77,7 +81,12 @@ impl Baseline {
             .iter()
             .map(|cell| (cell.name.clone(), BaselineCell::of(cell, report.run.seed)))
             .collect();
-        Self { format: FORMAT.into(), suite: report.suite.clone(), label: report.run.label.clone(), cells }
+        Self {
+            format: FORMAT.into(),
+            suite: report.suite.clone(),
+            label: report.run.label.clone(),
+            cells,
+        }
     }
 
     /// Reads a baseline, or a report as one.
@@ -93,7 +102,11 @@ impl Baseline {
             return Ok(Self::of(&report));
         }
         let baseline: Self = serde_json::from_str(&text).with_context(|| path.to_string())?;
-        ensure!(baseline.format == FORMAT, "{path}: the format is {:?}, expected {FORMAT:?}", baseline.format);
+        ensure!(
+            baseline.format == FORMAT,
+            "{path}: the format is {:?}, expected {FORMAT:?}",
+            baseline.format
+        );
         Ok(baseline)
     }
 
@@ -113,7 +126,9 @@ impl Baseline {
             .iter()
             .filter_map(|(name, before)| Some(before.against(name, after.cells.get(name)?)))
             .collect();
-        let only = |a: &Self, b: &Self| a.cells.keys().filter(|name| !b.cells.contains_key(*name)).cloned().collect::<Vec<_>>();
+        let only = |a: &Self, b: &Self| {
+            a.cells.keys().filter(|name| !b.cells.contains_key(*name)).cloned().collect::<Vec<_>>()
+        };
         (changes, [only(self, after), only(after, self)].concat())
     }
 }
@@ -122,19 +137,30 @@ impl BaselineCell {
     fn of(cell: &CellReport, seed: u64) -> Self {
         let right = |o: &ScoredExpression| IOU_THRESHOLDS.map(|at| o.right_at(at));
         let low = std::array::from_fn(|i| {
-            let values: Vec<(&str, f32)> = cell.outcomes.iter().map(|o| (o.scene.as_str(), f32::from(u8::from(right(o)[i])))).collect();
+            let values: Vec<(&str, f32)> = cell
+                .outcomes
+                .iter()
+                .map(|o| (o.scene.as_str(), f32::from(u8::from(right(o)[i]))))
+                .collect();
             interval(&values, seed).0
         });
         Self { low, right: cell.outcomes.iter().map(|o| (key(o), right(o))).collect() }
     }
 
     fn against(&self, cell: &str, after: &Self) -> CellChange {
-        let pairs: Vec<(&String, [bool; 2], [bool; 2])> =
-            self.right.iter().filter_map(|(id, before)| Some((id, *before, *after.right.get(id)?))).collect();
+        let pairs: Vec<(&String, [bool; 2], [bool; 2])> = self
+            .right
+            .iter()
+            .filter_map(|(id, before)| Some((id, *before, *after.right.get(id)?)))
+            .collect();
         let n = pairs.len().max(1) as f32;
         let change = |i: usize| {
-            let difference = |p: &(&String, [bool; 2], [bool; 2])| f32::from(i8::from(p.2[i]) - i8::from(p.1[i]));
-            let named = |sign: f32| pairs.iter().filter(|p| difference(p) == sign).map(|p| p.0.clone()).collect();
+            let difference = |p: &(&String, [bool; 2], [bool; 2])| {
+                f32::from(i8::from(p.2[i]) - i8::from(p.1[i]))
+            };
+            let named = |sign: f32| {
+                pairs.iter().filter(|p| difference(p) == sign).map(|p| p.0.clone()).collect()
+            };
             // Ids carry no scene here: expressions are drawn one by one.
             let differences: Vec<(&str, f32)> = pairs.iter().map(|p| ("", difference(p))).collect();
             Change {
@@ -158,8 +184,9 @@ impl BaselineCell {
 /// Changes as a table and lists; `name` says what an expression asks.
 #[must_use]
 pub fn describe(changes: &[CellChange], name: impl Fn(&str) -> Option<String>) -> String {
-    let mut text =
-        String::from("| cell | n | IoU | before | after | difference (95 %) | gained | lost |\n|---|---|---|---|---|---|---|---|\n");
+    let mut text = String::from(
+        "| cell | n | IoU | before | after | difference (95 %) | gained | lost |\n|---|---|---|---|---|---|---|---|\n",
+    );
     for change in changes {
         for (threshold, c) in IOU_THRESHOLDS.iter().zip(&change.thresholds) {
             let _ = writeln!(
@@ -187,7 +214,11 @@ pub fn describe(changes: &[CellChange], name: impl Fn(&str) -> Option<String>) -
             }
         }
         if change.unpaired > 0 {
-            let _ = writeln!(text, "{}: {} expressions are in one of the two only", change.cell, change.unpaired);
+            let _ = writeln!(
+                text,
+                "{}: {} expressions are in one of the two only",
+                change.cell, change.unpaired
+            );
         }
     }
     text
@@ -198,7 +229,10 @@ mod tests {
     use super::*;
 
     fn cell(low: f32, right: &[bool]) -> BaselineCell {
-        BaselineCell { low: [low; 2], right: right.iter().enumerate().map(|(i, r)| (format!("t{i:02}"), [*r; 2])).collect() }
+        BaselineCell {
+            low: [low; 2],
+            right: right.iter().enumerate().map(|(i, r)| (format!("t{i:02}"), [*r; 2])).collect(),
+        }
     }
 
     fn change(before: &BaselineCell, after: &BaselineCell) -> Change {

@@ -1,4 +1,5 @@
-//! What is varied in a run: one [`Configuration`] per cell of the table, from `axis=value,value;axis=…`.
+//! What is varied in a run: one [`Configuration`] per cell of the table, from
+//! `axis=value,value;axis=…`.
 
 use crate::config::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS};
 use anyhow::{Context, bail, ensure};
@@ -6,7 +7,9 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use uniground_core::grounding::direction::DirectionConvention;
-use uniground_types::question::{Ablation, CandidateSource, EvidenceMode, ParserChoice, PromptVersion, QueryText, ReasonerChoice};
+use uniground_types::question::{
+    Ablation, CandidateSource, EvidenceMode, ParserChoice, PromptVersion, QueryText, ReasonerChoice,
+};
 use uniground_types::settings::{ParsePreset, ParseSettings};
 
 /// Where instances come from: each bottleneck by itself.
@@ -31,8 +34,9 @@ pub enum Names {
     /// From nobody.
     #[default]
     Own,
-    /// What somebody called the annotated objects from pictures alone (`<scene>.names.json`), handed to the instances that cover them:
-    /// names as a good model gives them, without its mistakes about what a tile shows.
+    /// What somebody called the annotated objects from pictures alone (`<scene>.names.json`),
+    /// handed to the instances that cover them: names as a good model gives them, without its
+    /// mistakes about what a tile shows.
     Seen,
 }
 
@@ -93,21 +97,27 @@ const MAX_TOP_K: u32 = 100;
 /// More cells than this are a mistake rather than a table.
 const MAX_CELLS: usize = 1000;
 
-/// Every combination of the values in `matrix` over `base`, in the order written; the last axis turns fastest.
+/// Every combination of the values in `matrix` over `base`, in the order written; the last axis
+/// turns fastest.
 ///
 /// # Errors
-/// An unknown axis or value, with what there is; an axis given twice; too many cells; a reader that would read like another.
+/// An unknown axis or value, with what there is; an axis given twice; too many cells; a reader that
+/// would read like another.
 pub fn cells(matrix: &str, base: &Configuration) -> anyhow::Result<Vec<(String, Configuration)>> {
     let mut cells = vec![(String::new(), base.clone())];
     let mut seen: Vec<&str> = Vec::new();
     for part in matrix.split(';').map(str::trim).filter(|part| !part.is_empty()) {
-        let (axis, values) = part.split_once('=').with_context(|| format!("{part:?}: expected axis=value,value"))?;
+        let (axis, values) =
+            part.split_once('=').with_context(|| format!("{part:?}: expected axis=value,value"))?;
         let axis = axis.trim();
         ensure!(!seen.contains(&axis), "the axis {axis} is given twice");
         seen.push(axis);
         let values = values_of(values);
         ensure!(!values.is_empty(), "the axis {axis} has no values");
-        ensure!((1..values.len()).all(|i| !values[..i].contains(&values[i])), "the axis {axis} has a value twice");
+        ensure!(
+            (1..values.len()).all(|i| !values[..i].contains(&values[i])),
+            "the axis {axis} has a value twice"
+        );
         ensure!(cells.len() * values.len() <= MAX_CELLS, "more than {MAX_CELLS} cells");
         let mut varied = Vec::with_capacity(cells.len() * values.len());
         for (name, configuration) in cells {
@@ -121,7 +131,8 @@ pub fn cells(matrix: &str, base: &Configuration) -> anyhow::Result<Vec<(String, 
         cells = varied;
     }
     for (name, configuration) in &cells {
-        let asks_nobody = configuration.parser == ParserChoice::Auto && configuration.reasoner == ReasonerChoice::Builtin;
+        let asks_nobody = configuration.parser == ParserChoice::Auto
+            && configuration.reasoner == ReasonerChoice::Builtin;
         ensure!(
             !asks_nobody,
             "{name}: parser=auto asks no model where reasoner=builtin decides; say parser=builtin or parser=vlm"
@@ -145,14 +156,16 @@ fn values_of(values: &str) -> Vec<&str> {
     values.split(between).map(str::trim).filter(|value| !value.is_empty()).collect()
 }
 
-/// Replaces one setting of the parse: `parsing.merging.max_hop` and the like; the value as in JSON, words without quotes.
+/// Replaces one setting of the parse: `parsing.merging.max_hop` and the like; the value as in JSON,
+/// words without quotes.
 fn set_parse(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Result<()> {
     let leaf = serde_json::from_str(value).unwrap_or_else(|_| Value::from(value));
-    let mut place = configuration.settings.get_or_insert_with(|| Value::Object(serde_json::Map::new()));
+    let mut place =
+        configuration.settings.get_or_insert_with(|| Value::Object(serde_json::Map::new()));
     for name in axis.split('.') {
-        let object = place
-            .as_object_mut()
-            .with_context(|| format!("{axis}: another axis sets the whole of which this is a part"))?;
+        let object = place.as_object_mut().with_context(|| {
+            format!("{axis}: another axis sets the whole of which this is a part")
+        })?;
         place = object.entry(name).or_insert_with(|| Value::Object(serde_json::Map::new()));
     }
     *place = leaf;
@@ -163,8 +176,12 @@ fn set_parse(configuration: &mut Configuration, axis: &str, value: &str) -> anyh
 
 fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Result<()> {
     match axis {
-        _ if axis.starts_with("import.") || axis.starts_with("parsing.") => set_parse(configuration, axis, value)?,
-        "source" => configuration.source = word(axis, value, "parsed, oracle, oracle-boxes, recorded")?,
+        _ if axis.starts_with("import.") || axis.starts_with("parsing.") => {
+            set_parse(configuration, axis, value)?
+        }
+        "source" => {
+            configuration.source = word(axis, value, "parsed, oracle, oracle-boxes, recorded")?
+        }
         "names" => configuration.names = word(axis, value, "own, seen")?,
         "candidates" => configuration.candidates = word(axis, value, "fused, encoder, reasoner")?,
         "query_text" => configuration.query_text = word(axis, value, "full, target, mean")?,
@@ -172,8 +189,13 @@ fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Re
         "preset" => configuration.preset = word(axis, value, "default, paper")?,
         "parser" => configuration.parser = word(axis, value, "auto, builtin, vlm")?,
         "reasoner" => configuration.reasoner = word(axis, value, "auto, builtin, vlm")?,
-        "ablation" => configuration.ablation = word(axis, value, "full, no_global, no_candidate, simple_prompt")?,
-        "evidence" => configuration.evidence = word(axis, value, "full, cached_names, sheet, two_step")?,
+        "ablation" => {
+            configuration.ablation =
+                word(axis, value, "full, no_global, no_candidate, simple_prompt")?
+        }
+        "evidence" => {
+            configuration.evidence = word(axis, value, "full, cached_names, sheet, two_step")?
+        }
         "convention" => configuration.convention = word(axis, value, "paper, viewer")?,
         "masks" => configuration.masks = bundle(axis, value, BUILTIN_MASKS)?,
         "encoder" => configuration.encoder = bundle(axis, value, BUILTIN_ENCODER)?,
@@ -190,13 +212,17 @@ fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Re
 
 /// A bundle's name, or the built-in part's own: a figure says what it was measured with.
 fn bundle(axis: &str, value: &str, builtin: &str) -> anyhow::Result<String> {
-    ensure!(value != AUTO, "{axis}={AUTO}: a figure must say what it was measured with: {builtin}, or a bundle's name");
+    ensure!(
+        value != AUTO,
+        "{axis}={AUTO}: a figure must say what it was measured with: {builtin}, or a bundle's name"
+    );
     Ok(if value == BUILTIN { builtin } else { value }.to_owned())
 }
 
 /// A value in the words the HTTP contract uses.
 fn word<T: DeserializeOwned>(axis: &str, value: &str, known: &str) -> anyhow::Result<T> {
-    serde_json::from_value(value.into()).map_err(|_| anyhow::anyhow!("{axis}={value}: there is only {known}"))
+    serde_json::from_value(value.into())
+        .map_err(|_| anyhow::anyhow!("{axis}={value}: there is only {known}"))
 }
 
 #[cfg(test)]
@@ -210,7 +236,12 @@ mod tests {
         let names: Vec<&str> = cells.iter().map(|(name, _)| name.as_str()).collect();
         assert_eq!(
             names,
-            ["source=oracle, top_k=3", "source=oracle, top_k=5", "source=parsed, top_k=3", "source=parsed, top_k=5"]
+            [
+                "source=oracle, top_k=3",
+                "source=oracle, top_k=5",
+                "source=parsed, top_k=3",
+                "source=parsed, top_k=5"
+            ]
         );
         assert_eq!((cells[1].1.source, cells[1].1.top_k), (Source::Oracle, 5));
         let plain = super::cells("", &Configuration::default()).unwrap();
@@ -222,15 +253,22 @@ mod tests {
         let matrix = "parsing.merging.thresholds=[0.9,0.5],[0.7]; parsing.refine_borders=false; parsing.merging.normalisation=literal";
         let cells = cells(matrix, &Configuration::default()).unwrap();
         assert_eq!(cells.len(), 2);
-        let settings = ParseSettings::from_request(ParsePreset::Default, cells[0].1.settings.clone()).unwrap().parsing;
+        let settings =
+            ParseSettings::from_request(ParsePreset::Default, cells[0].1.settings.clone())
+                .unwrap()
+                .parsing;
         assert_eq!(settings.merging.thresholds, [0.9, 0.5]);
-        assert_eq!((settings.merging.normalisation, settings.refine_borders), (Normalisation::Literal, false));
+        assert_eq!(
+            (settings.merging.normalisation, settings.refine_borders),
+            (Normalisation::Literal, false)
+        );
     }
 
     #[test]
     fn built_in_parts_go_by_their_own_names() {
         let cells = cells("masks=builtin,mine;encoder=builtin", &Configuration::default()).unwrap();
-        let used: Vec<(&str, &str)> = cells.iter().map(|(_, c)| (c.masks.as_str(), c.encoder.as_str())).collect();
+        let used: Vec<(&str, &str)> =
+            cells.iter().map(|(_, c)| (c.masks.as_str(), c.encoder.as_str())).collect();
         assert_eq!(used, [(BUILTIN_MASKS, BUILTIN_ENCODER), ("mine", BUILTIN_ENCODER)]);
     }
 

@@ -24,7 +24,8 @@ fn hex(bytes: &[u8]) -> String {
 /// Adds a file, or a folder with all that is below it.
 ///
 /// # Errors
-/// What can not be read. Pipes and devices are passed over: they are no part of a scan, and may never end.
+/// What can not be read. Pipes and devices are passed over: they are no part of a scan, and may
+/// never end.
 pub fn add_path(path: &Utf8Path, hasher: &mut Sha256) -> io::Result<()> {
     if path.is_dir() {
         let listed = path.read_dir_utf8()?.map(|entry| entry.map(Utf8DirEntry::into_path));

@@ -90,7 +90,8 @@ const CLUSTERED_FROM: usize = 10;
 impl Figures {
     #[must_use]
     pub fn of(outcomes: &[&ScoredExpression], seed: u64) -> Self {
-        let targets: Vec<(&ScoredExpression, &TargetOutcome)> = outcomes.iter().filter_map(|o| Some((*o, o.target.as_ref()?))).collect();
+        let targets: Vec<(&ScoredExpression, &TargetOutcome)> =
+            outcomes.iter().filter_map(|o| Some((*o, o.target.as_ref()?))).collect();
         let retained: Vec<&ScoredExpression> = targets
             .iter()
             .filter(|(_, t)| best(&t.candidate_ious) >= IOU_THRESHOLDS[0])
@@ -98,9 +99,12 @@ impl Figures {
             .collect();
         let with_target: Vec<&ScoredExpression> = targets.iter().map(|(o, _)| *o).collect();
         // An empty sum of floats is minus zero: folding from zero is not.
-        let mean = |values: &mut dyn Iterator<Item = f32>| values.fold(0.0, |sum, v| sum + v) / targets.len().max(1) as f32;
+        let mean = |values: &mut dyn Iterator<Item = f32>| {
+            values.fold(0.0, |sum, v| sum + v) / targets.len().max(1) as f32
+        };
         let recall = |of: &dyn Fn(&TargetOutcome) -> f32| {
-            IOU_THRESHOLDS.map(|at| mean(&mut targets.iter().map(|(_, t)| f32::from(u8::from(of(t) >= at)))))
+            IOU_THRESHOLDS
+                .map(|at| mean(&mut targets.iter().map(|(_, t)| f32::from(u8::from(of(t) >= at)))))
         };
         let curve = |of: fn(&TargetOutcome) -> &Vec<f32>| {
             let depth = targets.iter().map(|(_, t)| of(t).len()).max().unwrap_or(0);
@@ -115,7 +119,9 @@ impl Figures {
             complete: IOU_THRESHOLDS.map(|at| Share::of_right(&with_target, at, seed)),
             filtered: IOU_THRESHOLDS.map(|at| Share::of_right(&retained, at, seed)),
             mean_iou: mean(&mut targets.iter().map(|(_, t)| t.iou)),
-            oriented: Oriented::of(&targets.iter().filter_map(|(_, t)| t.iou_9dof).collect::<Vec<_>>()),
+            oriented: Oriented::of(
+                &targets.iter().filter_map(|(_, t)| t.iou_9dof).collect::<Vec<_>>(),
+            ),
             recall_at: curve(|t| &t.candidate_ious),
             shortlist_recall_at: curve(|t| &t.shortlist_ious),
             any_instance: recall(&|t| t.best_instance_iou),
@@ -125,7 +131,9 @@ impl Figures {
             failed: outcomes.iter().filter(|o| o.reply.is_none()).count(),
             vlm_calls: per_question(answered.clone().map(|r| u64::from(r.usage.vlm_calls)).sum()),
             prompt_tokens: per_question(answered.clone().map(|r| r.usage.prompt_tokens).sum()),
-            completion_tokens: per_question(answered.clone().map(|r| r.usage.completion_tokens).sum()),
+            completion_tokens: per_question(
+                answered.clone().map(|r| r.usage.completion_tokens).sum(),
+            ),
             cost_usd: answered.clone().fold(0.0, |sum, r| sum + r.usage.cost_usd),
             latency_ms: Percentiles::of(answered.map(|r| r.latency_ms).collect()),
             iou_histogram,
@@ -135,7 +143,10 @@ impl Figures {
 
 impl Share {
     fn of_right(outcomes: &[&ScoredExpression], at: f32, seed: u64) -> Self {
-        let values: Vec<(&str, f32)> = outcomes.iter().map(|o| (o.scene.as_str(), f32::from(u8::from(o.right_at(at))))).collect();
+        let values: Vec<(&str, f32)> = outcomes
+            .iter()
+            .map(|o| (o.scene.as_str(), f32::from(u8::from(o.right_at(at)))))
+            .collect();
         let value = values.iter().fold(0.0, |sum, (_, v)| sum + v) / values.len().max(1) as f32;
         let (low, high) = interval(&values, seed);
         Self { of: values.len(), value, low, high }
@@ -171,7 +182,8 @@ impl Oriented {
         (!ious.is_empty()).then(|| Self {
             targets: ious.len(),
             mean_iou: ious.iter().sum::<f32>() / n,
-            accuracy: IOU_THRESHOLDS.map(|at| ious.iter().filter(|iou| **iou >= at).count() as f32 / n),
+            accuracy: IOU_THRESHOLDS
+                .map(|at| ious.iter().filter(|iou| **iou >= at).count() as f32 / n),
         })
     }
 }
@@ -179,7 +191,8 @@ impl Oriented {
 impl Percentiles {
     fn of(mut values: Vec<f64>) -> Option<Self> {
         values.sort_by(f64::total_cmp);
-        let at = |q: f64| values[((q * values.len() as f64).ceil() as usize).clamp(1, values.len()) - 1];
+        let at =
+            |q: f64| values[((q * values.len() as f64).ceil() as usize).clamp(1, values.len()) - 1];
         (!values.is_empty()).then(|| Self { p50: at(0.5), p95: at(0.95), p99: at(0.99) })
     }
 }
@@ -188,7 +201,8 @@ fn best(ious: &[f32]) -> f32 {
     ious.iter().copied().fold(0.0, f32::max)
 }
 
-/// The 95 % percentile interval of a mean, by resampling. Each value has its scene: with many scenes, whole scenes are drawn.
+/// The 95 % percentile interval of a mean, by resampling. Each value has its scene: with many
+/// scenes, whole scenes are drawn.
 #[must_use]
 pub fn interval(values: &[(&str, f32)], seed: u64) -> (f32, f32) {
     if values.is_empty() {
@@ -207,7 +221,8 @@ pub fn interval(values: &[(&str, f32)], seed: u64) -> (f32, f32) {
     let mut state = seed;
     let mut means: Vec<f32> = (0..RESAMPLES)
         .map(|_| {
-            let drawn = (0..units.len()).map(|_| units[(next(&mut state) % units.len() as u64) as usize]);
+            let drawn =
+                (0..units.len()).map(|_| units[(next(&mut state) % units.len() as u64) as usize]);
             let (sum, n) = drawn.fold((0.0, 0.0), |(sum, n), (s, m)| (sum + s, n + m));
             (sum / n) as f32
         })
@@ -277,9 +292,15 @@ mod tests {
         assert_eq!(figures.any_instance, [0.75, 0.5]);
         assert!((figures.mean_iou - 0.225).abs() < 1e-6);
         let Abstention { precision, recall, denied, absent, said } = figures.abstention;
-        assert_eq!((absent, said, precision, recall, denied), (2, 2, Some(0.5), Some(0.5), Some(0.25)));
+        assert_eq!(
+            (absent, said, precision, recall, denied),
+            (2, 2, Some(0.5), Some(0.5), Some(0.25))
+        );
         assert_eq!(figures.latency_ms, Some(Percentiles { p50: 3.0, p95: 6.0, p99: 6.0 }));
-        assert_eq!((figures.iou_histogram[0], figures.iou_histogram[6], figures.iou_histogram[12]), (2, 1, 1));
+        assert_eq!(
+            (figures.iou_histogram[0], figures.iou_histogram[6], figures.iou_histogram[12]),
+            (2, 1, 1)
+        );
     }
 
     #[test]
@@ -287,7 +308,10 @@ mod tests {
         let few: Vec<(&str, f32)> = (0..40_u8).map(|i| ("a", f32::from(i % 2))).collect();
         let many: Vec<(&str, f32)> = (0..4000_u16).map(|i| ("a", f32::from(i % 2))).collect();
         let (low, high) = interval(&few, 7);
-        assert!(low < 0.5 && high > 0.5 && (high - low) > 0.2 && (high - low) < 0.4, "{low} {high}");
+        assert!(
+            low < 0.5 && high > 0.5 && (high - low) > 0.2 && (high - low) < 0.4,
+            "{low} {high}"
+        );
         let (narrow_low, narrow_high) = interval(&many, 7);
         assert!(narrow_high - narrow_low < 0.05, "{narrow_low} {narrow_high}");
         assert_eq!(interval(&few, 7), (low, high), "the same seed gives the same interval");
@@ -295,9 +319,11 @@ mod tests {
 
     #[test]
     fn scenes_are_drawn_whole_where_there_are_many() {
-        // Twelve scenes, each right or wrong throughout: 1,200 expressions carry the news of twelve.
+        // Twelve scenes, each right or wrong throughout: 1,200 expressions carry the news of
+        // twelve.
         let names: Vec<String> = (0..12).map(|i| format!("s{i}")).collect();
-        let values: Vec<(&str, f32)> = (0..1200).map(|i| (names[i % 12].as_str(), f32::from(u8::from(i % 12 < 6)))).collect();
+        let values: Vec<(&str, f32)> =
+            (0..1200).map(|i| (names[i % 12].as_str(), f32::from(u8::from(i % 12 < 6)))).collect();
         let (low, high) = interval(&values, 1);
         assert!(high - low > 0.3, "{low} {high}");
     }

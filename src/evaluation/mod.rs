@@ -1,7 +1,8 @@
-//! How good is it? Suites of expressions with ground truth, systems that answer them, measures of both stages, reports.
+//! How good is it? Suites of expressions with ground truth, systems that answer them, measures of
+//! both stages, reports.
 //!
-//! `suite -> run (systems) -> scoring -> measures -> report`. Ground truth is read here and nowhere below, and here only after
-//! ranking: see [`sealed`].
+//! `suite -> run (systems) -> scoring -> measures -> report`. Ground truth is read here and nowhere
+//! below, and here only after ranking: see [`sealed`].
 
 pub mod annotated;
 pub mod annotations;

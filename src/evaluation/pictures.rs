@@ -1,8 +1,11 @@
-//! Pictures of wrong answers: the room with the truth in green, the answer in red, the other candidates in blue.
+//! Pictures of wrong answers: the room with the truth in green, the answer in red, the other
+//! candidates in blue.
 
 use super::scoring::ScoredExpression;
 use uniground_core::geometry::boxes::Aabb;
-use uniground_core::render::{BoxStyle, LabelledBox, Orbit, ROOM_VIEW, RenderScene, jpeg, scene_picture};
+use uniground_core::render::{
+    BoxStyle, LabelledBox, Orbit, ROOM_VIEW, RenderScene, jpeg, scene_picture,
+};
 
 /// Where pictures lie below the output folder.
 pub const FOLDER: &str = "pictures";
@@ -17,13 +20,24 @@ const MAX_CANDIDATES: usize = 5;
 pub fn boxes(outcome: &ScoredExpression) -> Vec<LabelledBox> {
     let mut boxes = Vec::new();
     if let Some(reply) = &outcome.reply {
-        let name = |id: u32| reply.answer.candidate_names.get(&id).map_or(String::new(), |name| format!(" {name}"));
-        for candidate in reply.candidates.iter().take(MAX_CANDIDATES).filter(|c| reply.answer.predicted_id != Some(c.id)) {
+        let name = |id: u32| {
+            reply.answer.candidate_names.get(&id).map_or(String::new(), |name| format!(" {name}"))
+        };
+        for candidate in reply
+            .candidates
+            .iter()
+            .take(MAX_CANDIDATES)
+            .filter(|c| reply.answer.predicted_id != Some(c.id))
+        {
             let label = format!("{}{}", candidate.id, name(candidate.id.0));
             boxes.push(LabelledBox { aabb: candidate.aabb, label, style: BoxStyle::Candidate });
         }
         if let (Some(aabb), Some(id)) = (reply.aabb, reply.answer.predicted_id) {
-            boxes.push(LabelledBox { aabb, label: format!("answer {id}{}", name(id.0)), style: BoxStyle::Anchor });
+            boxes.push(LabelledBox {
+                aabb,
+                label: format!("answer {id}{}", name(id.0)),
+                style: BoxStyle::Anchor,
+            });
         }
     }
     if let Some(target) = &outcome.target {
@@ -37,6 +51,10 @@ pub fn boxes(outcome: &ScoredExpression) -> Vec<LabelledBox> {
 #[must_use]
 pub fn draw(render_scene: &RenderScene, boxes: &[LabelledBox]) -> Option<Vec<u8>> {
     let corners: Vec<_> = boxes.iter().flat_map(|b| b.aabb.corners()).collect();
-    let extent = Aabb::around(if render_scene.cloud.is_empty() { &corners } else { &render_scene.cloud.positions })?;
+    let extent = Aabb::around(if render_scene.cloud.is_empty() {
+        &corners
+    } else {
+        &render_scene.cloud.positions
+    })?;
     Some(jpeg(&scene_picture(render_scene, &extent, &VIEW, boxes)))
 }

@@ -1,4 +1,5 @@
-//! Records of annotation files, one by one and with their lines: one broken record must not take the others along.
+//! Records of annotation files, one by one and with their lines: one broken record must not take
+//! the others along.
 
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::de::DeserializeOwned;
@@ -52,8 +53,12 @@ impl<'a> Record<'a> {
         let (mut line, mut counted_to) = (1, 0);
         let locate = |value: &&'a RawValue| {
             // The value is a slice of the text: its distance from the start is its place.
-            let at = (value.get().as_ptr() as usize).saturating_sub(text.as_ptr() as usize).min(text.len());
-            line += text.as_bytes()[counted_to.min(at)..at].split(|&byte| byte == b'\n').count() as u64 - 1;
+            let at = (value.get().as_ptr() as usize)
+                .saturating_sub(text.as_ptr() as usize)
+                .min(text.len());
+            line += text.as_bytes()[counted_to.min(at)..at].split(|&byte| byte == b'\n').count()
+                as u64
+                - 1;
             counted_to = at;
             Self { line, raw: value.get() }
         };
@@ -65,14 +70,20 @@ impl<'a> Record<'a> {
     /// # Errors
     /// An [`Omission`].
     pub fn decode<T: DeserializeOwned>(&self, file: &Utf8Path) -> Result<T, Omission> {
-        serde_path_to_error::deserialize(&mut serde_json::Deserializer::from_str(self.raw)).map_err(|error| {
-            let path = error.path().to_string();
-            let inner = error.into_inner();
-            let line = self.line + (inner.line() as u64).saturating_sub(1);
-            let what = inner.to_string();
-            let what = what.split(" at line ").next().unwrap_or_default();
-            Omission::new(file, line, if path == "." { what.to_owned() } else { format!("{path}: {what}") })
-        })
+        serde_path_to_error::deserialize(&mut serde_json::Deserializer::from_str(self.raw)).map_err(
+            |error| {
+                let path = error.path().to_string();
+                let inner = error.into_inner();
+                let line = self.line + (inner.line() as u64).saturating_sub(1);
+                let what = inner.to_string();
+                let what = what.split(" at line ").next().unwrap_or_default();
+                Omission::new(
+                    file,
+                    line,
+                    if path == "." { what.to_owned() } else { format!("{path}: {what}") },
+                )
+            },
+        )
     }
 }
 
@@ -93,6 +104,9 @@ mod tests {
         let file = Utf8Path::new("rows.json");
         assert_eq!(records[2].decode::<Row>(file).unwrap().id, 3);
         let omission = records[1].decode::<Row>(file).unwrap_err();
-        assert_eq!(omission.to_string(), "rows.json:5: id: invalid type: string \"two\", expected u32");
+        assert_eq!(
+            omission.to_string(),
+            "rows.json:5: id: invalid type: string \"two\", expected u32"
+        );
     }
 }

@@ -16,7 +16,8 @@ pub struct Reply {
     pub confidence: f32,
     /// What the reasoner chose from, best first: the asked `top_k`.
     pub candidates: Vec<Candidate>,
-    /// Boxes as the shortlist has them, best first, up to [`SHORTLIST_DEPTH`] whatever `top_k` was.
+    /// Boxes as the shortlist has them, best first, up to [`SHORTLIST_DEPTH`] whatever `top_k`
+    /// was.
     pub shortlist: Vec<Aabb>,
     pub models: Models,
     pub usage: Usage,
@@ -47,7 +48,13 @@ impl Reply {
             confidence: 0.0,
             candidates: Vec::new(),
             shortlist: Vec::new(),
-            models: Models { masks: none(), encoder: none(), parser: none(), names: None, reasoner: none() },
+            models: Models {
+                masks: none(),
+                encoder: none(),
+                parser: none(),
+                names: None,
+                reasoner: none(),
+            },
             usage: Usage::default(),
             latency_ms: 0.0,
         }

@@ -1,8 +1,9 @@
 //! A suite through a system, cell by cell: resumable, every reply kept as soon as it is there.
 //!
-//! Replies lie in `<out>/cells/<key>/<scene>.jsonl`; the key covers the system's fingerprint and the configuration, the file's first
-//! line the scene's content. A run that was cut off, or is repeated with more cells or expressions, asks only what is missing.
-//! Scores are never kept: they follow from replies and the truth as it is now.
+//! Replies lie in `<out>/cells/<key>/<scene>.jsonl`; the key covers the system's fingerprint and
+//! the configuration, the file's first line the scene's content. A run that was cut off, or is
+//! repeated with more cells or expressions, asks only what is missing. Scores are never kept: they
+//! follow from replies and the truth as it is now.
 
 use super::configuration::{Configuration, Names, Source};
 use super::digest;
@@ -77,14 +78,22 @@ struct KeptReply {
 /// Runs every cell over every scene.
 ///
 /// # Errors
-/// A configuration the system can not run, or an output folder that can not be written. Scenes and questions that fail are outcomes.
-pub fn run(suite: &Suite, system: &dyn System, options: &RunOptions) -> anyhow::Result<Vec<CellResult>> {
+/// A configuration the system can not run, or an output folder that can not be written. Scenes and
+/// questions that fail are outcomes.
+pub fn run(
+    suite: &Suite,
+    system: &dyn System,
+    options: &RunOptions,
+) -> anyhow::Result<Vec<CellResult>> {
     for (name, configuration) in options.cells {
         system.accepts(configuration).with_context(|| name.clone())?;
     }
-    fs::create_dir_all(options.out.join(pictures::FOLDER)).with_context(|| options.out.to_string())?;
+    fs::create_dir_all(options.out.join(pictures::FOLDER))
+        .with_context(|| options.out.to_string())?;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(options.concurrency.max(1)).build()?;
-    let tasks_of: Vec<Vec<&Task>> = (0..suite.scenes.len()).map(|i| suite.tasks.iter().filter(|t| t.scene == i).collect()).collect();
+    let tasks_of: Vec<Vec<&Task>> = (0..suite.scenes.len())
+        .map(|i| suite.tasks.iter().filter(|t| t.scene == i).collect())
+        .collect();
     let mut results: Vec<CellResult> = options
         .cells
         .iter()
@@ -98,12 +107,16 @@ pub fn run(suite: &Suite, system: &dyn System, options: &RunOptions) -> anyhow::
     let of = suite.scenes.len() * options.cells.len();
     let mut done = 0;
     for (scene, tasks) in suite.scenes.iter().zip(&tasks_of) {
-        // Cells that see the same instances follow each other: the scene is brought in once for all of them.
+        // Cells that see the same instances follow each other: the scene is brought in once for all
+        // of them.
         let mut order: Vec<usize> = (0..results.len()).collect();
         order.sort_by_key(|&i| setup(&results[i].configuration));
         let mut open: Option<Entered> = None;
         for i in order {
-            if open.as_ref().is_some_and(|entered| entered.setup != setup(&results[i].configuration)) {
+            if open
+                .as_ref()
+                .is_some_and(|entered| entered.setup != setup(&results[i].configuration))
+            {
                 open = None;
             }
             let cell = CellOfScene { system, scene, tasks, out: options.out, pool: &pool };
@@ -112,8 +125,11 @@ pub fn run(suite: &Suite, system: &dyn System, options: &RunOptions) -> anyhow::
             (options.progress)(&Step { cell: &results[i].name, scene: &scene.id, done, of });
         }
     }
-    let place: BTreeMap<&str, usize> = suite.tasks.iter().enumerate().map(|(i, t)| (t.id.as_str(), i)).collect();
-    results.iter_mut().for_each(|cell| cell.outcomes.sort_by_key(|o| place.get(o.id.as_str()).copied()));
+    let place: BTreeMap<&str, usize> =
+        suite.tasks.iter().enumerate().map(|(i, t)| (t.id.as_str(), i)).collect();
+    results
+        .iter_mut()
+        .for_each(|cell| cell.outcomes.sort_by_key(|o| place.get(o.id.as_str()).copied()));
     Ok(results)
 }
 
@@ -139,12 +155,15 @@ struct CellOfScene<'a> {
 
 impl CellOfScene<'_> {
     fn answer(&self, cell: &mut CellResult, open: &mut Option<Entered>) -> anyhow::Result<()> {
-        let key = digest::of(&serde_json::to_vec(&(self.system.fingerprint(), &cell.configuration))?);
-        let file = self.out.join("cells").join(&key).join(format!("{}.jsonl", file_safe(&self.scene.id)));
+        let key =
+            digest::of(&serde_json::to_vec(&(self.system.fingerprint(), &cell.configuration))?);
+        let file =
+            self.out.join("cells").join(&key).join(format!("{}.jsonl", file_safe(&self.scene.id)));
         let content = match content(self.scene, self.tasks, &cell.configuration) {
             Ok(content) => content,
             Err(error) => {
-                cell.left_out.extend(self.tasks.iter().map(|t| (t.id.clone(), format!("{error:#}"))));
+                cell.left_out
+                    .extend(self.tasks.iter().map(|t| (t.id.clone(), format!("{error:#}"))));
                 return Ok(());
             }
         };
@@ -153,7 +172,8 @@ impl CellOfScene<'_> {
         if log.token.as_ref().is_some_and(|token| !self.system.still_has(token)) {
             log.restart(&header)?;
         }
-        let missing: Vec<&Task> = self.tasks.iter().copied().filter(|t| log.reply(t).is_none()).collect();
+        let missing: Vec<&Task> =
+            self.tasks.iter().copied().filter(|t| log.reply(t).is_none()).collect();
 
         let mut failures: BTreeMap<String, String> = BTreeMap::new();
         if !missing.is_empty() {
@@ -167,7 +187,10 @@ impl CellOfScene<'_> {
             log.write_boxes(entered.boxes(), entered.token())?;
             let writer = Mutex::new(&mut log);
             let ask = |&task: &&Task| {
-                let hints = cell.configuration.paper_compatible.then(|| task.hints.as_hints(PaperCompatibleRun(())));
+                let hints = cell
+                    .configuration
+                    .paper_compatible
+                    .then(|| task.hints.as_hints(PaperCompatibleRun(())));
                 let asked = entered.ask(&task.expression, &cell.configuration, hints);
                 let reply = match asked {
                     Ok(reply) => reply,
@@ -176,14 +199,20 @@ impl CellOfScene<'_> {
                 let mut writer = writer.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
                 writer.write(task, reply).map(|()| None)
             };
-            let asked: anyhow::Result<Vec<_>> = self.pool.install(|| missing.par_iter().map(ask).collect());
+            let asked: anyhow::Result<Vec<_>> =
+                self.pool.install(|| missing.par_iter().map(ask).collect());
             failures.extend(asked?.into_iter().flatten());
         }
 
         for task in self.tasks {
             let ranked = log.reply(task).cloned().map(Ranked::of);
             let failure = || failures.get(&task.id).cloned().unwrap_or_default();
-            let mut outcome = ScoredExpression::of(task, &self.scene.id, ranked.as_ref().ok_or_else(failure), &log.boxes);
+            let mut outcome = ScoredExpression::of(
+                task,
+                &self.scene.id,
+                ranked.as_ref().ok_or_else(failure),
+                &log.boxes,
+            );
             if !outcome.is_right() {
                 outcome.picture = self.picture(&key, cell, open, &outcome)?;
             }
@@ -193,10 +222,17 @@ impl CellOfScene<'_> {
     }
 
     /// The scene as this cell sees it, brought in unless it is.
-    fn enter<'o>(&self, cell: &CellResult, open: &'o mut Option<Entered>) -> Result<&'o dyn OpenScene, String> {
+    fn enter<'o>(
+        &self,
+        cell: &CellResult,
+        open: &'o mut Option<Entered>,
+    ) -> Result<&'o dyn OpenScene, String> {
         let entered = open.get_or_insert_with(|| Entered {
             setup: setup(&cell.configuration),
-            scene: self.system.enter(self.scene, &cell.configuration).map_err(|error| format!("{error:#}")),
+            scene: self
+                .system
+                .enter(self.scene, &cell.configuration)
+                .map_err(|error| format!("{error:#}")),
         });
         entered.scene.as_ref().map(AsRef::as_ref).map_err(Clone::clone)
     }
@@ -212,7 +248,11 @@ impl CellOfScene<'_> {
         let drawn = pictures::boxes(outcome);
         let name = format!(
             "{}.jpg",
-            digest::of(&serde_json::to_vec(&(key, &outcome.scene, &drawn.iter().map(|b| (&b.aabb, &b.label)).collect::<Vec<_>>()))?)
+            digest::of(&serde_json::to_vec(&(
+                key,
+                &outcome.scene,
+                &drawn.iter().map(|b| (&b.aabb, &b.label)).collect::<Vec<_>>()
+            ))?)
         );
         let file = self.out.join(pictures::FOLDER).join(&name);
         if file.metadata().map_or(0, |m| m.len()) == 0 {
@@ -233,12 +273,14 @@ struct ReplyLog {
 }
 
 impl ReplyLog {
-    /// Opens what is there, or starts anew when it is of other content. A line that was cut off ends what counts.
+    /// Opens what is there, or starts anew when it is of other content. A line that was cut off
+    /// ends what counts.
     fn open(path: &Utf8Path, header: &Header) -> anyhow::Result<Self> {
         let told = || path.to_string();
         fs::create_dir_all(path.parent().unwrap_or(Utf8Path::new("."))).with_context(told)?;
         let bytes = if path.is_file() { fs::read(path).with_context(told)? } else { Vec::new() };
-        let mut lines = bytes.split_inclusive(|byte| *byte == b'\n').filter(|line| line.ends_with(b"\n"));
+        let mut lines =
+            bytes.split_inclusive(|byte| *byte == b'\n').filter(|line| line.ends_with(b"\n"));
         let (mut boxes, mut token, mut replies) = (Vec::new(), None, BTreeMap::new());
         let mut valid = 0;
         if let Some(line) = lines.next()
@@ -301,8 +343,13 @@ impl ReplyLog {
     }
 }
 
-/// What replies are made from: the scan, the annotations where those are the source, the hints where they are handed over.
-fn content(scene: &SuiteScene, tasks: &[&Task], configuration: &Configuration) -> anyhow::Result<String> {
+/// What replies are made from: the scan, the annotations where those are the source, the hints
+/// where they are handed over.
+fn content(
+    scene: &SuiteScene,
+    tasks: &[&Task],
+    configuration: &Configuration,
+) -> anyhow::Result<String> {
     let mut hasher = Sha256::new();
     if let Some(scan) = &scene.scan {
         digest::add_path(scan, &mut hasher).with_context(|| scan.to_string())?;

@@ -46,7 +46,12 @@ pub struct TargetOutcome {
 impl ScoredExpression {
     /// Judges a finished reply. `instances` are the boxes of all instances.
     #[must_use]
-    pub fn of(task: &Task, scene: &str, asked: Result<&Ranked, String>, instances: &[Aabb]) -> Self {
+    pub fn of(
+        task: &Task,
+        scene: &str,
+        asked: Result<&Ranked, String>,
+        instances: &[Aabb],
+    ) -> Self {
         let (ranked, error) = match asked {
             Ok(ranked) => (Some(ranked), None),
             Err(error) => (None, Some(error)),
@@ -63,8 +68,12 @@ impl ScoredExpression {
                     name: name.clone(),
                     aabb: *aabb,
                     iou: reply.and_then(|r| r.aabb).map_or(0.0, |answer| answer.iou(aabb)),
-                    iou_9dof: rotated.map(|truth| reply.and_then(|r| r.oriented_box).map_or(0.0, |b| truth.iou(&b.into()))),
-                    candidate_ious: boxed(&|r| r.candidates.iter().map(|c| c.aabb.iou(aabb)).collect()),
+                    iou_9dof: rotated.map(|truth| {
+                        reply.and_then(|r| r.oriented_box).map_or(0.0, |b| truth.iou(&b.into()))
+                    }),
+                    candidate_ious: boxed(&|r| {
+                        r.candidates.iter().map(|c| c.aabb.iou(aabb)).collect()
+                    }),
                     shortlist_ious: boxed(&|r| r.shortlist.iter().map(|b| b.iou(aabb)).collect()),
                     best_instance_iou: best(&mut instances.iter().map(|b| b.iou(aabb))),
                 })
@@ -74,7 +83,9 @@ impl ScoredExpression {
             id: task.id.clone(),
             scene: scene.to_owned(),
             query: task.expression.query.clone(),
-            splits: std::iter::once(truth.uniqueness.to_owned()).chain(truth.splits.iter().cloned()).collect(),
+            splits: std::iter::once(truth.uniqueness.to_owned())
+                .chain(truth.splits.iter().cloned())
+                .collect(),
             target,
             reply: reply.cloned(),
             error,

@@ -1,8 +1,9 @@
 //! Ground truth is read after ranking only: the type makes anything else impossible.
 //!
-//! Readers put what is known of a target into a [`Sealed`]; it opens against a [`Ranked`], and the only way to a `Ranked` is a
-//! finished reply. Two doors beside that one are named for what they are: annotations that are themselves the source of
-//! instances, and hints of a paper-compatible run. Both are marked in the report.
+//! Readers put what is known of a target into a [`Sealed`]; it opens against a [`Ranked`], and the
+//! only way to a `Ranked` is a finished reply. Two doors beside that one are named for what they
+//! are: annotations that are themselves the source of instances, and hints of a paper-compatible
+//! run. Both are marked in the report.
 
 use super::reply::Reply;
 
@@ -44,7 +45,8 @@ impl<T> Sealed<T> {
         &self.0
     }
 
-    /// The truth within the suite that carries it: readers resolve targets among annotations, and kept replies are known by its hash.
+    /// The truth within the suite that carries it: readers resolve targets among annotations, and
+    /// kept replies are known by its hash.
     pub(super) fn for_reader(&self) -> &T {
         &self.0
     }

@@ -1,4 +1,5 @@
-//! Measures of a segmented cloud: superpoints against annotated points, instances against annotated objects.
+//! Measures of a segmented cloud: superpoints against annotated points, instances against annotated
+//! objects.
 
 use std::collections::BTreeMap;
 use uniground_core::geometry::boxes::Aabb;
@@ -49,7 +50,11 @@ pub fn score_superpoints(labels: &[u32], truth: &[u32]) -> SuperpointScore {
     tally.remove(&0);
     let sum = |i: usize| tally.values().map(|t| t[i]).sum::<u64>() as f32;
     let ious = tally.values().map(|[own, won, both]| *both as f32 / (own + won - both) as f32);
-    SuperpointScore { superpoints: majority.len(), purity: sum(2) / sum(0), achievable_iou: ious.sum::<f32>() / tally.len().max(1) as f32 }
+    SuperpointScore {
+        superpoints: majority.len(),
+        purity: sum(2) / sum(0),
+        achievable_iou: ious.sum::<f32>() / tally.len().max(1) as f32,
+    }
 }
 
 /// An annotated object.
@@ -72,8 +77,9 @@ pub struct InstanceScore {
     pub reachable_box_iou: Vec<f32>,
     /// Best IoU of point sets per object.
     pub point_iou: Vec<f32>,
-    /// Average precision at a point-set IoU of 0.5. Instances rank by points; those that lie mostly on something
-    /// that is not among the objects (structure, small things) neither count nor harm.
+    /// Average precision at a point-set IoU of 0.5. Instances rank by points; those that lie
+    /// mostly on something that is not among the objects (structure, small things) neither
+    /// count nor harm.
     pub ap50: f32,
 }
 
@@ -98,15 +104,22 @@ impl InstanceScore {
 /// How well the building is told from the things in it, by points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StructureScore {
-    /// Share of the points annotated as floor, wall or ceiling that lie in an instance of that kind.
+    /// Share of the points annotated as floor, wall or ceiling that lie in an instance of that
+    /// kind.
     pub recall: f32,
     /// Share of the points in structural instances that are annotated as structure.
     pub precision: f32,
 }
 
-/// Scores structural flags. `kinds` has the annotated ids that are structure, `truth` the annotated id of each point.
+/// Scores structural flags. `kinds` has the annotated ids that are structure, `truth` the annotated
+/// id of each point.
 #[must_use]
-pub fn score_structure(instances: &[Instance], of_point: &[InstanceId], kinds: &BTreeMap<u32, Structure>, truth: &[u32]) -> StructureScore {
+pub fn score_structure(
+    instances: &[Instance],
+    of_point: &[InstanceId],
+    kinds: &BTreeMap<u32, Structure>,
+    truth: &[u32],
+) -> StructureScore {
     let (mut annotated, mut flagged, mut right, mut hit) = (0_u32, 0_u32, 0_u32, 0_u32);
     for (instance, id) in of_point.iter().zip(truth) {
         let found = (instance.0 as usize).checked_sub(1).and_then(|i| instances[i].structure);
@@ -116,20 +129,30 @@ pub fn score_structure(instances: &[Instance], of_point: &[InstanceId], kinds: &
         right += u32::from(kind.is_some() && found == kind);
         hit += u32::from(kind.is_some() && found.is_some());
     }
-    StructureScore { recall: right as f32 / annotated.max(1) as f32, precision: hit as f32 / flagged.max(1) as f32 }
+    StructureScore {
+        recall: right as f32 / annotated.max(1) as f32,
+        precision: hit as f32 / flagged.max(1) as f32,
+    }
 }
 
 /// Share of `ious` at or above each threshold.
 pub(super) fn recall(ious: &[f32]) -> [f32; 2] {
-    IOU_THRESHOLDS.map(|at| ious.iter().filter(|iou| **iou >= at).count() as f32 / ious.len().max(1) as f32)
+    IOU_THRESHOLDS
+        .map(|at| ious.iter().filter(|iou| **iou >= at).count() as f32 / ious.len().max(1) as f32)
 }
 
-/// Scores instances, given in order of id with the thing each point belongs to. `truth` has the annotated id of each point, 0 = none.
+/// Scores instances, given in order of id with the thing each point belongs to. `truth` has the
+/// annotated id of each point, 0 = none.
 ///
 /// # Panics
 /// When `truth` does not have one id per point.
 #[must_use]
-pub fn score_instances(instances: &[Instance], of_point: &[InstanceId], objects: &[AnnotatedObject], truth: &[u32]) -> InstanceScore {
+pub fn score_instances(
+    instances: &[Instance],
+    of_point: &[InstanceId],
+    objects: &[AnnotatedObject],
+    truth: &[u32],
+) -> InstanceScore {
     assert_eq!(of_point.len(), truth.len(), "one annotation per point");
     let mut shared: BTreeMap<(InstanceId, u32), u64> = BTreeMap::new();
     let mut annotated: BTreeMap<u32, u64> = BTreeMap::new();
@@ -139,13 +162,19 @@ pub fn score_instances(instances: &[Instance], of_point: &[InstanceId], objects:
     }
     let iou = |instance: InstanceId, object: u32| {
         let both = shared.get(&(instance, object)).copied().unwrap_or(0);
-        let all = u64::from(instances[instance.0 as usize - 1].point_count) + annotated.get(&object).copied().unwrap_or(0);
+        let all = u64::from(instances[instance.0 as usize - 1].point_count)
+            + annotated.get(&object).copied().unwrap_or(0);
         both as f32 / (all - both).max(1) as f32
     };
     let things = || instances.iter().filter(|i| i.level == Level::Thing);
-    let box_iou = objects.iter().map(|o| things().map(|i| i.aabb.iou(&o.aabb)).fold(0.0, f32::max)).collect();
-    let reachable_box_iou = objects.iter().map(|o| instances.iter().map(|i| i.aabb.iou(&o.aabb)).fold(0.0, f32::max)).collect();
-    let point_iou = objects.iter().map(|o| things().map(|i| iou(i.id, o.id)).fold(0.0, f32::max)).collect();
+    let box_iou =
+        objects.iter().map(|o| things().map(|i| i.aabb.iou(&o.aabb)).fold(0.0, f32::max)).collect();
+    let reachable_box_iou = objects
+        .iter()
+        .map(|o| instances.iter().map(|i| i.aabb.iou(&o.aabb)).fold(0.0, f32::max))
+        .collect();
+    let point_iou =
+        objects.iter().map(|o| things().map(|i| iou(i.id, o.id)).fold(0.0, f32::max)).collect();
 
     // Instances are numbered by falling points: that is their rank.
     let wanted: BTreeMap<u32, usize> = objects.iter().enumerate().map(|(i, o)| (o.id, i)).collect();
@@ -153,7 +182,11 @@ pub fn score_instances(instances: &[Instance], of_point: &[InstanceId], objects:
     let mut hits = Vec::new();
     for instance in things() {
         let overlaps = shared.range((instance.id, 0)..=(instance.id, u32::MAX));
-        let Some((&(_, majority), _)) = overlaps.max_by_key(|&(&(_, id), &n)| (n, std::cmp::Reverse(id))) else { continue };
+        let Some((&(_, majority), _)) =
+            overlaps.max_by_key(|&(&(_, id), &n)| (n, std::cmp::Reverse(id)))
+        else {
+            continue;
+        };
         let Some(&object) = wanted.get(&majority) else { continue };
         let hit = !found[object] && iou(instance.id, majority) >= IOU_THRESHOLDS[1];
         found[object] |= hit;
@@ -169,7 +202,8 @@ pub fn score_instances(instances: &[Instance], of_point: &[InstanceId], objects:
     }
 }
 
-/// Area under the precision-recall curve, precision made monotone from the right (Pascal VOC 2010 and later).
+/// Area under the precision-recall curve, precision made monotone from the right (Pascal VOC 2010
+/// and later).
 fn average_precision(hits: &[bool], objects: usize) -> f32 {
     let mut precisions = Vec::new();
     let mut right = 0;
@@ -197,7 +231,8 @@ mod tests {
 
     #[test]
     fn superpoint_scores_by_hand() {
-        // Superpoint 0 covers all of object 1 and one point of 2; superpoint 1 the rest of 2; superpoint 2 is not annotated.
+        // Superpoint 0 covers all of object 1 and one point of 2; superpoint 1 the rest of 2;
+        // superpoint 2 is not annotated.
         let labels = [0, 0, 0, 0, 1, 1, 1, 2];
         let truth = [1, 1, 1, 2, 2, 2, 2, 0];
         let score = score_superpoints(&labels, &truth);

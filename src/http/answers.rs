@@ -60,8 +60,12 @@ pub struct ListParameters {
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn list(State(app): State<App>, Query(parameters): Query<ListParameters>) -> Result<Response, Refused> {
-    let ListParameters { scene_id, batch_id, status, since, until, limit, cursor, format } = parameters;
+pub async fn list(
+    State(app): State<App>,
+    Query(parameters): Query<ListParameters>,
+) -> Result<Response, Refused> {
+    let ListParameters { scene_id, batch_id, status, since, until, limit, cursor, format } =
+        parameters;
     let status = status.map(serde_json::to_value).transpose().map_err(Error::from)?;
     let filter = AnswerFilter {
         scene_id,
@@ -76,8 +80,10 @@ pub async fn list(State(app): State<App>, Query(parameters): Query<ListParameter
         }
         let shutdown = app.shutdown.clone().cancelled_owned();
         // Who reads a long list does not keep the server from stopping.
-        let lines = futures::StreamExt::take_until(app.service.all_answers(filter, format), shutdown);
-        return Ok(([(header::CONTENT_TYPE, media_type_of(format))], Body::from_stream(lines)).into_response());
+        let lines =
+            futures::StreamExt::take_until(app.service.all_answers(filter, format), shutdown);
+        return Ok(([(header::CONTENT_TYPE, media_type_of(format))], Body::from_stream(lines))
+            .into_response());
     }
     let (limit, cursor) = checked(limit.unwrap_or(super::paging::DEFAULT_LIMIT), cursor)?;
     let page = app.service.answers(&filter, limit, cursor.as_deref()).await?;
@@ -100,14 +106,18 @@ fn time(parameter: &str, text: Option<String>) -> Result<Option<Timestamp>, Erro
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn get(State(app): State<App>, Path(answer_id): Path<String>) -> Result<impl IntoResponse, Refused> {
+pub async fn get(
+    State(app): State<App>,
+    Path(answer_id): Path<String>,
+) -> Result<impl IntoResponse, Refused> {
     Ok(([(header::CONTENT_TYPE, "application/json")], app.service.answer(&answer_id).await?))
 }
 
-/// A picture that goes with an answer: `global.jpg`, and for answers of a model `candidate-7.jpg` or `names-1.jpg`, exactly as it was shown.
+/// A picture that goes with an answer: `global.jpg`, and for answers of a model `candidate-7.jpg`
+/// or `names-1.jpg`, exactly as it was shown.
 ///
-/// The room itself is always there: where no model was shown one, it is drawn from above with the answer's box (green), its anchor (red)
-/// and the other candidates (blue).
+/// The room itself is always there: where no model was shown one, it is drawn from above with the
+/// answer's box (green), its anchor (red) and the other candidates (blue).
 #[utoipa::path(
     get, path = "/v1/answers/{answer_id}/evidence/{picture}", operation_id = "get_answer_picture", tag = "grounding",
     params(("answer_id" = String, Path), ("picture" = String, Path, description = "`global.jpg`, or as the answer's `evidence` names it")),
@@ -119,11 +129,18 @@ pub async fn get(State(app): State<App>, Path(answer_id): Path<String>) -> Resul
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn picture(State(app): State<App>, Path((answer_id, picture)): Path<(String, String)>) -> Result<impl IntoResponse, Refused> {
-    Ok(([(header::CONTENT_TYPE, "image/jpeg")], app.service.answer_picture(&answer_id, &picture).await?))
+pub async fn picture(
+    State(app): State<App>,
+    Path((answer_id, picture)): Path<(String, String)>,
+) -> Result<impl IntoResponse, Refused> {
+    Ok((
+        [(header::CONTENT_TYPE, "image/jpeg")],
+        app.service.answer_picture(&answer_id, &picture).await?,
+    ))
 }
 
-/// What the model was asked for an answer: every message, in order. Kept for as long as the server's operator wants.
+/// What the model was asked for an answer: every message, in order. Kept for as long as the
+/// server's operator wants.
 #[utoipa::path(
     get, path = "/v1/answers/{answer_id}/prompt", operation_id = "get_answer_prompt", tag = "grounding", params(("answer_id" = String, Path)),
     responses(
@@ -134,7 +151,10 @@ pub async fn picture(State(app): State<App>, Path((answer_id, picture)): Path<(S
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn prompt(State(app): State<App>, Path(answer_id): Path<String>) -> Result<Json<AnswerPrompt>, Refused> {
+pub async fn prompt(
+    State(app): State<App>,
+    Path(answer_id): Path<String>,
+) -> Result<Json<AnswerPrompt>, Refused> {
     Ok(Json(app.service.answer_prompt(&answer_id).await?))
 }
 
@@ -149,6 +169,9 @@ pub async fn prompt(State(app): State<App>, Path(answer_id): Path<String>) -> Re
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn reply(State(app): State<App>, Path(answer_id): Path<String>) -> Result<Json<AnswerReply>, Refused> {
+pub async fn reply(
+    State(app): State<App>,
+    Path(answer_id): Path<String>,
+) -> Result<Json<AnswerReply>, Refused> {
     Ok(Json(app.service.answer_reply(&answer_id).await?))
 }

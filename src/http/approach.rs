@@ -12,10 +12,12 @@ use uniground_types::approach::{Approach, ApproachRequest, FloorMap};
 use uniground_types::problem::Problem;
 use utoipa::IntoParams;
 
-/// Where a robot can stand to see a thing, or to reach it: free floor, a view of the thing, and a way there.
+/// Where a robot can stand to see a thing, or to reach it: free floor, a view of the thing, and a
+/// way there.
 ///
-/// `none_possible` and `not_grounded` are answers, not errors: `failed` says which condition left no place, `cells` what each one left.
-/// A `query` is answered by the built-in reasoner and its answer is kept.
+/// `none_possible` and `not_grounded` are answers, not errors: `failed` says which condition left
+/// no place, `cells` what each one left. A `query` is answered by the built-in reasoner and its
+/// answer is kept.
 #[utoipa::path(
     post, path = "/v1/scenes/{scene_id}/approach", operation_id = "approach", tag = "grounding", params(("scene_id" = String, Path)), request_body = ApproachRequest,
     responses(
@@ -56,7 +58,8 @@ fn default_height() -> f32 {
     1.8
 }
 
-/// The map of a scene's floor as `map_server` of ROS reads it: this is the file beside the picture `floor.png`.
+/// The map of a scene's floor as `map_server` of ROS reads it: this is the file beside the picture
+/// `floor.png`.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/floor", operation_id = "get_floor", tag = "scenes", params(("scene_id" = String, Path), FloorParameters),
     responses(
@@ -78,7 +81,8 @@ pub async fn floor(
     Ok(axum::Json(app.service.floor(&scene_id, height_m).await?))
 }
 
-/// The floor from above: white is free, black occupied, grey never seen; left is the least x, the first row the greatest y.
+/// The floor from above: white is free, black occupied, grey never seen; left is the least x, the
+/// first row the greatest y.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/floor.png", operation_id = "get_floor_picture", tag = "scenes", params(("scene_id" = String, Path), FloorParameters),
     responses(
@@ -97,5 +101,8 @@ pub async fn floor_picture(
     Path(scene_id): Path<String>,
     Query(FloorParameters { height_m }): Query<FloorParameters>,
 ) -> Result<impl IntoResponse, Refused> {
-    Ok(([(header::CONTENT_TYPE, "image/png")], app.service.floor_picture(&scene_id, height_m).await?))
+    Ok((
+        [(header::CONTENT_TYPE, "image/png")],
+        app.service.floor_picture(&scene_id, height_m).await?,
+    ))
 }

@@ -1,4 +1,5 @@
-//! Who asks, and whether they may: keys as bearer tokens, scopes, rates. What was done is written down.
+//! Who asks, and whether they may: keys as bearer tokens, scopes, rates. What was done is written
+//! down.
 
 use super::problem::{Refused, request_id};
 use super::{App, Scopes};
@@ -16,7 +17,8 @@ use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
 pub(super) const RATE_LIMIT: HeaderName = HeaderName::from_static("ratelimit");
 pub(super) const RATE_LIMIT_POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
 
-/// Lets a request past whose caller may do what its route does, and writes down what changed something.
+/// Lets a request past whose caller may do what its route does, and writes down what changed
+/// something.
 pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> Response {
     let Some(wanted) = app.scopes.wanted_by(&request) else { return next.run(request).await };
     let link = take_link(request.uri_mut());
@@ -43,10 +45,18 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
         None => None,
     };
     if caller.scope < wanted {
-        let detail = format!("this key may {:?}, this needs a key that may {:?}", caller.scope.word(), wanted.word());
-        return limited(Refused::new(StatusCode::FORBIDDEN, "scope_missing", detail).into_response(), allowance);
+        let detail = format!(
+            "this key may {:?}, this needs a key that may {:?}",
+            caller.scope.word(),
+            wanted.word()
+        );
+        return limited(
+            Refused::new(StatusCode::FORBIDDEN, "scope_missing", detail).into_response(),
+            allowance,
+        );
     }
-    // Whatever needs more than reading changes something, or looks at what only admins see. Links are handed to others.
+    // Whatever needs more than reading changes something, or looks at what only admins see. Links
+    // are handed to others.
     let is_noted = wanted > Scope::Read || request.uri().path() == "/v1/links";
     let noting = (is_noted && !request.method().is_safe()).then(|| {
         let (method, path) = (request.method().to_string(), request.uri().path().to_owned());
@@ -64,10 +74,15 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
 /// What makes a link work; the rest of the query stays.
 fn take_link(uri: &mut Uri) -> Option<String> {
     let query = uri.query()?;
-    let is_link = |pair: &&str| pair.split_once('=').is_some_and(|(name, _)| name == LINK_PARAMETER);
+    let is_link =
+        |pair: &&str| pair.split_once('=').is_some_and(|(name, _)| name == LINK_PARAMETER);
     let link = query.split('&').find(is_link)?.split_once('=')?.1.to_owned();
     let rest: Vec<&str> = query.split('&').filter(|pair| !is_link(pair)).collect();
-    let path = if rest.is_empty() { uri.path().to_owned() } else { format!("{}?{}", uri.path(), rest.join("&")) };
+    let path = if rest.is_empty() {
+        uri.path().to_owned()
+    } else {
+        format!("{}?{}", uri.path(), rest.join("&"))
+    };
     *uri = path.parse().ok()?;
     Some(link)
 }
@@ -81,27 +96,37 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
 
 fn unauthorized(denied: Denied) -> Response {
     let detail = match denied {
-        Denied::NoKey | Denied::UnknownKey => "this server wants a key: Authorization: Bearer <key>",
+        Denied::NoKey | Denied::UnknownKey => {
+            "this server wants a key: Authorization: Bearer <key>"
+        }
         Denied::Expired => "this key has expired",
         Denied::Revoked => "this key was revoked",
         Denied::BadLink => "this link is none of this server's, or not to this path",
         Denied::LinkOver => "the time of this link is over: POST /v1/links makes another",
     };
-    let mut refused = Refused::new(StatusCode::UNAUTHORIZED, "unauthorized", detail).into_response();
+    let mut refused =
+        Refused::new(StatusCode::UNAUTHORIZED, "unauthorized", detail).into_response();
     refused.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
     refused
 }
 
 fn too_fast(wait_s: u64) -> Response {
-    Refused::new(StatusCode::TOO_MANY_REQUESTS, "rate_limited", format!("this key asks too often: try again in {wait_s} s"))
-        .after(u32::try_from(wait_s).unwrap_or(u32::MAX))
-        .into_response()
+    Refused::new(
+        StatusCode::TOO_MANY_REQUESTS,
+        "rate_limited",
+        format!("this key asks too often: try again in {wait_s} s"),
+    )
+    .after(u32::try_from(wait_s).unwrap_or(u32::MAX))
+    .into_response()
 }
 
 /// Tells what is left of the key's requests.
 fn limited(mut response: Response, allowance: Option<Allowance>) -> Response {
     if let Some(Allowance { per_minute, left, reset_s }) = allowance {
-        let told = [(RATE_LIMIT_POLICY, format!("\"key\";q={per_minute};w=60")), (RATE_LIMIT, format!("\"key\";r={left};t={reset_s}"))];
+        let told = [
+            (RATE_LIMIT_POLICY, format!("\"key\";q={per_minute};w=60")),
+            (RATE_LIMIT, format!("\"key\";r={left};t={reset_s}")),
+        ];
         for (name, value) in told {
             if let Ok(value) = HeaderValue::from_str(&value) {
                 response.headers_mut().insert(name, value);
@@ -127,7 +152,9 @@ impl Modify for BearerAuth {
     fn modify(&self, openapi: &mut utoipa::openapi::OpenApi) {
         let components = openapi.components.get_or_insert_default();
         let mut scheme = Http::new(HttpAuthScheme::Bearer);
-        scheme.description = Some("The scopes of an operation name what a key must allow: read, write or admin.".into());
+        scheme.description = Some(
+            "The scopes of an operation name what a key must allow: read, write or admin.".into(),
+        );
         components.add_security_scheme("key", SecurityScheme::Http(scheme));
     }
 }

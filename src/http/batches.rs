@@ -36,8 +36,9 @@ pub struct CreateParameters {
 
 /// Submits a list of questions, to be asked in the background.
 ///
-/// As JSON, or streamed as JSONL (`application/jsonl`), a question a line: 100,000 lines are no trouble. A first line `{"defaults": {…}}` holds
-/// for all. What is wrong with one question is that item's failure; a line that is no JSON object refuses the whole. Nothing is ever asked
+/// As JSON, or streamed as JSONL (`application/jsonl`), a question a line: 100,000 lines are no
+/// trouble. A first line `{"defaults": {…}}` holds for all. What is wrong with one question is that
+/// item's failure; a line that is no JSON object refuses the whole. Nothing is ever asked
 /// twice: not after a restart, not when the same list is sent again under its `Idempotency-Key`.
 #[utoipa::path(
     post, path = "/v1/batches", operation_id = "create_batch", tag = "batches",
@@ -74,14 +75,24 @@ pub async fn create(
         .to_ascii_lowercase();
     let batch = match media_type.as_str() {
         "application/jsonl" | "application/x-ndjson" => {
-            let defaults: Map<String, Value> = scene_id.map(|id| ("scene_id".to_owned(), Value::String(id))).into_iter().collect();
-            let submission = Submission { label, concurrency, max_cost_usd, idempotency_key, defaults };
+            let defaults: Map<String, Value> =
+                scene_id.map(|id| ("scene_id".to_owned(), Value::String(id))).into_iter().collect();
+            let submission =
+                Submission { label, concurrency, max_cost_usd, idempotency_key, defaults };
             app.service
-                .create_batch(submission, Body::Lines(request.into_body().into_data_stream()), &caller)
+                .create_batch(
+                    submission,
+                    Body::Lines(request.into_body().into_data_stream()),
+                    &caller,
+                )
                 .await?
         }
         "application/json" => {
-            if scene_id.is_some() || label.is_some() || concurrency.is_some() || max_cost_usd.is_some() {
+            if scene_id.is_some()
+                || label.is_some()
+                || concurrency.is_some()
+                || max_cost_usd.is_some()
+            {
                 return Err(Refused::invalid(
                     "query",
                     "a JSON body says all of this itself: defaults.scene_id, label, concurrency, max_cost_usd",
@@ -89,11 +100,17 @@ pub async fn create(
             }
             let Json(request) = Json::<BatchRequest>::from_request(request, &()).await?;
             let (submission, items) = Submission::of(request, idempotency_key);
-            app.service.create_batch(submission, Body::<BodyDataStream>::Items(items), &caller).await?
+            app.service
+                .create_batch(submission, Body::<BodyDataStream>::Items(items), &caller)
+                .await?
         }
         other => {
             let detail = format!("a batch is application/json or application/jsonl, not {other:?}");
-            return Err(Refused::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type", detail));
+            return Err(Refused::new(
+                StatusCode::UNSUPPORTED_MEDIA_TYPE,
+                "unsupported_media_type",
+                detail,
+            ));
         }
     };
     Ok((StatusCode::ACCEPTED, axum::Json(batch)))
@@ -110,7 +127,10 @@ pub async fn create(
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn list(State(app): State<App>, Query(page): Query<Page>) -> Result<axum::Json<BatchList>, Refused> {
+pub async fn list(
+    State(app): State<App>,
+    Query(page): Query<Page>,
+) -> Result<axum::Json<BatchList>, Refused> {
     let (limit, cursor) = page.checked()?;
     Ok(axum::Json(app.service.batches(limit, cursor.as_deref()).await?))
 }
@@ -126,7 +146,10 @@ pub async fn list(State(app): State<App>, Query(page): Query<Page>) -> Result<ax
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn get(State(app): State<App>, Path(batch_id): Path<String>) -> Result<axum::Json<Batch>, Refused> {
+pub async fn get(
+    State(app): State<App>,
+    Path(batch_id): Path<String>,
+) -> Result<axum::Json<Batch>, Refused> {
     Ok(axum::Json(app.service.batch(&batch_id).await?))
 }
 
@@ -142,7 +165,8 @@ pub struct ResultParameters {
     #[serde(default)]
     #[param(inline)]
     format: LineFormat,
-    /// Wait for items that are still asked, until the batch ends or pauses; else the results end at the first that is.
+    /// Wait for items that are still asked, until the batch ends or pauses; else the results end
+    /// at the first that is.
     #[serde(default)]
     follow: bool,
 }
@@ -192,7 +216,10 @@ pub(super) fn media_type_of(format: LineFormat) -> &'static str {
     ),
     security(("key" = ["write"]), ())
 )]
-pub async fn pause(State(app): State<App>, Path(batch_id): Path<String>) -> Result<axum::Json<Batch>, Refused> {
+pub async fn pause(
+    State(app): State<App>,
+    Path(batch_id): Path<String>,
+) -> Result<axum::Json<Batch>, Refused> {
     Ok(axum::Json(app.service.pause_batch(&batch_id).await?))
 }
 
@@ -209,7 +236,10 @@ pub async fn pause(State(app): State<App>, Path(batch_id): Path<String>) -> Resu
     ),
     security(("key" = ["write"]), ())
 )]
-pub async fn resume(State(app): State<App>, Path(batch_id): Path<String>) -> Result<axum::Json<Batch>, Refused> {
+pub async fn resume(
+    State(app): State<App>,
+    Path(batch_id): Path<String>,
+) -> Result<axum::Json<Batch>, Refused> {
     Ok(axum::Json(app.service.resume_batch(&batch_id).await?))
 }
 
@@ -226,6 +256,9 @@ pub async fn resume(State(app): State<App>, Path(batch_id): Path<String>) -> Res
     ),
     security(("key" = ["write"]), ())
 )]
-pub async fn cancel(State(app): State<App>, Path(batch_id): Path<String>) -> Result<axum::Json<Batch>, Refused> {
+pub async fn cancel(
+    State(app): State<App>,
+    Path(batch_id): Path<String>,
+) -> Result<axum::Json<Batch>, Refused> {
     Ok(axum::Json(app.service.cancel_batch(&batch_id).await?))
 }

@@ -1,7 +1,8 @@
 //! Limits how slowly a request body may arrive, on every route.
 //!
-//! A body that stops, or arrives more slowly than its route allows, is abandoned: the request is answered with 408 and its connection is
-//! closed. Only the time for which the server waits for the client counts, so that a slow disk is not taken for a slow client.
+//! A body that stops, or arrives more slowly than its route allows, is abandoned: the request is
+//! answered with 408 and its connection is closed. Only the time for which the server waits for the
+//! client counts, so that a slow disk is not taken for a slow client.
 
 use super::connections::BodyProgress;
 use super::problem::Refused;
@@ -20,7 +21,8 @@ use std::time::Duration;
 use tokio::time::{Instant, Sleep, sleep_until};
 
 /// Routes whose bodies have any size and are processed while they arrive.
-const STREAMED: [&str; 4] = ["/v1/scenes", "/v1/scenes/{scene_id}/frames", "/v1/uploads", "/v1/uploads/{upload_id}"];
+const STREAMED: [&str; 4] =
+    ["/v1/scenes", "/v1/scenes/{scene_id}/frames", "/v1/uploads", "/v1/uploads/{upload_id}"];
 /// The route that streams every body but JSON.
 const STREAMED_UNLESS_JSON: &str = "/v1/batches";
 
@@ -29,7 +31,8 @@ const STREAMED_UNLESS_JSON: &str = "/v1/batches";
 struct MinimumRate {
     /// Longest pause between two pieces.
     silence: Duration,
-    /// Longest time for a body of any size; for a streamed one, the time after which its rate counts.
+    /// Longest time for a body of any size; for a streamed one, the time after which its rate
+    /// counts.
     grace: Duration,
     /// Least average rate of a body that takes longer than `grace`; `None`: none may.
     bytes_per_s: Option<u64>,
@@ -38,10 +41,14 @@ struct MinimumRate {
 }
 
 /// The rule for bodies that are read as a whole, a megabyte at most.
-const WHOLE: MinimumRate =
-    MinimumRate { silence: Duration::from_secs(20), grace: Duration::from_secs(20), bytes_per_s: None, total: Duration::from_secs(20) };
-/// The rule for uploads and lists of questions. An upload that takes longer than a day has to be sent in parts (`/v1/uploads`), each a body
-/// of its own.
+const WHOLE: MinimumRate = MinimumRate {
+    silence: Duration::from_secs(20),
+    grace: Duration::from_secs(20),
+    bytes_per_s: None,
+    total: Duration::from_secs(20),
+};
+/// The rule for uploads and lists of questions. An upload that takes longer than a day has to be
+/// sent in parts (`/v1/uploads`), each a body of its own.
 const STREAM: MinimumRate = MinimumRate {
     silence: Duration::from_secs(20),
     grace: Duration::from_secs(30),
@@ -53,16 +60,25 @@ impl MinimumRate {
     /// Returns the rule for a route and a content type.
     fn of(route: &str, content_type: &str) -> Self {
         // Not "application/jsonl", which is streamed.
-        let is_json = || content_type.split(';').next().unwrap_or_default().trim().eq_ignore_ascii_case("application/json");
+        let is_json = || {
+            content_type
+                .split(';')
+                .next()
+                .unwrap_or_default()
+                .trim()
+                .eq_ignore_ascii_case("application/json")
+        };
         match STREAMED.contains(&route) || (route == STREAMED_UNLESS_JSON && !is_json()) {
             true => STREAM,
             false => WHOLE,
         }
     }
 
-    /// Returns how much longer the server waits for the next piece, after it has waited `waited` for the `received` bytes so far.
+    /// Returns how much longer the server waits for the next piece, after it has waited `waited`
+    /// for the `received` bytes so far.
     fn patience(&self, received: u64, waited: Duration) -> Duration {
-        let earned = self.bytes_per_s.map_or(Duration::ZERO, |rate| Duration::from_secs(received / rate));
+        let earned =
+            self.bytes_per_s.map_or(Duration::ZERO, |rate| Duration::from_secs(received / rate));
         let most = earned.max(self.grace).min(self.total);
         most.saturating_sub(waited).min(self.silence)
     }
@@ -80,7 +96,8 @@ impl MinimumRate {
 /// Abandons bodies that arrive too slowly.
 pub async fn limit(request: Request, next: Next) -> Response {
     let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
-    let content_type = request.headers().get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok());
+    let content_type =
+        request.headers().get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok());
     let rate = MinimumRate::of(route, content_type.unwrap_or_default());
     limit_to(rate, request, next).await
 }
@@ -99,7 +116,8 @@ async fn limit_to(rate: MinimumRate, request: Request, next: Next) -> Response {
     }
 }
 
-/// Returns the response to a body that was abandoned, in place of the error that the handler made of it. Its headers stay.
+/// Returns the response to a body that was abandoned, in place of the error that the handler made
+/// of it. Its headers stay.
 fn too_slow(rate: &MinimumRate, made: Response) -> Response {
     let mut response = match made.status() {
         // The handler had what it needed.
@@ -132,7 +150,12 @@ struct LimitedBody {
 struct TooSlow;
 
 impl LimitedBody {
-    fn new(body: Body, rate: MinimumRate, progress: BodyProgress, is_abandoned: Arc<AtomicBool>) -> Self {
+    fn new(
+        body: Body,
+        rate: MinimumRate,
+        progress: BodyProgress,
+        is_abandoned: Arc<AtomicBool>,
+    ) -> Self {
         progress.begin();
         Self { body, rate, progress, timer: Box::pin(sleep_until(Instant::now())), is_abandoned }
     }
@@ -142,13 +165,19 @@ impl HttpBody for LimitedBody {
     type Data = Bytes;
     type Error = axum::Error;
 
-    fn poll_frame(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
         let this = &mut *self;
         if this.is_abandoned.load(Ordering::Relaxed) {
             return Poll::Ready(None);
         }
         if let Poll::Ready(frame) = Pin::new(&mut this.body).poll_frame(context) {
-            let bytes = frame.as_ref().and_then(|frame| frame.as_ref().ok()?.data_ref()).map_or(0, Bytes::len);
+            let bytes = frame
+                .as_ref()
+                .and_then(|frame| frame.as_ref().ok()?.data_ref())
+                .map_or(0, Bytes::len);
             this.progress.received(bytes as u64);
             return Poll::Ready(frame);
         }
@@ -206,7 +235,9 @@ mod tests {
         });
         let read = async |body: Body| match to_bytes(body, 1 << 20).await {
             Ok(bytes) => bytes.len().to_string().into_response(),
-            Err(_) => (StatusCode::PAYLOAD_TOO_LARGE, [("location", "/here")], "cut off").into_response(),
+            Err(_) => {
+                (StatusCode::PAYLOAD_TOO_LARGE, [("location", "/here")], "cut off").into_response()
+            }
         };
         let router = Router::new()
             .route("/", post(read))
@@ -217,12 +248,15 @@ mod tests {
 
     #[tokio::test]
     async fn a_body_that_drips_or_stops_is_answered_with_408_and_its_connection_closed() {
-        for (what, apart) in [("it drips", Duration::from_millis(20)), ("it stops", Duration::from_hours(1))] {
+        for (what, apart) in
+            [("it drips", Duration::from_millis(20)), ("it stops", Duration::from_hours(1))]
+        {
             let response = answer(QUICK, usize::MAX, apart).await;
             assert_eq!(response.status(), StatusCode::REQUEST_TIMEOUT, "{what}");
             assert_eq!(response.headers()[header::CONNECTION], "close", "{what}");
             assert_eq!(response.headers()["location"], "/here", "{what}");
-            let problem = response.extensions().get::<Problem>().map(|problem| problem.code.as_str());
+            let problem =
+                response.extensions().get::<Problem>().map(|problem| problem.code.as_str());
             assert_eq!(problem, Some("body_too_slow"), "{what}");
         }
         let streamed = MinimumRate { bytes_per_s: Some(1 << 10), ..QUICK };
@@ -233,7 +267,10 @@ mod tests {
     #[tokio::test]
     async fn a_body_that_comes_in_time_is_read() {
         let response = answer(QUICK, 5, Duration::from_millis(1)).await;
-        assert_eq!((response.status(), response.headers().get(header::CONNECTION)), (StatusCode::OK, None));
+        assert_eq!(
+            (response.status(), response.headers().get(header::CONNECTION)),
+            (StatusCode::OK, None)
+        );
         assert_eq!(to_bytes(response.into_body(), 10).await.unwrap(), "5");
     }
 
@@ -251,7 +288,11 @@ mod tests {
             (1 << 40, s(86_390), s(10)),
             (1 << 40, s(86_400), s(0)),
         ] {
-            assert_eq!(STREAM.patience(received, waited), patience, "{received} bytes in {waited:?}");
+            assert_eq!(
+                STREAM.patience(received, waited),
+                patience,
+                "{received} bytes in {waited:?}"
+            );
         }
         assert_eq!(WHOLE.patience(1 << 20, s(19)), s(1));
     }

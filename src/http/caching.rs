@@ -1,5 +1,6 @@
-//! What a browser may keep: everything of a scene, for itself alone and never unasked. A scene's address stays while its parse changes, so
-//! each answer has a mark (`ETag`), and whoever shows it again is told when nothing has changed.
+//! What a browser may keep: everything of a scene, for itself alone and never unasked. A scene's
+//! address stays while its parse changes, so each answer has a mark (`ETag`), and whoever shows it
+//! again is told when nothing has changed.
 
 use super::problem::Refused;
 use crate::error::Error;
@@ -20,12 +21,19 @@ const ASK_AGAIN: HeaderValue = HeaderValue::from_static("private, no-cache");
 /// Larger bodies are not marked here: files have marks of their own.
 const MOST_BYTES: u64 = 2 << 20;
 
-/// A stored file, whole or the part that `asked` names (`Range`), or nothing where the caller has it (`If-None-Match`).
-pub async fn send_file(path: &Utf8Path, media_type: &'static str, asked: &HeaderMap) -> Result<Response, Refused> {
+/// A stored file, whole or the part that `asked` names (`Range`), or nothing where the caller has
+/// it (`If-None-Match`).
+pub async fn send_file(
+    path: &Utf8Path,
+    media_type: &'static str,
+    asked: &HeaderMap,
+) -> Result<Response, Refused> {
     let serve = async |names: &[HeaderName]| {
         let mut request = Request::new(Body::empty());
         for name in names {
-            request.headers_mut().extend(asked.get(name).map(|value| (name.clone(), value.clone())));
+            request
+                .headers_mut()
+                .extend(asked.get(name).map(|value| (name.clone(), value.clone())));
         }
         let Ok(served) = ServeFile::new(path).oneshot(request).await;
         served
@@ -49,7 +57,11 @@ pub async fn send_file(path: &Utf8Path, media_type: &'static str, asked: &Header
 }
 
 /// A file that is here, or where else it is: only for now, so that nothing keeps the address.
-pub async fn send_download(file: Download, media_type: &'static str, asked: &HeaderMap) -> Result<Response, Refused> {
+pub async fn send_download(
+    file: Download,
+    media_type: &'static str,
+    asked: &HeaderMap,
+) -> Result<Response, Refused> {
     match file {
         Download::Here(file) => send_file(&file, media_type, asked).await,
         Download::There(link) => {
@@ -59,8 +71,14 @@ pub async fn send_download(file: Download, media_type: &'static str, asked: &Hea
     }
 }
 
-/// What was made for the caller, whole, or nothing where the caller has it. The same bytes have the same fingerprint, and others another.
-pub fn send_bytes(bytes: Vec<u8>, fingerprint: &str, media_type: &'static str, asked: &HeaderMap) -> Response {
+/// What was made for the caller, whole, or nothing where the caller has it. The same bytes have the
+/// same fingerprint, and others another.
+pub fn send_bytes(
+    bytes: Vec<u8>,
+    fingerprint: &str,
+    media_type: &'static str,
+    asked: &HeaderMap,
+) -> Response {
     let etag = format!("\"{fingerprint}\"");
     let known = asked.get(header::IF_NONE_MATCH).and_then(|known| known.to_str().ok());
     let mut response = match known.is_some_and(|known| names(known, &etag)) {
@@ -74,22 +92,30 @@ pub fn send_bytes(bytes: Vec<u8>, fingerprint: &str, media_type: &'static str, a
     response
 }
 
-/// Marks what is small and read: the same bytes have the same mark, and are not sent to who has them.
+/// Marks what is small and read: the same bytes have the same mark, and are not sent to who has
+/// them.
 pub async fn mark(request: Request, next: Next) -> Response {
     let is_read = request.method() == Method::GET;
     let known = request.headers().get(header::IF_NONE_MATCH).cloned();
     let response = next.run(request).await;
     let is_small = response.body().size_hint().exact().is_some_and(|bytes| bytes <= MOST_BYTES);
-    let is_marked = response.headers().contains_key(header::ETAG) || response.headers().contains_key(header::CACHE_CONTROL);
+    let is_marked = response.headers().contains_key(header::ETAG)
+        || response.headers().contains_key(header::CACHE_CONTROL);
     if !is_read || response.status() != StatusCode::OK || !is_small || is_marked {
         return response;
     }
     let (mut parts, body) = response.into_parts();
-    let Ok(bytes) = to_bytes(body, MOST_BYTES as usize).await else { return Refused::internal().into_response() };
-    let hash: String = Sha256::digest(&bytes).iter().take(12).map(|byte| format!("{byte:02x}")).collect();
+    let Ok(bytes) = to_bytes(body, MOST_BYTES as usize).await else {
+        return Refused::internal().into_response();
+    };
+    let hash: String =
+        Sha256::digest(&bytes).iter().take(12).map(|byte| format!("{byte:02x}")).collect();
     let etag = format!("W/\"{hash}\"");
     parts.headers.insert(header::CACHE_CONTROL, ASK_AGAIN);
-    let is_known = known.as_ref().and_then(|known| known.to_str().ok()).is_some_and(|known| names(known, &etag));
+    let is_known = known
+        .as_ref()
+        .and_then(|known| known.to_str().ok())
+        .is_some_and(|known| names(known, &etag));
     if let Ok(etag) = HeaderValue::from_str(&etag) {
         parts.headers.insert(header::ETAG, etag);
     }
@@ -103,13 +129,20 @@ pub async fn mark(request: Request, next: Next) -> Response {
 
 /// Whether `If-None-Match` names a mark.
 fn names(known: &str, etag: &str) -> bool {
-    known.trim() == "*" || known.split(',').any(|known| known.trim().trim_start_matches("W/") == etag.trim_start_matches("W/"))
+    known.trim() == "*"
+        || known
+            .split(',')
+            .any(|known| known.trim().trim_start_matches("W/") == etag.trim_start_matches("W/"))
 }
 
-/// A file's mark is of its own bytes: of what was compressed on the way it says the same thing, not the same bytes.
+/// A file's mark is of its own bytes: of what was compressed on the way it says the same thing, not
+/// the same bytes.
 pub async fn weaken(mut response: Response) -> Response {
     let headers = response.headers_mut();
-    let strong = headers.get(header::ETAG).and_then(|etag| etag.to_str().ok()).filter(|etag| !etag.starts_with("W/"));
+    let strong = headers
+        .get(header::ETAG)
+        .and_then(|etag| etag.to_str().ok())
+        .filter(|etag| !etag.starts_with("W/"));
     let weak = strong.and_then(|etag| HeaderValue::from_str(&format!("W/{etag}")).ok());
     if let Some(weak) = weak.filter(|_| headers.contains_key(header::CONTENT_ENCODING)) {
         headers.insert(header::ETAG, weak);
@@ -123,7 +156,11 @@ mod tests {
 
     #[test]
     fn marks_are_compared_weakly() {
-        assert!(names("W/\"a\"", "W/\"a\"") && names("\"b\", \"a\"", "W/\"a\"") && names("*", "W/\"a\""));
+        assert!(
+            names("W/\"a\"", "W/\"a\"")
+                && names("\"b\", \"a\"", "W/\"a\"")
+                && names("*", "W/\"a\"")
+        );
         assert!(!names("\"b\"", "W/\"a\"") && !names("", "W/\"a\""));
     }
 }

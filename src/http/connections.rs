@@ -1,7 +1,9 @@
-//! Connections: how many there are, how long they may take over what, and who leaves when there are too many.
+//! Connections: how many there are, how long they may take over what, and who leaves when there are
+//! too many.
 //!
-//! A connection that sends nothing costs its sender nothing, so it must cost us little: where all places are taken, the one that has kept
-//! the server waiting longest gives its place to a newcomer. That is one that is idle or half way through a header, or one whose request's
+//! A connection that sends nothing costs its sender nothing, so it must cost us little: where all
+//! places are taken, the one that has kept the server waiting longest gives its place to a
+//! newcomer. That is one that is idle or half way through a header, or one whose request's
 //! body comes slowly. Those whose request is being answered keep theirs.
 
 use super::problem::Refused;
@@ -35,8 +37,15 @@ const WRITE_TIME: Duration = Duration::from_secs(30);
 /// Bytes of a request's line and headers.
 const MAX_HEADER_BYTES: usize = 64 << 10;
 
-/// Serves until `shutdown`; then requests under way are finished. Trouble with one connection is that connection's.
-pub async fn serve(listener: TcpListener, router: Router, most: usize, metrics: Arc<Metrics>, shutdown: CancellationToken) {
+/// Serves until `shutdown`; then requests under way are finished. Trouble with one connection is
+/// that connection's.
+pub async fn serve(
+    listener: TcpListener,
+    router: Router,
+    most: usize,
+    metrics: Arc<Metrics>,
+    shutdown: CancellationToken,
+) {
     metrics.requests.connections_limit.set(most as i64);
     let (places, graceful) = (Places::new(most, metrics.clone()), GracefulShutdown::new());
     loop {
@@ -46,7 +55,12 @@ pub async fn serve(listener: TcpListener, router: Router, most: usize, metrics: 
         };
         match accepted {
             Ok((stream, _)) => match places.enter() {
-                Some(place) => drop(tokio::spawn(connection(stream, router.clone(), place, graceful.watcher()))),
+                Some(place) => drop(tokio::spawn(connection(
+                    stream,
+                    router.clone(),
+                    place,
+                    graceful.watcher(),
+                ))),
                 None => drop(tokio::spawn(turn_away(stream, metrics.clone()))),
             },
             // Out of file descriptors, say: those in use come back.
@@ -60,14 +74,21 @@ pub async fn serve(listener: TcpListener, router: Router, most: usize, metrics: 
     graceful.shutdown().await;
 }
 
-async fn connection(stream: TcpStream, router: Router, place: Place, watcher: hyper_util::server::graceful::Watcher) {
-    // A small answer does not wait for the acknowledgement of the one before. One that can not be told is sent all the same.
+async fn connection(
+    stream: TcpStream,
+    router: Router,
+    place: Place,
+    watcher: hyper_util::server::graceful::Watcher,
+) {
+    // A small answer does not wait for the acknowledgement of the one before. One that can not be
+    // told is sent all the same.
     let _ = stream.set_nodelay(true);
     let mut stream = TimeoutStream::new(stream);
     stream.set_write_timeout(Some(WRITE_TIME));
     let (close, place) = (place.close.clone(), Arc::new(place));
     let service = service_fn(move |request: Request<hyper::body::Incoming>| {
-        let (router, busy, mut request) = (router.clone(), Busy::of(&place), request.map(Body::new));
+        let (router, busy, mut request) =
+            (router.clone(), Busy::of(&place), request.map(Body::new));
         request.extensions_mut().insert(place.body.clone());
         async move {
             let response = router.oneshot(request).await;
@@ -118,7 +139,8 @@ struct Taken {
 }
 
 impl Taken {
-    /// Returns how long the client has kept the server waiting; `None` while the server works on its request.
+    /// Returns how long the client has kept the server waiting; `None` while the server works on
+    /// its request.
     fn lag(&self, now: Instant) -> Option<Duration> {
         match self.busy {
             0 => Some(now.saturating_duration_since(self.idle_since)),
@@ -135,7 +157,8 @@ struct Place {
     close: CancellationToken,
 }
 
-/// A client that sends the body of a request at this rate does not keep the server waiting, bytes per second.
+/// A client that sends the body of a request at this rate does not keep the server waiting, bytes
+/// per second.
 const EXPECTED_BYTES_PER_S: u64 = 16 << 10;
 
 /// The progress of the body of a connection's current request.
@@ -161,8 +184,8 @@ impl BodyProgress {
         *self.arrived() = Arrived::default();
     }
 
-    /// Records that the server waits for the client from now on. Returns the bytes received so far and the time spent waiting for them;
-    /// `None` if it was waiting already.
+    /// Records that the server waits for the client from now on. Returns the bytes received so far
+    /// and the time spent waiting for them; `None` if it was waiting already.
     pub fn wait(&self) -> Option<(u64, Duration)> {
         let mut arrived = self.arrived();
         if arrived.waiting_since.is_some() {
@@ -186,12 +209,15 @@ impl BodyProgress {
         self.arrived().waiting_since = None;
     }
 
-    /// Returns how far the client is behind one that sends [`EXPECTED_BYTES_PER_S`]; `None` if it is not, or if nobody waits for it.
+    /// Returns how far the client is behind one that sends [`EXPECTED_BYTES_PER_S`]; `None` if it
+    /// is not, or if nobody waits for it.
     fn lag(&self, now: Instant) -> Option<Duration> {
         let arrived = self.arrived();
         let waited = arrived.waited + now.saturating_duration_since(arrived.waiting_since?);
         waited
-            .checked_sub(Duration::from_millis(arrived.bytes.saturating_mul(1000) / EXPECTED_BYTES_PER_S))
+            .checked_sub(Duration::from_millis(
+                arrived.bytes.saturating_mul(1000) / EXPECTED_BYTES_PER_S,
+            ))
             .filter(|lag| !lag.is_zero())
     }
 }
@@ -205,18 +231,24 @@ impl Places {
         self.taken.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes a place, if need be that of the connection whose client has kept the server waiting longest. Returns `None` while all
-    /// requests are being answered.
+    /// Takes a place, if need be that of the connection whose client has kept the server waiting
+    /// longest. Returns `None` while all requests are being answered.
     fn enter(&self) -> Option<Place> {
         let (mut taken, now) = (self.taken(), Instant::now());
         if taken.len() >= self.most {
-            let slowest = taken.iter().filter_map(|(number, place)| Some((place.lag(now)?, Reverse(*number)))).max();
+            let slowest = taken
+                .iter()
+                .filter_map(|(number, place)| Some((place.lag(now)?, Reverse(*number))))
+                .max();
             let (_, Reverse(number)) = slowest?;
             taken.remove(&number)?.close.cancel();
         }
         let number = self.next.fetch_add(1, Ordering::Relaxed);
         let (body, close) = (BodyProgress::default(), CancellationToken::new());
-        taken.insert(number, Taken { busy: 0, idle_since: now, body: body.clone(), close: close.clone() });
+        taken.insert(
+            number,
+            Taken { busy: 0, idle_since: now, body: body.clone(), close: close.clone() },
+        );
         self.metrics.requests.connections.set(taken.len() as i64);
         drop(taken);
         Some(Place { places: self.clone(), number, body, close })
@@ -262,7 +294,10 @@ impl HttpBody for Held {
     type Data = Bytes;
     type Error = axum::Error;
 
-    fn poll_frame(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
         Pin::new(&mut self.body).poll_frame(context)
     }
 
@@ -282,7 +317,8 @@ mod tests {
     #[test]
     fn the_longest_idle_leaves_and_who_works_stays() {
         let places = Places::new(2, Arc::default());
-        let (first, second) = (Arc::new(places.enter().unwrap()), Arc::new(places.enter().unwrap()));
+        let (first, second) =
+            (Arc::new(places.enter().unwrap()), Arc::new(places.enter().unwrap()));
         let working = Busy::of(&first);
         let third = places.enter().unwrap();
         assert!(second.close.is_cancelled() && !first.close.is_cancelled());
@@ -317,7 +353,8 @@ mod tests {
     #[test]
     fn a_client_is_behind_by_what_it_would_have_sent() {
         let (progress, s, start) = (BodyProgress::default(), Duration::from_secs, Instant::now());
-        *progress.arrived() = Arrived { bytes: 10 * EXPECTED_BYTES_PER_S, waited: s(8), waiting_since: Some(start) };
+        *progress.arrived() =
+            Arrived { bytes: 10 * EXPECTED_BYTES_PER_S, waited: s(8), waiting_since: Some(start) };
         let after = |seconds| progress.lag(start + s(seconds));
         assert_eq!((after(1), after(5)), (None, Some(s(3))));
         progress.end();

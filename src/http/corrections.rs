@@ -11,10 +11,11 @@ use axum::response::IntoResponse;
 use uniground_types::corrections::{Change, Correction, CorrectionList};
 use uniground_types::problem::Problem;
 
-/// Corrects what the current parse has found: a name, junk, things that are one, a thing that is several.
+/// Corrects what the current parse has found: a name, junk, things that are one, a thing that is
+/// several.
 ///
-/// Answers from now on know it. A correction belongs to the parse: scenes of the same bytes and settings share it, a new parse starts
-/// without.
+/// Answers from now on know it. A correction belongs to the parse: scenes of the same bytes and
+/// settings share it, a new parse starts without.
 #[utoipa::path(
     post, path = "/v1/scenes/{scene_id}/corrections", operation_id = "correct_scene", tag = "instances", params(("scene_id" = String, Path)),
     request_body = Change,
@@ -41,7 +42,8 @@ pub async fn create(
     Ok((StatusCode::CREATED, axum::Json(app.service.correct(&scene_id, change, &caller).await?)))
 }
 
-/// Lists the corrections of the current parse, newest first, with who made them and which were taken back.
+/// Lists the corrections of the current parse, newest first, with who made them and which were
+/// taken back.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/corrections", operation_id = "list_corrections", tag = "instances", params(("scene_id" = String, Path)),
     responses(
@@ -53,7 +55,10 @@ pub async fn create(
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn list(State(app): State<App>, Path(scene_id): Path<String>) -> Result<axum::Json<CorrectionList>, Refused> {
+pub async fn list(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+) -> Result<axum::Json<CorrectionList>, Refused> {
     Ok(axum::Json(app.service.corrections(&scene_id).await?))
 }
 
@@ -78,8 +83,8 @@ pub async fn undo(
     Ok(axum::Json(app.service.undo_correction(&scene_id, &correction_id).await?))
 }
 
-/// The things of the current parse as people have corrected them: the annotations that `uniground eval` reads beside a scan, as
-/// `<scene>.scene.json`.
+/// The things of the current parse as people have corrected them: the annotations that `uniground
+/// eval` reads beside a scan, as `<scene>.scene.json`.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/annotations", operation_id = "get_annotations", tag = "instances", params(("scene_id" = String, Path)),
     responses(
@@ -91,7 +96,10 @@ pub async fn undo(
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn annotations(State(app): State<App>, Path(scene_id): Path<String>) -> Result<impl IntoResponse, Refused> {
+pub async fn annotations(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+) -> Result<impl IntoResponse, Refused> {
     let truth = app.service.ground_truth(&scene_id).await?;
     let name = format!("attachment; filename=\"{}.scene.json\"", truth.scene_id);
     Ok(([(header::CONTENT_DISPOSITION, name)], axum::Json(truth)))

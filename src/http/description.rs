@@ -37,7 +37,8 @@ const MOST_ITEMS: usize = 1_000_000;
 const PROBLEM: &str = "application/problem+json";
 const FILE: &str = "application/octet-stream";
 
-/// What a status means wherever it is met, with a code as an example; problems without one here are described where they stand.
+/// What a status means wherever it is met, with a code as an example; problems without one here are
+/// described where they stand.
 fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static str)>)> {
     let problem = |description, code, detail| Some((description, Some((code, detail))));
     match status {
@@ -47,16 +48,34 @@ fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static
         "204" => Some(("Done; there is nothing to tell", None)),
         "206" => Some(("The part that `Range` names", None)),
         "304" => Some(("Nothing has changed since the `ETag` that `If-None-Match` shows", None)),
-        "400" => problem("The body can not be read", "malformed_json", "expected `,` or `}` at line 1 column 17"),
+        "400" => problem(
+            "The body can not be read",
+            "malformed_json",
+            "expected `,` or `}` at line 1 column 17",
+        ),
         "401" => problem(
             "No key, or one that is not known (any more)",
             "unauthorized",
             "this server wants a key: Authorization: Bearer <key>",
         ),
-        "402" => problem("The money for it is spent", "budget_spent", "the question's budget does not pay for another call"),
-        "403" => problem("The key may not do this", "scope_missing", "this key may \"read\", this needs a key that may \"write\""),
-        "404" => problem("There is no such thing", "scene_not_found", "there is no scene 01a1ff70-0000-7000-8000-000000000001"),
-        "408" => problem("The body comes too slowly", "body_too_slow", "a JSON body is sent within 20 s"),
+        "402" => problem(
+            "The money for it is spent",
+            "budget_spent",
+            "the question's budget does not pay for another call",
+        ),
+        "403" => problem(
+            "The key may not do this",
+            "scope_missing",
+            "this key may \"read\", this needs a key that may \"write\"",
+        ),
+        "404" => problem(
+            "There is no such thing",
+            "scene_not_found",
+            "there is no scene 01a1ff70-0000-7000-8000-000000000001",
+        ),
+        "408" => {
+            problem("The body comes too slowly", "body_too_slow", "a JSON body is sent within 20 s")
+        }
         "409" => problem(
             "Not as things are now",
             "scene_not_ready",
@@ -72,21 +91,37 @@ fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static
             "tus_version_unknown",
             "uploads in parts speak tus 1.0: send the header Tus-Resumable: 1.0.0",
         ),
-        "413" => problem("The body is too large", "body_too_large", "a JSON body has at most 1048576 bytes"),
+        "413" => problem(
+            "The body is too large",
+            "body_too_large",
+            "a JSON body has at most 1048576 bytes",
+        ),
         "415" => problem(
             "Another content type is wanted",
             "unsupported_media_type",
             "the body must be application/json, not \"text/plain\"",
         ),
         "416" => Some(("The file has no such part", None)),
-        "421" => problem("The server is called by a name that is not its own", "host_not_allowed", "this server is not evil.example"),
-        "422" => problem("A field or parameter makes no sense", "invalid_request", "/top_k: must be 1 to 100"),
+        "421" => problem(
+            "The server is called by a name that is not its own",
+            "host_not_allowed",
+            "this server is not evil.example",
+        ),
+        "422" => problem(
+            "A field or parameter makes no sense",
+            "invalid_request",
+            "/top_k: must be 1 to 100",
+        ),
         "423" => problem(
             "Somebody is at work on it",
             "upload_busy",
             "somebody is sending to upload 01a1ff70-0000-7000-8000-000000000001, or it is being made a scene: ask for its offset when that is over",
         ),
-        "429" => problem("Too much at once: again after `Retry-After`", "rate_limited", "this key asks too often: try again in 12 s"),
+        "429" => problem(
+            "Too much at once: again after `Retry-After`",
+            "rate_limited",
+            "this key asks too often: try again in 12 s",
+        ),
         "460" => problem(
             "The checksum is of other bytes",
             "checksum_mismatch",
@@ -102,27 +137,51 @@ fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static
             "vlm_down",
             "the vision-language model's server is down: it is tried again in 20 s",
         ),
-        "504" => problem("It took longer than was allowed", "question_timed_out", "the question took longer than 5 s"),
-        "507" => problem("The disk is full", "storage_full", "the server's disk is full: delete scenes, or ask its operator"),
+        "504" => problem(
+            "It took longer than was allowed",
+            "question_timed_out",
+            "the question took longer than 5 s",
+        ),
+        "507" => problem(
+            "The disk is full",
+            "storage_full",
+            "the server's disk is full: delete scenes, or ask its operator",
+        ),
         _ => None,
     }
 }
 
-/// Says of every operation what its own attributes leave out: what its statuses mean, with examples, and what any request may meet.
+/// Says of every operation what its own attributes leave out: what its statuses mean, with
+/// examples, and what any request may meet.
 pub fn complete(openapi: &mut utoipa::openapi::OpenApi) {
     for (path, item) in &mut openapi.paths.paths {
         let PathItem { get, post, patch, delete, head, options, .. } = item;
         // What tells headers only is never 304.
-        for (operation, changes) in [(get, false), (post, true), (patch, true), (delete, true), (head, true), (options, true)] {
+        for (operation, changes) in [
+            (get, false),
+            (post, true),
+            (patch, true),
+            (delete, true),
+            (head, true),
+            (options, true),
+        ] {
             if let Some(operation) = operation {
                 may_meet(operation, path, changes);
-                operation.responses.responses.iter_mut().for_each(|(status, response)| describe(status, response));
+                operation
+                    .responses
+                    .responses
+                    .iter_mut()
+                    .for_each(|(status, response)| describe(status, response));
                 // Said, and not left out: anybody may.
-                operation.security.get_or_insert_with(|| vec![security::SecurityRequirement::default()]);
+                operation
+                    .security
+                    .get_or_insert_with(|| vec![security::SecurityRequirement::default()]);
             }
         }
     }
-    for schema in openapi.components.iter_mut().flat_map(|components| components.schemas.values_mut()) {
+    for schema in
+        openapi.components.iter_mut().flat_map(|components| components.schemas.values_mut())
+    {
         bound(schema);
     }
 }
@@ -132,11 +191,15 @@ fn may_meet(operation: &mut Operation, path: &str, changes: bool) {
     let responses = &mut operation.responses.responses;
     let sends_file = match responses.get("200") {
         // What comes in several formats is made when it is asked for, and whole.
-        Some(RefOr::T(response)) => response.content.len() == 1 && response.content.contains_key(FILE),
+        Some(RefOr::T(response)) => {
+            response.content.len() == 1 && response.content.contains_key(FILE)
+        }
         _ => false,
     };
     let read = (!changes && path.starts_with("/v1/")).then_some(StatusCode::NOT_MODIFIED);
-    let part = [StatusCode::PARTIAL_CONTENT, StatusCode::RANGE_NOT_SATISFIABLE].into_iter().filter(|_| sends_file);
+    let part = [StatusCode::PARTIAL_CONTENT, StatusCode::RANGE_NOT_SATISFIABLE]
+        .into_iter()
+        .filter(|_| sends_file);
     for status in read.into_iter().chain(part) {
         responses.entry(status.as_str().to_owned()).or_insert_with(|| Response::new("").into());
     }
@@ -159,7 +222,9 @@ fn may_meet(operation: &mut Operation, path: &str, changes: bool) {
 }
 
 fn describe(status: &str, response: &mut RefOr<Response>) {
-    let (RefOr::T(response), Some((description, example))) = (response, meaning(status)) else { return };
+    let (RefOr::T(response), Some((description, example))) = (response, meaning(status)) else {
+        return;
+    };
     if response.description.is_empty() {
         description.clone_into(&mut response.description);
     }
@@ -168,7 +233,11 @@ fn describe(status: &str, response: &mut RefOr<Response>) {
         seconds.description = Some("Seconds to wait".into());
         response.headers.insert(header::RETRY_AFTER.to_string(), seconds.into());
     }
-    let (Some((code, detail)), Some(RefOr::T(content))) = (example, response.content.get_mut(PROBLEM)) else { return };
+    let (Some((code, detail)), Some(RefOr::T(content))) =
+        (example, response.content.get_mut(PROBLEM))
+    else {
+        return;
+    };
     let number: u16 = status.parse().unwrap_or_default();
     let title = StatusCode::from_u16(number).ok().map(title_of);
     content.example.get_or_insert_with(|| {

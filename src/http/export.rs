@@ -20,7 +20,8 @@ pub struct ExportParameters {
     /// Kind of file.
     #[param(inline)]
     format: ExportFormat,
-    /// Most points in the file: a larger cloud is thinned evenly, always to the same points. JSON has none.
+    /// Most points in the file: a larger cloud is thinned evenly, always to the same points. JSON
+    /// has none.
     #[serde(default = "default_points")]
     #[param(minimum = 1, maximum = 2_000_000, default = 500_000)]
     points: u32,
@@ -30,10 +31,11 @@ fn default_points() -> u32 {
     DEFAULT_POINTS
 }
 
-/// The scene with what was found in it, for other programs: GLB, PLY, USDZ or JSON, as people have corrected it.
+/// The scene with what was found in it, for other programs: GLB, PLY, USDZ or JSON, as people have
+/// corrected it.
 ///
-/// Coordinates are metres in the frame of the scene (Z up); in GLB the node at the root turns them into glTF's Y up. Sent as an attachment
-/// named after the scene.
+/// Coordinates are metres in the frame of the scene (Z up); in GLB the node at the root turns them
+/// into glTF's Y up. Sent as an attachment named after the scene.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/export", operation_id = "export_scene", tag = "scenes", params(("scene_id" = String, Path), ExportParameters),
     responses(
@@ -56,7 +58,8 @@ pub async fn export(
     Query(ExportParameters { format, points }): Query<ExportParameters>,
     asked: HeaderMap,
 ) -> Result<Response, Refused> {
-    let ExportFile { name, bytes, fingerprint } = app.service.export(&scene_id, format, points).await?;
+    let ExportFile { name, bytes, fingerprint } =
+        app.service.export(&scene_id, format, points).await?;
     let mut response = send_bytes(bytes, &fingerprint, format.media_type(), &asked);
     if let Ok(named) = HeaderValue::from_str(&format!("attachment; filename=\"{name}\"")) {
         response.headers_mut().insert(header::CONTENT_DISPOSITION, named);

@@ -17,29 +17,55 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
     type Rejection = Refused;
 
     async fn from_request(request: Request, _state: &S) -> Result<Self, Refused> {
-        let media_type = request.headers().get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
+        let media_type = request
+            .headers()
+            .get(header::CONTENT_TYPE)
+            .and_then(|v| v.to_str().ok())
+            .unwrap_or_default();
         let essence = media_type.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
         if essence != "application/json" {
             let detail = format!("the body must be application/json, not {essence:?}");
-            return Err(Refused::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type", detail));
+            return Err(Refused::new(
+                StatusCode::UNSUPPORTED_MEDIA_TYPE,
+                "unsupported_media_type",
+                detail,
+            ));
         }
         let bytes = to_bytes(request.into_body(), MAX_JSON_BYTES).await.map_err(|_| {
-            Refused::new(StatusCode::PAYLOAD_TOO_LARGE, "body_too_large", format!("a JSON body has at most {MAX_JSON_BYTES} bytes"))
+            Refused::new(
+                StatusCode::PAYLOAD_TOO_LARGE,
+                "body_too_large",
+                format!("a JSON body has at most {MAX_JSON_BYTES} bytes"),
+            )
         })?;
         if holds_nul(&bytes) {
-            return Err(Refused::invalid("body", "a text holds a NUL character, which no text has"));
+            return Err(Refused::invalid(
+                "body",
+                "a text holds a NUL character, which no text has",
+            ));
         }
         let mut reader = serde_json::Deserializer::from_slice(&bytes);
         let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
-            let pointer: String = error.path().iter().map(|segment| format!("/{segment}")).filter(|s| s != "/?").collect();
+            let pointer: String = error
+                .path()
+                .iter()
+                .map(|segment| format!("/{segment}"))
+                .filter(|s| s != "/?")
+                .collect();
             match error.inner().classify() {
-                serde_json::error::Category::Data => Refused::invalid(pointer, error.inner().to_string()),
-                _ => Refused::new(StatusCode::BAD_REQUEST, "malformed_json", error.inner().to_string()),
+                serde_json::error::Category::Data => {
+                    Refused::invalid(pointer, error.inner().to_string())
+                }
+                _ => Refused::new(
+                    StatusCode::BAD_REQUEST,
+                    "malformed_json",
+                    error.inner().to_string(),
+                ),
             }
         })?;
-        reader
-            .end()
-            .map_err(|error| Refused::new(StatusCode::BAD_REQUEST, "malformed_json", error.to_string()))?;
+        reader.end().map_err(|error| {
+            Refused::new(StatusCode::BAD_REQUEST, "malformed_json", error.to_string())
+        })?;
         Ok(Self(value))
     }
 }
@@ -47,7 +73,8 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
 /// Whether a text in JSON has a NUL character: not every database could keep it.
 fn holds_nul(json: &[u8]) -> bool {
     const ESCAPED: &[u8] = b"u0000";
-    let is_escape = |at: usize| json[..at].iter().rev().take_while(|byte| **byte == b'\\').count() % 2 == 1;
+    let is_escape =
+        |at: usize| json[..at].iter().rev().take_while(|byte| **byte == b'\\').count() % 2 == 1;
     json.windows(ESCAPED.len()).enumerate().any(|(at, window)| window == ESCAPED && is_escape(at))
 }
 
@@ -69,7 +96,8 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
         match axum::extract::Query::<T>::from_request_parts(parts, state).await {
             Ok(axum::extract::Query(value)) => Ok(Self(value)),
             Err(rejection) => {
-                let reason = std::error::Error::source(&rejection).map_or_else(|| rejection.body_text(), ToString::to_string);
+                let reason = std::error::Error::source(&rejection)
+                    .map_or_else(|| rejection.body_text(), ToString::to_string);
                 let (parameter, detail) = reason.split_once(": ").unwrap_or(("query", &reason));
                 Err(Refused::invalid(parameter, detail))
             }
@@ -85,11 +113,17 @@ impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for Path<T>
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Refused> {
         if names_nul(parts) {
-            return Err(Refused::new(StatusCode::NOT_FOUND, "not_found", "nothing has a name with a NUL character"));
+            return Err(Refused::new(
+                StatusCode::NOT_FOUND,
+                "not_found",
+                "nothing has a name with a NUL character",
+            ));
         }
         match axum::extract::Path::<T>::from_request_parts(parts, state).await {
             Ok(axum::extract::Path(value)) => Ok(Self(value)),
-            Err(rejection) => Err(Refused::new(StatusCode::NOT_FOUND, "not_found", rejection.body_text())),
+            Err(rejection) => {
+                Err(Refused::new(StatusCode::NOT_FOUND, "not_found", rejection.body_text()))
+            }
         }
     }
 }
@@ -107,12 +141,15 @@ impl<S: Send + Sync> FromRequestParts<S> for IdempotencyKey {
         let mut headers = parts.headers.get_all("idempotency-key").iter();
         let Some(key) = headers.next() else { return Ok(Self(None)) };
         let is_visible = |byte: &u8| byte.is_ascii_graphic() || *byte == b' ';
-        let is_key = (1..=MAX_IDEMPOTENCY_KEY_BYTES).contains(&key.len()) && key.as_bytes().iter().all(is_visible);
+        let is_key = (1..=MAX_IDEMPOTENCY_KEY_BYTES).contains(&key.len())
+            && key.as_bytes().iter().all(is_visible);
         match key.to_str() {
             Ok(key) if is_key && headers.next().is_none() => Ok(Self(Some(key.to_owned()))),
             _ => Err(Refused::invalid(
                 "Idempotency-Key",
-                format!("must be sent once and have 1 to {MAX_IDEMPOTENCY_KEY_BYTES} visible ASCII characters"),
+                format!(
+                    "must be sent once and have 1 to {MAX_IDEMPOTENCY_KEY_BYTES} visible ASCII characters"
+                ),
             )),
         }
     }
@@ -138,9 +175,19 @@ mod tests {
         for key in [b"monday, 8".as_slice(), &longest] {
             assert_eq!(key_of(&[key]).await.unwrap().unwrap().as_bytes(), key);
         }
-        for keys in [&[b"".as_slice()][..], &[&[b'k'; MAX_IDEMPOTENCY_KEY_BYTES + 1]], &["\u{fc}".as_bytes()], &[b"a\tb"], &[b"a", b"a"]] {
+        for keys in [
+            &[b"".as_slice()][..],
+            &[&[b'k'; MAX_IDEMPOTENCY_KEY_BYTES + 1]],
+            &["\u{fc}".as_bytes()],
+            &[b"a\tb"],
+            &[b"a", b"a"],
+        ] {
             let problem = key_of(keys).await.unwrap_err().problem();
-            assert_eq!((problem.status, problem.errors[0].pointer.as_str()), (422, "Idempotency-Key"), "{keys:?}");
+            assert_eq!(
+                (problem.status, problem.errors[0].pointer.as_str()),
+                (422, "Idempotency-Key"),
+                "{keys:?}"
+            );
         }
     }
 

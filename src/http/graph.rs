@@ -26,13 +26,16 @@ pub struct GraphParameters {
     #[serde(default)]
     #[param(inline)]
     level: Levels,
-    /// An instance: it and what it stands in a relation to, alone, its parts and wholes among them whatever `level` says.
+    /// An instance: it and what it stands in a relation to, alone, its parts and wholes among them
+    /// whatever `level` says.
     around: Option<u32>,
 }
 
-/// What is in a scene and how it stands to each other: things, the building and zones, and what carries, holds or stands beside what.
+/// What is in a scene and how it stands to each other: things, the building and zones, and what
+/// carries, holds or stands beside what.
 ///
-/// The relations are those that questions are answered by, as far as they do not depend on who looks.
+/// The relations are those that questions are answered by, as far as they do not depend on who
+/// looks.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/graph", operation_id = "get_graph", tag = "instances", params(("scene_id" = String, Path), GraphParameters),
     responses(

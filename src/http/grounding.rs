@@ -14,7 +14,8 @@ use uniground_types::question::{GroundRequest, ShortlistRequest};
 
 /// Grounds one expression in a parsed scene.
 ///
-/// `no_match` and `ambiguous` are answers, not errors: `box` is `null` and, for `ambiguous`, `alternatives` lists the tied objects.
+/// `no_match` and `ambiguous` are answers, not errors: `box` is `null` and, for `ambiguous`,
+/// `alternatives` lists the tied objects.
 #[utoipa::path(
     post, path = "/v1/scenes/{scene_id}/ground", operation_id = "ground", tag = "grounding",
     params(
@@ -47,7 +48,9 @@ pub async fn ground(
     Json(request): Json<GroundRequest>,
 ) -> Result<Response, Refused> {
     let Some(key) = key else {
-        return Ok(axum::Json(app.service.ground(&scene_id, request, caller).await?).into_response());
+        return Ok(
+            axum::Json(app.service.ground(&scene_id, request, caller).await?).into_response()
+        );
     };
     let (answer, is_replayed) = app.service.ground_once(&scene_id, request, caller, key).await?;
     let mut response = axum::Json(answer).into_response();
@@ -59,8 +62,8 @@ pub async fn ground(
 
 /// Finds out in which of many scenes something is.
 ///
-/// Every scene is looked into without a model; those that most likely have it are asked in full, and their answers kept. A key's rate counts
-/// each of these; there is no `Idempotency-Key`.
+/// Every scene is looked into without a model; those that most likely have it are asked in full,
+/// and their answers kept. A key's rate counts each of these; there is no `Idempotency-Key`.
 #[utoipa::path(
     post, path = "/v1/ground", operation_id = "ground_many", tag = "grounding", request_body = ManyGroundRequest,
     responses(

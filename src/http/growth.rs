@@ -22,7 +22,8 @@ use utoipa::IntoParams;
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct AddParameters {
-    /// Whose coordinates the poses are in: those of the files the scene was made of (default), the scene's, or those of the map it lies in.
+    /// Whose coordinates the poses are in: those of the files the scene was made of (default), the
+    /// scene's, or those of the map it lies in.
     #[serde(default = "of_the_files")]
     #[param(default = "source", inline)]
     world: FrameChoice,
@@ -32,11 +33,13 @@ fn of_the_files() -> FrameChoice {
     FrameChoice::Source
 }
 
-/// Adds frames to a scene: colour and depth pictures with poses, in any layout that a scan may have.
+/// Adds frames to a scene: colour and depth pictures with poses, in any layout that a scan may
+/// have.
 ///
-/// They are checked against the scene before anything is kept, and parsed in the background: what was seen of frames before is used again.
-/// What the new frames look through is gone, surfaces they find are new. What stays keeps its id, names and corrections;
-/// `GET /v1/scenes/{scene_id}/changes` tells what came, went and moved. Questions are answered as before until then.
+/// They are checked against the scene before anything is kept, and parsed in the background: what
+/// was seen of frames before is used again. What the new frames look through is gone, surfaces they
+/// find are new. What stays keeps its id, names and corrections; `GET /v1/scenes/{scene_id}/
+/// changes` tells what came, went and moved. Questions are answered as before until then.
 #[utoipa::path(
     post, path = "/v1/scenes/{scene_id}/frames", operation_id = "add_frames", tag = "scenes",
     params(
@@ -68,10 +71,13 @@ pub async fn add_frames(
     request: Request,
 ) -> Result<(StatusCode, axum::Json<Created>), Refused> {
     let header = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
-    let announced_bytes = header("content-length").and_then(|bytes| bytes.parse().ok()).unwrap_or(0);
+    let announced_bytes =
+        header("content-length").and_then(|bytes| bytes.parse().ok()).unwrap_or(0);
     let new = NewFrames { file_name: None, world, idempotency_key, announced_bytes };
     let body = request.into_body().into_data_stream();
-    let (scene, job) = match header("content-type").and_then(|media_type| parse_boundary(media_type).ok()) {
+    let (scene, job) = match header("content-type")
+        .and_then(|media_type| parse_boundary(media_type).ok())
+    {
         Some(boundary) => {
             let (file_name, file) = file_of_form(body, boundary).await?;
             app.service.add_frames(&scene_id, NewFrames { file_name, ..new }, file, &caller).await?
@@ -90,11 +96,13 @@ pub struct ChangesParameters {
     since: Option<u32>,
     /// Another scene of the same room: what is different there. Not together with `since`.
     to: Option<String>,
-    /// With `to`: whether the two clouds are laid over each other, from their places in the same map or in one world. Default: yes.
+    /// With `to`: whether the two clouds are laid over each other, from their places in the same
+    /// map or in one world. Default: yes.
     align: Option<bool>,
 }
 
-/// What changed in a scene since an earlier version of it, or from this scan to another one of the same room.
+/// What changed in a scene since an earlier version of it, or from this scan to another one of the
+/// same room.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/changes", operation_id = "get_changes", tag = "scenes",
     params(("scene_id" = String, Path), ChangesParameters),
@@ -115,9 +123,13 @@ pub async fn changes(
     Query(ChangesParameters { since, to, align }): Query<ChangesParameters>,
 ) -> Result<axum::Json<SceneChanges>, Refused> {
     let changes = match (since, to) {
-        (Some(_), Some(_)) => return Err(Error::invalid("/to", "ask for since or for to, not for both").into()),
+        (Some(_), Some(_)) => {
+            return Err(Error::invalid("/to", "ask for since or for to, not for both").into());
+        }
         (None, Some(to)) => app.service.changes_to(&scene_id, &to, align.unwrap_or(true)).await?,
-        (since, None) if align.is_none() => app.service.changes_since(&scene_id, since.unwrap_or(1)).await?,
+        (since, None) if align.is_none() => {
+            app.service.changes_since(&scene_id, since.unwrap_or(1)).await?
+        }
         (_, None) => return Err(Error::invalid("/align", "it goes with to").into()),
     };
     Ok(axum::Json(changes))

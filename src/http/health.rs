@@ -17,7 +17,10 @@ use uniground_types::service::{Health as Alive, ModelList, Readiness};
     security(("key" = ["read"]), ())
 )]
 pub async fn models(State(app): State<App>) -> Json<ModelList> {
-    Json(ModelList { models: app.service.loaded_models().to_vec(), vlm: app.service.vlm_model().map(str::to_owned) })
+    Json(ModelList {
+        models: app.service.loaded_models().to_vec(),
+        vlm: app.service.vlm_model().map(str::to_owned),
+    })
 }
 
 /// Whether the process is alive.
@@ -28,21 +31,30 @@ pub async fn healthz() -> Json<Alive> {
 
 /// Whether the service can do its work.
 ///
-/// A vision-language model that does not answer is told in `vlm` and does not count: built-in parts answer meanwhile.
+/// A vision-language model that does not answer is told in `vlm` and does not count: built-in parts
+/// answer meanwhile.
 #[utoipa::path(get, path = "/readyz", operation_id = "readyz", tag = "service", responses((status = 200, body = Readiness), (status = 503, body = Readiness)))]
 pub async fn readyz(State(app): State<App>) -> Response {
     let health = app.service.health().await;
     let ready = health.is_ready();
-    let Health { store: StoreHealth { database, blobs, disk, is_damaged: _ }, dead_lanes, inference, vlm } = health;
+    let Health {
+        store: StoreHealth { database, blobs, disk, is_damaged: _ },
+        dead_lanes,
+        inference,
+        vlm,
+    } = health;
     let word = |trouble: Option<String>| trouble.unwrap_or_else(|| "ok".into());
-    let of_server = |condition: Option<Result<(), String>>| condition.map(|condition| word(condition.err()));
+    let of_server =
+        |condition: Option<Result<(), String>>| condition.map(|condition| word(condition.err()));
     let models = app.service.parse_models();
     let readiness = Readiness {
         ready,
         database: word(database),
         blob_folder: word(blobs),
         disk: word(disk),
-        worker: word((!dead_lanes.is_empty()).then(|| format!("stopped: {}", dead_lanes.join(", ")))),
+        worker: word(
+            (!dead_lanes.is_empty()).then(|| format!("stopped: {}", dead_lanes.join(", "))),
+        ),
         inference_server: of_server(inference),
         vlm: of_server(vlm),
         masks: models.masks,
@@ -51,6 +63,7 @@ pub async fn readyz(State(app): State<App>) -> Response {
     };
     match ready {
         true => Json(readiness).into_response(),
-        false => (StatusCode::SERVICE_UNAVAILABLE, [(header::RETRY_AFTER, "5")], Json(readiness)).into_response(),
+        false => (StatusCode::SERVICE_UNAVAILABLE, [(header::RETRY_AFTER, "5")], Json(readiness))
+            .into_response(),
     }
 }

@@ -1,5 +1,5 @@
-//! By which names a server without a key may be called. A page in somebody's browser can have its own name point to this machine; its
-//! requests then carry that name, and are refused.
+//! By which names a server without a key may be called. A page in somebody's browser can have its
+//! own name point to this machine; its requests then carry that name, and are refused.
 
 use super::App;
 use super::problem::Refused;
@@ -21,7 +21,8 @@ impl AllowedHosts {
 
     fn allows(&self, host: &str) -> bool {
         let host = host.trim_start_matches('[').trim_end_matches(']').to_ascii_lowercase();
-        let is_loopback = host == "localhost" || host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback());
+        let is_loopback =
+            host == "localhost" || host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback());
         is_loopback || self.0.contains(&host)
     }
 }
@@ -36,8 +37,12 @@ pub async fn check(State(app): State<App>, request: Request, next: Next) -> Resp
     // Without a name it is no browser.
     match host {
         Some(host) if !allowed.allows(host.host()) => {
-            let detail = format!("this server is not {}: start it with --allowed-host, or with a key", host.host());
-            Refused::new(StatusCode::MISDIRECTED_REQUEST, "host_not_allowed", detail).into_response()
+            let detail = format!(
+                "this server is not {}: start it with --allowed-host, or with a key",
+                host.host()
+            );
+            Refused::new(StatusCode::MISDIRECTED_REQUEST, "host_not_allowed", detail)
+                .into_response()
         }
         _ => next.run(request).await,
     }
@@ -55,6 +60,10 @@ mod tests {
                 .iter()
                 .all(|host| hosts.allows(host))
         );
-        assert!(["evil.example", "192.168.1.2", "localhost.evil.example", ""].iter().all(|host| !hosts.allows(host)));
+        assert!(
+            ["evil.example", "192.168.1.2", "localhost.evil.example", ""]
+                .iter()
+                .all(|host| !hosts.allows(host))
+        );
     }
 }

@@ -36,7 +36,8 @@ fn default_limit() -> u32 {
     100
 }
 
-/// The instances of a scene's current parse, in order of id: the largest first, then parts and wholes where these are asked for.
+/// The instances of a scene's current parse, in order of id: the largest first, then parts and
+/// wholes where these are asked for.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/instances", operation_id = "list_instances", tag = "instances", params(("scene_id" = String, Path), ListParameters),
     responses(
@@ -73,7 +74,10 @@ pub async fn list(
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn get(State(app): State<App>, Path((scene_id, instance_id)): Path<(String, u32)>) -> Result<Json<InstanceView>, Refused> {
+pub async fn get(
+    State(app): State<App>,
+    Path((scene_id, instance_id)): Path<(String, u32)>,
+) -> Result<Json<InstanceView>, Refused> {
     Ok(Json(app.service.instance(&scene_id, InstanceId(instance_id)).await?))
 }
 
@@ -81,7 +85,8 @@ pub async fn get(State(app): State<App>, Path((scene_id, instance_id)): Path<(St
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ViewParameters {
-    /// The full frame with the object outlined in a red box, or a crop of it with darker surroundings.
+    /// The full frame with the object outlined in a red box, or a crop of it with darker
+    /// surroundings.
     #[serde(default)]
     #[param(inline)]
     picture: ViewPicture,
@@ -108,7 +113,16 @@ pub async fn view(
     asked: HeaderMap,
 ) -> Result<Response, Refused> {
     let number = view.strip_suffix(".jpg").and_then(|k| k.parse().ok());
-    let number = number
-        .ok_or_else(|| Refused::new(StatusCode::NOT_FOUND, "view_not_found", format!("views are 0.jpg, 1.jpg, ...; not {view:?}")))?;
-    send_picture(app.service.view_picture(&scene_id, InstanceId(instance_id), number, picture).await?, &asked).await
+    let number = number.ok_or_else(|| {
+        Refused::new(
+            StatusCode::NOT_FOUND,
+            "view_not_found",
+            format!("views are 0.jpg, 1.jpg, ...; not {view:?}"),
+        )
+    })?;
+    send_picture(
+        app.service.view_picture(&scene_id, InstanceId(instance_id), number, picture).await?,
+        &asked,
+    )
+    .await
 }

@@ -61,7 +61,10 @@ pub struct ListParameters {
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn list(State(app): State<App>, Query(parameters): Query<ListParameters>) -> Result<Json<JobList>, Refused> {
+pub async fn list(
+    State(app): State<App>,
+    Query(parameters): Query<ListParameters>,
+) -> Result<Json<JobList>, Refused> {
     let ListParameters { kind, state, subject, limit, cursor } = parameters;
     let (limit, cursor) = checked(limit.unwrap_or(DEFAULT_LIMIT), cursor)?;
     let filter = JobFilter { kind, state, subject };
@@ -95,7 +98,10 @@ pub async fn get(State(app): State<App>, Path(job_id): Path<String>) -> Result<J
     ),
     security(("key" = ["write"]), ())
 )]
-pub async fn cancel(State(app): State<App>, Path(job_id): Path<String>) -> Result<(StatusCode, Json<Job>), Refused> {
+pub async fn cancel(
+    State(app): State<App>,
+    Path(job_id): Path<String>,
+) -> Result<(StatusCode, Json<Job>), Refused> {
     Ok((StatusCode::ACCEPTED, Json(app.service.jobs.cancel(&job_id).await.map_err(Error::from)?)))
 }
 
@@ -140,7 +146,9 @@ struct Following {
 }
 
 /// The next event the caller has not seen, and who goes on to follow then; `None` ends the stream.
-async fn next_event(mut following: Following) -> Option<(Result<Event, Infallible>, Option<Following>)> {
+async fn next_event(
+    mut following: Following,
+) -> Option<(Result<Event, Infallible>, Option<Following>)> {
     loop {
         if following.shutdown.is_cancelled() {
             return None;
@@ -149,7 +157,11 @@ async fn next_event(mut following: Following) -> Option<(Result<Event, Infallibl
         let id = event_id(&job);
         let over = job.state.is_final();
         if over || following.seen.as_deref() != Some(&id) {
-            let event = Event::default().id(id.clone()).event(if over { "done" } else { "progress" }).json_data(&job).ok()?;
+            let event = Event::default()
+                .id(id.clone())
+                .event(if over { "done" } else { "progress" })
+                .json_data(&job)
+                .ok()?;
             following.seen = Some(id);
             return Some((Ok(event), (!over).then_some(following)));
         }

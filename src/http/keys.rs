@@ -26,7 +26,10 @@ use uniground_types::problem::Problem;
     ),
     security(("key" = ["admin"]), ())
 )]
-pub async fn create(State(app): State<App>, Json(new): Json<NewKey>) -> Result<(StatusCode, axum::Json<CreatedKey>), Refused> {
+pub async fn create(
+    State(app): State<App>,
+    Json(new): Json<NewKey>,
+) -> Result<(StatusCode, axum::Json<CreatedKey>), Refused> {
     // Where anybody may ask, a stranger would lock everybody else out.
     if app.allowed_hosts.is_none() && !app.service.keys.is_wanted() {
         let detail = "the first key of a server that others can reach is made by hand: uniground key create --data-dir";
@@ -47,12 +50,16 @@ pub async fn create(State(app): State<App>, Json(new): Json<NewKey>) -> Result<(
     ),
     security(("key" = ["admin"]), ())
 )]
-pub async fn list(State(app): State<App>, Query(page): Query<Page>) -> Result<axum::Json<KeyList>, Refused> {
+pub async fn list(
+    State(app): State<App>,
+    Query(page): Query<Page>,
+) -> Result<axum::Json<KeyList>, Refused> {
     let (limit, cursor) = page.checked()?;
     Ok(axum::Json(app.service.keys.list(limit, cursor.as_deref()).await?))
 }
 
-/// Revokes a key: it is refused from now on, and its batches pause. What was done with it stays readable.
+/// Revokes a key: it is refused from now on, and its batches pause. What was done with it stays
+/// readable.
 #[utoipa::path(
     delete, path = "/v1/keys/{key_id}", operation_id = "revoke_key", tag = "keys", params(("key_id" = String, Path)),
     responses(
@@ -64,11 +71,15 @@ pub async fn list(State(app): State<App>, Query(page): Query<Page>) -> Result<ax
     ),
     security(("key" = ["admin"]), ())
 )]
-pub async fn revoke(State(app): State<App>, Path(key_id): Path<String>) -> Result<axum::Json<Key>, Refused> {
+pub async fn revoke(
+    State(app): State<App>,
+    Path(key_id): Path<String>,
+) -> Result<axum::Json<Key>, Refused> {
     Ok(axum::Json(app.service.keys.revoke(&key_id).await?))
 }
 
-/// Lists what was done, newest first: every request that was let through to change something, whatever came of it.
+/// Lists what was done, newest first: every request that was let through to change something,
+/// whatever came of it.
 #[utoipa::path(
     get, path = "/v1/audit", operation_id = "list_audit", tag = "keys", params(Page),
     responses(
@@ -80,7 +91,10 @@ pub async fn revoke(State(app): State<App>, Path(key_id): Path<String>) -> Resul
     ),
     security(("key" = ["admin"]), ())
 )]
-pub async fn audit(State(app): State<App>, Query(page): Query<Page>) -> Result<axum::Json<AuditList>, Refused> {
+pub async fn audit(
+    State(app): State<App>,
+    Query(page): Query<Page>,
+) -> Result<axum::Json<AuditList>, Refused> {
     let (limit, cursor) = page.checked()?;
     Ok(axum::Json(app.service.keys.audit(limit, cursor.as_deref()).await?))
 }

@@ -1,4 +1,5 @@
-//! A scene for who looks at it: points, a small picture, photographs and where they were taken from.
+//! A scene for who looks at it: points, a small picture, photographs and where they were taken
+//! from.
 
 use super::caching::{send_download, send_file};
 use super::extract::{Path, Query};
@@ -13,11 +14,13 @@ use uniground_types::problem::Problem;
 use uniground_types::scene::FrameList;
 use utoipa::IntoParams;
 
-/// The cloud of the current parse for whoever looks at it over a network: twelve bytes a point, and every beginning is an even sample of
-/// the whole, so that a part (`Range: bytes=0-2400031` for 200,000 points) is a picture already.
+/// The cloud of the current parse for whoever looks at it over a network: twelve bytes a point, and
+/// every beginning is an even sample of the whole, so that a part (`Range: bytes=0-2400031` for
+/// 200,000 points) is a picture already.
 ///
-/// Little endian: `UGP1`, number of points (u32), bytes per point (u32, 12), 0 (u32), origin (three f32, metres), step (f32, metres); then
-/// for each point its position (three u16: origin + step x number), red, green, blue (u8), and the id of its thing (three bytes, 0 for none).
+/// Little endian: `UGP1`, number of points (u32), bytes per point (u32, 12), 0 (u32), origin (three
+/// f32, metres), step (f32, metres); then for each point its position (three u16: origin + step x
+/// number), red, green, blue (u8), and the id of its thing (three bytes, 0 for none).
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/points.bin", operation_id = "get_points", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
@@ -31,7 +34,11 @@ use utoipa::IntoParams;
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn points(State(app): State<App>, Path(scene_id): Path<String>, asked: HeaderMap) -> Result<Response, Refused> {
+pub async fn points(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+    asked: HeaderMap,
+) -> Result<Response, Refused> {
     send_download(app.service.points(&scene_id).await?, "application/octet-stream", &asked).await
 }
 
@@ -47,7 +54,11 @@ pub async fn points(State(app): State<App>, Path(scene_id): Path<String>, asked:
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn thumbnail(State(app): State<App>, Path(scene_id): Path<String>, asked: HeaderMap) -> Result<Response, Refused> {
+pub async fn thumbnail(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+    asked: HeaderMap,
+) -> Result<Response, Refused> {
     send_picture(app.service.thumbnail(&scene_id).await?, &asked).await
 }
 
@@ -63,7 +74,10 @@ pub async fn thumbnail(State(app): State<App>, Path(scene_id): Path<String>, ask
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn frames(State(app): State<App>, Path(scene_id): Path<String>) -> Result<axum::Json<FrameList>, Refused> {
+pub async fn frames(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+) -> Result<axum::Json<FrameList>, Refused> {
     Ok(axum::Json(app.service.frames(&scene_id).await?))
 }
 
@@ -77,7 +91,8 @@ pub struct PhotographParameters {
     instances: bool,
 }
 
-/// A photograph of the scan, by its index in the list of frames: as it was taken, or with the instances of the current parse over it.
+/// A photograph of the scan, by its index in the list of frames: as it was taken, or with the
+/// instances of the current parse over it.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/frames/{frame}/photograph.jpg", operation_id = "get_photograph", tag = "scenes",
     params(("scene_id" = String, Path), ("frame" = u32, Path), PhotographParameters),
@@ -101,12 +116,17 @@ pub async fn photograph(
 }
 
 /// A picture from a file, or one that was drawn.
-pub(super) async fn send_picture(picture: EvidenceFile, asked: &HeaderMap) -> Result<Response, Refused> {
+pub(super) async fn send_picture(
+    picture: EvidenceFile,
+    asked: &HeaderMap,
+) -> Result<Response, Refused> {
     match picture {
         EvidenceFile::Stored(file) => {
             let is_png = file.extension().is_some_and(|end| end.eq_ignore_ascii_case("png"));
             send_file(&file, if is_png { "image/png" } else { "image/jpeg" }, asked).await
         }
-        EvidenceFile::Drawn(jpeg) => Ok(([(header::CONTENT_TYPE, "image/jpeg")], jpeg).into_response()),
+        EvidenceFile::Drawn(jpeg) => {
+            Ok(([(header::CONTENT_TYPE, "image/jpeg")], jpeg).into_response())
+        }
     }
 }

@@ -89,7 +89,8 @@ pub struct App {
     pub mcp: McpOverHttp,
 }
 
-/// Places for event streams: one that nobody reads costs a connection and no more, so they may have half of those.
+/// Places for event streams: one that nobody reads costs a connection and no more, so they may have
+/// half of those.
 #[derive(Clone)]
 pub struct EventStreams {
     places: Arc<Semaphore>,
@@ -207,7 +208,8 @@ pub fn router(app: App) -> Router {
     let description = SwaggerUi::new("/docs")
         .url("/openapi.json", openapi)
         .config(Config::default().validator_url("none"));
-    // Health, the description and the pages are open to everybody: the key protects scans and questions.
+    // Health, the description and the pages are open to everybody: the key protects scans and
+    // questions.
     layered(app, router, Router::from(description).merge(page::router()))
 }
 
@@ -236,7 +238,11 @@ fn layered(app: App, routes: Router<App>, open: Router) -> Router {
         .layer(middleware::from_fn_with_state(app.clone(), hosts::check))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(middleware::from_fn(problem::name_request))
-        .layer(CompressionLayer::new().quality(CompressionLevel::Fastest).compress_when(worth_compressing()))
+        .layer(
+            CompressionLayer::new()
+                .quality(CompressionLevel::Fastest)
+                .compress_when(worth_compressing()),
+        )
         .layer(map_response(caching::weaken))
         .layer(always(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
         .layer(always(header::X_FRAME_OPTIONS, "DENY"))
@@ -257,7 +263,8 @@ fn layered(app: App, routes: Router<App>, open: Router) -> Router {
         .layer(MapRequestLayer::new(without_odd_id))
 }
 
-/// Pictures are compressed already; lists that are read while they grow would wait for a whole block.
+/// Pictures are compressed already; lists that are read while they grow would wait for a whole
+/// block.
 fn worth_compressing() -> impl Predicate {
     DefaultPredicate::new()
         .and(NotForContentType::const_new("application/jsonl"))
@@ -268,10 +275,14 @@ fn always(name: HeaderName, value: &'static str) -> SetResponseHeaderLayer<Heade
     SetResponseHeaderLayer::if_not_present(name, HeaderValue::from_static(value))
 }
 
-/// A caller's own request id is taken where it is one: short, and nothing that could pass for something else in a log.
+/// A caller's own request id is taken where it is one: short, and nothing that could pass for
+/// something else in a log.
 fn without_odd_id(mut request: Request) -> Request {
     const LONGEST: usize = 128;
-    let fits = |id: &[u8]| (1..=LONGEST).contains(&id.len()) && id.iter().all(|b| b.is_ascii_alphanumeric() || b"-_.:/+=".contains(b));
+    let fits = |id: &[u8]| {
+        (1..=LONGEST).contains(&id.len())
+            && id.iter().all(|b| b.is_ascii_alphanumeric() || b"-_.:/+=".contains(b))
+    };
     if request.headers().get(REQUEST_ID).is_some_and(|id| !fits(id.as_bytes())) {
         request.headers_mut().remove(REQUEST_ID);
     }
@@ -281,7 +292,10 @@ fn without_odd_id(mut request: Request) -> Request {
 /// Every line that is logged for a request carries its id, method and route.
 fn span_of(request: &Request) -> Span {
     let id = request.headers().get(REQUEST_ID).and_then(|id| id.to_str().ok()).unwrap_or_default();
-    let route = request.extensions().get::<MatchedPath>().map_or_else(|| request.uri().path(), MatchedPath::as_str);
+    let route = request
+        .extensions()
+        .get::<MatchedPath>()
+        .map_or_else(|| request.uri().path(), MatchedPath::as_str);
     let span = tracing::info_span!("request", id, method = %request.method(), route, path = request.uri().path());
     trace_context::adopt(&span, request.headers());
     span

@@ -1,5 +1,6 @@
-//! Which web pages may use this server from a browser. Its own may; others where they are named (`--cors-origin`). Browsers ask before they
-//! send most things (CORS); what they send unasked, a form or a plain POST, is refused when it comes from somewhere else.
+//! Which web pages may use this server from a browser. Its own may; others where they are named
+//! (`--cors-origin`). Browsers ask before they send most things (CORS); what they send unasked, a
+//! form or a plain POST, is refused when it comes from somewhere else.
 
 use super::problem::Refused;
 use super::{REQUEST_ID, auth, tus};
@@ -82,7 +83,14 @@ impl Origins {
         ];
         CorsLayer::new()
             .allow_origin(AllowOrigin::list(self.named.clone()))
-            .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::PATCH, Method::DELETE, Method::OPTIONS])
+            .allow_methods([
+                Method::GET,
+                Method::HEAD,
+                Method::POST,
+                Method::PATCH,
+                Method::DELETE,
+                Method::OPTIONS,
+            ])
             .allow_headers(asked)
             .expose_headers(told)
             .max_age(REMEMBER)
@@ -94,9 +102,12 @@ impl Origins {
     }
 }
 
-/// Answers browsers that ask whether their pages may. CORS takes every `OPTIONS` for that; one that asks for something else goes its way.
+/// Answers browsers that ask whether their pages may. CORS takes every `OPTIONS` for that; one that
+/// asks for something else goes its way.
 pub async fn answer(State(cors): State<CorsLayer>, request: Request, next: Next) -> Response {
-    if request.method() == Method::OPTIONS && !request.headers().contains_key(header::ACCESS_CONTROL_REQUEST_METHOD) {
+    if request.method() == Method::OPTIONS
+        && !request.headers().contains_key(header::ACCESS_CONTROL_REQUEST_METHOD)
+    {
         return next.run(request).await;
     }
     let Ok(response) = cors.layer(next).oneshot(request).await;

@@ -1,5 +1,6 @@
-//! `/`, `/viewer` and `/assets/…`: the page people open. It is built from `web/` (`make web`) and carried in the program, so that it
-//! works offline. No key is wanted for it: it holds nothing, and asks the API like everybody else.
+//! `/`, `/viewer` and `/assets/…`: the page people open. It is built from `web/` (`make web`) and
+//! carried in the program, so that it works offline. No key is wanted for it: it holds nothing, and
+//! asks the API like everybody else.
 
 use super::problem::no_such_route;
 use axum::Router;
@@ -20,8 +21,8 @@ use std::sync::LazyLock;
 #[exclude = "SOURCES"]
 struct Built;
 
-/// What the page may load and do: only what is its own, nothing inline, in nobody's frame. Pictures come through `fetch`, which can
-/// show a key, and are drawn from memory (`blob:`).
+/// What the page may load and do: only what is its own, nothing inline, in nobody's frame. Pictures
+/// come through `fetch`, which can show a key, and are drawn from memory (`blob:`).
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; \
     base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
@@ -40,7 +41,9 @@ struct File {
 }
 
 static FILES: LazyLock<BTreeMap<String, File>> = LazyLock::new(|| {
-    let files = Built::iter().filter_map(|name| Some((name.to_string(), File::of(&name, Built::get(&name)?.data.into_owned()))));
+    let files = Built::iter().filter_map(|name| {
+        Some((name.to_string(), File::of(&name, Built::get(&name)?.data.into_owned())))
+    });
     files.collect()
 });
 
@@ -67,7 +70,9 @@ impl File {
         ];
         let mut response = headers.into_response();
         if takes_gzip(asked) && !self.gzip.is_empty() {
-            response.headers_mut().insert(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"));
+            response
+                .headers_mut()
+                .insert(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"));
             *response.body_mut() = self.gzip.clone().into();
         } else {
             *response.body_mut() = self.plain.clone().into();
@@ -83,10 +88,12 @@ fn compressed(plain: &[u8]) -> std::io::Result<Vec<u8>> {
 }
 
 fn takes_gzip(asked: &HeaderMap) -> bool {
-    let taken = asked.get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
+    let taken =
+        asked.get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
     taken.flat_map(|value| value.split(',')).any(|coding| {
         let (name, weight) = coding.split_once(';').unwrap_or((coding, "q=1"));
-        name.trim().eq_ignore_ascii_case("gzip") && !matches!(weight.trim(), "q=0" | "q=0.0" | "q=0.00" | "q=0.000")
+        name.trim().eq_ignore_ascii_case("gzip")
+            && !matches!(weight.trim(), "q=0" | "q=0.0" | "q=0.00" | "q=0.000")
     })
 }
 
@@ -99,9 +106,10 @@ pub fn router<S: Clone + Send + Sync + 'static>() -> Router<S> {
 }
 
 async fn index(headers: HeaderMap) -> Response {
-    FILES
-        .get(INDEX)
-        .map_or_else(|| StatusCode::NOT_FOUND.into_response(), |file| file.answer(&headers, ASK_AGAIN))
+    FILES.get(INDEX).map_or_else(
+        || StatusCode::NOT_FOUND.into_response(),
+        |file| file.answer(&headers, ASK_AGAIN),
+    )
 }
 
 async fn asset(Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Response {
@@ -130,14 +138,26 @@ mod tests {
     #[test]
     fn nothing_inline_and_nothing_from_elsewhere() {
         let index = String::from_utf8(FILES[INDEX].plain.to_vec()).unwrap();
-        assert!(!index.contains("<style") && !index.contains("style=") && !index.contains("http"), "{index}");
-        assert!(index.split("<script").skip(1).all(|script| script.contains("src=\"/assets/")), "{index}");
+        assert!(
+            !index.contains("<style") && !index.contains("style=") && !index.contains("http"),
+            "{index}"
+        );
+        assert!(
+            index.split("<script").skip(1).all(|script| script.contains("src=\"/assets/")),
+            "{index}"
+        );
     }
 
     #[test]
     fn gzip_is_sent_to_who_takes_it() {
-        let asked = |coding: &'static str| HeaderMap::from_iter([(header::ACCEPT_ENCODING, HeaderValue::from_static(coding))]);
+        let asked = |coding: &'static str| {
+            HeaderMap::from_iter([(header::ACCEPT_ENCODING, HeaderValue::from_static(coding))])
+        };
         assert!(takes_gzip(&asked("br, gzip;q=0.8")) && takes_gzip(&asked("GZIP")));
-        assert!(!takes_gzip(&asked("br")) && !takes_gzip(&asked("gzip;q=0")) && !takes_gzip(&HeaderMap::new()));
+        assert!(
+            !takes_gzip(&asked("br"))
+                && !takes_gzip(&asked("gzip;q=0"))
+                && !takes_gzip(&HeaderMap::new())
+        );
     }
 }

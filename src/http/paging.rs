@@ -43,7 +43,8 @@ pub fn checked(limit: u32, cursor: Option<String>) -> Result<(u32, Option<String
     Ok((limit, cursor))
 }
 
-/// Returns whether a text is an id as it is stored. A UUID in braces or capitals would be parsed too, but ids are compared as text.
+/// Returns whether a text is an id as it is stored. A UUID in braces or capitals would be parsed
+/// too, but ids are compared as text.
 fn is_id(text: &str) -> bool {
     text.parse().is_ok_and(|id: Uuid| id.to_string() == text)
 }
@@ -56,10 +57,20 @@ mod tests {
     fn only_ids_as_they_are_stored_are_cursors() {
         let id = "01a1ff70-0000-7000-8000-00000000000a";
         assert!(checked(1, Some(id.into())).is_ok());
-        let others = [format!("{{{id}}}"), format!("urn:uuid:{id}"), id.to_uppercase(), id.replace('-', ""), String::new(), "{}".into()];
+        let others = [
+            format!("{{{id}}}"),
+            format!("urn:uuid:{id}"),
+            id.to_uppercase(),
+            id.replace('-', ""),
+            String::new(),
+            "{}".into(),
+        ];
         for other in others {
             let refused = checked(1, Some(other.clone()));
-            assert!(matches!(&refused, Err(Error::Invalid { pointer, .. }) if pointer == "cursor"), "{other:?}: {refused:?}");
+            assert!(
+                matches!(&refused, Err(Error::Invalid { pointer, .. }) if pointer == "cursor"),
+                "{other:?}: {refused:?}"
+            );
         }
     }
 }

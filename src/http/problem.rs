@@ -1,4 +1,5 @@
-//! Errors on the wire: RFC 9457 problem details with a stable code. The one place that knows HTTP statuses.
+//! Errors on the wire: RFC 9457 problem details with a stable code. The one place that knows HTTP
+//! statuses.
 
 use super::REQUEST_ID;
 use crate::error::Error;
@@ -33,13 +34,21 @@ impl Refused {
 
     #[must_use]
     pub fn internal() -> Self {
-        Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", "something went wrong inside the server; its log has the cause")
+        Self::new(
+            StatusCode::INTERNAL_SERVER_ERROR,
+            "internal",
+            "something went wrong inside the server; its log has the cause",
+        )
     }
 
     /// All connections are taken.
     #[must_use]
     pub fn no_connection() -> Self {
-        Self::new(StatusCode::SERVICE_UNAVAILABLE, "overloaded", "too many connections: try again in a moment")
+        Self::new(
+            StatusCode::SERVICE_UNAVAILABLE,
+            "overloaded",
+            "too many connections: try again in a moment",
+        )
     }
 
     /// The problem itself.
@@ -63,7 +72,11 @@ impl Refused {
 
     pub fn invalid(pointer: impl Into<String>, detail: impl Into<String>) -> Self {
         let (pointer, detail) = (pointer.into(), detail.into());
-        let mut refused = Self::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid_request", format!("{pointer}: {detail}"));
+        let mut refused = Self::new(
+            StatusCode::UNPROCESSABLE_ENTITY,
+            "invalid_request",
+            format!("{pointer}: {detail}"),
+        );
         refused.0.errors.push(FieldError { pointer, detail });
         refused
     }
@@ -86,10 +99,14 @@ impl From<Error> for Refused {
         let (code, status) = (error.code(), status_of(&error));
         // The only line about it: route and request id are those of the request's span.
         match status {
-            StatusCode::BAD_GATEWAY | StatusCode::GATEWAY_TIMEOUT => tracing::warn!(code, cause = with_causes(&error), "request failed"),
+            StatusCode::BAD_GATEWAY | StatusCode::GATEWAY_TIMEOUT => {
+                tracing::warn!(code, cause = with_causes(&error), "request failed")
+            }
             // Told when it was found to be down.
             _ if matches!(error, Error::VlmDown { .. }) => tracing::debug!(code, "request failed"),
-            _ if status.is_server_error() => tracing::error!(code, cause = with_causes(&error), "request failed"),
+            _ if status.is_server_error() => {
+                tracing::error!(code, cause = with_causes(&error), "request failed")
+            }
             _ => tracing::debug!(code, cause = with_causes(&error), "request refused"),
         }
         let detail = match status {
@@ -106,19 +123,26 @@ impl From<Error> for Refused {
         };
         let Self(mut problem) = Self::new(status, code, detail);
         match error {
-            Error::Invalid { pointer, detail } => problem.errors.push(FieldError { pointer, detail }),
+            Error::Invalid { pointer, detail } => {
+                problem.errors.push(FieldError { pointer, detail })
+            }
             Error::SceneNotReady { job_id, .. } => problem.job_id = job_id,
-            Error::Overloaded | Error::TooMany { .. } | Error::UploadBusy { .. } => problem.retry_after_s = Some(1),
+            Error::Overloaded | Error::TooMany { .. } | Error::UploadBusy { .. } => {
+                problem.retry_after_s = Some(1)
+            }
             Error::VlmDown { again_in_s } => problem.retry_after_s = u32::try_from(again_in_s).ok(),
             _ if status == StatusCode::SERVICE_UNAVAILABLE => problem.retry_after_s = Some(2),
-            Error::Jobs(JobsError::QueueFull { again_in_s, .. }) => problem.retry_after_s = Some(again_in_s),
+            Error::Jobs(JobsError::QueueFull { again_in_s, .. }) => {
+                problem.retry_after_s = Some(again_in_s)
+            }
             _ => {}
         }
         Self(problem)
     }
 }
 
-/// Status of each error. No wildcard over our own kinds: a new one does not compile until somebody decides.
+/// Status of each error. No wildcard over our own kinds: a new one does not compile until somebody
+/// decides.
 fn status_of(error: &Error) -> StatusCode {
     if error.is_disk_full() {
         return StatusCode::INSUFFICIENT_STORAGE;
@@ -150,7 +174,10 @@ fn status_of(error: &Error) -> StatusCode {
             IngestErrorKind::Cancelled => StatusCode::CONFLICT,
             IngestErrorKind::Io => StatusCode::INTERNAL_SERVER_ERROR,
         },
-        Error::Parse(_) | Error::Invalid { .. } | Error::IdempotencyKeyReused | Error::NoScan { .. } => StatusCode::UNPROCESSABLE_ENTITY,
+        Error::Parse(_)
+        | Error::Invalid { .. }
+        | Error::IdempotencyKeyReused
+        | Error::NoScan { .. } => StatusCode::UNPROCESSABLE_ENTITY,
         Error::Jobs(error) => match error {
             JobsError::NotFound { .. } => StatusCode::NOT_FOUND,
             JobsError::QueueFull { .. } => StatusCode::TOO_MANY_REQUESTS,
@@ -189,18 +216,30 @@ fn status_of(error: &Error) -> StatusCode {
         | Error::TooManyCorrections { .. } => StatusCode::CONFLICT,
         Error::VlmFailed { .. } | Error::Model(_) => StatusCode::BAD_GATEWAY,
         Error::OverBudget(_) => StatusCode::PAYMENT_REQUIRED,
-        Error::TooManyScenes { .. } | Error::KeyRefused | Error::ImportNotAllowed => StatusCode::FORBIDDEN,
-        Error::QuestionTimedOut { .. } | Error::ComparisonTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
-        Error::DiskNearlyFull { .. } | Error::MemoryShort { .. } | Error::ReaderKilled => StatusCode::INSUFFICIENT_STORAGE,
-        Error::Overloaded | Error::TooMany { .. } | Error::TooManyUploads { .. } => StatusCode::TOO_MANY_REQUESTS,
+        Error::TooManyScenes { .. } | Error::KeyRefused | Error::ImportNotAllowed => {
+            StatusCode::FORBIDDEN
+        }
+        Error::QuestionTimedOut { .. } | Error::ComparisonTimedOut { .. } => {
+            StatusCode::GATEWAY_TIMEOUT
+        }
+        Error::DiskNearlyFull { .. } | Error::MemoryShort { .. } | Error::ReaderKilled => {
+            StatusCode::INSUFFICIENT_STORAGE
+        }
+        Error::Overloaded | Error::TooMany { .. } | Error::TooManyUploads { .. } => {
+            StatusCode::TOO_MANY_REQUESTS
+        }
         Error::ParseDamaged { .. } | Error::VlmDown { .. } => StatusCode::SERVICE_UNAVAILABLE,
         Error::UploadTooSlow { .. } => StatusCode::REQUEST_TIMEOUT,
-        Error::UploadTooLarge { .. } | Error::TooManyItems { .. } | Error::BatchTooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
+        Error::UploadTooLarge { .. } | Error::TooManyItems { .. } | Error::BatchTooLarge { .. } => {
+            StatusCode::PAYLOAD_TOO_LARGE
+        }
         Error::UploadInterrupted { .. } => StatusCode::BAD_REQUEST,
         Error::UploadExpired { .. } => StatusCode::GONE,
         Error::UploadBusy { .. } => StatusCode::LOCKED,
         Error::ChecksumMismatch => checksum_mismatch(),
-        Error::Store(_) | Error::Io(_) | Error::AnswerNotKept | Error::Background(_) => StatusCode::INTERNAL_SERVER_ERROR,
+        Error::Store(_) | Error::Io(_) | Error::AnswerNotKept | Error::Background(_) => {
+            StatusCode::INTERNAL_SERVER_ERROR
+        }
     }
 }
 
@@ -232,7 +271,8 @@ impl IntoResponse for Refused {
             shorten(pointer);
             shorten(detail);
         }
-        let status = StatusCode::from_u16(problem.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
+        let status =
+            StatusCode::from_u16(problem.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
         let mut response = (status, Json(&problem)).into_response();
         response
             .headers_mut()
@@ -254,11 +294,13 @@ pub async fn name_request(request: Request, next: Next) -> Response {
             let headers = response.headers().clone();
             let mut named = Refused::from(Problem { request_id: id, ..problem }).into_response();
             // Keep what handlers and layers said beside the body ("Allow" and the like).
-            headers.into_iter().filter_map(|(name, value)| Some((name?, value))).for_each(|(name, value)| {
-                if name != header::CONTENT_LENGTH {
-                    named.headers_mut().insert(name, value);
-                }
-            });
+            headers.into_iter().filter_map(|(name, value)| Some((name?, value))).for_each(
+                |(name, value)| {
+                    if name != header::CONTENT_LENGTH {
+                        named.headers_mut().insert(name, value);
+                    }
+                },
+            );
             named
         }
         None => response,
@@ -270,9 +312,17 @@ pub fn request_id(headers: &HeaderMap) -> Option<String> {
 }
 
 pub async fn no_such_route(uri: Uri) -> Refused {
-    Refused::new(StatusCode::NOT_FOUND, "no_such_route", format!("there is nothing at {}", uri.path()))
+    Refused::new(
+        StatusCode::NOT_FOUND,
+        "no_such_route",
+        format!("there is nothing at {}", uri.path()),
+    )
 }
 
 pub async fn method_not_allowed(method: Method, uri: Uri) -> Refused {
-    Refused::new(StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed", format!("{method} is not possible at {}", uri.path()))
+    Refused::new(
+        StatusCode::METHOD_NOT_ALLOWED,
+        "method_not_allowed",
+        format!("{method} is not possible at {}", uri.path()),
+    )
 }

@@ -13,7 +13,8 @@ use axum::response::Response;
 use uniground_types::problem::Problem;
 use uniground_types::scenes::SceneReport;
 
-/// What the current parse did: counts, seconds and memory per stage, warnings, settings, and pictures of every step.
+/// What the current parse did: counts, seconds and memory per stage, warnings, settings, and
+/// pictures of every step.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/report", operation_id = "get_report", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
@@ -25,7 +26,10 @@ use uniground_types::scenes::SceneReport;
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Json<SceneReport>, Refused> {
+pub async fn get(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+) -> Result<Json<SceneReport>, Refused> {
     Ok(Json(app.service.scene_report(&scene_id).await?))
 }
 
@@ -47,7 +51,9 @@ pub async fn picture(
     Path((scene_id, picture)): Path<(String, String)>,
     asked: HeaderMap,
 ) -> Result<Response, Refused> {
-    let name = picture.strip_suffix(".jpg").ok_or_else(|| Error::ReportPictureNotFound { name: picture.clone() })?;
+    let name = picture
+        .strip_suffix(".jpg")
+        .ok_or_else(|| Error::ReportPictureNotFound { name: picture.clone() })?;
     let file = app.service.report_picture(&scene_id, name).await?;
     send_file(&file, "image/jpeg", &asked).await
 }

@@ -23,8 +23,12 @@ use uniground_core::models::with_causes;
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::labels::read_labels;
 use uniground_types::problem::Problem;
-use uniground_types::scenes::{Created, ImportRequest, ParseRequest, Scene, SceneChange, SceneList};
-use uniground_types::settings::{ImportSettings, LevellingChoice, ParsePreset, ParseSettings, check_metres_per_unit};
+use uniground_types::scenes::{
+    Created, ImportRequest, ParseRequest, Scene, SceneChange, SceneList,
+};
+use uniground_types::settings::{
+    ImportSettings, LevellingChoice, ParsePreset, ParseSettings, check_metres_per_unit,
+};
 use utoipa::IntoParams;
 
 #[derive(Debug, Deserialize, IntoParams)]
@@ -38,10 +42,12 @@ pub struct CreateParameters {
     #[serde(default = "yes")]
     #[param(default = true)]
     parse: bool,
-    /// The axis that points up in the files, for archives that do not say; default: the axis the cameras hold up.
+    /// The axis that points up in the files, for archives that do not say; default: the axis the
+    /// cameras hold up.
     #[param(inline)]
     up: Option<UpAxis>,
-    /// Length of one unit of the files' clouds and poses, metres, for files that are not in metres; default: told by their size.
+    /// Length of one unit of the files' clouds and poses, metres, for files that are not in
+    /// metres; default: told by their size.
     metres_per_unit: Option<f64>,
     /// Whether a world that is tilted is turned level.
     #[serde(default)]
@@ -59,9 +65,10 @@ fn yes() -> bool {
 
 /// Uploads a scan.
 ///
-/// The body is the scan itself, streamed: an archive (zip, tar, tar.zst), a cloud or a mesh; or a form with one as its file. What it is, its
-/// bytes say, whatever the content type. It is checked before anything is stored; parsing then runs as a job. The same bytes under the
-/// same settings are parsed only once.
+/// The body is the scan itself, streamed: an archive (zip, tar, tar.zst), a cloud or a mesh; or a
+/// form with one as its file. What it is, its bytes say, whatever the content type. It is checked
+/// before anything is stored; parsing then runs as a job. The same bytes under the same settings
+/// are parsed only once.
 #[utoipa::path(
     post, path = "/v1/scenes", operation_id = "create_scene", tag = "scenes",
     params(CreateParameters, ("Idempotency-Key" = Option<String>, Header, description = "The same key again returns the scene it made")),
@@ -82,7 +89,9 @@ fn yes() -> bool {
 )]
 pub async fn create(
     State(app): State<App>,
-    Query(CreateParameters { name, parse, up, metres_per_unit, levelling, preset }): Query<CreateParameters>,
+    Query(CreateParameters { name, parse, up, metres_per_unit, levelling, preset }): Query<
+        CreateParameters,
+    >,
     Extension(caller): Asking,
     IdempotencyKey(idempotency_key): IdempotencyKey,
     headers: HeaderMap,
@@ -92,22 +101,32 @@ pub async fn create(
     let header = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
     let mut settings = ParseSettings::from_request(preset, None).map_err(Error::from)?;
     settings.import = ImportSettings { up, metres_per_unit, levelling, ..settings.import };
-    let announced_bytes = header("content-length").and_then(|bytes| bytes.parse().ok()).unwrap_or(0);
-    let new = NewScene { name, file_name: None, parse: parse.then_some(settings), idempotency_key, announced_bytes };
-    let body = request.into_body().into_data_stream();
-    let (scene, job) = match header("content-type").and_then(|media_type| parse_boundary(media_type).ok()) {
-        Some(boundary) => {
-            let (file_name, file) = file_of_form(body, boundary).await?;
-            app.service.create_scene(NewScene { file_name, ..new }, file, &caller).await?
-        }
-        None => app.service.create_scene(new, body, &caller).await?,
+    let announced_bytes =
+        header("content-length").and_then(|bytes| bytes.parse().ok()).unwrap_or(0);
+    let new = NewScene {
+        name,
+        file_name: None,
+        parse: parse.then_some(settings),
+        idempotency_key,
+        announced_bytes,
     };
+    let body = request.into_body().into_data_stream();
+    let (scene, job) =
+        match header("content-type").and_then(|media_type| parse_boundary(media_type).ok()) {
+            Some(boundary) => {
+                let (file_name, file) = file_of_form(body, boundary).await?;
+                app.service.create_scene(NewScene { file_name, ..new }, file, &caller).await?
+            }
+            None => app.service.create_scene(new, body, &caller).await?,
+        };
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
 
-/// Makes a scene of a scan that lies on the server's own disk, below the folder its operator named (`--import-root`).
+/// Makes a scene of a scan that lies on the server's own disk, below the folder its operator named
+/// (`--import-root`).
 ///
-/// As an upload of the same file; a folder is packed first, and nothing that a link brings in from elsewhere goes with it.
+/// As an upload of the same file; a folder is packed first, and nothing that a link brings in from
+/// elsewhere goes with it.
 #[utoipa::path(
     post, path = "/v1/scenes/import", operation_id = "import_scene", tag = "scenes", request_body = ImportRequest,
     params(("Idempotency-Key" = Option<String>, Header, description = "The same key again returns the scene it made")),
@@ -139,7 +158,10 @@ pub async fn import(
 const BEFORE_FILE_BYTES: usize = 64 << 10;
 
 /// The first file of a form: what it is called, and its bytes.
-pub(super) async fn file_of_form(body: BodyDataStream, boundary: String) -> Result<(Option<String>, Field<'static>), Refused> {
+pub(super) async fn file_of_form(
+    body: BodyDataStream,
+    boundary: String,
+) -> Result<(Option<String>, Field<'static>), Refused> {
     const NO_FILE: &str = "this form has no file: curl -F scan=@room.zip sends one";
     let refused = |detail: &str| Refused::new(StatusCode::BAD_REQUEST, "malformed_form", detail);
     let is_found = Arc::new(AtomicBool::new(false));
@@ -147,13 +169,17 @@ pub(super) async fn file_of_form(body: BodyDataStream, boundary: String) -> Resu
     let bounded = body.map(move |chunk| {
         let chunk = chunk.map_err(std::io::Error::other)?;
         if !found.load(Ordering::Relaxed) && before > BEFORE_FILE_BYTES {
-            return Err(std::io::Error::other(format!("nothing but {BEFORE_FILE_BYTES} bytes of other things before its file")));
+            return Err(std::io::Error::other(format!(
+                "nothing but {BEFORE_FILE_BYTES} bytes of other things before its file"
+            )));
         }
         before += chunk.len();
         Ok(chunk)
     });
     let mut form = Multipart::new(bounded, boundary);
-    while let Some(field) = form.next_field().await.map_err(|error| refused(&with_causes(&error)))? {
+    while let Some(field) =
+        form.next_field().await.map_err(|error| refused(&with_causes(&error)))?
+    {
         if let Some(file_name) = field.file_name().map(str::to_owned) {
             is_found.store(true, Ordering::Relaxed);
             return Ok((Some(file_name), field));
@@ -162,7 +188,8 @@ pub(super) async fn file_of_form(body: BodyDataStream, boundary: String) -> Resu
     Err(refused(NO_FILE))
 }
 
-/// Makes a scene of the living room this program carries, and parses it: something to ask about at once.
+/// Makes a scene of the living room this program carries, and parses it: something to ask about at
+/// once.
 #[utoipa::path(
     post, path = "/v1/scenes/sample", operation_id = "create_sample_scene", tag = "scenes",
     responses(
@@ -173,7 +200,10 @@ pub(super) async fn file_of_form(body: BodyDataStream, boundary: String) -> Resu
     ),
     security(("key" = ["write"]), ())
 )]
-pub async fn create_sample(State(app): State<App>, Extension(caller): Asking) -> Result<(StatusCode, axum::Json<Created>), Refused> {
+pub async fn create_sample(
+    State(app): State<App>,
+    Extension(caller): Asking,
+) -> Result<(StatusCode, axum::Json<Created>), Refused> {
     let (scene, job) = app.service.create_sample(&caller).await?;
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
@@ -204,10 +234,14 @@ pub struct ListParameters {
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn list(State(app): State<App>, Query(parameters): Query<ListParameters>) -> Result<axum::Json<SceneList>, Refused> {
+pub async fn list(
+    State(app): State<App>,
+    Query(parameters): Query<ListParameters>,
+) -> Result<axum::Json<SceneList>, Refused> {
     let ListParameters { limit, cursor, labels } = parameters;
     let (limit, cursor) = checked(limit.unwrap_or(DEFAULT_LIMIT), cursor)?;
-    let labels = labels.map(|labels| read_labels("labels", &labels)).transpose().map_err(Error::from)?;
+    let labels =
+        labels.map(|labels| read_labels("labels", &labels)).transpose().map_err(Error::from)?;
     Ok(axum::Json(app.service.scenes(limit, cursor.as_deref(), labels.unwrap_or_default()).await?))
 }
 
@@ -222,7 +256,10 @@ pub async fn list(State(app): State<App>, Query(parameters): Query<ListParameter
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result<axum::Json<Scene>, Refused> {
+pub async fn get(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+) -> Result<axum::Json<Scene>, Refused> {
     Ok(axum::Json(app.service.scene(&scene_id).await?))
 }
 
@@ -262,7 +299,10 @@ pub async fn change(
     ),
     security(("key" = ["write"]), ())
 )]
-pub async fn delete(State(app): State<App>, Path(scene_id): Path<String>) -> Result<StatusCode, Refused> {
+pub async fn delete(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+) -> Result<StatusCode, Refused> {
     app.service.delete_scene(&scene_id).await?;
     Ok(StatusCode::NO_CONTENT)
 }
@@ -289,12 +329,16 @@ pub async fn parse(
     Extension(caller): Asking,
     Json(ParseRequest { preset, settings }): Json<ParseRequest>,
 ) -> Result<(StatusCode, axum::Json<Job>), Refused> {
-    Ok((StatusCode::ACCEPTED, axum::Json(app.service.reparse(&scene_id, preset, settings, &caller).await?)))
+    Ok((
+        StatusCode::ACCEPTED,
+        axum::Json(app.service.reparse(&scene_id, preset, settings, &caller).await?),
+    ))
 }
 
 /// Has the vision-language model name every object of the current parse, in the background.
 ///
-/// Names do not depend on questions and are kept; what has one is not paid for again. Questions with `evidence: "cached_names"` use them.
+/// Names do not depend on questions and are kept; what has one is not paid for again. Questions
+/// with `evidence: "cached_names"` use them.
 #[utoipa::path(
     post, path = "/v1/scenes/{scene_id}/names", operation_id = "name_instances", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
@@ -328,7 +372,11 @@ pub async fn name(
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn cloud(State(app): State<App>, Path(scene_id): Path<String>, asked: HeaderMap) -> Result<Response, Refused> {
+pub async fn cloud(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+    asked: HeaderMap,
+) -> Result<Response, Refused> {
     let file = app.service.parse_file(&scene_id, ParseFile::Cloud).await?;
     send_download(file, "application/octet-stream", &asked).await
 }
@@ -346,13 +394,17 @@ pub async fn cloud(State(app): State<App>, Path(scene_id): Path<String>, asked: 
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn instances_cloud(State(app): State<App>, Path(scene_id): Path<String>, asked: HeaderMap) -> Result<Response, Refused> {
+pub async fn instances_cloud(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+    asked: HeaderMap,
+) -> Result<Response, Refused> {
     let file = app.service.parse_file(&scene_id, ParseFile::Instances).await?;
     send_download(file, "application/octet-stream", &asked).await
 }
 
-/// What the instances look like: a numpy array of half floats, one unit vector per instance in order of id, zero for those no frame
-/// shows. The scene's `models` name the encoder.
+/// What the instances look like: a numpy array of half floats, one unit vector per instance in
+/// order of id, zero for those no frame shows. The scene's `models` name the encoder.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/embeddings.npy", operation_id = "get_embeddings", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
@@ -365,7 +417,11 @@ pub async fn instances_cloud(State(app): State<App>, Path(scene_id): Path<String
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn embeddings(State(app): State<App>, Path(scene_id): Path<String>, asked: HeaderMap) -> Result<Response, Refused> {
+pub async fn embeddings(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+    asked: HeaderMap,
+) -> Result<Response, Refused> {
     let file = app.service.parse_file(&scene_id, ParseFile::Embeddings).await?;
     send_download(file, "application/octet-stream", &asked).await
 }

@@ -26,7 +26,8 @@ impl Scopes {
         Self(scopes)
     }
 
-    /// What a request's route wants; `None`: nothing. What is not described is for nobody but admins.
+    /// What a request's route wants; `None`: nothing. What is not described is for nobody but
+    /// admins.
     #[must_use]
     pub fn wanted_by(&self, request: &Request) -> Option<Scope> {
         let method = if request.method() == Method::HEAD { &Method::GET } else { request.method() };

@@ -1,5 +1,6 @@
 //! The words of tus 1.0, a protocol for uploads that are gone on with (<https://tus.io/protocols/resumable-upload>): its headers and its
-//! version. What they mean is the service's business, so that another protocol can stand beside this one.
+//! version. What they mean is the service's business, so that another protocol can stand beside
+//! this one.
 
 use super::problem::Refused;
 use crate::service::{Algorithm, Checksum};
@@ -44,11 +45,13 @@ pub enum Version {
 
 /// Answers only who speaks this version, and says which one it is.
 pub async fn speak(request: Request, next: Next) -> Response {
-    let is_asked = matches!(*request.method(), Method::POST | Method::HEAD | Method::PATCH | Method::DELETE);
+    let is_asked =
+        matches!(*request.method(), Method::POST | Method::HEAD | Method::PATCH | Method::DELETE);
     let mut response = match is_asked && request.headers().get(RESUMABLE) != Some(&SPOKEN) {
         true => {
             let detail = "uploads in parts speak tus 1.0: send the header Tus-Resumable: 1.0.0";
-            let refused = Refused::new(StatusCode::PRECONDITION_FAILED, "tus_version_unknown", detail);
+            let refused =
+                Refused::new(StatusCode::PRECONDITION_FAILED, "tus_version_unknown", detail);
             ([(VERSION, SPOKEN)], refused).into_response()
         }
         false => next.run(request).await,
@@ -74,9 +77,17 @@ pub fn state(upload: &Upload) -> HeaderMap {
     let mut headers = HeaderMap::new();
     headers.insert(OFFSET, upload.offset.into());
     let expires = upload.expires_at.as_deref().and_then(|at| at.parse::<Timestamp>().ok());
-    let expires = expires.and_then(|at| DateTimePrinter::new().timestamp_to_rfc9110_string(&at).ok());
-    for (name, value) in [(EXPIRES, &expires), (SCENE_ID, &upload.scene_id), (JOB_ID, &upload.job_id)] {
-        headers.extend(value.as_ref().and_then(|value| HeaderValue::from_str(value).ok()).map(|value| (name, value)));
+    let expires =
+        expires.and_then(|at| DateTimePrinter::new().timestamp_to_rfc9110_string(&at).ok());
+    for (name, value) in
+        [(EXPIRES, &expires), (SCENE_ID, &upload.scene_id), (JOB_ID, &upload.job_id)]
+    {
+        headers.extend(
+            value
+                .as_ref()
+                .and_then(|value| HeaderValue::from_str(value).ok())
+                .map(|value| (name, value)),
+        );
     }
     headers
 }
@@ -109,7 +120,8 @@ pub fn bytes(headers: &HeaderMap, name: &HeaderName) -> Result<u64, Refused> {
         .and_then(|value| value.to_str().ok())
         .filter(|value| value.bytes().all(|byte| byte.is_ascii_digit()));
     // SQLite and many clients count with 63 bits.
-    let value = value.and_then(|value| value.parse().ok()).filter(|bytes| i64::try_from(*bytes).is_ok());
+    let value =
+        value.and_then(|value| value.parse().ok()).filter(|bytes| i64::try_from(*bytes).is_ok());
     value.ok_or_else(|| wrong(name, "a number of bytes is wanted"))
 }
 
@@ -126,9 +138,9 @@ pub fn checksum(headers: &HeaderMap) -> Result<Option<Checksum>, Refused> {
         Some(Checksum { algorithm, sum })
     };
     let known = Algorithm::ALL.map(Algorithm::word).join(" or ");
-    read()
-        .map(Some)
-        .ok_or_else(|| wrong(&CHECKSUM, &format!("{known} is wanted, a space, and the sum in base64")))
+    read().map(Some).ok_or_else(|| {
+        wrong(&CHECKSUM, &format!("{known} is wanted, a space, and the sum in base64"))
+    })
 }
 
 /// What is said of an upload.
@@ -147,14 +159,18 @@ pub struct Metadata {
 pub fn metadata(headers: &HeaderMap) -> Result<Metadata, Refused> {
     let Some(value) = headers.get(METADATA) else { return Ok(Metadata::default()) };
     let value = value.to_str().ok().filter(|value| value.len() <= MOST_METADATA);
-    let value = value.ok_or_else(|| wrong(&METADATA, &format!("at most {MOST_METADATA} visible characters")))?;
+    let value = value
+        .ok_or_else(|| wrong(&METADATA, &format!("at most {MOST_METADATA} visible characters")))?;
     let pairs = value.split(',').map(str::trim).filter(|pair| !pair.is_empty()).map(|pair| {
         let (key, coded) = pair.split_once(' ').unwrap_or((pair, ""));
-        let text = STANDARD.decode(coded.trim()).ok().and_then(|bytes| String::from_utf8(bytes).ok());
+        let text =
+            STANDARD.decode(coded.trim()).ok().and_then(|bytes| String::from_utf8(bytes).ok());
         text.map(|text| (key.to_owned(), text))
     });
     let pairs: Option<Vec<_>> = pairs.collect();
-    let pairs = pairs.ok_or_else(|| wrong(&METADATA, "pairs of a key and a text in base64 are wanted, with commas between them"))?;
+    let pairs = pairs.ok_or_else(|| {
+        wrong(&METADATA, "pairs of a key and a text in base64 are wanted, with commas between them")
+    })?;
     Ok(Metadata { header: Some(value.to_owned()).filter(|value| !value.is_empty()), pairs })
 }
 
@@ -175,7 +191,10 @@ mod tests {
         let read = |value| metadata(&of(METADATA, value)).map(|metadata| metadata.pairs);
         let pair = |key: &str, text: &str| (key.to_owned(), text.to_owned());
         let room = "filename cm9vbS56aXA=,name w6Rscw==, is_confidential";
-        assert_eq!(read(room).unwrap(), [pair("filename", "room.zip"), pair("name", "äls"), pair("is_confidential", "")]);
+        assert_eq!(
+            read(room).unwrap(),
+            [pair("filename", "room.zip"), pair("name", "äls"), pair("is_confidential", "")]
+        );
         assert_eq!(read("").unwrap(), []);
         assert!(read("filename room.zip").is_err() && read("filename /w==").is_err());
         assert_eq!(metadata(&HeaderMap::new()).unwrap(), Metadata::default());
@@ -183,13 +202,27 @@ mod tests {
 
     #[test]
     fn numbers_and_sums_are_read_strictly() {
-        for (value, read) in [("0", Some(0)), ("17", Some(17)), ("+1", None), ("-1", None), ("", None), ("9223372036854775808", None)] {
+        for (value, read) in [
+            ("0", Some(0)),
+            ("17", Some(17)),
+            ("+1", None),
+            ("-1", None),
+            ("", None),
+            ("9223372036854775808", None),
+        ] {
             assert_eq!(bytes(&of(OFFSET, value), &OFFSET).ok(), read, "{value:?}");
         }
         assert!(bytes(&HeaderMap::new(), &OFFSET).is_err());
-        let read = |value| checksum(&of(CHECKSUM, value)).ok().flatten().map(|checksum| checksum.algorithm);
+        let read = |value| {
+            checksum(&of(CHECKSUM, value)).ok().flatten().map(|checksum| checksum.algorithm)
+        };
         assert_eq!(read("sha1 Kq5sNclPz7QV2+lfQIuc6R7oRu0="), Some(Algorithm::Sha1));
-        for wrong in ["sha1 Kq5s", "md5 Kq5sNclPz7QV2+lfQIuc6R7oRu0=", "sha1", "sha256 Kq5sNclPz7QV2+lfQIuc6R7oRu0="] {
+        for wrong in [
+            "sha1 Kq5s",
+            "md5 Kq5sNclPz7QV2+lfQIuc6R7oRu0=",
+            "sha1",
+            "sha256 Kq5sNclPz7QV2+lfQIuc6R7oRu0=",
+        ] {
             assert_eq!(read(wrong), None, "{wrong:?}");
         }
     }

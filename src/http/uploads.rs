@@ -28,7 +28,8 @@ pub fn routes() -> OpenApiRouter<App> {
         .layer(from_fn(tus::speak))
 }
 
-/// What is to be made of an upload. `Upload-Metadata` says the same under the same names; where both do, this counts.
+/// What is to be made of an upload. `Upload-Metadata` says the same under the same names; where
+/// both do, this counts.
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -42,7 +43,8 @@ pub struct UploadParameters {
     /// `false` only stores the scan.
     #[param(default = true)]
     parse: Option<bool>,
-    /// The axis that points up in the files, for archives that do not say; default: the axis the cameras hold up.
+    /// The axis that points up in the files, for archives that do not say; default: the axis the
+    /// cameras hold up.
     #[param(inline)]
     up: Option<UpAxis>,
     /// Settings to parse with.
@@ -57,7 +59,12 @@ impl UploadParameters {
             match key.as_str() {
                 "name" => parameters.name = Some(text),
                 "filename" => parameters.filename = Some(text),
-                "parse" => parameters.parse = Some(text.parse().map_err(|_| Refused::invalid("parse", "\"true\" or \"false\""))?),
+                "parse" => {
+                    parameters.parse = Some(
+                        text.parse()
+                            .map_err(|_| Refused::invalid("parse", "\"true\" or \"false\""))?,
+                    )
+                }
                 "up" => parameters.up = Some(word("up", text)?),
                 "preset" => parameters.preset = Some(word("preset", text)?),
                 // For whoever sends it.
@@ -85,8 +92,9 @@ fn word<T: DeserializeOwned>(key: &str, text: String) -> Result<T, Refused> {
 /// Begins an upload that comes in parts.
 ///
 /// In the words of [tus 1.0](https://tus.io/protocols/resumable-upload), for its clients. `Location` is the upload; its bytes go there with
-/// `PATCH`, from the offset that `HEAD` tells. The first of them may come with this request, as `application/offset+octet-stream`. When all
-/// are there it becomes a scene, exactly as `POST /v1/scenes` makes one.
+/// `PATCH`, from the offset that `HEAD` tells. The first of them may come with this request, as
+/// `application/offset+octet-stream`. When all are there it becomes a scene, exactly as `POST
+/// /v1/scenes` makes one.
 #[utoipa::path(
     post, path = "/v1/uploads", operation_id = "create_upload", tag = "uploads",
     params(
@@ -126,16 +134,23 @@ pub async fn create(
 ) -> Result<Response, Refused> {
     let length = tus::bytes(&headers, &tus::LENGTH)?;
     let tus::Metadata { header: note, pairs } = tus::metadata(&headers)?;
-    let UploadParameters { name, filename, parse, up, preset } = parameters.or(UploadParameters::of(pairs)?);
+    let UploadParameters { name, filename, parse, up, preset } =
+        parameters.or(UploadParameters::of(pairs)?);
     let (parse, preset) = (parse.unwrap_or(true), preset.unwrap_or_default());
-    let wanted = WantedScene { name, file_name: filename, parse, up, preset, idempotency_key, note };
+    let wanted =
+        WantedScene { name, file_name: filename, parse, up, preset, idempotency_key, note };
     // Before there is an upload that nobody hears of.
     let checksum = tus::checksum(&headers)?;
     let upload = app.service.begin_upload(NewUpload { length, wanted }, &caller).await?;
     let location = format!("/v1/uploads/{}", upload.id);
     let mut response = match tus::is_part(&headers) {
         true => {
-            let part = Part { offset: 0, announced_bytes: announced(&headers), checksum, body: request.into_body().into_data_stream() };
+            let part = Part {
+                offset: 0,
+                announced_bytes: announced(&headers),
+                checksum,
+                body: request.into_body().into_data_stream(),
+            };
             match app.service.append(&upload.id, part, caller).await {
                 Ok(upload) => came_of(StatusCode::CREATED, upload),
                 Err(error) => Refused::from(error).into_response(),
@@ -182,7 +197,11 @@ pub async fn capabilities(State(app): State<App>) -> Response {
     ),
     security(("key" = ["write"]), ())
 )]
-pub async fn get(State(app): State<App>, Path(upload_id): Path<String>, Extension(caller): Asking) -> Result<axum::Json<Upload>, Refused> {
+pub async fn get(
+    State(app): State<App>,
+    Path(upload_id): Path<String>,
+    Extension(caller): Asking,
+) -> Result<axum::Json<Upload>, Refused> {
     Ok(axum::Json(app.service.upload(&upload_id, &caller).await?))
 }
 
@@ -208,19 +227,26 @@ pub async fn get(State(app): State<App>, Path(upload_id): Path<String>, Extensio
     ),
     security(("key" = ["write"]), ())
 )]
-pub async fn head(State(app): State<App>, Path(upload_id): Path<String>, Extension(caller): Asking) -> Result<Response, Refused> {
+pub async fn head(
+    State(app): State<App>,
+    Path(upload_id): Path<String>,
+    Extension(caller): Asking,
+) -> Result<Response, Refused> {
     let upload = app.service.upload(&upload_id, &caller).await?;
     let note = app.service.upload_note(&upload_id, &caller).await?;
     let mut headers = tus::state(&upload);
     headers.insert(tus::LENGTH, upload.length.into());
-    headers.extend(note.and_then(|note| HeaderValue::from_str(&note).ok()).map(|note| (tus::METADATA, note)));
+    headers.extend(
+        note.and_then(|note| HeaderValue::from_str(&note).ok()).map(|note| (tus::METADATA, note)),
+    );
     Ok(headers.into_response())
 }
 
 /// Goes on with an upload, from the offset it is at.
 ///
-/// With its last bytes it becomes a scene, which `uniground-scene-id` names; content that is no scan is refused with what is wrong with it.
-/// What came of a part that breaks off is kept; of one with a checksum, which can not be checked then, nothing.
+/// With its last bytes it becomes a scene, which `uniground-scene-id` names; content that is no
+/// scan is refused with what is wrong with it. What came of a part that breaks off is kept; of one
+/// with a checksum, which can not be checked then, nothing.
 #[utoipa::path(
     patch, path = "/v1/uploads/{upload_id}", operation_id = "append_to_upload", tag = "uploads",
     params(
@@ -267,7 +293,8 @@ pub async fn append(
     take(&app, &upload_id, caller, &headers, request.into_body()).await
 }
 
-/// The same as `PATCH` or `DELETE`, for those whose network lets neither through: `X-HTTP-Method-Override` says which.
+/// The same as `PATCH` or `DELETE`, for those whose network lets neither through:
+/// `X-HTTP-Method-Override` says which.
 #[utoipa::path(
     post, path = "/v1/uploads/{upload_id}", operation_id = "append_to_upload_by_post", tag = "uploads",
     params(
@@ -311,7 +338,11 @@ pub async fn post(
             app.service.delete_upload(&upload_id, &caller).await?;
             Ok(StatusCode::NO_CONTENT.into_response())
         }
-        _ => Err(Refused::new(StatusCode::BAD_REQUEST, "header_wrong", "x-http-method-override: PATCH or DELETE is wanted")),
+        _ => Err(Refused::new(
+            StatusCode::BAD_REQUEST,
+            "header_wrong",
+            "x-http-method-override: PATCH or DELETE is wanted",
+        )),
     }
 }
 
@@ -331,15 +362,30 @@ pub async fn post(
     ),
     security(("key" = ["write"]), ())
 )]
-pub async fn delete(State(app): State<App>, Path(upload_id): Path<String>, Extension(caller): Asking) -> Result<StatusCode, Refused> {
+pub async fn delete(
+    State(app): State<App>,
+    Path(upload_id): Path<String>,
+    Extension(caller): Asking,
+) -> Result<StatusCode, Refused> {
     app.service.delete_upload(&upload_id, &caller).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 
-async fn take(app: &App, upload_id: &str, caller: Caller, headers: &HeaderMap, body: Body) -> Result<Response, Refused> {
+async fn take(
+    app: &App,
+    upload_id: &str,
+    caller: Caller,
+    headers: &HeaderMap,
+    body: Body,
+) -> Result<Response, Refused> {
     tus::check_part(headers)?;
     let (offset, checksum) = (tus::bytes(headers, &tus::OFFSET)?, tus::checksum(headers)?);
-    let part = Part { offset, announced_bytes: announced(headers), checksum, body: body.into_data_stream() };
+    let part = Part {
+        offset,
+        announced_bytes: announced(headers),
+        checksum,
+        body: body.into_data_stream(),
+    };
     match app.service.append(upload_id, part, caller).await {
         Ok(upload) => Ok(came_of(StatusCode::NO_CONTENT, upload)),
         Err(crate::error::Error::WrongOffset { offset }) => {
@@ -361,5 +407,8 @@ fn came_of(status: StatusCode, upload: Upload) -> Response {
 }
 
 fn announced(headers: &HeaderMap) -> u64 {
-    headers.get(header::CONTENT_LENGTH).and_then(|bytes| bytes.to_str().ok()?.parse().ok()).unwrap_or(0)
+    headers
+        .get(header::CONTENT_LENGTH)
+        .and_then(|bytes| bytes.to_str().ok()?.parse().ok())
+        .unwrap_or(0)
 }

@@ -1,6 +1,8 @@
-//! Networks behind a server of the `KServe` v2 protocol (Triton, `MLServer`, `OpenVINO` Model Server, `KServe`).
+//! Networks behind a server of the `KServe` v2 protocol (Triton, `MLServer`, `OpenVINO` Model
+//! Server, `KServe`).
 //!
-//! Tensors travel as raw bytes after a JSON header, as the protocol's binary extension has it; as JSON where a server does not know it.
+//! Tensors travel as raw bytes after a JSON header, as the protocol's binary extension has it; as
+//! JSON where a server does not know it.
 
 use reqwest::StatusCode;
 use reqwest::blocking::{Client, RequestBuilder, Response};
@@ -13,7 +15,9 @@ use std::thread::sleep;
 use std::time::Duration;
 use uniground_client::choose_cryptography;
 use uniground_core::models::neural::bundle::Bundle;
-use uniground_core::models::neural::network::{Element, Input, Network, Port, Signature, Tensor, Values, finite};
+use uniground_core::models::neural::network::{
+    Element, Input, Network, Port, Signature, Tensor, Values, finite,
+};
 use uniground_core::models::neural::{Engine, ModelError, Work};
 use uniground_core::models::with_causes;
 
@@ -70,8 +74,10 @@ impl RemoteServer {
     pub fn new(address: &str, timeout: Duration) -> Result<Self, ModelError> {
         choose_cryptography();
         let address = address.trim_end_matches('/').to_owned();
-        let client = Client::builder().timeout(timeout).connect_timeout(timeout.min(LONGEST_WAIT)).build();
-        let client = client.map_err(|e| ModelError::Remote { network: address.clone(), why: with_causes(&e) })?;
+        let client =
+            Client::builder().timeout(timeout).connect_timeout(timeout.min(LONGEST_WAIT)).build();
+        let client = client
+            .map_err(|e| ModelError::Remote { network: address.clone(), why: with_causes(&e) })?;
         Ok(Self { address, client })
     }
 
@@ -84,9 +90,10 @@ impl RemoteServer {
         let wrong = |why: String| ModelError::Remote { network: name.to_owned(), why };
         let answer = patiently(|| self.client.get(&url)).map_err(&wrong)?;
         let text = bounded(answer).map_err(&wrong)?;
-        let Metadata { versions, platform, inputs, outputs } =
-            serde_json::from_slice(&text).map_err(|e| wrong(format!("{url} is no description of a model: {e}")))?;
-        let ports = |described: Vec<PortMetadata>| described.into_iter().map(PortMetadata::port).collect();
+        let Metadata { versions, platform, inputs, outputs } = serde_json::from_slice(&text)
+            .map_err(|e| wrong(format!("{url} is no description of a model: {e}")))?;
+        let ports =
+            |described: Vec<PortMetadata>| described.into_iter().map(PortMetadata::port).collect();
         Ok(RemoteNetwork {
             identity: format!("{name} {platform} {}", versions.unwrap_or_default().join(",")),
             url: format!("{url}/infer"),
@@ -99,7 +106,13 @@ impl RemoteServer {
 }
 
 impl Engine for RemoteServer {
-    fn open(&self, bundle: &Bundle, file: &str, _at_once: usize, _work: Work) -> Result<Box<dyn Network>, ModelError> {
+    fn open(
+        &self,
+        bundle: &Bundle,
+        file: &str,
+        _at_once: usize,
+        _work: Work,
+    ) -> Result<Box<dyn Network>, ModelError> {
         Ok(Box::new(self.network(&network_name(bundle, file))?))
     }
 
@@ -121,7 +134,8 @@ impl Engine for RemoteServer {
     }
 }
 
-/// What a bundle's network is called at an inference server: the bundle's name and the file's, without its extension.
+/// What a bundle's network is called at an inference server: the bundle's name and the file's,
+/// without its extension.
 fn network_name(bundle: &Bundle, file: &str) -> String {
     format!("{}-{}", bundle.name(), file.split('.').next().unwrap_or(file))
 }
@@ -204,7 +218,9 @@ impl RemoteNetwork {
             }
         }
         let body = plain_request(inputs, outputs);
-        let answer = patiently(|| self.client.post(&self.url).header(CONTENT_TYPE, "application/json").body(body.clone()))?;
+        let answer = patiently(|| {
+            self.client.post(&self.url).header(CONTENT_TYPE, "application/json").body(body.clone())
+        })?;
         self.plain.store(true, Ordering::Relaxed);
         Ok(answer)
     }
@@ -227,7 +243,10 @@ fn binary_request(inputs: &[Input], outputs: &[&str]) -> (usize, Vec<u8>) {
     let header = Header {
         id: "uniground",
         inputs: inputs.iter().map(described).collect(),
-        outputs: outputs.iter().map(|name| Wanted { name, parameters: json!({"binary_data": true}) }).collect(),
+        outputs: outputs
+            .iter()
+            .map(|name| Wanted { name, parameters: json!({"binary_data": true}) })
+            .collect(),
     };
     let mut body = json!(header).to_string().into_bytes();
     let length = body.len();
@@ -251,7 +270,10 @@ fn plain_request(inputs: &[Input], outputs: &[&str]) -> Vec<u8> {
     let header = Header {
         id: "uniground",
         inputs: inputs.iter().map(described).collect(),
-        outputs: outputs.iter().map(|name| Wanted { name, parameters: json!({"binary_data": false}) }).collect(),
+        outputs: outputs
+            .iter()
+            .map(|name| Wanted { name, parameters: json!({"binary_data": false}) })
+            .collect(),
     };
     json!(header).to_string().into_bytes()
 }
@@ -269,7 +291,8 @@ fn read_answer(answer: Response, outputs: &[&str]) -> Result<Vec<Tensor>, String
         Some(_) => return Err("the answer is shorter than its header says".into()),
         None => (&body[..], &[][..]),
     };
-    let Answer { outputs: tensors } = serde_json::from_slice(header).map_err(|e| format!("the answer is none: {e}"))?;
+    let Answer { outputs: tensors } =
+        serde_json::from_slice(header).map_err(|e| format!("the answer is none: {e}"))?;
     let mut read = Vec::with_capacity(tensors.len());
     for AnswerTensor { name, datatype, shape, data, parameters } in tensors {
         let count = shape
@@ -278,7 +301,9 @@ fn read_answer(answer: Response, outputs: &[&str]) -> Result<Vec<Tensor>, String
             .ok_or_else(|| format!("{name}: {shape:?}"))?;
         let size = parameters.and_then(|p| p.binary_data_size);
         let bytes = size
-            .map(|size| raw.split_at_checked(size).ok_or_else(|| format!("{name}: the answer ends early")))
+            .map(|size| {
+                raw.split_at_checked(size).ok_or_else(|| format!("{name}: the answer ends early"))
+            })
             .transpose()?;
         if let Some((_, rest)) = bytes {
             raw = rest;
@@ -290,8 +315,12 @@ fn read_answer(answer: Response, outputs: &[&str]) -> Result<Vec<Tensor>, String
             return Err(format!("{name} is {datatype}, expected FP32"));
         }
         let values: Vec<f32> = match (bytes, data) {
-            (Some((bytes, _)), _) => bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect(),
-            (None, Some(data)) => flattened(&data).ok_or_else(|| format!("{name}: values that are no numbers"))?,
+            (Some((bytes, _)), _) => {
+                bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
+            }
+            (None, Some(data)) => {
+                flattened(&data).ok_or_else(|| format!("{name}: values that are no numbers"))?
+            }
             (None, None) => return Err(format!("{name} has no values")),
         };
         if values.len() != count {
@@ -345,7 +374,10 @@ fn patiently(request: impl Fn() -> RequestBuilder) -> Result<Response, String> {
                     .and_then(|v| v.to_str().ok()?.parse().ok())
                     .map(Duration::from_secs);
                 let text = bounded(answer).unwrap_or_default();
-                let why = format!("{status}: {}", String::from_utf8_lossy(&text).chars().take(200).collect::<String>());
+                let why = format!(
+                    "{status}: {}",
+                    String::from_utf8_lossy(&text).chars().take(200).collect::<String>()
+                );
                 if !comes_back(status) {
                     return Err(format!("{REFUSED} with {why}"));
                 }

@@ -31,7 +31,12 @@ impl Probe {
     /// # Errors
     /// Why not, without its address.
     pub async fn look(&self) -> Result<(), String> {
-        let answer = self.client.get(&self.url).send().await.map_err(|error| with_causes(&error.without_url()))?;
+        let answer = self
+            .client
+            .get(&self.url)
+            .send()
+            .await
+            .map_err(|error| with_causes(&error.without_url()))?;
         let status = answer.status();
         // The protocol has 400 for "not ready"; what is unknown there is 404 or 405.
         let unknown = matches!(status.as_u16(), 404 | 405 | 501);

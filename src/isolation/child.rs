@@ -1,4 +1,5 @@
-//! The service's side: starts a child process, follows it, and ends it when it takes too long or is not wanted any more.
+//! The service's side: starts a child process, follows it, and ends it when it takes too long or is
+//! not wanted any more.
 
 use super::wire::{Message, Request};
 use super::{Outcome, ReadError, Task};
@@ -25,7 +26,8 @@ const MAX_MESSAGE_BYTES: u64 = 1 << 20;
 /// Of the environment a child has these variables and no others: secrets are not for it.
 const ENVIRONMENT: [&str; 4] = ["LD_LIBRARY_PATH", "PATH", "RAYON_NUM_THREADS", "TMPDIR"];
 /// Stages that a child reports, as jobs name them.
-const STAGES: [&str; 6] = ["import", "check_reprojection", "levelling", "fuse_cloud", "look_through", "check_pictures"];
+const STAGES: [&str; 6] =
+    ["import", "check_reprojection", "levelling", "fuse_cloud", "look_through", "check_pictures"];
 const SIGKILL: i32 = 9;
 const SIGXCPU: i32 = 24;
 
@@ -52,19 +54,30 @@ enum Stopped {
 }
 
 impl ChildProcess {
-    /// Child processes of a program, which is this one where none is named. An import may take `memory_bytes`.
+    /// Child processes of a program, which is this one where none is named. An import may take
+    /// `memory_bytes`.
     #[must_use]
     pub fn new(program: Option<Utf8PathBuf>, memory_bytes: u64) -> Self {
-        Self { program: program.map_or_else(this_program, Utf8PathBuf::into_std_path_buf), memory_bytes }
+        Self {
+            program: program.map_or_else(this_program, Utf8PathBuf::into_std_path_buf),
+            memory_bytes,
+        }
     }
 
     /// Runs a task in a child, with a part of the memory; blocks.
-    pub(super) fn run(&self, task: &Task, memory_share: u64, progress: &Progress) -> Result<Outcome, ReadError> {
+    pub(super) fn run(
+        &self,
+        task: &Task,
+        memory_share: u64,
+        progress: &Progress,
+    ) -> Result<Outcome, ReadError> {
         let (memory_bytes, time_limit) = (self.memory_bytes / memory_share, task.time_limit());
-        let request = Request { task: Cow::Borrowed(task), memory_bytes, cpu_s: cpu_seconds(time_limit) };
+        let request =
+            Request { task: Cow::Borrowed(task), memory_bytes, cpu_s: cpu_seconds(time_limit) };
         let mut request = serde_json::to_vec(&request).map_err(io::Error::other)?;
         request.push(b'\n');
-        let environment = ENVIRONMENT.iter().filter_map(|name| Some((*name, std::env::var_os(name)?)));
+        let environment =
+            ENVIRONMENT.iter().filter_map(|name| Some((*name, std::env::var_os(name)?)));
         let child = Command::new(&self.program)
             .arg(SUBCOMMAND)
             .env_clear()
@@ -94,7 +107,12 @@ fn cpu_seconds(time: Duration) -> u64 {
 }
 
 /// Follows a child until it has ended, whoever ended it.
-fn follow(mut child: Child, request: &[u8], deadline: Instant, progress: &Progress) -> Result<Ended, ReadError> {
+fn follow(
+    mut child: Child,
+    request: &[u8],
+    deadline: Instant,
+    progress: &Progress,
+) -> Result<Ended, ReadError> {
     let (stdin, stdout, stderr) = (child.stdin.take(), child.stdout.take(), child.stderr.take());
     thread::scope(|scope| {
         let (sender, messages) = mpsc::channel();
@@ -110,7 +128,8 @@ fn follow(mut child: Child, request: &[u8], deadline: Instant, progress: &Progre
         loop {
             match messages.recv_timeout(LOOK_EVERY) {
                 Ok(Message::Progress { stage, done }) => {
-                    let stage = STAGES.into_iter().find(|known| *known == stage).unwrap_or(STAGES[0]);
+                    let stage =
+                        STAGES.into_iter().find(|known| *known == stage).unwrap_or(STAGES[0]);
                     // Cancelling is looked for below.
                     let _ = progress.report(stage, done);
                 }
@@ -182,27 +201,41 @@ fn tail_of(mut stderr: ChildStderr) -> String {
 }
 
 /// What came of a task whose child ended so.
-fn outcome(ended: Ended, task: &Task, memory_bytes: u64, time_limit: Duration) -> Result<Outcome, ReadError> {
+fn outcome(
+    ended: Ended,
+    task: &Task,
+    memory_bytes: u64,
+    time_limit: Duration,
+) -> Result<Outcome, ReadError> {
     let Ended { status, last, stopped, stderr } = ended;
     if stopped == Some(Stopped::Cancelled) {
         return Err(IngestError::Cancelled(Cancelled).into());
     }
     let file = task.subject();
-    let too_costly = |limit: String| Err(IngestError::TooCostly { file: file.clone(), limit }.into());
+    let too_costly =
+        |limit: String| Err(IngestError::TooCostly { file: file.clone(), limit }.into());
     let out_of_time = stopped == Some(Stopped::TooLate) || status.signal() == Some(SIGXCPU);
     match last {
         Some(told) if status.success() => {
             if !stderr.trim().is_empty() {
-                tracing::warn!(stderr = stderr.trim(), "the process that read a scan reports problems");
+                tracing::warn!(
+                    stderr = stderr.trim(),
+                    "the process that read a scan reports problems"
+                );
             }
             return told;
         }
         _ if out_of_time => return too_costly(format!("{} s", time_limit.as_secs())),
         // The system is out of memory, say: the scan is not at fault.
         _ if status.signal() == Some(SIGKILL) => return Err(ReadError::Killed),
-        // The child catches panics. An exit without an outcome is the program's own failure, not the scan's.
+        // The child catches panics. An exit without an outcome is the program's own failure, not
+        // the scan's.
         _ if status.signal().is_none() => {
-            return Err(io::Error::other(format!("it ended with {status} and without an outcome: {}", stderr.trim())).into());
+            return Err(io::Error::other(format!(
+                "it ended with {status} and without an outcome: {}",
+                stderr.trim()
+            ))
+            .into());
         }
         _ => {}
     }
@@ -210,7 +243,8 @@ fn outcome(ended: Ended, task: &Task, memory_bytes: u64, time_limit: Duration) -
     if stderr.contains("memory allocation of") || stderr.contains("capacity overflow") {
         return too_costly(format!("{} MB of memory (--reader-memory-mb)", memory_bytes >> 20));
     }
-    let message = format!("{file}: the reader crashed on it; the file is damaged or of another format");
+    let message =
+        format!("{file}: the reader crashed on it; the file is damaged or of another format");
     Err(IngestError::Reported { kind: IngestErrorKind::Malformed, message }.into())
 }
 
@@ -221,13 +255,20 @@ mod tests {
     use std::os::unix::fs::PermissionsExt;
 
     /// Runs a task whose child is this shell script.
-    fn run(script: &str, is_cancelled: impl Fn() -> bool + Send + Sync + 'static) -> Result<Outcome, ReadError> {
+    fn run(
+        script: &str,
+        is_cancelled: impl Fn() -> bool + Send + Sync + 'static,
+    ) -> Result<Outcome, ReadError> {
         let folder = tempfile::tempdir().unwrap();
         let program = Utf8PathBuf::from_path_buf(folder.path().join("reader")).unwrap();
         fs::write(&program, format!("#!/bin/sh\nread request\n{script}\n")).unwrap();
         fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
         let task = Task::Inspect { folder: "/nowhere".into() };
-        ChildProcess::new(Some(program), 64 << 20).run(&task, 1, &Progress::new(|_, _| {}, is_cancelled))
+        ChildProcess::new(Some(program), 64 << 20).run(
+            &task,
+            1,
+            &Progress::new(|_, _| {}, is_cancelled),
+        )
     }
 
     fn kind(result: Result<Outcome, ReadError>) -> IngestErrorKind {
@@ -246,16 +287,21 @@ mod tests {
         assert_eq!(kind(run(failed, never)), IngestErrorKind::EmptyScene);
         assert_eq!(kind(run("kill -ABRT $$", never)), IngestErrorKind::Malformed);
         assert_eq!(kind(run("kill -SEGV $$", never)), IngestErrorKind::Malformed);
-        let out_of_memory = "echo 'memory allocation of 1099511627776 bytes failed' >&2; kill -ABRT $$";
+        let out_of_memory =
+            "echo 'memory allocation of 1099511627776 bytes failed' >&2; kill -ABRT $$";
         assert_eq!(kind(run(out_of_memory, never)), IngestErrorKind::TooCostly);
         assert_eq!(kind(run("kill -XCPU $$", never)), IngestErrorKind::TooCostly);
         assert!(matches!(run("kill -KILL $$", never), Err(ReadError::Killed)));
         assert_eq!(kind(run("exec sleep 60", || true)), IngestErrorKind::Cancelled);
         for without_outcome in ["exit 3", "exit 0", "echo no message; exit 0"] {
-            assert!(matches!(run(without_outcome, never), Err(ReadError::Process(_))), "{without_outcome}");
+            assert!(
+                matches!(run(without_outcome, never), Err(ReadError::Process(_))),
+                "{without_outcome}"
+            );
         }
         // More than a pipe holds.
-        let talkative = "i=0; while [ $i -lt 20000 ]; do echo filler >&2; i=$((i+1)); done; kill -ABRT $$";
+        let talkative =
+            "i=0; while [ $i -lt 20000 ]; do echo filler >&2; i=$((i+1)); done; kill -ABRT $$";
         assert_eq!(kind(run(talkative, never)), IngestErrorKind::Malformed);
     }
 

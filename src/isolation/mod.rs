@@ -1,8 +1,9 @@
 //! Reading of uploaded scans in processes of their own.
 //!
-//! Uploads are hostile: a decoder may crash, ask for more memory than there is, or never end. So every file of an upload is decoded first by
-//! a child process of this program with limits on its memory and time. What it found comes back as a message, what it has unpacked or
-//! imported as files. A fault ends the child, never the service.
+//! Uploads are hostile: a decoder may crash, ask for more memory than there is, or never end. So
+//! every file of an upload is decoded first by a child process of this program with limits on its
+//! memory and time. What it found comes back as a message, what it has unpacked or imported as
+//! files. A fault ends the child, never the service.
 //!
 //! ```text
 //! service ── Request (a line of JSON on stdin) ──> uniground isolated-reader
@@ -25,7 +26,8 @@ use tokio::task::spawn_blocking;
 use uniground_core::ingest::IngestError;
 use uniground_core::progress::Progress;
 
-/// Checks of uploads that run at once; more wait. Together they take no more memory than so many times the limit of one.
+/// Checks of uploads that run at once; more wait. Together they take no more memory than so many
+/// times the limit of one.
 const MAX_CONCURRENT_CHECKS: usize = 2;
 /// A check of an upload has this share of the memory that an import has.
 const CHECK_MEMORY_SHARE: u64 = 4;
@@ -96,7 +98,12 @@ impl ScanReader {
         self.run(task, 1, progress)
     }
 
-    fn run(&self, task: &Task, memory_share: u64, progress: &Progress) -> Result<Outcome, ReadError> {
+    fn run(
+        &self,
+        task: &Task,
+        memory_share: u64,
+        progress: &Progress,
+    ) -> Result<Outcome, ReadError> {
         match &self.how {
             How::InProcess => Ok(task.run(progress)?),
             How::Isolated(child) => child.run(task, memory_share, progress),

@@ -16,14 +16,21 @@ use uniground_types::settings::ImportSettings;
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Task {
-    /// Unpacks an upload into an empty folder and checks it as a scan. What its bytes do not tell, the ending of its name does.
+    /// Unpacks an upload into an empty folder and checks it as a scan. What its bytes do not tell,
+    /// the ending of its name does.
     Unpack { archive: Utf8PathBuf, file_name: String, folder: Utf8PathBuf, limits: UnpackLimits },
     /// Checks an unpacked scan again.
     Inspect { folder: Utf8PathBuf },
-    /// Checks that the frames of an unpacked scan lie in the scene with this cloud, a file of the service's own.
+    /// Checks that the frames of an unpacked scan lie in the scene with this cloud, a file of the
+    /// service's own.
     CheckFit { folder: Utf8PathBuf, cloud: Utf8PathBuf, to_scene: SourceToScene },
     /// Imports an unpacked scan into its checkpoints, and tries every picture.
-    Import { content: Utf8PathBuf, settings: ImportSettings, checkpoints: Utf8PathBuf, origin: String },
+    Import {
+        content: Utf8PathBuf,
+        settings: ImportSettings,
+        checkpoints: Utf8PathBuf,
+        origin: String,
+    },
 }
 
 /// What came of a task.
@@ -54,7 +61,8 @@ impl Task {
         match self {
             Self::Unpack { archive, file_name, folder, limits } => {
                 let head = head_of(archive);
-                let packed = Packed::of_head(&head, file_name).ok_or_else(|| unreadable(file_name, what_it_is(&head)))?;
+                let packed = Packed::of_head(&head, file_name)
+                    .ok_or_else(|| unreadable(file_name, what_it_is(&head)))?;
                 packed.unpack(archive, folder, limits)?;
                 Ok(named(ingest::open(folder)?.name))
             }
@@ -65,10 +73,12 @@ impl Task {
             }
             Self::Import { content, settings, checkpoints, origin } => {
                 let checkpoints = Checkpoints::kept_in(checkpoints, origin);
-                let imported = import_scan(content, settings, &checkpoints, &progress.part(0.0, 0.8)).and_then(|scan| {
-                    scan.try_pictures(&progress.part(0.8, 1.0))?;
-                    Ok(Outcome::Imported { stages: scan.stages().to_vec() })
-                });
+                let imported =
+                    import_scan(content, settings, &checkpoints, &progress.part(0.0, 0.8))
+                        .and_then(|scan| {
+                            scan.try_pictures(&progress.part(0.8, 1.0))?;
+                            Ok(Outcome::Imported { stages: scan.stages().to_vec() })
+                        });
                 imported.map_err(|error| of_import(error, content))
             }
         }

@@ -50,8 +50,16 @@ impl From<IngestError> for Failure {
         let (kind, message) = (error.kind(), shortened(error.to_string()));
         match error {
             IngestError::Io { file, source } => {
-                let is_disk_full = matches!(source.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded);
-                Self { kind, message: shortened(source.to_string()), file: Some(file), is_disk_full }
+                let is_disk_full = matches!(
+                    source.kind(),
+                    io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded
+                );
+                Self {
+                    kind,
+                    message: shortened(source.to_string()),
+                    file: Some(file),
+                    is_disk_full,
+                }
             }
             _ => Self { kind, message, file: None, is_disk_full: false },
         }
@@ -65,7 +73,9 @@ impl From<Failure> for ReadError {
             (IngestErrorKind::Io, Some(file)) if is_disk_full => {
                 IngestError::Io { file, source: io::Error::from(io::ErrorKind::StorageFull) }
             }
-            (IngestErrorKind::Io, Some(file)) => IngestError::Io { file, source: io::Error::other(message) },
+            (IngestErrorKind::Io, Some(file)) => {
+                IngestError::Io { file, source: io::Error::other(message) }
+            }
             (kind, _) => IngestError::Reported { kind, message },
         })
     }

@@ -30,14 +30,20 @@ pub fn run() -> io::Result<()> {
     let subject = task.subject();
     // A panic has been told on stderr, with its place.
     let done = catch_unwind(AssertUnwindSafe(|| pool.install(|| task.run(&reported()))))
-        .unwrap_or_else(|_| Err(IngestError::Malformed { file: subject, reason: "it is damaged: its reader gave up".into() }));
+        .unwrap_or_else(|_| {
+            Err(IngestError::Malformed {
+                file: subject,
+                reason: "it is damaged: its reader gave up".into(),
+            })
+        });
     tell(&match done {
         Ok(outcome) => Message::Done(outcome),
         Err(error) => Message::Failed(error.into()),
     })
 }
 
-/// Memory that a process writes to. Address space alone is not limited: threads reserve more of it than they use.
+/// Memory that a process writes to. Address space alone is not limited: threads reserve more of it
+/// than they use.
 fn limit_memory(bytes: u64) {
     #[cfg(target_os = "linux")]
     limit(Resource::Data, bytes);

@@ -1,4 +1,5 @@
-//! Jobs that somebody follows: each is looked at by one task, however many follow it, and those who wait are woken when it has changed.
+//! Jobs that somebody follows: each is looked at by one task, however many follow it, and those who
+//! wait are woken when it has changed.
 
 use super::{Job, Jobs, JobsError};
 use crate::store::JobRow;
@@ -25,12 +26,15 @@ impl Followed {
 
 /// Whether two looks at a job tell a caller the same.
 fn is_same(a: &Job, b: &Job) -> bool {
-    let told = |job: &Job| (job.attempts, job.state, job.ahead, job.stage.clone(), (job.progress * 1000.0) as i32);
+    let told = |job: &Job| {
+        (job.attempts, job.state, job.ahead, job.stage.clone(), (job.progress * 1000.0) as i32)
+    };
     told(a) == told(b)
 }
 
 impl Jobs {
-    /// A job as it stands, and as it will: the receiver is told of every change until the job is over, gone, or nobody follows it.
+    /// A job as it stands, and as it will: the receiver is told of every change until the job is
+    /// over, gone, or nobody follows it.
     ///
     /// # Errors
     /// [`JobsError::NotFound`].
@@ -76,7 +80,11 @@ impl Jobs {
                 }
             }
             let job = self.look(&id).await;
-            wait = if matches!(job, Err(JobsError::Store(_) | JobsError::QueueFull { .. })) { TROUBLE } else { LOOK_EVERY };
+            wait = if matches!(job, Err(JobsError::Store(_) | JobsError::QueueFull { .. })) {
+                TROUBLE
+            } else {
+                LOOK_EVERY
+            };
             let mut all = self.followed.all();
             let is_over = match (job, all.get(&id)) {
                 (Ok(job), Some(followed)) => {

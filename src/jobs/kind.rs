@@ -7,7 +7,8 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use uniground_core::progress::Progress;
 
-/// A kind of job: its name, what it is asked to do, and how that is done. Every kind waits in a queue of its own.
+/// A kind of job: its name, what it is asked to do, and how that is done. Every kind waits in a
+/// queue of its own.
 pub trait JobKind: Send + Sync + 'static {
     /// Stored with every job: it never changes.
     const NAME: &'static str;
@@ -18,13 +19,17 @@ pub trait JobKind: Send + Sync + 'static {
     type Payload: Serialize + DeserializeOwned + Send + Sync;
 
     /// Does the work. The result is a sentence about what came out.
-    fn run(&self, job: JobContext<Self::Payload>) -> impl Future<Output = Result<String, JobFailure>> + Send;
+    fn run(
+        &self,
+        job: JobContext<Self::Payload>,
+    ) -> impl Future<Output = Result<String, JobFailure>> + Send;
 }
 
 /// When a job is tried again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Retry {
-    /// After how many ends of its process in a row, without getting further than before, a job that was running fails.
+    /// After how many ends of its process in a row, without getting further than before, a job
+    /// that was running fails.
     pub interrupted: u32,
     /// How often in all a job is tried whose failure may pass.
     pub transient: u32,
@@ -36,8 +41,9 @@ pub struct Retry {
 pub struct JobContext<P> {
     /// What is written down of it is written in this hold.
     pub hold: Hold,
-    /// Cancelled once it was given to somebody else, because this process was not seen for longer than its lease: what comes of it counts for
-    /// nothing, and nothing more may be bought for it.
+    /// Cancelled once it was given to somebody else, because this process was not seen for longer
+    /// than its lease: what comes of it counts for nothing, and nothing more may be bought for
+    /// it.
     pub lost: CancellationToken,
     pub payload: P,
     /// Progress sink and cancellation in one.

@@ -19,16 +19,23 @@ const LOOK_EVERY: Duration = Duration::from_secs(2);
 const FURTHER: f64 = 0.001;
 /// No wait before another try is longer.
 const LONGEST_BACKOFF: Duration = Duration::from_hours(1);
-/// A job that is interrupted again and again without getting further may be what brings its server down: it is taken up at once so often,
+/// A job that is interrupted again and again without getting further may be what brings its server
+/// down: it is taken up at once so often,
 const TAKEN_UP_AT_ONCE: u32 = 3;
 /// and then waits, this long first.
 const WAIT_AFTER_INTERRUPTIONS: Duration = Duration::from_secs(30);
 
 impl Jobs {
-    /// Works on the jobs of one kind until `shutdown`, so many at once. Jobs running then are put back and go on after the next start, or
-    /// elsewhere; those that processes which are gone had in hands are taken up. No kind waits for another. Trouble with the database is
+    /// Works on the jobs of one kind until `shutdown`, so many at once. Jobs running then are put
+    /// back and go on after the next start, or elsewhere; those that processes which are gone
+    /// had in hands are taken up. No kind waits for another. Trouble with the database is
     /// logged, and tried again.
-    pub async fn run_lane<K: JobKind>(&self, kind: Arc<K>, at_once: usize, shutdown: CancellationToken) {
+    pub async fn run_lane<K: JobKind>(
+        &self,
+        kind: Arc<K>,
+        at_once: usize,
+        shutdown: CancellationToken,
+    ) {
         self.metrics.jobs.knows(K::NAME);
         let _at_work = AtWork::begin(self, K::NAME);
         self.recover::<K>(&shutdown).await;
@@ -43,16 +50,25 @@ impl Jobs {
 
     /// Takes up what processes that are gone had in hands, as soon as the store lets it.
     async fn recover<K: JobKind>(&self, shutdown: &CancellationToken) {
-        let recovery = Recovery { give_up_after: K::RETRY.interrupted, at_once: TAKEN_UP_AT_ONCE, wait: WAIT_AFTER_INTERRUPTIONS };
+        let recovery = Recovery {
+            give_up_after: K::RETRY.interrupted,
+            at_once: TAKEN_UP_AT_ONCE,
+            wait: WAIT_AFTER_INTERRUPTIONS,
+        };
         while let Err(error) = self.store.recover_jobs(K::NAME, recovery).await {
-            tracing::error!(kind = K::NAME, error = &error as &dyn std::error::Error, "jobs left behind can not be taken up yet");
+            tracing::error!(
+                kind = K::NAME,
+                error = &error as &dyn std::error::Error,
+                "jobs left behind can not be taken up yet"
+            );
             if shutdown.run_until_cancelled(time::sleep(LOOK_EVERY)).await.is_none() {
                 return;
             }
         }
     }
 
-    /// Fails what waits but is of no kind this server knows: jobs of a newer server, or of one with other parts.
+    /// Fails what waits but is of no kind this server knows: jobs of a newer server, or of one with
+    /// other parts.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -60,7 +76,9 @@ impl Jobs {
         for (id, kind) in self.store.open_jobs().await? {
             if !known.contains(&kind.as_str()) {
                 let detail = format!("this server does not know jobs of the kind {kind:?}");
-                self.store.finish_open_job(&id, JobState::Failed, Some(("unknown_job_kind", &detail))).await?;
+                self.store
+                    .finish_open_job(&id, JobState::Failed, Some(("unknown_job_kind", &detail)))
+                    .await?;
             }
         }
         Ok(())
@@ -71,10 +89,18 @@ impl Jobs {
         while !shutdown.is_cancelled() {
             match self.store.claim_job(K::NAME).await {
                 Ok(Some(job)) => {
-                    let span = tracing::info_span!("job", id = job.id, kind = K::NAME, subject = job.subject);
+                    let span = tracing::info_span!(
+                        "job",
+                        id = job.id,
+                        kind = K::NAME,
+                        subject = job.subject
+                    );
                     let run = async {
                         if let Err(error) = self.run(kind, job, shutdown).await {
-                            tracing::error!(error = &error as &dyn std::error::Error, "a job's end could not be recorded");
+                            tracing::error!(
+                                error = &error as &dyn std::error::Error,
+                                "a job's end could not be recorded"
+                            );
                         }
                     };
                     run.instrument(span).await;
@@ -87,14 +113,23 @@ impl Jobs {
                     }
                 }
                 Err(error) => {
-                    tracing::error!(kind = K::NAME, error = &error as &dyn std::error::Error, "the job queue can not be read");
+                    tracing::error!(
+                        kind = K::NAME,
+                        error = &error as &dyn std::error::Error,
+                        "the job queue can not be read"
+                    );
                     time::sleep(LOOK_EVERY).await;
                 }
             }
         }
     }
 
-    async fn run<K: JobKind>(&self, kind: &Arc<K>, job: JobRow, shutdown: &CancellationToken) -> Result<(), StoreError> {
+    async fn run<K: JobKind>(
+        &self,
+        kind: &Arc<K>,
+        job: JobRow,
+        shutdown: &CancellationToken,
+    ) -> Result<(), StoreError> {
         let JobRow { id, payload, attempts, failures, furthest, .. } = job.clone();
         let hold = Hold::of(&job);
         let payload = match serde_json::from_str(&payload) {
@@ -103,10 +138,13 @@ impl Jobs {
                 let detail = format!("what this job was asked to do can not be read: {error}");
                 tracing::error!(%error, "a job's payload can not be read");
                 self.metrics.jobs.finished(K::NAME, JobState::Failed.word(), None);
-                return self.record(&hold, &End::Failed { code: "internal".into(), detail }, shutdown).await;
+                return self
+                    .record(&hold, &End::Failed { code: "internal".into(), detail }, shutdown)
+                    .await;
             }
         };
-        let running = Running { pulse: Arc::default(), cancel: shutdown.child_token(), row: job.into() };
+        let running =
+            Running { pulse: Arc::default(), cancel: shutdown.child_token(), row: job.into() };
         self.running().insert(id.clone(), running.clone());
         // From here on a wish to stop finds the token; what was wished before stands in the row.
         match self.store.is_cancel_requested(&id).await {
@@ -114,13 +152,19 @@ impl Jobs {
             Ok(true) => running.cancel.cancel(),
             // It goes back as it came, as soon as the store takes it.
             Err(error) => {
-                tracing::error!(error = &error as &dyn std::error::Error, "a job can not be begun yet");
+                tracing::error!(
+                    error = &error as &dyn std::error::Error,
+                    "a job can not be begun yet"
+                );
                 self.running().remove(&id);
                 return self.record(&hold, &End::PutBack, shutdown).await;
             }
         }
         let (beating, cancel) = (running.clone(), running.cancel.clone());
-        let progress = Progress::new(move |stage, progress| beating.beat(Pulse { stage, progress }), move || cancel.is_cancelled());
+        let progress = Progress::new(
+            move |stage, progress| beating.beat(Pulse { stage, progress }),
+            move || cancel.is_cancelled(),
+        );
         // A task of its own: a job that panics ends itself, not the lane.
         let lost = CancellationToken::new();
         let context = JobContext { hold: hold.clone(), lost: lost.clone(), payload, progress };
@@ -155,19 +199,31 @@ impl Jobs {
             Ok(Ok(message)) => End::Done(message),
             Ok(Err(_)) if shutdown.is_cancelled() => End::PutBack,
             Ok(Err(JobFailure::Cancelled)) => End::Cancelled,
-            // Asked to stop, it stumbled over what was taken from under it: that is no failure of its own.
+            // Asked to stop, it stumbled over what was taken from under it: that is no failure of
+            // its own.
             Ok(Err(JobFailure::Failed { .. })) if running.cancel.is_cancelled() => End::Cancelled,
             Ok(Err(JobFailure::Failed { code, detail, cause, transient })) => {
                 let progress = running.pulse().progress;
                 // One that got further starts to count anew.
-                let failures = if f64::from(progress) > furthest + FURTHER { 1 } else { failures + 1 };
+                let failures =
+                    if f64::from(progress) > furthest + FURTHER { 1 } else { failures + 1 };
                 let again = transient.then(|| next_try(K::RETRY, failures)).flatten();
-                tracing::warn!(code, cause, again_in_s = again.map(|wait| wait.as_secs()), "job failed");
-                again.map_or(End::Failed { code, detail }, |wait| End::Again { wait, failures, progress })
+                tracing::warn!(
+                    code,
+                    cause,
+                    again_in_s = again.map(|wait| wait.as_secs()),
+                    "job failed"
+                );
+                again.map_or(End::Failed { code, detail }, |wait| End::Again {
+                    wait,
+                    failures,
+                    progress,
+                })
             }
             Err(panic) => {
                 tracing::error!(error = &panic as &dyn std::error::Error, "job panicked");
-                let detail = "the job stopped because of an internal error; the server's log has the cause";
+                let detail =
+                    "the job stopped because of an internal error; the server's log has the cause";
                 End::Failed { code: "internal".into(), detail: detail.into() }
             }
         };
@@ -189,16 +245,27 @@ impl Jobs {
         self.metrics.jobs.finished(kind, state.word(), Some(took));
     }
 
-    /// Writes down a job's end: until the store takes it, or the server stops. A job whose end nobody knows would run for ever.
-    async fn record(&self, hold: &Hold, end: &End, shutdown: &CancellationToken) -> Result<(), StoreError> {
+    /// Writes down a job's end: until the store takes it, or the server stops. A job whose end
+    /// nobody knows would run for ever.
+    async fn record(
+        &self,
+        hold: &Hold,
+        end: &End,
+        shutdown: &CancellationToken,
+    ) -> Result<(), StoreError> {
         loop {
             match self.try_to_record(hold, end).await {
                 Err(StoreError::NotHeld) => {
-                    tracing::warn!("the job is in other hands by now: how it ended here counts for nothing");
+                    tracing::warn!(
+                        "the job is in other hands by now: how it ended here counts for nothing"
+                    );
                     return Ok(());
                 }
                 Err(error) if !shutdown.is_cancelled() => {
-                    tracing::error!(error = &error as &dyn std::error::Error, "a job's end can not be recorded yet");
+                    tracing::error!(
+                        error = &error as &dyn std::error::Error,
+                        "a job's end can not be recorded yet"
+                    );
                     let _ = shutdown.run_until_cancelled(time::sleep(LOOK_EVERY)).await;
                 }
                 recorded => return recorded,
@@ -213,12 +280,16 @@ impl Jobs {
                 self.store.finish_job(hold, JobState::Succeeded, Some(message), None).await
             }
             End::PutBack => self.store.requeue_job(hold).await,
-            End::Again { wait, failures, progress } => self.store.requeue_job_after(hold, *wait, *failures, *progress).await,
+            End::Again { wait, failures, progress } => {
+                self.store.requeue_job_after(hold, *wait, *failures, *progress).await
+            }
             End::Cancelled => {
                 tracing::info!("job cancelled");
                 self.store.finish_job(hold, JobState::Cancelled, None, None).await
             }
-            End::Failed { code, detail } => self.store.finish_job(hold, JobState::Failed, None, Some((code, detail))).await,
+            End::Failed { code, detail } => {
+                self.store.finish_job(hold, JobState::Failed, None, Some((code, detail))).await
+            }
         }
     }
 }
@@ -262,7 +333,9 @@ enum End {
 
 /// The wait before another try, after so many failures; `None` when there is none.
 fn next_try(Retry { transient, backoff, .. }: Retry, failures: u32) -> Option<Duration> {
-    (failures < transient).then(|| backoff.saturating_mul(1 << failures.saturating_sub(1).min(16)).min(LONGEST_BACKOFF))
+    (failures < transient).then(|| {
+        backoff.saturating_mul(1 << failures.saturating_sub(1).min(16)).min(LONGEST_BACKOFF)
+    })
 }
 
 #[cfg(test)]

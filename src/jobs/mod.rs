@@ -1,7 +1,9 @@
-//! Long work in the background: durable queues, one for every kind, their workers, progress and cancellation. Knows no kind of job.
+//! Long work in the background: durable queues, one for every kind, their workers, progress and
+//! cancellation. Knows no kind of job.
 //!
-//! A kind is a [`JobKind`]; [`service`](crate::service) defines them and `app` gives each its lane. A running job's progress is read from
-//! memory; its row is updated twice a second, so that other processes, and the next one, know roughly where it is.
+//! A kind is a [`JobKind`]; [`service`](crate::service) defines them and `app` gives each its lane.
+//! A running job's progress is read from memory; its row is updated twice a second, so that other
+//! processes, and the next one, know roughly where it is.
 
 mod followed;
 mod kind;

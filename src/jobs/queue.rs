@@ -111,7 +111,12 @@ impl Jobs {
     ///
     /// # Errors
     /// [`JobsError::QueueFull`] when too many of its kind wait already.
-    pub async fn submit<K: JobKind>(&self, subject: &str, payload: &K::Payload, key_id: Option<&str>) -> Result<Job, JobsError> {
+    pub async fn submit<K: JobKind>(
+        &self,
+        subject: &str,
+        payload: &K::Payload,
+        key_id: Option<&str>,
+    ) -> Result<Job, JobsError> {
         self.check_room::<K>(key_id).await?;
         let payload = serde_json::to_string(payload).map_err(StoreError::from)?;
         let row = self
@@ -121,8 +126,8 @@ impl Jobs {
         Ok(self.recorded::<K>(row))
     }
 
-    /// Whether another job of this kind may be queued for somebody. Of keys, those that have few in the queue find the last tenth of all places
-    /// free: who brings many keeps out nobody.
+    /// Whether another job of this kind may be queued for somebody. Of keys, those that have few in
+    /// the queue find the last tenth of all places free: who brings many keeps out nobody.
     ///
     /// # Errors
     /// [`JobsError::QueueFull`], with the time until one more is done, by how it went lately.
@@ -177,9 +182,18 @@ impl Jobs {
     ///
     /// # Errors
     /// [`JobsError::Store`].
-    pub async fn list(&self, filter: &JobFilter, limit: u32, cursor: Option<&str>) -> Result<JobList, JobsError> {
-        let (rows, next_cursor) = page(self.store.jobs(filter, limit + 1, cursor).await?, limit, |row| &row.id);
-        Ok(JobList { jobs: rows.into_iter().map(|row| self.as_it_stands(row)).collect(), next_cursor })
+    pub async fn list(
+        &self,
+        filter: &JobFilter,
+        limit: u32,
+        cursor: Option<&str>,
+    ) -> Result<JobList, JobsError> {
+        let (rows, next_cursor) =
+            page(self.store.jobs(filter, limit + 1, cursor).await?, limit, |row| &row.id);
+        Ok(JobList {
+            jobs: rows.into_iter().map(|row| self.as_it_stands(row)).collect(),
+            next_cursor,
+        })
     }
 
     /// The row lags behind: a running job's own word is newer.
@@ -194,8 +208,9 @@ impl Jobs {
         job_of(row, Timestamp::now())
     }
 
-    /// Asks a job to stop. Queued jobs stop at once, running ones at their next check; finished ones stay as they are. A wish is written
-    /// down first: a worker that has claimed the job but not begun finds it there, and so does the next server.
+    /// Asks a job to stop. Queued jobs stop at once, running ones at their next check; finished
+    /// ones stay as they are. A wish is written down first: a worker that has claimed the job
+    /// but not begun finds it there, and so does the next server.
     ///
     /// # Errors
     /// [`JobsError::NotFound`].
@@ -214,7 +229,8 @@ impl Jobs {
         Ok(job)
     }
 
-    /// Another process has queued a job of a kind, or of any where nobody knows: lanes that wait for it look.
+    /// Another process has queued a job of a kind, or of any where nobody knows: lanes that wait
+    /// for it look.
     pub fn ring(&self, kind: Option<&str>) {
         let bells = self.bells.lock().unwrap_or_else(PoisonError::into_inner);
         bells

@@ -32,9 +32,18 @@ impl Jobs {
         registry.register("jobs_queued", "Jobs that wait", jobs.queued.clone());
         registry.register("jobs_running", "Jobs in a worker's hands", jobs.running.clone());
         let help = "How long ago the oldest job that waits was asked for; 0 where none waits";
-        registry.register_with_unit("jobs_oldest_queued_age", help, Unit::Seconds, jobs.oldest.clone());
+        registry.register_with_unit(
+            "jobs_oldest_queued_age",
+            help,
+            Unit::Seconds,
+            jobs.oldest.clone(),
+        );
         registry.register("jobs_finished", "Jobs that ended, by how", jobs.finished.clone());
-        registry.register("jobs_retried", "Jobs put back because what failed may pass", jobs.retried.clone());
+        registry.register(
+            "jobs_retried",
+            "Jobs put back because what failed may pass",
+            jobs.retried.clone(),
+        );
         let help = "One run of a job, from its start to its end";
         registry.register_with_unit("job_duration", help, Unit::Seconds, jobs.duration.clone());
         registry.register("lane_up", "Whether jobs of this kind are worked on", jobs.lanes.clone());

@@ -1,8 +1,9 @@
 //! What the service counts of itself, for `GET /metrics`.
 //!
-//! Whoever does the work counts it: requests in `http`, jobs in their lanes, questions, models and what is stored in `service`. One value is
-//! made at the start and handed down; there is no global state, so two servers in one process count apart. Labels have few values by
-//! construction: templates of routes, methods, statuses, kinds and codes; never an id, a name or a question.
+//! Whoever does the work counts it: requests in `http`, jobs in their lanes, questions, models and
+//! what is stored in `service`. One value is made at the start and handed down; there is no global
+//! state, so two servers in one process count apart. Labels have few values by construction:
+//! templates of routes, methods, statuses, kinds and codes; never an id, a name or a question.
 
 mod jobs;
 mod process;
@@ -52,7 +53,11 @@ impl Default for Metrics {
         let mut registry = Registry::default();
         let process = Process::new(&mut registry);
         let own = registry.sub_registry_with_prefix("uniground");
-        own.register("build", "The running program", Info::new([("version", env!("CARGO_PKG_VERSION"))]));
+        own.register(
+            "build",
+            "The running program",
+            Info::new([("version", env!("CARGO_PKG_VERSION"))]),
+        );
         Self {
             requests: Requests::new(own),
             questions: Questions::new(own),
@@ -79,12 +84,17 @@ impl Metrics {
 
 /// From a millisecond to five minutes: requests and questions.
 fn short_seconds() -> Histogram {
-    Histogram::new([0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 300.0])
+    Histogram::new([
+        0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0,
+        300.0,
+    ])
 }
 
 /// From a tenth of a second to six hours: parses and jobs.
 fn long_seconds() -> Histogram {
-    Histogram::new([0.1, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0, 3600.0, 21600.0])
+    Histogram::new([
+        0.1, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0, 3600.0, 21600.0,
+    ])
 }
 
 #[cfg(test)]
@@ -116,6 +126,9 @@ mod tests {
     fn servers_in_one_process_count_apart() {
         let (one, other) = (Metrics::default(), Metrics::default());
         one.questions.failed("overloaded");
-        assert!(one.text().contains("code=\"overloaded\"") && !other.text().contains("code=\"overloaded\""));
+        assert!(
+            one.text().contains("code=\"overloaded\"")
+                && !other.text().contains("code=\"overloaded\"")
+        );
     }
 }

@@ -15,11 +15,25 @@ pub struct Process {
 
 impl Process {
     pub(super) fn new(registry: &mut Registry) -> Self {
-        let process = Self { resident: Gauge::default(), started: Instant::now(), started_at: SystemTime::now() };
+        let process = Self {
+            resident: Gauge::default(),
+            started: Instant::now(),
+            started_at: SystemTime::now(),
+        };
         let began = FloatGauge::default();
         began.set(process.started_at.duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64());
-        registry.register_with_unit("process_start_time", "When the server was started, seconds since 1970", Unit::Seconds, began);
-        registry.register_with_unit("process_resident_memory", "Memory that is not swapped out", Unit::Bytes, process.resident.clone());
+        registry.register_with_unit(
+            "process_start_time",
+            "When the server was started, seconds since 1970",
+            Unit::Seconds,
+            began,
+        );
+        registry.register_with_unit(
+            "process_resident_memory",
+            "Memory that is not swapped out",
+            Unit::Bytes,
+            process.resident.clone(),
+        );
         process
     }
 
@@ -37,6 +51,7 @@ impl Process {
 
     /// Brings the gauges up to date. Where the system does not tell, they stay 0.
     pub(super) fn look(&self) {
-        self.resident.set(Memory::now().and_then(|memory| memory.resident.try_into().ok()).unwrap_or(0));
+        self.resident
+            .set(Memory::now().and_then(|memory| memory.resident.try_into().ok()).unwrap_or(0));
     }
 }

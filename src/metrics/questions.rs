@@ -9,7 +9,8 @@ use prometheus_client::registry::{Registry, Unit};
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
-/// Stages of a parse as their reports name them; what a report of tomorrow adds counts together until it is named here.
+/// Stages of a parse as their reports name them; what a report of tomorrow adds counts together
+/// until it is named here.
 const STAGES: [&str; 14] = [
     "import",
     "superpoints",
@@ -61,31 +62,77 @@ impl Questions {
         };
         let help = "Questions by what came of them and by who decided; those of batches too";
         registry.register("questions", help, questions.answered.clone());
-        registry.register("question_failures", "Questions without an answer, by the code of the problem", questions.failures.clone());
-        let help = "Answers in which a built-in part took the place of a model that could not be used";
+        registry.register(
+            "question_failures",
+            "Questions without an answer, by the code of the problem",
+            questions.failures.clone(),
+        );
+        let help =
+            "Answers in which a built-in part took the place of a model that could not be used";
         registry.register("questions_degraded", help, questions.degraded.clone());
         let help = "From a question's arrival to its answer, kept";
-        registry.register_with_unit("question_duration", help, Unit::Seconds, questions.duration.clone());
-        registry.register("batch_items", "Questions of batches by what came of them", questions.items.clone());
-        registry.register("cache_requests", "Looks into what is kept in memory", questions.caches.clone());
+        registry.register_with_unit(
+            "question_duration",
+            help,
+            Unit::Seconds,
+            questions.duration.clone(),
+        );
+        registry.register(
+            "batch_items",
+            "Questions of batches by what came of them",
+            questions.items.clone(),
+        );
+        registry.register(
+            "cache_requests",
+            "Looks into what is kept in memory",
+            questions.caches.clone(),
+        );
         let help = "Stages of parses that were computed, not taken from an earlier attempt";
-        registry.register_with_unit("parse_stage_duration", help, Unit::Seconds, questions.stages.clone());
+        registry.register_with_unit(
+            "parse_stage_duration",
+            help,
+            Unit::Seconds,
+            questions.stages.clone(),
+        );
         let help = "Parses from the unpacked scan to the kept result";
-        registry.register_with_unit("parse_duration", help, Unit::Seconds, questions.parses.clone());
-        registry.register("questions_computing", "Places at work on questions that are taken", questions.computing.clone());
-        registry.register("questions_computing_limit", "Places at work on questions", questions.computing_limit.clone());
+        registry.register_with_unit(
+            "parse_duration",
+            help,
+            Unit::Seconds,
+            questions.parses.clone(),
+        );
+        registry.register(
+            "questions_computing",
+            "Places at work on questions that are taken",
+            questions.computing.clone(),
+        );
+        registry.register(
+            "questions_computing_limit",
+            "Places at work on questions",
+            questions.computing_limit.clone(),
+        );
         registry.register("uploads_in_flight", "Uploads being received", questions.uploads.clone());
         // What has not happened yet is told as 0: rates are right from the first time on.
         for status in STATUSES {
             let reasoner = if status == "failed" { "none" } else { "builtin" };
-            questions.answered.get_or_create(&[("status", status), ("reasoner", reasoner)]).inc_by(0);
+            questions
+                .answered
+                .get_or_create(&[("status", status), ("reasoner", reasoner)])
+                .inc_by(0);
             questions.items.get_or_create(&[("outcome", status)]).inc_by(0);
         }
         questions
     }
 
-    /// A question got an answer. `status` and `reasoner` are `grounded` and the like, `builtin` or `vlm`.
-    pub fn answered(&self, status: &'static str, reasoner: &'static str, degraded: bool, took: Duration) {
+    /// A question got an answer. `status` and `reasoner` are `grounded` and the like, `builtin` or
+    /// `vlm`.
+    pub fn answered(
+        &self,
+        status: &'static str,
+        reasoner: &'static str,
+        degraded: bool,
+        took: Duration,
+    ) {
         self.answered.get_or_create(&[("status", status), ("reasoner", reasoner)]).inc();
         self.duration.get_or_create(&[("reasoner", reasoner)]).observe(took.as_secs_f64());
         self.degraded.inc_by(u64::from(degraded));
@@ -115,7 +162,10 @@ impl Questions {
     /// How often something was found in a cache since the start, and how often not.
     pub fn cache(&self, cache: &'static str, hits: u64, misses: u64) {
         for (outcome, looks) in [("hit", hits), ("miss", misses)] {
-            self.caches.get_or_create(&[("cache", cache), ("outcome", outcome)]).inner().store(looks, Relaxed);
+            self.caches
+                .get_or_create(&[("cache", cache), ("outcome", outcome)])
+                .inner()
+                .store(looks, Relaxed);
         }
     }
 }

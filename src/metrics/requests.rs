@@ -46,15 +46,36 @@ impl Requests {
             event_streams: Gauge::default(),
             audit_entries_dropped: Counter::default(),
         };
-        registry.register("http_requests", "Requests by method, template of the route and status", requests.finished.clone());
+        registry.register(
+            "http_requests",
+            "Requests by method, template of the route and status",
+            requests.finished.clone(),
+        );
         let help = "From a request's header to its answer's; bodies that are streamed take longer";
-        registry.register_with_unit("http_request_duration", help, Unit::Seconds, requests.duration.clone());
-        registry.register("http_requests_in_flight", "Requests that have no answer yet", requests.in_flight.clone());
+        registry.register_with_unit(
+            "http_request_duration",
+            help,
+            Unit::Seconds,
+            requests.duration.clone(),
+        );
+        registry.register(
+            "http_requests_in_flight",
+            "Requests that have no answer yet",
+            requests.in_flight.clone(),
+        );
         registry.register("http_connections", "Connections open now", requests.connections.clone());
-        registry.register("http_connections_limit", "Connections that may be open at once", requests.connections_limit.clone());
+        registry.register(
+            "http_connections_limit",
+            "Connections that may be open at once",
+            requests.connections_limit.clone(),
+        );
         let help = "Connections turned away because all places had a request under way";
         registry.register("http_connections_refused", help, requests.connections_refused.clone());
-        registry.register("http_event_streams", "Event streams open now", requests.event_streams.clone());
+        registry.register(
+            "http_event_streams",
+            "Event streams open now",
+            requests.event_streams.clone(),
+        );
         let help = "Audit entries that could not be written: too many at once, or a database that does not take them";
         registry.register("audit_entries_dropped", help, requests.audit_entries_dropped.clone());
         requests
@@ -65,7 +86,8 @@ impl Requests {
     pub fn begin(&self, method: &str, route: Option<&str>) -> Underway<'_> {
         self.in_flight.inc();
         let method = METHODS.into_iter().find(|known| *known == method).unwrap_or("other");
-        let labels = Labels { method, route: route.unwrap_or(NO_ROUTE).to_owned(), status: CALLER_LEFT };
+        let labels =
+            Labels { method, route: route.unwrap_or(NO_ROUTE).to_owned(), status: CALLER_LEFT };
         Underway { requests: self, labels, start: Instant::now() }
     }
 }
@@ -88,7 +110,10 @@ impl Drop for Underway<'_> {
     fn drop(&mut self) {
         self.requests.in_flight.dec();
         self.requests.finished.get_or_create(&self.labels).inc();
-        self.requests.duration.get_or_create(&self.labels).observe(self.start.elapsed().as_secs_f64());
+        self.requests
+            .duration
+            .get_or_create(&self.labels)
+            .observe(self.start.elapsed().as_secs_f64());
     }
 }
 
@@ -101,7 +126,9 @@ mod tests {
         let requests = Requests::new(&mut Registry::default());
         requests.begin("BREW", None).answered(405);
         drop(requests.begin("GET", Some("/v1/scenes")));
-        let of = |method, route: &str, status| requests.finished.get(&Labels { method, route: route.into(), status }).map(|n| n.get());
+        let of = |method, route: &str, status| {
+            requests.finished.get(&Labels { method, route: route.into(), status }).map(|n| n.get())
+        };
         assert_eq!(of("other", "none", 405), Some(1));
         assert_eq!(of("GET", "/v1/scenes", CALLER_LEFT), Some(1), "who left is counted too");
         assert_eq!(requests.in_flight.get(), 0);

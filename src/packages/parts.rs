@@ -102,10 +102,10 @@ impl Part {
     /// When there is none.
     pub fn build(&self) -> Result<&Build, FetchError> {
         let fits = |build: &&Build| build.system.is_none_or(|system| system == (OS, ARCH));
-        self.builds
-            .iter()
-            .find(fits)
-            .ok_or_else(|| FetchError::NoBuild { part: self.name, system: format!("{OS} on {ARCH}") })
+        self.builds.iter().find(fits).ok_or_else(|| FetchError::NoBuild {
+            part: self.name,
+            system: format!("{OS} on {ARCH}"),
+        })
     }
 }
 
@@ -222,7 +222,10 @@ const SAM2: Part = Part {
             },
         ],
     }],
-    carried: &[CarriedFile { name: "model.json", bytes: include_bytes!("bundles/sam2-hiera-tiny/model.json") }],
+    carried: &[CarriedFile {
+        name: "model.json",
+        bytes: include_bytes!("bundles/sam2-hiera-tiny/model.json"),
+    }],
 };
 
 /// The image tower; the words come from this program (`bundles/clip-vitb16-lite/PROVENANCE.md`).
@@ -255,9 +258,21 @@ const CLIP: Part = Part {
         ],
     }],
     carried: &[
-        CarriedFile { name: "text.onnx", bytes: include_bytes!("bundles/clip-vitb16-lite/text.onnx") },
-        CarriedFile { name: "tokenizer.json", bytes: include_bytes!("bundles/clip-vitb16-lite/tokenizer.json") },
-        CarriedFile { name: "PROVENANCE.md", bytes: include_bytes!("bundles/clip-vitb16-lite/PROVENANCE.md") },
-        CarriedFile { name: "model.json", bytes: include_bytes!("bundles/clip-vitb16-lite/model.json") },
+        CarriedFile {
+            name: "text.onnx",
+            bytes: include_bytes!("bundles/clip-vitb16-lite/text.onnx"),
+        },
+        CarriedFile {
+            name: "tokenizer.json",
+            bytes: include_bytes!("bundles/clip-vitb16-lite/tokenizer.json"),
+        },
+        CarriedFile {
+            name: "PROVENANCE.md",
+            bytes: include_bytes!("bundles/clip-vitb16-lite/PROVENANCE.md"),
+        },
+        CarriedFile {
+            name: "model.json",
+            bytes: include_bytes!("bundles/clip-vitb16-lite/model.json"),
+        },
     ],
 };

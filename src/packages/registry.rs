@@ -80,12 +80,22 @@ impl Registry {
     }
 
     pub(super) fn unreachable(&self, package: &Package, why: String) -> FetchError {
-        FetchError::Unreachable { package: package.to_string(), address: self.shown(), why, remedy: self.remedy.clone() }
+        FetchError::Unreachable {
+            package: package.to_string(),
+            address: self.shown(),
+            why,
+            remedy: self.remedy.clone(),
+        }
     }
 
     fn not_listed(&self, package: &Package) -> FetchError {
         let archive = package.archive.to_owned();
-        FetchError::NotListed { package: package.to_string(), address: self.shown(), archive, remedy: self.remedy.clone() }
+        FetchError::NotListed {
+            package: package.to_string(),
+            address: self.shown(),
+            archive,
+            remedy: self.remedy.clone(),
+        }
     }
 
     /// The address of a package's archive.
@@ -98,15 +108,24 @@ impl Registry {
             // The slash between a scope and a name belongs to the name.
             Source::Npm => (package.name.replace('/', "%2F"), NPM_ACCEPTS),
         };
-        let page = self.below(&page).ok_or_else(|| self.unreachable(package, "this is not an address".into()))?;
-        let asked = client.get(page).header(ACCEPT, accepts).send().map_err(|e| self.unreachable(package, why(e)))?;
+        let page = self
+            .below(&page)
+            .ok_or_else(|| self.unreachable(package, "this is not an address".into()))?;
+        let asked = client
+            .get(page)
+            .header(ACCEPT, accepts)
+            .send()
+            .map_err(|e| self.unreachable(package, why(e)))?;
         if asked.status() == StatusCode::NOT_FOUND {
             return Err(self.not_listed(package));
         }
         let answer = asked.error_for_status().map_err(|e| self.unreachable(package, why(e)))?;
         let from = answer.url().clone();
-        let link = read(answer, package).map_err(|why| self.unreachable(package, format!("its answer can not be read: {why}")))?;
-        let address = link.and_then(|link| from.join(&link).ok()).ok_or_else(|| self.not_listed(package))?;
+        let link = read(answer, package).map_err(|why| {
+            self.unreachable(package, format!("its answer can not be read: {why}"))
+        })?;
+        let address =
+            link.and_then(|link| from.join(&link).ok()).ok_or_else(|| self.not_listed(package))?;
         Ok(self.with_password(address))
     }
 
@@ -117,10 +136,14 @@ impl Registry {
         base.join(page).ok()
     }
 
-    /// An archive on the registry's own host wants the name and password of the registry's address, if it has any.
+    /// An archive on the registry's own host wants the name and password of the registry's address,
+    /// if it has any.
     fn with_password(&self, mut address: Url) -> Url {
         if address.origin() == self.base.origin() && address.username().is_empty() {
-            let _kept = (address.set_username(self.base.username()), address.set_password(self.base.password()));
+            let _kept = (
+                address.set_username(self.base.username()),
+                address.set_password(self.base.password()),
+            );
         }
         address
     }
@@ -138,7 +161,11 @@ fn read(answer: Response, package: &Package) -> io::Result<Option<String>> {
     Ok(match package.source {
         Source::PyPi if is_json => {
             let index: PypiIndex = serde_json::from_str(&text)?;
-            index.files.into_iter().find(|file| file.filename == package.archive).map(|file| file.url)
+            index
+                .files
+                .into_iter()
+                .find(|file| file.filename == package.archive)
+                .map(|file| file.url)
         }
         Source::PyPi => link_on_page(&text, package.archive),
         Source::Npm => {
@@ -154,7 +181,9 @@ fn link_on_page(page: &str, file: &str) -> Option<String> {
         let quote = rest.chars().next().filter(|c| matches!(c, '"' | '\''))?;
         rest[1..].split(quote).next()
     });
-    let of_file = |target: &&str| target.split(['#', '?']).next().and_then(|path| path.rsplit('/').next()) == Some(file);
+    let of_file = |target: &&str| {
+        target.split(['#', '?']).next().and_then(|path| path.rsplit('/').next()) == Some(file)
+    };
     targets.into_iter().find(of_file).map(|target| target.replace("&amp;", "&"))
 }
 
@@ -166,14 +195,20 @@ mod tests {
     fn a_page_of_links_is_read() {
         let page = r#"<a href="../../x/lib-1.0-any.whl.metadata">m</a><a data-x="1" href="../../x/lib-1.0-any.whl?a=1&amp;b=2#sha256=00">lib-1.0-any.whl</a>
             <a href='/y/lib-2.0-any.whl'>lib-2.0-any.whl</a>"#;
-        assert_eq!(link_on_page(page, "lib-1.0-any.whl").as_deref(), Some("../../x/lib-1.0-any.whl?a=1&b=2#sha256=00"));
+        assert_eq!(
+            link_on_page(page, "lib-1.0-any.whl").as_deref(),
+            Some("../../x/lib-1.0-any.whl?a=1&b=2#sha256=00")
+        );
         assert_eq!(link_on_page(page, "lib-2.0-any.whl").as_deref(), Some("/y/lib-2.0-any.whl"));
         assert_eq!(link_on_page(page, "lib-3.0-any.whl"), None);
     }
 
     #[test]
     fn names_and_passwords_stay_with_their_host_and_are_not_shown() {
-        let registry = Registry { base: Url::parse("https://me:secret@host.example/simple?key=secret").unwrap(), remedy: String::new() };
+        let registry = Registry {
+            base: Url::parse("https://me:secret@host.example/simple?key=secret").unwrap(),
+            remedy: String::new(),
+        };
         assert_eq!(registry.shown(), "https://host.example/simple");
         let own = registry.with_password(Url::parse("https://host.example/files/a.whl").unwrap());
         assert_eq!(own.as_str(), "https://me:secret@host.example/files/a.whl");

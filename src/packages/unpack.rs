@@ -15,7 +15,8 @@ const MODE: u32 = 0o644;
 /// Whether a file is there and has this SHA-256.
 pub fn is_right(file: &Utf8Path, sha256: &str) -> bool {
     let mut sum = Sum(Sha256::new(), io::sink());
-    File::open(file).and_then(|mut file| io::copy(&mut file, &mut sum)).is_ok() && hex(sum.0) == sha256
+    File::open(file).and_then(|mut file| io::copy(&mut file, &mut sum)).is_ok()
+        && hex(sum.0) == sha256
 }
 
 /// A SHA-256 as people write it.
@@ -23,7 +24,8 @@ pub fn hex(sum: Sha256) -> String {
     sum.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Takes the wanted files out of an archive whose own hash was right: it may be believed in what sizes it tells.
+/// Takes the wanted files out of an archive whose own hash was right: it may be believed in what
+/// sizes it tells.
 ///
 /// # Errors
 /// A file is missing or not the expected one, the archive or the folder can not be used.
@@ -36,15 +38,19 @@ pub fn files(
 ) -> Result<(), FetchError> {
     let broken = |why: String| FetchError::Archive { package: package.to_string(), why };
     let mut put = |file: &PackagedFile, bytes: &mut dyn Read| {
-        let to = place(&folder.join(file.name), bytes, Some(file.sha256)).map_err(|problem| problem.of(&package.to_string()))?;
+        let to = place(&folder.join(file.name), bytes, Some(file.sha256))
+            .map_err(|problem| problem.of(&package.to_string()))?;
         tell(Event::Placed(&to));
         Ok::<_, FetchError>(())
     };
     match package.source {
         Source::PyPi => {
-            let mut archive = ZipArchive::new(BufReader::new(archive)).map_err(|e| broken(e.to_string()))?;
+            let mut archive =
+                ZipArchive::new(BufReader::new(archive)).map_err(|e| broken(e.to_string()))?;
             for file in wanted {
-                let mut bytes = archive.by_name(file.inside).map_err(|e| broken(format!("{}: {e}", file.inside)))?;
+                let mut bytes = archive
+                    .by_name(file.inside)
+                    .map_err(|e| broken(format!("{}: {e}", file.inside)))?;
                 put(file, &mut bytes)?;
             }
         }
@@ -88,7 +94,11 @@ impl Unplaced {
 ///
 /// # Errors
 /// It is another one, or can not be written.
-pub fn place(to: &Utf8Path, bytes: &mut dyn Read, expected: Option<&'static str>) -> Result<Utf8PathBuf, Unplaced> {
+pub fn place(
+    to: &Utf8Path,
+    bytes: &mut dyn Read,
+    expected: Option<&'static str>,
+) -> Result<Utf8PathBuf, Unplaced> {
     let failed = |why: io::Error| Unplaced::Failed { file: to.to_owned(), why };
     let folder = to.parent().unwrap_or(Utf8Path::new("."));
     let mut options = tempfile::Builder::new();

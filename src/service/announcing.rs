@@ -1,4 +1,5 @@
-//! Telling another server when jobs end: each at least once, in any order, tried again for half a day. Off where no webhook is configured.
+//! Telling another server when jobs end: each at least once, in any order, tried again for half a
+//! day. Off where no webhook is configured.
 
 use super::{BatchJob, Service};
 use crate::error::Error;
@@ -44,7 +45,8 @@ struct Data {
 }
 
 impl Service {
-    /// Tells of every job that ends, until `shutdown`. What could not be told is told by the next server.
+    /// Tells of every job that ends, until `shutdown`. What could not be told is told by the next
+    /// server.
     pub async fn announce(self, webhook: Arc<Webhook>, shutdown: CancellationToken) {
         let mut turn = None;
         while !shutdown.is_cancelled() {
@@ -53,14 +55,21 @@ impl Service {
                 // There may be more.
                 Some(Ok(true)) => continue,
                 Some(Ok(false)) | None => {}
-                Some(Err(error)) => tracing::warn!(error = &error as &dyn std::error::Error, "what is to be told can not be read"),
+                Some(Err(error)) => tracing::warn!(
+                    error = &error as &dyn std::error::Error,
+                    "what is to be told can not be read"
+                ),
             }
             let _ = shutdown.run_until_cancelled(sleep(LOOK_EVERY)).await;
         }
     }
 
     /// Tells of some that ended, where it is this process's turn; whether there were any.
-    async fn announce_due(&self, webhook: &Arc<Webhook>, turn: &mut Option<Turn>) -> Result<bool, Error> {
+    async fn announce_due(
+        &self,
+        webhook: &Arc<Webhook>,
+        turn: &mut Option<Turn>,
+    ) -> Result<bool, Error> {
         // One process tells for all; another goes on when it is gone.
         if let Some(ours) = turn.take() {
             *turn = Some(ours).filter(Turn::is_ours);
@@ -73,11 +82,16 @@ impl Service {
         }
         let due = self.store.due_announcements(TOGETHER).await?;
         let any = !due.is_empty();
-        join_all(due.into_iter().map(|(job_id, tried)| self.clone().tell(webhook.clone(), job_id, tried))).await;
+        join_all(
+            due.into_iter()
+                .map(|(job_id, tried)| self.clone().tell(webhook.clone(), job_id, tried)),
+        )
+        .await;
         Ok(any)
     }
 
-    /// Has the ends of jobs noted from now on, where there is a webhook; without one nobody wants to be told, of what ended before either.
+    /// Has the ends of jobs noted from now on, where there is a webhook; without one nobody wants
+    /// to be told, of what ended before either.
     ///
     /// # Errors
     /// [`Error::Store`].
@@ -93,14 +107,20 @@ impl Service {
 
     async fn tell(self, webhook: Arc<Webhook>, job_id: String, tried: u32) {
         if let Err(error) = self.announce_job(&webhook, &job_id, tried).await {
-            tracing::warn!(job_id, error = &error as &dyn std::error::Error, "a job's end could not be told");
+            tracing::warn!(
+                job_id,
+                error = &error as &dyn std::error::Error,
+                "a job's end could not be told"
+            );
             sleep(LOOK_EVERY).await;
         }
     }
 
     async fn announce_job(&self, webhook: &Webhook, job_id: &str, tried: u32) -> Result<(), Error> {
         let job = match self.jobs.get(job_id).await {
-            Err(JobsError::NotFound { .. }) => return Ok(self.store.forget_announcement(job_id).await?),
+            Err(JobsError::NotFound { .. }) => {
+                return Ok(self.store.forget_announcement(job_id).await?);
+            }
             job => job?,
         };
         // The same whenever it is told again: who has heard it knows.
@@ -108,15 +128,27 @@ impl Service {
         let body = serde_json::to_string(&self.event_of(job).await?)?;
         match webhook.deliver(&id, Timestamp::now().as_second(), body).await {
             // Taken; or it is gone, and says so.
-            Ok(()) | Err(WebhookError::Refused(410)) => self.store.forget_announcement(job_id).await?,
+            Ok(()) | Err(WebhookError::Refused(410)) => {
+                self.store.forget_announcement(job_id).await?
+            }
             Err(error) if tried + 1 >= TRIES => {
-                tracing::error!(job_id, tries = TRIES, error = &error as &dyn std::error::Error, "a webhook was never taken");
+                tracing::error!(
+                    job_id,
+                    tries = TRIES,
+                    error = &error as &dyn std::error::Error,
+                    "a webhook was never taken"
+                );
                 self.store.forget_announcement(job_id).await?;
             }
             Err(error) => {
                 let wait = FIRST_WAIT.saturating_mul(1 << tried.min(16)).min(LONGEST_WAIT);
                 let again_in_s = wait.as_secs();
-                tracing::warn!(job_id, again_in_s, error = &error as &dyn std::error::Error, "a webhook was not taken");
+                tracing::warn!(
+                    job_id,
+                    again_in_s,
+                    error = &error as &dyn std::error::Error,
+                    "a webhook was not taken"
+                );
                 self.store.put_off_announcement(job_id, wait).await?;
             }
         }
@@ -133,6 +165,10 @@ impl Service {
             BatchJob::NAME => self.batch(&job.subject).await.ok(),
             _ => None,
         };
-        Ok(Event { kind, timestamp: job.finished_at.clone().unwrap_or_default(), data: Data { job, batch } })
+        Ok(Event {
+            kind,
+            timestamp: job.finished_at.clone().unwrap_or_default(),
+            data: Data { job, batch },
+        })
     }
 }

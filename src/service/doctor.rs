@@ -1,4 +1,5 @@
-//! Whether what is stored is whole: database against files, files against their sums. What can be made again is.
+//! Whether what is stored is whole: database against files, files against their sums. What can be
+//! made again is.
 
 use super::{Caller, ParseJob, Service};
 use crate::error::Error;
@@ -22,7 +23,8 @@ pub struct Finding {
 pub enum Trouble {
     /// The database itself. Nothing is done: restore a backup.
     Database,
-    /// Rows that refer to rows which do not exist: the reference is cleared or the rows are removed; scenes without a parse are parsed again.
+    /// Rows that refer to rows which do not exist: the reference is cleared or the rows are
+    /// removed; scenes without a parse are parsed again.
     References,
     /// A scan's files. They can not be made again: upload the scan once more.
     Content { hash: String },
@@ -30,7 +32,8 @@ pub enum Trouble {
     Parse { id: String },
     /// A folder no record speaks of: it goes to the quarantine.
     Unclaimed { kind: &'static str, name: String },
-    /// A folder the database can not judge, being empty or younger. Nothing is done: it may be the database that is wrong.
+    /// A folder the database can not judge, being empty or younger. Nothing is done: it may be the
+    /// database that is wrong.
     Unjudged,
     /// A file where only folders belong. Nothing is done: it is somebody else's.
     StrayFile,
@@ -78,18 +81,26 @@ impl Service {
         for complaint in self.store.integrity().await? {
             found(Trouble::Database, complaint);
         }
-        for BrokenReference { table, column, parent, is_optional, rows, .. } in self.store.broken_references().await? {
-            let remedy = if is_optional { "the reference is cleared" } else { "the rows are removed" };
+        for BrokenReference { table, column, parent, is_optional, rows, .. } in
+            self.store.broken_references().await?
+        {
+            let remedy =
+                if is_optional { "the reference is cleared" } else { "the rows are removed" };
             found(
                 Trouble::References,
-                format!("{rows} rows of {table} refer by {column} to rows of {parent} that do not exist; repair: {remedy}"),
+                format!(
+                    "{rows} rows of {table} refer by {column} to rows of {parent} that do not exist; repair: {remedy}"
+                ),
             );
         }
         for hash in self.store.all_contents().await? {
             let (blobs, place) = (self.store.blobs.clone(), self.store.blobs.content(&hash));
             let wrong = spawn_blocking(move || blobs.look(&place, Look::Bytes)).await??;
             if let Some(detail) = told(&wrong) {
-                found(Trouble::Content { hash: hash.clone() }, format!("{hash}: {detail}; upload the scan again"));
+                found(
+                    Trouble::Content { hash: hash.clone() },
+                    format!("{hash}: {detail}; upload the scan again"),
+                );
             }
         }
         for parse in self.store.all_parses().await? {
@@ -106,7 +117,10 @@ impl Service {
             found(Trouble::Unclaimed { kind, name }, detail);
         }
         for (kind, name) in unjudged {
-            found(Trouble::Unjudged, format!("blobs/{kind}/{name}: older than the database, or the database is empty"));
+            found(
+                Trouble::Unjudged,
+                format!("blobs/{kind}/{name}: older than the database, or the database is empty"),
+            );
         }
         for file in self.store.blobs.stray_files()? {
             found(Trouble::StrayFile, format!("{file}: no folder; it is left alone"));
@@ -130,9 +144,15 @@ impl Service {
         for Finding { trouble, .. } in findings {
             match trouble {
                 Trouble::Parse { id } => self.retire_parse(id).await?,
-                Trouble::Unclaimed { kind, name } => self.store.quarantine(vec![(kind, name.clone())]).await?,
+                Trouble::Unclaimed { kind, name } => {
+                    self.store.quarantine(vec![(kind, name.clone())]).await?
+                }
                 Trouble::Job { id } => self.store.end_orphan(id).await?,
-                Trouble::Database | Trouble::References | Trouble::Content { .. } | Trouble::Unjudged | Trouble::StrayFile => {}
+                Trouble::Database
+                | Trouble::References
+                | Trouble::Content { .. }
+                | Trouble::Unjudged
+                | Trouble::StrayFile => {}
             }
         }
         Ok(())

@@ -14,15 +14,22 @@ pub struct Health {
     pub dead_lanes: Vec<&'static str>,
     /// Where an inference server runs the networks: why it does not, if so.
     pub inference: Option<Result<(), String>>,
-    /// Where a vision-language model is configured: what became of the last calls, if it could not be asked.
+    /// Where a vision-language model is configured: what became of the last calls, if it could not
+    /// be asked.
     pub vlm: Option<Result<(), String>>,
 }
 
 impl Health {
-    /// Whether the service can do its work. Without its vision-language model it can: built-in parts answer, and say so.
+    /// Whether the service can do its work. Without its vision-language model it can: built-in
+    /// parts answer, and say so.
     #[must_use]
     pub fn is_ready(&self) -> bool {
-        let Self { store: StoreHealth { database, blobs, disk, is_damaged: _ }, dead_lanes, inference, vlm: _ } = self;
+        let Self {
+            store: StoreHealth { database, blobs, disk, is_damaged: _ },
+            dead_lanes,
+            inference,
+            vlm: _,
+        } = self;
         let whole = [database, blobs, disk].into_iter().all(Option::is_none);
         whole && dead_lanes.is_empty() && !matches!(inference, Some(Err(_)))
     }
@@ -61,7 +68,8 @@ impl Service {
         if let Some(before) = self.health.last().filter(|before| before.store.is_damaged) {
             store = StoreHealth { database: before.store.database, is_damaged: true, ..store };
         }
-        let dead_lanes = self.jobs.lanes().into_iter().filter(|(_, up)| !up).map(|(kind, _)| kind).collect();
+        let dead_lanes =
+            self.jobs.lanes().into_iter().filter(|(_, up)| !up).map(|(kind, _)| kind).collect();
         Health { store, dead_lanes, inference, vlm: self.vlm.as_ref().map(|vlm| vlm.condition()) }
     }
 }

@@ -1,4 +1,5 @@
-//! What happens without being asked for: what was kept long enough goes, stray folders are swept, damage is found before somebody meets it.
+//! What happens without being asked for: what was kept long enough goes, stray folders are swept,
+//! damage is found before somebody meets it.
 
 use super::{Beside, Service};
 use crate::error::Error;
@@ -28,7 +29,8 @@ impl Service {
         // One that was retired is known to be damaged, and kept for its answers only.
         for parse in self.store.all_parses().await?.iter().filter(|parse| !parse.is_retired()) {
             let wrong = self.look_at_parse(&parse.id, Look::Bytes).await?;
-            if let Some(Damage { file, what }) = wrong.iter().find(|damage| damage.what != "stray") {
+            if let Some(Damage { file, what }) = wrong.iter().find(|damage| damage.what != "stray")
+            {
                 tracing::error!(parse_id = parse.id, file = %file, what, "a stored parse is damaged");
                 self.retire_parse(&parse.id).await?;
             }
@@ -38,7 +40,11 @@ impl Service {
     }
 
     /// What is wrong with a parse's files.
-    pub(super) async fn look_at_parse(&self, parse_id: &str, closely: Look) -> Result<Vec<Damage>, Error> {
+    pub(super) async fn look_at_parse(
+        &self,
+        parse_id: &str,
+        closely: Look,
+    ) -> Result<Vec<Damage>, Error> {
         let (blobs, place) = (self.store.blobs.clone(), self.store.blobs.parse(parse_id));
         Ok(spawn_blocking(move || blobs.look(&place, closely)).await??)
     }

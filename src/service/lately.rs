@@ -1,4 +1,5 @@
-//! A value that takes a while to find out and need not be newer than a moment ago: whoever asks at the same time shares one look.
+//! A value that takes a while to find out and need not be newer than a moment ago: whoever asks at
+//! the same time shares one look.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -33,13 +34,19 @@ impl<T: Clone + Send + 'static> Lately<T> {
             return value.clone();
         }
         let value = look.await;
-        *self.last.lock().unwrap_or_else(PoisonError::into_inner) = Some((Instant::now(), value.clone()));
+        *self.last.lock().unwrap_or_else(PoisonError::into_inner) =
+            Some((Instant::now(), value.clone()));
         value
     }
 
-    /// The same for somebody who does not wait longer than `patience`: the look goes on without him, and what was seen before is told;
-    /// `None` where nothing was.
-    pub async fn get_soon(&self, age: Duration, patience: Duration, look: impl Future<Output = T> + Send + 'static) -> Option<T> {
+    /// The same for somebody who does not wait longer than `patience`: the look goes on without
+    /// him, and what was seen before is told; `None` where nothing was.
+    pub async fn get_soon(
+        &self,
+        age: Duration,
+        patience: Duration,
+        look: impl Future<Output = T> + Send + 'static,
+    ) -> Option<T> {
         let lately = self.clone();
         let looking = tokio::spawn(async move { lately.get(age, look).await });
         match timeout(patience, looking).await {
@@ -50,7 +57,11 @@ impl<T: Clone + Send + 'static> Lately<T> {
 
     /// What was seen last, however long ago.
     pub fn last(&self) -> Option<T> {
-        self.last.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|(_, value)| value.clone())
+        self.last
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .as_ref()
+            .map(|(_, value)| value.clone())
     }
 }
 

@@ -1,7 +1,8 @@
-//! Use cases: the only place where pipelines meet storage and jobs. No HTTP here. One folder for every noun of the API.
+//! Use cases: the only place where pipelines meet storage and jobs. No HTTP here. One folder for
+//! every noun of the API.
 //!
-//! What happens to a question or a scan is the pipelines' business ([`uniground_core`]); here stands who may ask, where things are kept,
-//! what it costs and what is remembered.
+//! What happens to a question or a scan is the pipelines' business ([`uniground_core`]); here
+//! stands who may ask, where things are kept, what it costs and what is remembered.
 
 mod announcing;
 mod answers;
@@ -96,14 +97,16 @@ pub struct Service {
     uploads: Arc<Semaphore>,
     /// How a refused upload is told why.
     tell: Telling,
-    /// Where parses compute: a pool of its own whose threads give way. Questions keep rayon's global pool.
+    /// Where parses compute: a pool of its own whose threads give way. Questions keep rayon's
+    /// global pool.
     parsing: Arc<ThreadPool>,
     /// A vision-language model, where one is configured.
     vlm: Option<Arc<Vlm>>,
     models: Models,
     /// Held while frames are laid beside a scene: that is heavy.
     growing: Arc<Mutex<()>>,
-    /// Held while something is drawn or made for who looks at a scene: questions have their own places.
+    /// Held while something is drawn or made for who looks at a scene: questions have their own
+    /// places.
     drawing: Arc<Mutex<()>>,
     /// Reads what was uploaded.
     reader: ScanReader,
@@ -122,7 +125,8 @@ pub struct Service {
 const MAX_UPLOADS: usize = 16;
 /// Comparisons of two scans that are computed at once.
 const MAX_COMPARISONS: usize = 2;
-/// Scenes looked into at once, whoever asks about many: they take few of the places at work on questions, and few connections of the database.
+/// Scenes looked into at once, whoever asks about many: they take few of the places at work on
+/// questions, and few connections of the database.
 const MAX_GLANCES: usize = 2;
 /// How long a question waits for its turn before the server calls itself overloaded.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -130,7 +134,15 @@ const PATIENCE: Duration = Duration::from_secs(2);
 impl Service {
     /// `parsing` is the pool parses compute in. The service counts where its jobs count.
     #[must_use]
-    pub fn new(store: Store, jobs: Jobs, keys: Keyring, limits: Limits, vlm: Option<Vlm>, models: Models, parsing: ThreadPool) -> Self {
+    pub fn new(
+        store: Store,
+        jobs: Jobs,
+        keys: Keyring,
+        limits: Limits,
+        vlm: Option<Vlm>,
+        models: Models,
+        parsing: ThreadPool,
+    ) -> Self {
         Self {
             metrics: jobs.metrics().clone(),
             store,
@@ -165,7 +177,15 @@ impl Service {
     pub async fn at_rest(store: Store, limits: Limits) -> Result<Self, Error> {
         let keys = Keyring::open(store.clone(), None).await?;
         let pool = background::pool().map_err(|error| Error::Io(std::io::Error::other(error)))?;
-        Ok(Self::new(store.clone(), Jobs::new(store, 0), keys, limits, None, Models::default(), pool))
+        Ok(Self::new(
+            store.clone(),
+            Jobs::new(store, 0),
+            keys,
+            limits,
+            None,
+            Models::default(),
+            pool,
+        ))
     }
 
     /// Uploads are read this way; in this process where nothing else is said.
@@ -192,17 +212,27 @@ impl Service {
         self.vlm.as_ref().map(|vlm| vlm.name())
     }
 
-    /// Whether there is room for something more of a size, and some for the rest: what runs goes on, questions are answered and kept.
+    /// Whether there is room for something more of a size, and some for the rest: what runs goes
+    /// on, questions are answered and kept.
     fn check_disk(&self, bytes: u64) -> Result<(), Error> {
         let free = self.store.free_bytes()?;
-        if free < self.limits.keep_free_bytes.saturating_add(bytes) { Err(Error::DiskNearlyFull { free }) } else { Ok(()) }
+        if free < self.limits.keep_free_bytes.saturating_add(bytes) {
+            Err(Error::DiskNearlyFull { free })
+        } else {
+            Ok(())
+        }
     }
 
-    /// Whether there is memory for something that takes so much. Where the system does not tell, it is believed; blocks.
+    /// Whether there is memory for something that takes so much. Where the system does not tell, it
+    /// is believed; blocks.
     fn check_memory(&self, wanted: u64) -> Result<(), Error> {
         let Some(Memory { resident, most }) = Memory::now() else { return Ok(()) };
         let most = self.limits.max_memory_bytes.unwrap_or(most);
-        if resident.saturating_add(wanted) > most { Err(Error::MemoryShort { wanted, resident, most }) } else { Ok(()) }
+        if resident.saturating_add(wanted) > most {
+            Err(Error::MemoryShort { wanted, resident, most })
+        } else {
+            Ok(())
+        }
     }
 
     /// Waits for one of the bounded places at work on questions; not for long.
@@ -212,7 +242,10 @@ impl Service {
     }
 
     /// Computes for a question, off the async threads, when its turn has come.
-    async fn compute<T: Send + 'static>(&self, work: impl FnOnce() -> Result<T, Error> + Send + 'static) -> Result<T, Error> {
+    async fn compute<T: Send + 'static>(
+        &self,
+        work: impl FnOnce() -> Result<T, Error> + Send + 'static,
+    ) -> Result<T, Error> {
         let permit = self.turn().await?;
         let span = tracing::Span::current();
         spawn_blocking(move || {
@@ -227,9 +260,12 @@ impl Service {
 fn job_failure(error: Error) -> JobFailure {
     match error.code() {
         "cancelled" => JobFailure::Cancelled,
-        code => {
-            JobFailure::Failed { code: code.to_owned(), detail: error.to_string(), cause: with_causes(&error), transient: error.may_pass() }
-        }
+        code => JobFailure::Failed {
+            code: code.to_owned(),
+            detail: error.to_string(),
+            cause: with_causes(&error),
+            transient: error.may_pass(),
+        },
     }
 }
 

@@ -10,13 +10,15 @@ use tokio::time::timeout;
 const MOMENT: Duration = Duration::from_secs(1);
 
 impl Service {
-    /// Held while a scene starts or ceases to refer to its content, so that content is not removed under a new scene.
+    /// Held while a scene starts or ceases to refer to its content, so that content is not removed
+    /// under a new scene.
     pub(super) async fn content_references(&self) -> Result<Turn, Error> {
         Ok(self.store.turn("contents").await?)
     }
 
-    /// Held while a scene takes a stored parse, or gets a job for another, so that neither the parse nor what the job goes on from is
-    /// removed meanwhile. Whoever removes holds both, this one last.
+    /// Held while a scene takes a stored parse, or gets a job for another, so that neither the
+    /// parse nor what the job goes on from is removed meanwhile. Whoever removes holds both,
+    /// this one last.
     pub(super) async fn parse_references(&self) -> Result<Turn, Error> {
         Ok(self.store.turn("parses").await?)
     }
@@ -31,7 +33,8 @@ impl Service {
         Ok(self.store.turn(&format!("question {key}")).await?)
     }
 
-    /// Held while an upload in parts is begun: several at once must not come to more than may be unfinished.
+    /// Held while an upload in parts is begun: several at once must not come to more than may be
+    /// unfinished.
     pub(super) async fn beginning_uploads(&self) -> Result<Turn, Error> {
         Ok(self.store.turn("uploads").await?)
     }

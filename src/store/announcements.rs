@@ -6,23 +6,33 @@ use super::{Store, StoreError, now};
 use std::time::Duration;
 
 impl Store {
-    /// Ends that are due to be told, those that were never tried first: id of the job, and how often it was tried.
+    /// Ends that are due to be told, those that were never tried first: id of the job, and how
+    /// often it was tried.
     ///
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn due_announcements(&self, limit: u32) -> Result<Vec<(String, u32)>, StoreError> {
         let sql = "SELECT job_id, attempts FROM announcements WHERE not_before IS NULL OR not_before <= $1
                    ORDER BY coalesce(not_before, ''), job_id LIMIT $2";
-        let due: Vec<(String, i64)> = sqlx::query_as(sql).bind(now()).bind(i64::from(limit)).fetch_all(&self.reader).await?;
-        Ok(due.into_iter().map(|(id, attempts)| Ok((id, number(attempts)?))).collect::<sqlx::Result<_>>()?)
+        let due: Vec<(String, i64)> =
+            sqlx::query_as(sql).bind(now()).bind(i64::from(limit)).fetch_all(&self.reader).await?;
+        Ok(due
+            .into_iter()
+            .map(|(id, attempts)| Ok((id, number(attempts)?)))
+            .collect::<sqlx::Result<_>>()?)
     }
 
     /// Puts an announcement off that was not taken.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn put_off_announcement(&self, job_id: &str, wait: Duration) -> Result<(), StoreError> {
-        let sql = "UPDATE announcements SET attempts = attempts + 1, not_before = $1 WHERE job_id = $2";
+    pub async fn put_off_announcement(
+        &self,
+        job_id: &str,
+        wait: Duration,
+    ) -> Result<(), StoreError> {
+        let sql =
+            "UPDATE announcements SET attempts = attempts + 1, not_before = $1 WHERE job_id = $2";
         sqlx::query(sql).bind(after(wait)).bind(job_id).execute(self.writer.pool()).await?;
         Ok(())
     }
@@ -39,8 +49,8 @@ impl Store {
         Ok(())
     }
 
-    /// Notes every end of a job from now on, as one with the end itself, whatever brings it about. A job that was done when it was made is
-    /// none: who asked for it knows.
+    /// Notes every end of a job from now on, as one with the end itself, whatever brings it about.
+    /// A job that was done when it was made is none: who asked for it knows.
     ///
     /// # Errors
     /// [`StoreError::Database`].

@@ -10,8 +10,8 @@ use sqlx::{FromRow, Row};
 use std::sync::Arc;
 use tokio::sync::{mpsc, oneshot};
 
-/// An answer as stored: the JSON the caller got, whole, and the parse it is about. It is given out again as it is: no version of the
-/// service can fail to read it.
+/// An answer as stored: the JSON the caller got, whole, and the parse it is about. It is given out
+/// again as it is: no version of the service can fail to read it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AnswerRow {
     pub id: String,
@@ -21,7 +21,11 @@ pub struct AnswerRow {
 
 impl FromRow<'_, AnyRow> for AnswerRow {
     fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
-        Ok(Self { id: row.try_get("id")?, parse_id: row.try_get("parse_id")?, body: row.try_get("body")? })
+        Ok(Self {
+            id: row.try_get("id")?,
+            parse_id: row.try_get("parse_id")?,
+            body: row.try_get("body")?,
+        })
     }
 }
 
@@ -52,8 +56,8 @@ struct Waiting {
     kept: oneshot::Sender<Result<bool, StoreError>>,
 }
 
-/// Answers that wait to be written. Each is on the disk before its caller hears of it; those that come together are written together, so
-/// that the disk is waited for once.
+/// Answers that wait to be written. Each is on the disk before its caller hears of it; those that
+/// come together are written together, so that the disk is waited for once.
 #[derive(Clone)]
 pub(super) struct AnswerQueue(mpsc::Sender<Waiting>);
 
@@ -68,13 +72,19 @@ impl AnswerQueue {
         tokio::spawn(async move {
             let mut together = Vec::new();
             while queue.recv_many(&mut together, MOST_TOGETHER).await > 0 {
-                let (answers, callers): (Vec<_>, Vec<_>) = together.drain(..).map(|waiting| (waiting.answer, waiting.kept)).unzip();
+                let (answers, callers): (Vec<_>, Vec<_>) =
+                    together.drain(..).map(|waiting| (waiting.answer, waiting.kept)).unzip();
                 // A caller that left needs no word.
                 match write(&writer, &answers).await {
-                    Ok(kept) => callers.into_iter().zip(kept).for_each(|(caller, kept)| drop(caller.send(Ok(kept)))),
+                    Ok(kept) => callers
+                        .into_iter()
+                        .zip(kept)
+                        .for_each(|(caller, kept)| drop(caller.send(Ok(kept)))),
                     Err(error) => {
                         let error = Arc::new(error);
-                        callers.into_iter().for_each(|caller| drop(caller.send(Err(StoreError::Together(error.clone())))));
+                        callers.into_iter().for_each(|caller| {
+                            drop(caller.send(Err(StoreError::Together(error.clone()))))
+                        });
                     }
                 }
             }
@@ -108,12 +118,17 @@ async fn write(writer: &Writer, answers: &[NewAnswer]) -> Result<Vec<bool>, Stor
 }
 
 impl Store {
-    /// What was asked under an idempotency key, and the id its answer has or will have. A key that nobody has used stands for this question
-    /// from now on.
+    /// What was asked under an idempotency key, and the id its answer has or will have. A key that
+    /// nobody has used stands for this question from now on.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn question_of_key(&self, key: &str, request: &str, answer_id: &str) -> Result<(String, String), StoreError> {
+    pub async fn question_of_key(
+        &self,
+        key: &str,
+        request: &str,
+        answer_id: &str,
+    ) -> Result<(String, String), StoreError> {
         let mut tx = self.writer.begin().await?;
         let sql = "INSERT INTO question_keys (key, request, answer_id, created_at) VALUES ($1, $2, $3, $4)
                    ON CONFLICT (key) DO UPDATE SET key = question_keys.key RETURNING request, answer_id";
@@ -147,7 +162,12 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn answers(&self, filter: &AnswerFilter, limit: u32, cursor: Option<&str>) -> Result<Vec<AnswerRow>, StoreError> {
+    pub async fn answers(
+        &self,
+        filter: &AnswerFilter,
+        limit: u32,
+        cursor: Option<&str>,
+    ) -> Result<Vec<AnswerRow>, StoreError> {
         let AnswerFilter { scene_id, batch_id, status, since, until } = filter;
         // Only what is asked for stands in the statement, so that the index of that is used.
         let columns = "SELECT answers.id, parse_id, body FROM";
@@ -155,24 +175,32 @@ impl Store {
             // Through the batch, a page at a time.
             Some(_) => {
                 let join = self.engine.in_this_order();
-                Conditions::behind(format!("{columns} batch_items {join} answers ON answers.id = answer_id WHERE true"))
+                Conditions::behind(format!(
+                    "{columns} batch_items {join} answers ON answers.id = answer_id WHERE true"
+                ))
             }
             None => Conditions::behind(format!("{columns} answers WHERE true")),
         };
         which.and("batch_id =", batch_id.as_ref());
         which.and("answer_id <", cursor.filter(|_| batch_id.is_some()));
         which.and("answers.id <", cursor);
-        // An item of a batch has its answer's id long before it is asked: ids do not tell when an answer was given.
+        // An item of a batch has its answer's id long before it is asked: ids do not tell when an
+        // answer was given.
         which.and("answers.created_at >=", since.map(|time| time.to_string()));
         which.and("answers.created_at <", until.map(|time| time.to_string()));
         which.and("answers.scene_id =", scene_id.as_ref());
         which.and("answers.status =", status.as_ref());
         which
-            .first(if batch_id.is_some() { "answer_id DESC" } else { "answers.id DESC" }, limit, &self.reader)
+            .first(
+                if batch_id.is_some() { "answer_id DESC" } else { "answers.id DESC" },
+                limit,
+                &self.reader,
+            )
             .await
     }
 
-    /// Removes some answers of a scene, few enough that nobody waits long for the database. Their ids; none when none are left.
+    /// Removes some answers of a scene, few enough that nobody waits long for the database. Their
+    /// ids; none when none are left.
     ///
     /// # Errors
     /// [`StoreError::Database`].

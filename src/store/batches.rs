@@ -133,7 +133,8 @@ fn select(condition: &str) -> AssertSqlSafe<String> {
 }
 
 impl Store {
-    /// Begins a batch: its items follow. Nobody is told of it before it is [submitted](Self::submit_batch).
+    /// Begins a batch: its items follow. Nobody is told of it before it is
+    /// [submitted](Self::submit_batch).
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -141,7 +142,8 @@ impl Store {
         let id = self.new_id();
         let sql = "INSERT INTO batches (id, label, state, concurrency, max_cost_usd, key_id, created_at, receiver)
                    VALUES ($1, $2, 'receiving', $3, $4, $5, $6, $7)";
-        // Not kept prepared: sqlx takes a number that is not there for a smaller type than one that is.
+        // Not kept prepared: sqlx takes a number that is not there for a smaller type than one that
+        // is.
         sqlx::query(sql)
             .persistent(false)
             .bind(&id)
@@ -156,11 +158,17 @@ impl Store {
         Ok(id)
     }
 
-    /// Adds items to a batch that is being received, from the place `first` on; few enough that nobody waits long for the database.
+    /// Adds items to a batch that is being received, from the place `first` on; few enough that
+    /// nobody waits long for the database.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn insert_batch_items(&self, batch_id: &str, first: u32, items: &[NewItem]) -> Result<(), StoreError> {
+    pub async fn insert_batch_items(
+        &self,
+        batch_id: &str,
+        first: u32,
+        items: &[NewItem],
+    ) -> Result<(), StoreError> {
         let sql = "INSERT INTO batch_items (batch_id, item, scene_id, request, answer_id) VALUES ($1, $2, $3, $4, $5)";
         let mut tx = self.writer.begin().await?;
         for (item, NewItem { scene_id, request }) in (first..).zip(items) {
@@ -180,11 +188,16 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn submit_batch(&self, received: &ReceivedBatch<'_>, job: &NewJob<'_>) -> Result<Submitted, StoreError> {
+    pub async fn submit_batch(
+        &self,
+        received: &ReceivedBatch<'_>,
+        job: &NewJob<'_>,
+    ) -> Result<Submitted, StoreError> {
         let ReceivedBatch { id, items, defaults, request, key } = *received;
         let mut tx = self.writer.begin().await?;
         if let Some(key) = key {
-            let before: Option<BatchRow> = sqlx::query_as(select("key = $1")).bind(key).fetch_optional(&mut *tx).await?;
+            let before: Option<BatchRow> =
+                sqlx::query_as(select("key = $1")).bind(key).fetch_optional(&mut *tx).await?;
             if let Some(before) = before {
                 tx.forget().await?;
                 let same = before.request.as_deref() == Some(request);
@@ -210,19 +223,24 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn batch_of_idempotency_key(&self, key: &str) -> Result<Option<BatchRow>, StoreError> {
+    pub async fn batch_of_idempotency_key(
+        &self,
+        key: &str,
+    ) -> Result<Option<BatchRow>, StoreError> {
         Ok(sqlx::query_as(select("key = $1")).bind(key).fetch_optional(&self.reader).await?)
     }
 
-    /// The fields that the items of a batch share, as JSON. `None` where its items store whole questions.
+    /// The fields that the items of a batch share, as JSON. `None` where its items store whole
+    /// questions.
     ///
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn batch_defaults(&self, id: &str) -> Result<Option<String>, StoreError> {
-        let defaults: Option<Option<String>> = sqlx::query_scalar("SELECT defaults FROM batches WHERE id = $1")
-            .bind(id)
-            .fetch_optional(&self.reader)
-            .await?;
+        let defaults: Option<Option<String>> =
+            sqlx::query_scalar("SELECT defaults FROM batches WHERE id = $1")
+                .bind(id)
+                .fetch_optional(&self.reader)
+                .await?;
         Ok(defaults.flatten())
     }
 
@@ -233,19 +251,27 @@ impl Store {
     pub async fn delete_batch(&self, id: &str) -> Result<(), StoreError> {
         let some = "DELETE FROM batch_items WHERE batch_id = $1
                     AND item IN (SELECT item FROM batch_items WHERE batch_id = $1 LIMIT $2)";
-        let delete = || sqlx::query(some).bind(id).bind(i64::from(ITEMS_TOGETHER)).execute(self.writer.pool());
+        let delete = || {
+            sqlx::query(some).bind(id).bind(i64::from(ITEMS_TOGETHER)).execute(self.writer.pool())
+        };
         while delete().await?.rows_affected() > 0 {}
-        sqlx::query("DELETE FROM batches WHERE id = $1").bind(id).execute(self.writer.pool()).await?;
+        sqlx::query("DELETE FROM batches WHERE id = $1")
+            .bind(id)
+            .execute(self.writer.pool())
+            .await?;
         Ok(())
     }
 
-    /// Deletes a batch that was refused: nothing of it is left. On a full disk with the room of the reserve.
+    /// Deletes a batch that was refused: nothing of it is left. On a full disk with the room of the
+    /// reserve.
     ///
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn discard_batch(&self, id: &str) -> Result<(), StoreError> {
         match self.delete_batch(id).await {
-            Err(error) if error.is_full() && self.release_reserve() => self.delete_batch(id).await?,
+            Err(error) if error.is_full() && self.release_reserve() => {
+                self.delete_batch(id).await?
+            }
             deleted => deleted?,
         }
         if let Err(error) = self.truncate_log().await {
@@ -282,16 +308,28 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn batches(&self, limit: u32, cursor: Option<&str>) -> Result<Vec<BatchRow>, StoreError> {
-        let which = select("($1 IS NULL OR id < $1) AND state != 'receiving' ORDER BY id DESC LIMIT $2");
-        Ok(sqlx::query_as(which).bind(cursor).bind(i64::from(limit)).fetch_all(&self.reader).await?)
+    pub async fn batches(
+        &self,
+        limit: u32,
+        cursor: Option<&str>,
+    ) -> Result<Vec<BatchRow>, StoreError> {
+        let which =
+            select("($1 IS NULL OR id < $1) AND state != 'receiving' ORDER BY id DESC LIMIT $2");
+        Ok(sqlx::query_as(which)
+            .bind(cursor)
+            .bind(i64::from(limit))
+            .fetch_all(&self.reader)
+            .await?)
     }
 
     /// How many items have each status, and what they cost.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn batch_figures(&self, id: &str) -> Result<(BTreeMap<String, u32>, f64), StoreError> {
+    pub async fn batch_figures(
+        &self,
+        id: &str,
+    ) -> Result<(BTreeMap<String, u32>, f64), StoreError> {
         let sql = "SELECT status, count(*) AS number, sum(cost_usd) AS usd FROM batch_items
                    WHERE batch_id = $1 AND status IS NOT NULL GROUP BY status";
         let (mut numbers, mut usd) = (BTreeMap::new(), 0.0);
@@ -306,9 +344,12 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn open_batch_items(&self, id: &str, limit: u32) -> Result<Vec<OpenItem>, StoreError> {
-        let sql =
-            "SELECT item, scene_id, request, answer_id FROM batch_items WHERE batch_id = $1 AND status IS NULL ORDER BY item LIMIT $2";
+    pub async fn open_batch_items(
+        &self,
+        id: &str,
+        limit: u32,
+    ) -> Result<Vec<OpenItem>, StoreError> {
+        let sql = "SELECT item, scene_id, request, answer_id FROM batch_items WHERE batch_id = $1 AND status IS NULL ORDER BY item LIMIT $2";
         let rows = sqlx::query(sql).bind(id).bind(i64::from(limit)).fetch_all(&self.reader).await?;
         let open = |row: &AnyRow| {
             Ok(OpenItem {
@@ -325,12 +366,18 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::NotHeld`], [`StoreError::Database`].
-    pub async fn close_batch_items(&self, hold: &Hold, id: &str, closed: &[ClosedItem]) -> Result<(), StoreError> {
+    pub async fn close_batch_items(
+        &self,
+        hold: &Hold,
+        id: &str,
+        closed: &[ClosedItem],
+    ) -> Result<(), StoreError> {
         let sql = "UPDATE batch_items SET status = $1, cost_usd = $2, error_code = $3, error = $4 WHERE batch_id = $5 AND item = $6";
         let mut tx = self.writer.begin().await?;
         hold.check(&mut tx).await?;
         for ClosedItem { item, status, cost_usd, error } in closed {
-            let (code, detail) = error.as_ref().map_or((None, None), |(code, detail)| (Some(code), Some(detail)));
+            let (code, detail) =
+                error.as_ref().map_or((None, None), |(code, detail)| (Some(code), Some(detail)));
             sqlx::query(sql)
                 .bind(status)
                 .bind(cost_usd)
@@ -348,7 +395,13 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn move_batch(&self, id: &str, from: &[&str], to: &str, reason: Option<&str>) -> Result<bool, StoreError> {
+    pub async fn move_batch(
+        &self,
+        id: &str,
+        from: &[&str],
+        to: &str,
+        reason: Option<&str>,
+    ) -> Result<bool, StoreError> {
         let finished = matches!(to, "succeeded" | "cancelled").then(now);
         let sql = "UPDATE batches SET state = $1, reason = $2, finished_at = $3
                    WHERE id = $4 AND ',' || $5 || ',' LIKE '%,' || state || ',%'";
@@ -363,8 +416,8 @@ impl Store {
         Ok(moved.rows_affected() > 0)
     }
 
-    /// Lets a batch go on: with the job it has where that is not over, else with a new one. All of it or nothing, so that no two jobs ever
-    /// ask the same batch.
+    /// Lets a batch go on: with the job it has where that is not over, else with a new one. All of
+    /// it or nothing, so that no two jobs ever ask the same batch.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -396,7 +449,12 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn batch_items(&self, id: &str, from: u32, limit: u32) -> Result<Vec<ItemRow>, StoreError> {
+    pub async fn batch_items(
+        &self,
+        id: &str,
+        from: u32,
+        limit: u32,
+    ) -> Result<Vec<ItemRow>, StoreError> {
         let sql = "SELECT item, batch_items.scene_id, request, answer_id, batch_items.status, error_code, error, body
                    FROM batch_items LEFT JOIN answers ON answers.id = answer_id
                    WHERE batch_id = $1 AND item >= $2 ORDER BY item LIMIT $3";
@@ -407,7 +465,8 @@ impl Store {
             .fetch_all(&self.reader)
             .await?;
         let item = |row: &AnyRow| {
-            let (code, detail): (Option<String>, Option<String>) = (row.try_get("error_code")?, row.try_get("error")?);
+            let (code, detail): (Option<String>, Option<String>) =
+                (row.try_get("error_code")?, row.try_get("error")?);
             Ok(ItemRow {
                 item: number(row.try_get("item")?)?,
                 scene_id: row.try_get("scene_id")?,

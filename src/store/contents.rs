@@ -20,6 +20,8 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn all_contents(&self) -> Result<Vec<String>, StoreError> {
-        Ok(sqlx::query_scalar("SELECT hash FROM contents ORDER BY hash").fetch_all(&self.reader).await?)
+        Ok(sqlx::query_scalar("SELECT hash FROM contents ORDER BY hash")
+            .fetch_all(&self.reader)
+            .await?)
     }
 }

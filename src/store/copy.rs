@@ -1,4 +1,5 @@
-//! A look at a data folder that changes nothing there: the database is copied elsewhere, files are only read.
+//! A look at a data folder that changes nothing there: the database is copied elsewhere, files are
+//! only read.
 
 use super::blobs::Blobs;
 use super::data_folder::DataFolder;
@@ -16,8 +17,8 @@ use tokio::task::spawn_blocking;
 const FILES_OF_DATABASE: [&str; 2] = ["", "-wal"];
 
 impl Store {
-    /// Opens a copy of the database over the folder's own files. Whatever is done to this store, the folder stays as it is: rows are
-    /// removed from the copy, and files are left alone.
+    /// Opens a copy of the database over the folder's own files. Whatever is done to this store,
+    /// the folder stays as it is: rows are removed from the copy, and files are left alone.
     ///
     /// # Errors
     /// [`StoreError`]: a server runs there, or it is no data folder.
@@ -28,10 +29,14 @@ impl Store {
         let copied = spawn_blocking(move || {
             let folder = DataFolder::look(&path)?;
             let elsewhere = tempfile::tempdir()?;
-            let database = Utf8PathBuf::try_from(elsewhere.path().join("copy.sqlite")).map_err(io::Error::other)?;
+            let database = Utf8PathBuf::try_from(elsewhere.path().join("copy.sqlite"))
+                .map_err(io::Error::other)?;
             for part in FILES_OF_DATABASE {
-                match fs::copy(format!("{}{part}", folder.database()), format!("{database}{part}")) {
-                    Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.into()),
+                match fs::copy(format!("{}{part}", folder.database()), format!("{database}{part}"))
+                {
+                    Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                        return Err(error.into());
+                    }
                     _ => {}
                 }
             }
@@ -39,7 +44,13 @@ impl Store {
         });
         let (folder, elsewhere, database) = copied.await.map_err(io::Error::other)??;
         let members = Membership::join(&Location::Folder, Company::None, LEASE).await?;
-        let store = Self::connect(Connections::to_file(&database).await?, folder, Blobs::look_only(data_dir)?, members).await?;
+        let store = Self::connect(
+            Connections::to_file(&database).await?,
+            folder,
+            Blobs::look_only(data_dir)?,
+            members,
+        )
+        .await?;
         Ok(Self { _copy: Some(Arc::<TempDir>::new(elsewhere)), ..store })
     }
 }

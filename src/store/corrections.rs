@@ -33,7 +33,14 @@ impl FromRow<'_, AnyRow> for CorrectionRow {
 impl CorrectionRow {
     fn read(self) -> Result<Correction, StoreError> {
         let Self { id, change, made, author, created_at, undone_at } = self;
-        Ok(Correction { id, change: serde_json::from_str(&change)?, made: made.map(InstanceId), author, created_at, undone_at })
+        Ok(Correction {
+            id,
+            change: serde_json::from_str(&change)?,
+            made: made.map(InstanceId),
+            author,
+            created_at,
+            undone_at,
+        })
     }
 }
 
@@ -47,15 +54,21 @@ pub struct NewCorrection<'a> {
 }
 
 impl Store {
-    /// Records a correction, with the instance it makes, as one. `None` when the parse is gone, or has `most` corrections already.
+    /// Records a correction, with the instance it makes, as one. `None` when the parse is gone, or
+    /// has `most` corrections already.
     ///
     /// # Errors
     /// [`StoreError`].
-    pub async fn insert_correction(&self, new: NewCorrection<'_>, most: u32) -> Result<Option<Correction>, StoreError> {
+    pub async fn insert_correction(
+        &self,
+        new: NewCorrection<'_>,
+        most: u32,
+    ) -> Result<Option<Correction>, StoreError> {
         let NewCorrection { parse_id, change, author, made } = new;
         let mut tx = self.writer.begin().await?;
         let sql = "SELECT (SELECT count(*) FROM corrections WHERE parse_id = $1), (SELECT max(id) FROM instances WHERE parse_id = $1)";
-        let (count, last): (i64, Option<i64>) = sqlx::query_as(sql).bind(parse_id).fetch_one(&mut *tx).await?;
+        let (count, last): (i64, Option<i64>) =
+            sqlx::query_as(sql).bind(parse_id).fetch_one(&mut *tx).await?;
         let last: Option<u32> = last.filter(|_| count < i64::from(most)).map(number).transpose()?;
         let Some(last) = last else {
             tx.forget().await?;
@@ -93,7 +106,8 @@ impl Store {
     /// [`StoreError`].
     pub async fn corrections(&self, parse_id: &str) -> Result<Vec<Correction>, StoreError> {
         let sql = "SELECT * FROM corrections WHERE parse_id = $1 ORDER BY id";
-        let rows: Vec<CorrectionRow> = sqlx::query_as(sql).bind(parse_id).fetch_all(&self.reader).await?;
+        let rows: Vec<CorrectionRow> =
+            sqlx::query_as(sql).bind(parse_id).fetch_all(&self.reader).await?;
         rows.into_iter().map(CorrectionRow::read).collect()
     }
 
@@ -104,7 +118,8 @@ impl Store {
     pub async fn undo_correction(&self, id: &str) -> Result<(), StoreError> {
         let mut tx = self.writer.begin().await?;
         let sql = "UPDATE corrections SET undone_at = $1 WHERE id = $2 AND undone_at IS NULL RETURNING parse_id";
-        let undone: Option<String> = sqlx::query_scalar(sql).bind(now()).bind(id).fetch_optional(&mut *tx).await?;
+        let undone: Option<String> =
+            sqlx::query_scalar(sql).bind(now()).bind(id).fetch_optional(&mut *tx).await?;
         if let Some(parse_id) = undone {
             note_change(&mut tx, &parse_id).await?;
         }

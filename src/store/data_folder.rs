@@ -37,8 +37,9 @@ struct Marker {
     database: Engine,
 }
 
-/// A data folder that is ours as long as this lives. With SQLite ours alone: two processes over one would take each other's jobs and files.
-/// With PostgreSQL, which tells its members apart, theirs together.
+/// A data folder that is ours as long as this lives. With SQLite ours alone: two processes over one
+/// would take each other's jobs and files. With PostgreSQL, which tells its members apart, theirs
+/// together.
 #[derive(Debug, Clone)]
 pub(super) struct DataFolder {
     path: Utf8PathBuf,
@@ -56,11 +57,19 @@ impl DataFolder {
         Self::is_whole(path)?;
         let kept_in = match fs::read(path.join(MARKER)) {
             Ok(bytes) => serde_json::from_slice::<Marker>(&bytes)?.database,
-            Err(error) if error.kind() == io::ErrorKind::NotFound && path.join(DATABASE).exists() => Engine::Sqlite,
+            Err(error)
+                if error.kind() == io::ErrorKind::NotFound && path.join(DATABASE).exists() =>
+            {
+                Engine::Sqlite
+            }
             Err(error) if error.kind() == io::ErrorKind::NotFound => engine,
             Err(error) => return Err(error.into()),
         };
-        if kept_in == engine { Ok(()) } else { Err(StoreError::OtherDatabase { kept_in: kept_in.name() }) }
+        if kept_in == engine {
+            Ok(())
+        } else {
+            Err(StoreError::OtherDatabase { kept_in: kept_in.name() })
+        }
     }
 
     /// Whether nothing is missing of what was moved here.
@@ -74,13 +83,17 @@ impl DataFolder {
     /// Opens a data folder, or makes one of a folder that is empty or not there.
     ///
     /// # Errors
-    /// [`StoreError::NotOurs`] for a folder with other things in it, [`StoreError::InUse`], or what the file system says.
+    /// [`StoreError::NotOurs`] for a folder with other things in it, [`StoreError::InUse`], or what
+    /// the file system says.
     pub fn open(path: &Utf8Path, engine: Engine) -> Result<Self, StoreError> {
         fs::create_dir_all(path)?;
         let marker = path.join(MARKER);
         // Data folders of before there were markers have a database.
         let is_ours = marker.exists() || path.join(DATABASE).exists();
-        if let Some(stranger) = path.read_dir_utf8()?.filter_map(Result::ok).find(|entry| !is_harmless(entry.file_name()))
+        if let Some(stranger) = path
+            .read_dir_utf8()?
+            .filter_map(Result::ok)
+            .find(|entry| !is_harmless(entry.file_name()))
             && !is_ours
         {
             return Err(StoreError::NotOurs { found: stranger.file_name().to_owned() });
@@ -111,16 +124,22 @@ impl DataFolder {
         let folder = Self { path: path.to_owned(), id, _lock: Some(Arc::new(lock)) };
         match reserve::write(path) {
             Ok(true) => {}
-            Ok(false) => tracing::warn!("disk nearly full: no room for the reserve file, which deleting needs on a full disk"),
-            Err(error) => tracing::warn!(%error, "the reserve file, which deleting needs on a full disk, could not be written"),
+            Ok(false) => tracing::warn!(
+                "disk nearly full: no room for the reserve file, which deleting needs on a full disk"
+            ),
+            Err(error) => {
+                tracing::warn!(%error, "the reserve file, which deleting needs on a full disk, could not be written")
+            }
         }
         Ok(folder)
     }
 
-    /// Looks at a data folder no server uses, whose database is SQLite's, and keeps servers away meanwhile. Nothing is written.
+    /// Looks at a data folder no server uses, whose database is SQLite's, and keeps servers away
+    /// meanwhile. Nothing is written.
     ///
     /// # Errors
-    /// [`StoreError::NoDataFolder`], [`StoreError::InUse`], [`StoreError::OnlyOfSqlite`], or what the file system says.
+    /// [`StoreError::NoDataFolder`], [`StoreError::InUse`], [`StoreError::OnlyOfSqlite`], or what
+    /// the file system says.
     pub fn look(path: &Utf8Path) -> Result<Self, StoreError> {
         let (id, engine) = Self::identity(path)?;
         if engine != Engine::Sqlite {
@@ -138,21 +157,28 @@ impl DataFolder {
         }
     }
 
-    /// The id of a data folder and its database, whoever uses it; a new one where it is of before folders had ids.
+    /// The id of a data folder and its database, whoever uses it; a new one where it is of before
+    /// folders had ids.
     pub fn identity(path: &Utf8Path) -> Result<(String, Engine), StoreError> {
         Self::is_whole(path)?;
         match fs::read(path.join(MARKER)) {
             Ok(bytes) => {
                 let Marker { id, database, .. } = serde_json::from_slice(&bytes)?;
                 match database {
-                    Engine::Sqlite if !path.join(DATABASE).is_file() => Err(StoreError::NoDataFolder { folder: path.to_owned() }),
+                    Engine::Sqlite if !path.join(DATABASE).is_file() => {
+                        Err(StoreError::NoDataFolder { folder: path.to_owned() })
+                    }
                     _ => Ok((id, database)),
                 }
             }
-            Err(error) if error.kind() == io::ErrorKind::NotFound && path.join(DATABASE).is_file() => {
+            Err(error)
+                if error.kind() == io::ErrorKind::NotFound && path.join(DATABASE).is_file() =>
+            {
                 Ok((Uuid::new_v4().to_string(), Engine::Sqlite))
             }
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Err(StoreError::NoDataFolder { folder: path.to_owned() }),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                Err(StoreError::NoDataFolder { folder: path.to_owned() })
+            }
             Err(error) => Err(error.into()),
         }
     }
@@ -178,7 +204,12 @@ impl DataFolder {
 
 /// Marks a folder as a data folder of this id.
 pub(super) fn mark(folder: &Utf8Path, id: &str, database: Engine) -> io::Result<()> {
-    let text = serde_json::to_vec_pretty(&Marker { format: 1, id: id.to_owned(), created_at: now(), database })?;
+    let text = serde_json::to_vec_pretty(&Marker {
+        format: 1,
+        id: id.to_owned(),
+        created_at: now(),
+        database,
+    })?;
     write_synced(&folder.join(MARKER), &text)
 }
 
@@ -208,7 +239,8 @@ mod tests {
     use std::sync::Barrier;
     use std::thread;
 
-    /// Two that start at once on a new folder: one has it, the other is told that it is in use, and both mean the same folder.
+    /// Two that start at once on a new folder: one has it, the other is told that it is in use, and
+    /// both mean the same folder.
     #[test]
     fn a_new_folder_is_marked_once() {
         for _ in 0..20 {
@@ -226,10 +258,14 @@ mod tests {
                 both.map(|one| one.join().unwrap())
             });
             let ids: Vec<&String> = opened.iter().flatten().collect();
-            let marker: Marker = serde_json::from_slice(&fs::read(path.join(MARKER)).unwrap()).unwrap();
+            let marker: Marker =
+                serde_json::from_slice(&fs::read(path.join(MARKER)).unwrap()).unwrap();
             assert_eq!(ids, [&marker.id], "{opened:?}");
             assert!(
-                opened.iter().filter_map(|one| one.as_ref().err()).all(|error| matches!(error, StoreError::InUse)),
+                opened
+                    .iter()
+                    .filter_map(|one| one.as_ref().err())
+                    .all(|error| matches!(error, StoreError::InUse)),
                 "{opened:?}"
             );
         }

@@ -1,5 +1,6 @@
-//! The database: SQLite's file in the data folder, or PostgreSQL. The same statements run on both; what only one of them understands is a
-//! method of [`Engine`] here, and the two schemas are in `migrations/`.
+//! The database: SQLite's file in the data folder, or PostgreSQL. The same statements run on both;
+//! what only one of them understands is a method of [`Engine`] here, and the two schemas are in
+//! `migrations/`.
 
 use super::StoreError;
 use camino::Utf8Path;
@@ -43,7 +44,10 @@ impl FromStr for Location {
         Ok(match text.split_once("://") {
             Some(("postgres" | "postgresql", _)) => Self::Postgres(PostgresUrl(text.to_owned())),
             None if text == "sqlite" => Self::Folder,
-            other => Self::Unknown { scheme: other.map_or_else(|| "that".to_owned(), |(scheme, _)| format!("{scheme}://")) },
+            other => Self::Unknown {
+                scheme: other
+                    .map_or_else(|| "that".to_owned(), |(scheme, _)| format!("{scheme}://")),
+            },
         })
     }
 }
@@ -93,21 +97,25 @@ pub(super) enum Engine {
 
 /// How long SQLite waits for a lock that somebody else holds.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(1);
-/// How long a write waits for its turn, and anything for PostgreSQL. SQLite's own wait for a lock is shorter.
+/// How long a write waits for its turn, and anything for PostgreSQL. SQLite's own wait for a lock
+/// is shorter.
 const TURN: Duration = Duration::from_secs(2);
 /// How long a read of a file waits for its turn.
 const READERS_TURN: Duration = Duration::from_secs(30);
 /// No statement of PostgreSQL's takes longer.
 const STATEMENT_TIMEOUT: Duration = Duration::from_secs(30);
-/// A transaction that does nothing for so long is undone: its process hangs, and all that write wait for it.
+/// A transaction that does nothing for so long is undone: its process hangs, and all that write
+/// wait for it.
 const IDLE_IN_TRANSACTION: Duration = Duration::from_secs(5);
 /// A machine that vanished is noticed by the server within half a minute.
-pub(super) const KEEPALIVES: &str = "SET tcp_keepalives_idle = 10; SET tcp_keepalives_interval = 5; SET tcp_keepalives_count = 3";
+pub(super) const KEEPALIVES: &str =
+    "SET tcp_keepalives_idle = 10; SET tcp_keepalives_interval = 5; SET tcp_keepalives_count = 3";
 const READERS: u32 = 4;
 /// Connections to PostgreSQL that write at once; of transactions there is one at a time.
 const WRITERS: u32 = 8;
 /// What a path may have in a URL as it is.
-const IN_PATH: &AsciiSet = &NON_ALPHANUMERIC.remove(b'/').remove(b'.').remove(b'-').remove(b'_').remove(b'~');
+const IN_PATH: &AsciiSet =
+    &NON_ALPHANUMERIC.remove(b'/').remove(b'.').remove(b'-').remove(b'_').remove(b'~');
 
 /// Connections that read, and connections that write.
 pub(super) struct Connections {
@@ -126,7 +134,10 @@ impl Connections {
         let url = format!("sqlite:{}", utf8_percent_encode(file.as_str(), IN_PATH));
         let options = |mode: &str| AnyConnectOptions::from_str(&format!("{url}?mode={mode}"));
         // What a caller was told is stored is on the disk.
-        let settings = format!("PRAGMA busy_timeout = {}; PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL", BUSY_TIMEOUT.as_millis());
+        let settings = format!(
+            "PRAGMA busy_timeout = {}; PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL",
+            BUSY_TIMEOUT.as_millis()
+        );
         let writer = pool(1, TURN, settings).connect_with(options("rwc")?).await?;
         let settings = format!("PRAGMA busy_timeout = {}", BUSY_TIMEOUT.as_millis());
         let reader = pool(READERS, READERS_TURN, settings).connect_lazy_with(options("ro")?);
@@ -149,13 +160,14 @@ impl Connections {
 }
 
 fn pool(most: u32, turn: Duration, settings: String) -> AnyPoolOptions {
-    AnyPoolOptions::new()
-        .max_connections(most)
-        .acquire_timeout(turn)
-        .after_connect(move |connection, _| {
+    AnyPoolOptions::new().max_connections(most).acquire_timeout(turn).after_connect(
+        move |connection, _| {
             let settings = settings.clone();
-            Box::pin(async move { connection.execute(sqlx::AssertSqlSafe(settings)).await.map(drop) })
-        })
+            Box::pin(
+                async move { connection.execute(sqlx::AssertSqlSafe(settings)).await.map(drop) },
+            )
+        },
+    )
 }
 
 impl Engine {
@@ -166,7 +178,8 @@ impl Engine {
         }
     }
 
-    /// Begins a transaction that writes and that nobody else writes beside, whoever else uses the database.
+    /// Begins a transaction that writes and that nobody else writes beside, whoever else uses the
+    /// database.
     pub const fn begin(self) -> &'static str {
         match self {
             Self::Sqlite => "BEGIN IMMEDIATE",
@@ -211,7 +224,9 @@ impl Engine {
     pub fn values_of(self, list: &str) -> String {
         match self {
             Self::Sqlite => format!("(SELECT value FROM json_each({list}))"),
-            Self::Postgres => format!("(SELECT value FROM json_array_elements_text({list}::json) AS texts (value))"),
+            Self::Postgres => format!(
+                "(SELECT value FROM json_array_elements_text({list}::json) AS texts (value))"
+            ),
         }
     }
 
@@ -279,7 +294,8 @@ impl Engine {
         }
     }
 
-    /// What writes the log of changes into the database and gives the log's room back to the disk; PostgreSQL does that by itself.
+    /// What writes the log of changes into the database and gives the log's room back to the disk;
+    /// PostgreSQL does that by itself.
     pub const fn truncate_log(self) -> &'static [&'static str] {
         match self {
             Self::Sqlite => &["PRAGMA wal_checkpoint(TRUNCATE)"],
@@ -287,10 +303,13 @@ impl Engine {
         }
     }
 
-    /// What tells how many bytes removed rows have left in the database; PostgreSQL uses them again and tells nobody.
+    /// What tells how many bytes removed rows have left in the database; PostgreSQL uses them again
+    /// and tells nobody.
     pub const fn unused_bytes(self) -> Option<&'static str> {
         match self {
-            Self::Sqlite => Some("SELECT freelist_count * page_size FROM pragma_freelist_count, pragma_page_size"),
+            Self::Sqlite => Some(
+                "SELECT freelist_count * page_size FROM pragma_freelist_count, pragma_page_size",
+            ),
             Self::Postgres => None,
         }
     }
@@ -325,12 +344,20 @@ impl Conditions {
     }
 
     /// The first rows in an order.
-    pub async fn first<R>(self, order: &str, limit: u32, pool: &AnyPool) -> Result<Vec<R>, StoreError>
+    pub async fn first<R>(
+        self,
+        order: &str,
+        limit: u32,
+        pool: &AnyPool,
+    ) -> Result<Vec<R>, StoreError>
     where
         R: for<'r> sqlx::FromRow<'r, sqlx::any::AnyRow> + Send + Unpin,
     {
         let sql = format!("{} ORDER BY {order} LIMIT ${}", self.sql, self.values.len() + 1);
-        let query = self.values.into_iter().fold(sqlx::query_as(sqlx::AssertSqlSafe(sql)), sqlx::query::QueryAs::bind);
+        let query = self
+            .values
+            .into_iter()
+            .fold(sqlx::query_as(sqlx::AssertSqlSafe(sql)), sqlx::query::QueryAs::bind);
         Ok(query.bind(i64::from(limit)).fetch_all(pool).await?)
     }
 }
@@ -354,9 +381,14 @@ mod tests {
 
     #[test]
     fn a_location_is_told_without_its_password() {
-        let told = |text: &str| text.parse::<Location>().map(|location| format!("{location} {location:?}")).unwrap();
+        let told = |text: &str| {
+            text.parse::<Location>().map(|location| format!("{location} {location:?}")).unwrap()
+        };
         let place = "postgres://db.example/rooms postgres://db.example/rooms";
-        assert_eq!(told("postgres://robot:s3cret@db.example/rooms?sslmode=require&password=s3cret"), place);
+        assert_eq!(
+            told("postgres://robot:s3cret@db.example/rooms?sslmode=require&password=s3cret"),
+            place
+        );
         assert_eq!(told("postgres://robot:s3?cret@db.example/rooms"), place);
         assert_eq!(told("postgress://robot:s3cret@db.example/rooms"), "postgress:// postgress://");
         assert_eq!("sqlite".parse(), Ok(Location::Folder));

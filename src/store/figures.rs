@@ -54,15 +54,20 @@ impl Store {
     /// [`StoreError`].
     pub async fn figures(&self) -> Result<Figures, StoreError> {
         // Instances as reports tell them: to count them would be to read them.
-        let (things, others) =
-            (self.engine.number_in("parse_report", "instances"), self.engine.number_in("parse_report", "parts_and_wholes"));
+        let (things, others) = (
+            self.engine.number_in("parse_report", "instances"),
+            self.engine.number_in("parse_report", "parts_and_wholes"),
+        );
         let counts = format!(
             "SELECT (SELECT count(*) FROM scenes), (SELECT count(*) FROM parses),
              (SELECT CAST(coalesce(sum({things} + {others}), 0) AS bigint) FROM parses), (SELECT count(*) FROM answers)"
         );
-        let counts: (i64, i64, i64, i64) = sqlx::query_as(AssertSqlSafe(counts)).fetch_one(&self.reader).await?;
+        let counts: (i64, i64, i64, i64) =
+            sqlx::query_as(AssertSqlSafe(counts)).fetch_one(&self.reader).await?;
         let batches: Vec<(String, i64)> =
-            sqlx::query_as("SELECT state, count(*) FROM batches GROUP BY state").fetch_all(&self.reader).await?;
+            sqlx::query_as("SELECT state, count(*) FROM batches GROUP BY state")
+                .fetch_all(&self.reader)
+                .await?;
         let batches = batches
             .into_iter()
             .map(|(state, batches)| Ok((state, number(batches)?)))
@@ -94,7 +99,8 @@ impl Store {
     /// Bytes of a database that is not in the data folder.
     async fn bytes_on_server(&self) -> Result<Option<u64>, StoreError> {
         let Engine::Postgres = self.engine else { return Ok(None) };
-        let bytes = sqlx::query_scalar("SELECT pg_database_size(current_database())").fetch_one(&self.reader);
+        let bytes = sqlx::query_scalar("SELECT pg_database_size(current_database())")
+            .fetch_one(&self.reader);
         Ok(Some(number(bytes.await?)?))
     }
 }
@@ -112,9 +118,13 @@ mod tests {
     #[tokio::test]
     async fn jobs_are_counted_by_kind_and_state_with_the_oldest_of_each() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(Utf8Path::from_path(folder.path()).unwrap(), &Location::Folder, &BlobHome::Folder)
-            .await
-            .unwrap();
+        let store = Store::open(
+            Utf8Path::from_path(folder.path()).unwrap(),
+            &Location::Folder,
+            &BlobHome::Folder,
+        )
+        .await
+        .unwrap();
         let empty = store.figures().await.unwrap();
         assert_eq!((empty.scenes, empty.answers, empty.jobs.len()), (0, 0, 0));
         assert!(empty.database_bytes > 4096 && empty.free_bytes > 0);
@@ -123,7 +133,8 @@ mod tests {
         store.insert_job("s", &written("naming")).await.unwrap();
         store.claim_job("naming").await.unwrap();
         let jobs = store.figures().await.unwrap().jobs;
-        let told: Vec<_> = jobs.iter().map(|j| (j.kind.as_str(), j.state.as_str(), j.jobs)).collect();
+        let told: Vec<_> =
+            jobs.iter().map(|j| (j.kind.as_str(), j.state.as_str(), j.jobs)).collect();
         assert_eq!(told, [("naming", "running", 1), ("parse", "queued", 2)]);
         assert_eq!(jobs[1].oldest, first.created_at);
     }

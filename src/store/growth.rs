@@ -53,7 +53,11 @@ impl Store {
             && let Some((scene, before)) = made_by_key(&mut tx, key).await?
         {
             tx.forget().await?;
-            return Ok(if before.is_some_and(|before| before == request) { Grew::Before(scene) } else { Grew::KeyReused });
+            return Ok(if before.is_some_and(|before| before == request) {
+                Grew::Before(scene)
+            } else {
+                Grew::KeyReused
+            });
         }
         sqlx::query("INSERT INTO contents (hash, bytes, created_at, grown_from) VALUES ($1, $2, $3, $4) ON CONFLICT DO NOTHING")
             .bind(content_hash)
@@ -75,21 +79,39 @@ impl Store {
         }
         if let Some((key, request)) = key {
             let sql = "INSERT INTO idempotency_keys (key, scene_id, created_at, request) VALUES ($1, $2, $3, $4)";
-            sqlx::query(sql).bind(key).bind(scene_id).bind(&time).bind(request).execute(&mut *tx).await?;
+            sqlx::query(sql)
+                .bind(key)
+                .bind(scene_id)
+                .bind(&time)
+                .bind(request)
+                .execute(&mut *tx)
+                .await?;
         }
         let job = add_job(&mut tx, scene_id, &self.new_id(), job).await?;
-        let scene = sqlx::query_as("SELECT * FROM scenes WHERE id = $1").bind(scene_id).fetch_one(&mut *tx).await?;
+        let scene = sqlx::query_as("SELECT * FROM scenes WHERE id = $1")
+            .bind(scene_id)
+            .fetch_one(&mut *tx)
+            .await?;
         tx.commit().await?;
         Ok(Grew::Now(scene, Box::new(job)))
     }
 
-    /// What changed from one version of a scene to the next, for the versions after `since`, in order.
+    /// What changed from one version of a scene to the next, for the versions after `since`, in
+    /// order.
     ///
     /// # Errors
     /// [`StoreError`].
-    pub async fn scene_changes(&self, scene_id: &str, since: u32) -> Result<Vec<(u32, Changes)>, StoreError> {
+    pub async fn scene_changes(
+        &self,
+        scene_id: &str,
+        since: u32,
+    ) -> Result<Vec<(u32, Changes)>, StoreError> {
         let sql = "SELECT version, body FROM scene_changes WHERE scene_id = $1 AND version > $2 ORDER BY version";
-        let rows: Vec<(i64, String)> = sqlx::query_as(sql).bind(scene_id).bind(i64::from(since)).fetch_all(&self.reader).await?;
+        let rows: Vec<(i64, String)> = sqlx::query_as(sql)
+            .bind(scene_id)
+            .bind(i64::from(since))
+            .fetch_all(&self.reader)
+            .await?;
         rows.into_iter()
             .map(|(version, body)| Ok((number(version)?, serde_json::from_str(&body)?)))
             .collect()
@@ -101,7 +123,10 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn outgrown_contents(&self, limit: u32) -> Result<Vec<String>, StoreError> {
         let sql = format!("SELECT hash FROM contents WHERE {OUTGROWN} LIMIT $1");
-        Ok(sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).bind(i64::from(limit)).fetch_all(&self.reader).await?)
+        Ok(sqlx::query_scalar(sqlx::AssertSqlSafe(sql))
+            .bind(i64::from(limit))
+            .fetch_all(&self.reader)
+            .await?)
     }
 
     /// Removes the row of a content if it is outgrown; its folders, for the caller to remove.
@@ -112,11 +137,19 @@ impl Store {
         let mut tx = self.writer.begin().await?;
         let removed = self.remove_outgrown_row(&mut tx, hash).await?;
         tx.commit().await?;
-        Ok(if removed { vec![self.blobs.content(hash), self.blobs.checkpoints(hash)] } else { Vec::new() })
+        Ok(if removed {
+            vec![self.blobs.content(hash), self.blobs.checkpoints(hash)]
+        } else {
+            Vec::new()
+        })
     }
 
     /// Removes the row of a content if it is outgrown; whether it was.
-    pub(super) async fn remove_outgrown_row(&self, tx: &mut Transaction, hash: &str) -> Result<bool, StoreError> {
+    pub(super) async fn remove_outgrown_row(
+        &self,
+        tx: &mut Transaction,
+        hash: &str,
+    ) -> Result<bool, StoreError> {
         // What has grown from it has then grown from what it had grown from.
         let bridge = format!(
             "UPDATE contents SET grown_from = (SELECT grown_from FROM contents WHERE hash = $1)
@@ -124,28 +157,39 @@ impl Store {
         );
         sqlx::query(sqlx::AssertSqlSafe(bridge)).bind(hash).execute(&mut **tx).await?;
         let sql = format!("DELETE FROM contents WHERE hash = $1 AND {OUTGROWN}");
-        Ok(sqlx::query(sqlx::AssertSqlSafe(sql)).bind(hash).execute(&mut **tx).await?.rows_affected() > 0)
+        Ok(sqlx::query(sqlx::AssertSqlSafe(sql))
+            .bind(hash)
+            .execute(&mut **tx)
+            .await?
+            .rows_affected()
+            > 0)
     }
 
-    /// Removes the rows of a content that no scene has any more, those of what it has grown from, and their parses; the folders of all of them.
-    pub(super) async fn remove_content(&self, tx: &mut Transaction, content: String) -> Result<Vec<Utf8PathBuf>, StoreError> {
+    /// Removes the rows of a content that no scene has any more, those of what it has grown from,
+    /// and their parses; the folders of all of them.
+    pub(super) async fn remove_content(
+        &self,
+        tx: &mut Transaction,
+        content: String,
+    ) -> Result<Vec<Utf8PathBuf>, StoreError> {
         let mut folders = Vec::new();
         let mut next = Some(content);
         while let Some(hash) = next {
-            let sql =
-                "SELECT (SELECT count(*) FROM scenes WHERE content_hash = $1) + (SELECT count(*) FROM contents WHERE grown_from = $1)";
+            let sql = "SELECT (SELECT count(*) FROM scenes WHERE content_hash = $1) + (SELECT count(*) FROM contents WHERE grown_from = $1)";
             let shared: i64 = sqlx::query_scalar(sql).bind(&hash).fetch_one(&mut **tx).await?;
             if shared > 0 {
                 break;
             }
-            let parses: Vec<String> = sqlx::query_scalar("DELETE FROM parses WHERE content_hash = $1 RETURNING id")
-                .bind(&hash)
-                .fetch_all(&mut **tx)
-                .await?;
-            let grown_from: Option<Option<String>> = sqlx::query_scalar("DELETE FROM contents WHERE hash = $1 RETURNING grown_from")
-                .bind(&hash)
-                .fetch_optional(&mut **tx)
-                .await?;
+            let parses: Vec<String> =
+                sqlx::query_scalar("DELETE FROM parses WHERE content_hash = $1 RETURNING id")
+                    .bind(&hash)
+                    .fetch_all(&mut **tx)
+                    .await?;
+            let grown_from: Option<Option<String>> =
+                sqlx::query_scalar("DELETE FROM contents WHERE hash = $1 RETURNING grown_from")
+                    .bind(&hash)
+                    .fetch_optional(&mut **tx)
+                    .await?;
             folders.extend([self.blobs.content(&hash), self.blobs.checkpoints(&hash)]);
             folders.extend(parses.iter().map(|parse| self.blobs.parse(parse)));
             next = grown_from.flatten();
@@ -154,7 +198,12 @@ impl Store {
     }
 
     /// Notes what a parse takes over.
-    pub(super) async fn continue_parse(&self, tx: &mut Transaction, parse_id: &str, continued: &Continued<'_>) -> Result<(), StoreError> {
+    pub(super) async fn continue_parse(
+        &self,
+        tx: &mut Transaction,
+        parse_id: &str,
+        continued: &Continued<'_>,
+    ) -> Result<(), StoreError> {
         let Continued { scene_id, from_parse, changes, corrections } = continued;
         let sql = "INSERT INTO scene_changes (scene_id, parse_id, from_parse, body, created_at) SELECT $1, $2, $3, $4, $5
                    WHERE EXISTS (SELECT 1 FROM scenes WHERE id = $1)";
@@ -185,16 +234,27 @@ impl Store {
                    WHERE parse_id = $2 AND EXISTS (SELECT 1 FROM instances WHERE parse_id = $1 AND id = known.instance_id
                                                    AND NOT {gone}) ON CONFLICT DO NOTHING"
         );
-        sqlx::query(sqlx::AssertSqlSafe(sql)).bind(parse_id).bind(from_parse).execute(&mut **tx).await?;
+        sqlx::query(sqlx::AssertSqlSafe(sql))
+            .bind(parse_id)
+            .bind(from_parse)
+            .execute(&mut **tx)
+            .await?;
         Ok(())
     }
 }
 
-pub(super) const OUTGROWN: &str = "NOT EXISTS (SELECT 1 FROM scenes WHERE content_hash = contents.hash)
+pub(super) const OUTGROWN: &str =
+    "NOT EXISTS (SELECT 1 FROM scenes WHERE content_hash = contents.hash)
                         AND NOT EXISTS (SELECT 1 FROM parses WHERE content_hash = contents.hash)";
 
-/// Gives the changes that led to a scene's new version their number, where they began with the parse it had.
-pub(super) async fn number_changes(tx: &mut Transaction, scene_id: &str, parse_id: &str, from_parse: &str) -> Result<(), StoreError> {
+/// Gives the changes that led to a scene's new version their number, where they began with the
+/// parse it had.
+pub(super) async fn number_changes(
+    tx: &mut Transaction,
+    scene_id: &str,
+    parse_id: &str,
+    from_parse: &str,
+) -> Result<(), StoreError> {
     let sql = "UPDATE scene_changes SET version = (SELECT parse_version FROM scenes WHERE id = $1)
                WHERE scene_id = $1 AND parse_id = $2 AND from_parse = $3 AND version IS NULL";
     sqlx::query(sql).bind(scene_id).bind(parse_id).bind(from_parse).execute(&mut **tx).await?;

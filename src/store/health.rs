@@ -15,7 +15,8 @@ pub struct StoreHealth {
     pub database: Option<String>,
     /// Whether its file is damaged: what can not be read now will not be read later.
     pub is_damaged: bool,
-    /// Why the blob folder can not be read, or the object store in its place can not be had, if so.
+    /// Why the blob folder can not be read, or the object store in its place can not be had, if
+    /// so.
     pub blobs: Option<String>,
     /// Why the disk takes no more, if so.
     pub disk: Option<String>,
@@ -43,10 +44,11 @@ impl Store {
         let written = timeout(PATIENCE, self.write_something()).await;
         // Readers that are all at work are no trouble.
         let read = timeout(PATIENCE, self.read_something()).await.unwrap_or(Ok(()));
-        let is_damaged = [read.as_ref().err(), written.as_ref().ok().and_then(|written| written.as_ref().err())]
-            .into_iter()
-            .flatten()
-            .any(StoreError::is_damaged);
+        let is_damaged =
+            [read.as_ref().err(), written.as_ref().ok().and_then(|written| written.as_ref().err())]
+                .into_iter()
+                .flatten()
+                .any(StoreError::is_damaged);
         let database = match (read, written) {
             (Err(error), _) | (Ok(()), Ok(Err(error))) => Some(with_causes(&error)),
             (Ok(()), Err(_)) => Some(format!("a write took longer than {} s", PATIENCE.as_secs())),
@@ -65,13 +67,21 @@ impl Store {
             let readable = folder.check_marker().and_then(|()| blobs.scratch().map(drop));
             (readable, folder.free_bytes())
         });
-        let (readable, free) = looked.await.unwrap_or_else(|error| (Err(io::Error::other(error)), Ok(u64::MAX)));
+        let (readable, free) =
+            looked.await.unwrap_or_else(|error| (Err(io::Error::other(error)), Ok(u64::MAX)));
         let disk = match free {
-            Ok(free) if free < LEAST_FREE_BYTES => Some(format!("full: only {} MB are free", free >> 20)),
+            Ok(free) if free < LEAST_FREE_BYTES => {
+                Some(format!("full: only {} MB are free", free >> 20))
+            }
             Ok(_) => None,
             Err(error) => Some(error.to_string()),
         };
-        StoreHealth { database, is_damaged, blobs: readable.err().map(|error| error.to_string()).or(reached), disk }
+        StoreHealth {
+            database,
+            is_damaged,
+            blobs: readable.err().map(|error| error.to_string()).or(reached),
+            disk,
+        }
     }
 
     /// Bytes that may still be written.
@@ -82,7 +92,8 @@ impl Store {
         Ok(self.folder.free_bytes()?)
     }
 
-    /// What SQLite finds wrong with the database; nothing where all is well. PostgreSQL checks its own pages. Foreign keys: [`broken_references`](Self::broken_references).
+    /// What SQLite finds wrong with the database; nothing where all is well. PostgreSQL checks its
+    /// own pages. Foreign keys: [`broken_references`](Self::broken_references).
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -90,7 +101,8 @@ impl Store {
         if self.engine == Engine::Postgres {
             return Ok(Vec::new());
         }
-        let mut complaints: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check").fetch_all(&self.reader).await?;
+        let mut complaints: Vec<String> =
+            sqlx::query_scalar("PRAGMA integrity_check").fetch_all(&self.reader).await?;
         complaints.retain(|complaint| complaint != "ok");
         Ok(complaints)
     }
@@ -101,13 +113,14 @@ impl Store {
         tx.commit().await
     }
 
-    /// Reads the oldest and the newest row of every large table, and what a question about the newest parse needs: from the file, not from
-    /// memory.
+    /// Reads the oldest and the newest row of every large table, and what a question about the
+    /// newest parse needs: from the file, not from memory.
     async fn read_something(&self) -> Result<(), StoreError> {
         let mut connection = self.reader.acquire().await?;
         let columns = match self.engine {
             Engine::Sqlite => {
-                // The pages that this connection keeps in memory may be all that is left of the file.
+                // The pages that this connection keeps in memory may be all that is left of the
+                // file.
                 sqlx::query("PRAGMA shrink_memory").execute(&mut *connection).await?;
                 "*"
             }

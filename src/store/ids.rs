@@ -15,7 +15,8 @@ impl Ids {
         let last = newest.and_then(|id| id.parse::<Uuid>().ok()).and_then(|id| id.get_timestamp());
         if let Some((seconds, nanos)) = last.map(|last| last.to_unix()) {
             // The millisecond after: which of its own ids came last is not known here.
-            let (seconds, nanos) = if nanos < 999_000_000 { (seconds, nanos + 1_000_000) } else { (seconds + 1, 0) };
+            let (seconds, nanos) =
+                if nanos < 999_000_000 { (seconds, nanos + 1_000_000) } else { (seconds + 1, 0) };
             let _ = uuid::Timestamp::from_unix(&context, seconds, nanos);
         }
         Self(Arc::new(Mutex::new(context)))
@@ -23,7 +24,10 @@ impl Ids {
 
     pub fn at(&self, now: Timestamp) -> String {
         let context = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let (seconds, nanos) = (u64::try_from(now.as_second()).unwrap_or(0), u32::try_from(now.subsec_nanosecond()).unwrap_or(0));
+        let (seconds, nanos) = (
+            u64::try_from(now.as_second()).unwrap_or(0),
+            u32::try_from(now.subsec_nanosecond()).unwrap_or(0),
+        );
         Uuid::new_v7(uuid::Timestamp::from_unix(&*context, seconds, nanos)).to_string()
     }
 }
@@ -34,7 +38,8 @@ mod tests {
 
     #[test]
     fn a_clock_that_is_set_back_does_not_reorder() {
-        let (day, hour) = ("2026-11-20T12:00:00Z".parse().unwrap(), "2026-11-20T11:00:00Z".parse().unwrap());
+        let (day, hour) =
+            ("2026-11-20T12:00:00Z".parse().unwrap(), "2026-11-20T11:00:00Z".parse().unwrap());
         let ids = Ids::after(None);
         let made: Vec<String> = [day, day, hour, hour].map(|time| ids.at(time)).into();
         assert!(made.is_sorted() && made[0] < made[3], "{made:?}");

@@ -61,7 +61,8 @@ fn state(word: String) -> sqlx::Result<JobState> {
     JobState::try_from(word).map_err(|error| sqlx::Error::Decode(error.into()))
 }
 
-/// A running job in somebody's hands. Whatever is written down of it says so: once it was given to somebody else, nothing is.
+/// A running job in somebody's hands. Whatever is written down of it says so: once it was given to
+/// somebody else, nothing is.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Hold {
     pub job_id: String,
@@ -79,7 +80,8 @@ impl Hold {
     /// Whether the job is still in these hands, as far as this transaction goes.
     pub(super) async fn check(&self, tx: &mut AnyConnection) -> Result<(), StoreError> {
         let sql = "SELECT count(*) FROM jobs WHERE id = $1 AND holder = $2 AND state = 'running'";
-        let held: i64 = sqlx::query_scalar(sql).bind(&self.job_id).bind(&self.holder).fetch_one(tx).await?;
+        let held: i64 =
+            sqlx::query_scalar(sql).bind(&self.job_id).bind(&self.holder).fetch_one(tx).await?;
         if held > 0 { Ok(()) } else { Err(StoreError::NotHeld) }
     }
 }
@@ -117,9 +119,14 @@ pub(super) async fn insert(
     subject: &str,
     NewJob { kind, payload, key_id, done: _ }: &NewJob<'_>,
 ) -> Result<JobRow, StoreError> {
-    let sql =
-        "INSERT INTO jobs (id, kind, subject, payload, state, key_id, created_at) VALUES ($1, $2, $3, $4, 'queued', $5, $6) RETURNING *";
-    let row = sqlx::query_as(sql).bind(id).bind(kind).bind(subject).bind(payload).bind(key_id).bind(now());
+    let sql = "INSERT INTO jobs (id, kind, subject, payload, state, key_id, created_at) VALUES ($1, $2, $3, $4, 'queued', $5, $6) RETURNING *";
+    let row = sqlx::query_as(sql)
+        .bind(id)
+        .bind(kind)
+        .bind(subject)
+        .bind(payload)
+        .bind(key_id)
+        .bind(now());
     Ok(row.fetch_one(connection).await?)
 }
 
@@ -173,14 +180,22 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn job(&self, id: &str) -> Result<Option<JobRow>, StoreError> {
-        Ok(sqlx::query_as("SELECT * FROM jobs WHERE id = $1").bind(id).fetch_optional(&self.reader).await?)
+        Ok(sqlx::query_as("SELECT * FROM jobs WHERE id = $1")
+            .bind(id)
+            .fetch_optional(&self.reader)
+            .await?)
     }
 
     /// Jobs newest first, those before `cursor` (an id) only.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn jobs(&self, filter: &JobFilter, limit: u32, cursor: Option<&str>) -> Result<Vec<JobRow>, StoreError> {
+    pub async fn jobs(
+        &self,
+        filter: &JobFilter,
+        limit: u32,
+        cursor: Option<&str>,
+    ) -> Result<Vec<JobRow>, StoreError> {
         let JobFilter { kind, state, subject } = filter;
         let mut which = Conditions::behind("SELECT * FROM jobs WHERE true");
         which.and("id <", cursor);
@@ -194,10 +209,15 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn queued_jobs(&self, kind: &str, key_id: Option<&str>) -> Result<Queued, StoreError> {
+    pub async fn queued_jobs(
+        &self,
+        kind: &str,
+        key_id: Option<&str>,
+    ) -> Result<Queued, StoreError> {
         let sql = "SELECT count(*), coalesce(sum(CASE WHEN key_id IS NOT DISTINCT FROM $2 THEN 1 ELSE 0 END), 0) FROM jobs
                    WHERE kind = $1 AND state = 'queued'";
-        let (all, of_key): (i64, i64) = sqlx::query_as(sql).bind(kind).bind(key_id).fetch_one(&self.reader).await?;
+        let (all, of_key): (i64, i64) =
+            sqlx::query_as(sql).bind(kind).bind(key_id).fetch_one(&self.reader).await?;
         Ok(Queued { all: number(all)?, of_key: number(of_key)? })
     }
 
@@ -210,19 +230,24 @@ impl Store {
         Ok(number(sqlx::query_scalar(sql).bind(kind).bind(id).fetch_one(&self.reader).await?)?)
     }
 
-    /// How many jobs of a kind were done lately: those asked for within `lately` that have come to their end since then.
+    /// How many jobs of a kind were done lately: those asked for within `lately` that have come to
+    /// their end since then.
     ///
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn done_lately(&self, kind: &str, lately: Duration) -> Result<u32, StoreError> {
         let since = Timestamp::now().checked_sub(lately).unwrap_or(Timestamp::MIN);
         let sql = "SELECT count(*) FROM jobs WHERE kind = $1 AND state IN ('succeeded', 'failed') AND id >= $2 AND attempts > 0";
-        let done = sqlx::query_scalar(sql).bind(kind).bind(Self::first_id_at(since)).fetch_one(&self.reader);
+        let done = sqlx::query_scalar(sql)
+            .bind(kind)
+            .bind(Self::first_id_at(since))
+            .fetch_one(&self.reader);
         Ok(number(done.await?)?)
     }
 
-    /// Takes a queued job of a kind that is due: of the key whose last turn is longest ago, so that nobody waits behind all jobs of one
-    /// other; of that key the oldest. One UPDATE, so no two workers get the same. `None` also when somebody was faster.
+    /// Takes a queued job of a kind that is due: of the key whose last turn is longest ago, so that
+    /// nobody waits behind all jobs of one other; of that key the oldest. One UPDATE, so no two
+    /// workers get the same. `None` also when somebody was faster.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -256,11 +281,20 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::NotHeld`], [`StoreError::Database`].
-    pub async fn save_job_progress(&self, hold: &Hold, stage: &str, progress: f32) -> Result<bool, StoreError> {
-        let sql =
-            "UPDATE jobs SET stage = $1, progress = $2 WHERE id = $3 AND holder = $4 AND state = 'running' RETURNING cancel_requested";
-        let save = sqlx::query_scalar(sql).bind(stage).bind(progress).bind(&hold.job_id).bind(&hold.holder);
-        let wished: i64 = save.fetch_optional(self.writer.pool()).await?.ok_or(StoreError::NotHeld)?;
+    pub async fn save_job_progress(
+        &self,
+        hold: &Hold,
+        stage: &str,
+        progress: f32,
+    ) -> Result<bool, StoreError> {
+        let sql = "UPDATE jobs SET stage = $1, progress = $2 WHERE id = $3 AND holder = $4 AND state = 'running' RETURNING cancel_requested";
+        let save = sqlx::query_scalar(sql)
+            .bind(stage)
+            .bind(progress)
+            .bind(&hold.job_id)
+            .bind(&hold.holder);
+        let wished: i64 =
+            save.fetch_optional(self.writer.pool()).await?.ok_or(StoreError::NotHeld)?;
         Ok(wished != 0)
     }
 
@@ -283,7 +317,12 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn finish_open_job(&self, id: &str, state: JobState, error: Option<(&str, &str)>) -> Result<(), StoreError> {
+    pub async fn finish_open_job(
+        &self,
+        id: &str,
+        state: JobState,
+        error: Option<(&str, &str)>,
+    ) -> Result<(), StoreError> {
         self.end_job(id, None, state, None, error).await?;
         Ok(())
     }
@@ -322,7 +361,8 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn cancel_queued_job(&self, id: &str) -> Result<bool, StoreError> {
         let sql = "UPDATE jobs SET state = 'cancelled', finished_at = $1 WHERE id = $2 AND state = 'queued'";
-        Ok(sqlx::query(sql).bind(now()).bind(id).execute(self.writer.pool()).await?.rows_affected() > 0)
+        Ok(sqlx::query(sql).bind(now()).bind(id).execute(self.writer.pool()).await?.rows_affected()
+            > 0)
     }
 
     /// Jobs on a subject that are not over.
@@ -334,22 +374,34 @@ impl Store {
         Ok(sqlx::query_scalar(sql).bind(subject).fetch_all(&self.reader).await?)
     }
 
-    /// Puts a running job back: its process stops, another goes on. A planned stop does not count as an attempt.
+    /// Puts a running job back: its process stops, another goes on. A planned stop does not count
+    /// as an attempt.
     ///
     /// # Errors
     /// [`StoreError::NotHeld`], [`StoreError::Database`].
     pub async fn requeue_job(&self, hold: &Hold) -> Result<(), StoreError> {
         let sql = "UPDATE jobs SET state = 'queued', attempts = attempts - 1, started_at = NULL, stage = NULL, progress = 0
                    WHERE id = $1 AND holder = $2 AND state = 'running'";
-        let put_back = sqlx::query(sql).bind(&hold.job_id).bind(&hold.holder).execute(self.writer.pool()).await?;
+        let put_back = sqlx::query(sql)
+            .bind(&hold.job_id)
+            .bind(&hold.holder)
+            .execute(self.writer.pool())
+            .await?;
         if put_back.rows_affected() > 0 { Ok(()) } else { Err(StoreError::NotHeld) }
     }
 
-    /// Puts a running job back, to be tried again after a wait: it has failed so often in a row, and got so far.
+    /// Puts a running job back, to be tried again after a wait: it has failed so often in a row,
+    /// and got so far.
     ///
     /// # Errors
     /// [`StoreError::NotHeld`], [`StoreError::Database`].
-    pub async fn requeue_job_after(&self, hold: &Hold, wait: Duration, failures: u32, progress: f32) -> Result<(), StoreError> {
+    pub async fn requeue_job_after(
+        &self,
+        hold: &Hold,
+        wait: Duration,
+        failures: u32,
+        progress: f32,
+    ) -> Result<(), StoreError> {
         let sql = "UPDATE jobs SET state = 'queued', not_before = $1, failures = $2, furthest = CASE WHEN furthest < $3 THEN $3 ELSE furthest END,
                    started_at = NULL, stage = NULL, progress = 0 WHERE id = $4 AND holder = $5 AND state = 'running'";
         let put_back = sqlx::query(sql)
@@ -368,7 +420,8 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn request_cancel(&self, id: &str) -> Result<(), StoreError> {
-        let sql = "UPDATE jobs SET cancel_requested = 1 WHERE id = $1 AND state IN ('queued', 'running')";
+        let sql =
+            "UPDATE jobs SET cancel_requested = 1 WHERE id = $1 AND state IN ('queued', 'running')";
         sqlx::query(sql).bind(id).execute(self.writer.pool()).await?;
         Ok(())
     }
@@ -378,10 +431,11 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn is_cancel_requested(&self, id: &str) -> Result<bool, StoreError> {
-        let wished: Option<i64> = sqlx::query_scalar("SELECT cancel_requested FROM jobs WHERE id = $1")
-            .bind(id)
-            .fetch_optional(&self.reader)
-            .await?;
+        let wished: Option<i64> =
+            sqlx::query_scalar("SELECT cancel_requested FROM jobs WHERE id = $1")
+                .bind(id)
+                .fetch_optional(&self.reader)
+                .await?;
         Ok(wished.is_some_and(|wished| wished != 0))
     }
 
@@ -399,8 +453,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn jobs_without_scene(&self) -> Result<Vec<(String, String)>, StoreError> {
-        let sql =
-            "SELECT id, subject FROM jobs WHERE state IN ('queued', 'running') AND NOT EXISTS (SELECT 1 FROM scenes WHERE id = subject)";
+        let sql = "SELECT id, subject FROM jobs WHERE state IN ('queued', 'running') AND NOT EXISTS (SELECT 1 FROM scenes WHERE id = subject)";
         Ok(sqlx::query_as(sql).fetch_all(&self.reader).await?)
     }
 
@@ -412,8 +465,9 @@ impl Store {
         self.finish_open_job(id, JobState::Cancelled, None).await
     }
 
-    /// Jobs of a kind that were left running by members that are gone end as they were asked to, or go back to their queue. One that got
-    /// further than ever before starts to count anew; one that did not waits longer each time, and fails in the end: it may be what stops
+    /// Jobs of a kind that were left running by members that are gone end as they were asked to, or
+    /// go back to their queue. One that got further than ever before starts to count anew; one
+    /// that did not waits longer each time, and fails in the end: it may be what stops
     /// its process.
     ///
     /// # Errors
@@ -422,13 +476,18 @@ impl Store {
         const LEFT: &str = "kind = $1 AND state = 'running' AND (holder IS NULL OR holder NOT IN (SELECT id FROM members))";
         // Looked for among the readers first: where nobody is gone, nothing is written.
         let left = format!("SELECT count(*) FROM jobs WHERE {LEFT}");
-        let left: i64 = sqlx::query_scalar(sqlx::AssertSqlSafe(left)).bind(kind).fetch_one(&self.reader).await?;
+        let left: i64 = sqlx::query_scalar(sqlx::AssertSqlSafe(left))
+            .bind(kind)
+            .fetch_one(&self.reader)
+            .await?;
         if left == 0 {
             return Ok(());
         }
         let Recovery { give_up_after, at_once, wait } = recovery;
         let mut tx = self.writer.begin().await?;
-        let stop = format!("UPDATE jobs SET state = 'cancelled', finished_at = $2 WHERE {LEFT} AND cancel_requested = 1");
+        let stop = format!(
+            "UPDATE jobs SET state = 'cancelled', finished_at = $2 WHERE {LEFT} AND cancel_requested = 1"
+        );
         sqlx::query(sqlx::AssertSqlSafe(stop)).bind(kind).bind(now()).execute(&mut *tx).await?;
         let count = format!(
             "UPDATE jobs SET interruptions = CASE WHEN progress > furthest + 0.001 THEN 1 ELSE interruptions + 1 END,
@@ -447,12 +506,20 @@ impl Store {
             .execute(&mut *tx)
             .await?;
         for interruptions in at_once..give_up_after {
-            let due = after(wait.saturating_mul(1 << (interruptions - at_once).min(16)).min(LONGEST_WAIT / 2));
-            let sql = format!("UPDATE jobs SET not_before = $2 WHERE {LEFT} AND interruptions = $3");
-            let put_off = sqlx::query(sqlx::AssertSqlSafe(sql)).bind(kind).bind(due).bind(i64::from(interruptions));
+            let due = after(
+                wait.saturating_mul(1 << (interruptions - at_once).min(16)).min(LONGEST_WAIT / 2),
+            );
+            let sql =
+                format!("UPDATE jobs SET not_before = $2 WHERE {LEFT} AND interruptions = $3");
+            let put_off = sqlx::query(sqlx::AssertSqlSafe(sql))
+                .bind(kind)
+                .bind(due)
+                .bind(i64::from(interruptions));
             put_off.execute(&mut *tx).await?;
         }
-        let requeue = format!("UPDATE jobs SET state = 'queued', started_at = NULL, stage = NULL, progress = 0 WHERE {LEFT}");
+        let requeue = format!(
+            "UPDATE jobs SET state = 'queued', started_at = NULL, stage = NULL, progress = 0 WHERE {LEFT}"
+        );
         sqlx::query(sqlx::AssertSqlSafe(requeue)).bind(kind).execute(&mut *tx).await?;
         tx.commit().await
     }

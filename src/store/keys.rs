@@ -36,7 +36,10 @@ impl FromRow<'_, AnyRow> for KeyRow {
             hash: row.try_get("hash")?,
             scope: Scope::try_from(scope).map_err(|error| sqlx::Error::Decode(error.into()))?,
             expires_at: row.try_get("expires_at")?,
-            requests_per_minute: row.try_get::<Option<i64>, _>("requests_per_minute")?.map(number).transpose()?,
+            requests_per_minute: row
+                .try_get::<Option<i64>, _>("requests_per_minute")?
+                .map(number)
+                .transpose()?,
             max_scenes: row.try_get::<Option<i64>, _>("max_scenes")?.map(number).transpose()?,
             daily_usd: row.try_get("daily_usd")?,
             created_at: row.try_get("created_at")?,
@@ -49,7 +52,8 @@ impl FromRow<'_, AnyRow> for KeyRow {
 /// What a rate is told by, seconds.
 const MINUTE_S: f64 = 60.0;
 
-/// Writes audit entries. Holds connections to the database, and not the data folder: a task that has one does not keep the folder locked.
+/// Writes audit entries. Holds connections to the database, and not the data folder: a task that
+/// has one does not keep the folder locked.
 #[derive(Clone)]
 pub struct AuditWriter(Writer);
 
@@ -84,7 +88,8 @@ impl Store {
     pub async fn insert_key(&self, key: &KeyRow) -> Result<(), StoreError> {
         let sql = "INSERT INTO keys (id, name, prefix, hash, scope, expires_at, requests_per_minute, max_scenes, daily_usd, created_at)
                    VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10)";
-        // Not kept prepared: sqlx takes a number that is not there for a smaller type than one that is.
+        // Not kept prepared: sqlx takes a number that is not there for a smaller type than one that
+        // is.
         sqlx::query(sql)
             .persistent(false)
             .bind(&key.id)
@@ -119,7 +124,8 @@ impl Store {
         Ok(sqlx::query_as(sql).bind(cursor).bind(i64::from(limit)).fetch_all(&self.reader).await?)
     }
 
-    /// Has a key refused from now on; as it is then, or `None` where there is none. Who was first stays.
+    /// Has a key refused from now on; as it is then, or `None` where there is none. Who was first
+    /// stays.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -141,14 +147,20 @@ impl Store {
         Ok(())
     }
 
-    /// Counts a request of a key that may come so often a minute, whichever process is asked: seconds until all of that is there again (at
-    /// most 60), or, where it comes too often, until it may come once more.
+    /// Counts a request of a key that may come so often a minute, whichever process is asked:
+    /// seconds until all of that is there again (at most 60), or, where it comes too often,
+    /// until it may come once more.
     ///
-    /// Each request takes its share of a minute from what is there; a key that was quiet for a minute has all of it.
+    /// Each request takes its share of a minute from what is there; a key that was quiet for a
+    /// minute has all of it.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn count_request(&self, key_id: &str, per_minute: u32) -> Result<Result<f64, f64>, StoreError> {
+    pub async fn count_request(
+        &self,
+        key_id: &str,
+        per_minute: u32,
+    ) -> Result<Result<f64, f64>, StoreError> {
         let (clock, share) = (self.engine.clock(), MINUTE_S / f64::from(per_minute.max(1)));
         let sql = format!(
             "INSERT INTO key_rates (key_id, full_at) VALUES ($1, {clock} + $2)
@@ -156,12 +168,16 @@ impl Store {
              WHERE greatest(key_rates.full_at, {clock}) + $2 <= {clock} + $3 + 0.000001
              RETURNING full_at - {clock}"
         );
-        let taken = sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).bind(key_id).bind(share).bind(MINUTE_S);
+        let taken =
+            sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).bind(key_id).bind(share).bind(MINUTE_S);
         if let Some(until_full) = taken.fetch_optional(self.writer.pool()).await? {
             return Ok(Ok(until_full));
         }
         let sql = format!("SELECT full_at - {clock} FROM key_rates WHERE key_id = $1");
-        let until_full: Option<f64> = sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).bind(key_id).fetch_optional(self.writer.pool()).await?;
+        let until_full: Option<f64> = sqlx::query_scalar(sqlx::AssertSqlSafe(sql))
+            .bind(key_id)
+            .fetch_optional(self.writer.pool())
+            .await?;
         Ok(Err((until_full.unwrap_or(0.0) + share - MINUTE_S).max(0.0)))
     }
 
@@ -170,11 +186,12 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn spent_by_key(&self, key_id: &str, day: &str) -> Result<f64, StoreError> {
-        let usd: Option<f64> = sqlx::query_scalar("SELECT usd FROM key_spending WHERE key_id = $1 AND day = $2")
-            .bind(key_id)
-            .bind(day)
-            .fetch_optional(&self.reader)
-            .await?;
+        let usd: Option<f64> =
+            sqlx::query_scalar("SELECT usd FROM key_spending WHERE key_id = $1 AND day = $2")
+                .bind(key_id)
+                .bind(day)
+                .fetch_optional(&self.reader)
+                .await?;
         Ok(usd.unwrap_or(0.0))
     }
 
@@ -183,7 +200,8 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn scenes_of_key(&self, key_id: &str) -> Result<u32, StoreError> {
-        let scenes = sqlx::query_scalar("SELECT count(*) FROM scenes WHERE key_id = $1").bind(key_id);
+        let scenes =
+            sqlx::query_scalar("SELECT count(*) FROM scenes WHERE key_id = $1").bind(key_id);
         Ok(number(scenes.fetch_one(&self.reader).await?)?)
     }
 
@@ -197,9 +215,14 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn audit(&self, limit: u32, cursor: Option<&str>) -> Result<Vec<AuditEntry>, StoreError> {
+    pub async fn audit(
+        &self,
+        limit: u32,
+        cursor: Option<&str>,
+    ) -> Result<Vec<AuditEntry>, StoreError> {
         let sql = "SELECT * FROM audit WHERE $1 IS NULL OR id < $1 ORDER BY id DESC LIMIT $2";
-        let rows = sqlx::query(sql).bind(cursor).bind(i64::from(limit)).fetch_all(&self.reader).await?;
+        let rows =
+            sqlx::query(sql).bind(cursor).bind(i64::from(limit)).fetch_all(&self.reader).await?;
         let entry = |row: &AnyRow| {
             Ok(AuditEntry {
                 id: row.try_get("id")?,

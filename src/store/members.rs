@@ -1,9 +1,12 @@
-//! Who uses the store, and whose turn something is. SQLite's file belongs to one process: the lock of the data folder sees to that. A database
-//! of PostgreSQL's may have several members, on one machine or many.
+//! Who uses the store, and whose turn something is. SQLite's file belongs to one process: the lock
+//! of the data folder sees to that. A database of PostgreSQL's may have several members, on one
+//! machine or many.
 //!
-//! A member is a row that says when it was last seen, by the database's own clock, and a session that holds locks. One that is killed loses its
-//! session at once and is forgotten a few seconds later; one that hangs is forgotten, and its session ended, once it was not seen for a lease.
-//! What it was at work on is others' from then on: it finds itself forgotten before it can write anything down, and joins anew under another id.
+//! A member is a row that says when it was last seen, by the database's own clock, and a session
+//! that holds locks. One that is killed loses its session at once and is forgotten a few seconds
+//! later; one that hangs is forgotten, and its session ended, once it was not seen for a lease.
+//! What it was at work on is others' from then on: it finds itself forgotten before it can write
+//! anything down, and joins anew under another id.
 
 use super::StoreError;
 use super::database::{Engine, KEEPALIVES, Location};
@@ -24,13 +27,17 @@ use uuid::Uuid;
 
 /// What processes before may still need to be gone, for one that wants to be alone;
 const HANDOVER: Duration = Duration::from_secs(5);
-/// and what one that is alone may need, to clear up or to bring the schema up to date, before it lets others in.
+/// and what one that is alone may need, to clear up or to bring the schema up to date, before it
+/// lets others in.
 const CLEARING: Duration = Duration::from_mins(1);
-/// How often a member says that it is there. One whose session is gone and that has missed three of these is forgotten.
+/// How often a member says that it is there. One whose session is gone and that has missed three of
+/// these is forgotten.
 const BEAT: Duration = Duration::from_secs(2);
-/// How long those who have not left may need to be back after the database was away: a beat, and a try that came to nothing before.
+/// How long those who have not left may need to be back after the database was away: a beat, and a
+/// try that came to nothing before.
 const COMING_BACK: Duration = Duration::from_secs(8);
-/// Who waits for a turn looks so often at least. Who takes turns one after the other pauses for longer in between (`Beside::pause`).
+/// Who waits for a turn looks so often at least. Who takes turns one after the other pauses for
+/// longer in between (`Beside::pause`).
 const LONGEST_LOOK: Duration = Duration::from_millis(25);
 /// Longer than that the session's server is not waited for.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -82,36 +89,45 @@ pub struct Turn {
 }
 
 impl Turn {
-    /// Whether it still is: it goes with the session where the database was away, or this process was not seen for a lease. For those who keep
-    /// one for long.
+    /// Whether it still is: it goes with the session where the database was away, or this process
+    /// was not seen for a lease. For those who keep one for long.
     #[must_use]
     pub fn is_ours(&self) -> bool {
         self.shared.as_ref().is_none_or(|turn| turn.session.number.load(Relaxed) == turn.number)
     }
 }
 
-/// A lock of the database's. It goes when this does, also where whoever wanted it has left before he could be told.
+/// A lock of the database's. It goes when this does, also where whoever wanted it has left before
+/// he could be told.
 struct SharedTurn {
     session: Session,
     key: i64,
     number: u64,
-    /// Within this process. Nobody here has it before the others could: it is let go once the lock is.
+    /// Within this process. Nobody here has it before the others could: it is let go once the lock
+    /// is.
     local: Option<LocalTurn>,
 }
 
 /// The number of no connection: this member has left.
 const LEFT: u64 = u64::MAX;
 
-/// The lock that all members share, and that one who wants to be alone has for itself. The number is ours alone in this database.
+/// The lock that all members share, and that one who wants to be alone has for itself. The number
+/// is ours alone in this database.
 const MEMBERS: i64 = 7_313_053;
 
 impl Membership {
-    /// Joins those who use a database. Its row follows with [`enter`](Self::enter), once the schema is up to date.
+    /// Joins those who use a database. Its row follows with [`enter`](Self::enter), once the schema
+    /// is up to date.
     ///
     /// # Errors
     /// [`StoreError::DatabaseInUse`], or what the database says.
-    pub async fn join(location: &Location, company: Company, lease: Duration) -> Result<Self, StoreError> {
-        let (member, turns) = (Member { id: Arc::new(RwLock::new(new_id())), lease }, LocalTurns::default());
+    pub async fn join(
+        location: &Location,
+        company: Company,
+        lease: Duration,
+    ) -> Result<Self, StoreError> {
+        let (member, turns) =
+            (Member { id: Arc::new(RwLock::new(new_id())), lease }, LocalTurns::default());
         let Location::Postgres(url) = location else {
             return Ok(Self { member, turns, session: None, was_alone: true });
         };
@@ -131,7 +147,9 @@ impl Membership {
                 waited = true;
                 continue;
             }
-            if company == Company::Welcome && locked(&mut connection, "pg_try_advisory_lock_shared", MEMBERS).await? {
+            if company == Company::Welcome
+                && locked(&mut connection, "pg_try_advisory_lock_shared", MEMBERS).await?
+            {
                 break false;
             }
             let patience = if company == Company::Welcome { CLEARING } else { HANDOVER };
@@ -140,7 +158,11 @@ impl Membership {
             }
             sleep(HANDOVER / 50).await;
         };
-        let session = Session { options, held: Arc::new(Mutex::new(Some(connection))), number: Arc::default() };
+        let session = Session {
+            options,
+            held: Arc::new(Mutex::new(Some(connection))),
+            number: Arc::default(),
+        };
         Ok(Self { member, turns, session: Some(session), was_alone })
     }
 
@@ -150,7 +172,8 @@ impl Membership {
         if self.was_alone {
             sqlx::query("DELETE FROM members").execute(&mut *tx).await?;
         }
-        let sql = format!("INSERT INTO members (id, seen_at) VALUES ($1, {})", writer.engine().clock());
+        let sql =
+            format!("INSERT INTO members (id, seen_at) VALUES ($1, {})", writer.engine().clock());
         sqlx::query(sqlx::AssertSqlSafe(sql)).bind(&*self.id()).execute(&mut *tx).await?;
         tx.commit().await
     }
@@ -164,15 +187,16 @@ impl Membership {
             locked(connection, "pg_try_advisory_lock_shared", MEMBERS).await?;
             locked(connection, "pg_advisory_unlock", MEMBERS).await?;
         }
-        tokio::spawn(
-            self.member
-                .clone()
-                .stay(session.options.clone(), Arc::downgrade(&session.held), session.number.clone()),
-        );
+        tokio::spawn(self.member.clone().stay(
+            session.options.clone(),
+            Arc::downgrade(&session.held),
+            session.number.clone(),
+        ));
         Ok(())
     }
 
-    /// By which what this member is at work on is marked as its own. Another one once it was forgotten.
+    /// By which what this member is at work on is marked as its own. Another one once it was
+    /// forgotten.
     pub fn id(&self) -> Arc<str> {
         self.member.id()
     }
@@ -188,7 +212,9 @@ impl Membership {
     /// What the database says.
     pub async fn turn(&self, name: &str) -> Result<Turn, StoreError> {
         let local = self.turns.at(name).await;
-        let Some(session) = &self.session else { return Ok(Turn { _local: Some(local), shared: None }) };
+        let Some(session) = &self.session else {
+            return Ok(Turn { _local: Some(local), shared: None });
+        };
         let shared = session.clone().take(key_of(name), Waiting::AsLongAsItTakes).await?;
         Ok(Turn { _local: None, shared: shared.map(|shared| shared.with(local)) })
     }
@@ -199,7 +225,9 @@ impl Membership {
     /// What the database says.
     pub async fn try_turn(&self, name: &str) -> Result<Option<Turn>, StoreError> {
         let Some(local) = self.turns.try_at(name) else { return Ok(None) };
-        let Some(session) = &self.session else { return Ok(Some(Turn { _local: Some(local), shared: None })) };
+        let Some(session) = &self.session else {
+            return Ok(Some(Turn { _local: Some(local), shared: None }));
+        };
         let shared = session.clone().take(key_of(name), Waiting::NotAtAll).await?;
         Ok(shared.map(|shared| Turn { _local: None, shared: Some(shared.with(local)) }))
     }
@@ -211,7 +239,10 @@ impl Membership {
             let mut held = session.held.lock().await;
             session.number.store(LEFT, Relaxed);
             if let Some(mut connection) = held.take() {
-                let _ = sqlx::query("DELETE FROM members WHERE id = $1").bind(&*self.id()).execute(&mut connection).await;
+                let _ = sqlx::query("DELETE FROM members WHERE id = $1")
+                    .bind(&*self.id())
+                    .execute(&mut connection)
+                    .await;
                 let _ = connection.close().await;
             }
         };
@@ -225,8 +256,14 @@ impl Member {
         self.id.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Stays a member as long as somebody holds the session: is seen, forgets the gone, and comes back whenever the database was away.
-    async fn stay(self, options: AnyConnectOptions, held: Weak<Mutex<Option<AnyConnection>>>, number: Arc<AtomicU64>) {
+    /// Stays a member as long as somebody holds the session: is seen, forgets the gone, and comes
+    /// back whenever the database was away.
+    async fn stay(
+        self,
+        options: AnyConnectOptions,
+        held: Weak<Mutex<Option<AnyConnection>>>,
+        number: Arc<AtomicU64>,
+    ) {
         let (mut steady_since, mut beaten, mut wait) = (Instant::now(), Instant::now(), BEAT);
         loop {
             sleep(wait).await;
@@ -277,12 +314,19 @@ impl Member {
     /// Says that it is there; takes another id where it was forgotten.
     async fn beat(&self, connection: &mut AnyConnection) -> Result<(), StoreError> {
         let (clock, id) = (Engine::Postgres.clock(), self.id());
-        let sql = format!("UPDATE members SET seen_at = {clock}, session = pg_backend_pid() WHERE id = $1");
-        let seen = sqlx::query(sqlx::AssertSqlSafe(sql)).bind(&*id).execute(&mut *connection).await?;
+        let sql = format!(
+            "UPDATE members SET seen_at = {clock}, session = pg_backend_pid() WHERE id = $1"
+        );
+        let seen =
+            sqlx::query(sqlx::AssertSqlSafe(sql)).bind(&*id).execute(&mut *connection).await?;
         if seen.rows_affected() == 0 {
             let again = new_id();
-            tracing::error!("this process was not seen for longer than its lease: what it was at work on is others' now");
-            let sql = format!("INSERT INTO members (id, seen_at, session) VALUES ($1, {clock}, pg_backend_pid())");
+            tracing::error!(
+                "this process was not seen for longer than its lease: what it was at work on is others' now"
+            );
+            let sql = format!(
+                "INSERT INTO members (id, seen_at, session) VALUES ($1, {clock}, pg_backend_pid())"
+            );
             sqlx::query(sqlx::AssertSqlSafe(sql)).bind(&*again).execute(connection).await?;
             *self.id.write().unwrap_or_else(PoisonError::into_inner) = again;
         }
@@ -304,10 +348,16 @@ impl Member {
             .fetch_all(&mut *connection)
             .await?;
         for (id, session) in gone {
-            tracing::warn!(member = id, "a process that uses this database is gone: others go on with its work");
+            tracing::warn!(
+                member = id,
+                "a process that uses this database is gone: others go on with its work"
+            );
             // Its locks, which others may wait for, go with its session.
             let end = "SELECT count(pg_terminate_backend(pid)) FROM pg_stat_activity WHERE pid = $1 AND datname = current_database()";
-            sqlx::query(end).bind(i32::try_from(session).unwrap_or(0)).execute(&mut *connection).await?;
+            sqlx::query(end)
+                .bind(i32::try_from(session).unwrap_or(0))
+                .execute(&mut *connection)
+                .await?;
         }
         Ok(())
     }
@@ -319,7 +369,8 @@ enum Waiting {
 }
 
 impl Session {
-    /// A lock of the database's. In a task of its own: a caller that leaves in the middle leaves no connection in the middle.
+    /// A lock of the database's. In a task of its own: a caller that leaves in the middle leaves no
+    /// connection in the middle.
     async fn take(self, key: i64, waiting: Waiting) -> Result<Option<SharedTurn>, StoreError> {
         let wanted = CancellationToken::new();
         let _wants = wanted.clone().drop_guard();
@@ -347,9 +398,14 @@ impl Session {
         Ok((taken, number))
     }
 
-    /// Calls a function for locks. A connection that is lost or in the middle of something is of no use any more: a new one comes with the
-    /// next beat.
-    async fn call(&self, held: &mut Option<AnyConnection>, function: &'static str, key: i64) -> Result<bool, StoreError> {
+    /// Calls a function for locks. A connection that is lost or in the middle of something is of no
+    /// use any more: a new one comes with the next beat.
+    async fn call(
+        &self,
+        held: &mut Option<AnyConnection>,
+        function: &'static str,
+        key: i64,
+    ) -> Result<bool, StoreError> {
         let connection = held.as_mut().ok_or(sqlx::Error::PoolTimedOut)?;
         let called = timeout(PATIENCE, locked(connection, function, key)).await;
         let called = called.unwrap_or_else(|_| Err(sqlx::Error::PoolTimedOut.into()));
@@ -370,7 +426,8 @@ impl SharedTurn {
 
 impl Drop for SharedTurn {
     fn drop(&mut self) {
-        let (session, key, number, local) = (self.session.clone(), self.key, self.number, self.local.take());
+        let (session, key, number, local) =
+            (self.session.clone(), self.key, self.number, self.local.take());
         // Where the process ends, so does the session.
         let Ok(runtime) = tokio::runtime::Handle::try_current() else { return };
         runtime.spawn(async move {
@@ -392,11 +449,14 @@ async fn connect(options: &AnyConnectOptions) -> Result<AnyConnection, StoreErro
 
 /// Whether there is somebody who has not left. Before the first member there is no such table.
 async fn is_anybody_expected(connection: &mut AnyConnection) -> Result<bool, StoreError> {
-    let is_there: bool = sqlx::query_scalar("SELECT to_regclass('members') IS NOT NULL").fetch_one(&mut *connection).await?;
+    let is_there: bool = sqlx::query_scalar("SELECT to_regclass('members') IS NOT NULL")
+        .fetch_one(&mut *connection)
+        .await?;
     if !is_there {
         return Ok(false);
     }
-    let here: i64 = sqlx::query_scalar("SELECT count(*) FROM members").fetch_one(connection).await?;
+    let here: i64 =
+        sqlx::query_scalar("SELECT count(*) FROM members").fetch_one(connection).await?;
     Ok(here > 0)
 }
 
@@ -409,7 +469,11 @@ async fn connect_again(options: &AnyConnectOptions) -> Result<AnyConnection, Sto
 }
 
 /// Calls one of PostgreSQL's functions for advisory locks.
-async fn locked(connection: &mut AnyConnection, function: &'static str, key: i64) -> Result<bool, StoreError> {
+async fn locked(
+    connection: &mut AnyConnection,
+    function: &'static str,
+    key: i64,
+) -> Result<bool, StoreError> {
     let sql = format!("SELECT {function}($1)");
     Ok(sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).bind(key).fetch_one(connection).await?)
 }

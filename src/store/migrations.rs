@@ -4,14 +4,27 @@ use super::database::Engine;
 use sqlx::SqlSafeStr;
 use sqlx::migrate::{Migration, MigrationType, Migrator};
 
-/// What brings a database of SQLite's of any version up to date, in order. A file that has been released is never changed.
+/// What brings a database of SQLite's of any version up to date, in order. A file that has been
+/// released is never changed.
 pub(super) const MIGRATIONS: [(i64, &str, &str); 17] = [
-    (1, "scenes parses jobs answers", include_str!("../../migrations/sqlite/0001_scenes_parses_jobs_answers.sql")),
-    (2, "instance names spending", include_str!("../../migrations/sqlite/0002_instance_names_spending.sql")),
+    (
+        1,
+        "scenes parses jobs answers",
+        include_str!("../../migrations/sqlite/0001_scenes_parses_jobs_answers.sql"),
+    ),
+    (
+        2,
+        "instance names spending",
+        include_str!("../../migrations/sqlite/0002_instance_names_spending.sql"),
+    ),
     (3, "lanes records", include_str!("../../migrations/sqlite/0003_lanes_records.sql")),
     (4, "nothing lost", include_str!("../../migrations/sqlite/0004_nothing_lost.sql")),
     (5, "batches", include_str!("../../migrations/sqlite/0005_batches.sql")),
-    (6, "keys audit lists webhooks", include_str!("../../migrations/sqlite/0006_keys_audit_lists_webhooks.sql")),
+    (
+        6,
+        "keys audit lists webhooks",
+        include_str!("../../migrations/sqlite/0006_keys_audit_lists_webhooks.sql"),
+    ),
     (7, "superseded parses", include_str!("../../migrations/sqlite/0007_superseded_parses.sql")),
     (8, "name indexes", include_str!("../../migrations/sqlite/0008_name_indexes.sql")),
     (9, "corrections", include_str!("../../migrations/sqlite/0009_corrections.sql")),

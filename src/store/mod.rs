@@ -1,7 +1,9 @@
 //! The database and the blob folder. Typed functions; no SQL elsewhere.
 //!
-//! One transaction writes at a time; readers wait for nobody. Where it is in PostgreSQL, several processes may be at it (`members`). A scene points at the bytes it was uploaded as
-//! (`contents`) and at a finished parse of them (`parses`); both are shared by scenes with the same content and settings.
+//! One transaction writes at a time; readers wait for nobody. Where it is in PostgreSQL, several
+//! processes may be at it (`members`). A scene points at the bytes it was uploaded as (`contents`)
+//! and at a finished parse of them (`parses`); both are shared by scenes with the same content and
+//! settings.
 
 mod announcements;
 mod answers;
@@ -41,10 +43,12 @@ mod writer;
 
 pub use answers::{AnswerFilter, AnswerRow, NewAnswer};
 pub use backup::{BackedUp, BackupError, Restored, Source, Target, back_up, check, restore};
-pub use batches::{BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, ReceivedBatch, Resumed, Submitted};
+pub use batches::{
+    BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, ReceivedBatch, Resumed, Submitted,
+};
 pub use blobs::{
-    AccessKeys, Away, BlobHome, Blobs, BlobsAt, Bucket, Damage, GrowingFile, Kept, KeptCheckpoints, Links, Look, Measured, Prepared,
-    Scratch, size_of,
+    AccessKeys, Away, BlobHome, Blobs, BlobsAt, Bucket, Damage, GrowingFile, Kept, KeptCheckpoints,
+    Links, Look, Measured, Prepared, Scratch, size_of,
 };
 pub use corrections::NewCorrection;
 pub use database::{Location, PostgresUrl};
@@ -95,7 +99,9 @@ pub enum StoreError {
     Migration(#[from] sqlx::migrate::MigrateError),
     #[error("the blob folder failed")]
     Blobs(#[from] io::Error),
-    #[error("{scheme} is no database for this: \"sqlite\", the file in the data folder, or postgres://USER@HOST/DATABASE")]
+    #[error(
+        "{scheme} is no database for this: \"sqlite\", the file in the data folder, or postgres://USER@HOST/DATABASE"
+    )]
     UnknownDatabase { scheme: String },
     #[error("its rows are kept in {kept_in}: say so with --database (or UNIGROUND_DATABASE)")]
     OtherDatabase { kept_in: &'static str },
@@ -110,15 +116,21 @@ pub enum StoreError {
          the database's own backups (a copy of the rows first)"
     )]
     OnlyOfFolder { kept_in: String },
-    #[error("this data folder holds scans and parses of its own: an object store (--blobs) needs a folder without any, for its copies")]
+    #[error(
+        "this data folder holds scans and parses of its own: an object store (--blobs) needs a folder without any, for its copies"
+    )]
     BlobsHere,
     #[error(
         "this data folder, this database and this object store do not belong together: one of them is another server's (--data-dir, --database, --blobs)"
     )]
     NotTogether,
-    #[error("not everything that is being moved to it is there: run the same `uniground migrate` again, or choose another folder")]
+    #[error(
+        "not everything that is being moved to it is there: run the same `uniground migrate` again, or choose another folder"
+    )]
     HalfMoved,
-    #[error("another server uses this database: it can not be had for oneself, or somebody has it for himself")]
+    #[error(
+        "another server uses this database: it can not be had for oneself, or somebody has it for himself"
+    )]
     DatabaseInUse,
     /// The job was given to somebody else.
     #[error("this process was not seen for so long that its job was given to another")]
@@ -127,7 +139,9 @@ pub enum StoreError {
     NoVectors { why: String },
     #[error("another server uses this data folder")]
     InUse,
-    #[error("it holds other things ({found}) and is no data folder of uniground's: choose an empty one")]
+    #[error(
+        "it holds other things ({found}) and is no data folder of uniground's: choose an empty one"
+    )]
     NotOurs { found: String },
     #[error("{folder} is no data folder of uniground's")]
     NoDataFolder { folder: Utf8PathBuf },
@@ -144,7 +158,10 @@ impl StoreError {
     pub fn is_full(&self) -> bool {
         match self {
             // SQLITE_FULL, no room for the file readers share; disk_full.
-            Self::Database(error) | Self::Migration(MigrateError::Execute(error) | MigrateError::ExecuteMigration(error, _)) => {
+            Self::Database(error)
+            | Self::Migration(
+                MigrateError::Execute(error) | MigrateError::ExecuteMigration(error, _),
+            ) => {
                 matches!(code(error).as_deref(), Some("13" | "4874" | "53100"))
             }
             Self::Blobs(error) => is_disk_full(error),
@@ -153,11 +170,17 @@ impl StoreError {
         }
     }
 
-    /// Whether the database can not be had now, because somebody else holds it or its server is away: that may pass.
+    /// Whether the database can not be had now, because somebody else holds it or its server is
+    /// away: that may pass.
     #[must_use]
     pub fn is_busy(&self) -> bool {
         match self {
-            Self::Database(sqlx::Error::PoolTimedOut | sqlx::Error::PoolClosed | sqlx::Error::Io(_) | sqlx::Error::WorkerCrashed) => true,
+            Self::Database(
+                sqlx::Error::PoolTimedOut
+                | sqlx::Error::PoolClosed
+                | sqlx::Error::Io(_)
+                | sqlx::Error::WorkerCrashed,
+            ) => true,
             Self::Database(error) => code(error).is_some_and(|code| match code.parse::<i32>() {
                 // SQLITE_BUSY and SQLITE_LOCKED, whatever their extended code.
                 Ok(number) if code.len() < 5 => matches!(number & 0xff, 5 | 6),
@@ -173,7 +196,8 @@ impl StoreError {
     #[must_use]
     pub fn is_damaged(&self) -> bool {
         match self {
-            // SQLITE_CORRUPT and SQLITE_NOTADB, whatever their extended code; SQLITE_IOERR_SHORT_READ. PostgreSQL's codes have five characters.
+            // SQLITE_CORRUPT and SQLITE_NOTADB, whatever their extended code;
+            // SQLITE_IOERR_SHORT_READ. PostgreSQL's codes have five characters.
             Self::Database(error) => code(error).is_some_and(|code| {
                 let number = code.parse::<i32>().ok().filter(|_| code.len() < 5);
                 number.is_some_and(|number| matches!(number & 0xff, 11 | 26) || number == 522)
@@ -202,7 +226,10 @@ fn code(error: &sqlx::Error) -> Option<String> {
 /// Whether a file could not be written for want of room.
 #[must_use]
 pub fn is_disk_full(error: &io::Error) -> bool {
-    matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge)
+    matches!(
+        error.kind(),
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge
+    )
 }
 
 /// What an opened store does with what interrupted processes have left.
@@ -233,12 +260,17 @@ pub struct Store {
 }
 
 impl Store {
-    /// Opens or creates the store below `data_dir`, brings the schema up to date and clears what an interrupted run left. A database of
-    /// PostgreSQL's may be used by others too: then what they are at work on stays.
+    /// Opens or creates the store below `data_dir`, brings the schema up to date and clears what an
+    /// interrupted run left. A database of PostgreSQL's may be used by others too: then what
+    /// they are at work on stays.
     ///
     /// # Errors
     /// [`StoreError`] when the folder or the database can not be used.
-    pub async fn open(data_dir: &Utf8Path, location: &Location, home: &BlobHome) -> Result<Self, StoreError> {
+    pub async fn open(
+        data_dir: &Utf8Path,
+        location: &Location,
+        home: &BlobHome,
+    ) -> Result<Self, StoreError> {
         Self::open_with(data_dir, location, home, LEASE).await
     }
 
@@ -246,24 +278,53 @@ impl Store {
     ///
     /// # Errors
     /// As [`open`](Self::open).
-    pub async fn open_with(data_dir: &Utf8Path, location: &Location, home: &BlobHome, lease: Duration) -> Result<Self, StoreError> {
-        Self::open_for(data_dir, location, (home, Files::Used), Company::Welcome, Leftovers::Clear { lease }).await
+    pub async fn open_with(
+        data_dir: &Utf8Path,
+        location: &Location,
+        home: &BlobHome,
+        lease: Duration,
+    ) -> Result<Self, StoreError> {
+        Self::open_for(
+            data_dir,
+            location,
+            (home, Files::Used),
+            Company::Welcome,
+            Leftovers::Clear { lease },
+        )
+        .await
     }
 
-    /// Opens the store beside whoever uses it, as far as its database allows, and leaves everything where it is: for its rows alone.
+    /// Opens the store beside whoever uses it, as far as its database allows, and leaves everything
+    /// where it is: for its rows alone.
     ///
     /// # Errors
     /// As [`open`](Self::open).
-    pub async fn open_beside(data_dir: &Utf8Path, location: &Location, home: &BlobHome) -> Result<Self, StoreError> {
-        Self::open_for(data_dir, location, (home, Files::Untouched), Company::Welcome, Leftovers::Keep).await
+    pub async fn open_beside(
+        data_dir: &Utf8Path,
+        location: &Location,
+        home: &BlobHome,
+    ) -> Result<Self, StoreError> {
+        Self::open_for(
+            data_dir,
+            location,
+            (home, Files::Untouched),
+            Company::Welcome,
+            Leftovers::Keep,
+        )
+        .await
     }
 
     /// Opens the store for nobody else and leaves everything where it is.
     ///
     /// # Errors
     /// As [`open`](Self::open).
-    pub async fn open_as_it_is(data_dir: &Utf8Path, location: &Location, home: &BlobHome) -> Result<Self, StoreError> {
-        Self::open_for(data_dir, location, (home, Files::Used), Company::None, Leftovers::Keep).await
+    pub async fn open_as_it_is(
+        data_dir: &Utf8Path,
+        location: &Location,
+        home: &BlobHome,
+    ) -> Result<Self, StoreError> {
+        Self::open_for(data_dir, location, (home, Files::Used), Company::None, Leftovers::Keep)
+            .await
     }
 
     /// On a full disk the room for it comes from the reserve.
@@ -315,7 +376,8 @@ impl Store {
         };
         let (reader, writer) = (connections.reader.clone(), connections.writer.clone());
         let opened = async {
-            let store = Self { server, ..Self::connect(connections, folder, blobs, members).await? };
+            let store =
+                Self { server, ..Self::connect(connections, folder, blobs, members).await? };
             if let Leftovers::Clear { .. } = leftovers {
                 store.clear_leftovers().await?;
             }
@@ -323,14 +385,16 @@ impl Store {
         };
         let opened = opened.await;
         if opened.is_err() {
-            // Before another try: what a connection holds is the room and the lock that the next one needs.
+            // Before another try: what a connection holds is the room and the lock that the next
+            // one needs.
             reader.close().await;
             writer.close().await;
         }
         opened
     }
 
-    /// Clears what interrupted processes have left, and lets others in. Deleting needs room: on a full disk that of the reserve.
+    /// Clears what interrupted processes have left, and lets others in. Deleting needs room: on a
+    /// full disk that of the reserve.
     async fn clear_leftovers(&self) -> Result<(), StoreError> {
         if let Some(full) = self.recover().await
             && reserve::make_room_to_open(self.folder.path(), &full)
@@ -340,7 +404,8 @@ impl Store {
         self.members.let_others_in().await
     }
 
-    /// Waits for the turn at something, by its name: nobody else has it meanwhile, in this process or in another.
+    /// Waits for the turn at something, by its name: nobody else has it meanwhile, in this process
+    /// or in another.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -372,13 +437,22 @@ impl Store {
     ///
     /// # Errors
     /// As [`open`](Self::open); [`StoreError::NoDataFolder`].
-    pub async fn open_known(data_dir: &Utf8Path, location: &Location, home: &BlobHome) -> Result<Self, StoreError> {
+    pub async fn open_known(
+        data_dir: &Utf8Path,
+        location: &Location,
+        home: &BlobHome,
+    ) -> Result<Self, StoreError> {
         DataFolder::identity(data_dir)?;
         Self::open_as_it_is(data_dir, location, home).await
     }
 
     /// A store over a database, which is brought up to date.
-    async fn connect(connections: Connections, folder: DataFolder, blobs: Blobs, members: Membership) -> Result<Self, StoreError> {
+    async fn connect(
+        connections: Connections,
+        folder: DataFolder,
+        blobs: Blobs,
+        members: Membership,
+    ) -> Result<Self, StoreError> {
         let Connections { engine, reader, writer } = connections;
         migrations(engine).run(&writer).await?;
         let writer = Writer::new(writer, engine);
@@ -390,28 +464,46 @@ impl Store {
         let newest: Option<String> = sqlx::query_scalar(newest).fetch_one(&reader).await?;
         let answers = AnswerQueue::start(writer.clone());
         let ids = Ids::after(newest.as_deref());
-        let store = Self { reader, writer, engine, answers, ids, blobs, folder, members, server: None, _copy: None };
+        let store = Self {
+            reader,
+            writer,
+            engine,
+            answers,
+            ids,
+            blobs,
+            folder,
+            members,
+            server: None,
+            _copy: None,
+        };
         store.introduce().await?;
         store.members.enter(&store.writer).await?;
         Ok(store)
     }
 
-    /// Lets the database and where files are kept know each other: the data folder, or an object store. A file that is new here, or comes from
-    /// another folder, has no say over files that are older than that.
+    /// Lets the database and where files are kept know each other: the data folder, or an object
+    /// store. A file that is new here, or comes from another folder, has no say over files that
+    /// are older than that.
     async fn introduce(&self) -> Result<(), StoreError> {
-        let known: Option<String> = sqlx::query_scalar("SELECT id FROM data_folder").fetch_optional(&self.reader).await?;
+        let known: Option<String> =
+            sqlx::query_scalar("SELECT id FROM data_folder").fetch_optional(&self.reader).await?;
         let id = self.blobs.id().unwrap_or(&self.folder.id);
         if known.as_deref() == Some(id) {
             return Ok(());
         }
-        // A file lies in its folder. A server's database may be named with any folder: of two that do not know each other, one is wrong.
+        // A file lies in its folder. A server's database may be named with any folder: of two that
+        // do not know each other, one is wrong.
         if self.engine == Engine::Postgres && (known.is_some() || self.blobs.hold_scans().await?) {
             return Err(StoreError::NotTogether);
         }
         let mut tx = self.writer.begin().await?;
         sqlx::query("DELETE FROM data_folder").execute(&mut *tx).await?;
         // A database of before folders had ids has known its own since its first scan.
-        let since = if known.is_none() { "coalesce((SELECT min(created_at) FROM contents), $2)" } else { "$2" };
+        let since = if known.is_none() {
+            "coalesce((SELECT min(created_at) FROM contents), $2)"
+        } else {
+            "$2"
+        };
         let sql = format!("INSERT INTO data_folder (id, since) VALUES ($1, {since})");
         sqlx::query(sqlx::AssertSqlSafe(sql)).bind(id).bind(now()).execute(&mut *tx).await?;
         tx.commit().await
@@ -438,7 +530,8 @@ impl Store {
     }
 }
 
-/// Rows of a page of which one more was asked for than it has, and the id to go on after, where there is more.
+/// Rows of a page of which one more was asked for than it has, and the id to go on after, where
+/// there is more.
 #[must_use]
 pub fn page<T>(mut rows: Vec<T>, limit: u32, id: impl Fn(&T) -> &str) -> (Vec<T>, Option<String>) {
     let more = rows.len() > limit as usize;

@@ -1,5 +1,5 @@
-//! What other members have done that somebody here waits for, as PostgreSQL tells it. Whoever waits looks by himself now and then as well:
-//! news may be missed.
+//! What other members have done that somebody here waits for, as PostgreSQL tells it. Whoever waits
+//! looks by himself now and then as well: news may be missed.
 
 use super::{Store, StoreError};
 use sqlx::postgres::PgListener;

@@ -1,6 +1,7 @@
-//! What lies in the object store and no row speaks of: folders whose scene is gone, or whose writer ended before its row came, and editions
-//! that were never sealed. Never on the word of a database that is empty or younger, nor of what is young: whoever publishes has half of
-//! that time, and is refused after it.
+//! What lies in the object store and no row speaks of: folders whose scene is gone, or whose writer
+//! ended before its row came, and editions that were never sealed. Never on the word of a database
+//! that is empty or younger, nor of what is young: whoever publishes has half of that time, and is
+//! refused after it.
 
 use super::blobs::KINDS;
 use super::blobs::objects::{FolderName, Found, Seal, edition_of};
@@ -37,22 +38,31 @@ impl Store {
         if knows_nothing {
             return Ok(orphans);
         }
-        let is_judged = |put: SystemTime| since.is_some_and(|since| put >= since) && put.elapsed().unwrap_or_default() > objects.grace;
+        let is_judged = |put: SystemTime| {
+            since.is_some_and(|since| put >= since)
+                && put.elapsed().unwrap_or_default() > objects.grace
+        };
         for kind in KINDS {
             let mut found = objects.folders(kind).await?;
             for name in self.unknown(kind, found.keys().cloned().collect()).await? {
                 if let Some(found) = found.remove(&name).filter(|found| is_judged(found.newest())) {
-                    orphans.push(Orphan { folder: FolderName { kind, name }, edition: None, found });
+                    orphans.push(Orphan {
+                        folder: FolderName { kind, name },
+                        edition: None,
+                        found,
+                    });
                 }
             }
             // Of folders that are somebody's: what lost a race, or was replaced.
-            for (name, found) in found.into_iter().filter(|(_, found)| found.sealed.is_some() && found.editions.len() > 1) {
+            for (name, found) in found
+                .into_iter()
+                .filter(|(_, found)| found.sealed.is_some() && found.editions.len() > 1)
+            {
                 let folder = FolderName { kind, name };
                 let Some(seal) = objects.seal(&folder).await? else { continue };
-                let others = found
-                    .editions
-                    .iter()
-                    .filter(|(edition, put)| edition_of(&seal.text) != Some(edition) && is_judged(**put));
+                let others = found.editions.iter().filter(|(edition, put)| {
+                    edition_of(&seal.text) != Some(edition) && is_judged(**put)
+                });
                 let others: Vec<String> = others.map(|(edition, _)| edition.clone()).collect();
                 orphans.extend(others.into_iter().map(|edition| Orphan {
                     folder: folder.clone(),
@@ -64,11 +74,15 @@ impl Store {
         Ok(orphans)
     }
 
-    /// Removes one, if it still is one; whether it was. Whoever calls lets nobody refer to it meanwhile.
+    /// Removes one, if it still is one; whether it was. Whoever calls lets nobody refer to it
+    /// meanwhile.
     ///
     /// # Errors
     /// [`StoreError`].
-    pub async fn remove_orphan(&self, Orphan { folder, edition, found }: &Orphan) -> Result<bool, StoreError> {
+    pub async fn remove_orphan(
+        &self,
+        Orphan { folder, edition, found }: &Orphan,
+    ) -> Result<bool, StoreError> {
         let Some(objects) = self.blobs.objects() else { return Ok(false) };
         if let Some(edition) = edition {
             objects.nobodys(folder, edition).remove().await?;

@@ -51,7 +51,13 @@ impl ParseRow {
     /// What the row says, as far as this version can read it.
     #[must_use]
     pub fn record(&self) -> ParseRecord {
-        ParseRecord::read(&self.settings, &self.models, &self.import_report, &self.parse_report, &self.extent)
+        ParseRecord::read(
+            &self.settings,
+            &self.models,
+            &self.import_report,
+            &self.parse_report,
+            &self.extent,
+        )
     }
 }
 
@@ -73,13 +79,26 @@ pub struct NewParse<'a> {
 }
 
 impl Store {
-    /// Records a parse and its instances as one. `false` when the same content and settings were recorded before, or the
-    /// content is gone because its last scene was deleted meanwhile: then nothing is written.
+    /// Records a parse and its instances as one. `false` when the same content and settings were
+    /// recorded before, or the content is gone because its last scene was deleted meanwhile:
+    /// then nothing is written.
     ///
     /// # Errors
     /// [`StoreError`]; [`StoreError::NotHeld`] where its job was given to somebody else.
     pub async fn insert_parse(&self, parse: NewParse<'_>) -> Result<bool, StoreError> {
-        let NewParse { id, content_hash, settings_hash, settings, models, import, report, extent, instances, continued, hold } = &parse;
+        let NewParse {
+            id,
+            content_hash,
+            settings_hash,
+            settings,
+            models,
+            import,
+            report,
+            extent,
+            instances,
+            continued,
+            hold,
+        } = &parse;
         let mut tx = self.writer.begin().await?;
         hold.check(&mut tx).await?;
         let inserted = sqlx::query(
@@ -117,10 +136,14 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn parse(&self, id: &str) -> Result<Option<ParseRow>, StoreError> {
-        Ok(sqlx::query_as("SELECT * FROM parses WHERE id = $1").bind(id).fetch_optional(&self.reader).await?)
+        Ok(sqlx::query_as("SELECT * FROM parses WHERE id = $1")
+            .bind(id)
+            .fetch_optional(&self.reader)
+            .await?)
     }
 
-    /// How often what is known of a parse has changed since it was made: names, corrections, what was found. `None` when it is gone.
+    /// How often what is known of a parse has changed since it was made: names, corrections, what
+    /// was found. `None` when it is gone.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -135,9 +158,17 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn parse_of(&self, content_hash: &str, settings_hash: &str) -> Result<Option<ParseRow>, StoreError> {
+    pub async fn parse_of(
+        &self,
+        content_hash: &str,
+        settings_hash: &str,
+    ) -> Result<Option<ParseRow>, StoreError> {
         let sql = "SELECT * FROM parses WHERE content_hash = $1 AND settings_hash = $2";
-        Ok(sqlx::query_as(sql).bind(content_hash).bind(settings_hash).fetch_optional(&self.reader).await?)
+        Ok(sqlx::query_as(sql)
+            .bind(content_hash)
+            .bind(settings_hash)
+            .fetch_optional(&self.reader)
+            .await?)
     }
 
     /// All parses, in order of time.
@@ -148,15 +179,15 @@ impl Store {
         Ok(sqlx::query_as("SELECT * FROM parses ORDER BY id").fetch_all(&self.reader).await?)
     }
 
-    /// A parse whose files are lost or damaged is not given to anybody any more, so that the next parse of the same content is made anew.
-    /// Answers and scenes keep what they have until then. The scenes that are to be parsed again come back, with the settings.
+    /// A parse whose files are lost or damaged is not given to anybody any more, so that the next
+    /// parse of the same content is made anew. Answers and scenes keep what they have until
+    /// then. The scenes that are to be parsed again come back, with the settings.
     ///
     /// # Errors
     /// [`StoreError`].
     pub async fn retire_parse(&self, id: &str) -> Result<Vec<SceneRow>, StoreError> {
         let mut tx = self.writer.begin().await?;
-        let sql =
-            "UPDATE parses SET settings_hash = settings_hash || ':retired:' || id WHERE id = $1 AND settings_hash NOT LIKE '%:retired:%'";
+        let sql = "UPDATE parses SET settings_hash = settings_hash || ':retired:' || id WHERE id = $1 AND settings_hash NOT LIKE '%:retired:%'";
         let retired = sqlx::query(sql).bind(id).execute(&mut *tx).await?.rows_affected() > 0;
         let scenes = sqlx::query_as("SELECT * FROM scenes WHERE parse_id = $1 ORDER BY id")
             .bind(id)
@@ -172,23 +203,34 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn instances(&self, parse_id: &str) -> Result<Vec<Instance>, StoreError> {
-        let bodies: Vec<String> = sqlx::query_scalar("SELECT body FROM instances WHERE parse_id = $1 ORDER BY id")
-            .bind(parse_id)
-            .fetch_all(&self.reader)
-            .await?;
+        let bodies: Vec<String> =
+            sqlx::query_scalar("SELECT body FROM instances WHERE parse_id = $1 ORDER BY id")
+                .bind(parse_id)
+                .fetch_all(&self.reader)
+                .await?;
         bodies.iter().map(|body| Ok(serde_json::from_str::<InstanceRecord>(body)?.into())).collect()
     }
 
-    /// Adds an instance that was found for a question, behind all others, and answers its id: that of the same thing where it was found
-    /// before. `None` when the parse is gone or no scene's any more, or has `most` of them already.
+    /// Adds an instance that was found for a question, behind all others, and answers its id: that
+    /// of the same thing where it was found before. `None` when the parse is gone or no scene's
+    /// any more, or has `most` of them already.
     ///
     /// # Errors
     /// [`StoreError`].
-    pub async fn insert_found(&self, parse_id: &str, found: &Instance, most: usize) -> Result<Option<InstanceId>, StoreError> {
+    pub async fn insert_found(
+        &self,
+        parse_id: &str,
+        found: &Instance,
+        most: usize,
+    ) -> Result<Option<InstanceId>, StoreError> {
         let mut tx = self.writer.begin().await?;
         let is_found = self.engine.has_field("body", "found_for");
-        let before = format!("SELECT body FROM instances WHERE parse_id = $1 AND {is_found} ORDER BY id");
-        let before: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(before)).bind(parse_id).fetch_all(&mut *tx).await?;
+        let before =
+            format!("SELECT body FROM instances WHERE parse_id = $1 AND {is_found} ORDER BY id");
+        let before: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(before))
+            .bind(parse_id)
+            .fetch_all(&mut *tx)
+            .await?;
         let before: Vec<Instance> = before
             .iter()
             .map(|body| Ok(serde_json::from_str::<InstanceRecord>(body)?.into()))
@@ -197,7 +239,8 @@ impl Store {
         let last: Option<i64> = sqlx::query_scalar(last).bind(parse_id).fetch_one(&mut *tx).await?;
         let last: Option<u32> = last.map(number).transpose()?;
         let (known, full) = (known_as(&before, found).map(|known| known.id), before.len() >= most);
-        let Some(id) = last.map(|last| InstanceId(last + 1)).filter(|_| known.is_none() && !full) else {
+        let Some(id) = last.map(|last| InstanceId(last + 1)).filter(|_| known.is_none() && !full)
+        else {
             tx.forget().await?;
             return Ok(known);
         };
@@ -217,9 +260,14 @@ pub(super) async fn note_change(tx: &mut AnyConnection, parse_id: &str) -> Resul
     Ok(())
 }
 
-/// A parse that is made anew because files of the one before were damaged takes over what people and models have said of that one, and what was
-/// found since: the same scan under the same settings has the same instances.
-async fn inherit(tx: &mut AnyConnection, new: &NewParse<'_>, instances: usize) -> Result<(), StoreError> {
+/// A parse that is made anew because files of the one before were damaged takes over what people
+/// and models have said of that one, and what was found since: the same scan under the same
+/// settings has the same instances.
+async fn inherit(
+    tx: &mut AnyConnection,
+    new: &NewParse<'_>,
+    instances: usize,
+) -> Result<(), StoreError> {
     let retired = "SELECT id FROM parses WHERE content_hash = $1 AND settings_hash LIKE $2 || ':retired:%' ORDER BY id DESC LIMIT 1";
     let retired: Option<String> = sqlx::query_scalar(retired)
         .bind(new.content_hash)
@@ -228,9 +276,14 @@ async fn inherit(tx: &mut AnyConnection, new: &NewParse<'_>, instances: usize) -
         .await?;
     let Some(retired) = retired else { return Ok(()) };
     let same = "SELECT count(*) FROM instances AS old JOIN instances AS new USING (id, body) WHERE old.parse_id = $1 AND new.parse_id = $2";
-    let same: i64 = sqlx::query_scalar(same).bind(&retired).bind(new.id).fetch_one(&mut *tx).await?;
+    let same: i64 =
+        sqlx::query_scalar(same).bind(&retired).bind(new.id).fetch_one(&mut *tx).await?;
     if same != instances as i64 {
-        tracing::warn!(parse_id = new.id, retired, "a parse made anew has other instances: corrections and names stay behind");
+        tracing::warn!(
+            parse_id = new.id,
+            retired,
+            "a parse made anew has other instances: corrections and names stay behind"
+        );
         return Ok(());
     }
     for sql in [
@@ -248,13 +301,19 @@ async fn inherit(tx: &mut AnyConnection, new: &NewParse<'_>, instances: usize) -
 }
 
 /// Writes one instance of a parse.
-pub(super) async fn insert_instance(tx: &mut AnyConnection, parse_id: &str, instance: &Instance) -> Result<(), StoreError> {
-    sqlx::query("INSERT INTO instances (parse_id, id, body, record_version) VALUES ($1, $2, $3, $4)")
-        .bind(parse_id)
-        .bind(i64::from(instance.id.0))
-        .bind(serde_json::to_string(&InstanceRecord::from(instance))?)
-        .bind(i64::from(RECORD_VERSION))
-        .execute(tx)
-        .await?;
+pub(super) async fn insert_instance(
+    tx: &mut AnyConnection,
+    parse_id: &str,
+    instance: &Instance,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "INSERT INTO instances (parse_id, id, body, record_version) VALUES ($1, $2, $3, $4)",
+    )
+    .bind(parse_id)
+    .bind(i64::from(instance.id.0))
+    .bind(serde_json::to_string(&InstanceRecord::from(instance))?)
+    .bind(i64::from(RECORD_VERSION))
+    .execute(tx)
+    .await?;
     Ok(())
 }

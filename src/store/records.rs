@@ -1,8 +1,10 @@
-//! What rows hold as JSON: types of the store's own, so that neither the API nor the pipelines can make yesterday's data unreadable.
+//! What rows hold as JSON: types of the store's own, so that neither the API nor the pipelines can
+//! make yesterday's data unreadable.
 //!
-//! Written strictly, in the current version, which stands beside the JSON in `record_version`. Read leniently, whatever the version: fields
-//! nobody knows are passed over, fields that are missing get a value that says so, and what can not be made sense of is left out rather
-//! than taking its scene along. A field that changes its meaning raises the version, and reading looks at it.
+//! Written strictly, in the current version, which stands beside the JSON in `record_version`. Read
+//! leniently, whatever the version: fields nobody knows are passed over, fields that are missing
+//! get a value that says so, and what can not be made sense of is left out rather than taking its
+//! scene along. A field that changes its meaning raises the version, and reading looks at it.
 
 mod instance;
 mod settings;
@@ -32,9 +34,16 @@ pub struct ParseRecord {
 
 impl ParseRecord {
     /// Reads the columns of a row.
-    pub(super) fn read(settings: &str, models: &str, import: &str, report: &str, extent: &str) -> Self {
+    pub(super) fn read(
+        settings: &str,
+        models: &str,
+        import: &str,
+        report: &str,
+        extent: &str,
+    ) -> Self {
         let models: Value = value(models);
-        let name = |key: &str| models.get(key).and_then(Value::as_str).unwrap_or("unknown").to_owned();
+        let name =
+            |key: &str| models.get(key).and_then(Value::as_str).unwrap_or("unknown").to_owned();
         Self {
             settings: settings::read(value(settings)),
             models: ParseModels { masks: name("masks"), encoder: name("encoder") },
@@ -51,7 +60,9 @@ fn value(text: &str) -> Value {
 
 pub(super) fn read_or_none<T: DeserializeOwned>(what: &str, text: &str) -> Option<T> {
     serde_json::from_str(text)
-        .inspect_err(|error| tracing::warn!(what, %error, "a stored record of another version is left out"))
+        .inspect_err(
+            |error| tracing::warn!(what, %error, "a stored record of another version is left out"),
+        )
         .ok()
 }
 
@@ -68,10 +79,24 @@ mod tests {
             r#"{"points": 1, "frames_used": 2, "superpoints": 3, "instances": 4, "structural": 0, "without_views": 0, "stages": [], "warnings": [], "more": true}"#,
             r#"{"center": [1, 2, 3], "size": [4, 5, 6]}"#,
         );
-        assert_eq!((record.settings.parsing.superpoints.voxel_m, record.settings.parsing.part_merging.enabled), (0.07, false));
-        assert_eq!(record.settings.parsing.depth_tolerance, ParseSettings::default().parsing.depth_tolerance);
-        assert_eq!((record.models.masks.as_str(), record.models.encoder.as_str()), ("rgbd-9", "unknown"));
-        assert!(record.import.is_none() && record.report.is_some_and(|report| report.instances == 4));
+        assert_eq!(
+            (
+                record.settings.parsing.superpoints.voxel_m,
+                record.settings.parsing.part_merging.enabled
+            ),
+            (0.07, false)
+        );
+        assert_eq!(
+            record.settings.parsing.depth_tolerance,
+            ParseSettings::default().parsing.depth_tolerance
+        );
+        assert_eq!(
+            (record.models.masks.as_str(), record.models.encoder.as_str()),
+            ("rgbd-9", "unknown")
+        );
+        assert!(
+            record.import.is_none() && record.report.is_some_and(|report| report.instances == 4)
+        );
         assert_eq!(record.extent.unwrap().size.z, 6.0);
     }
 }

@@ -1,7 +1,7 @@
 //! Recovery at start: clears what an interrupted run left behind.
 //!
-//! Every step stands for itself. A step that fails is logged and its rows and files are kept, so that recovery never keeps a server from
-//! starting.
+//! Every step stands for itself. A step that fails is logged and its rows and files are kept, so
+//! that recovery never keeps a server from starting.
 
 use super::growth::OUTGROWN;
 use super::{Store, StoreError};
@@ -12,8 +12,9 @@ use std::time::Duration;
 const IN_USE: Duration = Duration::from_hours(24);
 
 impl Store {
-    /// Clears what interrupted processes left. While no other process uses the store also unused rows, folders without rows and unfinished
-    /// uploads. Returns the error of a step that failed because the disk is full.
+    /// Clears what interrupted processes left. While no other process uses the store also unused
+    /// rows, folders without rows and unfinished uploads. Returns the error of a step that
+    /// failed because the disk is full.
     pub(super) async fn recover(&self) -> Option<StoreError> {
         let interrupted = self.end_interrupted_work().await;
         if !self.members.was_alone {
@@ -36,9 +37,13 @@ impl Store {
         logged("remove temporary files", self.remove_temporary(IN_USE));
     }
 
-    /// Ends what crashed processes were in the middle of: batches being received, and money reserved for calls of a model.
+    /// Ends what crashed processes were in the middle of: batches being received, and money
+    /// reserved for calls of a model.
     async fn end_interrupted_work(&self) -> Option<StoreError> {
-        let received = logged("remove batches that were not received completely", self.forget_half_received_batches().await);
+        let received = logged(
+            "remove batches that were not received completely",
+            self.forget_half_received_batches().await,
+        );
         let settled = logged("settle reserved spending", self.settle_what_was_left().await);
         received.or(settled)
     }
@@ -49,17 +54,20 @@ impl Store {
         Ok(())
     }
 
-    /// Removes parses and scans that no scene and no answer refers to, all of them or none: the loser of two uploads under one idempotency
-    /// key, the parse that a scene had before it grew.
+    /// Removes parses and scans that no scene and no answer refers to, all of them or none: the
+    /// loser of two uploads under one idempotency key, the parse that a scene had before it
+    /// grew.
     async fn remove_unused_rows(&self) -> Result<(), StoreError> {
         let mut tx = self.writer.begin().await?;
-        // A scene that has grown names the parse of its earlier content until the new one is finished.
+        // A scene that has grown names the parse of its earlier content until the new one is
+        // finished.
         let parses = "DELETE FROM parses
                       WHERE NOT EXISTS (SELECT 1 FROM scenes WHERE scenes.content_hash = parses.content_hash OR scenes.parse_id = parses.id)
                       AND NOT EXISTS (SELECT 1 FROM answers WHERE answers.parse_id = parses.id)";
         sqlx::query(parses).execute(&mut *tx).await?;
         let unused = format!("SELECT hash FROM contents WHERE {OUTGROWN}");
-        let unused: Vec<String> = sqlx::query_scalar(AssertSqlSafe(unused)).fetch_all(&mut *tx).await?;
+        let unused: Vec<String> =
+            sqlx::query_scalar(AssertSqlSafe(unused)).fetch_all(&mut *tx).await?;
         for hash in unused {
             self.remove_outgrown_row(&mut tx, &hash).await?;
         }
@@ -67,9 +75,14 @@ impl Store {
     }
 }
 
-/// Logs the error of a step. Returns it where the disk is full: the step may succeed when there is room.
+/// Logs the error of a step. Returns it where the disk is full: the step may succeed when there is
+/// room.
 fn logged<T>(step: &'static str, outcome: Result<T, StoreError>) -> Option<StoreError> {
     let error = outcome.err()?;
-    tracing::error!(step, error = &error as &dyn std::error::Error, "recovery step failed; its rows and files are kept");
+    tracing::error!(
+        step,
+        error = &error as &dyn std::error::Error,
+        "recovery step failed; its rows and files are kept"
+    );
     error.is_full().then_some(error)
 }

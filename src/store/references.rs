@@ -1,4 +1,5 @@
-//! Foreign keys of SQLite's database: which rows refer to rows that do not exist, and their repair. PostgreSQL enforces its own.
+//! Foreign keys of SQLite's database: which rows refer to rows that do not exist, and their repair.
+//! PostgreSQL enforces its own.
 
 use super::database::Engine;
 use super::writer::Transaction;
@@ -20,7 +21,8 @@ pub struct BrokenReference {
     pub rows: u64,
 }
 
-/// Removing a row may leave other rows without theirs: one round for each table of the longest chain is more than enough.
+/// Removing a row may leave other rows without theirs: one round for each table of the longest
+/// chain is more than enough.
 const MAX_ROUNDS: usize = 8;
 
 impl Store {
@@ -38,8 +40,8 @@ impl Store {
         Ok(broken)
     }
 
-    /// Clears optional references to rows that do not exist and removes rows whose required reference is broken, in one transaction.
-    /// Returns the scenes that lost their parse.
+    /// Clears optional references to rows that do not exist and removes rows whose required
+    /// reference is broken, in one transaction. Returns the scenes that lost their parse.
     ///
     /// # Errors
     /// [`StoreError::Database`]; then nothing has changed.
@@ -51,7 +53,8 @@ impl Store {
         let unparsed = "SELECT id FROM scenes WHERE parse_id IS NOT NULL AND NOT EXISTS (SELECT 1 FROM parses WHERE id = scenes.parse_id)
                         AND EXISTS (SELECT 1 FROM contents WHERE hash = scenes.content_hash)";
         let unparsed: Vec<String> = sqlx::query_scalar(unparsed).fetch_all(&mut *tx).await?;
-        // The statements themselves leave rows without theirs for a while: the references hold again at the commit.
+        // The statements themselves leave rows without theirs for a while: the references hold
+        // again at the commit.
         sqlx::query("PRAGMA defer_foreign_keys = ON").execute(&mut *tx).await?;
         for _ in 0..MAX_ROUNDS {
             let broken = broken_in(&mut tx).await?;
@@ -87,7 +90,8 @@ async fn broken_in(tx: &mut Transaction) -> Result<Vec<BrokenReference>, StoreEr
                JOIN pragma_foreign_key_list(violated.\"table\") AS key ON key.id = violated.fkid
                JOIN pragma_table_info(violated.\"table\") AS col ON col.name = key.\"from\"
                GROUP BY 1, 2, 3, 4, 5 ORDER BY 1, 2";
-    let rows: Vec<(String, String, String, String, i64, i64)> = sqlx::query_as(sql).fetch_all(&mut **tx).await?;
+    let rows: Vec<(String, String, String, String, i64, i64)> =
+        sqlx::query_as(sql).fetch_all(&mut **tx).await?;
     let broken = |(table, column, parent, parent_key, is_optional, rows)| BrokenReference {
         table,
         column,

@@ -1,8 +1,9 @@
-//! The reserve: a file of a few megabytes in the data folder that is removed when the disk is full. Opening a database and deleting rows
-//! need room too.
+//! The reserve: a file of a few megabytes in the data folder that is removed when the disk is full.
+//! Opening a database and deleting rows need room too.
 //!
-//! A server that runs releases half of it to delete. The rest is for the next start, which needs room before it can delete anything. The
-//! reserve is written again once the disk has several times its room.
+//! A server that runs releases half of it to delete. The rest is for the next start, which needs
+//! room before it can delete anything. The reserve is written again once the disk has several times
+//! its room.
 
 use super::blobs::remove_tree;
 use super::data_folder::LOCK;
@@ -18,13 +19,15 @@ const BYTES: u64 = 8 << 20;
 const LEFT_FOR_START: u64 = BYTES / 2;
 /// It is written where the disk has so many times its room.
 const TIMES_FREE: u64 = 4;
-/// A disk with less room is full, however an error names itself: what can not be created has no code of its own.
+/// A disk with less room is full, however an error names itself: what can not be created has no
+/// code of its own.
 const FULL_BELOW_BYTES: u64 = 256 << 10;
 /// Folders that only save time, or were left by a process that was killed.
 const DISPENSABLE: [&str; 2] = ["tmp", "blobs/checkpoints"];
 
 impl Store {
-    /// Releases a part of the reserve, so that something can be deleted on a full disk; whether there was any.
+    /// Releases a part of the reserve, so that something can be deleted on a full disk; whether
+    /// there was any.
     #[must_use]
     pub fn release_reserve(&self) -> bool {
         self.blobs.has_free_hands() && release_half(self.folder.path())
@@ -72,18 +75,31 @@ pub(super) fn write(data_dir: &Utf8Path) -> io::Result<bool> {
 /// Gives a part of the reserve to the disk, for a server that runs; whether there was one.
 pub(super) fn release_half(data_dir: &Utf8Path) -> bool {
     let file = data_dir.join(RESERVE);
-    let Some(bytes) = fs::metadata(&file).ok().map(|file| file.len()).filter(|bytes| *bytes > LEFT_FOR_START) else { return false };
-    let shortened = OpenOptions::new().write(true).open(&file).and_then(|reserve| reserve.set_len(LEFT_FOR_START));
+    let Some(bytes) =
+        fs::metadata(&file).ok().map(|file| file.len()).filter(|bytes| *bytes > LEFT_FOR_START)
+    else {
+        return false;
+    };
+    let shortened = OpenOptions::new()
+        .write(true)
+        .open(&file)
+        .and_then(|reserve| reserve.set_len(LEFT_FOR_START));
     if shortened.is_ok() {
-        tracing::warn!("disk full: released {} MB of the reserve file", (bytes - LEFT_FOR_START) >> 20);
+        tracing::warn!(
+            "disk full: released {} MB of the reserve file",
+            (bytes - LEFT_FOR_START) >> 20
+        );
     }
     shortened.is_ok()
 }
 
-/// Makes room on a full disk for a store that could not be opened, where this is why; whether it is worth another try.
+/// Makes room on a full disk for a store that could not be opened, where this is why; whether it is
+/// worth another try.
 pub(super) fn make_room_to_open(data_dir: &Utf8Path, error: &StoreError) -> bool {
-    let may_be_full = matches!(error, StoreError::Database(_) | StoreError::Migration(_) | StoreError::Blobs(_));
-    let is_full = error.is_full() || (may_be_full && free_bytes(data_dir).is_ok_and(|free| free < FULL_BELOW_BYTES));
+    let may_be_full =
+        matches!(error, StoreError::Database(_) | StoreError::Migration(_) | StoreError::Blobs(_));
+    let is_full = error.is_full()
+        || (may_be_full && free_bytes(data_dir).is_ok_and(|free| free < FULL_BELOW_BYTES));
     if !is_full {
         return false;
     }
@@ -92,9 +108,14 @@ pub(super) fn make_room_to_open(data_dir: &Utf8Path, error: &StoreError) -> bool
         return true;
     }
     match remove_dispensable(data_dir) {
-        Ok(0) => tracing::error!("disk full, and there is no reserve file: free {} MB on the disk of {data_dir}", BYTES >> 20),
+        Ok(0) => tracing::error!(
+            "disk full, and there is no reserve file: free {} MB on the disk of {data_dir}",
+            BYTES >> 20
+        ),
         Ok(folders) => {
-            tracing::warn!("disk full, and there is no reserve file: removed {folders} temporary folders and checkpoints of parses");
+            tracing::warn!(
+                "disk full, and there is no reserve file: removed {folders} temporary folders and checkpoints of parses"
+            );
             return true;
         }
         Err(error) => tracing::error!(%error, "disk full, and no room could be made"),
@@ -110,7 +131,8 @@ fn release(data_dir: &Utf8Path) -> Option<u64> {
     (bytes > 0).then_some(bytes)
 }
 
-/// Removes what a data folder can do without, if nobody uses it, until there is as much room as the reserve gives; how many folders.
+/// Removes what a data folder can do without, if nobody uses it, until there is as much room as the
+/// reserve gives; how many folders.
 fn remove_dispensable(data_dir: &Utf8Path) -> io::Result<u32> {
     let lock = File::open(data_dir.join(LOCK))?;
     if lock.try_lock().is_err() {
@@ -119,7 +141,8 @@ fn remove_dispensable(data_dir: &Utf8Path) -> io::Result<u32> {
     let mut removed = 0;
     for folder in DISPENSABLE.map(|folder| data_dir.join(folder)) {
         let Ok(entries) = folder.read_dir_utf8() else { continue };
-        let entries: Vec<Utf8PathBuf> = entries.filter_map(Result::ok).map(Utf8DirEntry::into_path).collect();
+        let entries: Vec<Utf8PathBuf> =
+            entries.filter_map(Result::ok).map(Utf8DirEntry::into_path).collect();
         for entry in entries {
             if free_bytes(data_dir)? >= BYTES {
                 return Ok(removed);
@@ -162,7 +185,11 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(place.path()).unwrap();
         write(folder).unwrap();
-        for error in [StoreError::InUse, StoreError::HalfMoved, StoreError::Blobs(io::ErrorKind::PermissionDenied.into())] {
+        for error in [
+            StoreError::InUse,
+            StoreError::HalfMoved,
+            StoreError::Blobs(io::ErrorKind::PermissionDenied.into()),
+        ] {
             assert!(!make_room_to_open(folder, &error), "{error}");
         }
         assert_eq!(bytes(folder), BYTES);

@@ -1,6 +1,7 @@
 //! Rows that are kept for a time only: which may go, and their removal, a few at a time.
 //!
-//! What may go is looked up among the readers; only the removal itself takes the writing connection, and asks again whether it may.
+//! What may go is looked up among the readers; only the removal itself takes the writing
+//! connection, and asks again whether it may.
 
 use super::{Store, StoreError};
 use jiff::{Timestamp, ToSpan};
@@ -19,7 +20,8 @@ pub enum Aged {
     QuestionKeys,
     /// What was done, and with whose key.
     Audit,
-    /// Those neither a scene nor an answer refers to, counted from when that was [seen](Store::mark_superseded_parses).
+    /// Those neither a scene nor an answer refers to, counted from when that was
+    /// [seen](Store::mark_superseded_parses).
     SupersededParses,
     /// Those in parts, whatever came of them.
     Uploads,
@@ -93,36 +95,60 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn due(&self, aged: Aged, before: &Before, after: &str, limit: u32) -> Result<Vec<Due>, StoreError> {
+    pub async fn due(
+        &self,
+        aged: Aged,
+        before: &Before,
+        after: &str,
+        limit: u32,
+    ) -> Result<Vec<Due>, StoreError> {
         let (table, key, bytes, condition) = aged.sql();
-        let sql = format!("SELECT {key} AS id, {bytes} AS bytes FROM {table} WHERE {condition} AND {key} > $3 ORDER BY {key} LIMIT $4");
+        let sql = format!(
+            "SELECT {key} AS id, {bytes} AS bytes FROM {table} WHERE {condition} AND {key} > $3 ORDER BY {key} LIMIT $4"
+        );
         let due = sqlx::query_as(AssertSqlSafe(sql))
             .bind(&before.time)
             .bind(&before.id)
             .bind(after)
             .bind(i64::from(limit));
         let due: Vec<(String, i64)> = due.fetch_all(&self.reader).await?;
-        Ok(due.into_iter().map(|(id, bytes)| Due { id, bytes: u64::try_from(bytes).unwrap_or(0) }).collect())
+        Ok(due
+            .into_iter()
+            .map(|(id, bytes)| Due { id, bytes: u64::try_from(bytes).unwrap_or(0) })
+            .collect())
     }
 
     /// Removes some of the rows that were due, those that still are; their ids.
     ///
     /// # Errors
     /// [`StoreError`].
-    pub async fn remove_due(&self, aged: Aged, before: &Before, ids: &[&str]) -> Result<Vec<String>, StoreError> {
+    pub async fn remove_due(
+        &self,
+        aged: Aged,
+        before: &Before,
+        ids: &[&str],
+    ) -> Result<Vec<String>, StoreError> {
         let (table, key, _, condition) = aged.sql();
         let ids = serde_json::to_string(ids)?;
         if aged == Aged::Batches {
             return self.remove_batches(before, &ids, condition).await;
         }
         let among = self.engine.values_of("$3");
-        let sql = format!("DELETE FROM {table} WHERE {condition} AND {key} IN {among} RETURNING {key}");
-        let removed = sqlx::query_scalar(AssertSqlSafe(sql)).bind(&before.time).bind(&before.id).bind(ids);
+        let sql =
+            format!("DELETE FROM {table} WHERE {condition} AND {key} IN {among} RETURNING {key}");
+        let removed =
+            sqlx::query_scalar(AssertSqlSafe(sql)).bind(&before.time).bind(&before.id).bind(ids);
         Ok(removed.fetch_all(self.writer.pool()).await?)
     }
 
-    /// A batch may have a million items. It is hidden first, as one that is still coming in: whatever happens then, nobody meets half of it.
-    async fn remove_batches(&self, before: &Before, ids: &str, condition: &str) -> Result<Vec<String>, StoreError> {
+    /// A batch may have a million items. It is hidden first, as one that is still coming in:
+    /// whatever happens then, nobody meets half of it.
+    async fn remove_batches(
+        &self,
+        before: &Before,
+        ids: &str,
+        condition: &str,
+    ) -> Result<Vec<String>, StoreError> {
         let among = self.engine.values_of("$3");
         let hide = format!(
             "UPDATE batches SET state = 'receiving', key = NULL
@@ -148,10 +174,17 @@ impl Store {
         let is_used = "(EXISTS (SELECT 1 FROM scenes WHERE scenes.parse_id = parses.id)
                         OR EXISTS (SELECT 1 FROM answers WHERE parse_id = parses.id))";
         for sql in [
-            format!("UPDATE parses SET superseded_at = $1 WHERE superseded_at IS NULL AND NOT {is_used}"),
-            format!("UPDATE parses SET superseded_at = NULL WHERE superseded_at IS NOT NULL AND {is_used} AND $1 IS NOT NULL"),
+            format!(
+                "UPDATE parses SET superseded_at = $1 WHERE superseded_at IS NULL AND NOT {is_used}"
+            ),
+            format!(
+                "UPDATE parses SET superseded_at = NULL WHERE superseded_at IS NOT NULL AND {is_used} AND $1 IS NOT NULL"
+            ),
         ] {
-            sqlx::query(AssertSqlSafe(sql)).bind(now.to_string()).execute(self.writer.pool()).await?;
+            sqlx::query(AssertSqlSafe(sql))
+                .bind(now.to_string())
+                .execute(self.writer.pool())
+                .await?;
         }
         Ok(())
     }
@@ -166,7 +199,8 @@ impl Store {
         Ok(sqlx::query_scalar(sql).fetch_all(&self.reader).await?)
     }
 
-    /// Gives the room that the database's log takes back to the disk. Rows that were removed leave room in the database, for others.
+    /// Gives the room that the database's log takes back to the disk. Rows that were removed leave
+    /// room in the database, for others.
     ///
     /// # Errors
     /// [`StoreError::Database`].

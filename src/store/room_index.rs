@@ -1,4 +1,5 @@
-//! Which of many rooms are worth a look: what their things are called, by name, and where a database can (`vectors`) what they look like.
+//! Which of many rooms are worth a look: what their things are called, by name, and where a
+//! database can (`vectors`) what they look like.
 
 use super::{Labels, SceneRow, Store, StoreError};
 use sqlx::{AssertSqlSafe, FromRow, Row};
@@ -40,18 +41,25 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn parses_to_index(&self, most: u32) -> Result<Vec<ToIndex>, StoreError> {
         let sql = "SELECT id, changes FROM parses WHERE indexed IS NULL OR indexed <> changes ORDER BY id LIMIT $1";
-        let rows: Vec<(String, i64)> = sqlx::query_as(sql).bind(i64::from(most)).fetch_all(&self.reader).await?;
+        let rows: Vec<(String, i64)> =
+            sqlx::query_as(sql).bind(i64::from(most)).fetch_all(&self.reader).await?;
         Ok(rows.into_iter().map(|(parse_id, changes)| ToIndex { parse_id, changes }).collect())
     }
 
-    /// Writes down what a room is known by, in place of what it was known by before. A parse that is gone by then is none.
+    /// Writes down what a room is known by, in place of what it was known by before. A parse that
+    /// is gone by then is none.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn index_room(&self, room: &ToIndex, entries: &[RoomEntry]) -> Result<(), StoreError> {
+    pub async fn index_room(
+        &self,
+        room: &ToIndex,
+        entries: &[RoomEntry],
+    ) -> Result<(), StoreError> {
         let mut tx = self.writer.begin().await?;
         let sql = "UPDATE parses SET indexed = $2 WHERE id = $1";
-        let is_there = sqlx::query(sql).bind(&room.parse_id).bind(room.changes).execute(&mut *tx).await?;
+        let is_there =
+            sqlx::query(sql).bind(&room.parse_id).bind(room.changes).execute(&mut *tx).await?;
         if is_there.rows_affected() == 0 {
             tx.forget().await?;
             return Ok(());
@@ -61,18 +69,30 @@ impl Store {
             .execute(&mut *tx)
             .await?;
         for entries in entries.chunks(TOGETHER) {
-            let row = |at: usize| format!("($1, ${}, ${}, ${})", 3 * at + 2, 3 * at + 3, 3 * at + 4);
+            let row =
+                |at: usize| format!("($1, ${}, ${}, ${})", 3 * at + 2, 3 * at + 3, 3 * at + 4);
             let rows: Vec<String> = (0..entries.len()).map(row).collect();
-            let sql = format!("INSERT INTO room_entries (parse_id, name, colour, weight) VALUES {}", rows.join(", "));
-            let query = entries.iter().fold(sqlx::query(AssertSqlSafe(sql)).bind(&room.parse_id), |query, entry| {
-                query.bind(&entry.name).bind(entry.colour).bind(f64::from(entry.weight))
-            });
+            let sql = format!(
+                "INSERT INTO room_entries (parse_id, name, colour, weight) VALUES {}",
+                rows.join(", ")
+            );
+            let query = entries.iter().fold(
+                sqlx::query(AssertSqlSafe(sql)).bind(&room.parse_id),
+                |query, entry| {
+                    query.bind(&entry.name).bind(entry.colour).bind(f64::from(entry.weight))
+                },
+            );
             query.execute(&mut *tx).await?;
         }
         let names: BTreeSet<&str> = entries.iter().map(|entry| entry.name.as_str()).collect();
         let values = self.engine.values_of("$1");
-        let sql = format!("INSERT INTO room_names (name) SELECT value FROM {values} AS names WHERE true ON CONFLICT DO NOTHING");
-        sqlx::query(AssertSqlSafe(sql)).bind(serde_json::to_string(&names)?).execute(&mut *tx).await?;
+        let sql = format!(
+            "INSERT INTO room_names (name) SELECT value FROM {values} AS names WHERE true ON CONFLICT DO NOTHING"
+        );
+        sqlx::query(AssertSqlSafe(sql))
+            .bind(serde_json::to_string(&names)?)
+            .execute(&mut *tx)
+            .await?;
         tx.commit().await
     }
 
@@ -81,14 +101,23 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn room_names(&self) -> Result<Vec<String>, StoreError> {
-        Ok(sqlx::query_scalar("SELECT name FROM room_names ORDER BY name").fetch_all(&self.reader).await?)
+        Ok(sqlx::query_scalar("SELECT name FROM room_names ORDER BY name")
+            .fetch_all(&self.reader)
+            .await?)
     }
 
-    /// Entries of one name, in a colour or in any, of rooms that scenes with these labels have: those that are believed most.
+    /// Entries of one name, in a colour or in any, of rooms that scenes with these labels have:
+    /// those that are believed most.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn rooms_with(&self, name: &str, colour: Option<&str>, labels: &Labels, most: u32) -> Result<Vec<FoundEntry>, StoreError> {
+    pub async fn rooms_with(
+        &self,
+        name: &str,
+        colour: Option<&str>,
+        labels: &Labels,
+        most: u32,
+    ) -> Result<Vec<FoundEntry>, StoreError> {
         let is_meant = self.is_meant("$3");
         let sql = format!(
             "SELECT parse_id, colour, weight FROM room_entries AS entry WHERE name = $1 AND ($2 IS NULL OR colour = $2) AND {is_meant}
@@ -102,22 +131,35 @@ impl Store {
         let rows: Vec<(String, String, f64)> = query.fetch_all(&self.reader).await?;
         Ok(rows
             .into_iter()
-            .map(|(parse_id, colour, weight)| FoundEntry { parse_id, colour, weight: weight as f32 })
+            .map(|(parse_id, colour, weight)| FoundEntry {
+                parse_id,
+                colour,
+                weight: weight as f32,
+            })
             .collect())
     }
 
     /// The condition that the parse of an `entry` is one of a scene with these labels.
     pub(super) fn is_meant(&self, labels: &str) -> String {
         let is_filed_so = self.engine.contains("scenes.labels", labels);
-        format!("EXISTS (SELECT 1 FROM scenes WHERE scenes.parse_id = entry.parse_id AND {is_filed_so})")
+        format!(
+            "EXISTS (SELECT 1 FROM scenes WHERE scenes.parse_id = entry.parse_id AND {is_filed_so})"
+        )
     }
 
-    /// Scenes that these parses are of, at most so many of one: each with its place among those of its parse, the newest first.
+    /// Scenes that these parses are of, at most so many of one: each with its place among those of
+    /// its parse, the newest first.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn scenes_of_parses(&self, parses: &[String], labels: &Labels, most_of_one: u32) -> Result<Vec<(i64, SceneRow)>, StoreError> {
-        let (among, is_filed_so) = (self.engine.values_of("$1"), self.engine.contains("scenes.labels", "$2"));
+    pub async fn scenes_of_parses(
+        &self,
+        parses: &[String],
+        labels: &Labels,
+        most_of_one: u32,
+    ) -> Result<Vec<(i64, SceneRow)>, StoreError> {
+        let (among, is_filed_so) =
+            (self.engine.values_of("$1"), self.engine.contains("scenes.labels", "$2"));
         let sql = format!(
             "SELECT * FROM (SELECT scenes.*, row_number() OVER (PARTITION BY parse_id ORDER BY id DESC) AS place FROM scenes
              WHERE parse_id IN {among} AND {is_filed_so}) AS placed WHERE place <= $3"

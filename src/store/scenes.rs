@@ -87,14 +87,18 @@ pub enum Inserted {
     KeyReused,
 }
 
-pub(super) async fn made_by_key(connection: &mut AnyConnection, key: &str) -> sqlx::Result<Option<(SceneRow, Option<String>)>> {
+pub(super) async fn made_by_key(
+    connection: &mut AnyConnection,
+    key: &str,
+) -> sqlx::Result<Option<(SceneRow, Option<String>)>> {
     let sql = "SELECT scenes.*, request FROM scenes JOIN idempotency_keys ON scene_id = scenes.id WHERE key = $1";
     let row = sqlx::query(sql).bind(key).fetch_optional(connection).await?;
     row.map(|row| Ok((SceneRow::from_row(&row)?, row.try_get("request")?))).transpose()
 }
 
 impl Store {
-    /// Records a scene with its content, its key and its first job, as one: there is all of it or nothing.
+    /// Records a scene with its content, its key and its first job, as one: there is all of it or
+    /// nothing.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -133,7 +137,10 @@ impl Store {
             Some(job) => Some(add_job(&mut tx, id, &self.new_id(), job).await?),
             None => None,
         };
-        let scene = sqlx::query_as("SELECT * FROM scenes WHERE id = $1").bind(id).fetch_one(&mut *tx).await?;
+        let scene = sqlx::query_as("SELECT * FROM scenes WHERE id = $1")
+            .bind(id)
+            .fetch_one(&mut *tx)
+            .await?;
         tx.commit().await?;
         Ok(Inserted::New(scene, job.map(Box::new)))
     }
@@ -142,7 +149,11 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn insert_scene_job(&self, scene_id: &str, job: NewJob<'_>) -> Result<Option<JobRow>, StoreError> {
+    pub async fn insert_scene_job(
+        &self,
+        scene_id: &str,
+        job: NewJob<'_>,
+    ) -> Result<Option<JobRow>, StoreError> {
         let mut tx = self.writer.begin().await?;
         let found: Option<i64> = sqlx::query_scalar("SELECT 1 FROM scenes WHERE id = $1")
             .bind(scene_id)
@@ -160,14 +171,21 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn scene(&self, id: &str) -> Result<Option<SceneRow>, StoreError> {
-        Ok(sqlx::query_as("SELECT * FROM scenes WHERE id = $1").bind(id).fetch_optional(&self.reader).await?)
+        Ok(sqlx::query_as("SELECT * FROM scenes WHERE id = $1")
+            .bind(id)
+            .fetch_optional(&self.reader)
+            .await?)
     }
 
-    /// The scene that a key made, and what identifies the request it came with, where that was noted.
+    /// The scene that a key made, and what identifies the request it came with, where that was
+    /// noted.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn scene_of_idempotency_key(&self, key: &str) -> Result<Option<(SceneRow, Option<String>)>, StoreError> {
+    pub async fn scene_of_idempotency_key(
+        &self,
+        key: &str,
+    ) -> Result<Option<(SceneRow, Option<String>)>, StoreError> {
         Ok(made_by_key(&mut *self.reader.acquire().await?, key).await?)
     }
 
@@ -175,26 +193,41 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn scenes(&self, limit: u32, cursor: Option<&str>, filter: &SceneFilter) -> Result<Vec<SceneRow>, StoreError> {
-        let (among, is_filed_so) = (self.engine.values_of("$3"), self.engine.contains("scenes.labels", "$4"));
+    pub async fn scenes(
+        &self,
+        limit: u32,
+        cursor: Option<&str>,
+        filter: &SceneFilter,
+    ) -> Result<Vec<SceneRow>, StoreError> {
+        let (among, is_filed_so) =
+            (self.engine.values_of("$3"), self.engine.contains("scenes.labels", "$4"));
         let sql = format!(
             "SELECT * FROM scenes WHERE ($1 IS NULL OR id < $1) AND ($3 IS NULL OR id IN {among}) AND {is_filed_so}
              ORDER BY id DESC LIMIT $2"
         );
         let ids = filter.ids.as_ref().map(serde_json::to_string).transpose()?;
         let labels = serde_json::to_string(&filter.labels)?;
-        let query = sqlx::query_as(AssertSqlSafe(sql)).bind(cursor).bind(i64::from(limit)).bind(ids).bind(labels);
+        let query = sqlx::query_as(AssertSqlSafe(sql))
+            .bind(cursor)
+            .bind(i64::from(limit))
+            .bind(ids)
+            .bind(labels);
         Ok(query.fetch_all(&self.reader).await?)
     }
 
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn change_scene(&self, id: &str, change: SceneRowChange<'_>) -> Result<Option<SceneRow>, StoreError> {
+    pub async fn change_scene(
+        &self,
+        id: &str,
+        change: SceneRowChange<'_>,
+    ) -> Result<Option<SceneRow>, StoreError> {
         let SceneRowChange { name, scene_to_map, map_frame_id, labels } = change;
         let sql = "UPDATE scenes SET name = coalesce($1, name), scene_to_map = CASE WHEN $2 THEN $3 ELSE scene_to_map END,
                    map_frame_id = CASE WHEN $4 THEN $5 ELSE map_frame_id END, updated_at = $6, labels = coalesce($8, labels)
                    WHERE id = $7 RETURNING *";
-        let place = scene_to_map.flatten().map(|place| serde_json::to_string(&place)).transpose()?;
+        let place =
+            scene_to_map.flatten().map(|place| serde_json::to_string(&place)).transpose()?;
         let query = sqlx::query_as(sql)
             .bind(name)
             .bind(scene_to_map.is_some())
@@ -207,16 +240,23 @@ impl Store {
         Ok(query.fetch_optional(self.writer.pool()).await?)
     }
 
-    /// Makes a finished parse the scene's own, a new version; unless a later job than `job_id` was asked for meanwhile.
+    /// Makes a finished parse the scene's own, a new version; unless a later job than `job_id` was
+    /// asked for meanwhile.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn set_scene_parse(&self, id: &str, parse_id: &str, job_id: &str) -> Result<(), StoreError> {
+    pub async fn set_scene_parse(
+        &self,
+        id: &str,
+        parse_id: &str,
+        job_id: &str,
+    ) -> Result<(), StoreError> {
         let mut tx = self.writer.begin().await?;
-        let before: Option<Option<String>> = sqlx::query_scalar("SELECT parse_id FROM scenes WHERE id = $1")
-            .bind(id)
-            .fetch_optional(&mut *tx)
-            .await?;
+        let before: Option<Option<String>> =
+            sqlx::query_scalar("SELECT parse_id FROM scenes WHERE id = $1")
+                .bind(id)
+                .fetch_optional(&mut *tx)
+                .await?;
         // Ids are in order of time.
         let sql = "UPDATE scenes SET parse_version = parse_version + CASE WHEN parse_id IS DISTINCT FROM $1 THEN 1 ELSE 0 END, parse_id = $1, updated_at = $2
                    WHERE id = $3 AND (job_id IS NULL OR job_id <= $4)";
@@ -228,8 +268,9 @@ impl Store {
         tx.commit().await
     }
 
-    /// Removes the rows of a scene with the last of its answers, and those of its content and parses when no other scene shares them. The
-    /// folders that no row speaks of any more come back, for the caller to remove; `None` when there is no such scene.
+    /// Removes the rows of a scene with the last of its answers, and those of its content and
+    /// parses when no other scene shares them. The folders that no row speaks of any more come
+    /// back, for the caller to remove; `None` when there is no such scene.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -239,15 +280,17 @@ impl Store {
             .bind(id)
             .fetch_all(&mut *tx)
             .await?;
-        let content: Option<String> = sqlx::query_scalar("DELETE FROM scenes WHERE id = $1 RETURNING content_hash")
-            .bind(id)
-            .fetch_optional(&mut *tx)
-            .await?;
+        let content: Option<String> =
+            sqlx::query_scalar("DELETE FROM scenes WHERE id = $1 RETURNING content_hash")
+                .bind(id)
+                .fetch_optional(&mut *tx)
+                .await?;
         let Some(content) = content else {
             tx.forget().await?;
             return Ok(None);
         };
-        let mut folders: Vec<Utf8PathBuf> = answers.iter().map(|answer| self.blobs.answer(answer)).collect();
+        let mut folders: Vec<Utf8PathBuf> =
+            answers.iter().map(|answer| self.blobs.answer(answer)).collect();
         folders.extend(self.remove_content(&mut tx, content).await?);
         tx.commit().await?;
         Ok(Some(folders))
@@ -255,7 +298,12 @@ impl Store {
 }
 
 /// Adds a job on a scene, in somebody's transaction.
-pub(super) async fn add_job(tx: &mut Transaction, scene_id: &str, id: &str, job: NewJob<'_>) -> Result<JobRow, StoreError> {
+pub(super) async fn add_job(
+    tx: &mut Transaction,
+    scene_id: &str,
+    id: &str,
+    job: NewJob<'_>,
+) -> Result<JobRow, StoreError> {
     let done = job.done;
     let time = now();
     let sql = "UPDATE scenes SET job_id = $1, updated_at = $2 WHERE id = $3";

@@ -1,5 +1,6 @@
-//! What no record speaks of. It is never removed at once: a database may have been lost, replaced or restored, and then it is the database
-//! that is wrong. It goes to the quarantine, and from there after a week; not even that where the database has no standing to judge.
+//! What no record speaks of. It is never removed at once: a database may have been lost, replaced
+//! or restored, and then it is the database that is wrong. It goes to the quarantine, and from
+//! there after a week; not even that where the database has no standing to judge.
 
 use super::blobs::{KINDS, remove_tree, size_of};
 use super::{Scratch, Store, StoreError, now};
@@ -34,7 +35,8 @@ pub struct Strays {
 }
 
 impl Store {
-    /// Folders no record speaks of. A folder is put in place before its row: while a server works, those younger than `settled` are none.
+    /// Folders no record speaks of. A folder is put in place before its row: while a server works,
+    /// those younger than `settled` are none.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -66,38 +68,55 @@ impl Store {
 
     /// What the database may say of files.
     pub(super) async fn judge(&self) -> Result<Judge, StoreError> {
-        let since: Option<String> = sqlx::query_scalar("SELECT since FROM data_folder").fetch_optional(&self.reader).await?;
+        let since: Option<String> = sqlx::query_scalar("SELECT since FROM data_folder")
+            .fetch_optional(&self.reader)
+            .await?;
         let since = since.and_then(|since| since.parse::<Timestamp>().ok()).map(SystemTime::from);
-        let any: Option<String> = sqlx::query_scalar("SELECT hash FROM contents LIMIT 1").fetch_optional(&self.reader).await?;
+        let any: Option<String> = sqlx::query_scalar("SELECT hash FROM contents LIMIT 1")
+            .fetch_optional(&self.reader)
+            .await?;
         Ok(Judge { since, knows_nothing: any.is_none() })
     }
 
     /// Of folders of a kind those that no record speaks of.
-    pub(super) async fn unknown(&self, kind: &str, names: Vec<String>) -> Result<Vec<String>, StoreError> {
+    pub(super) async fn unknown(
+        &self,
+        kind: &str,
+        names: Vec<String>,
+    ) -> Result<Vec<String>, StoreError> {
         let (table, key) = match kind {
             "contents" | "checkpoints" => ("contents", "hash"),
             kind => (kind, "id"),
         };
         let here = self.engine.values_of("$1");
-        let sql = format!("SELECT value FROM {here} AS here WHERE NOT EXISTS (SELECT 1 FROM {table} WHERE {key} = value)");
+        let sql = format!(
+            "SELECT value FROM {here} AS here WHERE NOT EXISTS (SELECT 1 FROM {table} WHERE {key} = value)"
+        );
         let mut unknown = Vec::new();
         for names in names.chunks(CHUNK) {
             let names = serde_json::to_string(names)?;
-            let missing: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(sql.clone())).bind(names).fetch_all(&self.reader).await?;
+            let missing: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(sql.clone()))
+                .bind(names)
+                .fetch_all(&self.reader)
+                .await?;
             unknown.extend(missing);
         }
         Ok(unknown)
     }
 
-    /// Takes what no record speaks of to the quarantine, and removes what has been there long enough: how many days of it, and bytes.
-    /// `settled` as for [`strays`](Self::strays).
+    /// Takes what no record speaks of to the quarantine, and removes what has been there long
+    /// enough: how many days of it, and bytes. `settled` as for [`strays`](Self::strays).
     ///
     /// # Errors
     /// [`StoreError`].
     pub async fn sweep(&self, settled: Duration) -> Result<(u64, u64), StoreError> {
         let Strays { unclaimed, unjudged } = self.strays(settled).await?;
         if self.blobs.are_copies() {
-            let places = unclaimed.iter().chain(&unjudged).map(|(kind, name)| self.blobs.place(kind, name)).collect();
+            let places = unclaimed
+                .iter()
+                .chain(&unjudged)
+                .map(|(kind, name)| self.blobs.place(kind, name))
+                .collect();
             self.blobs.remove_later(self.blobs.forget_copies(places).await?);
             return self.empty_quarantine().await;
         }
@@ -110,19 +129,25 @@ impl Store {
             );
         }
         if !unclaimed.is_empty() {
-            tracing::warn!(folders = unclaimed.len(), days = QUARANTINE_DAYS, "folders no record speaks of go to the quarantine");
+            tracing::warn!(
+                folders = unclaimed.len(),
+                days = QUARANTINE_DAYS,
+                "folders no record speaks of go to the quarantine"
+            );
             self.quarantine(unclaimed).await?;
         }
         if unjudged.is_empty() { self.empty_quarantine().await } else { Ok((0, 0)) }
     }
 
-    /// Takes folders out of the way whose rows were just removed; they go when what is returned does. A content has its name from what it
-    /// holds: who stood still for longer than a lease between rows and folders may find that it was uploaded again, and puts it back.
+    /// Takes folders out of the way whose rows were just removed; they go when what is returned
+    /// does. A content has its name from what it holds: who stood still for longer than a lease
+    /// between rows and folders may find that it was uploaded again, and puts it back.
     ///
     /// # Errors
     /// [`StoreError`].
     pub async fn set_aside(&self, folders: Vec<Utf8PathBuf>) -> Result<Vec<Scratch>, StoreError> {
-        let (contents, others): (Vec<_>, Vec<_>) = folders.into_iter().partition(|folder| self.blobs.is_content(folder));
+        let (contents, others): (Vec<_>, Vec<_>) =
+            folders.into_iter().partition(|folder| self.blobs.is_content(folder));
         let mut aside = self.blobs.set_aside(others).await?;
         for content in contents {
             let hash = content.file_name().unwrap_or_default().to_owned();
@@ -144,7 +169,8 @@ impl Store {
         Ok(aside)
     }
 
-    /// Takes folders out of `blobs/`, where they can still be had back. Those that have a row by then are put back.
+    /// Takes folders out of `blobs/`, where they can still be had back. Those that have a row by
+    /// then are put back.
     ///
     /// # Errors
     /// Those of the file system.
@@ -163,7 +189,8 @@ impl Store {
                 fs::rename(&from, &to)?;
                 if self.unknown(kind, vec![name.clone()]).await?.is_empty() {
                     tracing::warn!(kind, name, "a folder is spoken of by now: it stays");
-                    fs::rename(&to, &from).or_else(|error| if from.exists() { Ok(()) } else { Err(error) })?;
+                    fs::rename(&to, &from)
+                        .or_else(|error| if from.exists() { Ok(()) } else { Err(error) })?;
                 }
             }
         }
@@ -181,7 +208,8 @@ impl Store {
             };
             for day in days {
                 let day = day?;
-                let age = day.file_name().parse::<Date>().ok().and_then(|date| today.since(date).ok());
+                let age =
+                    day.file_name().parse::<Date>().ok().and_then(|date| today.since(date).ok());
                 if age.is_some_and(|age| i64::from(age.get_days()) > QUARANTINE_DAYS) {
                     bytes += size_of(day.path())?;
                     removed += 1;
@@ -215,10 +243,14 @@ mod tests {
         };
         make(&again);
         make(&gone);
-        let row = sqlx::query("INSERT INTO contents (hash, bytes, created_at) VALUES ('a', 1, $1)").bind(now());
+        let row = sqlx::query("INSERT INTO contents (hash, bytes, created_at) VALUES ('a', 1, $1)")
+            .bind(now());
         row.execute(store.writer.pool()).await.unwrap();
         drop(store.set_aside(vec![again.clone(), gone.clone()]).await.unwrap());
-        assert!(fs::read_to_string(again.join("cloud.ply")).unwrap() == again.as_str() && !gone.exists());
+        assert!(
+            fs::read_to_string(again.join("cloud.ply")).unwrap() == again.as_str()
+                && !gone.exists()
+        );
         make(&gone);
         store.quarantine(vec![("contents", "a".into()), ("contents", "b".into())]).await.unwrap();
         assert!(again.join("cloud.ply").exists() && !gone.exists());

@@ -1,4 +1,5 @@
-//! Turns within this process: one after the other where two at once would be in each other's way, and nobody else waits for it.
+//! Turns within this process: one after the other where two at once would be in each other's way,
+//! and nobody else waits for it.
 
 use std::collections::HashMap;
 use std::sync::{Arc, PoisonError, Weak};

@@ -70,9 +70,12 @@ impl FromRow<'_, AnyRow> for UploadRow {
     fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
         let bytes = |column| number(row.try_get(column)?);
         let job_id = row.try_get("job_id")?;
-        let scene = row.try_get::<Option<String>, _>("scene_id")?.map(|scene_id| CameOf::Scene { scene_id, job_id });
+        let scene = row
+            .try_get::<Option<String>, _>("scene_id")?
+            .map(|scene_id| CameOf::Scene { scene_id, job_id });
         let problem = row.try_get::<Option<String>, _>("problem")?;
-        let problem = problem.map(|text| CameOf::Nothing(read_or_none("problem of an upload", &text)));
+        let problem =
+            problem.map(|text| CameOf::Nothing(read_or_none("problem of an upload", &text)));
         Ok(Self {
             id: row.try_get("id")?,
             key_id: row.try_get("key_id")?,
@@ -91,7 +94,12 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError`].
-    pub async fn insert_upload(&self, wanted: &WantedScene, length: u64, key_id: Option<&str>) -> Result<UploadRow, StoreError> {
+    pub async fn insert_upload(
+        &self,
+        wanted: &WantedScene,
+        length: u64,
+        key_id: Option<&str>,
+    ) -> Result<UploadRow, StoreError> {
         let sql = "INSERT INTO uploads (id, key_id, wanted, length, created_at, updated_at) VALUES ($1, $2, $3, $4, $5, $5) RETURNING *";
         let query = sqlx::query_as(sql)
             .bind(self.new_id())
@@ -105,16 +113,26 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn upload(&self, id: &str) -> Result<Option<UploadRow>, StoreError> {
-        Ok(sqlx::query_as("SELECT * FROM uploads WHERE id = $1").bind(id).fetch_optional(&self.reader).await?)
+        Ok(sqlx::query_as("SELECT * FROM uploads WHERE id = $1")
+            .bind(id)
+            .fetch_optional(&self.reader)
+            .await?)
     }
 
     /// Notes how much of an upload is on the disk; `None` where it is gone.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn note_received(&self, id: &str, received: u64) -> Result<Option<UploadRow>, StoreError> {
+    pub async fn note_received(
+        &self,
+        id: &str,
+        received: u64,
+    ) -> Result<Option<UploadRow>, StoreError> {
         let sql = "UPDATE uploads SET received = $1, updated_at = $2 WHERE id = $3 RETURNING *";
-        let query = sqlx::query_as(sql).bind(i64::try_from(received).unwrap_or(i64::MAX)).bind(now()).bind(id);
+        let query = sqlx::query_as(sql)
+            .bind(i64::try_from(received).unwrap_or(i64::MAX))
+            .bind(now())
+            .bind(id);
         Ok(query.fetch_optional(self.writer.pool()).await?)
     }
 
@@ -122,13 +140,18 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError`].
-    pub async fn end_upload(&self, id: &str, came_of: &CameOf) -> Result<Option<UploadRow>, StoreError> {
+    pub async fn end_upload(
+        &self,
+        id: &str,
+        came_of: &CameOf,
+    ) -> Result<Option<UploadRow>, StoreError> {
         let (scene_id, job_id, problem) = match came_of {
             CameOf::Scene { scene_id, job_id } => (Some(scene_id), job_id.as_ref(), None),
             CameOf::Nothing(why) => (None, None, Some(serde_json::to_string(why)?)),
         };
         let sql = "UPDATE uploads SET scene_id = $1, job_id = $2, problem = $3, updated_at = $4 WHERE id = $5 RETURNING *";
-        let query = sqlx::query_as(sql).bind(scene_id).bind(job_id).bind(problem).bind(now()).bind(id);
+        let query =
+            sqlx::query_as(sql).bind(scene_id).bind(job_id).bind(problem).bind(now()).bind(id);
         Ok(query.fetch_optional(self.writer.pool()).await?)
     }
 
@@ -137,7 +160,10 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn delete_upload(&self, id: &str) -> Result<bool, StoreError> {
-        let deleted = sqlx::query("DELETE FROM uploads WHERE id = $1").bind(id).execute(self.writer.pool()).await?;
+        let deleted = sqlx::query("DELETE FROM uploads WHERE id = $1")
+            .bind(id)
+            .execute(self.writer.pool())
+            .await?;
         Ok(deleted.rows_affected() > 0)
     }
 
@@ -145,15 +171,27 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn unfinished_uploads(&self, since: &str, key_id: Option<&str>) -> Result<Unfinished, StoreError> {
+    pub async fn unfinished_uploads(
+        &self,
+        since: &str,
+        key_id: Option<&str>,
+    ) -> Result<Unfinished, StoreError> {
         let sql = format!(
             "SELECT count(*), coalesce(sum(CASE WHEN key_id IS NOT DISTINCT FROM $2 THEN 1 ELSE 0 END), 0),
                     CAST(coalesce(sum(length - received), 0) AS bigint) FROM uploads
              WHERE {OPEN} AND updated_at >= $1"
         );
         let (uploads, of_key, announced): (i64, i64, i64) =
-            sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(since).bind(key_id).fetch_one(&self.reader).await?;
-        Ok(Unfinished { uploads: number(uploads)?, of_key: number(of_key)?, announced_bytes: number(announced)? })
+            sqlx::query_as(sqlx::AssertSqlSafe(sql))
+                .bind(since)
+                .bind(key_id)
+                .fetch_one(&self.reader)
+                .await?;
+        Ok(Unfinished {
+            uploads: number(uploads)?,
+            of_key: number(of_key)?,
+            announced_bytes: number(announced)?,
+        })
     }
 
     /// Uploads that are all there and of which nothing was made yet.
@@ -165,13 +203,17 @@ impl Store {
         Ok(sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).fetch_all(&self.reader).await?)
     }
 
-    /// Removes files of uploads that are over or that nobody knows: whoever sent one whose record was lost has it still.
+    /// Removes files of uploads that are over or that nobody knows: whoever sent one whose record
+    /// was lost has it still.
     pub(super) async fn remove_stray_uploads(&self) -> Result<(), StoreError> {
         // Before the records are read: one that begins has its record first, and then its file.
         let blobs = self.blobs.clone();
-        let all = tokio::task::spawn_blocking(move || blobs.all_uploads()).await.map_err(io::Error::other)??;
+        let all = tokio::task::spawn_blocking(move || blobs.all_uploads())
+            .await
+            .map_err(io::Error::other)??;
         let sql = format!("SELECT id FROM uploads WHERE {OPEN}");
-        let open: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).fetch_all(&self.reader).await?;
+        let open: Vec<String> =
+            sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).fetch_all(&self.reader).await?;
         let open: HashSet<String> = open.into_iter().collect();
         let blobs = self.blobs.clone();
         let removed = tokio::task::spawn_blocking(move || {

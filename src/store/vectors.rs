@@ -1,5 +1,6 @@
-//! What an encoder has seen of every instance, where the database can look for what is near a vector: PostgreSQL with the extension pgvector.
-//! Approximate, by a graph (HNSW) of each encoder's own; the tables are there once somebody has asked for them (`--vectors pgvector`).
+//! What an encoder has seen of every instance, where the database can look for what is near a
+//! vector: PostgreSQL with the extension pgvector. Approximate, by a graph (HNSW) of each encoder's
+//! own; the tables are there once somebody has asked for them (`--vectors pgvector`).
 
 use super::database::Engine;
 use super::{Labels, Store, StoreError};
@@ -18,7 +19,8 @@ pub struct Seen {
 
 /// Instances that are looked up for one question: several may be of one room.
 const NEAREST: u32 = 1000;
-/// How many the graph keeps in hand while it is walked; no more come of it. More find more of the nearest, and take longer.
+/// How many the graph keeps in hand while it is walked; no more come of it. More find more of the
+/// nearest, and take longer.
 const IN_HAND: u32 = 1000;
 /// Rows that one statement writes.
 const TOGETHER: usize = 50;
@@ -26,13 +28,16 @@ const TOGETHER: usize = 50;
 const LONGEST: usize = 2000;
 
 impl Store {
-    /// Has vectors kept from now on: makes what is needed for that, and has every room indexed anew where it was not there.
+    /// Has vectors kept from now on: makes what is needed for that, and has every room indexed anew
+    /// where it was not there.
     ///
     /// # Errors
     /// [`StoreError::NoVectors`] where the database can not; [`StoreError::Database`].
     pub async fn want_vectors(&self) -> Result<(), StoreError> {
         if self.engine == Engine::Sqlite {
-            return Err(StoreError::NoVectors { why: "rows are kept in SQLite's file, which can not".into() });
+            return Err(StoreError::NoVectors {
+                why: "rows are kept in SQLite's file, which can not".into(),
+            });
         }
         if self.has_vectors().await? {
             return Ok(());
@@ -61,18 +66,24 @@ impl Store {
     pub async fn has_vectors(&self) -> Result<bool, StoreError> {
         match self.engine {
             Engine::Sqlite => Ok(false),
-            Engine::Postgres => Ok(sqlx::query_scalar("SELECT to_regclass('instance_vectors') IS NOT NULL")
-                .fetch_one(&self.reader)
-                .await?),
+            Engine::Postgres => {
+                Ok(sqlx::query_scalar("SELECT to_regclass('instance_vectors') IS NOT NULL")
+                    .fetch_one(&self.reader)
+                    .await?)
+            }
         }
     }
 
-    /// Keeps what was seen of a room in place of what was kept before, where vectors are kept. The graph takes its time: nobody who writes waits
-    /// for it.
+    /// Keeps what was seen of a room in place of what was kept before, where vectors are kept. The
+    /// graph takes its time: nobody who writes waits for it.
     ///
     /// # Errors
     /// [`StoreError::Database`]; also where the parse is gone by then.
-    pub async fn keep_vectors(&self, parse_id: &str, seen: Option<&Seen>) -> Result<(), StoreError> {
+    pub async fn keep_vectors(
+        &self,
+        parse_id: &str,
+        seen: Option<&Seen>,
+    ) -> Result<(), StoreError> {
         if !self.has_vectors().await? {
             return Ok(());
         }
@@ -82,7 +93,9 @@ impl Store {
             .execute(&mut *tx)
             .await?;
         let dim = seen.and_then(|seen| seen.vectors.first()).map_or(0, Vec::len);
-        let Some(Seen { encoder, vectors }) = seen.filter(|_| (1..=LONGEST).contains(&dim)) else { return Ok(tx.commit().await?) };
+        let Some(Seen { encoder, vectors }) = seen.filter(|_| (1..=LONGEST).contains(&dim)) else {
+            return Ok(tx.commit().await?);
+        };
         // Its name is ours: nothing of the encoder's stands in it but a hash.
         let digest = Sha256::digest(encoder);
         let name: String = digest[..8].iter().map(|byte| format!("{byte:02x}")).collect();
@@ -93,24 +106,40 @@ impl Store {
         );
         tx.execute(AssertSqlSafe(sql)).await?;
         for vectors in vectors.chunks(TOGETHER) {
-            let rows: Vec<String> = (0..vectors.len()).map(|at| format!("($1, $2, ${}::vector)", at + 3)).collect();
-            let sql = format!("INSERT INTO instance_vectors (parse_id, encoder, embedding) VALUES {}", rows.join(", "));
+            let rows: Vec<String> =
+                (0..vectors.len()).map(|at| format!("($1, $2, ${}::vector)", at + 3)).collect();
+            let sql = format!(
+                "INSERT INTO instance_vectors (parse_id, encoder, embedding) VALUES {}",
+                rows.join(", ")
+            );
             let query = sqlx::query(AssertSqlSafe(sql)).bind(parse_id).bind(encoder);
-            vectors.iter().fold(query, |query, vector| query.bind(literal(vector))).execute(&mut *tx).await?;
+            vectors
+                .iter()
+                .fold(query, |query, vector| query.bind(literal(vector)))
+                .execute(&mut *tx)
+                .await?;
         }
         Ok(tx.commit().await?)
     }
 
-    /// Rooms that have something near a vector (unit length), the nearest first; nothing where no vectors are kept.
+    /// Rooms that have something near a vector (unit length), the nearest first; nothing where no
+    /// vectors are kept.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn rooms_near(&self, encoder: &str, vector: &[f32], labels: &Labels, most: u32) -> Result<Vec<String>, StoreError> {
+    pub async fn rooms_near(
+        &self,
+        encoder: &str,
+        vector: &[f32],
+        labels: &Labels,
+        most: u32,
+    ) -> Result<Vec<String>, StoreError> {
         if !self.has_vectors().await? {
             return Ok(Vec::new());
         }
         let (dim, is_meant) = (vector.len(), self.is_meant("$2"));
-        // The encoder stands in the statement: an index of a part of the table is used where the condition is its own.
+        // The encoder stands in the statement: an index of a part of the table is used where the
+        // condition is its own.
         let sql = format!(
             "SELECT parse_id, max(cosine) AS cosine FROM (
                  SELECT parse_id, -(embedding::vector({dim}) <#> $1::vector({dim})) AS cosine FROM instance_vectors

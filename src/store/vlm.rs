@@ -35,11 +35,17 @@ pub struct Short {
 }
 
 impl Store {
-    /// Names of a parse's instances, by id, as one model gave them with one version of the question.
+    /// Names of a parse's instances, by id, as one model gave them with one version of the
+    /// question.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn instance_names(&self, parse_id: &str, model: &str, prompt_version: u32) -> Result<BTreeMap<u32, String>, StoreError> {
+    pub async fn instance_names(
+        &self,
+        parse_id: &str,
+        model: &str,
+        prompt_version: u32,
+    ) -> Result<BTreeMap<u32, String>, StoreError> {
         let sql = "SELECT instance_id, name FROM instance_names WHERE parse_id = $1 AND model = $2 AND prompt_version = $3";
         let rows: Vec<(i64, String)> = sqlx::query_as(sql)
             .bind(parse_id)
@@ -47,7 +53,10 @@ impl Store {
             .bind(i64::from(prompt_version))
             .fetch_all(&self.reader)
             .await?;
-        Ok(rows.into_iter().map(|(id, name)| Ok((number(id)?, name))).collect::<sqlx::Result<_>>()?)
+        Ok(rows
+            .into_iter()
+            .map(|(id, name)| Ok((number(id)?, name)))
+            .collect::<sqlx::Result<_>>()?)
     }
 
     /// Keeps names; those given before stay. Nothing is kept when the parse is gone.
@@ -82,11 +91,17 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn complete_name_index(&self, parse_id: &str, model: &str, prompt_version: u32) -> Result<(), StoreError> {
+    pub async fn complete_name_index(
+        &self,
+        parse_id: &str,
+        model: &str,
+        prompt_version: u32,
+    ) -> Result<(), StoreError> {
         let sql = "INSERT INTO name_indexes (parse_id, model, prompt_version, created_at)
                    SELECT $1, $2, $3, $4 WHERE EXISTS (SELECT 1 FROM parses WHERE id = $1) ON CONFLICT DO NOTHING";
         let mut tx = self.writer.begin().await?;
-        let insert = sqlx::query(sql).bind(parse_id).bind(model).bind(i64::from(prompt_version)).bind(now());
+        let insert =
+            sqlx::query(sql).bind(parse_id).bind(model).bind(i64::from(prompt_version)).bind(now());
         insert.execute(&mut *tx).await?;
         note_change(&mut tx, parse_id).await?;
         tx.commit().await
@@ -96,7 +111,11 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn name_index(&self, parse_id: &str, prompt_version: u32) -> Result<Option<String>, StoreError> {
+    pub async fn name_index(
+        &self,
+        parse_id: &str,
+        prompt_version: u32,
+    ) -> Result<Option<String>, StoreError> {
         let sql = "SELECT model FROM name_indexes WHERE parse_id = $1 AND prompt_version = $2 ORDER BY created_at DESC, model LIMIT 1";
         Ok(sqlx::query_scalar(sql)
             .bind(parse_id)
@@ -117,20 +136,27 @@ impl Store {
         Ok(usd.unwrap_or(0.0))
     }
 
-    /// Puts money aside for a call that is about to be made, under a new id, if what may be spent on its day leaves so much: all processes
-    /// together, calls under way counted as what they are thought to cost. An allowance that is used up pays for nothing, not even for what
+    /// Puts money aside for a call that is about to be made, under a new id, if what may be spent
+    /// on its day leaves so much: all processes together, calls under way counted as what they
+    /// are thought to cost. An allowance that is used up pays for nothing, not even for what
     /// seems to be free.
     ///
     /// # Errors
     /// [`StoreError::NotHeld`]: this process was not seen for a lease; [`StoreError::Database`].
-    pub async fn reserve_spending(&self, id: &str, wish: &Wish<'_>) -> Result<Result<(), Short>, StoreError> {
+    pub async fn reserve_spending(
+        &self,
+        id: &str,
+        wish: &Wish<'_>,
+    ) -> Result<Result<(), Short>, StoreError> {
         let Wish { day, usd, key_id, daily_usd, key_daily_usd } = *wish;
         let mut tx = self.writer.begin().await?;
         let of_all = "SELECT coalesce((SELECT usd FROM spending WHERE day = $1), 0.0)
                            + coalesce((SELECT sum(usd) FROM reservations WHERE day = $1), 0.0)";
         let of_key = "SELECT coalesce((SELECT usd FROM key_spending WHERE day = $1 AND key_id = $2), 0.0)
                            + coalesce((SELECT sum(usd) FROM reservations WHERE day = $1 AND key_id = $2), 0.0)";
-        for (whose, sql, limit_usd) in [(Allowance::OfKey, of_key, key_daily_usd), (Allowance::OfAll, of_all, daily_usd)] {
+        for (whose, sql, limit_usd) in
+            [(Allowance::OfKey, of_key, key_daily_usd), (Allowance::OfAll, of_all, daily_usd)]
+        {
             let Some(limit_usd) = limit_usd else { continue };
             let spent = sqlx::query_scalar(sql).bind(day);
             let spent = if whose == Allowance::OfKey { spent.bind(key_id) } else { spent };
@@ -144,7 +170,12 @@ impl Store {
         // Who is no member any more buys nothing: others do what he was at work on.
         let sql = "INSERT INTO reservations (id, day, usd, key_id, member)
                    SELECT $1, $2, $3, $4, $5 WHERE EXISTS (SELECT 1 FROM members WHERE id = $5)";
-        let query = sqlx::query(sql).bind(id).bind(day).bind(usd).bind(key_id).bind(self.members.id().to_string());
+        let query = sqlx::query(sql)
+            .bind(id)
+            .bind(day)
+            .bind(usd)
+            .bind(key_id)
+            .bind(self.members.id().to_string());
         if query.execute(&mut *tx).await?.rows_affected() == 0 {
             tx.forget().await?;
             return Err(StoreError::NotHeld);
@@ -159,10 +190,11 @@ impl Store {
     /// [`StoreError`].
     pub async fn settle_spending(&self, id: &str, usd: f64) -> Result<(), StoreError> {
         let mut tx = self.writer.begin().await?;
-        let reserved: Option<(String, Option<String>)> = sqlx::query_as("DELETE FROM reservations WHERE id = $1 RETURNING day, key_id")
-            .bind(id)
-            .fetch_optional(&mut *tx)
-            .await?;
+        let reserved: Option<(String, Option<String>)> =
+            sqlx::query_as("DELETE FROM reservations WHERE id = $1 RETURNING day, key_id")
+                .bind(id)
+                .fetch_optional(&mut *tx)
+                .await?;
         if let Some((day, key_id)) = reserved {
             add_spending(&mut tx, &day, key_id.as_deref(), usd).await?;
         }
@@ -176,7 +208,8 @@ impl Store {
     pub(super) async fn settle_what_was_left(&self) -> Result<(), StoreError> {
         let left = "DELETE FROM reservations WHERE member IS NULL OR member NOT IN (SELECT id FROM members) RETURNING day, key_id, usd";
         let mut tx = self.writer.begin().await?;
-        let left: Vec<(String, Option<String>, f64)> = sqlx::query_as(left).fetch_all(&mut *tx).await?;
+        let left: Vec<(String, Option<String>, f64)> =
+            sqlx::query_as(left).fetch_all(&mut *tx).await?;
         for (day, key_id, usd) in left {
             add_spending(&mut tx, &day, key_id.as_deref(), usd).await?;
         }
@@ -185,7 +218,12 @@ impl Store {
 }
 
 /// Counts as spent: on a day, by everybody and by a key.
-async fn add_spending(tx: &mut AnyConnection, day: &str, key_id: Option<&str>, usd: f64) -> Result<(), StoreError> {
+async fn add_spending(
+    tx: &mut AnyConnection,
+    day: &str,
+    key_id: Option<&str>,
+    usd: f64,
+) -> Result<(), StoreError> {
     let sql = "INSERT INTO spending (day, usd) VALUES ($1, $2) ON CONFLICT (day) DO UPDATE SET usd = spending.usd + $2";
     sqlx::query(sql).bind(day).bind(usd).execute(&mut *tx).await?;
     if let Some(key_id) = key_id {

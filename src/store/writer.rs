@@ -1,5 +1,6 @@
-//! The one who writes. Every write is a transaction that ends on every path: one that was not committed takes its connection with it, and
-//! the next write gets a new one. So neither a full disk nor a caller that leaves can spoil what comes after.
+//! The one who writes. Every write is a transaction that ends on every path: one that was not
+//! committed takes its connection with it, and the next write gets a new one. So neither a full
+//! disk nor a caller that leaves can spoil what comes after.
 
 use super::StoreError;
 use super::database::Engine;

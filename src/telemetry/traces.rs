@@ -1,6 +1,8 @@
-//! Traces: the spans of requests, jobs and calls of models, sent to an OpenTelemetry collector (OTLP over HTTP).
+//! Traces: the spans of requests, jobs and calls of models, sent to an OpenTelemetry collector
+//! (OTLP over HTTP).
 //!
-//! Spans only, no lines of the log: what is sent are ids, routes, kinds and outcomes. The log alone is scrubbed of secrets, and stays here.
+//! Spans only, no lines of the log: what is sent are ids, routes, kinds and outcomes. The log alone
+//! is scrubbed of secrets, and stays here.
 
 use anyhow::{Context, ensure};
 use opentelemetry::trace::TracerProvider;
@@ -26,20 +28,32 @@ impl Drop for Traces {
     }
 }
 
-/// A layer that sends spans to a collector, by its address without `/v1/traces`. How many are sent is up to the variables of OpenTelemetry
-/// (`OTEL_TRACES_SAMPLER`), and to callers who say so in `traceparent`.
-pub(super) fn sent_to<S>(endpoint: &str) -> anyhow::Result<(Box<dyn Layer<S> + Send + Sync>, Traces)>
+/// A layer that sends spans to a collector, by its address without `/v1/traces`. How many are sent
+/// is up to the variables of OpenTelemetry (`OTEL_TRACES_SAMPLER`), and to callers who say so in
+/// `traceparent`.
+pub(super) fn sent_to<S>(
+    endpoint: &str,
+) -> anyhow::Result<(Box<dyn Layer<S> + Send + Sync>, Traces)>
 where
     S: Subscriber + for<'a> LookupSpan<'a> + Send + Sync,
 {
-    ensure!(Url::parse(endpoint).is_ok_and(|url| url.has_host()), "--otlp-endpoint: this is not an address");
+    ensure!(
+        Url::parse(endpoint).is_ok_and(|url| url.has_host()),
+        "--otlp-endpoint: this is not an address"
+    );
     super::hide_secrets_of(endpoint);
     choose_cryptography();
     let url = format!("{}/v1/traces", endpoint.trim_end_matches('/'));
-    let exporter = SpanExporter::builder().with_http().with_endpoint(url).build().context("--otlp-endpoint")?;
+    let exporter = SpanExporter::builder()
+        .with_http()
+        .with_endpoint(url)
+        .build()
+        .context("--otlp-endpoint")?;
     let service = Resource::builder().with_service_name(env!("CARGO_PKG_NAME")).build();
-    let provider = SdkTracerProvider::builder().with_batch_exporter(exporter).with_resource(service).build();
-    let ours = filter_fn(|seen| seen.is_span() && seen.target().starts_with("uniground")).with_max_level_hint(LevelFilter::INFO);
+    let provider =
+        SdkTracerProvider::builder().with_batch_exporter(exporter).with_resource(service).build();
+    let ours = filter_fn(|seen| seen.is_span() && seen.target().starts_with("uniground"))
+        .with_max_level_hint(LevelFilter::INFO);
     let layer = tracing_opentelemetry::layer()
         .with_tracer(provider.tracer("uniground"))
         .with_location(false)

@@ -1,4 +1,5 @@
-//! Crowds: connections that send nothing, uploads that stall, streams without number; and a scene with more answers than anybody reads.
+//! Crowds: connections that send nothing, uploads that stall, streams without number; and a scene
+//! with more answers than anybody reads.
 
 use crate::archives::Scan;
 use crate::hostile::ZIP;
@@ -29,12 +30,14 @@ async fn say(address: &str, text: &str) -> Option<TcpStream> {
     Some(stream)
 }
 
-/// How many of the crowd are told that there is no place for them: most; which ones is the scheduler's business.
+/// How many of the crowd are told that there is no place for them: most; which ones is the
+/// scheduler's business.
 async fn refused(crowd: &mut [TcpStream]) -> usize {
     let told = crowd.iter_mut().map(async |stream| {
         let mut bytes = [0; 64];
         let read = tokio::time::timeout(Duration::from_millis(500), stream.read(&mut bytes)).await;
-        String::from_utf8_lossy(&bytes[..read.map_or(0, |read| read.unwrap_or(0))]).starts_with("HTTP/1.1 429")
+        String::from_utf8_lossy(&bytes[..read.map_or(0, |read| read.unwrap_or(0))])
+            .starts_with("HTTP/1.1 429")
     });
     futures::future::join_all(told).await.into_iter().filter(|refused| *refused).count()
 }
@@ -43,12 +46,26 @@ pub async fn run(form: Form, report: &mut Report) {
     let target = Target::start();
     let client = &target.process.client;
     let scene = parsed(client, ZIP, Scan::neutral().zip()).await;
-    let address = client.request(reqwest::Method::GET, "healthz").build().unwrap().url().authority().to_owned();
+    let address = client
+        .request(reqwest::Method::GET, "healthz")
+        .build()
+        .unwrap()
+        .url()
+        .authority()
+        .to_owned();
     let count = form.of(300, 1000);
     questions(client, &scene.id, 200).await;
     let (calm, _) = questions(client, &scene.id, count).await;
-    report.row("questions, calm", &format!("p99 {calm:.1} ms"), 0.0, Some(target.peak_mb()), "", true);
-    // Twice the calm value; below this many milliseconds the machine's own noise decides, and more so where other tests ran just now.
+    report.row(
+        "questions, calm",
+        &format!("p99 {calm:.1} ms"),
+        0.0,
+        Some(target.peak_mb()),
+        "",
+        true,
+    );
+    // Twice the calm value; below this many milliseconds the machine's own noise decides, and more
+    // so where other tests ran just now.
     let most = (2.0 * calm).max(form.of(250.0, 25.0));
 
     let half_headers = form.of(1100, 3000);
@@ -118,7 +135,9 @@ pub async fn run(form: Form, report: &mut Report) {
     other.close().await.unwrap();
     let mut crowd = Vec::new();
     for _ in 0..streams {
-        crowd.extend(say(&address, "GET /v1/jobs/waiting/events HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n").await);
+        crowd.extend(
+            say(&address, "GET /v1/jobs/waiting/events HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n").await,
+        );
     }
     let fresh = Client::new(&format!("http://{address}"), None).unwrap();
     let (p99, longest) = questions(&fresh, &scene.id, count).await;

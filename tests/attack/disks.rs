@@ -22,7 +22,13 @@ pub async fn run(_: Form, report: &mut Report) {
 fn bytes_below(folder: &Utf8Path) -> u64 {
     let entries = folder.read_dir_utf8().unwrap().map(Result::unwrap);
     entries
-        .map(|entry| if entry.file_type().unwrap().is_dir() { bytes_below(entry.path()) } else { entry.metadata().unwrap().len() })
+        .map(|entry| {
+            if entry.file_type().unwrap().is_dir() {
+                bytes_below(entry.path())
+            } else {
+                entry.metadata().unwrap().len()
+            }
+        })
         .sum()
 }
 
@@ -67,8 +73,17 @@ fn strangers_folder(report: &mut Report) {
     let start = Instant::now();
     let output = command(folder, "127.0.0.1:0").output().unwrap();
     let told = String::from_utf8_lossy(&output.stderr);
-    let held = !output.status.success() && told.contains("no data folder") && folder.join("tmp/thesis.txt").exists();
-    report.row("3 --data-dir over somebody's folder", "refused to start", since(start), None, "all of it", held);
+    let held = !output.status.success()
+        && told.contains("no data folder")
+        && folder.join("tmp/thesis.txt").exists();
+    report.row(
+        "3 --data-dir over somebody's folder",
+        "refused to start",
+        since(start),
+        None,
+        "all of it",
+        held,
+    );
 }
 
 async fn lost_files(report: &mut Report) {
@@ -77,11 +92,20 @@ async fn lost_files(report: &mut Report) {
     let scene = parsed(&target.process.client, ZIP, Scan::neutral().zip()).await;
     let target = target.again();
     let client = &target.process.client;
-    let kept = client.scene(&scene.id).await.is_ok() && target.folder().join("blobs/contents/note.txt").exists();
+    let kept = client.scene(&scene.id).await.is_ok()
+        && target.folder().join("blobs/contents/note.txt").exists();
     report.row("3 a stray file in blobs/", "starts", 0.0, None, "all of it", kept);
 
     let start = Instant::now();
-    let parse = target.folder().join("blobs/parses").read_dir_utf8().unwrap().next().unwrap().unwrap().into_path();
+    let parse = target
+        .folder()
+        .join("blobs/parses")
+        .read_dir_utf8()
+        .unwrap()
+        .next()
+        .unwrap()
+        .unwrap()
+        .into_path();
     let cloud = parse.join("cloud.ply");
     let mut bytes = fs::read(&cloud).unwrap();
     *bytes.last_mut().unwrap() ^= 0xff;
@@ -89,7 +113,8 @@ async fn lost_files(report: &mut Report) {
     let path = format!("v1/scenes/{}/cloud.ply", scene.id);
     let told = problem(client.bytes(&path).await);
     let job = client.scene(&scene.id).await.unwrap().job_id.unwrap();
-    let healed = finished(client, &job).await.state == JobState::Succeeded && client.bytes(&path).await.is_ok();
+    let healed = finished(client, &job).await.state == JobState::Succeeded
+        && client.bytes(&path).await.is_ok();
     report.row(
         "11 a damaged cloud",
         &format!("{} {}", told.status, told.code),
@@ -109,7 +134,14 @@ async fn lost_files(report: &mut Report) {
     }
     let again = parsed(client, ZIP, Scan::neutral().zip()).await;
     let whole = client.bytes(&format!("v1/scenes/{}/cloud.ply", again.id)).await.is_ok();
-    report.row("11 all files lost, the scan uploaded again", "parsed again", since(start), None, "made anew", whole);
+    report.row(
+        "11 all files lost, the scan uploaded again",
+        "parsed again",
+        since(start),
+        None,
+        "made anew",
+        whole,
+    );
     target.process.terminate();
     let doctor = Command::new(env!("CARGO_BIN_EXE_uniground"))
         .args(["doctor", "--data-dir", target.data.path().to_str().unwrap()])
@@ -117,14 +149,22 @@ async fn lost_files(report: &mut Report) {
         .unwrap();
     let told = String::from_utf8_lossy(&doctor.stdout);
     let alone = told.contains("stray file") && !told.contains("parse ") && !told.contains("scan ");
-    report.row("the doctor after that", if alone { "a stray file, nothing else" } else { "more" }, 0.0, None, "", alone);
+    report.row(
+        "the doctor after that",
+        if alone { "a stray file, nothing else" } else { "more" },
+        0.0,
+        None,
+        "",
+        alone,
+    );
 }
 
 async fn locked(report: &mut Report) {
     let target = Target::start();
     let client = &target.process.client;
     let scene = parsed(client, ZIP, Scan::neutral().zip()).await;
-    let created = client.create_scene(None, ZIP, Scan::neutral().with("note.txt", "2").zip()).await.unwrap();
+    let created =
+        client.create_scene(None, ZIP, Scan::neutral().with("note.txt", "2").zip()).await.unwrap();
     let options = SqliteConnectOptions::new().filename(target.folder().join("uniground.sqlite"));
     let mut other = SqliteConnection::connect_with(&options).await.unwrap();
     sqlx::query("BEGIN IMMEDIATE").execute(&mut other).await.unwrap();
@@ -151,13 +191,36 @@ async fn locked(report: &mut Report) {
         told.status == 503 && told.retry_after_s.is_some() && seconds < 8.0,
     );
     let ready = client.request(reqwest::Method::GET, "readyz").send().await.unwrap().status();
-    report.row("14 readiness while the database is locked", ready.as_str(), 0.0, None, "", ready == 503);
+    report.row(
+        "14 readiness while the database is locked",
+        ready.as_str(),
+        0.0,
+        None,
+        "",
+        ready == 503,
+    );
     tokio::time::sleep(Duration::from_secs(5)).await;
     drop(other);
     let start = Instant::now();
-    let job = tokio::time::timeout(Duration::from_mins(1), finished(client, &created.job.unwrap().id)).await;
+    let job =
+        tokio::time::timeout(Duration::from_mins(1), finished(client, &created.job.unwrap().id))
+            .await;
     let held = job.as_ref().is_ok_and(|job| job.state == JobState::Succeeded);
-    report.row("7 a job that ended meanwhile", if held { "succeeded" } else { "never ended" }, since(start), None, "", held);
+    report.row(
+        "7 a job that ended meanwhile",
+        if held { "succeeded" } else { "never ended" },
+        since(start),
+        None,
+        "",
+        held,
+    );
     let ready = client.bytes("readyz").await.is_ok();
-    report.row("14 readiness afterwards", if ready { "ready" } else { "not ready" }, 0.0, None, "", ready);
+    report.row(
+        "14 readiness afterwards",
+        if ready { "ready" } else { "not ready" },
+        0.0,
+        None,
+        "",
+        ready,
+    );
 }

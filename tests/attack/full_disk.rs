@@ -1,5 +1,6 @@
-//! A disk without a free byte: while the server runs, while it is stopped, and while a batch comes in. On a file system of its own, which only
-//! root can make. Every row makes sure that the disk was full before it says what became of it.
+//! A disk without a free byte: while the server runs, while it is stopped, and while a batch comes
+//! in. On a file system of its own, which only root can make. Every row makes sure that the disk
+//! was full before it says what became of it.
 
 use crate::archives::Scan;
 use crate::hostile::ZIP;
@@ -88,7 +89,11 @@ impl Disk {
     async fn fill(&self) {
         let mut full_for = 0;
         for _ in 0..600 {
-            let mut filler = OpenOptions::new().create(true).append(true).open(self.path().join("filler")).unwrap();
+            let mut filler = OpenOptions::new()
+                .create(true)
+                .append(true)
+                .open(self.path().join("filler"))
+                .unwrap();
             for bytes in [1 << 20, 4096, 1] {
                 while filler.write_all(&vec![1; bytes]).is_ok() {}
             }
@@ -114,7 +119,12 @@ impl Disk {
     fn start(&self, keep_free: &str) -> Result<Process, String> {
         let mut command = command(&self.data(), "127.0.0.1:0");
         let log = File::create(self.log()).unwrap();
-        let mut child = command.args(["--keep-free-bytes", keep_free]).stdout(Stdio::piped()).stderr(log).spawn().unwrap();
+        let mut child = command
+            .args(["--keep-free-bytes", keep_free])
+            .stdout(Stdio::piped())
+            .stderr(log)
+            .spawn()
+            .unwrap();
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
         if let Some(address) = line.trim().strip_prefix("listening on ") {
@@ -136,7 +146,10 @@ impl Disk {
             .args(["--data-dir", self.data().as_str()])
             .output();
         let Output { status, stdout, stderr } = command.unwrap();
-        (status.success(), format!("{}{}", String::from_utf8_lossy(&stdout), String::from_utf8_lossy(&stderr)))
+        (
+            status.success(),
+            format!("{}{}", String::from_utf8_lossy(&stdout), String::from_utf8_lossy(&stderr)),
+        )
     }
 
     /// A stopped server's folder with its reserve, on a disk that others have filled meanwhile.
@@ -174,9 +187,17 @@ async fn is_stored(client: &Client, scene: &str) -> Result<bool, ClientError> {
 async fn running(disk: &Disk, report: &mut Report) {
     let process = disk.start(NOTHING).unwrap();
     let client = &process.client;
-    let (scene, first, second) = (scan(client, "1").await, scan(client, "2").await, scan(client, "3").await);
+    let (scene, first, second) =
+        (scan(client, "1").await, scan(client, "2").await, scan(client, "3").await);
     let held = disk.reserve() == 8 << 20 && is_ready(client).await;
-    report.row("4 before the disk is full", if held { "ready, with a reserve" } else { "not ready" }, 0.0, None, "", held);
+    report.row(
+        "4 before the disk is full",
+        if held { "ready, with a reserve" } else { "not ready" },
+        0.0,
+        None,
+        "",
+        held,
+    );
     disk.fill().await;
     let start = Instant::now();
     // What the database's log has room for is stored yet.
@@ -192,8 +213,19 @@ async fn running(disk: &Disk, report: &mut Report) {
     let held = disk.is_full() && failed == 0 && not_stored == 3;
     report.row("4 questions on a full disk", &told, since(start), None, "", held);
     disk.fill().await;
-    let told = problem(client.create_scene(None, ZIP, Scan::neutral().with("note.txt", "x".repeat(1 << 20)).zip()).await);
-    report.row("4 an upload on a full disk", &format!("{} {}", told.status, told.code), 0.0, None, "", told.status == 507);
+    let told = problem(
+        client
+            .create_scene(None, ZIP, Scan::neutral().with("note.txt", "x".repeat(1 << 20)).zip())
+            .await,
+    );
+    report.row(
+        "4 an upload on a full disk",
+        &format!("{} {}", told.status, told.code),
+        0.0,
+        None,
+        "",
+        told.status == 507,
+    );
     disk.fill().await;
     let lines = format!("{}\n", json!({"scene_id": scene, "query": "the red sofa"})).repeat(3000);
     let told = problem(client.create_batch_of_lines(lines, &[], None).await);
@@ -209,12 +241,26 @@ async fn running(disk: &Disk, report: &mut Report) {
     );
     disk.fill().await;
     let ready = is_ready(client).await;
-    report.row("4 readiness on a full disk", if ready { "ready" } else { "not ready" }, 0.0, None, "", !ready);
+    report.row(
+        "4 readiness on a full disk",
+        if ready { "ready" } else { "not ready" },
+        0.0,
+        None,
+        "",
+        !ready,
+    );
     let start = Instant::now();
     disk.fill().await;
     let deleted = client.delete_scene(&first).await;
     let told = if deleted.is_ok() { "204" } else { "not possible" };
-    report.row("4 DELETE on a full disk", told, since(start), None, "room again", deleted.is_ok() && disk.free_bytes() > 0);
+    report.row(
+        "4 DELETE on a full disk",
+        told,
+        since(start),
+        None,
+        "room again",
+        deleted.is_ok() && disk.free_bytes() > 0,
+    );
 
     // What deleting has left of the reserve is for the next start.
     disk.fill().await;
@@ -241,7 +287,10 @@ async fn starts_and_deletes(disk: &Disk, scene: &str) -> (bool, String) {
         Ok(process) => process,
         Err(told) => return (false, format!("does not start: {}", end_of(&told))),
     };
-    let (answered, deleted) = (is_stored(&process.client, scene).await.is_ok(), process.client.delete_scene(scene).await.is_ok());
+    let (answered, deleted) = (
+        is_stored(&process.client, scene).await.is_ok(),
+        process.client.delete_scene(scene).await.is_ok(),
+    );
     let released = disk.told().contains("disk full: released the reserve file of");
     process.terminate();
     let told = format!("answered {answered}, deleted {deleted}, told {released}");
@@ -263,8 +312,15 @@ async fn stopped(disk: &Disk, report: &mut Report) {
         let args = if args == ["backup"] { vec!["backup", &to] } else { args.to_vec() };
         let (start, full) = (Instant::now(), disk.is_full());
         let (done, told) = disk.command(&args);
-        let held = full && reserve == 8 << 20 && done && told.contains("disk full: released the reserve file of 8 MB");
-        let answer = if held { "works".to_owned() } else { format!("full {full}, done {done}: {}", end_of(&told)) };
+        let held = full
+            && reserve == 8 << 20
+            && done
+            && told.contains("disk full: released the reserve file of 8 MB");
+        let answer = if held {
+            "works".to_owned()
+        } else {
+            format!("full {full}, done {done}: {}", end_of(&told))
+        };
         report.row(&format!("4 {} on a full disk", args[0]), &answer, since(start), None, "", held);
     }
 
@@ -272,7 +328,14 @@ async fn stopped(disk: &Disk, report: &mut Report) {
     let start = Instant::now();
     let (held, told) = starts_and_deletes(disk, &mine).await;
     let held = held && reserve == 8 << 20;
-    report.row("4 a start on a disk filled meanwhile", &told, since(start), None, "of 8 MB in reserve", held);
+    report.row(
+        "4 a start on a disk filled meanwhile",
+        &told,
+        since(start),
+        None,
+        "of 8 MB in reserve",
+        held,
+    );
 
     // Nobody has left a reserve: what only saves time makes room.
     disk.fill_while_stopped().await;
@@ -281,15 +344,37 @@ async fn stopped(disk: &Disk, report: &mut Report) {
     let (start, full) = (Instant::now(), disk.is_full());
     let (done, told) = disk.command(&["gc"]);
     let answer = if done { "works".to_owned() } else { end_of(&told).to_owned() };
-    report.row("4 gc on a full disk without a reserve", &answer, since(start), None, "", full && done);
+    report.row(
+        "4 gc on a full disk without a reserve",
+        &answer,
+        since(start),
+        None,
+        "",
+        full && done,
+    );
 
     disk.empty();
     let process = disk.start(NOTHING).unwrap();
-    let stored = is_stored(&process.client, &other).await.is_ok_and(|stored| stored) && disk.reserve() == 8 << 20;
-    report.row("4 once there is room", if stored { "stored, with a reserve" } else { "not stored" }, 0.0, None, "", stored);
+    let stored = is_stored(&process.client, &other).await.is_ok_and(|stored| stored)
+        && disk.reserve() == 8 << 20;
+    report.row(
+        "4 once there is room",
+        if stored { "stored, with a reserve" } else { "not stored" },
+        0.0,
+        None,
+        "",
+        stored,
+    );
     process.terminate();
     let (whole, told) = disk.command(&["doctor"]);
-    report.row("4 the doctor after that", if whole { "whole" } else { end_of(&told) }, 0.0, None, "", whole);
+    report.row(
+        "4 the doctor after that",
+        if whole { "whole" } else { end_of(&told) },
+        0.0,
+        None,
+        "",
+        whole,
+    );
 }
 
 async fn rows_of_batches(disk: &Disk) -> i64 {
@@ -322,16 +407,26 @@ async fn batches(disk: &Disk, report: &mut Report) {
     let start = Instant::now();
     let before = disk.free_bytes();
     let items = vec![json!({}); 20_000];
-    let body = json!({"items": items, "defaults": {"scene_id": scene, "query": "a".repeat(60_000)}});
+    let body =
+        json!({"items": items, "defaults": {"scene_id": scene, "query": "a".repeat(60_000)}});
     let batch = client.create_batch(&serde_json::from_value(body).unwrap(), None).await;
-    let told = batch.as_ref().map_or_else(|error| format!("{error}"), |batch| format!("{} items", batch.items));
+    let told = batch
+        .as_ref()
+        .map_or_else(|error| format!("{error}"), |batch| format!("{} items", batch.items));
     if let Ok(batch) = &batch {
         client.tell_batch(&batch.id, "cancel").await.unwrap();
         client.follow_job(batch.job_id.as_deref().unwrap(), |_| {}).await.unwrap();
     }
     let taken = before.saturating_sub(disk.free_bytes()) >> 20;
     let held = batch.is_ok() && taken < 25;
-    report.row("4 a batch of large defaults", &told, since(start), None, &format!("{taken} MB"), held);
+    report.row(
+        "4 a batch of large defaults",
+        &told,
+        since(start),
+        None,
+        &format!("{taken} MB"),
+        held,
+    );
 
     let start = Instant::now();
     let known = rows_of_batches(disk).await;
@@ -355,15 +450,34 @@ async fn batches(disk: &Disk, report: &mut Report) {
     watch.await.unwrap();
     let least = least.load(Ordering::Relaxed);
     let log = fs::metadata(disk.data().join("uniground.sqlite-wal")).map_or(0, |file| file.len());
-    let held = !told.contains("taken") && left == 0 && least > KEPT_FREE - (16 << 20) && log < 1 << 20;
+    let held =
+        !told.contains("taken") && left == 0 && least > KEPT_FREE - (16 << 20) && log < 1 << 20;
     let rest = format!("{left} rows, log of {log} bytes, least free {} MB", least >> 20);
     report.row("4 a batch larger than the disk", &told, since(start), None, &rest, held);
     let stored = is_stored(client, &scene).await.is_ok_and(|stored| stored);
-    report.row("4 a question after that", if stored { "stored" } else { "not stored" }, 0.0, None, "", stored);
+    report.row(
+        "4 a question after that",
+        if stored { "stored" } else { "not stored" },
+        0.0,
+        None,
+        "",
+        stored,
+    );
     process.terminate();
     let before = fs::metadata(disk.data().join("uniground.sqlite")).unwrap().len();
     let (done, told) = disk.command(&["gc"]);
     let after = fs::metadata(disk.data().join("uniground.sqlite")).unwrap().len();
-    let answer = if done { format!("{} -> {} MB", before >> 20, after >> 20) } else { end_of(&told).to_owned() };
-    report.row("4 gc gives the refused batch's room back", &answer, 0.0, None, "", done && after < before / 2);
+    let answer = if done {
+        format!("{} -> {} MB", before >> 20, after >> 20)
+    } else {
+        end_of(&told).to_owned()
+    };
+    report.row(
+        "4 gc gives the refused batch's room back",
+        &answer,
+        0.0,
+        None,
+        "",
+        done && after < before / 2,
+    );
 }

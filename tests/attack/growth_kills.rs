@@ -1,4 +1,5 @@
-//! Kills while scenes grow, batches come in and uploads arrive in parts: every start succeeds, and what was acknowledged is there.
+//! Kills while scenes grow, batches come in and uploads arrive in parts: every start succeeds, and
+//! what was acknowledged is there.
 
 use crate::archives::{Scan, THINGS};
 use crate::hostile::ZIP;
@@ -28,7 +29,8 @@ struct Acknowledged {
 
 /// Small frames of the room, other ones for each number.
 fn frames(number: usize) -> Scan {
-    Scan::of_room(&THINGS, &AROUND.map(|turn| turn + 0.01 * number as f32)).with("note.txt", format!("{number}"))
+    Scan::of_room(&THINGS, &AROUND.map(|turn| turn + 0.01 * number as f32))
+        .with("note.txt", format!("{number}"))
 }
 
 pub async fn run(form: Form, report: &mut Report) {
@@ -64,25 +66,50 @@ pub async fn run(form: Form, report: &mut Report) {
     }
     let mut failed = 0;
     for id in &known.jobs {
-        failed += usize::from(!matches!(finished(client, id).await.state, JobState::Succeeded | JobState::Cancelled));
+        failed += usize::from(!matches!(
+            finished(client, id).await.state,
+            JobState::Succeeded | JobState::Cancelled
+        ));
     }
     let grown = client.scene(&growing).await.unwrap();
     let parts = grown.import.map_or(0, |import| import.frames as usize / AROUND.len());
     let answered = client.ground(&growing, &ask("the red sofa")).await.is_ok();
     process.terminate();
     let doctor = doctor(folder);
-    let answer = format!("{} scenes, {} batches, {} additions", known.scenes.len(), known.batches.len(), known.additions);
-    let left = format!("lost {lost}, failed {failed}, parts {parts}, doctor: {}", doctor.lines().last().unwrap_or_default());
+    let answer = format!(
+        "{} scenes, {} batches, {} additions",
+        known.scenes.len(),
+        known.batches.len(),
+        known.additions
+    );
+    let left = format!(
+        "lost {lost}, failed {failed}, parts {parts}, doctor: {}",
+        doctor.lines().last().unwrap_or_default()
+    );
     let whole = doctor.contains("is whole");
-    let held = lost == 0 && failed == 0 && answered && whole && parts > known.additions && known.additions > 0;
-    report.row(&format!("1 {kills} kills of growth, batches, uploads in parts"), &answer, since(start), None, &left, held);
+    let held = lost == 0
+        && failed == 0
+        && answered
+        && whole
+        && parts > known.additions
+        && known.additions > 0;
+    report.row(
+        &format!("1 {kills} kills of growth, batches, uploads in parts"),
+        &answer,
+        since(start),
+        None,
+        &left,
+        held,
+    );
 }
 
-/// A scene that nobody has asked anything, stopped while its growth waits or runs: the next start keeps its parse.
+/// A scene that nobody has asked anything, stopped while its growth waits or runs: the next start
+/// keeps its parse.
 async fn not_asked(report: &mut Report) {
-    for (case, stop) in
-        [("SIGKILL", Process::kill as fn(Process)), ("SIGTERM", |process: Process| assert_eq!(process.terminate(), Some(0)))]
-    {
+    for (case, stop) in [
+        ("SIGKILL", Process::kill as fn(Process)),
+        ("SIGTERM", |process: Process| assert_eq!(process.terminate(), Some(0))),
+    ] {
         let start = Instant::now();
         let data = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(data.path()).unwrap();
@@ -90,7 +117,11 @@ async fn not_asked(report: &mut Report) {
         let scene = parsed(&process.client, ZIP, frames(0).zip()).await;
         // Another parse in front: the growth waits in the queue.
         process.client.create_scene(None, ZIP, Scan::neutral().zip()).await.unwrap();
-        let created = process.client.add_frames(&scene.id, FrameChoice::Source, frames(1).zip()).await.unwrap();
+        let created = process
+            .client
+            .add_frames(&scene.id, FrameChoice::Source, frames(1).zip())
+            .await
+            .unwrap();
         stop(process);
         let process = Process::start(folder);
         let job = finished(&process.client, &created.job.unwrap().id).await;
@@ -98,7 +129,14 @@ async fn not_asked(report: &mut Report) {
         process.terminate();
         let whole = doctor(folder).contains("is whole");
         let held = job.state == JobState::Succeeded && answered && whole;
-        report.row(&format!("1 {case} before growth ends, never asked"), "starts, grows", since(start), None, "all of it", held);
+        report.row(
+            &format!("1 {case} before growth ends, never asked"),
+            "starts, grows",
+            since(start),
+            None,
+            "all of it",
+            held,
+        );
     }
 }
 
@@ -113,7 +151,10 @@ fn doctor(folder: &Utf8Path) -> String {
 /// Everything at once, until the server is gone.
 async fn at_work(client: Client, growing: String, kill: usize) -> Acknowledged {
     let mut known = Acknowledged::default();
-    let batch = serde_json::from_value(json!({"items": vec![json!({"scene_id": growing, "query": "the red sofa"}); 30]})).unwrap();
+    let batch = serde_json::from_value(
+        json!({"items": vec![json!({"scene_id": growing, "query": "the red sofa"}); 30]}),
+    )
+    .unwrap();
     if let Ok(batch) = client.create_batch(&batch, Some(&format!("batch {kill}"))).await {
         known.batches.insert(batch.id);
     }
@@ -130,7 +171,11 @@ async fn at_work(client: Client, growing: String, kill: usize) -> Acknowledged {
             return known;
         }
     }
-    let Ok(created) = client.add_frames(&growing, FrameChoice::Source, frames(1 + kill).zip()).await else { return known };
+    let Ok(created) =
+        client.add_frames(&growing, FrameChoice::Source, frames(1 + kill).zip()).await
+    else {
+        return known;
+    };
     known.additions += 1;
     known.jobs.extend(created.job.map(|job| job.id));
     for number in 0..20 {

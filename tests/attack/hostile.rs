@@ -47,7 +47,8 @@ pub fn a_large_pose(bytes: usize) -> Vec<u8> {
 pub fn a_large_manifest(bytes: usize) -> Vec<u8> {
     let frame = r#"{"color":"a","depth":"b","pose":"c"},"#;
     let frames = frame.repeat(bytes / frame.len());
-    let manifest = format!(r#"{{"format":"uniground-scene/1","frames":[{}]}}"#, frames.trim_end_matches(','));
+    let manifest =
+        format!(r#"{{"format":"uniground-scene/1","frames":[{}]}}"#, frames.trim_end_matches(','));
     zip_of([("scene.json".to_owned(), manifest.into_bytes())])
 }
 
@@ -174,12 +175,25 @@ pub fn glb_of_indices(count: usize) -> Vec<u8> {
         36 + count
     );
     let json = format!("{json}{}", " ".repeat(json.len().next_multiple_of(4) - json.len()));
-    let corners: Vec<u8> = [0.0_f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|x| x.to_le_bytes()).collect();
+    let corners: Vec<u8> = [0.0_f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+        .iter()
+        .flat_map(|x| x.to_le_bytes())
+        .collect();
     let binary = [corners, vec![0; count]].concat();
     let word = |number: usize| (number as u32).to_le_bytes();
     let total = 12 + 8 + json.len() + 8 + binary.len();
-    let glb = [&b"glTF"[..], &word(2), &word(total), &word(json.len()), b"JSON", json.as_bytes(), &word(binary.len()), b"BIN\0", &binary]
-        .concat();
+    let glb = [
+        &b"glTF"[..],
+        &word(2),
+        &word(total),
+        &word(json.len()),
+        b"JSON",
+        json.as_bytes(),
+        &word(binary.len()),
+        b"BIN\0",
+        &binary,
+    ]
+    .concat();
     zip_of([("scan.glb".to_owned(), glb), ("noise.bin".to_owned(), noise(count / 150))])
 }
 
@@ -209,7 +223,10 @@ pub fn e57_of_elements(pages: usize) -> Vec<u8> {
 }
 
 fn crc32c(bytes: &[u8]) -> u32 {
-    let step =
-        |crc: u32, byte: &u8| (0..8).fold(crc ^ u32::from(*byte), |crc, _| if crc & 1 == 1 { crc >> 1 ^ 0x82f6_3b78 } else { crc >> 1 });
+    let step = |crc: u32, byte: &u8| {
+        (0..8).fold(crc ^ u32::from(*byte), |crc, _| {
+            if crc & 1 == 1 { crc >> 1 ^ 0x82f6_3b78 } else { crc >> 1 }
+        })
+    };
     !bytes.iter().fold(u32::MAX, step)
 }

@@ -26,7 +26,8 @@ pub async fn run(form: Form, report: &mut Report) {
         let work = tokio::spawn(async move {
             let (mut made, mut given, mut without_job) = (Vec::new(), Vec::new(), 0);
             for round in 0..50 {
-                // Every key is used for two rounds and by the next server: once in a while it made the scene before.
+                // Every key is used for two rounds and by the next server: once in a while it made
+                // the scene before.
                 let key = format!("key-{}", kill * 3 + round / 2);
                 let archive = Scan::neutral().with("note.txt", key.clone()).zip();
                 let request = client
@@ -70,7 +71,9 @@ pub async fn run(form: Form, report: &mut Report) {
     }
     let mut lost_answers = 0;
     for (id, chosen) in &answers {
-        lost_answers += usize::from(client.answer(id).await.map(|answer| answer.answer.predicted_id).ok() != Some(*chosen));
+        lost_answers += usize::from(
+            client.answer(id).await.map(|answer| answer.answer.predicted_id).ok() != Some(*chosen),
+        );
     }
     let mut chosen: Vec<_> = Vec::new();
     for id in scenes.values() {
@@ -91,8 +94,11 @@ pub async fn run(form: Form, report: &mut Report) {
     let told = String::from_utf8_lossy(&doctor.stdout);
     let sound = !told.contains("database") && !told.contains("parse ") && !told.contains("scan ");
     let answer = format!("{} scenes, {} answers", scenes.len(), answers.len());
-    let left = format!("lost {lost}+{lost_answers}, failed {failed}, without job {without_job}, answers alike {alike}, sound {sound}");
-    let held = lost + lost_answers + failed + without_job == 0 && alike && sound && !scenes.is_empty();
+    let left = format!(
+        "lost {lost}+{lost_answers}, failed {failed}, without job {without_job}, answers alike {alike}, sound {sound}"
+    );
+    let held =
+        lost + lost_answers + failed + without_job == 0 && alike && sound && !scenes.is_empty();
     report.row(&format!("8, 16 {kills} kills"), &answer, since(start), None, &left, held);
 
     let process = Process::start(folder);

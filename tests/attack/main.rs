@@ -1,5 +1,6 @@
-//! An attack on the binary: every case is a few kilobytes, a kill, a full disk or a crowd, and ends in one line of a table:
-//! the case, the answer, seconds, peak memory, and what is left on the disk.
+//! An attack on the binary: every case is a few kilobytes, a kill, a full disk or a crowd, and ends
+//! in one line of a table: the case, the answer, seconds, peak memory, and what is left on the
+//! disk.
 //!
 //! `cargo test --test attack` takes the short form; `make attack` the whole (`ATTACK=full`).
 
@@ -50,7 +51,15 @@ pub(crate) struct Report {
 
 impl Report {
     /// One line; `held` says whether what was promised held.
-    pub(crate) fn row(&mut self, case: &str, answer: &str, seconds: f64, peak_mb: Option<f64>, left: &str, held: bool) {
+    pub(crate) fn row(
+        &mut self,
+        case: &str,
+        answer: &str,
+        seconds: f64,
+        peak_mb: Option<f64>,
+        left: &str,
+        held: bool,
+    ) {
         let peak = peak_mb.map_or_else(|| "-".into(), |mb| format!("{mb:.0} MB"));
         let verdict = if held { "" } else { "  <-- FAILED" };
         println!("{case:<52} {answer:<34} {seconds:>7.2} s {peak:>8}  {left}{verdict}");
@@ -79,7 +88,8 @@ impl Target {
 
     /// Peak resident memory since it was last forgotten, MB.
     pub(crate) fn peak_mb(&self) -> f64 {
-        let status = fs::read_to_string(format!("/proc/{}/status", self.process.child.id())).unwrap_or_default();
+        let status = fs::read_to_string(format!("/proc/{}/status", self.process.child.id()))
+            .unwrap_or_default();
         let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap_or("0 kB");
         line.trim().trim_end_matches(" kB").parse::<f64>().unwrap() / 1024.0
     }
@@ -90,7 +100,8 @@ impl Target {
 
     /// Names of what lies in the folders of scans and uploads.
     pub(crate) fn left(&self) -> String {
-        let count = |folder: &str| self.folder().join(folder).read_dir_utf8().map_or(0, Iterator::count);
+        let count =
+            |folder: &str| self.folder().join(folder).read_dir_utf8().map_or(0, Iterator::count);
         format!("contents {}, tmp {}", count("blobs/contents"), count("tmp"))
     }
 
@@ -109,7 +120,11 @@ pub(crate) fn since(start: Instant) -> f64 {
 }
 
 fn main() {
-    let form = if std::env::var("ATTACK").is_ok_and(|form| form == "full") { Form::Full } else { Form::Short };
+    let form = if std::env::var("ATTACK").is_ok_and(|form| form == "full") {
+        Form::Full
+    } else {
+        Form::Short
+    };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
     let mut report = Report::default();
     println!("{:<52} {:<34} {:>9} {:>8}  left on the disk", "case", "answer", "time", "peak");

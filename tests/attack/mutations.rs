@@ -1,4 +1,5 @@
-//! Files that were once whole, with a few bytes changed: every one is answered, and the server stays.
+//! Files that were once whole, with a few bytes changed: every one is answered, and the server
+//! stays.
 
 use crate::archives::Scan;
 use crate::hostile::{ANY, ZIP};
@@ -32,7 +33,14 @@ fn laz() -> Vec<u8> {
         let color = Some(las::Color::new(1000, 2000, 3000));
         let (x, y) = (f64::from(i % 25) * 0.1, f64::from(i / 25) * 0.1);
         writer
-            .write_point(Point { x, y, z: 0.01 * x, color, gps_time: Some(0.0), ..Point::default() })
+            .write_point(Point {
+                x,
+                y,
+                z: 0.01 * x,
+                color,
+                gps_time: Some(0.0),
+                ..Point::default()
+            })
             .unwrap();
     }
     writer.close().unwrap();
@@ -48,7 +56,8 @@ fn depth_picture(file: &str) -> Vec<u8> {
 pub async fn run(form: Form, report: &mut Report) {
     let glb = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/fuzz/seeds/glb/one")).unwrap();
     let clouds = [(ANY, laz()), (ANY, glb), (ZIP, Scan::frames_only().zip())];
-    let pictures = ["zip.exr", "zips.exr", "floats.tif", "packed.tif", "words.tif"].map(depth_picture);
+    let pictures =
+        ["zip.exr", "zips.exr", "floats.tif", "packed.tif", "words.tif"].map(depth_picture);
     let target = Target::start();
     let client = &target.process.client;
     let (start, count) = (Instant::now(), form.of(40, 432));
@@ -67,7 +76,13 @@ pub async fn run(form: Form, report: &mut Report) {
             (*media_type, change(bytes.clone()))
         } else {
             let picture = change(pictures[kind - clouds.len()].clone());
-            (ZIP, Scan::neutral().with("depth/0.png", picture).with("note.txt", format!("{number}")).zip())
+            (
+                ZIP,
+                Scan::neutral()
+                    .with("depth/0.png", picture)
+                    .with("note.txt", format!("{number}"))
+                    .zip(),
+            )
         };
         let answer = match client.create_scene(None, media_type, upload).await {
             Err(ClientError::Problem(problem)) => problem.code,
@@ -77,11 +92,15 @@ pub async fn run(form: Form, report: &mut Report) {
             }
             Err(other) => format!("{other}"),
         };
-        wrong += usize::from(matches!(answer.as_str(), "internal" | "storage_failed" | "memory_short") || answer.contains(' '));
+        wrong += usize::from(
+            matches!(answer.as_str(), "internal" | "storage_failed" | "memory_short")
+                || answer.contains(' '),
+        );
         *answers.entry(answer).or_default() += 1;
     }
     let up = client.bytes("healthz").await.is_ok();
-    let told: Vec<String> = answers.iter().map(|(answer, count)| format!("{answer} {count}")).collect();
+    let told: Vec<String> =
+        answers.iter().map(|(answer, count)| format!("{answer} {count}")).collect();
     let case = format!("2 {count} files with a few bytes changed");
     report.row(
         &case,

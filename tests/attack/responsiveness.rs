@@ -19,9 +19,19 @@ const QUESTIONS: usize = 8;
 /// Texts of the longest length that is read, which cost a reader most.
 fn worst_questions() -> Vec<String> {
     let longest = |pattern: &str| pattern.chars().cycle().take(1000).collect::<String>();
-    [",", "a,", "what x, ", "i need to, ", "put it, ", "(", "no, the ", "something to sit on and ", "between the "]
-        .map(longest)
-        .to_vec()
+    [
+        ",",
+        "a,",
+        "what x, ",
+        "i need to, ",
+        "put it, ",
+        "(",
+        "no, the ",
+        "something to sit on and ",
+        "between the ",
+    ]
+    .map(longest)
+    .to_vec()
 }
 
 pub async fn run(form: Form, report: &mut Report) {
@@ -40,8 +50,16 @@ pub async fn run(form: Form, report: &mut Report) {
         .map(|query| format!("{}\n", json!({"scene_id": scene.id, "query": query})))
         .collect();
     client.create_batch_of_lines(lines, &[("concurrency", "8".to_owned())], None).await.unwrap();
-    work.push(tokio::spawn(upload_on(client.clone(), hostile::glb_of_indices(40_000_000), over.clone())));
-    work.push(tokio::spawn(upload_on(client.clone(), hostile::a_large_manifest(11 << 20), over.clone())));
+    work.push(tokio::spawn(upload_on(
+        client.clone(),
+        hostile::glb_of_indices(40_000_000),
+        over.clone(),
+    )));
+    work.push(tokio::spawn(upload_on(
+        client.clone(),
+        hostile::a_large_manifest(11 << 20),
+        over.clone(),
+    )));
     let start = Instant::now();
     let seconds = form.of(8, 60);
     let mut times = Vec::new();

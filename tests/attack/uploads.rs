@@ -20,7 +20,13 @@ pub async fn run(form: Form, report: &mut Report) {
     let line = form.of(100 << 20, 190 << 20);
     type Case = (&'static str, &'static str, Vec<u8>, &'static str, f64);
     let cases: Vec<Case> = vec![
-        ("1 a PLY with a million columns", ZIP, hostile::a_million_columns(), "scene_file_malformed", SOON),
+        (
+            "1 a PLY with a million columns",
+            ZIP,
+            hostile::a_million_columns(),
+            "scene_file_malformed",
+            SOON,
+        ),
         ("2 folders 1,900 deep", ZIP, hostile::deep_folders(1900), "archive_entry_unsafe", SOON),
         (
             "6 a huge PAX header",
@@ -36,11 +42,35 @@ pub async fn run(form: Form, report: &mut Report) {
             "archive_unreadable",
             SOON,
         ),
-        ("6 an ASCII line without end", ZIP, hostile::an_endless_line(line), "job scene_file_malformed", LATER),
-        ("6 a PLY header without end", ZIP, hostile::an_endless_header(line), "scene_file_malformed", LATER),
+        (
+            "6 an ASCII line without end",
+            ZIP,
+            hostile::an_endless_line(line),
+            "job scene_file_malformed",
+            LATER,
+        ),
+        (
+            "6 a PLY header without end",
+            ZIP,
+            hostile::an_endless_header(line),
+            "scene_file_malformed",
+            LATER,
+        ),
         // More than are kept: thinned while they are read, and then there is no room in them.
-        ("6 thirteen million points", ZIP, hostile::thirteen_million_points(), "job up_unknown", LATER),
-        ("6 a pose of megabytes", ZIP, hostile::a_large_pose(100 << 20), "scene_file_malformed", LATER),
+        (
+            "6 thirteen million points",
+            ZIP,
+            hostile::thirteen_million_points(),
+            "job up_unknown",
+            LATER,
+        ),
+        (
+            "6 a pose of megabytes",
+            ZIP,
+            hostile::a_large_pose(100 << 20),
+            "scene_file_malformed",
+            LATER,
+        ),
         (
             "6 a manifest of half a million frames",
             ZIP,
@@ -56,11 +86,41 @@ pub async fn run(form: Form, report: &mut Report) {
             LATER,
         ),
         ("6 more files than may be", ZIP, hostile::many_files(many), "archive_too_large", SOON),
-        ("6 a million folders", ZST, hostile::many_folders(form.of(200_000, 1_000_000)), "archive_too_large", SOON),
-        ("6 a gigabyte of zeros", ZIP, hostile::zeros(form.of(300 << 20, 1 << 30)), "archive_too_large", LATER),
-        ("2 a LAZ record of 2^40 bytes", ANY, hostile::laz_with_a_record(1 << 40), "scene_file_malformed", SOON),
-        ("2 a LAZ record of 6 GiB", ANY, hostile::laz_with_a_record(6 << 30), "scene_file_malformed", SOON),
-        ("2 a LAZ of 2^32 - 1 chunks", ANY, hostile::laz_with_chunks(u32::MAX), "scene_file_malformed", SOON),
+        (
+            "6 a million folders",
+            ZST,
+            hostile::many_folders(form.of(200_000, 1_000_000)),
+            "archive_too_large",
+            SOON,
+        ),
+        (
+            "6 a gigabyte of zeros",
+            ZIP,
+            hostile::zeros(form.of(300 << 20, 1 << 30)),
+            "archive_too_large",
+            LATER,
+        ),
+        (
+            "2 a LAZ record of 2^40 bytes",
+            ANY,
+            hostile::laz_with_a_record(1 << 40),
+            "scene_file_malformed",
+            SOON,
+        ),
+        (
+            "2 a LAZ record of 6 GiB",
+            ANY,
+            hostile::laz_with_a_record(6 << 30),
+            "scene_file_malformed",
+            SOON,
+        ),
+        (
+            "2 a LAZ of 2^32 - 1 chunks",
+            ANY,
+            hostile::laz_with_chunks(u32::MAX),
+            "scene_file_malformed",
+            SOON,
+        ),
         (
             "5 a GLB of millions of indices",
             ZIP,
@@ -147,8 +207,20 @@ async fn words(target: &Target, report: &mut Report) {
         "",
         bytes < 4096 && id < 200 && nosniff,
     );
-    let response = client.request(Method::GET, "v1/scenes").header("host", "evil.example").send().await.unwrap();
-    report.row("18 another host's name", response.status().as_str(), 0.0, None, "", response.status() == 421);
+    let response = client
+        .request(Method::GET, "v1/scenes")
+        .header("host", "evil.example")
+        .send()
+        .await
+        .unwrap();
+    report.row(
+        "18 another host's name",
+        response.status().as_str(),
+        0.0,
+        None,
+        "",
+        response.status() == 421,
+    );
     let found = client.ground(&created.scene.id, &ask("the red sofa")).await.is_ok();
     report.row(
         "a question after that",

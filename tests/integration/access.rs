@@ -32,18 +32,29 @@ async fn with_a_key_every_route_but_health_and_the_description_wants_it() {
     let mut line = String::new();
     BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
     let address = line.trim().strip_prefix("listening on ").unwrap().to_owned();
-    let (anonymous, known) = (Client::new(&address, None).unwrap(), Client::new(&address, Some(KEY.into())).unwrap());
+    let (anonymous, known) =
+        (Client::new(&address, None).unwrap(), Client::new(&address, Some(KEY.into())).unwrap());
     let wrong = Client::new(&address, Some("ug_something_else".into())).unwrap();
 
-    let openapi: serde_json::Value = serde_json::from_slice(&anonymous.bytes("openapi.json").await.unwrap()).unwrap();
+    let openapi: serde_json::Value =
+        serde_json::from_slice(&anonymous.bytes("openapi.json").await.unwrap()).unwrap();
     let mut asked = 0;
     for (path, operations) in openapi["paths"].as_object().unwrap() {
         for method in operations.as_object().unwrap().keys() {
             let method: Method = method.to_uppercase().parse().unwrap();
             for client in [&anonymous, &wrong] {
-                let response = client.request(method.clone(), path.trim_start_matches('/')).send().await.unwrap();
+                let response = client
+                    .request(method.clone(), path.trim_start_matches('/'))
+                    .send()
+                    .await
+                    .unwrap();
                 let expected_open = PUBLIC.contains(&path.as_str());
-                assert_eq!(response.status().as_u16() == 401, !expected_open, "{method} {path}: {}", response.status());
+                assert_eq!(
+                    response.status().as_u16() == 401,
+                    !expected_open,
+                    "{method} {path}: {}",
+                    response.status()
+                );
                 if !expected_open {
                     assert_eq!(response.headers()["www-authenticate"], "Bearer");
                 }
@@ -63,10 +74,9 @@ async fn the_documentation_page_needs_nothing_from_outside() {
     let page = String::from_utf8(server.client.bytes("docs/").await.unwrap()).unwrap();
     assert!(page.contains("swagger-ui"), "{page}");
     let mut loaded = 0;
-    for reference in page
-        .split(['"', '\''])
-        .filter(|r| ["js", "css"].contains(&r.rsplit('.').next().unwrap_or_default()) || r.starts_with("http"))
-    {
+    for reference in page.split(['"', '\'']).filter(|r| {
+        ["js", "css"].contains(&r.rsplit('.').next().unwrap_or_default()) || r.starts_with("http")
+    }) {
         assert!(!reference.contains("//"), "the page loads {reference}");
         assert!(
             !server

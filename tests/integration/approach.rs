@@ -4,7 +4,9 @@ use crate::archives::Scan;
 use crate::server::{TestServer, post_raw, problem};
 use uniground_core::grounding::Status;
 use uniground_core::scene::InstanceId;
-use uniground_types::approach::{ApproachRequest, ApproachStatus, FailedCondition, FloorPoint, Robot};
+use uniground_types::approach::{
+    ApproachRequest, ApproachStatus, FailedCondition, FloorPoint, Robot,
+};
 use uniground_types::corrections::Change;
 use uniground_types::instances::Levels;
 use uniground_types::placement::{FrameChoice, SceneToMap};
@@ -13,7 +15,10 @@ use uniground_types::scenes::SceneChange;
 const ROBOT: Robot = Robot { radius_m: 0.2, height_m: 1.3, eye_height_m: 1.2, reach_m: None };
 
 fn asking(query: &str) -> ApproachRequest {
-    ApproachRequest { from: Some(FloorPoint { x: 1.43, y: 0.16, ..FloorPoint::default() }), ..ApproachRequest::asking(query, ROBOT) }
+    ApproachRequest {
+        from: Some(FloorPoint { x: 1.43, y: 0.16, ..FloorPoint::default() }),
+        ..ApproachRequest::asking(query, ROBOT)
+    }
 }
 
 #[tokio::test]
@@ -37,13 +42,19 @@ async fn a_robot_is_told_where_to_stand_and_how_to_get_there() {
     let (to_x, to_y) = (target.aabb.center.x - x, target.aabb.center.y - y);
     assert!(to_x.hypot(to_y) < 2.6 && (to_y.atan2(to_x) - best.yaw_rad).abs() < 0.2, "{told:?}");
     assert!(
-        best.visible_share > 0.5 && best.path_m.unwrap() > 0.5 && best.clearance_m.unwrap() >= ROBOT.radius_m,
+        best.visible_share > 0.5
+            && best.path_m.unwrap() > 0.5
+            && best.clearance_m.unwrap() >= ROBOT.radius_m,
         "{best:?}"
     );
     let (start, end) = (told.start.unwrap(), best.path.last().unwrap());
-    assert!(best.path[0] == [start.x, start.y] && *end == [x, y] && start.moved_m < 0.05, "{told:?}");
+    assert!(
+        best.path[0] == [start.x, start.y] && *end == [x, y] && start.moved_m < 0.05,
+        "{told:?}"
+    );
 
-    // The map is where map_server puts it: its lower left corner at the origin, its first row the greatest y.
+    // The map is where map_server puts it: its lower left corner at the origin, its first row the
+    // greatest y.
     let map = client.floor(&scene.id, ROBOT.height_m).await.unwrap();
     let png = client
         .bytes(&format!("/v1/scenes/{}/floor.png?height_m={}", scene.id, ROBOT.height_m))
@@ -52,7 +63,8 @@ async fn a_robot_is_told_where_to_stand_and_how_to_get_there() {
     let picture = image::load_from_memory(&png).unwrap().into_luma8();
     assert_eq!(picture.dimensions(), (map.width, map.height));
     let shade = |x: f32, y: f32| {
-        let [column, row] = [x - map.origin[0], y - map.origin[1]].map(|at| (at / map.resolution) as u32);
+        let [column, row] =
+            [x - map.origin[0], y - map.origin[1]].map(|at| (at / map.resolution) as u32);
         picture.get_pixel(column, map.height - 1 - row).0[0]
     };
     for pose in &told.poses {
@@ -64,19 +76,38 @@ async fn a_robot_is_told_where_to_stand_and_how_to_get_there() {
     // By its id it is the same; an arm that is too short is told of.
     let by_id = ApproachRequest { instance_id: Some(target.id), query: None, ..asking("") };
     let again = client.approach(&scene.id, &by_id).await.unwrap();
-    assert_eq!((again.poses, again.answer_id, again.answer_status), (told.poses.clone(), None, None));
+    assert_eq!(
+        (again.poses, again.answer_id, again.answer_status),
+        (told.poses.clone(), None, None)
+    );
     let short = ApproachRequest { robot: Robot { reach_m: Some(0.01), ..ROBOT }, ..by_id.clone() };
     let none = client.approach(&scene.id, &short).await.unwrap();
-    assert_eq!((none.status, none.failed), (ApproachStatus::NonePossible, Some(FailedCondition::OutOfReach)), "{none:?}");
-    assert!(none.poses.is_empty() && none.detail.contains("out of reach") && none.cells.unwrap().connected > 0, "{none:?}");
+    assert_eq!(
+        (none.status, none.failed),
+        (ApproachStatus::NonePossible, Some(FailedCondition::OutOfReach)),
+        "{none:?}"
+    );
+    assert!(
+        none.poses.is_empty()
+            && none.detail.contains("out of reach")
+            && none.cells.unwrap().connected > 0,
+        "{none:?}"
+    );
 
     // What people have said counts.
     client
-        .correct(&scene.id, &Change::Rename { instance_id: target.id, name: "Grandma's cup".into() })
+        .correct(
+            &scene.id,
+            &Change::Rename { instance_id: target.id, name: "Grandma's cup".into() },
+        )
         .await
         .unwrap();
     let renamed = client.approach(&scene.id, &asking("the cup")).await.unwrap();
-    assert_eq!(renamed.target.as_ref().map(|target| &*target.name), Some("Grandma's cup"), "{renamed:?}");
+    assert_eq!(
+        renamed.target.as_ref().map(|target| &*target.name),
+        Some("Grandma's cup"),
+        "{renamed:?}"
+    );
     assert!(renamed.poses[0].why.contains("Grandma's cup"), "{renamed:?}");
     client.correct(&scene.id, &Change::Dismiss { instance_ids: vec![target.id] }).await.unwrap();
     let refused = problem(client.approach(&scene.id, &by_id).await);
@@ -94,45 +125,83 @@ async fn a_robot_asks_and_is_told_in_its_own_map() {
     let scene = server.parsed(uniground::sample::LIVING_ROOM.to_vec()).await;
     let client = &server.client;
     let in_scene = asking("the mug on the coffee table");
-    let in_map = ApproachRequest { frame: FrameChoice::Map, from: Some(FloorPoint { x: 9.84, y: 21.43, z: 0.5 }), ..in_scene.clone() };
+    let in_map = ApproachRequest {
+        frame: FrameChoice::Map,
+        from: Some(FloorPoint { x: 9.84, y: 21.43, z: 0.5 }),
+        ..in_scene.clone()
+    };
     let refused = problem(client.approach(&scene.id, &in_map).await);
     assert_eq!((refused.status, refused.code.as_str()), (409, "no_map"));
     let half = std::f64::consts::FRAC_1_SQRT_2;
     let place = SceneToMap { rotation: [0.0, 0.0, half, half], translation_m: [10.0, 20.0, 0.5] };
-    let change = SceneChange { scene_to_map: Some(Some(place)), map_frame_id: Some(Some("map".into())), ..SceneChange::default() };
+    let change = SceneChange {
+        scene_to_map: Some(Some(place)),
+        map_frame_id: Some(Some("map".into())),
+        ..SceneChange::default()
+    };
     client.change_scene(&scene.id, &change).await.unwrap();
 
-    let (here, there) = (client.approach(&scene.id, &in_scene).await.unwrap(), client.approach(&scene.id, &in_map).await.unwrap());
-    assert_eq!((&here.in_frame, &here.poses), (&None, &there.poses), "the same robot in the same place");
+    let (here, there) = (
+        client.approach(&scene.id, &in_scene).await.unwrap(),
+        client.approach(&scene.id, &in_map).await.unwrap(),
+    );
+    assert_eq!(
+        (&here.in_frame, &here.poses),
+        (&None, &there.poses),
+        "the same robot in the same place"
+    );
     let told = there.in_frame.unwrap();
-    assert_eq!((told.frame, told.frame_id.as_deref(), told.poses.len()), (FrameChoice::Map, Some("map"), there.poses.len()));
+    assert_eq!(
+        (told.frame, told.frame_id.as_deref(), told.poses.len()),
+        (FrameChoice::Map, Some("map"), there.poses.len())
+    );
     let near = |a: f64, b: f32| (a - f64::from(b)).abs() < 1e-4;
     for (placed, pose) in told.poses.iter().zip(&there.poses) {
         let [x, y, z] = pose.position;
         assert!(
-            near(placed.position[0], 10.0 - y) && near(placed.position[1], 20.0 + x) && near(placed.position[2], 0.5 + z),
+            near(placed.position[0], 10.0 - y)
+                && near(placed.position[1], 20.0 + x)
+                && near(placed.position[2], 0.5 + z),
             "{placed:?}"
         );
-        let (half_yaw, [_, _, sin, cos]) = (f32::midpoint(pose.yaw_rad, std::f32::consts::FRAC_PI_2), placed.orientation);
-        assert!((sin * f64::from(half_yaw.cos()) - cos * f64::from(half_yaw.sin())).abs() < 1e-6, "{placed:?}");
-        assert!(placed.path.len() == pose.path.len() && placed.path.last().unwrap() == &placed.position, "{placed:?}");
+        let (half_yaw, [_, _, sin, cos]) =
+            (f32::midpoint(pose.yaw_rad, std::f32::consts::FRAC_PI_2), placed.orientation);
+        assert!(
+            (sin * f64::from(half_yaw.cos()) - cos * f64::from(half_yaw.sin())).abs() < 1e-6,
+            "{placed:?}"
+        );
+        assert!(
+            placed.path.len() == pose.path.len() && placed.path.last().unwrap() == &placed.position,
+            "{placed:?}"
+        );
     }
     // Maps far from their origin, as surveyors have them, lose nothing.
-    let far = SceneToMap { rotation: [0.0, 0.0, 0.0, 1.0], translation_m: [500_000.3, 5_000_000.2, 0.0] };
+    let far =
+        SceneToMap { rotation: [0.0, 0.0, 0.0, 1.0], translation_m: [500_000.3, 5_000_000.2, 0.0] };
     client
-        .change_scene(&scene.id, &SceneChange { scene_to_map: Some(Some(far)), ..SceneChange::default() })
+        .change_scene(
+            &scene.id,
+            &SceneChange { scene_to_map: Some(Some(far)), ..SceneChange::default() },
+        )
         .await
         .unwrap();
     let from = in_scene.from.unwrap();
-    let from = FloorPoint { x: from.x + far.translation_m[0], y: from.y + far.translation_m[1], ..from };
+    let from =
+        FloorPoint { x: from.x + far.translation_m[0], y: from.y + far.translation_m[1], ..from };
     let far = client
-        .approach(&scene.id, &ApproachRequest { frame: FrameChoice::Map, from: Some(from), ..in_scene })
+        .approach(
+            &scene.id,
+            &ApproachRequest { frame: FrameChoice::Map, from: Some(from), ..in_scene },
+        )
         .await
         .unwrap();
     assert_eq!(far.poses, here.poses);
     // What several are meant by is driven to by none.
     let several = client.approach(&scene.id, &asking("all the chairs")).await.unwrap();
-    assert!(several.status == ApproachStatus::NotGrounded && several.detail.contains("things"), "{several:?}");
+    assert!(
+        several.status == ApproachStatus::NotGrounded && several.detail.contains("things"),
+        "{several:?}"
+    );
     server.stop().await;
 }
 
@@ -142,14 +211,29 @@ async fn things_that_were_merged_are_approached_as_one() {
     let scene = server.parsed(Scan::neutral().zip()).await;
     let client = &server.client;
     let things = client.all_instances(&scene.id, Levels::Things).await.unwrap();
-    let ids: Vec<InstanceId> = things.iter().filter(|thing| thing.structure.is_none()).take(2).map(|thing| thing.id).collect();
+    let ids: Vec<InstanceId> = things
+        .iter()
+        .filter(|thing| thing.structure.is_none())
+        .take(2)
+        .map(|thing| thing.id)
+        .collect();
     let made = client
         .correct(&scene.id, &Change::Merge { instance_ids: ids, name: Some("pair".into()) })
         .await
         .unwrap();
-    let told = client.approach(&scene.id, &ApproachRequest::to(made.made.unwrap(), ROBOT)).await.unwrap();
-    assert_eq!((told.status, told.target.unwrap().name.as_str()), (ApproachStatus::Found, "pair"), "{:?}", told.detail);
-    assert!(told.poses.iter().all(|pose| pose.path_m.is_none() && pose.path.is_empty()), "{:?}", told.poses);
+    let told =
+        client.approach(&scene.id, &ApproachRequest::to(made.made.unwrap(), ROBOT)).await.unwrap();
+    assert_eq!(
+        (told.status, told.target.unwrap().name.as_str()),
+        (ApproachStatus::Found, "pair"),
+        "{:?}",
+        told.detail
+    );
+    assert!(
+        told.poses.iter().all(|pose| pose.path_m.is_none() && pose.path.is_empty()),
+        "{:?}",
+        told.poses
+    );
     server.stop().await;
 }
 
@@ -158,15 +242,27 @@ async fn nothing_is_driven_to_on_a_guess_and_wrong_requests_are_named() {
     let server = TestServer::start().await;
     let scene = server.parsed(Scan::neutral().zip()).await;
     let client = &server.client;
-    let told = client.approach(&scene.id, &ApproachRequest::asking("the theremin", ROBOT)).await.unwrap();
-    assert_eq!((told.status, told.answer_status), (ApproachStatus::NotGrounded, Some(Status::NoMatch)));
+    let told =
+        client.approach(&scene.id, &ApproachRequest::asking("the theremin", ROBOT)).await.unwrap();
+    assert_eq!(
+        (told.status, told.answer_status),
+        (ApproachStatus::NotGrounded, Some(Status::NoMatch))
+    );
     assert!(
-        told.poses.is_empty() && told.target.is_none() && told.answer_id.is_some() && told.detail.contains("guess"),
+        told.poses.is_empty()
+            && told.target.is_none()
+            && told.answer_id.is_some()
+            && told.detail.contains("guess"),
         "{told:?}"
     );
-    let nowhere =
-        ApproachRequest { from: Some(FloorPoint { x: 900.0, ..FloorPoint::default() }), ..ApproachRequest::to(InstanceId(1), ROBOT) };
-    assert_eq!(client.approach(&scene.id, &nowhere).await.unwrap().failed, Some(FailedCondition::StartNotFree));
+    let nowhere = ApproachRequest {
+        from: Some(FloorPoint { x: 900.0, ..FloorPoint::default() }),
+        ..ApproachRequest::to(InstanceId(1), ROBOT)
+    };
+    assert_eq!(
+        client.approach(&scene.id, &nowhere).await.unwrap().failed,
+        Some(FailedCondition::StartNotFree)
+    );
 
     let path = format!("v1/scenes/{}/approach", scene.id);
     let robot = r#""robot": {"radius_m": 0.2, "height_m": 1.3, "eye_height_m": 1.2}"#;
@@ -193,8 +289,14 @@ async fn nothing_is_driven_to_on_a_guess_and_wrong_requests_are_named() {
         }
     }
     for query in ["height_m=0", "height_m=9", "height=1"] {
-        let refusal = problem(client.bytes(&format!("v1/scenes/{}/floor.png?{query}", scene.id)).await);
-        assert_eq!((refusal.status, refusal.code.as_str()), (422, "invalid_request"), "{query}: {}", refusal.detail);
+        let refusal =
+            problem(client.bytes(&format!("v1/scenes/{}/floor.png?{query}", scene.id)).await);
+        assert_eq!(
+            (refusal.status, refusal.code.as_str()),
+            (422, "invalid_request"),
+            "{query}: {}",
+            refusal.detail
+        );
     }
     let nobody = "018f0000-0000-7000-8000-000000000000";
     assert_eq!(problem(client.floor(nobody, 1.0).await).code, "scene_not_found");

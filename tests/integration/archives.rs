@@ -1,4 +1,5 @@
-//! Small scans made on the spot: a ray-cast room with a few boxes, small enough to parse in a blink.
+//! Small scans made on the spot: a ray-cast room with a few boxes, small enough to parse in a
+//! blink.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Write};
@@ -114,7 +115,8 @@ pub fn intrinsics() -> String {
     format!("{FOCAL} 0 59.5\n0 {FOCAL} 44.5\n0 0 1\n")
 }
 
-/// Camera-to-world columns (right, down, forward, position) at an angle around the room, looking at its middle.
+/// Camera-to-world columns (right, down, forward, position) at an angle around the room, looking at
+/// its middle.
 type Pose = [[f32; 3]; 4];
 
 fn pose(angle: f32) -> Pose {
@@ -133,7 +135,9 @@ fn pose(angle: f32) -> Pose {
 }
 
 fn matrix(pose: &Pose) -> String {
-    let row = |i: usize| format!("{:.6} {:.6} {:.6} {:.6}\n", pose[0][i], pose[1][i], pose[2][i], pose[3][i]);
+    let row = |i: usize| {
+        format!("{:.6} {:.6} {:.6} {:.6}\n", pose[0][i], pose[1][i], pose[2][i], pose[3][i])
+    };
     format!("{}{}{}0 0 0 1\n", row(0), row(1), row(2))
 }
 
@@ -144,7 +148,8 @@ fn render(things: &[Thing], pose: &Pose) -> (Vec<u8>, Vec<u8>) {
     for v in 0..HEIGHT {
         for u in 0..WIDTH {
             let (x, y) = ((u as f32 - 59.5) / FOCAL, (v as f32 - 44.5) / FOCAL);
-            let ray: [f32; 3] = std::array::from_fn(|i| pose[0][i] * x + pose[1][i] * y + pose[2][i]);
+            let ray: [f32; 3] =
+                std::array::from_fn(|i| pose[0][i] * x + pose[1][i] * y + pose[2][i]);
             // The ray has length 1 along the optical axis: its parameter is the depth.
             if let Some((z, rgb)) = hit(things, &pose[3], &ray) {
                 color.put_pixel(u, v, image::Rgb(rgb));
@@ -190,7 +195,9 @@ pub fn cloud() -> Vec<u8> {
                 for k in 0..=steps(2) {
                     let side = i == 0 || i == steps(0) || j == 0 || j == steps(1);
                     if k == steps(2) || (side && max[2] > 0.01) {
-                        [at(0, i), at(1, j), at(2, k)].iter().for_each(|c| rows.extend(c.to_le_bytes()));
+                        [at(0, i), at(1, j), at(2, k)]
+                            .iter()
+                            .for_each(|c| rows.extend(c.to_le_bytes()));
                         rows.extend(rgb);
                         count += 1;
                     }
@@ -204,7 +211,9 @@ pub fn cloud() -> Vec<u8> {
 }
 
 pub fn ply_header(count: usize) -> Vec<u8> {
-    let properties =
-        "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n";
-    format!("ply\nformat binary_little_endian 1.0\nelement vertex {count}\n{properties}end_header\n").into_bytes()
+    let properties = "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n";
+    format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n{properties}end_header\n"
+    )
+    .into_bytes()
 }

@@ -20,7 +20,11 @@ fn uniground(args: &[&str]) -> Output {
 }
 
 fn said(output: &Output) -> String {
-    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+    format!(
+        "{}{}",
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr)
+    )
 }
 
 /// The same room under other bytes.
@@ -54,7 +58,13 @@ async fn backed_up(data: &Utf8Path, to: &Utf8Path) -> BackedUp {
 async fn restored(from: &Utf8Path) -> TestServer {
     let data = tempfile::tempdir().unwrap();
     restore(Source::of(from), Utf8Path::from_path(data.path()).unwrap()).await.unwrap();
-    TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await
+    TestServer::start_on(
+        data,
+        LimitsConfig::default(),
+        VlmConfig::default(),
+        ModelsConfig::builtin(),
+    )
+    .await
 }
 
 /// Asks, uploads and deletes until it is told to stop.
@@ -62,7 +72,8 @@ async fn keep_busy(client: Client, scene: String, stop: Arc<AtomicBool>) -> usiz
     let mut rounds = 0;
     while !stop.load(Ordering::Relaxed) {
         client.ground(&scene, &ask("the fridge")).await.unwrap();
-        let created = client.create_scene(None, "application/zip", another(1000 + rounds)).await.unwrap();
+        let created =
+            client.create_scene(None, "application/zip", another(1000 + rounds)).await.unwrap();
         if rounds % 2 == 0 {
             assert_eq!(finished(&client, &created.job.unwrap().id).await.error, None);
         }
@@ -78,7 +89,11 @@ async fn a_backup_of_a_busy_server_answers_as_the_server_did() {
     let scene = server.parsed(Scan::neutral().zip()).await;
     let before = server.client.ground(&scene.id, &ask("the red sofa")).await.unwrap();
     let stop = Arc::new(AtomicBool::new(false));
-    let busy = tokio::spawn(keep_busy(Client::new(&server.url(), None).unwrap(), scene.id.clone(), stop.clone()));
+    let busy = tokio::spawn(keep_busy(
+        Client::new(&server.url(), None).unwrap(),
+        scene.id.clone(),
+        stop.clone(),
+    ));
     // Whatever is under way then, each of them is one whole.
     for round in 0..5 {
         backed_up(server.data(), &folders.at("backup")).await;
@@ -87,7 +102,9 @@ async fn a_backup_of_a_busy_server_answers_as_the_server_did() {
             .unwrap_or_else(|error| panic!("round {round}: {error}"));
         let archive = folders.at("backup.tar.zst");
         backed_up(server.data(), &archive).await;
-        check(Source::of(&archive)).await.unwrap_or_else(|error| panic!("round {round}, archive: {error}"));
+        check(Source::of(&archive))
+            .await
+            .unwrap_or_else(|error| panic!("round {round}, archive: {error}"));
     }
     stop.store(true, Ordering::Relaxed);
     assert!(busy.await.unwrap() > 0);
@@ -97,16 +114,30 @@ async fn a_backup_of_a_busy_server_answers_as_the_server_did() {
     for from in ["backup", "backup.tar.zst"] {
         let again = restored(&folders.at(from)).await;
         let found = again.client.scene(&scene.id).await.unwrap();
-        assert_eq!((found.counts, found.extent, found.parse_version), (scene.counts.clone(), scene.extent, scene.parse_version));
+        assert_eq!(
+            (found.counts, found.extent, found.parse_version),
+            (scene.counts.clone(), scene.extent, scene.parse_version)
+        );
         assert_eq!(again.client.bytes(&path).await.unwrap(), bytes, "byte for byte");
         let asked = again.client.ground(&scene.id, &ask("the red sofa")).await.unwrap();
-        assert_eq!((&asked.answer, &asked.aabb, &asked.candidates), (&before.answer, &before.aabb, &before.candidates));
+        assert_eq!(
+            (&asked.answer, &asked.aabb, &asked.candidates),
+            (&before.answer, &before.aabb, &before.candidates)
+        );
         let (cloud, same) = (format!("v1/scenes/{}/cloud.ply", scene.id), &server.client);
         assert_eq!(again.client.bytes(&cloud).await.unwrap(), same.bytes(&cloud).await.unwrap());
         let data = again.give_back().await;
         let well = uniground(&["doctor", "--data-dir", data.path().to_str().unwrap()]);
-        assert!(said(&well).contains("is whole") || said(&well).contains("its scene"), "{}", said(&well));
-        assert!(!said(&well).contains("damaged") && !said(&well).contains("missing"), "{}", said(&well));
+        assert!(
+            said(&well).contains("is whole") || said(&well).contains("its scene"),
+            "{}",
+            said(&well)
+        );
+        assert!(
+            !said(&well).contains("damaged") && !said(&well).contains("missing"),
+            "{}",
+            said(&well)
+        );
     }
     server.stop().await;
 }
@@ -134,7 +165,11 @@ async fn only_what_is_new_is_copied() {
     // A server that is stopped is backed up like one that runs.
     let data = server.give_back().await;
     let stopped = uniground(&["backup", to.as_str(), "--data-dir", data.path().to_str().unwrap()]);
-    assert!(stopped.status.success() && said(&stopped).contains("new: 0 folders"), "{}", said(&stopped));
+    assert!(
+        stopped.status.success() && said(&stopped).contains("new: 0 folders"),
+        "{}",
+        said(&stopped)
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -170,7 +205,11 @@ async fn a_damaged_backup_is_named_and_nothing_is_restored() {
         fs::write(to.join(file), flipped).unwrap();
         assert!(refused(&to).contains(expected), "{expected}: {}", refused(&to));
         let checked = uniground(&["restore", "--check", to.as_str()]);
-        assert!(!checked.status.success() && said(&checked).contains(expected), "{expected}: {}", said(&checked));
+        assert!(
+            !checked.status.success() && said(&checked).contains(expected),
+            "{expected}: {}",
+            said(&checked)
+        );
         fs::write(to.join(file), whole).unwrap();
     }
     fs::remove_file(to.join(&files[0].0)).unwrap();
@@ -193,11 +232,25 @@ async fn a_damaged_backup_is_named_and_nothing_is_restored() {
         uniground(&["restore", archive.as_str(), "--data-dir", full.as_str()]),
         uniground(&["backup", full.as_str(), "--data-dir", server.data().as_str()]),
     ] {
-        assert!(!refused.status.success() && said(&refused).contains("thesis.tex"), "{}", said(&refused));
+        assert!(
+            !refused.status.success() && said(&refused).contains("thesis.tex"),
+            "{}",
+            said(&refused)
+        );
     }
-    let within = uniground(&["backup", server.data().join("backup").as_str(), "--data-dir", server.data().as_str()]);
-    assert!(!within.status.success() && said(&within).contains("in the data folder itself"), "{}", said(&within));
-    let good = uniground(&["restore", archive.as_str(), "--data-dir", folders.at("restored").as_str()]);
+    let within = uniground(&[
+        "backup",
+        server.data().join("backup").as_str(),
+        "--data-dir",
+        server.data().as_str(),
+    ]);
+    assert!(
+        !within.status.success() && said(&within).contains("in the data folder itself"),
+        "{}",
+        said(&within)
+    );
+    let good =
+        uniground(&["restore", archive.as_str(), "--data-dir", folders.at("restored").as_str()]);
     assert!(good.status.success() && said(&good).contains("1 scenes"), "{}", said(&good));
     server.stop().await;
 }
@@ -212,9 +265,11 @@ async fn what_was_damaged_before_is_left_out_and_told() {
     let mut bytes = fs::read(&cloud).unwrap();
     *bytes.last_mut().unwrap() ^= 1;
     fs::write(&cloud, bytes).unwrap();
-    let told = uniground(&["backup", folders.at("backup").as_str(), "--data-dir", server.data().as_str()]);
+    let told =
+        uniground(&["backup", folders.at("backup").as_str(), "--data-dir", server.data().as_str()]);
     assert!(
-        !told.status.success() && said(&told).contains(&format!("blobs/parses/{parse}: cloud.ply damaged")),
+        !told.status.success()
+            && said(&told).contains(&format!("blobs/parses/{parse}: cloud.ply damaged")),
         "{}",
         said(&told)
     );

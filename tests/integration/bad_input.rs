@@ -1,5 +1,5 @@
-//! Archives that can not become a scene: each is refused with a stable code and a message that names the culprit, and
-//! nothing of it is stored.
+//! Archives that can not become a scene: each is refused with a stable code and a message that
+//! names the culprit, and nothing of it is stored.
 
 use crate::archives::{Scan, ply_header};
 use crate::server::{TestServer, ask, finished, problem};
@@ -40,9 +40,30 @@ fn refused() -> Vec<Case> {
             "intrinsics_invalid",
             "focal length",
         ),
-        ("a depth picture cut short", ZIP, with_cut_depth().zip(), 422, "scene_file_malformed", "depth/6.png"),
-        ("half a TUM sequence", ZIP, half_a_tum_sequence().zip(), 422, "layout_incomplete", "groundtruth.txt"),
-        ("a JPEG cut short", ZIP, with_cut_jpeg().zip(), 422, "scene_file_malformed", "color/5.jpg"),
+        (
+            "a depth picture cut short",
+            ZIP,
+            with_cut_depth().zip(),
+            422,
+            "scene_file_malformed",
+            "depth/6.png",
+        ),
+        (
+            "half a TUM sequence",
+            ZIP,
+            half_a_tum_sequence().zip(),
+            422,
+            "layout_incomplete",
+            "groundtruth.txt",
+        ),
+        (
+            "a JPEG cut short",
+            ZIP,
+            with_cut_jpeg().zip(),
+            422,
+            "scene_file_malformed",
+            "color/5.jpg",
+        ),
         (
             "a manifest in another encoding",
             ZIP,
@@ -59,15 +80,33 @@ fn refused() -> Vec<Case> {
             "scene_file_malformed",
             "pose",
         ),
-        ("a name no disk takes", ZIP, zip_with_entry(&"x".repeat(300)), 422, "archive_entry_unsafe", "xxx"),
+        (
+            "a name no disk takes",
+            ZIP,
+            zip_with_entry(&"x".repeat(300)),
+            422,
+            "archive_entry_unsafe",
+            "xxx",
+        ),
         ("not an archive", ZIP, b"hello".to_vec(), 422, "archive_unreadable", "zip"),
         ("nothing at all", ZIP, Vec::new(), 422, "archive_unreadable", "empty"),
-        ("a photograph", "image/jpeg", vec![0xff, 0xd8, 0xff, 0xe0, 0, 16], 422, "archive_unreadable", "picture"),
+        (
+            "a photograph",
+            "image/jpeg",
+            vec![0xff, 0xd8, 0xff, 0xe0, 0, 16],
+            422,
+            "archive_unreadable",
+            "picture",
+        ),
         ("a video", ZIP, b"\0\0\0\x18ftypmp42".to_vec(), 422, "archive_unreadable", "video"),
         (
             "a form that never comes to its file",
             "multipart/form-data; boundary=x",
-            [b"--x\r\ncontent-disposition: form-data; name=\"a\"\r\nx: ".to_vec(), vec![b'a'; 4 << 20]].concat(),
+            [
+                b"--x\r\ncontent-disposition: form-data; name=\"a\"\r\nx: ".to_vec(),
+                vec![b'a'; 4 << 20],
+            ]
+            .concat(),
             400,
             "malformed_form",
             "before its file",
@@ -81,13 +120,30 @@ fn refused() -> Vec<Case> {
             "curl -F",
         ),
         ("a zip cut short", ZIP, truncated, 422, "archive_unreadable", "zip"),
-        ("a path out of the archive", ZIP, zip_with_entry("../../evil.txt"), 422, "archive_entry_unsafe", "evil.txt"),
-        ("an absolute path", ZIP, zip_with_entry("/etc/evil"), 422, "archive_entry_unsafe", "/etc/evil"),
+        (
+            "a path out of the archive",
+            ZIP,
+            zip_with_entry("../../evil.txt"),
+            422,
+            "archive_entry_unsafe",
+            "evil.txt",
+        ),
+        (
+            "an absolute path",
+            ZIP,
+            zip_with_entry("/etc/evil"),
+            422,
+            "archive_entry_unsafe",
+            "/etc/evil",
+        ),
         (
             "a list of parts of its own",
             ZIP,
             scan()
-                .with("grown.json", r#"{"format": "uniground-grown/1", "parts": [{"hash": "a"}, {"hash": "b"}]}"#)
+                .with(
+                    "grown.json",
+                    r#"{"format": "uniground-grown/1", "parts": [{"hash": "a"}, {"hash": "b"}]}"#,
+                )
                 .zip(),
             422,
             "archive_entry_unsafe",
@@ -101,9 +157,23 @@ fn refused() -> Vec<Case> {
             "archive_entry_unsafe",
             "parts/0/pose/0.txt",
         ),
-        ("checksums of its own", ZIP, scan().with(".sha256sums", "x").zip(), 422, "archive_entry_unsafe", ".sha256sums"),
+        (
+            "checksums of its own",
+            ZIP,
+            scan().with(".sha256sums", "x").zip(),
+            422,
+            "archive_entry_unsafe",
+            ".sha256sums",
+        ),
         ("holiday photos", ZIP, zip_with_entry("beach.jpg"), 422, "unknown_layout", "beach.jpg"),
-        ("no intrinsics", ZIP, scan().without("intrinsic.txt").zip(), 422, "intrinsics_missing", "intrinsic.txt"),
+        (
+            "no intrinsics",
+            ZIP,
+            scan().without("intrinsic.txt").zip(),
+            422,
+            "intrinsics_missing",
+            "intrinsic.txt",
+        ),
         (
             "half a camera matrix",
             ZIP,
@@ -136,10 +206,38 @@ fn refused() -> Vec<Case> {
             "intrinsics_invalid",
             "outside 120x90",
         ),
-        ("a pose too few", ZIP, scan().without("pose/3.txt").zip(), 422, "frame_count_mismatch", "color/3.png"),
-        ("a picture too few", ZIP, scan().without("color/7.png").zip(), 422, "frame_count_mismatch", "depth/7.png"),
-        ("a pose of NaN", ZIP, scan().with("pose/2.txt", "nan ".repeat(16)).zip(), 422, "pose_invalid", "pose/2.txt"),
-        ("a short pose", ZIP, scan().with("pose/2.txt", "1 0 0 0").zip(), 422, "scene_file_malformed", "pose/2.txt"),
+        (
+            "a pose too few",
+            ZIP,
+            scan().without("pose/3.txt").zip(),
+            422,
+            "frame_count_mismatch",
+            "color/3.png",
+        ),
+        (
+            "a picture too few",
+            ZIP,
+            scan().without("color/7.png").zip(),
+            422,
+            "frame_count_mismatch",
+            "depth/7.png",
+        ),
+        (
+            "a pose of NaN",
+            ZIP,
+            scan().with("pose/2.txt", "nan ".repeat(16)).zip(),
+            422,
+            "pose_invalid",
+            "pose/2.txt",
+        ),
+        (
+            "a short pose",
+            ZIP,
+            scan().with("pose/2.txt", "1 0 0 0").zip(),
+            422,
+            "scene_file_malformed",
+            "pose/2.txt",
+        ),
         (
             "a mirrored pose",
             ZIP,
@@ -213,7 +311,14 @@ fn refused() -> Vec<Case> {
             "scene_file_malformed",
             "cloud.ply",
         ),
-        ("no frames and no points", ZIP, empty_manifest().zip(), 422, "scene_empty", "no frames and no points"),
+        (
+            "no frames and no points",
+            ZIP,
+            empty_manifest().zip(),
+            422,
+            "scene_empty",
+            "no frames and no points",
+        ),
     ]
 }
 
@@ -238,7 +343,9 @@ fn half_a_tum_sequence() -> Scan {
 }
 
 fn lost_everywhere() -> Scan {
-    (0..8).fold(Scan::frames_only(), |scan, i| scan.with(&format!("pose/{i}.txt"), "-inf ".repeat(16)))
+    (0..8).fold(Scan::frames_only(), |scan, i| {
+        scan.with(&format!("pose/{i}.txt"), "-inf ".repeat(16))
+    })
 }
 
 fn empty_manifest() -> Scan {
@@ -250,8 +357,17 @@ async fn broken_archives_are_refused_by_name_and_leave_nothing_behind() {
     let server = TestServer::start().await;
     for (what, media_type, archive, status, code, words) in refused() {
         let refusal = problem(server.client.create_scene(None, media_type, archive).await);
-        assert_eq!((refusal.status, refusal.code.as_str()), (status, code), "{what}: {}", refusal.detail);
-        assert!(refusal.detail.contains(words), "{what}: {:?} does not name {words:?}", refusal.detail);
+        assert_eq!(
+            (refusal.status, refusal.code.as_str()),
+            (status, code),
+            "{what}: {}",
+            refusal.detail
+        );
+        assert!(
+            refusal.detail.contains(words),
+            "{what}: {:?} does not name {words:?}",
+            refusal.detail
+        );
         assert!(refusal.request_id.is_some(), "{what}");
     }
     assert_eq!(server.client.scenes(10, None).await.unwrap().scenes, []);
@@ -268,8 +384,10 @@ async fn what_shows_only_while_parsing_fails_the_job_by_name() {
     // Whole to look at, from its first bytes to its end mark.
     let mut broken_png = png.clone();
     broken_png[60..].iter_mut().rev().skip(12).for_each(|byte| *byte = 0);
-    let no_depth = (0..8).fold(Scan::frames_only(), |scan, i| scan.with(&format!("depth/{i}.png"), blank_depth()));
-    let eight_bit = Scan::frames_only().with("depth/6.png", Scan::frames_only().0["color/6.png"].clone());
+    let no_depth = (0..8)
+        .fold(Scan::frames_only(), |scan, i| scan.with(&format!("depth/{i}.png"), blank_depth()));
+    let eight_bit =
+        Scan::frames_only().with("depth/6.png", Scan::frames_only().0["color/6.png"].clone());
     for (what, scan, code, words) in [
         (
             "a depth picture that can not be decoded",
@@ -277,8 +395,18 @@ async fn what_shows_only_while_parsing_fails_the_job_by_name() {
             "frame_unreadable",
             "depth/6.png",
         ),
-        ("an empty cloud", Scan::cloud_only().with("cloud.ply", ply_header(0)), "cloud_empty", "cloud.ply"),
-        ("a cloud cut short", Scan::cloud_only().with("cloud.ply", ply_header(5)), "scene_file_malformed", "cloud.ply"),
+        (
+            "an empty cloud",
+            Scan::cloud_only().with("cloud.ply", ply_header(0)),
+            "cloud_empty",
+            "cloud.ply",
+        ),
+        (
+            "a cloud cut short",
+            Scan::cloud_only().with("cloud.ply", ply_header(5)),
+            "scene_file_malformed",
+            "cloud.ply",
+        ),
         (
             "an empty cloud beside frames",
             Scan::frames_only().with("cloud.ply", ply_header(0)),
@@ -297,23 +425,39 @@ async fn what_shows_only_while_parsing_fails_the_job_by_name() {
         let created = server.client.create_scene(None, ZIP, scan.zip()).await.unwrap();
         let job = finished(&server.client, &created.job.unwrap().id).await;
         let error = job.error.unwrap_or_else(|| panic!("{what}: {:?}", job.message));
-        assert_eq!((job.state, error.code.as_str()), (JobState::Failed, code), "{what}: {}", error.detail);
+        assert_eq!(
+            (job.state, error.code.as_str()),
+            (JobState::Failed, code),
+            "{what}: {}",
+            error.detail
+        );
         assert!(error.detail.contains(words), "{what}: {:?} does not name {words:?}", error.detail);
         let scene = server.client.scene(&created.scene.id).await.unwrap();
         assert_eq!(scene.error, Some(error), "{what}");
-        assert_eq!(problem(server.client.ground(&scene.id, &ask("the sofa")).await).code, "scene_not_ready", "{what}");
+        assert_eq!(
+            problem(server.client.ground(&scene.id, &ask("the sofa")).await).code,
+            "scene_not_ready",
+            "{what}"
+        );
     }
     assert_eq!((server.stored("blobs/parses"), server.stored("tmp")), (vec![], vec![]));
     server.stop().await;
 }
 
-/// Poses the wrong way round are read the right way, with a warning that names it: with a cloud to tell by, and without.
+/// Poses the wrong way round are read the right way, with a warning that names it: with a cloud to
+/// tell by, and without.
 #[tokio::test]
 async fn the_reading_that_fits_is_used() {
     let server = TestServer::start().await;
-    for scan in [Scan::frames_only().with("cloud.ply", crate::archives::cloud()), Scan::frames_only()] {
+    for scan in
+        [Scan::frames_only().with("cloud.ply", crate::archives::cloud()), Scan::frames_only()]
+    {
         let import = server.parsed((0..8).fold(scan, invert_pose).zip()).await.import.unwrap();
-        assert!(import.warnings.iter().any(|w| w.contains("world_to_camera")), "{:?}", import.warnings);
+        assert!(
+            import.warnings.iter().any(|w| w.contains("world_to_camera")),
+            "{:?}",
+            import.warnings
+        );
         assert!(import.reprojection_agreement.unwrap() > 0.6, "{import:?}");
     }
     server.stop().await;
@@ -322,16 +466,23 @@ async fn the_reading_that_fits_is_used() {
 #[tokio::test]
 async fn lost_poses_are_skipped_with_a_warning() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::frames_only().with("pose/3.txt", "-inf ".repeat(16)).zip()).await;
+    let scene =
+        server.parsed(Scan::frames_only().with("pose/3.txt", "-inf ".repeat(16)).zip()).await;
     let import = scene.import.unwrap();
     assert_eq!((import.frames, import.frames_skipped), (7, 1));
-    assert!(import.warnings.iter().any(|w| w.contains("1 of 8 frames skipped")), "{:?}", import.warnings);
+    assert!(
+        import.warnings.iter().any(|w| w.contains("1 of 8 frames skipped")),
+        "{:?}",
+        import.warnings
+    );
     server.stop().await;
 }
 
 #[tokio::test]
 async fn an_upload_over_the_limit_is_cut_off() {
-    let server = TestServer::start_with(LimitsConfig { max_upload_bytes: 1000, ..LimitsConfig::default() }).await;
+    let server =
+        TestServer::start_with(LimitsConfig { max_upload_bytes: 1000, ..LimitsConfig::default() })
+            .await;
     let refusal = problem(server.client.create_scene(None, ZIP, Scan::neutral().zip()).await);
     assert_eq!((refusal.status, refusal.code.as_str()), (413, "upload_too_large"));
     assert_eq!(server.stored("tmp"), Vec::<String>::new());
@@ -339,7 +490,8 @@ async fn an_upload_over_the_limit_is_cut_off() {
 }
 
 fn map_cloud() -> Vec<u8> {
-    let row = [500_000.0_f32, 5_400_000.0, 100.0].into_iter().flat_map(f32::to_le_bytes).chain([9, 9, 9]);
+    let row =
+        [500_000.0_f32, 5_400_000.0, 100.0].into_iter().flat_map(f32::to_le_bytes).chain([9, 9, 9]);
     ply_header(1).into_iter().chain(row).collect()
 }
 

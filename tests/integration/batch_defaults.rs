@@ -10,22 +10,23 @@ use uniground_client::Client;
 use uniground_types::batch::{BatchRequest, BatchResult, BatchState};
 
 fn request_of(items: &Value, defaults: &Value) -> BatchRequest {
-    serde_json::from_value(json!({"items": items, "defaults": defaults, "label": "monday"})).unwrap()
+    serde_json::from_value(json!({"items": items, "defaults": defaults, "label": "monday"}))
+        .unwrap()
 }
 
 async fn number(rows: &mut AnyConnection, sql: &'static str, batch: &str) -> i64 {
     sqlx::query_scalar(sql).bind(batch).fetch_one(rows).await.unwrap()
 }
 
-const OF_ITEMS: &str = "SELECT CAST(sum(length(request)) AS bigint) FROM batch_items WHERE batch_id = $1";
+const OF_ITEMS: &str =
+    "SELECT CAST(sum(length(request)) AS bigint) FROM batch_items WHERE batch_id = $1";
 const OF_DEFAULTS: &str = "SELECT CAST(length(defaults) AS bigint) FROM batches WHERE id = $1";
 
 /// What a result tells, but for what two answers to the same question differ in.
 fn told(result: &BatchResult) -> Value {
-    let answer = result
-        .answer
-        .as_ref()
-        .map(|answer| json!([answer["query"], answer["answer"], answer["candidates"], answer["confidence"]]));
+    let answer = result.answer.as_ref().map(|answer| {
+        json!([answer["query"], answer["answer"], answer["candidates"], answer["confidence"]])
+    });
     json!([result.item, result.scene_id, result.query, result.status, result.error, answer])
 }
 
@@ -40,11 +41,18 @@ async fn defaults_are_stored_once() {
     let scene = server.parsed(Scan::neutral().zip()).await.id;
     let mut items = vec![json!({}); 500];
     items[7] = json!({"query": "the red sofa"});
-    let request = request_of(&items.into(), &json!({"scene_id": scene, "query": "a".repeat(50_000)}));
+    let request =
+        request_of(&items.into(), &json!({"scene_id": scene, "query": "a".repeat(50_000)}));
     let batch = server.client.create_batch(&request, None).await.unwrap();
     let mut database = rows(server.data()).await;
-    let (of_items, of_defaults) = (number(&mut database, OF_ITEMS, &batch.id).await, number(&mut database, OF_DEFAULTS, &batch.id).await);
-    assert!(of_items < 2000 && (50_000..51_000).contains(&of_defaults), "{of_items} and {of_defaults} bytes");
+    let (of_items, of_defaults) = (
+        number(&mut database, OF_ITEMS, &batch.id).await,
+        number(&mut database, OF_DEFAULTS, &batch.id).await,
+    );
+    assert!(
+        of_items < 2000 && (50_000..51_000).contains(&of_defaults),
+        "{of_items} and {of_defaults} bytes"
+    );
     let over = ended(&server.client, &batch.id).await;
     assert_eq!(
         (over.by_status["failed"], over.by_status["grounded"]),
@@ -70,20 +78,27 @@ async fn a_failure_does_not_repeat_all_that_was_asked() {
     let batch = server.client.create_batch(&request, None).await.unwrap();
     assert_eq!(ended(&server.client, &batch.id).await.by_status["failed"], 20);
     let mut database = rows(server.data()).await;
-    let of_errors = "SELECT CAST(sum(length(error)) AS bigint) FROM batch_items WHERE batch_id = $1";
+    let of_errors =
+        "SELECT CAST(sum(length(error)) AS bigint) FROM batch_items WHERE batch_id = $1";
     assert!(number(&mut database, of_errors, &batch.id).await < 25_000);
     let told = results(&server.client, &batch.id, 0, false).await;
-    assert!(told[0].error.as_ref().unwrap().detail.contains("unknown field `xxx"), "{:?}", told[0].error);
+    assert!(
+        told[0].error.as_ref().unwrap().detail.contains("unknown field `xxx"),
+        "{:?}",
+        told[0].error
+    );
     server.stop().await;
 }
 
-/// A batch that an earlier version has stored is asked, told and known again by its key as one of today.
+/// A batch that an earlier version has stored is asked, told and known again by its key as one of
+/// today.
 #[tokio::test(flavor = "multi_thread")]
 async fn items_that_were_stored_whole_come_to_the_same() {
     let server = TestServer::start().await;
     let client = &server.client;
     let scene = server.parsed(Scan::neutral().zip()).await.id;
-    let defaults = json!({"scene_id": scene, "query": "the red sofa", "top_k": 3, "min_confidence": 0.1});
+    let defaults =
+        json!({"scene_id": scene, "query": "the red sofa", "top_k": 3, "min_confidence": 0.1});
     let items = json!([
         {},
         {"query": "the fridge", "include": []},
@@ -131,8 +146,15 @@ async fn items_that_were_stored_whole_come_to_the_same() {
     client.tell_batch(&batch.id, "resume").await.unwrap();
     assert_eq!(ended(client, &batch.id).await.state, BatchState::Succeeded);
     assert_eq!(all_told(client, &batch.id).await, of_today);
-    assert_eq!(results(client, &batch.id, 0, false).await[0].answer_id, "018f0000-0000-7000-8000-000000000000");
-    assert_eq!(client.create_batch(&request, Some("monday")).await.unwrap().id, batch.id, "its key is remembered");
+    assert_eq!(
+        results(client, &batch.id, 0, false).await[0].answer_id,
+        "018f0000-0000-7000-8000-000000000000"
+    );
+    assert_eq!(
+        client.create_batch(&request, Some("monday")).await.unwrap().id,
+        batch.id,
+        "its key is remembered"
+    );
     server.stop().await;
 }
 
@@ -142,12 +164,22 @@ async fn what_is_too_large_is_refused_and_leaves_nothing() {
     let server = TestServer::start().await;
     let client = &server.client;
     let long = "a".repeat(70_000);
-    let half: Map<String, Value> = [("a".to_owned(), "a".repeat(40_000).into())].into_iter().collect();
-    let other_half: Map<String, Value> = [("b".to_owned(), "b".repeat(40_000).into())].into_iter().collect();
+    let half: Map<String, Value> =
+        [("a".to_owned(), "a".repeat(40_000).into())].into_iter().collect();
+    let other_half: Map<String, Value> =
+        [("b".to_owned(), "b".repeat(40_000).into())].into_iter().collect();
     let small_items = "{\"query\": \"a\"}\n".repeat(600);
     for (media_type, body, pointer) in [
-        ("application/json", json!({"items": [{}], "defaults": {"query": long}}).to_string(), "/defaults"),
-        ("application/json", json!({"items": [{}], "defaults": {"scene_id": long}}).to_string(), "/defaults/scene_id"),
+        (
+            "application/json",
+            json!({"items": [{}], "defaults": {"query": long}}).to_string(),
+            "/defaults",
+        ),
+        (
+            "application/json",
+            json!({"items": [{}], "defaults": {"scene_id": long}}).to_string(),
+            "/defaults/scene_id",
+        ),
         ("application/json", json!({"items": [{}, {"query": long}]}).to_string(), "/items/1"),
         (
             "application/jsonl",
@@ -163,7 +195,12 @@ async fn what_is_too_large_is_refused_and_leaves_nothing() {
         ),
     ] {
         let problem = post_raw(client, "v1/batches", media_type, &body).await;
-        assert_eq!((problem.status, problem.errors[0].pointer.as_str()), (422, pointer), "{}", problem.detail);
+        assert_eq!(
+            (problem.status, problem.errors[0].pointer.as_str()),
+            (422, pointer),
+            "{}",
+            problem.detail
+        );
         assert!(problem.detail.len() < 300, "{}", problem.detail);
     }
     let mut database = rows(server.data()).await;

@@ -14,7 +14,8 @@ use uniground_client::{Client, ClientError};
 use uniground_types::batch::{Batch, BatchRequest, BatchResult, BatchState};
 use uniground_types::job::JobState;
 
-const QUERIES: [&str; 4] = ["the red sofa", "the fridge", "all the things on the table", "the sofa closest to the table"];
+const QUERIES: [&str; 4] =
+    ["the red sofa", "the fridge", "all the things on the table", "the sofa closest to the table"];
 
 /// `number` questions about a scene, a line each.
 fn lines(scene: &str, number: usize) -> String {
@@ -59,7 +60,8 @@ async fn every_item_gets_its_answer_or_its_error_in_order() {
         {"scene_id": scene},
         {"query": "the red sofa", "min_confidence": 0.99},
     ]);
-    let request = json!({"items": items, "defaults": {"scene_id": scene, "top_k": 3}, "label": "monday"});
+    let request =
+        json!({"items": items, "defaults": {"scene_id": scene, "top_k": 3}, "label": "monday"});
     let request: BatchRequest = serde_json::from_value(request).unwrap();
     let batch = client.create_batch(&request, None).await.unwrap();
     assert_eq!((batch.items, batch.label.as_deref()), (8, Some("monday")));
@@ -79,31 +81,48 @@ async fn every_item_gets_its_answer_or_its_error_in_order() {
         (7, "uncertain", None),
     ];
     assert_eq!(told, expected);
-    assert!(results_told[4].error.as_ref().unwrap().detail.contains("colour"), "{:?}", results_told[4].error);
+    assert!(
+        results_told[4].error.as_ref().unwrap().detail.contains("colour"),
+        "{:?}",
+        results_told[4].error
+    );
     // Each answer is one like any other: what a question alone gets, and kept under its id.
     let alone = client.ground(&scene, &ask("the red sofa")).await.unwrap();
     let of_batch = results_told[0].answer.as_ref().unwrap();
     assert_eq!(of_batch["answer"], serde_json::to_value(&alone.answer).unwrap());
-    assert_eq!(of_batch["candidates"].as_array().unwrap().len().min(3), of_batch["candidates"].as_array().unwrap().len());
+    assert_eq!(
+        of_batch["candidates"].as_array().unwrap().len().min(3),
+        of_batch["candidates"].as_array().unwrap().len()
+    );
     assert_eq!(client.answer(&results_told[0].answer_id).await.unwrap().query, "the red sofa");
 
     let batch = ended(client, &batch.id).await;
     assert_eq!((batch.state, batch.done, batch.cost_usd), (BatchState::Succeeded, 8, 0.0));
-    let numbers = [("failed", 5), ("grounded", 1), ("no_match", 1), ("uncertain", 1)].map(|(status, n)| (status.to_owned(), n));
+    let numbers = [("failed", 5), ("grounded", 1), ("no_match", 1), ("uncertain", 1)]
+        .map(|(status, n)| (status.to_owned(), n));
     assert_eq!(batch.by_status, BTreeMap::from(numbers));
-    assert_eq!(client.job(batch.job_id.as_deref().unwrap()).await.unwrap().state, JobState::Succeeded);
+    assert_eq!(
+        client.job(batch.job_id.as_deref().unwrap()).await.unwrap().state,
+        JobState::Succeeded
+    );
     assert_eq!(client.batches(10, None).await.unwrap().batches, std::slice::from_ref(&batch));
     // Whoever was cut off goes on.
     assert_eq!(results(client, &batch.id, 6, false).await, results_told[6..]);
-    let table = String::from_utf8(client.bytes(&format!("v1/batches/{}/results?format=csv", batch.id)).await.unwrap()).unwrap();
+    let table = String::from_utf8(
+        client.bytes(&format!("v1/batches/{}/results?format=csv", batch.id)).await.unwrap(),
+    )
+    .unwrap();
     let rows: Vec<&str> = table.lines().collect();
     assert!(
-        rows.len() == 9 && rows[0].starts_with("item,scene_id,query,status") && rows[1].contains("the red sofa,grounded"),
+        rows.len() == 9
+            && rows[0].starts_with("item,scene_id,query,status")
+            && rows[1].contains("the red sofa,grounded"),
         "{table}"
     );
     // Defaults in the first line leave the address's scene in place.
     let lines = "{\"defaults\": {\"top_k\": 3}}\n{\"query\": \"the red sofa\"}\n";
-    let id = client.create_batch_of_lines(lines, &[("scene_id", scene.clone())], None).await.unwrap().id;
+    let id =
+        client.create_batch_of_lines(lines, &[("scene_id", scene.clone())], None).await.unwrap().id;
     assert_eq!(results(client, &id, 0, true).await[0].status, "grounded");
     // An answer that was deleted with its scene is missed, not invented.
     client.delete_scene(&scene).await.unwrap();
@@ -122,8 +141,20 @@ async fn what_is_no_batch_is_refused_whole() {
         ("application/jsonl", "\n\n", 422, "invalid_request", "/items"),
         ("application/json", "{\"items\": []}", 422, "invalid_request", "/items"),
         ("application/json", "{\"items\": 3}", 422, "invalid_request", "/items"),
-        ("application/json", "{\"items\": [{}], \"concurrency\": 0}", 422, "invalid_request", "/concurrency"),
-        ("application/json", "{\"items\": [{}], \"max_cost_usd\": -1}", 422, "invalid_request", "/max_cost_usd"),
+        (
+            "application/json",
+            "{\"items\": [{}], \"concurrency\": 0}",
+            422,
+            "invalid_request",
+            "/concurrency",
+        ),
+        (
+            "application/json",
+            "{\"items\": [{}], \"max_cost_usd\": -1}",
+            422,
+            "invalid_request",
+            "/max_cost_usd",
+        ),
         ("text/csv", "query", 415, "unsupported_media_type", ""),
     ] {
         let problem = post_raw(client, "v1/batches", media_type, body).await;
@@ -146,7 +177,8 @@ async fn a_key_makes_one_batch() {
     let server = TestServer::start().await;
     let client = &server.client;
     let scene = server.parsed(Scan::neutral().zip()).await.id;
-    let submit = async |lines: String| client.create_batch_of_lines(lines, &[], Some("monday")).await;
+    let submit =
+        async |lines: String| client.create_batch_of_lines(lines, &[], Some("monday")).await;
     let (first, second) = tokio::join!(submit(lines(&scene, 900)), submit(lines(&scene, 900)));
     assert_eq!(first.unwrap().id, second.unwrap().id);
     assert_eq!(problem(submit(lines(&scene, 901)).await).code, "idempotency_key_reused");
@@ -195,8 +227,7 @@ async fn a_batch_pauses_goes_on_and_stops() {
 #[tokio::test(flavor = "multi_thread")]
 async fn what_a_batch_may_cost_is_never_exceeded_and_the_rest_waits() {
     let script = Script::default();
-    let reply =
-        "Predicted ID: 1\nExplanation: x\nCandidate Names: 1 -> sofa\nTarget name matches?: true\nAnchor ID: none\nRelation used: none";
+    let reply = "Predicted ID: 1\nExplanation: x\nCandidate Names: 1 -> sofa\nTarget name matches?: true\nAnchor ID: none\nRelation used: none";
     let url = script.serve(vec![says(reply)]).await;
     let vlm = VlmConfig {
         vlm_url: Some(url),
@@ -213,27 +244,41 @@ async fn what_a_batch_may_cost_is_never_exceeded_and_the_rest_waits() {
     assert!(one > 0.0);
     let calls_of_one = script.calls();
     let calls = script.calls();
-    let items: String = (0..8).map(|_| json!({"scene_id": scene, "query": "the red sofa"}).to_string() + "\n").collect();
+    let items: String = (0..8)
+        .map(|_| json!({"scene_id": scene, "query": "the red sofa"}).to_string() + "\n")
+        .collect();
     let limit = 4.5 * one;
     let options = [("max_cost_usd", limit.to_string()), ("concurrency", "1".to_owned())];
     let batch = client.create_batch_of_lines(items, &options, None).await.unwrap();
     let batch = ended(client, &batch.id).await;
-    assert_eq!((batch.state, batch.reason.as_deref()), (BatchState::Paused, Some("budget_spent")), "{batch:?}");
+    assert_eq!(
+        (batch.state, batch.reason.as_deref()),
+        (BatchState::Paused, Some("budget_spent")),
+        "{batch:?}"
+    );
     assert!(batch.cost_usd <= limit && (1..8).contains(&batch.done), "{batch:?}");
     assert!((batch.cost_usd - f64::from(batch.done) * one).abs() < 1e-6, "{batch:?}: {one} each");
-    assert_eq!(results(client, &batch.id, 0, true).await.len(), batch.done as usize, "who follows is told, not kept waiting");
+    assert_eq!(
+        results(client, &batch.id, 0, true).await.len(),
+        batch.done as usize,
+        "who follows is told, not kept waiting"
+    );
     let for_the_last = script.calls() - calls - calls_of_one * batch.done as usize;
     assert!(for_the_last < calls_of_one, "each item was asked once, and the last perhaps begun");
     // Nothing at all may be spent: nothing is asked, and nothing else answers.
     let items = json!({"scene_id": scene, "query": "the red sofa"}).to_string();
     let calls = script.calls();
-    let batch = client.create_batch_of_lines(items, &[("max_cost_usd", "0".to_owned())], None).await.unwrap();
+    let batch = client
+        .create_batch_of_lines(items, &[("max_cost_usd", "0".to_owned())], None)
+        .await
+        .unwrap();
     let batch = ended(client, &batch.id).await;
     assert_eq!((batch.state, batch.done, script.calls()), (BatchState::Paused, 0, calls));
     server.stop().await;
 }
 
-/// Killed again and again: every item is answered once, under the id it was given, as an undisturbed run answers it.
+/// Killed again and again: every item is answered once, under the id it was given, as an
+/// undisturbed run answers it.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_killed_server_asks_nothing_twice_and_forgets_nothing() {
     const ITEMS: usize = 2000;
@@ -241,7 +286,11 @@ async fn a_killed_server_asks_nothing_twice_and_forgets_nothing() {
     let data = Utf8Path::from_path(data.path()).unwrap();
     let server = Process::start(data);
     let scene = parsed(&server.client, "application/zip", Scan::neutral().zip()).await.id;
-    let batch = server.client.create_batch_of_lines(lines(&scene, ITEMS), &[], Some("kills")).await.unwrap();
+    let batch = server
+        .client
+        .create_batch_of_lines(lines(&scene, ITEMS), &[], Some("kills"))
+        .await
+        .unwrap();
     let mut server = server;
     for pause_ms in [30, 120, 250, 60] {
         sleep(Duration::from_millis(pause_ms)).await;
@@ -257,7 +306,14 @@ async fn a_killed_server_asks_nothing_twice_and_forgets_nothing() {
     // The same question, the same answer, whichever server gave it.
     let core = |result: &BatchResult| {
         let answer = result.answer.as_ref().unwrap();
-        [&answer["status"], &answer["answer"], &answer["box"], &answer["confidence"], &answer["targets"]].map(Value::to_string)
+        [
+            &answer["status"],
+            &answer["answer"],
+            &answer["box"],
+            &answer["confidence"],
+            &answer["targets"],
+        ]
+        .map(Value::to_string)
     };
     let first: Vec<_> = told[..QUERIES.len()].iter().map(core).collect();
     assert!(told.iter().enumerate().all(|(i, result)| core(result) == first[i % QUERIES.len()]));
@@ -298,7 +354,11 @@ async fn the_command_goes_on_where_it_was_cut_off() {
     // Cut in the middle of a line.
     std::fs::write(&out, &whole[..whole.len() / 2]).unwrap();
     assert!(run().await.status.success());
-    assert_eq!(std::fs::read_to_string(&out).unwrap(), whole, "the rest, byte for byte, and nothing asked again");
+    assert_eq!(
+        std::fs::read_to_string(&out).unwrap(),
+        whole,
+        "the rest, byte for byte, and nothing asked again"
+    );
     assert_eq!(server.client.batches(10, None).await.unwrap().batches.len(), 1);
     server.stop().await;
 }

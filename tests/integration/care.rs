@@ -30,14 +30,24 @@ async fn ids(rows: &mut AnyConnection, sql: &'static str) -> Vec<String> {
 
 fn gc(data: &Utf8Path, more: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
-    command.args(["gc", "--data-dir", data.as_str()]).envs(in_places(data)).args(more).output().unwrap()
+    command
+        .args(["gc", "--data-dir", data.as_str()])
+        .envs(in_places(data))
+        .args(more)
+        .output()
+        .unwrap()
 }
 
 /// What went, by kind: entries and bytes.
 fn told(output: &Output) -> BTreeMap<String, (u64, u64)> {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let told: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let of = |one: &Value| (one["kind"].as_str().unwrap().to_owned(), (one["entries"].as_u64().unwrap(), one["bytes"].as_u64().unwrap()));
+    let of = |one: &Value| {
+        (
+            one["kind"].as_str().unwrap().to_owned(),
+            (one["entries"].as_u64().unwrap(), one["bytes"].as_u64().unwrap()),
+        )
+    };
     told["removed"].as_array().unwrap().iter().map(of).collect()
 }
 
@@ -64,7 +74,8 @@ fn make_old(folder: &Utf8Path, days: u64) {
     }
 }
 
-/// A folder with something old and something new of every kind: the scene, its answer, and the batch that is paused.
+/// A folder with something old and something new of every kind: the scene, its answer, and the
+/// batch that is paused.
 async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
     let server = TestServer::start().await;
     let client = &server.client;
@@ -79,7 +90,8 @@ async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
         assert_eq!(finished(client, &again.id).await.error, None);
     }
     let answer = client.ground(&scene, &ask("the red sofa")).await.unwrap().id;
-    let request = serde_json::json!({"items": [{"query": "the red sofa"}], "defaults": {"scene_id": scene}});
+    let request =
+        serde_json::json!({"items": [{"query": "the red sofa"}], "defaults": {"scene_id": scene}});
     let request: BatchRequest = serde_json::from_value(request).unwrap();
     let mut batches = Vec::new();
     for _ in 0..3 {
@@ -142,7 +154,8 @@ async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
     make_old(&folder.join("blobs/checkpoints"), 20);
     for day in ["2020-01-01", "2999-01-01"] {
         fs::create_dir_all(folder.join("quarantine").join(day).join("parses/x")).unwrap();
-        fs::write(folder.join("quarantine").join(day).join("parses/x/cloud.ply"), "points").unwrap();
+        fs::write(folder.join("quarantine").join(day).join("parses/x/cloud.ply"), "points")
+            .unwrap();
     }
     (data, scene, answer, format!("{OLD}9"))
 }
@@ -154,9 +167,21 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
     let before = everything(folder);
     let announced = told(&gc(folder, &["--dry-run", "--json"]));
     assert_eq!(everything(folder), before, "a dry run writes nothing");
-    let kept_for_ever = ["answers", "jobs", "batches", "idempotency", "audit", "superseded", "checkpoints", "uploads"]
-        .map(|kind| format!("--keep-{kind}-days=0"));
-    let kept_for_ever: Vec<&str> = ["--dry-run", "--json"].into_iter().chain(kept_for_ever.iter().map(String::as_str)).collect();
+    let kept_for_ever = [
+        "answers",
+        "jobs",
+        "batches",
+        "idempotency",
+        "audit",
+        "superseded",
+        "checkpoints",
+        "uploads",
+    ]
+    .map(|kind| format!("--keep-{kind}-days=0"));
+    let kept_for_ever: Vec<&str> = ["--dry-run", "--json"]
+        .into_iter()
+        .chain(kept_for_ever.iter().map(String::as_str))
+        .collect();
     let little: Vec<String> = told(&gc(folder, &kept_for_ever))
         .into_iter()
         .filter(|(_, gone)| gone.0 > 0)
@@ -166,7 +191,8 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
 
     let gone = told(&gc(folder, &["--json"]));
     assert_eq!(gone, announced);
-    let entries: Vec<(&str, u64)> = gone.iter().map(|(kind, (entries, _))| (kind.as_str(), *entries)).collect();
+    let entries: Vec<(&str, u64)> =
+        gone.iter().map(|(kind, (entries, _))| (kind.as_str(), *entries)).collect();
     let expected = [
         ("answers", 3),
         ("audit", 1),
@@ -189,12 +215,22 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
     let jobs = ids(&mut rows, "SELECT id FROM jobs WHERE id < '018' ORDER BY id").await;
     assert_eq!(jobs, ["6", "7", "9"].map(|end| format!("{OLD}{end}")));
     assert!(ids(&mut rows, "SELECT id FROM answers").await.contains(&answer));
-    assert_eq!(ids(&mut rows, "SELECT id FROM answers WHERE id < '018'").await, [format!("{OLD}4")]);
+    assert_eq!(
+        ids(&mut rows, "SELECT id FROM answers WHERE id < '018'").await,
+        [format!("{OLD}4")]
+    );
     assert_eq!(ids(&mut rows, "SELECT id FROM batches ORDER BY id").await.len(), 2);
     assert_eq!(ids(&mut rows, "SELECT key FROM idempotency_keys").await, ["new key"]);
     assert_eq!(ids(&mut rows, "SELECT key FROM question_keys").await, ["new key"]);
-    assert_eq!(ids(&mut rows, "SELECT id FROM parses WHERE superseded_at IS NULL").await.len(), 1, "that of the scene");
-    assert_eq!(ids(&mut rows, "SELECT DISTINCT batch_id FROM batch_items ORDER BY 1").await.len(), 2);
+    assert_eq!(
+        ids(&mut rows, "SELECT id FROM parses WHERE superseded_at IS NULL").await.len(),
+        1,
+        "that of the scene"
+    );
+    assert_eq!(
+        ids(&mut rows, "SELECT DISTINCT batch_id FROM batch_items ORDER BY 1").await.len(),
+        2
+    );
     run(&mut rows, format!("DELETE FROM jobs WHERE id = '{OLD}6'")).await;
     rows.close().await.unwrap();
     let names = |below: &str| {
@@ -207,22 +243,36 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
     };
     assert_eq!((names("blobs/parses").len(), names("uploads")), (1, vec![format!("{OLD}2")]));
     assert_eq!(names("blobs/answers"), std::slice::from_ref(&answer));
-    assert_eq!((names("blobs/checkpoints").len(), names("quarantine")), (0, vec!["2999-01-01".to_owned()]));
-    assert!(told(&gc(folder, &["--json"])).values().all(|gone| gone.0 == 0), "nothing is left to do");
+    assert_eq!(
+        (names("blobs/checkpoints").len(), names("quarantine")),
+        (0, vec!["2999-01-01".to_owned()])
+    );
+    assert!(
+        told(&gc(folder, &["--json"])).values().all(|gone| gone.0 == 0),
+        "nothing is left to do"
+    );
 
-    let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await;
+    let server = TestServer::start_on(
+        data,
+        LimitsConfig::default(),
+        VlmConfig::default(),
+        ModelsConfig::builtin(),
+    )
+    .await;
     assert_eq!(server.client.answer(&answer).await.unwrap().scene_id, scene);
     assert_eq!(server.client.scene(&scene).await.unwrap().job_id, Some(format!("{OLD}7")));
     assert_eq!(server.client.batch(&paused).await.unwrap().state, BatchState::Paused);
     // What has gone is made again when it is wanted.
-    let again = server.client.parse(&scene, &serde_json::json!({"preset": "default"})).await.unwrap();
+    let again =
+        server.client.parse(&scene, &serde_json::json!({"preset": "default"})).await.unwrap();
     assert_eq!(finished(&server.client, &again.id).await.error, None);
     assert_eq!(server.stored("blobs/parses").len(), 2);
     assert_eq!(server.stored("blobs/checkpoints").len(), 1);
     server.stop().await;
 }
 
-/// A parse that an answer was given for stays; so does one that has not been superseded for long, and one a scene takes up again.
+/// A parse that an answer was given for stays; so does one that has not been superseded for long,
+/// and one a scene takes up again.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_parse_somebody_refers_to_stays() {
     let server = TestServer::start().await;
@@ -234,12 +284,34 @@ async fn a_parse_somebody_refers_to_stays() {
     let folder = Utf8Path::from_path(data.path()).unwrap();
     let parses = || folder.join("blobs/parses").read_dir_utf8().unwrap().count();
     let mut rows = loose_rows(folder).await;
-    run(&mut rows, format!("UPDATE parses SET created_at = '{LONG_AGO}', superseded_at = '{LONG_AGO}'")).await;
-    assert_eq!(told(&gc(folder, &["--json"]))["superseded parses"].0, 0, "the answer was given for it");
+    run(
+        &mut rows,
+        format!("UPDATE parses SET created_at = '{LONG_AGO}', superseded_at = '{LONG_AGO}'"),
+    )
+    .await;
+    assert_eq!(
+        told(&gc(folder, &["--json"]))["superseded parses"].0,
+        0,
+        "the answer was given for it"
+    );
     run(&mut rows, format!("DELETE FROM answers WHERE id = '{answer}'")).await;
-    assert_eq!(told(&gc(folder, &["--json"]))["superseded parses"].0, 0, "only now it is superseded");
-    assert_eq!((parses(), ids(&mut rows, "SELECT id FROM parses WHERE superseded_at IS NOT NULL").await.len()), (2, 1));
-    run(&mut rows, format!("UPDATE parses SET superseded_at = '{LONG_AGO}' WHERE superseded_at IS NOT NULL")).await;
+    assert_eq!(
+        told(&gc(folder, &["--json"]))["superseded parses"].0,
+        0,
+        "only now it is superseded"
+    );
+    assert_eq!(
+        (
+            parses(),
+            ids(&mut rows, "SELECT id FROM parses WHERE superseded_at IS NOT NULL").await.len()
+        ),
+        (2, 1)
+    );
+    run(
+        &mut rows,
+        format!("UPDATE parses SET superseded_at = '{LONG_AGO}' WHERE superseded_at IS NOT NULL"),
+    )
+    .await;
     assert_eq!((told(&gc(folder, &["--json"]))["superseded parses"].0, parses()), (1, 1));
     rows.close().await.unwrap();
 }
@@ -251,13 +323,15 @@ async fn gc_wants_a_stopped_servers_folder() {
     for more in [&["--dry-run"][..], &[]] {
         let refused = gc(server.data(), more);
         assert!(
-            !refused.status.success() && String::from_utf8_lossy(&refused.stderr).contains("another server"),
+            !refused.status.success()
+                && String::from_utf8_lossy(&refused.stderr).contains("another server"),
             "{refused:?}"
         );
         let nothing = server.data().join("nothing");
         let refused = gc(&nothing, more);
         assert!(
-            !refused.status.success() && String::from_utf8_lossy(&refused.stderr).contains("no data folder"),
+            !refused.status.success()
+                && String::from_utf8_lossy(&refused.stderr).contains("no data folder"),
             "{refused:?}"
         );
         assert!(!nothing.exists());

@@ -1,4 +1,5 @@
-//! A chat model reads the questions: a scripted OpenAI-compatible server on loopback plays the model.
+//! A chat model reads the questions: a scripted OpenAI-compatible server on loopback plays the
+//! model.
 
 use crate::script::{Script, Scripted, fails, says};
 use crate::server::{TestServer, ask};
@@ -15,13 +16,23 @@ use uniground_core::models::chat::{ChatError, ChatModel, ChatRequest, Part, Pric
 use uniground_types::question::{GroundRequest, ParserChoice, ReasonerChoice};
 
 fn quick() -> Patience {
-    Patience { backoff: Duration::from_millis(1), longest_wait: Duration::from_millis(5), ..Patience::default() }
+    Patience {
+        backoff: Duration::from_millis(1),
+        longest_wait: Duration::from_millis(5),
+        ..Patience::default()
+    }
 }
 
 fn client(base_url: String, replay_cache: ReplayCache) -> ChatClient {
     let prices = Prices { prompt_usd: 2.0, completion_usd: 8.0 };
     ChatClient::new(
-        Endpoint { base_url, model: "scripted".into(), api_key: Some("sk-secret-key".into()), prices, concurrency: 4 },
+        Endpoint {
+            base_url,
+            model: "scripted".into(),
+            api_key: Some("sk-secret-key".into()),
+            prices,
+            concurrency: 4,
+        },
         quick(),
         replay_cache,
     )
@@ -29,7 +40,11 @@ fn client(base_url: String, replay_cache: ReplayCache) -> ChatClient {
 }
 
 fn question(text: &str) -> ChatRequest {
-    ChatRequest { system: "s".into(), user: vec![Part::Text(text.into())], schema: Some(("answer", json!({"type": "object"}))) }
+    ChatRequest {
+        system: "s".into(),
+        user: vec![Part::Text(text.into())],
+        schema: Some(("answer", json!({"type": "object"}))),
+    }
 }
 
 #[tokio::test]
@@ -55,7 +70,10 @@ async fn what_may_pass_is_tried_again_what_will_not_is_told() {
     let script = Script::default();
     let url = script.serve(vec![fails(401, "bad key: sk-secret-key")]).await;
     let error = client(url, ReplayCache::Off).ask(&question("a")).await.unwrap_err();
-    assert!(!format!("{error:?} {error}").contains("sk-secret") && script.calls() == 1, "{error:?}");
+    assert!(
+        !format!("{error:?} {error}").contains("sk-secret") && script.calls() == 1,
+        "{error:?}"
+    );
     assert!(error.to_string().contains("bad key: <key>"), "{error}");
 }
 
@@ -80,11 +98,17 @@ async fn a_count_of_tokens_that_can_not_be_is_not_believed() {
         let usage = json!({"prompt_tokens": prompt, "completion_tokens": completion});
         Scripted::Json(200, json!({"choices": [{"message": {"content": "fine"}}], "usage": usage}))
     };
-    let url = script.serve(vec![counted(0, 0), counted(1_000_000_000_000_000, 1_000_000_000_000_000)]).await;
+    let url = script
+        .serve(vec![counted(0, 0), counted(1_000_000_000_000_000, 1_000_000_000_000_000)])
+        .await;
     let client = client(url, ReplayCache::Off);
     for _ in 0..2 {
         let reply = client.ask(&question("a")).await.unwrap();
-        assert!((1..1000).contains(&reply.prompt_tokens) && (1..1000).contains(&reply.completion_tokens), "{reply:?}");
+        assert!(
+            (1..1000).contains(&reply.prompt_tokens)
+                && (1..1000).contains(&reply.completion_tokens),
+            "{reply:?}"
+        );
     }
 }
 
@@ -102,7 +126,9 @@ async fn a_server_that_knows_no_schemas_is_asked_without() {
     let url = script.serve(vec![fails(400, "unknown field response_format"), says("{}")]).await;
     client(url, ReplayCache::Off).ask(&question("a")).await.unwrap();
     let asked = script.asked.lock().unwrap();
-    assert!(asked[0].1.get("response_format").is_some() && asked[1].1.get("response_format").is_none());
+    assert!(
+        asked[0].1.get("response_format").is_some() && asked[1].1.get("response_format").is_none()
+    );
 }
 
 fn reads_mug() -> Scripted {
@@ -125,22 +151,48 @@ async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
     let scene = server
         .parsed(fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap())
         .await;
-    let with_model = |query: &str| GroundRequest { parser: ParserChoice::Vlm, reasoner: ReasonerChoice::Builtin, ..ask(query) };
+    let with_model = |query: &str| GroundRequest {
+        parser: ParserChoice::Vlm,
+        reasoner: ReasonerChoice::Builtin,
+        ..ask(query)
+    };
 
     // The words mean nothing to the grammar; the model has read them.
-    let answer = server.client.ground(&scene.id, &with_model("der Becher auf dem Couchtisch")).await.unwrap();
-    let builtin = GroundRequest { reasoner: ReasonerChoice::Builtin, ..ask("the mug on the coffee table") };
+    let answer = server
+        .client
+        .ground(&scene.id, &with_model("der Becher auf dem Couchtisch"))
+        .await
+        .unwrap();
+    let builtin =
+        GroundRequest { reasoner: ReasonerChoice::Builtin, ..ask("the mug on the coffee table") };
     let plain = server.client.ground(&scene.id, &builtin).await.unwrap();
-    assert_eq!((answer.answer.predicted_id, &answer.parsed_query.target), (plain.answer.predicted_id, &"mug".to_owned()));
-    assert_eq!((answer.usage.vlm_calls, answer.usage.prompt_tokens, answer.usage.completion_tokens), (1, 700, 40));
-    assert!((answer.usage.cost_usd - (700.0 * 2.0 + 40.0 * 8.0) / 1e6).abs() < 1e-12, "{:?}", answer.usage);
+    assert_eq!(
+        (answer.answer.predicted_id, &answer.parsed_query.target),
+        (plain.answer.predicted_id, &"mug".to_owned())
+    );
+    assert_eq!(
+        (answer.usage.vlm_calls, answer.usage.prompt_tokens, answer.usage.completion_tokens),
+        (1, 700, 40)
+    );
+    assert!(
+        (answer.usage.cost_usd - (700.0 * 2.0 + 40.0 * 8.0) / 1e6).abs() < 1e-12,
+        "{:?}",
+        answer.usage
+    );
     assert_eq!(answer.trace.as_ref().unwrap().calls[0].purpose, "parse");
-    assert!(answer.models.parser.starts_with("scripted") && plain.models.parser.starts_with("builtin"));
+    assert!(
+        answer.models.parser.starts_with("scripted") && plain.models.parser.starts_with("builtin")
+    );
     assert_eq!((plain.usage.vlm_calls, plain.usage.cost_usd), (0, 0.0));
 
-    // A refusal and an error: the grammar answers, and the trace says why. What was paid for is counted.
+    // A refusal and an error: the grammar answers, and the trace says why. What was paid for is
+    // counted.
     for (calls, expected) in [(1, "no JSON object"), (0, "400 Bad Request: no")] {
-        let answer = server.client.ground(&scene.id, &with_model("the mug on the coffee table")).await.unwrap();
+        let answer = server
+            .client
+            .ground(&scene.id, &with_model("the mug on the coffee table"))
+            .await
+            .unwrap();
         assert_eq!(answer.answer.predicted_id, plain.answer.predicted_id);
         assert_eq!(answer.usage.vlm_calls, calls);
         let corrections = answer.trace.unwrap().corrections;
@@ -148,7 +200,8 @@ async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
     }
     // Nothing may be spent: nobody is asked.
     let before = script.calls();
-    let unpaid = GroundRequest { max_cost_usd: Some(0.0), ..with_model("the mug on the coffee table") };
+    let unpaid =
+        GroundRequest { max_cost_usd: Some(0.0), ..with_model("the mug on the coffee table") };
     assert_eq!(server.client.ground(&scene.id, &unpaid).await.unwrap().usage.vlm_calls, 0);
     assert_eq!(script.calls(), before);
     server.stop().await;
@@ -158,13 +211,16 @@ async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
         .parsed(fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap())
         .await;
     match server.client.ground(&scene.id, &with_model("the mug")).await {
-        Err(ClientError::Problem(problem)) => assert_eq!((problem.code.as_str(), problem.status), ("vlm_not_configured", 409)),
+        Err(ClientError::Problem(problem)) => {
+            assert_eq!((problem.code.as_str(), problem.status), ("vlm_not_configured", 409))
+        }
         other => panic!("{other:?}"),
     }
     server.stop().await;
 }
 
-/// Left to itself the service reads by the grammar, and by the model where the grammar is in doubt and a model decides as well.
+/// Left to itself the service reads by the grammar, and by the model where the grammar is in doubt
+/// and a model decides as well.
 #[tokio::test]
 async fn the_model_reads_what_the_grammar_is_in_doubt_about() {
     let script = Script::default();
@@ -200,7 +256,8 @@ async fn the_model_reads_what_the_grammar_is_in_doubt_about() {
     let doubtful = "der Becher auf dem Couchtisch";
     script.next(vec![reads_mug(), decides()]);
     let (answer, calls) = asked(ask(doubtful)).await;
-    let purposes: Vec<String> = answer.trace.as_ref().unwrap().calls.iter().map(|call| call.purpose.clone()).collect();
+    let purposes: Vec<String> =
+        answer.trace.as_ref().unwrap().calls.iter().map(|call| call.purpose.clone()).collect();
     assert!(calls == 2 && purposes == ["parse", "spatial"], "{purposes:?}");
     assert!(
         answer.models.parser.starts_with("scripted") && answer.parsed_query.target == "mug",
@@ -209,12 +266,16 @@ async fn the_model_reads_what_the_grammar_is_in_doubt_about() {
     );
     assert_eq!((answer.answer.predicted_id, answer.degraded), (Some(mug), false));
 
-    // What it says of the question is of no use: the grammar's reading stands, and no more is said than why.
+    // What it says of the question is of no use: the grammar's reading stands, and no more is said
+    // than why.
     let mumbled = "the mug that frobnicates";
     script.next(vec![says("I would rather not."), decides()]);
     let (answer, calls) = asked(ask(mumbled)).await;
     let corrections = answer.trace.unwrap().corrections;
-    assert!(calls == 2 && !answer.degraded && answer.models.parser.starts_with("builtin"), "{corrections:?}");
+    assert!(
+        calls == 2 && !answer.degraded && answer.models.parser.starts_with("builtin"),
+        "{corrections:?}"
+    );
     assert!(corrections.len() == 1 && corrections[0].contains("frobnicates"), "{corrections:?}");
 
     // Who wants no model to decide, no money spent, or the grammar to read, gets none to read.
@@ -224,7 +285,8 @@ async fn the_model_reads_what_the_grammar_is_in_doubt_about() {
         assert_eq!((calls, answer.usage.vlm_calls, answer.degraded), (0, 0, false));
     }
     script.next(vec![decides()]);
-    let (answer, calls) = asked(GroundRequest { parser: ParserChoice::Builtin, ..ask(mumbled) }).await;
+    let (answer, calls) =
+        asked(GroundRequest { parser: ParserChoice::Builtin, ..ask(mumbled) }).await;
     assert!(calls == 1 && answer.models.parser.starts_with("builtin"), "{:?}", answer.models);
     server.stop().await;
 }
@@ -233,7 +295,14 @@ fn eval(out: &Utf8Path, args: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
     let examples = concat!(env!("CARGO_MANIFEST_DIR"), "/examples");
     command
-        .args(["eval", examples, "--out", out.as_str(), "--matrix", "source=oracle;parser=builtin,vlm"])
+        .args([
+            "eval",
+            examples,
+            "--out",
+            out.as_str(),
+            "--matrix",
+            "source=oracle;parser=builtin,vlm",
+        ])
         .args(args)
         .output()
         .unwrap()
@@ -262,22 +331,43 @@ fn a_table_that_was_paid_for_is_computed_again_for_nothing() {
     assert!(replayed.status.success(), "{}", String::from_utf8_lossy(&replayed.stderr));
     assert_eq!(script.calls(), calls);
     let figures = |folder: &str| {
-        let report: Value = serde_json::from_slice(&fs::read(root.join(folder).join("report.json")).unwrap()).unwrap();
+        let report: Value =
+            serde_json::from_slice(&fs::read(root.join(folder).join("report.json")).unwrap())
+                .unwrap();
         let mut figures = report["cells"][1]["figures"].clone();
         figures.as_object_mut().unwrap().remove("latency_ms");
         figures
     };
     assert_eq!(figures("a"), figures("c"));
-    assert!(figures("c")["vlm_calls"] == 1.0 && figures("c")["cost_usd"].as_f64().unwrap() > 0.0, "{}", figures("c"));
+    assert!(
+        figures("c")["vlm_calls"] == 1.0 && figures("c")["cost_usd"].as_f64().unwrap() > 0.0,
+        "{}",
+        figures("c")
+    );
     // A question that is not on the record fails, and is told; it is no answer of the grammar's.
-    fs::write(&record, fs::read_to_string(&record).unwrap().lines().take(1).map(|l| format!("{l}\n")).collect::<String>()).unwrap();
+    fs::write(
+        &record,
+        fs::read_to_string(&record)
+            .unwrap()
+            .lines()
+            .take(1)
+            .map(|l| format!("{l}\n"))
+            .collect::<String>(),
+    )
+    .unwrap();
     let partly = eval(&root.join("d"), &["--replay", record.as_str()]);
     assert!(partly.status.success(), "{}", String::from_utf8_lossy(&partly.stderr));
     assert_eq!(figures("d")["failed"], 18, "{}", figures("d"));
     let told = String::from_utf8_lossy(&partly.stderr).into_owned();
-    assert!(told.contains("18 of 19 questions failed") && told.contains("the replay cache has no answer"), "{told}");
+    assert!(
+        told.contains("18 of 19 questions failed")
+            && told.contains("the replay cache has no answer"),
+        "{told}"
+    );
     // A record that is none is named by its line.
     fs::write(&record, "{}\n{}\n").unwrap();
     let broken = eval(&root.join("e"), &["--replay", record.as_str()]);
-    assert!(String::from_utf8_lossy(&broken.stderr).contains("answers.jsonl:1: not a recorded answer"));
+    assert!(
+        String::from_utf8_lossy(&broken.stderr).contains("answers.jsonl:1: not a recorded answer")
+    );
 }

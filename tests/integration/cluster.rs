@@ -1,4 +1,5 @@
-//! Several processes over one database: servers that answer, workers that do what waits. With SQLite there is one.
+//! Several processes over one database: servers that answer, workers that do what waits. With
+//! SQLite there is one.
 
 use crate::archives::Scan;
 use crate::server::{ask, config, finished, location, problem, rows};
@@ -24,7 +25,14 @@ fn may_have_company(data: &Utf8Path) -> bool {
 }
 
 fn new_key() -> NewKey {
-    NewKey { name: "robot".into(), scope: Scope::Admin, expires_at: None, requests_per_minute: None, max_scenes: None, daily_usd: None }
+    NewKey {
+        name: "robot".into(),
+        scope: Scope::Admin,
+        expires_at: None,
+        requests_per_minute: None,
+        max_scenes: None,
+        daily_usd: None,
+    }
 }
 
 async fn server(data: &Utf8Path, role: Role) -> (RunningService, Client) {
@@ -46,10 +54,14 @@ async fn a_part_wants_others() {
     let alone = ServeConfig { database: uniground::config::DatabaseConfig::default(), ..alone };
     let refused = app::start(&alone).await.err().unwrap().to_string();
     assert!(refused.contains("--database postgres://"), "{refused}");
-    assert!(!data.join("uniground-data.json").exists(), "nothing is made of a folder that is not used");
+    assert!(
+        !data.join("uniground-data.json").exists(),
+        "nothing is made of a folder that is not used"
+    );
 }
 
-/// What one server is asked a worker does, another server tells, and what is changed at one is changed at the other.
+/// What one server is asked a worker does, another server tells, and what is changed at one is
+/// changed at the other.
 #[tokio::test]
 async fn servers_agree_and_workers_work() {
     let place = tempfile::tempdir().unwrap();
@@ -72,20 +84,30 @@ async fn servers_agree_and_workers_work() {
     assert_eq!(finished(&b, &job.id).await.state, JobState::Succeeded);
 
     let scene = created.scene.id;
-    let bytes = async |client: &Client, path: &str| client.bytes(&format!("v1/{path}")).await.unwrap();
-    let same = async |path: &str| assert_eq!(bytes(&a, path).await, bytes(&b, path).await, "{path}");
+    let bytes =
+        async |client: &Client, path: &str| client.bytes(&format!("v1/{path}")).await.unwrap();
+    let same =
+        async |path: &str| assert_eq!(bytes(&a, path).await, bytes(&b, path).await, "{path}");
     let answer = a.ground(&scene, &ask("the red sofa")).await.unwrap();
-    for path in
-        [format!("scenes/{scene}"), format!("scenes/{scene}/instances"), format!("answers/{}", answer.id), format!("scenes/{scene}/report")]
-    {
+    for path in [
+        format!("scenes/{scene}"),
+        format!("scenes/{scene}/instances"),
+        format!("answers/{}", answer.id),
+        format!("scenes/{scene}/report"),
+    ] {
         same(&path).await;
     }
     let sofa = answer.answer.predicted_id.unwrap();
-    assert_eq!(b.ground(&scene, &ask("the red sofa")).await.unwrap().answer.predicted_id, Some(sofa));
+    assert_eq!(
+        b.ground(&scene, &ask("the red sofa")).await.unwrap().answer.predicted_id,
+        Some(sofa)
+    );
 
     // Both have the scene in memory; what people say at one is heard at the other, at once.
     for (here, there, name) in [(&a, &b, "Grandma's bench"), (&b, &a, "Grandpa's bench")] {
-        here.correct(&scene, &Change::Rename { instance_id: sofa, name: name.into() }).await.unwrap();
+        here.correct(&scene, &Change::Rename { instance_id: sofa, name: name.into() })
+            .await
+            .unwrap();
         let told = there.ground(&scene, &ask("the bench")).await.unwrap();
         assert!(told.targets[0].name.contains(name), "{told:?}");
         let listed = there.all_instances(&scene, Levels::Things).await.unwrap();
@@ -104,7 +126,9 @@ async fn servers_agree_and_workers_work() {
 
     // The first key locks every door, soon; one that is revoked opens none.
     let key = a.create_key(&new_key()).await.unwrap();
-    let with_key = |running: &RunningService| Client::new(&format!("http://{}", running.address), Some(key.secret.clone())).unwrap();
+    let with_key = |running: &RunningService| {
+        Client::new(&format!("http://{}", running.address), Some(key.secret.clone())).unwrap()
+    };
     let (a_with, b_with) = (with_key(&first), with_key(&second));
     until("the key is wanted everywhere", async || {
         b.scenes(1, None).await.is_err() && b_with.scenes(1, None).await.is_ok()
@@ -130,12 +154,21 @@ async fn the_job_of_one_who_is_gone_goes_on_elsewhere() {
     short.database.lease_s = 10;
     let api = app::start(&ServeConfig { role: Role::Api, ..short.clone() }).await.unwrap();
     let client = Client::new(&format!("http://{}", api.address), None).unwrap();
-    let job = client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap().job.unwrap();
+    let job = client
+        .create_scene(None, "application/zip", Scan::neutral().zip())
+        .await
+        .unwrap()
+        .job
+        .unwrap();
     // Somebody has taken it who is seen once more, and then never again.
     let mut rows = rows(data).await;
     for sql in [
-        "INSERT INTO members (id, seen_at) VALUES ('ghost', extract(epoch FROM clock_timestamp()))".to_owned(),
-        format!("UPDATE jobs SET state = 'running', holder = 'ghost', attempts = 1 WHERE id = '{}'", job.id),
+        "INSERT INTO members (id, seen_at) VALUES ('ghost', extract(epoch FROM clock_timestamp()))"
+            .to_owned(),
+        format!(
+            "UPDATE jobs SET state = 'running', holder = 'ghost', attempts = 1 WHERE id = '{}'",
+            job.id
+        ),
     ] {
         sqlx::query(sqlx::AssertSqlSafe(sql)).execute(&mut rows).await.unwrap();
     }
@@ -167,8 +200,12 @@ async fn a_rate_holds_at_all_servers_together() {
     let with_key = |running: &RunningService| format!("http://{}/v1/scenes", running.address);
     let mut told = Vec::new();
     for at in [&first, &second, &first, &second, &first, &second, &first, &second] {
-        let reply = reqwest::Client::new().get(with_key(at)).bearer_auth(&secret).send().await.unwrap();
-        told.push((reply.status().as_u16(), reply.headers()["ratelimit"].to_str().unwrap().to_owned()));
+        let reply =
+            reqwest::Client::new().get(with_key(at)).bearer_auth(&secret).send().await.unwrap();
+        told.push((
+            reply.status().as_u16(),
+            reply.headers()["ratelimit"].to_str().unwrap().to_owned(),
+        ));
     }
     let (statuses, left): (Vec<u16>, Vec<String>) = told.into_iter().unzip();
     assert_eq!(statuses, [200, 200, 200, 200, 200, 200, 429, 429], "{left:?}");

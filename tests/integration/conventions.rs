@@ -12,7 +12,8 @@ fn with_poses(scan: Scan, rewrite: impl Fn(Matrix4<f32>) -> Matrix4<f32>) -> Sca
         let text = String::from_utf8(scan.0[&name].clone()).unwrap();
         let values: Vec<f32> = text.split_whitespace().map(|v| v.parse().unwrap()).collect();
         let rewritten = rewrite(Matrix4::from_row_slice(&values));
-        let rows: Vec<String> = rewritten.row_iter().map(|r| r.iter().map(|v| format!("{v:.7} ")).collect()).collect();
+        let rows: Vec<String> =
+            rewritten.row_iter().map(|r| r.iter().map(|v| format!("{v:.7} ")).collect()).collect();
         scan.with(&name, rows.join("\n"))
     })
 }
@@ -30,20 +31,33 @@ fn opencv_to_opengl() -> Matrix4<f32> {
 async fn axes_directions_and_units_are_only_a_matter_of_writing() {
     let server = TestServer::start().await;
     let reference = server.parsed(Scan::neutral().zip()).await;
-    let sofa = server.client.ground(&reference.id, &ask("the red sofa")).await.unwrap().aabb.unwrap();
+    let sofa =
+        server.client.ground(&reference.id, &ask("the red sofa")).await.unwrap().aabb.unwrap();
     let y_up = |scan| with_poses(scan, |pose| z_to_y_up() * pose);
-    let declare = |scan: Scan, field: &str| scan.edit("scene.json", "\"name\"", &format!("{field}, \"name\""));
+    let declare = |scan: Scan, field: &str| {
+        scan.edit("scene.json", "\"name\"", &format!("{field}, \"name\""))
+    };
     for (what, scan, up) in [
-        ("Y up, declared", y_up(Scan::neutral().edit("scene.json", "\"up\":\"z\"", "\"up\":\"y\"")), UpAxis::Y),
+        (
+            "Y up, declared",
+            y_up(Scan::neutral().edit("scene.json", "\"up\":\"z\"", "\"up\":\"y\"")),
+            UpAxis::Y,
+        ),
         ("Y up, found by the cameras", y_up(Scan::frames_only()), UpAxis::Y),
         (
             "OpenGL cameras",
-            declare(with_poses(Scan::neutral(), |pose| pose * opencv_to_opengl()), "\"camera_axes\":\"opengl\""),
+            declare(
+                with_poses(Scan::neutral(), |pose| pose * opencv_to_opengl()),
+                "\"camera_axes\":\"opengl\"",
+            ),
             UpAxis::Z,
         ),
         (
             "world-to-camera poses",
-            declare(with_poses(Scan::neutral(), |pose| pose.try_inverse().unwrap()), "\"pose\":\"world_to_camera\""),
+            declare(
+                with_poses(Scan::neutral(), |pose| pose.try_inverse().unwrap()),
+                "\"pose\":\"world_to_camera\"",
+            ),
             UpAxis::Z,
         ),
     ] {

@@ -23,7 +23,10 @@ async fn answers_know_what_people_have_said() {
 
     // A name.
     let name = "Grandma's bench";
-    let renamed = client.correct(&scene.id, &Change::Rename { instance_id: sofa, name: name.into() }).await.unwrap();
+    let renamed = client
+        .correct(&scene.id, &Change::Rename { instance_id: sofa, name: name.into() })
+        .await
+        .unwrap();
     let told = client
         .all_instances(&scene.id, Levels::Things)
         .await
@@ -33,15 +36,23 @@ async fn answers_know_what_people_have_said() {
         .unwrap();
     assert_eq!((told.label.as_str(), told.given_name.as_deref()), (name, Some(name)));
     let answer = chosen("the bench").await;
-    assert_eq!((answer.status, answer.answer.predicted_id), (Status::Grounded, Some(sofa)), "{answer:?}");
+    assert_eq!(
+        (answer.status, answer.answer.predicted_id),
+        (Status::Grounded, Some(sofa)),
+        "{answer:?}"
+    );
     assert!(answer.targets[0].name.contains(name), "{answer:?}");
-    let truth: serde_json::Value =
-        serde_json::from_slice(&client.bytes(&format!("v1/scenes/{}/annotations", scene.id)).await.unwrap()).unwrap();
-    let entry = truth["objects"].as_array().unwrap().iter().find(|o| o["id"] == sofa.0).unwrap().clone();
+    let truth: serde_json::Value = serde_json::from_slice(
+        &client.bytes(&format!("v1/scenes/{}/annotations", scene.id)).await.unwrap(),
+    )
+    .unwrap();
+    let entry =
+        truth["objects"].as_array().unwrap().iter().find(|o| o["id"] == sofa.0).unwrap().clone();
     assert_eq!((entry["name"].as_str(), entry["corrected"].as_bool()), (Some(name), Some(true)));
 
     // Junk: neither answer nor anchor, and not in the lists.
-    let junk = client.correct(&scene.id, &Change::Dismiss { instance_ids: vec![bin] }).await.unwrap();
+    let junk =
+        client.correct(&scene.id, &Change::Dismiss { instance_ids: vec![bin] }).await.unwrap();
     let answer = chosen("the green trash can").await;
     assert_ne!(answer.answer.predicted_id, Some(bin), "{answer:?}");
     assert!(answer.candidates.unwrap().iter().all(|c| c.id != bin));
@@ -58,7 +69,9 @@ async fn answers_know_what_people_have_said() {
 
     // Taken back, all is as it was; what was said stays readable.
     for correction in [&junk, &renamed] {
-        assert!(client.undo_correction(&scene.id, &correction.id).await.unwrap().undone_at.is_some());
+        assert!(
+            client.undo_correction(&scene.id, &correction.id).await.unwrap().undone_at.is_some()
+        );
     }
     let again = chosen("the red sofa").await;
     assert_eq!((again.answer.clone(), again.aabb), (before.answer.clone(), before.aabb));
@@ -76,7 +89,9 @@ async fn things_that_are_one_become_one() {
     let server = TestServer::start().await;
     let scene = server.parsed(Scan::neutral().zip()).await;
     let client = &server.client;
-    let id_of = async |query: &str| client.ground(&scene.id, &ask(query)).await.unwrap().answer.predicted_id.unwrap();
+    let id_of = async |query: &str| {
+        client.ground(&scene.id, &ask(query)).await.unwrap().answer.predicted_id.unwrap()
+    };
     let (sofa, block) = (id_of("the red sofa").await, id_of("the blue box").await);
     let before = client.all_instances(&scene.id, Levels::All).await.unwrap();
     let of = |id: InstanceId| before.iter().find(|i| i.id == id).unwrap();
@@ -86,24 +101,42 @@ async fn things_that_are_one_become_one() {
     assert_eq!(made.0 as usize, before.len() + 1, "no id is another's");
     let after = client.all_instances(&scene.id, Levels::All).await.unwrap();
     let one = after.iter().find(|i| i.id == made).unwrap();
-    assert_eq!((one.label.as_str(), one.level, &one.merged_from), ("corner sofa", Level::Thing, &vec![sofa, block]));
+    assert_eq!(
+        (one.label.as_str(), one.level, &one.merged_from),
+        ("corner sofa", Level::Thing, &vec![sofa, block])
+    );
     assert_eq!(one.point_count, of(sofa).point_count + of(block).point_count);
-    let around = Aabb::around([sofa, block].map(|id| of(id).aabb.corners()).as_flattened()).unwrap();
+    let around =
+        Aabb::around([sofa, block].map(|id| of(id).aabb.corners()).as_flattened()).unwrap();
     assert!(one.aabb.iou(&around) > 0.9, "{:?} {around:?}", one.aabb);
     let member = after.iter().find(|i| i.id == sofa).unwrap();
     assert_eq!((member.level, member.things.as_slice()), (Level::Part, [made].as_slice()));
     let answer = client.ground(&scene.id, &ask("the corner sofa")).await.unwrap();
     assert_eq!(answer.answer.predicted_id, Some(made), "{answer:?}");
     let view = answer.candidates.unwrap().into_iter().find(|c| c.id == made).unwrap().view.unwrap();
-    assert!(image::load_from_memory(&client.bytes(&view).await.unwrap()).is_ok(), "it is drawn when it is looked at");
+    assert!(
+        image::load_from_memory(&client.bytes(&view).await.unwrap()).is_ok(),
+        "it is drawn when it is looked at"
+    );
 
     let refused = problem(client.correct(&scene.id, &Change::Split { instance_id: made }).await);
     assert_eq!((refused.status, refused.code.as_str()), (409, "was_merged"));
 
-    // What it was made of is no thing of its own any more, and what stands on it is not taken away from under it.
-    let refused = problem(client.correct(&scene.id, &Change::Merge { instance_ids: vec![sofa, made], name: None }).await);
+    // What it was made of is no thing of its own any more, and what stands on it is not taken away
+    // from under it.
+    let refused = problem(
+        client
+            .correct(&scene.id, &Change::Merge { instance_ids: vec![sofa, made], name: None })
+            .await,
+    );
     assert_eq!((refused.status, refused.code.as_str()), (409, "not_a_thing"));
-    let bin = client.ground(&scene.id, &ask("the green trash can")).await.unwrap().answer.predicted_id.unwrap();
+    let bin = client
+        .ground(&scene.id, &ask("the green trash can"))
+        .await
+        .unwrap()
+        .answer
+        .predicted_id
+        .unwrap();
     let larger = client
         .correct(&scene.id, &Change::Merge { instance_ids: vec![made, bin], name: None })
         .await
@@ -124,7 +157,13 @@ async fn things_that_are_one_become_one() {
     // It outlives the server.
     let again = client.correct(&scene.id, &merge).await.unwrap().made.unwrap();
     let data = server.give_back().await;
-    let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await;
+    let server = TestServer::start_on(
+        data,
+        LimitsConfig::default(),
+        VlmConfig::default(),
+        ModelsConfig::builtin(),
+    )
+    .await;
     let answer = server.client.ground(&scene.id, &ask("the corner sofa")).await.unwrap();
     assert_eq!(answer.answer.predicted_id, Some(again));
     server.stop().await;
@@ -136,22 +175,41 @@ async fn a_thing_that_is_several_leaves_its_parts() {
     let scene = server.parsed(uniground::sample::LIVING_ROOM.to_vec()).await;
     let client = &server.client;
     let before = client.all_instances(&scene.id, Levels::All).await.unwrap();
-    let parts_of = |id: InstanceId| before.iter().filter(move |i| i.level == Level::Part && i.things == [id]).collect::<Vec<_>>();
+    let parts_of = |id: InstanceId| {
+        before
+            .iter()
+            .filter(move |i| i.level == Level::Part && i.things == [id])
+            .collect::<Vec<_>>()
+    };
     let several = before
         .iter()
         .find(|i| parts_of(i.id).len() >= 2)
         .expect("something in the living room has two parts");
     let parts: Vec<InstanceId> = parts_of(several.id).iter().map(|part| part.id).collect();
-    let split = client.correct(&scene.id, &Change::Split { instance_id: several.id }).await.unwrap();
+    let split =
+        client.correct(&scene.id, &Change::Split { instance_id: several.id }).await.unwrap();
     let things = client.all_instances(&scene.id, Levels::Things).await.unwrap();
-    assert!(things.iter().all(|i| i.id != several.id) && parts.iter().all(|part| things.iter().any(|i| i.id == *part)));
+    assert!(
+        things.iter().all(|i| i.id != several.id)
+            && parts.iter().all(|part| things.iter().any(|i| i.id == *part))
+    );
     // Two of the parts may be one thing; of parts only their boxes are known.
     let merge = Change::Merge { instance_ids: parts[..2].to_vec(), name: None };
     let made = client.correct(&scene.id, &merge).await.unwrap();
     let things = client.all_instances(&scene.id, Levels::Things).await.unwrap();
     let one = things.iter().find(|i| Some(i.id) == made.made).unwrap();
-    let around = Aabb::around(parts_of(several.id)[..2].iter().flat_map(|part| part.raw_box.corners()).collect::<Vec<_>>().iter()).unwrap();
-    assert!(one.point_count > 0 && one.raw_box.shared_volume(&around) > 0.99 * one.raw_box.volume(), "{one:?} {around:?}");
+    let around = Aabb::around(
+        parts_of(several.id)[..2]
+            .iter()
+            .flat_map(|part| part.raw_box.corners())
+            .collect::<Vec<_>>()
+            .iter(),
+    )
+    .unwrap();
+    assert!(
+        one.point_count > 0 && one.raw_box.shared_volume(&around) > 0.99 * one.raw_box.volume(),
+        "{one:?} {around:?}"
+    );
     let refused = problem(client.undo_correction(&scene.id, &split.id).await);
     assert_eq!(refused.code, "correction_in_use", "the merge is of its parts");
     for correction in [&made, &split] {
@@ -172,21 +230,42 @@ async fn what_can_not_be_corrected_is_told() {
         (problem.status, problem.code)
     };
     let unknown = |status, code: &str| (status, code.to_owned());
-    assert_eq!(refused(json!({"kind": "rename", "instance_id": 999, "name": "x"})).await, unknown(404, "instance_not_found"));
-    assert_eq!(refused(json!({"kind": "rename", "instance_id": 0, "name": "x"})).await, unknown(404, "instance_not_found"));
-    assert_eq!(refused(json!({"kind": "rename", "instance_id": 1, "name": " "})).await, unknown(422, "invalid_request"));
+    assert_eq!(
+        refused(json!({"kind": "rename", "instance_id": 999, "name": "x"})).await,
+        unknown(404, "instance_not_found")
+    );
+    assert_eq!(
+        refused(json!({"kind": "rename", "instance_id": 0, "name": "x"})).await,
+        unknown(404, "instance_not_found")
+    );
+    assert_eq!(
+        refused(json!({"kind": "rename", "instance_id": 1, "name": " "})).await,
+        unknown(422, "invalid_request")
+    );
     assert_eq!(
         refused(json!({"kind": "rename", "instance_id": 1, "name": "two\nlines"})).await,
         unknown(422, "invalid_request")
     );
-    assert_eq!(refused(json!({"kind": "dismiss", "instance_ids": []})).await, unknown(422, "invalid_request"));
-    assert_eq!(refused(json!({"kind": "merge", "instance_ids": [1, 1]})).await, unknown(422, "invalid_request"));
+    assert_eq!(
+        refused(json!({"kind": "dismiss", "instance_ids": []})).await,
+        unknown(422, "invalid_request")
+    );
+    assert_eq!(
+        refused(json!({"kind": "merge", "instance_ids": [1, 1]})).await,
+        unknown(422, "invalid_request")
+    );
     let things = server.client.all_instances(&scene.id, Levels::All).await.unwrap();
-    let whole =
-        |i: &&uniground_types::instances::InstanceView| things.iter().all(|part| part.level != Level::Part || part.things != [i.id]);
+    let whole = |i: &&uniground_types::instances::InstanceView| {
+        things.iter().all(|part| part.level != Level::Part || part.things != [i.id])
+    };
     let without_parts = things.iter().filter(|i| i.level == Level::Thing).find(whole).unwrap();
-    assert_eq!(refused(json!({"kind": "split", "instance_id": without_parts.id})).await, unknown(409, "no_parts"));
-    let gone = problem(server.client.undo_correction(&scene.id, "01a1ff70-0000-7000-8000-000000000001").await);
+    assert_eq!(
+        refused(json!({"kind": "split", "instance_id": without_parts.id})).await,
+        unknown(409, "no_parts")
+    );
+    let gone = problem(
+        server.client.undo_correction(&scene.id, "01a1ff70-0000-7000-8000-000000000001").await,
+    );
     assert_eq!((gone.status, gone.code.as_str()), (404, "correction_not_found"));
     server.stop().await;
 }
@@ -195,7 +274,14 @@ async fn what_can_not_be_corrected_is_told() {
 async fn ground_truth_is_read_by_the_evaluation() {
     let server = TestServer::start().await;
     let scene = server.parsed(Scan::neutral().zip()).await;
-    let sofa = server.client.ground(&scene.id, &ask("the red sofa")).await.unwrap().answer.predicted_id.unwrap();
+    let sofa = server
+        .client
+        .ground(&scene.id, &ask("the red sofa"))
+        .await
+        .unwrap()
+        .answer
+        .predicted_id
+        .unwrap();
     server
         .client
         .correct(&scene.id, &Change::Rename { instance_id: sofa, name: "red sofa".into() })
@@ -204,7 +290,11 @@ async fn ground_truth_is_read_by_the_evaluation() {
     let folder = tempfile::tempdir().unwrap();
     let folder = camino::Utf8Path::from_path(folder.path()).unwrap();
     let file = folder.join("room.scene.json");
-    std::fs::write(&file, server.client.bytes(&format!("v1/scenes/{}/annotations", scene.id)).await.unwrap()).unwrap();
+    std::fs::write(
+        &file,
+        server.client.bytes(&format!("v1/scenes/{}/annotations", scene.id)).await.unwrap(),
+    )
+    .unwrap();
     let (truth, omissions) = Annotations::read(&file);
     assert!(omissions.is_empty(), "{omissions:?}");
     let read = truth.objects.iter().find(|object| object.id == sofa.0).unwrap();

@@ -1,4 +1,5 @@
-//! Which database goes with which folder. That PostgreSQL works is shown by all other tests (`make test-postgres`).
+//! Which database goes with which folder. That PostgreSQL works is shown by all other tests (`make
+//! test-postgres`).
 
 use crate::archives::Scan;
 use crate::server::{TestServer, ask, location, problem, rows};
@@ -14,7 +15,15 @@ use uniground::store::Location;
 
 fn serve(data: &Utf8Path, database: &str) -> Output {
     Command::new(env!("CARGO_BIN_EXE_uniground"))
-        .args(["serve", "--listen", "127.0.0.1:0", "--data-dir", data.as_str(), "--database", database])
+        .args([
+            "serve",
+            "--listen",
+            "127.0.0.1:0",
+            "--data-dir",
+            data.as_str(),
+            "--database",
+            database,
+        ])
         .env_remove("UNIGROUND_API_KEY")
         .output()
         .unwrap()
@@ -31,12 +40,14 @@ async fn a_folder_keeps_its_database() {
     let refused = serve(data, other);
     let told = String::from_utf8_lossy(&refused.stderr);
     assert!(
-        !refused.status.success() && told.contains(&format!("its rows are kept in {own}: say so with --database")),
+        !refused.status.success()
+            && told.contains(&format!("its rows are kept in {own}: say so with --database")),
         "{told}"
     );
 }
 
-/// A server that is not there is named, without its password; the folder is free for another database.
+/// A server that is not there is named, without its password; the folder is free for another
+/// database.
 #[test]
 fn a_database_that_can_not_be_reached_is_told() {
     let place = tempfile::tempdir().unwrap();
@@ -48,7 +59,10 @@ fn a_database_that_can_not_be_reached_is_told() {
     assert!(!data.join("uniground-data.json").exists());
     let refused = serve(data, "mysql://robot:s3cret@127.0.0.1/rooms");
     let told = String::from_utf8_lossy(&refused.stderr);
-    assert!(told.contains("mysql:// is no database for this") && !told.contains("s3cret"), "{told}");
+    assert!(
+        told.contains("mysql:// is no database for this") && !told.contains("s3cret"),
+        "{told}"
+    );
 }
 
 /// Whatever stands in a question, its answer is kept and found by its own status.
@@ -60,13 +74,20 @@ async fn a_question_may_hold_any_character() {
     let answer = server.client.ground(&scene, &ask(odd)).await.unwrap();
     let status = serde_json::to_value(answer.status).unwrap();
     let path = format!("/v1/answers?status={}", status.as_str().unwrap());
-    let listed: Value = server.client.request(Method::GET, &path).send().await.unwrap().json().await.unwrap();
-    assert_eq!((&listed["answers"][0]["id"], &listed["answers"][0]["query"]), (&answer.id.into(), &odd.into()));
+    let listed: Value =
+        server.client.request(Method::GET, &path).send().await.unwrap().json().await.unwrap();
+    assert_eq!(
+        (&listed["answers"][0]["id"], &listed["answers"][0]["query"]),
+        (&answer.id.into(), &odd.into())
+    );
     // But one: no text has it, and not every database could keep it.
     assert_eq!(problem(server.client.ground(&scene, &ask("the \0 sofa")).await).status, 422);
-    for (address, expected) in
-        [("/v1/scenes/%00", 404), ("/v1/jobs/a%00b", 404), ("/v1/jobs?subject=%00", 422), ("/v1/scenes?labels=a=%00", 422)]
-    {
+    for (address, expected) in [
+        ("/v1/scenes/%00", 404),
+        ("/v1/jobs/a%00b", 404),
+        ("/v1/jobs?subject=%00", 422),
+        ("/v1/scenes?labels=a=%00", 422),
+    ] {
         let told = server.client.request(Method::GET, address).send().await.unwrap();
         assert_eq!(told.status().as_u16(), expected, "{address}");
     }
@@ -80,13 +101,17 @@ async fn what_may_be_left_out_is_kept_when_it_is_said() {
     let scene = server.parsed(Scan::neutral().zip()).await.id;
     for max_cost_usd in [None, Some(1.5), None, Some(2.5)] {
         let item = serde_json::json!({"scene_id": scene, "query": "the red sofa"});
-        let request = serde_json::from_value(serde_json::json!({"items": [item], "max_cost_usd": max_cost_usd})).unwrap();
+        let request = serde_json::from_value(
+            serde_json::json!({"items": [item], "max_cost_usd": max_cost_usd}),
+        )
+        .unwrap();
         server.client.create_batch(&request, None).await.unwrap();
     }
     server.stop().await;
 }
 
-/// A file that lost its end is found by whoever asks whether the server is ready, not by whoever asks a question.
+/// A file that lost its end is found by whoever asks whether the server is ready, not by whoever
+/// asks a question.
 #[tokio::test]
 async fn a_database_file_that_was_cut_short_is_not_ready() {
     let server = TestServer::start().await;
@@ -100,7 +125,8 @@ async fn a_database_file_that_was_cut_short_is_not_ready() {
     let mut rows = rows(server.data()).await;
     sqlx::query("PRAGMA wal_checkpoint(FULL)").execute(&mut rows).await.unwrap();
     rows.close().await.unwrap();
-    let file = fs::OpenOptions::new().write(true).open(server.data().join("uniground.sqlite")).unwrap();
+    let file =
+        fs::OpenOptions::new().write(true).open(server.data().join("uniground.sqlite")).unwrap();
     file.set_len(file.metadata().unwrap().len() / 2).unwrap();
     // Within the second for which health is known.
     let mut tries = 0;

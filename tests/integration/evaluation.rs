@@ -60,25 +60,34 @@ fn a_run_scores_every_source_and_goes_on_where_it_stopped() {
     let names: Vec<&str> = report.cells.iter().map(|c| c.name.as_str()).collect();
     assert_eq!(names, ["source=parsed", "source=oracle", "source=oracle-boxes"]);
     for cell in &report.cells {
-        assert_eq!((cell.figures.expressions, cell.figures.complete[0].of, cell.figures.abstention.absent), (19, 16, 3));
+        assert_eq!(
+            (cell.figures.expressions, cell.figures.complete[0].of, cell.figures.abstention.absent),
+            (19, 16, 3)
+        );
         assert_eq!(cell.by_scene.keys().collect::<Vec<_>>(), ["living_room"]);
     }
     // Perfect boxes and names can only help; nothing bounds a target better than its own box.
     let [parsed, oracle, boxes] = &report.cells[..] else { panic!("{names:?}") };
     assert!(oracle.figures.complete[0].value >= parsed.figures.complete[0].value);
     assert_eq!((oracle.figures.any_instance, boxes.figures.any_instance), ([1.0; 2], [1.0; 2]));
-    assert!(oracle.figures.complete[0].value >= 0.85, "language and space alone: {:?}", oracle.figures.complete);
+    assert!(
+        oracle.figures.complete[0].value >= 0.85,
+        "language and space alone: {:?}",
+        oracle.figures.complete
+    );
 
     // Every wrong answer is on the page with its picture, and the page needs nothing beside it.
     let page = fs::read_to_string(out.join("index.html")).unwrap();
-    for failure in report.cells.iter().flat_map(uniground::evaluation::report::CellReport::failures) {
+    for failure in report.cells.iter().flat_map(uniground::evaluation::report::CellReport::failures)
+    {
         let picture = failure.picture.as_ref().unwrap();
         assert!(out.join("pictures").join(picture).is_file(), "{failure:?}");
         assert!(page.contains(&failure.query), "{}", failure.query);
     }
     assert!(page.contains("data:image/jpeg;base64,") && !page.contains("src=\"pictures/"));
 
-    // Cut off in the middle of a reply: only what is missing is asked again, and the result is the same.
+    // Cut off in the middle of a reply: only what is missing is asked again, and the result is the
+    // same.
     let logs = files_below(&out.join("cells"));
     assert_eq!(logs.len(), 3);
     let before: Vec<Vec<u8>> = logs.iter().map(|log| fs::read(log).unwrap()).collect();
@@ -107,7 +116,10 @@ fn a_server_gives_the_same_figures_as_the_process() {
     let options = RunOptions { out: &remote_out, cells: &cells, concurrency: 1, progress: &|_| {} };
     let remote = Report::new(&suite, local.run.clone(), run(&suite, &system, &options).unwrap());
     for (here, there) in local.cells[0].outcomes.iter().zip(&remote.cells[0].outcomes) {
-        assert_eq!((&here.id, here.is_right(), here.status()), (&there.id, there.is_right(), there.status()));
+        assert_eq!(
+            (&here.id, here.is_right(), here.status()),
+            (&there.id, there.is_right(), there.status())
+        );
         assert_eq!(
             here.target.as_ref().map(|t| &t.candidate_ious),
             there.target.as_ref().map(|t| &t.candidate_ious),
@@ -120,7 +132,8 @@ fn a_server_gives_the_same_figures_as_the_process() {
     let options = RunOptions { out: &again_out, ..options };
     run(&suite, &system, &options).unwrap();
     assert_eq!(runtime.block_on(server.client.scenes(100, None)).unwrap().scenes.len(), 1);
-    // A server that lost the scene is asked again, though every reply is kept: it might answer otherwise now.
+    // A server that lost the scene is asked again, though every reply is kept: it might answer
+    // otherwise now.
     let scenes = || runtime.block_on(server.client.scenes(100, None)).unwrap().scenes;
     let lost = scenes()[0].id.clone();
     runtime.block_on(server.client.delete_scene(&lost)).unwrap();
@@ -151,14 +164,21 @@ fn a_drop_against_the_baseline_fails_and_names_what_was_lost() {
     for name in ["living_room.zip", "living_room.scene.json"] {
         fs::copy(Utf8Path::new(EXAMPLES).join(name), worse.join(name)).unwrap();
     }
-    let queries = fs::read_to_string(Utf8Path::new(EXAMPLES).join("living_room.queries.json")).unwrap();
-    let lines = queries.lines().enumerate().map(|(i, line)| match line.split_once("\"target_id\": ") {
-        Some((head, tail)) if i < 13 => format!("{head}\"target_id\": 1{}", &tail[tail.find(',').unwrap()..]),
-        _ => line.to_owned(),
-    });
-    fs::write(worse.join("living_room.queries.json"), lines.collect::<Vec<_>>().join("\n")).unwrap();
+    let queries =
+        fs::read_to_string(Utf8Path::new(EXAMPLES).join("living_room.queries.json")).unwrap();
+    let lines =
+        queries.lines().enumerate().map(|(i, line)| match line.split_once("\"target_id\": ") {
+            Some((head, tail)) if i < 13 => {
+                format!("{head}\"target_id\": 1{}", &tail[tail.find(',').unwrap()..])
+            }
+            _ => line.to_owned(),
+        });
+    fs::write(worse.join("living_room.queries.json"), lines.collect::<Vec<_>>().join("\n"))
+        .unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
-    let fallen = command.args(["eval", worse.as_str(), "--out", out.join("worse-out").as_str()]).args(matrix);
+    let fallen = command
+        .args(["eval", worse.as_str(), "--out", out.join("worse-out").as_str()])
+        .args(matrix);
     let fallen = fallen.args(["--baseline", baseline.as_str()]).output().unwrap();
     assert_eq!(fallen.status.code(), Some(1));
     assert!(
@@ -167,13 +187,17 @@ fn a_drop_against_the_baseline_fails_and_names_what_was_lost() {
         text(&fallen.stderr)
     );
     assert!(
-        text(&fallen.stdout).contains(": the dining table") && text(&fallen.stdout).contains("lost in source=oracle: living_room#1~"),
+        text(&fallen.stdout).contains(": the dining table")
+            && text(&fallen.stdout).contains("lost in source=oracle: living_room#1~"),
         "{}",
         text(&fallen.stdout)
     );
 
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
-    let difference = command.args(["eval", "diff", out.as_str(), out.join("worse-out").as_str()]).output().unwrap();
+    let difference = command
+        .args(["eval", "diff", out.as_str(), out.join("worse-out").as_str()])
+        .output()
+        .unwrap();
     assert!(difference.status.success());
     assert!(text(&difference.stdout).contains("**drop**"), "{}", text(&difference.stdout));
 }
@@ -181,8 +205,13 @@ fn a_drop_against_the_baseline_fails_and_names_what_was_lost() {
 #[test]
 fn scenes_that_can_not_be_used_are_left_out_and_told() {
     let (_keep, root) = folder();
-    fs::copy(Utf8Path::new(EXAMPLES).join("living_room.scene.json"), root.join("broken.scene.json")).unwrap();
-    fs::copy(Utf8Path::new(EXAMPLES).join("living_room.scene.json"), root.join("bare.scene.json")).unwrap();
+    fs::copy(
+        Utf8Path::new(EXAMPLES).join("living_room.scene.json"),
+        root.join("broken.scene.json"),
+    )
+    .unwrap();
+    fs::copy(Utf8Path::new(EXAMPLES).join("living_room.scene.json"), root.join("bare.scene.json"))
+        .unwrap();
     fs::write(root.join("broken.zip"), "this is no archive").unwrap();
     let query = r#"[{"query": "the dining table", "target_id": 19}, {"query": "the hat", "target_id": 99}]"#;
     fs::write(root.join("broken.queries.json"), query).unwrap();
@@ -195,14 +224,24 @@ fn scenes_that_can_not_be_used_are_left_out_and_told() {
         .unwrap();
     assert!(output.status.success(), "{}", text(&output.stderr));
     let told = text(&output.stderr);
-    assert!(told.contains("bare.queries.json:1: target 99 is not in the annotations of bare"), "{told}");
+    assert!(
+        told.contains("bare.queries.json:1: target 99 is not in the annotations of bare"),
+        "{told}"
+    );
     let report = Report::read(&out).unwrap();
     assert_eq!((report.expressions, report.omissions.len()), (2, 2));
     let [parsed, oracle] = &report.cells[..] else { panic!() };
     assert_eq!((parsed.outcomes.len(), parsed.left_out.len()), (0, 2));
-    assert!(parsed.left_out.iter().any(|l| l.reason.contains("has no scan")), "{:?}", parsed.left_out);
+    assert!(
+        parsed.left_out.iter().any(|l| l.reason.contains("has no scan")),
+        "{:?}",
+        parsed.left_out
+    );
     // Annotations alone are enough for the oracle; a broken scan beside them is not passed over.
-    assert_eq!(oracle.outcomes.iter().map(|o| (o.id.as_str(), o.is_right())).collect::<Vec<_>>(), [("bare#1", true)]);
+    assert_eq!(
+        oracle.outcomes.iter().map(|o| (o.id.as_str(), o.is_right())).collect::<Vec<_>>(),
+        [("bare#1", true)]
+    );
     assert_eq!(oracle.left_out.len(), 1);
 }
 
@@ -214,20 +253,33 @@ fn task_folder(root: &Utf8Path, target_name: &str) {
     let target = "[1.5, 0.4, -2.0, 2.0, 0.8, 0.9]";
     write(
         "task.json",
-        &format!(r#"{{"scan_id": "scene0001_00", "target_id": "3", "target_name": "{target_name}", "caption": "the zorgle"}}"#),
+        &format!(
+            r#"{{"scan_id": "scene0001_00", "target_id": "3", "target_name": "{target_name}", "caption": "the zorgle"}}"#
+        ),
     );
     write("gt.json", &format!(r#"{{"target_id": 3, "gt_bbox": {target}}}"#));
-    write("ref.json", &format!(r#"{{"3": {{"bbox": {target}}}, "4": {{"bbox": [-1.0, 0.78, 0.0, 0.1, 0.1, 0.1]}}}}"#));
+    write(
+        "ref.json",
+        &format!(
+            r#"{{"3": {{"bbox": {target}}}, "4": {{"bbox": [-1.0, 0.78, 0.0, 0.1, 0.1, 0.1]}}}}"#
+        ),
+    );
     write("anchor.json", r#"{"anchor": "door", "bbox": [0, 1, -3, 0.9, 2, 0.1]}"#);
     let points: Vec<String> = (0..2000_u16)
-        .map(|i| format!("{} {} {} 120 60 60", f32::from(i % 50) * 0.1, f32::from(i / 50) * 0.1, 0.0))
+        .map(|i| {
+            format!("{} {} {} 120 60 60", f32::from(i % 50) * 0.1, f32::from(i / 50) * 0.1, 0.0)
+        })
         .collect();
     let names = ["float x", "float y", "float z", "uchar red", "uchar green", "uchar blue"]
         .map(|p| format!("property {p}\n"))
         .concat();
     write(
         "full_pcd.ply",
-        &format!("ply\nformat ascii 1.0\nelement vertex {}\n{names}end_header\n{}\n", points.len(), points.join("\n")),
+        &format!(
+            "ply\nformat ascii 1.0\nelement vertex {}\n{names}end_header\n{}\n",
+            points.len(),
+            points.join("\n")
+        ),
     );
 }
 
@@ -238,7 +290,14 @@ fn hints_are_handed_over_in_paper_compatible_runs_only() {
         let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
         let out = root.join("out");
         let output = command
-            .args(["eval", root.join("tasks").as_str(), "--out", out.as_str(), "--matrix", "source=recorded"])
+            .args([
+                "eval",
+                root.join("tasks").as_str(),
+                "--out",
+                out.as_str(),
+                "--matrix",
+                "source=recorded",
+            ])
             .args(args)
             .output()
             .unwrap();
@@ -248,7 +307,10 @@ fn hints_are_handed_over_in_paper_compatible_runs_only() {
     task_folder(&root.join("tasks"), "sofa");
     // Nobody knows what a zorgle is, and a leak-free run is not told.
     let plain = run_with(&[]);
-    assert_eq!((plain.cells[0].figures.expressions, plain.cells[0].figures.complete[0].value), (1, 0.0));
+    assert_eq!(
+        (plain.cells[0].figures.expressions, plain.cells[0].figures.complete[0].value),
+        (1, 0.0)
+    );
     assert!(!plain.run.paper_compatible && plain.cells[0].notes.is_empty());
     let told = run_with(&["--paper-compatible"]);
     assert_eq!(told.cells[0].figures.complete[0].value, 1.0, "{:?}", told.cells[0].outcomes);
@@ -261,14 +323,26 @@ fn hints_are_handed_over_in_paper_compatible_runs_only() {
 #[test]
 fn a_run_that_scores_nothing_fails_and_says_why() {
     let (_keep, root) = folder();
-    fs::copy(Utf8Path::new(EXAMPLES).join("living_room.scene.json"), root.join("broken.scene.json")).unwrap();
+    fs::copy(
+        Utf8Path::new(EXAMPLES).join("living_room.scene.json"),
+        root.join("broken.scene.json"),
+    )
+    .unwrap();
     fs::write(root.join("broken.zip"), "this is no archive").unwrap();
-    fs::write(root.join("broken.queries.json"), r#"[{"query": "the dining table", "target_id": 19}]"#).unwrap();
+    fs::write(
+        root.join("broken.queries.json"),
+        r#"[{"query": "the dining table", "target_id": 19}]"#,
+    )
+    .unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
-    let output = command.args(["eval", root.as_str(), "--out", root.join("out").as_str()]).output().unwrap();
+    let output =
+        command.args(["eval", root.as_str(), "--out", root.join("out").as_str()]).output().unwrap();
     assert_eq!(output.status.code(), Some(1));
     let told = text(&output.stderr);
-    assert!(told.contains("1 of 1 expressions left out") && told.contains("nothing was scored"), "{told}");
+    assert!(
+        told.contains("1 of 1 expressions left out") && told.contains("nothing was scored"),
+        "{told}"
+    );
 }
 
 #[test]

@@ -23,7 +23,8 @@ fn points_of_nodes(document: &Value) -> BTreeMap<u64, u64> {
     let children = nodes[0]["children"].as_array().unwrap().iter();
     let points = |node: &Value| {
         let mesh = node["mesh"].as_u64()?;
-        let position = document["meshes"][mesh as usize]["primitives"][0]["attributes"]["POSITION"].as_u64()?;
+        let position = document["meshes"][mesh as usize]["primitives"][0]["attributes"]["POSITION"]
+            .as_u64()?;
         document["accessors"][position as usize]["count"].as_u64()
     };
     children
@@ -39,27 +40,44 @@ async fn a_scene_is_taken_to_other_programs() {
     let client = &server.client;
     client.rename_scene(&scene.id, "Grandma's room").await.unwrap();
     let get = async |query: &str, mark: Option<&str>| {
-        let request = client.request(Method::GET, &format!("v1/scenes/{}/export?{query}", scene.id));
+        let request =
+            client.request(Method::GET, &format!("v1/scenes/{}/export?{query}", scene.id));
         mark.into_iter()
             .fold(request, |request, mark| request.header("if-none-match", mark))
             .send()
             .await
             .unwrap()
     };
-    for (format, media_type) in
-        [("glb", "model/gltf-binary"), ("ply", "application/octet-stream"), ("usdz", "model/vnd.usdz+zip"), ("json", "application/json")]
-    {
+    for (format, media_type) in [
+        ("glb", "model/gltf-binary"),
+        ("ply", "application/octet-stream"),
+        ("usdz", "model/vnd.usdz+zip"),
+        ("json", "application/json"),
+    ] {
         let query = format!("format={format}&points=20000");
         let first = get(&query, None).await;
         assert_eq!(first.status(), StatusCode::OK, "{format}");
         let header = |name: &str| first.headers()[name].to_str().unwrap().to_owned();
-        assert_eq!((&*header("content-type"), &*header("cache-control")), (media_type, "private, no-cache"));
-        assert_eq!(header("content-disposition"), format!("attachment; filename=\"Grandma_s_room.{format}\""));
+        assert_eq!(
+            (&*header("content-type"), &*header("cache-control")),
+            (media_type, "private, no-cache")
+        );
+        assert_eq!(
+            header("content-disposition"),
+            format!("attachment; filename=\"Grandma_s_room.{format}\"")
+        );
         let mark = header("etag");
         let bytes = first.bytes().await.unwrap();
-        assert_eq!(get(&query, None).await.bytes().await.unwrap(), bytes, "{format}: the same scene makes the same bytes");
+        assert_eq!(
+            get(&query, None).await.bytes().await.unwrap(),
+            bytes,
+            "{format}: the same scene makes the same bytes"
+        );
         let again = get(&query, Some(&mark)).await;
-        assert_eq!((again.status(), again.headers()["etag"].to_str().unwrap()), (StatusCode::NOT_MODIFIED, &*mark));
+        assert_eq!(
+            (again.status(), again.headers()["etag"].to_str().unwrap()),
+            (StatusCode::NOT_MODIFIED, &*mark)
+        );
         assert!(again.bytes().await.unwrap().is_empty());
     }
 
@@ -69,26 +87,45 @@ async fn a_scene_is_taken_to_other_programs() {
     let points = points_of_nodes(&whole);
     let total = scene.counts.unwrap().points;
     assert_eq!(points.values().sum::<u64>(), total);
-    assert!(things.iter().all(|thing| points[&u64::from(thing.id.0)] == u64::from(thing.point_count)), "{points:?}");
+    assert!(
+        things.iter().all(|thing| points[&u64::from(thing.id.0)] == u64::from(thing.point_count)),
+        "{points:?}"
+    );
     let ply = client.export(&scene.id, ExportFormat::Ply, Some(1000)).await.unwrap();
     let ids = read_instance_of_point(&*ply).unwrap();
     assert!(ids.len() == 1000 && ids.iter().all(|id| points.contains_key(&u64::from(id.0))));
     let listed = client.exported_scene(&scene.id).await.unwrap();
-    assert_eq!((listed.name.as_str(), listed.parse_version, listed.frame.up.as_str()), ("Grandma's room", 1, "z"));
+    assert_eq!(
+        (listed.name.as_str(), listed.parse_version, listed.frame.up.as_str()),
+        ("Grandma's room", 1, "z")
+    );
     assert_eq!(listed.instances, client.all_instances(&scene.id, Levels::All).await.unwrap());
     let usdz = client.export(&scene.id, ExportFormat::Usdz, Some(1000)).await.unwrap();
     let mut archive = zip::ZipArchive::new(Cursor::new(usdz)).unwrap();
     let layer = archive.by_index(0).unwrap();
-    assert_eq!((layer.name().unwrap(), layer.compression()), ("scene.usda".into(), zip::CompressionMethod::Stored));
+    assert_eq!(
+        (layer.name().unwrap(), layer.compression()),
+        ("scene.usda".into(), zip::CompressionMethod::Stored)
+    );
 
     // What people have said counts.
-    let of = |name: &str| things.iter().find(|thing| thing.label == name).unwrap_or_else(|| panic!("no {name}: {things:?}"));
+    let of = |name: &str| {
+        things
+            .iter()
+            .find(|thing| thing.label == name)
+            .unwrap_or_else(|| panic!("no {name}: {things:?}"))
+    };
     let (mug, sofa) = (of("mug"), of("sofa"));
     let rename = Change::Rename { instance_id: sofa.id, name: "Grandma's bench".into() };
     client.correct(&scene.id, &rename).await.unwrap();
     client.correct(&scene.id, &Change::Dismiss { instance_ids: vec![mug.id] }).await.unwrap();
     let corrected = document(&client.export(&scene.id, ExportFormat::Glb, None).await.unwrap());
-    let names: Vec<&str> = corrected["nodes"].as_array().unwrap().iter().map(|node| node["name"].as_str().unwrap()).collect();
+    let names: Vec<&str> = corrected["nodes"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|node| node["name"].as_str().unwrap())
+        .collect();
     assert!(names.contains(&"Grandma's bench") && names.contains(&"rest of the scan"), "{names:?}");
     let after = points_of_nodes(&corrected);
     assert!(!after.contains_key(&u64::from(mug.id.0)), "{after:?}");
@@ -115,8 +152,13 @@ async fn what_was_merged_is_one_node() {
     let ids: Vec<InstanceId> = pair.iter().map(|thing| thing.id).collect();
     let merge = Change::Merge { instance_ids: ids.clone(), name: Some("pair".into()) };
     let made = client.correct(&scene.id, &merge).await.unwrap().made.unwrap();
-    let points = points_of_nodes(&document(&client.export(&scene.id, ExportFormat::Glb, None).await.unwrap()));
-    assert_eq!(points[&u64::from(made.0)], pair.iter().map(|thing| u64::from(thing.point_count)).sum::<u64>());
+    let points = points_of_nodes(&document(
+        &client.export(&scene.id, ExportFormat::Glb, None).await.unwrap(),
+    ));
+    assert_eq!(
+        points[&u64::from(made.0)],
+        pair.iter().map(|thing| u64::from(thing.point_count)).sum::<u64>()
+    );
     assert!(ids.iter().all(|id| !points.contains_key(&u64::from(id.0))), "{points:?}");
     let listed = client.exported_scene(&scene.id).await.unwrap().instances;
     let member = listed.iter().find(|instance| instance.id == ids[0]).unwrap();
@@ -136,12 +178,25 @@ async fn wrong_requests_are_named() {
         ("format=json&points=2000001", "points", "1 to 2000000"),
         ("format=glb&point=5", "query", "point"),
     ] {
-        let refused = problem(client.bytes(&format!("v1/scenes/{}/export?{query}", scene.id)).await);
-        assert_eq!((refused.status, refused.code.as_str()), (422, "invalid_request"), "{query}: {}", refused.detail);
+        let refused =
+            problem(client.bytes(&format!("v1/scenes/{}/export?{query}", scene.id)).await);
+        assert_eq!(
+            (refused.status, refused.code.as_str()),
+            (422, "invalid_request"),
+            "{query}: {}",
+            refused.detail
+        );
         assert!(refused.errors[0].detail.contains(told), "{query}: {}", refused.detail);
-        assert!(pointer == "query" || refused.errors[0].pointer == pointer, "{query}: {}", refused.errors[0].pointer);
+        assert!(
+            pointer == "query" || refused.errors[0].pointer == pointer,
+            "{query}: {}",
+            refused.errors[0].pointer
+        );
     }
     let nobody = "018f0000-0000-7000-8000-000000000000";
-    assert_eq!(problem(client.export(nobody, ExportFormat::Glb, None).await).code, "scene_not_found");
+    assert_eq!(
+        problem(client.export(nobody, ExportFormat::Glb, None).await).code,
+        "scene_not_found"
+    );
     server.stop().await;
 }

@@ -16,13 +16,24 @@ async fn a_scene_is_a_graph_in_three_formats() {
     let ids: BTreeSet<&str> = graph.nodes.iter().map(|node| &*node.id).collect();
     assert!(graph.edges.iter().all(|edge| ids.contains(&*edge.from) && ids.contains(&*edge.to)));
     let instances = client.all_instances(&scene.id, Levels::All).await.unwrap();
-    assert_eq!(graph.nodes.iter().filter(|node| node.instance_id.is_some()).count(), instances.len());
+    assert_eq!(
+        graph.nodes.iter().filter(|node| node.instance_id.is_some()).count(),
+        instances.len()
+    );
     let things = client.graph(&scene.id, Levels::Things).await.unwrap().nodes;
-    assert_eq!(things.iter().filter(|node| node.instance_id.is_some()).count() as u32, scene.counts.unwrap().instances);
+    assert_eq!(
+        things.iter().filter(|node| node.instance_id.is_some()).count() as u32,
+        scene.counts.unwrap().instances
+    );
     // What answers say of support the graph says too.
-    let answer = client.ground(&scene.id, &crate::server::ask("the mug on the coffee table")).await.unwrap();
+    let answer =
+        client.ground(&scene.id, &crate::server::ask("the mug on the coffee table")).await.unwrap();
     let mug = format!("i{}", answer.answer.predicted_id.unwrap());
-    let on = graph.edges.iter().find(|edge| edge.from == mug && edge.relation == GraphRelation::On).unwrap();
+    let on = graph
+        .edges
+        .iter()
+        .find(|edge| edge.from == mug && edge.relation == GraphRelation::On)
+        .unwrap();
     let carrier = graph.nodes.iter().find(|node| node.id == on.to).unwrap();
     assert!(carrier.name.contains("table") && carrier.kind == NodeKind::Thing, "{carrier:?}");
 
@@ -34,15 +45,25 @@ async fn a_scene_is_a_graph_in_three_formats() {
     let of_mug = lines.lines().find(|line| line.starts_with(&format!("[{mug}]"))).unwrap();
     assert!(of_mug.contains(&format!("on [{}]", on.to)), "{of_mug}");
     let xml = text("format=graphml&level=all").await;
-    assert!(xml.starts_with("<?xml") && xml.matches("<node ").count() == graph.nodes.len(), "{xml}");
+    assert!(
+        xml.starts_with("<?xml") && xml.matches("<node ").count() == graph.nodes.len(),
+        "{xml}"
+    );
 
     // Around the mug there is what it stands to, and nothing else.
     let around = text(&format!("around={}", &mug[1..])).await;
     let around: uniground_types::graph::SceneGraph = serde_json::from_str(&around).unwrap();
-    assert!(around.edges.iter().all(|edge| edge.from == mug || edge.to == mug) && around.nodes.len() < graph.nodes.len());
+    assert!(
+        around.edges.iter().all(|edge| edge.from == mug || edge.to == mug)
+            && around.nodes.len() < graph.nodes.len()
+    );
     // Parts are known too.
-    let part = instances.iter().find(|instance| instance.level == uniground_types::scene::Level::Part).unwrap();
-    let of_part: uniground_types::graph::SceneGraph = serde_json::from_str(&text(&format!("around={}", part.id)).await).unwrap();
+    let part = instances
+        .iter()
+        .find(|instance| instance.level == uniground_types::scene::Level::Part)
+        .unwrap();
+    let of_part: uniground_types::graph::SceneGraph =
+        serde_json::from_str(&text(&format!("around={}", part.id)).await).unwrap();
     assert!(of_part.edges.iter().any(|edge| edge.relation == GraphRelation::PartOf), "{of_part:?}");
     let refused = problem(client.bytes(&format!("v1/scenes/{}/graph?around=9999", scene.id)).await);
     assert_eq!((refused.status, refused.code.as_str()), (404, "instance_not_found"));
@@ -57,6 +78,8 @@ async fn a_scene_is_a_graph_in_three_formats() {
         .unwrap();
     assert!(text("format=graphml").await.contains("Grandma's &lt;cup&gt;"));
     client.correct(&scene.id, &Change::Dismiss { instance_ids: vec![id] }).await.unwrap();
-    assert!(client.graph(&scene.id, Levels::All).await.unwrap().nodes.iter().all(|node| node.id != mug));
+    assert!(
+        client.graph(&scene.id, Levels::All).await.unwrap().nodes.iter().all(|node| node.id != mug)
+    );
     server.stop().await;
 }

@@ -45,7 +45,8 @@ fn at<'a>(instances: &'a [InstanceView], thing: &Thing) -> &'a InstanceView {
             .sum::<f32>()
             .sqrt()
     };
-    let near: Vec<&InstanceView> = instances.iter().filter(|instance| off(instance) < 0.15).collect();
+    let near: Vec<&InstanceView> =
+        instances.iter().filter(|instance| off(instance) < 0.15).collect();
     assert_eq!(near.len(), 1, "{thing:?}: {near:?}");
     near[0]
 }
@@ -70,7 +71,8 @@ async fn what_stays_keeps_its_id_and_what_came_went_and_moved_is_told() {
     let client = &server.client;
     let scene = server.parsed(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
     let before = things(client, &scene.id).await;
-    let (sofa, blue, green) = (at(&before, &SOFA).clone(), at(&before, &BLUE).clone(), at(&before, &GREEN).clone());
+    let (sofa, blue, green) =
+        (at(&before, &SOFA).clone(), at(&before, &BLUE).clone(), at(&before, &GREEN).clone());
     let renamed = Change::Rename { instance_id: sofa.id, name: "old settee".into() };
     client.correct(&scene.id, &renamed).await.unwrap();
 
@@ -80,19 +82,32 @@ async fn what_stays_keeps_its_id_and_what_came_went_and_moved_is_told() {
     assert_eq!((later.parse_version, later.import.as_ref().unwrap().frames), (2, 16));
     let after = things(client, &scene.id).await;
     let same = at(&after, &SOFA);
-    assert_eq!((same.id, same.given_name.as_deref()), (sofa.id, Some("old settee")), "what stays keeps its id and its name");
+    assert_eq!(
+        (same.id, same.given_name.as_deref()),
+        (sofa.id, Some("old settee")),
+        "what stays keeps its id and its name"
+    );
     assert!((same.aabb.size - sofa.aabb.size).norm() < 0.05, "{same:?}");
     let yellow = at(&after, &YELLOW);
     let moved = at(&after, &MOVED);
     let last = before.iter().map(|thing| thing.id.0).max().unwrap();
-    assert!(yellow.id.0 > last && moved.id.0 > last, "no id is given twice: {} and {} after {last}", yellow.id, moved.id);
+    assert!(
+        yellow.id.0 > last && moved.id.0 > last,
+        "no id is given twice: {} and {} after {last}",
+        yellow.id,
+        moved.id
+    );
 
     let told = client.changes_since(&scene.id, 1).await.unwrap();
     assert_eq!((told.from.version, told.to.version, told.alignment), (1, 2, None));
-    let Changes { appeared, gone, moved: elsewhere, regrouped, first_seen, not_seen, unchanged } = told.changes;
+    let Changes { appeared, gone, moved: elsewhere, regrouped, first_seen, not_seen, unchanged } =
+        told.changes;
     assert_eq!(appeared.iter().map(|thing| thing.id).collect::<Vec<_>>(), [yellow.id]);
     assert_eq!(gone.iter().map(|thing| thing.id).collect::<Vec<_>>(), [green.id]);
-    assert_eq!(elsewhere.iter().map(|moved| (moved.before.id, moved.after.id)).collect::<Vec<_>>(), [(blue.id, moved.id)]);
+    assert_eq!(
+        elsewhere.iter().map(|moved| (moved.before.id, moved.after.id)).collect::<Vec<_>>(),
+        [(blue.id, moved.id)]
+    );
     assert!((elsewhere[0].distance_m - (moved.aabb.center - blue.aabb.center).norm()).abs() < 1e-3);
     assert!(regrouped.is_empty() && not_seen.is_empty(), "{regrouped:?} {not_seen:?}");
     // Of the floor there may be more to see.
@@ -113,7 +128,10 @@ async fn what_stays_keeps_its_id_and_what_came_went_and_moved_is_told() {
     let answer = client.ground(&scene.id, &ask("the old settee")).await.unwrap();
     assert_eq!((answer.status, answer.answer.predicted_id), (Status::Grounded, Some(sofa.id)));
     for file in ["cloud.ply", "instances.ply", "points.bin", "thumbnail.jpg"] {
-        assert!(!client.bytes(&format!("v1/scenes/{}/{file}", scene.id)).await.unwrap().is_empty(), "{file}");
+        assert!(
+            !client.bytes(&format!("v1/scenes/{}/{file}", scene.id)).await.unwrap().is_empty(),
+            "{file}"
+        );
     }
     let picture = format!("v1/scenes/{}/instances/{}/views/0.jpg", scene.id, yellow.id);
     assert!(image::load_from_memory(&client.bytes(&picture).await.unwrap()).is_ok());
@@ -132,7 +150,10 @@ async fn what_is_corrected_while_a_scene_grows_is_kept() {
     let job = created.job.unwrap().id;
     // At once, and while it is at it.
     for name in ["settee", "old settee"] {
-        client.correct(&scene.id, &Change::Rename { instance_id: sofa, name: name.into() }).await.unwrap();
+        client
+            .correct(&scene.id, &Change::Rename { instance_id: sofa, name: name.into() })
+            .await
+            .unwrap();
         while client.job(&job).await.unwrap().state == JobState::Queued {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
@@ -140,7 +161,10 @@ async fn what_is_corrected_while_a_scene_grows_is_kept() {
     assert_eq!(finished(client, &job).await.error, None);
     let after = things(client, &scene.id).await;
     assert_eq!(client.scene(&scene.id).await.unwrap().parse_version, 2);
-    assert_eq!((at(&after, &SOFA).id, at(&after, &SOFA).given_name.as_deref()), (sofa, Some("old settee")));
+    assert_eq!(
+        (at(&after, &SOFA).id, at(&after, &SOFA).given_name.as_deref()),
+        (sofa, Some("old settee"))
+    );
     server.stop().await;
 }
 
@@ -161,23 +185,38 @@ async fn a_scene_grows_again_and_again_and_nothing_happens_twice() {
     }
 
     // A yellow box comes and goes again.
-    let came = grown(client, &scene.id, &Scan::of_room(&[FLOOR, SOFA, BLUE, GREEN, YELLOW], &BETWEEN)).await;
+    let came =
+        grown(client, &scene.id, &Scan::of_room(&[FLOOR, SOFA, BLUE, GREEN, YELLOW], &BETWEEN))
+            .await;
     assert_eq!(came.parse_version, 3);
     let told = client.changes_since(&scene.id, 1).await.unwrap();
-    assert!(told.changes.appeared.len() == 1 && near(boxes_of(&told.changes.appeared)[0], &YELLOW), "{told:?}");
+    assert!(
+        told.changes.appeared.len() == 1 && near(boxes_of(&told.changes.appeared)[0], &YELLOW),
+        "{told:?}"
+    );
     let went = grown(client, &scene.id, &same).await;
     assert_eq!((went.parse_version, went.import.unwrap().frames), (4, 32));
     assert!(nothing_happened(&client.changes_since(&scene.id, 1).await.unwrap().changes));
     let told = client.changes_since(&scene.id, 3).await.unwrap();
-    assert!(told.changes.gone.len() == 1 && near(boxes_of(&told.changes.gone)[0], &YELLOW), "{told:?}");
+    assert!(
+        told.changes.gone.len() == 1 && near(boxes_of(&told.changes.gone)[0], &YELLOW),
+        "{told:?}"
+    );
     assert!(client.changes_since(&scene.id, 4).await.unwrap().changes.is_empty());
     for since in [0, 5] {
-        assert_eq!(problem(client.changes_since(&scene.id, since).await).code, "no_version", "{since}");
+        assert_eq!(
+            problem(client.changes_since(&scene.id, since).await).code,
+            "no_version",
+            "{since}"
+        );
     }
 
     // Parsed anew from all it is made of: the same things under the same ids.
     let job = client
-        .parse(&scene.id, &serde_json::json!({"settings": {"parsing": {"merging": {"min_points": 31}}}}))
+        .parse(
+            &scene.id,
+            &serde_json::json!({"settings": {"parsing": {"merging": {"min_points": 31}}}}),
+        )
         .await
         .unwrap();
     assert_eq!(finished(client, &job.id).await.error, None);
@@ -205,9 +244,17 @@ async fn frames_of_another_place_or_none_are_refused_and_nothing_changes() {
     let mut elsewhere = Scan::of_room(&THINGS, &[0.1, 0.5]);
     for i in 0..2 {
         let text = String::from_utf8(elsewhere.0[&format!("pose/{i}.txt")].clone()).unwrap();
-        let rows: Vec<Vec<f32>> = text.lines().map(|row| row.split(' ').map(|v| v.parse().unwrap()).collect()).collect();
-        let line = |row: &[f32], by: f32, plus: f32| format!("{} {} {} {}\n", by * row[0], by * row[1], by * row[2], by * row[3] + plus);
-        let turned = format!("{}{}{}0 0 0 1\n", line(&rows[0], 1.0, 0.0), line(&rows[1], -1.0, 0.0), line(&rows[2], -1.0, 4.0));
+        let rows: Vec<Vec<f32>> =
+            text.lines().map(|row| row.split(' ').map(|v| v.parse().unwrap()).collect()).collect();
+        let line = |row: &[f32], by: f32, plus: f32| {
+            format!("{} {} {} {}\n", by * row[0], by * row[1], by * row[2], by * row[3] + plus)
+        };
+        let turned = format!(
+            "{}{}{}0 0 0 1\n",
+            line(&rows[0], 1.0, 0.0),
+            line(&rows[1], -1.0, 0.0),
+            line(&rows[2], -1.0, 4.0)
+        );
         elsewhere.0.insert(format!("pose/{i}.txt"), turned.into_bytes());
     }
     for (frames, code) in [
@@ -220,9 +267,11 @@ async fn frames_of_another_place_or_none_are_refused_and_nothing_changes() {
         let refused = problem(client.add_frames(&scene.id, FrameChoice::Source, frames).await);
         assert_eq!((refused.code.as_str(), refused.status), (code, 422), "{refused:?}");
     }
-    let refused = problem(client.add_frames(&scene.id, FrameChoice::Map, Scan::frames_only().zip()).await);
+    let refused =
+        problem(client.add_frames(&scene.id, FrameChoice::Map, Scan::frames_only().zip()).await);
     assert_eq!(refused.code, "no_map");
-    let refused = problem(client.add_frames("nobody", FrameChoice::Source, Scan::frames_only().zip()).await);
+    let refused =
+        problem(client.add_frames("nobody", FrameChoice::Source, Scan::frames_only().zip()).await);
     assert_eq!(refused.code, "scene_not_found");
     assert_eq!(server.stored("blobs/contents"), content, "nothing is stored");
     assert_eq!(client.scene(&scene.id).await.unwrap(), scene);
@@ -244,14 +293,24 @@ async fn frames_told_in_the_map_lie_where_they_should_and_a_key_adds_them_once()
     let mut frames = Scan::of_room(&[FLOOR, SOFA, BLUE, GREEN, YELLOW], &[0.1, 0.4, 0.7]);
     for i in 0..3 {
         let text = String::from_utf8(frames.0[&format!("pose/{i}.txt")].clone()).unwrap();
-        let rows: Vec<Vec<f32>> = text.lines().map(|row| row.split(' ').map(|v| v.parse().unwrap()).collect()).collect();
-        let line = |row: &[f32], by: f32, plus: f32| format!("{} {} {} {}\n", by * row[0], by * row[1], by * row[2], by * row[3] + plus);
-        let in_map = format!("{}{}{}0 0 0 1\n", line(&rows[1], -1.0, 10.0), line(&rows[0], 1.0, 20.0), line(&rows[2], 1.0, 0.5));
+        let rows: Vec<Vec<f32>> =
+            text.lines().map(|row| row.split(' ').map(|v| v.parse().unwrap()).collect()).collect();
+        let line = |row: &[f32], by: f32, plus: f32| {
+            format!("{} {} {} {}\n", by * row[0], by * row[1], by * row[2], by * row[3] + plus)
+        };
+        let in_map = format!(
+            "{}{}{}0 0 0 1\n",
+            line(&rows[1], -1.0, 10.0),
+            line(&rows[0], 1.0, 20.0),
+            line(&rows[2], 1.0, 0.5)
+        );
         frames.0.insert(format!("pose/{i}.txt"), in_map.into_bytes());
     }
     let send = || async {
-        let request = client.request(Method::POST, &format!("v1/scenes/{}/frames?world=map", scene.id));
-        let response = request.header("idempotency-key", "look-7").body(frames.zip()).send().await.unwrap();
+        let request =
+            client.request(Method::POST, &format!("v1/scenes/{}/frames?world=map", scene.id));
+        let response =
+            request.header("idempotency-key", "look-7").body(frames.zip()).send().await.unwrap();
         assert_eq!(response.status(), 202);
         response.json::<BTreeMap<String, serde_json::Value>>().await.unwrap()
     };
@@ -262,7 +321,10 @@ async fn frames_told_in_the_map_lie_where_they_should_and_a_key_adds_them_once()
     let after = client.scene(&scene.id).await.unwrap();
     assert_eq!((after.parse_version, after.import.unwrap().frames), (2, 11));
     let told = client.changes_since(&scene.id, 1).await.unwrap();
-    assert!(told.changes.appeared.len() == 1 && near(boxes_of(&told.changes.appeared)[0], &YELLOW), "{told:?}");
+    assert!(
+        told.changes.appeared.len() == 1 && near(boxes_of(&told.changes.appeared)[0], &YELLOW),
+        "{told:?}"
+    );
     let other = client
         .request(Method::POST, &format!("v1/scenes/{}/frames", scene.id))
         .header("idempotency-key", "look-7")
@@ -281,30 +343,55 @@ async fn two_scans_of_a_room_are_laid_over_each_other_and_compared() {
     let (sin, cos) = 0.05_f32.sin_cos();
     for i in 0..8 {
         let text = String::from_utf8(second.0[&format!("pose/{i}.txt")].clone()).unwrap();
-        let rows: Vec<Vec<f32>> = text.lines().map(|row| row.split(' ').map(|v| v.parse().unwrap()).collect()).collect();
+        let rows: Vec<Vec<f32>> =
+            text.lines().map(|row| row.split(' ').map(|v| v.parse().unwrap()).collect()).collect();
         let line = |x: f32, y: f32, z: f32, plus: f32| {
-            let at = |column: usize| x * rows[0][column] + y * rows[1][column] + z * rows[2][column];
+            let at =
+                |column: usize| x * rows[0][column] + y * rows[1][column] + z * rows[2][column];
             format!("{} {} {} {}\n", at(0), at(1), at(2), at(3) + plus)
         };
-        let moved = format!("{}{}{}0 0 0 1\n", line(cos, -sin, 0.0, 0.12), line(sin, cos, 0.0, -0.08), line(0.0, 0.0, 1.0, 0.03));
+        let moved = format!(
+            "{}{}{}0 0 0 1\n",
+            line(cos, -sin, 0.0, 0.12),
+            line(sin, cos, 0.0, -0.08),
+            line(0.0, 0.0, 1.0, 0.03)
+        );
         second.0.insert(format!("pose/{i}.txt"), moved.into_bytes());
     }
     let second = server.parsed(second.zip()).await;
     let told = client.changes_to(&first.id, &second.id, true).await.unwrap();
     let alignment = told.alignment.unwrap();
-    let off: f64 = alignment.translation_m.iter().zip([0.12, -0.08, 0.03]).map(|(a, b)| (a - b).abs()).sum();
-    assert!(off < 0.03 && (alignment.rotation[2] * 2.0 - 0.05).abs() < 0.01 && alignment.rms_m < 0.02, "{alignment:?}");
+    let off: f64 =
+        alignment.translation_m.iter().zip([0.12, -0.08, 0.03]).map(|(a, b)| (a - b).abs()).sum();
+    assert!(
+        off < 0.03 && (alignment.rotation[2] * 2.0 - 0.05).abs() < 0.01 && alignment.rms_m < 0.02,
+        "{alignment:?}"
+    );
     let before = things(client, &first.id).await;
     let Changes { appeared, gone, moved, unchanged, .. } = told.changes.clone();
-    assert_eq!(gone.iter().map(|thing| thing.id).collect::<Vec<_>>(), [at(&before, &GREEN).id], "{told:?}");
-    assert_eq!(moved.iter().map(|moved| moved.before.id).collect::<Vec<_>>(), [at(&before, &BLUE).id], "{told:?}");
+    assert_eq!(
+        gone.iter().map(|thing| thing.id).collect::<Vec<_>>(),
+        [at(&before, &GREEN).id],
+        "{told:?}"
+    );
+    assert_eq!(
+        moved.iter().map(|moved| moved.before.id).collect::<Vec<_>>(),
+        [at(&before, &BLUE).id],
+        "{told:?}"
+    );
     assert!(appeared.len() == 1 && unchanged >= 1, "{told:?}");
 
     // A room elsewhere is none of it.
     let far = server
         .parsed(
-            Scan::of_room(&[([-2.0, -2.0, -4.0], [2.0, 2.0, -3.9], [90; 3]), ([0.5, 0.5, -3.9], [1.5, 1.5, -3.0], [200; 3])], &EIGHTHS)
-                .zip(),
+            Scan::of_room(
+                &[
+                    ([-2.0, -2.0, -4.0], [2.0, 2.0, -3.9], [90; 3]),
+                    ([0.5, 0.5, -3.9], [1.5, 1.5, -3.0], [200; 3]),
+                ],
+                &EIGHTHS,
+            )
+            .zip(),
         )
         .await;
     let refused = problem(client.changes_to(&first.id, &far.id, true).await);
@@ -312,14 +399,16 @@ async fn two_scans_of_a_room_are_laid_over_each_other_and_compared() {
     server.stop().await;
 }
 
-/// Comparing two scans is work for seconds: few are compared at once, the others are told to come again.
+/// Comparing two scans is work for seconds: few are compared at once, the others are told to come
+/// again.
 #[tokio::test(flavor = "multi_thread")]
 async fn few_scans_are_compared_at_once() {
     let server = TestServer::start().await;
     let first = server.parsed(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
     let second = server.parsed(Scan::of_room(&THINGS, &BETWEEN).zip()).await;
     let compared = (0..40).map(|_| server.client.changes_to(&first.id, &second.id, false));
-    let (done, refused): (Vec<_>, Vec<_>) = join_all(compared).await.into_iter().partition(Result::is_ok);
+    let (done, refused): (Vec<_>, Vec<_>) =
+        join_all(compared).await.into_iter().partition(Result::is_ok);
     let counts = (done.len(), refused.len());
     for refused in refused {
         let refused = problem(refused);

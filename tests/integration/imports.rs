@@ -8,7 +8,8 @@ use std::os::unix::fs::symlink;
 use uniground_types::job::JobState;
 use uniground_types::scenes::{ImportRequest, SceneStatus};
 
-/// A folder with `scans/room.zip`, the same unpacked as `scans/room/`, and a scan outside of `scans`.
+/// A folder with `scans/room.zip`, the same unpacked as `scans/room/`, and a scan outside of
+/// `scans`.
 fn disk() -> tempfile::TempDir {
     let disk = tempfile::tempdir().unwrap();
     let root = Utf8Path::from_path(disk.path()).unwrap();
@@ -36,14 +37,21 @@ async fn what_lies_on_the_servers_disk_needs_no_upload() {
     assert_eq!(finished(client, &first.job.unwrap().id).await.state, JobState::Succeeded);
     // A link that stays below the folder is as good; the same bytes are parsed once.
     let again = client
-        .import_scene(&ImportRequest { name: Some("again".into()), ..ImportRequest::of("again.zip") })
+        .import_scene(&ImportRequest {
+            name: Some("again".into()),
+            ..ImportRequest::of("again.zip")
+        })
         .await
         .unwrap();
-    assert_eq!((again.scene.content_hash.as_str(), again.scene.name.as_str()), (first.scene.content_hash.as_str(), "again"));
+    assert_eq!(
+        (again.scene.content_hash.as_str(), again.scene.name.as_str()),
+        (first.scene.content_hash.as_str(), "again")
+    );
     let folder = client.import_scene(&ImportRequest::of("room")).await.unwrap();
     assert_eq!(finished(client, &folder.job.unwrap().id).await.state, JobState::Succeeded);
     let [zipped, unpacked] = [first.scene.id, folder.scene.id];
-    let (zipped, unpacked) = (client.scene(&zipped).await.unwrap(), client.scene(&unpacked).await.unwrap());
+    let (zipped, unpacked) =
+        (client.scene(&zipped).await.unwrap(), client.scene(&unpacked).await.unwrap());
     assert_eq!((unpacked.status, &unpacked.counts), (SceneStatus::Ready, &zipped.counts));
     let stored = client
         .import_scene(&ImportRequest { parse: false, ..ImportRequest::of("./room/../room.zip") })
@@ -54,7 +62,8 @@ async fn what_lies_on_the_servers_disk_needs_no_upload() {
     let (outside, absolute) = ("../room.zip", root.join("room.zip"));
     for path in [outside, "link.zip", "no such", "/etc/passwd", "room.zip/x", ""] {
         let refused = problem(client.import_scene(&ImportRequest::of(path)).await);
-        let expected = if path.is_empty() { (422, "invalid_request") } else { (404, "import_not_found") };
+        let expected =
+            if path.is_empty() { (422, "invalid_request") } else { (404, "import_not_found") };
         assert_eq!((refused.status, refused.code.as_str()), expected, "{path:?}: {refused:?}");
         assert!(!refused.detail.contains(disk.path().to_str().unwrap()), "{}", refused.detail);
     }
@@ -65,13 +74,22 @@ async fn what_lies_on_the_servers_disk_needs_no_upload() {
     assert!(!refused.detail.contains(disk.path().to_str().unwrap()), "{}", refused.detail);
     fs::write(root.join("room/grown.json"), "{}").unwrap();
     let refused = problem(client.import_scene(&ImportRequest::of("room")).await);
-    assert_eq!((refused.status, refused.code.as_str()), (422, "archive_entry_unsafe"), "{refused:?}");
+    assert_eq!(
+        (refused.status, refused.code.as_str()),
+        (422, "archive_entry_unsafe"),
+        "{refused:?}"
+    );
     for metres in ["0", "-1", "1e300"] {
         let body = format!(r#"{{"path": "room.zip", "metres_per_unit": {metres}}}"#);
         let refused = post_raw(client, "v1/scenes/import", "application/json", &body).await;
-        assert_eq!((refused.status, refused.errors[0].pointer.as_str()), (422, "/metres_per_unit"), "{metres}: {refused:?}");
+        assert_eq!(
+            (refused.status, refused.errors[0].pointer.as_str()),
+            (422, "/metres_per_unit"),
+            "{metres}: {refused:?}"
+        );
     }
-    let refused = post_raw(client, "v1/scenes/import", "application/json", r#"{"file": "room.zip"}"#).await;
+    let refused =
+        post_raw(client, "v1/scenes/import", "application/json", r#"{"file": "room.zip"}"#).await;
     assert_eq!((refused.status, refused.code.as_str()), (422, "invalid_request"));
     assert_eq!(process.terminate(), Some(0));
 }

@@ -16,7 +16,14 @@ use uniground_types::keys::{CreatedKey, NewKey, Scope};
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
 fn wanted(name: &str, scope: Scope) -> NewKey {
-    NewKey { name: name.into(), scope, expires_at: None, requests_per_minute: None, max_scenes: None, daily_usd: None }
+    NewKey {
+        name: name.into(),
+        scope,
+        expires_at: None,
+        requests_per_minute: None,
+        max_scenes: None,
+        daily_usd: None,
+    }
 }
 
 /// A client with a key of its own; `of` may make keys.
@@ -46,29 +53,44 @@ async fn the_first_key_opens_a_server_to_the_network() {
         .url()
         .to_string()
         .replace("0.0.0.0", "127.0.0.1");
-    let (anonymous, boss) = (Client::new(&url, None).unwrap(), Client::new(&url, Some(secret)).unwrap());
+    let (anonymous, boss) =
+        (Client::new(&url, None).unwrap(), Client::new(&url, Some(secret)).unwrap());
     assert_eq!(problem(anonymous.scenes(1, None).await).code, "unauthorized");
     let robot = boss.create_key(&wanted("robot", Scope::Read)).await.unwrap();
     let known = boss.keys(10, None).await.unwrap();
-    assert_eq!(known.keys.iter().map(|key| key.name.as_str()).collect::<Vec<_>>(), ["robot", "boss"]);
-    assert!(!serde_json::to_string(&known).unwrap().contains(&robot.secret), "a secret is told once");
+    assert_eq!(
+        known.keys.iter().map(|key| key.name.as_str()).collect::<Vec<_>>(),
+        ["robot", "boss"]
+    );
+    assert!(
+        !serde_json::to_string(&known).unwrap().contains(&robot.secret),
+        "a secret is told once"
+    );
     let revoked = boss.revoke_key(&robot.key.id).await.unwrap();
     let again = boss.revoke_key(&robot.key.id).await.unwrap();
     assert!(revoked.revoked_at.is_some() && again.revoked_at == revoked.revoked_at);
     let robot = Client::new(&url, Some(robot.secret)).unwrap();
     assert_eq!(problem(robot.scenes(1, None).await).detail, "this key was revoked");
-    assert_eq!(problem(boss.revoke_key("018f0000-0000-7000-8000-000000000000").await).code, "key_not_found");
+    assert_eq!(
+        problem(boss.revoke_key("018f0000-0000-7000-8000-000000000000").await).code,
+        "key_not_found"
+    );
     let listed = key(&["list", "--data-dir", folder.as_str()]);
     match location(folder) {
-        Location::Postgres(_) => assert!(String::from_utf8_lossy(&listed.stdout).contains("boss"), "several may use it"),
-        _ => assert!(String::from_utf8_lossy(&listed.stderr).contains("another server uses this data")),
+        Location::Postgres(_) => {
+            assert!(String::from_utf8_lossy(&listed.stdout).contains("boss"), "several may use it")
+        }
+        _ => assert!(
+            String::from_utf8_lossy(&listed.stderr).contains("another server uses this data")
+        ),
     }
     assert_eq!(process.terminate(), Some(0));
     let listed = String::from_utf8(key(&["list", "--data-dir", folder.as_str()]).stdout).unwrap();
     assert!(listed.contains("boss") && listed.contains("revoked"), "{listed}");
 }
 
-/// Where anybody may ask, a stranger would lock everybody else out; on one's own machine there are none, and any name will do from then on.
+/// Where anybody may ask, a stranger would lock everybody else out; on one's own machine there are
+/// none, and any name will do from then on.
 #[tokio::test]
 async fn a_stranger_does_not_make_the_first_key() {
     let data = tempfile::tempdir().unwrap();
@@ -83,7 +105,10 @@ async fn a_stranger_does_not_make_the_first_key() {
         .to_string()
         .replace("0.0.0.0", "127.0.0.1");
     let stranger = Client::new(&url, None).unwrap();
-    assert_eq!(problem(stranger.create_key(&wanted("mine", Scope::Admin)).await).code, "first_key_by_hand");
+    assert_eq!(
+        problem(stranger.create_key(&wanted("mine", Scope::Admin)).await).code,
+        "first_key_by_hand"
+    );
     assert!(stranger.scenes(1, None).await.is_ok(), "and nobody is locked out");
     assert_eq!(process.terminate(), Some(0));
 
@@ -98,7 +123,8 @@ async fn a_stranger_does_not_make_the_first_key() {
     server.stop().await;
 }
 
-/// Every route wants the scope its description names, and nothing that changes anything is open to readers.
+/// Every route wants the scope its description names, and nothing that changes anything is open to
+/// readers.
 #[tokio::test(flavor = "multi_thread")]
 async fn every_route_refuses_the_under_scoped() {
     let server = TestServer::start().await;
@@ -107,23 +133,40 @@ async fn every_route_refuses_the_under_scoped() {
     let (reader, _) = holder(&admin, &url, wanted("reader", Scope::Read)).await;
     let (writer, _) = holder(&admin, &url, wanted("writer", Scope::Write)).await;
     // Asked with a body, and changing nothing.
-    let of_scene = ["ground", "shortlist", "approach"].map(|what| format!("/v1/scenes/{{scene_id}}/{what}"));
-    let questions: Vec<&str> = of_scene.iter().map(String::as_str).chain(["/v1/ground", "/v1/links", "/mcp"]).collect();
+    let of_scene =
+        ["ground", "shortlist", "approach"].map(|what| format!("/v1/scenes/{{scene_id}}/{what}"));
+    let questions: Vec<&str> =
+        of_scene.iter().map(String::as_str).chain(["/v1/ground", "/v1/links", "/mcp"]).collect();
     let openapi = serde_json::to_value(uniground::http::openapi()).unwrap();
     let mut asked = [0; 3];
     for (path, operations) in openapi["paths"].as_object().unwrap() {
         for (method, operation) in operations.as_object().unwrap() {
             let method: Method = method.to_uppercase().parse().unwrap();
             let Some(scope) = operation["security"][0]["key"][0].as_str() else {
-                assert!(["/healthz", "/readyz"].contains(&path.as_str()), "{method} {path} is open to everybody");
+                assert!(
+                    ["/healthz", "/readyz"].contains(&path.as_str()),
+                    "{method} {path} is open to everybody"
+                );
                 continue;
             };
             let scope = Scope::try_from(scope.to_owned()).unwrap();
             let changes = !method.is_safe() && !questions.contains(&path.as_str());
-            assert!(!changes || scope > Scope::Read, "{method} {path} changes something and is open to readers");
+            assert!(
+                !changes || scope > Scope::Read,
+                "{method} {path} changes something and is open to readers"
+            );
             for (client, has) in [(&reader, Scope::Read), (&writer, Scope::Write)] {
-                let status = client.request(method.clone(), path.trim_start_matches('/')).send().await.unwrap().status();
-                assert_eq!(status == StatusCode::FORBIDDEN, has < scope, "{has:?}: {method} {path} {status}");
+                let status = client
+                    .request(method.clone(), path.trim_start_matches('/'))
+                    .send()
+                    .await
+                    .unwrap()
+                    .status();
+                assert_eq!(
+                    status == StatusCode::FORBIDDEN,
+                    has < scope,
+                    "{has:?}: {method} {path} {status}"
+                );
             }
             asked[scope as usize] += 1;
         }
@@ -137,25 +180,42 @@ async fn a_key_has_a_rate_and_a_quota() {
     let server = TestServer::start().await;
     let url = server.url();
     let (admin, _) = holder(&server.client, &url, wanted("admin", Scope::Admin)).await;
-    let (slow, _) = holder(&admin, &url, NewKey { requests_per_minute: Some(3), ..wanted("slow", Scope::Read) }).await;
+    let (slow, _) = holder(
+        &admin,
+        &url,
+        NewKey { requests_per_minute: Some(3), ..wanted("slow", Scope::Read) },
+    )
+    .await;
     for left in ["2", "1", "0"] {
         let response = slow.request(Method::GET, "v1/scenes").send().await.unwrap();
         assert_eq!(response.headers()["ratelimit-policy"], "\"key\";q=3;w=60");
-        assert!(response.headers()["ratelimit"].to_str().unwrap().starts_with(&format!("\"key\";r={left};t=")));
+        assert!(
+            response.headers()["ratelimit"]
+                .to_str()
+                .unwrap()
+                .starts_with(&format!("\"key\";r={left};t="))
+        );
     }
     let refused = problem(slow.scenes(1, None).await);
     assert_eq!((refused.status, refused.code.as_str()), (429, "rate_limited"));
     assert!(refused.retry_after_s.is_some_and(|wait| (1..=20).contains(&wait)), "{refused:?}");
     assert!(admin.scenes(1, None).await.is_ok(), "one key's rate is nobody else's");
 
-    let (robot, _) = holder(&admin, &url, NewKey { max_scenes: Some(1), ..wanted("robot", Scope::Write) }).await;
+    let (robot, _) =
+        holder(&admin, &url, NewKey { max_scenes: Some(1), ..wanted("robot", Scope::Write) }).await;
     let upload = async |client: &Client, name: &str, key: &str| {
-        client.create_scene_once(&[("name", name)], "application/zip", Scan::neutral().zip(), key).await
+        client
+            .create_scene_once(&[("name", name)], "application/zip", Scan::neutral().zip(), key)
+            .await
     };
     let first = upload(&robot, "a", "k").await.unwrap();
     let refused = problem(upload(&robot, "b", "another").await);
     assert_eq!((refused.status, refused.code.as_str()), (403, "quota_used_up"));
-    assert_eq!(upload(&robot, "a", "k").await.unwrap().scene.id, first.scene.id, "what was made stays made");
+    assert_eq!(
+        upload(&robot, "a", "k").await.unwrap().scene.id,
+        first.scene.id,
+        "what was made stays made"
+    );
     // The same idempotency key in somebody else's hands is another.
     assert_ne!(upload(&admin, "a", "k").await.unwrap().scene.id, first.scene.id);
     finished(&robot, &first.job.unwrap().id).await;
@@ -164,16 +224,23 @@ async fn a_key_has_a_rate_and_a_quota() {
     server.stop().await;
 }
 
-/// What a key may spend in a day is spent by all its questions, those of its batches too, and by nobody else's.
+/// What a key may spend in a day is spent by all its questions, those of its batches too, and by
+/// nobody else's.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_key_has_money_of_its_own() {
     let script = Script::default();
-    let model = VlmConfig { vlm_prompt_usd: 1000.0, vlm_completion_usd: 5000.0, ..config(&script.serve(vec![says("-")]).await) };
+    let model = VlmConfig {
+        vlm_prompt_usd: 1000.0,
+        vlm_completion_usd: 5000.0,
+        ..config(&script.serve(vec![says("-")]).await)
+    };
     let server = TestServer::start_configured(LimitsConfig::default(), model).await;
     let url = server.url();
     let scene = server.parsed(Scan::neutral().zip()).await.id;
     let (admin, _) = holder(&server.client, &url, wanted("admin", Scope::Admin)).await;
-    let (robot, key) = holder(&admin, &url, NewKey { daily_usd: Some(20.0), ..wanted("robot", Scope::Write) }).await;
+    let (robot, key) =
+        holder(&admin, &url, NewKey { daily_usd: Some(20.0), ..wanted("robot", Scope::Write) })
+            .await;
     script.next(vec![six_lines(1, "", true, 1)]);
     let by_model = GroundRequest { reasoner: ReasonerChoice::Vlm, ..ask("the red sofa") };
     let mut paid = 0;
@@ -184,7 +251,10 @@ async fn a_key_has_money_of_its_own() {
         }
         assert!(paid < 40, "the key's money never ends");
     };
-    assert!(paid > 1 && refused.code == "budget_spent" && refused.detail.contains("this key today"), "{paid} {refused:?}");
+    assert!(
+        paid > 1 && refused.code == "budget_spent" && refused.detail.contains("this key today"),
+        "{paid} {refused:?}"
+    );
     assert!(admin.ground(&scene, &by_model).await.is_ok(), "others have money of their own");
     let spent = admin
         .keys(10, None)
@@ -202,7 +272,10 @@ async fn a_key_has_money_of_its_own() {
     let batch = robot.create_batch(&batch, None).await.unwrap();
     finished(&robot, batch.job_id.as_deref().unwrap()).await;
     let waits = robot.batch(&batch.id).await.unwrap();
-    assert_eq!((waits.state, waits.reason.as_deref(), script.calls()), (BatchState::Paused, Some("budget_spent"), calls));
+    assert_eq!(
+        (waits.state, waits.reason.as_deref(), script.calls()),
+        (BatchState::Paused, Some("budget_spent"), calls)
+    );
     server.stop().await;
 }
 
@@ -235,7 +308,11 @@ async fn what_was_done_is_written_down_with_whose_key_and_what_came_of_it() {
     let url = server.url();
     let (admin, _) = holder(&server.client, &url, wanted("admin", Scope::Admin)).await;
     let (robot, key) = holder(&admin, &url, wanted("robot", Scope::Write)).await;
-    let scene = robot.create_scene(Some("kitchen"), "application/zip", Scan::neutral().zip()).await.unwrap().scene;
+    let scene = robot
+        .create_scene(Some("kitchen"), "application/zip", Scan::neutral().zip())
+        .await
+        .unwrap()
+        .scene;
     robot.scene(&scene.id).await.unwrap();
     assert!(robot.delete_scene("018f0000-0000-7000-8000-000000000000").await.is_err());
     assert!(robot.keys(1, None).await.is_err());
@@ -245,7 +322,14 @@ async fn what_was_done_is_written_down_with_whose_key_and_what_came_of_it() {
         .entries
         .iter()
         .chain(&rest.entries)
-        .map(|entry| (entry.method.as_str(), entry.path.as_str(), entry.status, entry.key_id.as_ref() == Some(&key.key.id)))
+        .map(|entry| {
+            (
+                entry.method.as_str(),
+                entry.path.as_str(),
+                entry.status,
+                entry.key_id.as_ref() == Some(&key.key.id),
+            )
+        })
         .collect();
     let expected = [
         ("DELETE", "/v1/scenes/018f0000-0000-7000-8000-000000000000", 404, true),
@@ -262,7 +346,10 @@ async fn what_was_done_is_written_down_with_whose_key_and_what_came_of_it() {
 async fn answers_and_jobs_are_listed_by_what_they_are_about() {
     let server = TestServer::start().await;
     let client = &server.client;
-    let [a, b] = [server.parsed(Scan::neutral().zip()).await.id, server.parsed(Scan::neutral().zip()).await.id];
+    let [a, b] = [
+        server.parsed(Scan::neutral().zip()).await.id,
+        server.parsed(Scan::neutral().zip()).await.id,
+    ];
     let mut given = Vec::new();
     for (scene, query) in [(&a, "the red sofa"), (&a, "the fridge"), (&b, "the red sofa")] {
         given.push(client.ground(scene, &ask(query)).await.unwrap());
@@ -274,12 +361,20 @@ async fn answers_and_jobs_are_listed_by_what_they_are_about() {
     let of = |indices: &[usize]| indices.iter().map(|&i| given[i].id.clone()).collect::<Vec<_>>();
     assert_eq!(ids(&[]).await, (of(&[2, 1, 0]), None));
     let (first, cursor) = ids(&[("limit", "2")]).await;
-    assert_eq!((first, ids(&[("cursor", &cursor.unwrap())]).await), (of(&[2, 1]), (of(&[0]), None)));
+    assert_eq!(
+        (first, ids(&[("cursor", &cursor.unwrap())]).await),
+        (of(&[2, 1]), (of(&[0]), None))
+    );
     assert_eq!(ids(&[("scene_id", &a)]).await.0, of(&[1, 0]));
     assert_eq!(ids(&[("scene_id", &a), ("status", "no_match")]).await.0, of(&[1]));
     assert_eq!(ids(&[("since", "2100-01-01T00:00:00Z")]).await.0, of(&[]));
-    assert_eq!(ids(&[("since", "2020-01-01T00:00:00Z"), ("until", "2100-01-01T00:00:00Z")]).await.0.len(), 3);
-    let batch: BatchRequest = serde_json::from_value(json!({"items": [{"query": "the red sofa", "scene_id": b}]})).unwrap();
+    assert_eq!(
+        ids(&[("since", "2020-01-01T00:00:00Z"), ("until", "2100-01-01T00:00:00Z")]).await.0.len(),
+        3
+    );
+    let batch: BatchRequest =
+        serde_json::from_value(json!({"items": [{"query": "the red sofa", "scene_id": b}]}))
+            .unwrap();
     let batch = client.create_batch(&batch, None).await.unwrap();
     finished(client, batch.job_id.as_deref().unwrap()).await;
     assert_eq!(ids(&[("batch_id", &batch.id)]).await.0.len(), 1);
@@ -287,11 +382,19 @@ async fn answers_and_jobs_are_listed_by_what_they_are_about() {
     assert_eq!(problem(bad).errors[0].pointer, "since");
 
     let lines = String::from_utf8(client.bytes("v1/answers?format=jsonl").await.unwrap()).unwrap();
-    assert!(lines.lines().count() == 4 && lines.lines().all(|line| serde_json::from_str::<Value>(line).is_ok()));
-    let table = String::from_utf8(client.bytes(&format!("v1/answers?format=csv&scene_id={a}")).await.unwrap()).unwrap();
+    assert!(
+        lines.lines().count() == 4
+            && lines.lines().all(|line| serde_json::from_str::<Value>(line).is_ok())
+    );
+    let table = String::from_utf8(
+        client.bytes(&format!("v1/answers?format=csv&scene_id={a}")).await.unwrap(),
+    )
+    .unwrap();
     let rows: Vec<&str> = table.lines().collect();
     assert!(
-        rows.len() == 3 && rows[0].starts_with("answer_id,scene_id,query,status,predicted_id") && rows[1].contains("the fridge,no_match")
+        rows.len() == 3
+            && rows[0].starts_with("answer_id,scene_id,query,status,predicted_id")
+            && rows[1].contains("the fridge,no_match")
     );
 
     let kinds = async |query: &[(&str, &str)]| {

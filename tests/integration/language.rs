@@ -1,4 +1,5 @@
-//! Language and space alone: annotated objects with their names, so that only words and geometry are measured.
+//! Language and space alone: annotated objects with their names, so that only words and geometry
+//! are measured.
 
 use crate::shared_scenes::{development_rooms, shared_scene};
 use camino::Utf8Path;
@@ -32,7 +33,8 @@ fn rooms(names: &[&'static str]) -> Option<Vec<(&'static str, Known)>> {
     let folder = shared_scene("room1.zip")?;
     let room = |name: &'static str| {
         let text = fs::read_to_string(folder.join(format!("{name}.queries.json"))).unwrap();
-        let (annotations, omissions) = Annotations::read(&folder.join(format!("{name}.scene.json")));
+        let (annotations, omissions) =
+            Annotations::read(&folder.join(format!("{name}.scene.json")));
         assert!(omissions.is_empty(), "{omissions:?}");
         (name, Known { queries: serde_json::from_str(&text).unwrap(), annotations })
     };
@@ -46,7 +48,12 @@ fn instances(annotations: &Annotations) -> Vec<Instance> {
 /// Whether an answer is the annotated one; ids of instances follow the order of annotations.
 fn is_right(known: &Annotations, instances: &[Instance], query: &str, target: Option<u32>) -> bool {
     let corners: Vec<_> = instances.iter().flat_map(|i| i.aabb.corners()).collect();
-    let view = SceneView { instances, extent: Aabb::around(&corners).unwrap(), names: &NameIndex::of(instances), appearance: None };
+    let view = SceneView {
+        instances,
+        extent: Aabb::around(&corners).unwrap(),
+        names: &NameIndex::of(instances),
+        appearance: None,
+    };
     let question = Question::of(query);
     let answer = ground(view, &question);
     let chosen = answer.answer.predicted_id.map(|id| known.objects[id.0 as usize - 1].id);
@@ -57,7 +64,12 @@ fn is_right(known: &Annotations, instances: &[Instance], query: &str, target: Op
 }
 
 /// Right of all, over the kinds asked for.
-fn score(known: &Known, annotations: &Annotations, words: impl Fn(&str) -> String, kinds: impl Fn(&str) -> bool) -> (usize, usize) {
+fn score(
+    known: &Known,
+    annotations: &Annotations,
+    words: impl Fn(&str) -> String,
+    kinds: impl Fn(&str) -> bool,
+) -> (usize, usize) {
     let instances = instances(annotations);
     let asked: Vec<&Expression> = known.queries.iter().filter(|q| kinds(&q.kind)).collect();
     let right = |q: &&&Expression| {
@@ -75,12 +87,21 @@ fn share((right, of): (usize, usize)) -> f32 {
 }
 
 /// The floors of a room: all with a target, relations and superlatives, absent things found absent.
-fn check_floors(name: &str, known: &Known, annotations: &Annotations, words: impl Fn(&str) -> String, skip_views: bool) {
+fn check_floors(
+    name: &str,
+    known: &Known,
+    annotations: &Annotations,
+    words: impl Fn(&str) -> String,
+    skip_views: bool,
+) {
     let counts = |kind: &str| kind != "absent" && !(skip_views && kind == "view");
     let present = score(known, annotations, &words, counts);
-    let spatial = score(known, annotations, &words, |kind| matches!(kind, "relation" | "superlative"));
+    let spatial =
+        score(known, annotations, &words, |kind| matches!(kind, "relation" | "superlative"));
     let absent = score(known, annotations, &words, |kind| kind == "absent");
-    println!("{name}: {present:?} with a target, {spatial:?} relations and superlatives, {absent:?} absent");
+    println!(
+        "{name}: {present:?} with a target, {spatial:?} relations and superlatives, {absent:?} absent"
+    );
     assert!(share(present) >= 0.85 && share(spatial) >= 0.9 && absent.0 >= 5, "{name}");
 }
 
@@ -96,16 +117,29 @@ fn annotated_rooms_are_understood() {
 fn annotated_rooms_are_understood_however_the_world_is_turned() {
     for (name, known) in rooms(&["room1", "room2"]).unwrap_or_default() {
         for deg in [20.0, 45.0, 73.0, 200.0] {
-            check_floors(&format!("{name} turned by {deg}"), &known, &known.annotations.turned(deg), str::to_owned, true);
+            check_floors(
+                &format!("{name} turned by {deg}"),
+                &known,
+                &known.annotations.turned(deg),
+                str::to_owned,
+                true,
+            );
         }
     }
 }
 
-/// Other words for the same: each noun becomes a synonym, relations are said otherwise, orders become questions.
+/// Other words for the same: each noun becomes a synonym, relations are said otherwise, orders
+/// become questions.
 #[test]
 fn annotated_rooms_are_understood_in_other_words() {
     for (name, known) in rooms(&["room1", "room2"]).unwrap_or_default() {
-        check_floors(&format!("{name} in other words"), &known, &known.annotations, paraphrased, false);
+        check_floors(
+            &format!("{name} in other words"),
+            &known,
+            &known.annotations,
+            paraphrased,
+            false,
+        );
         // The order turned round: what it is near comes first.
         check_floors(
             &format!("{name} turned round"),
@@ -145,9 +179,16 @@ fn paraphrased(query: &str) -> String {
         for start in 0..tokens.len().saturating_sub(length - 1) {
             let noun = tokens[start..start + length].join(" ");
             let bare = noun.trim_end_matches([',', '.']);
-            let Some(known) = Lexicon::get().nouns().iter().find(|n| n.name == bare) else { continue };
-            // Another word for "table" is a narrower one: a kitchen table. Only words for one thing have words for the same.
-            let Some(synonym) = known.synonyms.first().filter(|_| Lexicon::get().find_all(bare).len() == 1) else { continue };
+            let Some(known) = Lexicon::get().nouns().iter().find(|n| n.name == bare) else {
+                continue;
+            };
+            // Another word for "table" is a narrower one: a kitchen table. Only words for one thing
+            // have words for the same.
+            let Some(synonym) =
+                known.synonyms.first().filter(|_| Lexicon::get().find_all(bare).len() == 1)
+            else {
+                continue;
+            };
             let mut told = tokens[..start].to_vec();
             told.push(format!("{synonym}{}", &noun[bare.len()..]));
             told.extend_from_slice(&tokens[start + length..]);
@@ -161,11 +202,22 @@ fn paraphrased(query: &str) -> String {
 #[test]
 fn parsed_rooms_are_answered_without_any_model() {
     let Some(rooms) = development_rooms(&["room1", "room2"]) else { return };
-    let suite = Suite::open(Utf8Path::from_path(rooms.path()).unwrap(), &SuiteOptions::default()).unwrap();
+    let suite =
+        Suite::open(Utf8Path::from_path(rooms.path()).unwrap(), &SuiteOptions::default()).unwrap();
     let out = tempfile::tempdir().unwrap();
     let cells = configuration::cells("source=parsed", &Configuration::default()).unwrap();
-    let options = RunOptions { out: Utf8Path::from_path(out.path()).unwrap(), cells: &cells, concurrency: 1, progress: &|_| {} };
-    let results = run(&suite, &InProcess::new(BundlesConfig::default(), None, None, ModelUse::default()).unwrap(), &options).unwrap();
+    let options = RunOptions {
+        out: Utf8Path::from_path(out.path()).unwrap(),
+        cells: &cells,
+        concurrency: 1,
+        progress: &|_| {},
+    };
+    let results = run(
+        &suite,
+        &InProcess::new(BundlesConfig::default(), None, None, ModelUse::default()).unwrap(),
+        &options,
+    )
+    .unwrap();
     let facts = RunFacts {
         system: "in process".into(),
         version: String::new(),
@@ -190,9 +242,21 @@ fn words_that_name_nothing_get_no_box() {
     let Some(rooms) = rooms(&["room1", "room2"]) else { return };
     let instances = instances(&rooms[0].1.annotations);
     let corners: Vec<_> = instances.iter().flat_map(|i| i.aabb.corners()).collect();
-    let view =
-        SceneView { instances: &instances, extent: Aabb::around(&corners).unwrap(), names: &NameIndex::of(&instances), appearance: None };
-    for query in ["?", "the of and", "🪑", "椅子", "'; DROP TABLE scenes; --", "the red chair that is not red", "the"] {
+    let view = SceneView {
+        instances: &instances,
+        extent: Aabb::around(&corners).unwrap(),
+        names: &NameIndex::of(&instances),
+        appearance: None,
+    };
+    for query in [
+        "?",
+        "the of and",
+        "🪑",
+        "椅子",
+        "'; DROP TABLE scenes; --",
+        "the red chair that is not red",
+        "the",
+    ] {
         let question = Question::of(query);
         let answer = ground(view, &question);
         assert!(answer.status != Status::Grounded && answer.aabb.is_none(), "{query}: {answer:?}");

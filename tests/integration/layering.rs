@@ -1,5 +1,5 @@
-//! Imports run downwards only, as ARCHITECTURE.md draws the house. The compiler checks the walls between the packages; here stand those
-//! within them.
+//! Imports run downwards only, as ARCHITECTURE.md draws the house. The compiler checks the walls
+//! between the packages; here stand those within them.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -21,7 +21,17 @@ const PACKAGES: [(&str, Floors); 3] = [
             &["error"],
             &["jobs"],
             &["store"],
-            &["chat", "inference", "isolation", "metrics", "packages", "packing", "sample", "webhook", "words"],
+            &[
+                "chat",
+                "inference",
+                "isolation",
+                "metrics",
+                "packages",
+                "packing",
+                "sample",
+                "webhook",
+                "words",
+            ],
             &["memory", "trace_context"],
         ],
     ),
@@ -41,7 +51,20 @@ const PACKAGES: [(&str, Floors); 3] = [
         "crates/uniground-types/src",
         &[
             &["export"],
-            &["approach", "changes", "graph", "many", "scenes", "instances", "service", "stats", "transcript", "batch", "keys", "uploads"],
+            &[
+                "approach",
+                "changes",
+                "graph",
+                "many",
+                "scenes",
+                "instances",
+                "service",
+                "stats",
+                "transcript",
+                "batch",
+                "keys",
+                "uploads",
+            ],
             &["answer", "corrections", "links", "question", "settings", "job", "models"],
             &["labels", "placement"],
             &["numbers"],
@@ -51,7 +74,8 @@ const PACKAGES: [(&str, Floors); 3] = [
     ),
 ];
 
-/// What leans on its own floor by design: the log is configured, and secrets that are read are kept out of it.
+/// What leans on its own floor by design: the log is configured, and secrets that are read are kept
+/// out of it.
 const ALLOWED: &[(&str, &str)] = &[("telemetry", "config"), ("config", "telemetry")];
 
 fn root() -> &'static Path {
@@ -69,7 +93,8 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// The top-level modules a source file names, `use` lines and inline paths alike; tests may look anywhere.
+/// The top-level modules a source file names, `use` lines and inline paths alike; tests may look
+/// anywhere.
 fn imports(text: &str) -> Vec<String> {
     let code: String = text
         .split("#[cfg(test)]")
@@ -93,7 +118,11 @@ fn imports_run_downwards_only() {
     let mut wrong = Vec::new();
     for (package, floors) in PACKAGES {
         let root = root().join(package);
-        let floor: BTreeMap<&str, usize> = floors.iter().enumerate().flat_map(|(i, names)| names.iter().map(move |n| (*n, i))).collect();
+        let floor: BTreeMap<&str, usize> = floors
+            .iter()
+            .enumerate()
+            .flat_map(|(i, names)| names.iter().map(move |n| (*n, i)))
+            .collect();
         let mut files = Vec::new();
         sources(&root, &mut files);
         assert!(files.len() > 10, "{package}: only {} files found", files.len());
@@ -109,7 +138,10 @@ fn imports_run_downwards_only() {
             };
             for name in imports(&fs::read_to_string(&file).unwrap()) {
                 let downwards = floor.get(name.as_str()).is_some_and(|&other| other > own);
-                if name != module && !downwards && !ALLOWED.contains(&(module.as_str(), name.as_str())) {
+                if name != module
+                    && !downwards
+                    && !ALLOWED.contains(&(module.as_str(), name.as_str()))
+                {
                     wrong.push(format!("{package}/{relative} imports {name}"));
                 }
             }
@@ -118,18 +150,35 @@ fn imports_run_downwards_only() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// A robot's own process needs no server, and a client no pipelines. What packages depend on in turn is for `make lint` to see.
+/// A robot's own process needs no server, and a client no pipelines. What packages depend on in
+/// turn is for `make lint` to see.
 #[test]
 fn no_package_leans_on_what_it_should_not_know() {
     for (package, strangers) in [
-        ("uniground-types", &["uniground-core", "uniground-client", "tokio", "ort", "image", "rayon"][..]),
-        ("uniground-core", &["uniground-client", "tokio", "reqwest", "sqlx", "axum", "clap", "utoipa", "anyhow"]),
+        (
+            "uniground-types",
+            &["uniground-core", "uniground-client", "tokio", "ort", "image", "rayon"][..],
+        ),
+        (
+            "uniground-core",
+            &["uniground-client", "tokio", "reqwest", "sqlx", "axum", "clap", "utoipa", "anyhow"],
+        ),
         ("uniground-client", &["uniground-core", "ort", "sqlx", "axum", "clap", "image", "rayon"]),
     ] {
-        let manifest = fs::read_to_string(root().join("crates").join(package).join("Cargo.toml")).unwrap();
-        let dependencies = manifest.split("[dependencies]").nth(1).unwrap().split("\n[").next().unwrap().to_owned();
+        let manifest =
+            fs::read_to_string(root().join("crates").join(package).join("Cargo.toml")).unwrap();
+        let dependencies = manifest
+            .split("[dependencies]")
+            .nth(1)
+            .unwrap()
+            .split("\n[")
+            .next()
+            .unwrap()
+            .to_owned();
         for stranger in strangers {
-            let named = dependencies.lines().any(|line| line.split(['=', '.', ' ']).next() == Some(stranger));
+            let named = dependencies
+                .lines()
+                .any(|line| line.split(['=', '.', ' ']).next() == Some(stranger));
             assert!(!named, "{package} depends on {stranger}");
         }
     }

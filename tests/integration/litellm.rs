@@ -1,5 +1,5 @@
-//! A server of the chat protocol that somebody else wrote: `LiteLLM`'s proxy, with a model that answers without being there
-//! (`tests/litellm/config.yaml`). `make test-models` starts it.
+//! A server of the chat protocol that somebody else wrote: `LiteLLM`'s proxy, with a model that
+//! answers without being there (`tests/litellm/config.yaml`). `make test-models` starts it.
 
 use crate::server::{TestServer, ask, problem};
 use camino::Utf8PathBuf;
@@ -11,7 +11,8 @@ use uniground_types::question::{EvidenceMode, GroundRequest, ReasonerChoice};
 const QUERY: &str = "the mug on the coffee table";
 
 async fn server(model: &str, key: &str, json: bool) -> (TestServer, String, tempfile::TempDir) {
-    let url = std::env::var("LITELLM_URL").unwrap_or_else(|_| panic!("make test-models starts the server and says where it is"));
+    let url = std::env::var("LITELLM_URL")
+        .unwrap_or_else(|_| panic!("make test-models starts the server and says where it is"));
     let folder = tempfile::tempdir().unwrap();
     let file = Utf8PathBuf::from_path_buf(folder.path().join("key")).unwrap();
     fs::write(&file, key).unwrap();
@@ -43,7 +44,10 @@ async fn a_foreign_server_understands_and_is_understood() {
         let (server, scene, _key) = server("scripted", "sk-litellm-test", json).await;
         // Six pictures, half a megabyte of them, go through.
         let answer = server.client.ground(&scene, &insisting()).await.unwrap();
-        assert_eq!((answer.status, answer.usage.vlm_calls, answer.degraded), (Status::NoMatch, 1, false));
+        assert_eq!(
+            (answer.status, answer.usage.vlm_calls, answer.degraded),
+            (Status::NoMatch, 1, false)
+        );
         assert_eq!(answer.answer.explanation, "nothing of the kind is here");
         assert!(answer.usage.prompt_tokens > 0 && answer.usage.cost_usd > 0.0);
         let cached = GroundRequest { evidence: EvidenceMode::CachedNames, ..insisting() };
@@ -63,8 +67,16 @@ async fn a_foreign_server_s_errors_are_told_in_its_words() {
         let (server, scene, _key) = server(model, key, false).await;
         let error = problem(server.client.ground(&scene, &insisting()).await);
         assert_eq!((error.status, error.code.as_str()), (502, "vlm_unavailable"));
-        assert!(error.detail.contains(told) && error.detail.contains(&format!("in {attempts} attempts")), "{}", error.detail);
-        assert!(!error.detail.contains(key) && server.client.ground(&scene, &ask(QUERY)).await.unwrap().degraded);
+        assert!(
+            error.detail.contains(told)
+                && error.detail.contains(&format!("in {attempts} attempts")),
+            "{}",
+            error.detail
+        );
+        assert!(
+            !error.detail.contains(key)
+                && server.client.ground(&scene, &ask(QUERY)).await.unwrap().degraded
+        );
         server.stop().await;
     }
 }

@@ -1,4 +1,5 @@
-//! The log of the binary, at the level that is on by default: what went wrong is told once, with the ids to look it up by.
+//! The log of the binary, at the level that is on by default: what went wrong is told once, with
+//! the ids to look it up by.
 
 use crate::archives::Scan;
 use crate::script::{Script, fails};
@@ -28,7 +29,11 @@ async fn an_error_is_told_once_with_route_request_and_cause() {
     let data = camino::Utf8Path::from_path(folder.path()).unwrap();
     let log = data.join("log");
     let process = Process::start_logging(&data.join("data"), &log);
-    let created = process.client.create_scene(Some("room"), "application/zip", Scan::neutral().zip()).await.unwrap();
+    let created = process
+        .client
+        .create_scene(Some("room"), "application/zip", Scan::neutral().zip())
+        .await
+        .unwrap();
     let job = finished(&process.client, &created.job.unwrap().id).await;
     // Somebody takes the cloud away.
     let parses = data.join("data/blobs/parses");
@@ -43,32 +48,47 @@ async fn an_error_is_told_once_with_route_request_and_cause() {
         .await
         .unwrap();
     assert_eq!(response.status(), 503);
-    assert_eq!(process.client.request(Method::GET, "v1/scenes/none").send().await.unwrap().status(), 404);
+    assert_eq!(
+        process.client.request(Method::GET, "v1/scenes/none").send().await.unwrap().status(),
+        404
+    );
     tokio::time::sleep(Duration::from_millis(200)).await;
     process.kill();
 
     let lines = lines(&log);
-    let of_request = |line: &&Value| line["level"] == "ERROR" && spans(line).iter().any(|span| span["id"] == "look-me-up");
+    let of_request = |line: &&Value| {
+        line["level"] == "ERROR" && spans(line).iter().any(|span| span["id"] == "look-me-up")
+    };
     let about: Vec<&Value> = lines.iter().filter(of_request).collect();
     assert_eq!(about.len(), 1, "{about:#?}");
     let (line, request) = (about[0], &spans(about[0])[0]);
-    assert_eq!((line["level"].as_str(), line["fields"]["code"].as_str()), (Some("ERROR"), Some("parse_damaged")));
+    assert_eq!(
+        (line["level"].as_str(), line["fields"]["code"].as_str()),
+        (Some("ERROR"), Some("parse_damaged"))
+    );
     assert!(line["fields"]["cause"].as_str().unwrap().contains("cloud.ply is missing"), "{line}");
     assert_eq!(
         (request["name"].as_str(), request["route"].as_str()),
         (Some("request"), Some("/v1/scenes/{scene_id}/cloud.ply"))
     );
-    let of_job: Vec<&Value> = lines.iter().filter(|line| spans(line).iter().any(|span| span["id"] == job.id.as_str())).collect();
+    let of_job: Vec<&Value> = lines
+        .iter()
+        .filter(|line| spans(line).iter().any(|span| span["id"] == job.id.as_str()))
+        .collect();
     assert!(of_job.iter().any(|line| line["fields"]["message"] == "job done"), "{of_job:#?}");
     let job_span = &spans(of_job[0])[0];
-    assert_eq!((job_span["kind"].as_str(), job_span["subject"].as_str()), (Some("parse"), Some(created.scene.id.as_str())));
+    assert_eq!(
+        (job_span["kind"].as_str(), job_span["subject"].as_str()),
+        (Some("parse"), Some(created.scene.id.as_str()))
+    );
     assert!(
         !lines.iter().any(|line| line["level"] == "ERROR" && line != about[0]),
         "a caller's mistake is no error of the server's"
     );
 }
 
-/// Keys that callers show, that a model wants and that stand in an address, at the loudest level there is.
+/// Keys that callers show, that a model wants and that stand in an address, at the loudest level
+/// there is.
 #[tokio::test]
 async fn secrets_never_reach_the_log() {
     let folder = tempfile::tempdir().unwrap();
@@ -76,7 +96,8 @@ async fn secrets_never_reach_the_log() {
     let log = data.join("log");
     let script = Script::default();
     let url = script.serve(vec![fails(500, "planted-model-key was wrong")]).await;
-    let address = url.replace("http://", "http://user:planted-password@") + "?api-key=planted-in-address";
+    let address =
+        url.replace("http://", "http://user:planted-password@") + "?api-key=planted-in-address";
     let mut command = command(&data.join("data"), "127.0.0.1:0");
     command
         .env("UNIGROUND_API_KEY", "planted-service-key")
@@ -85,9 +106,17 @@ async fn secrets_never_reach_the_log() {
         .args(["--vlm-url", &address, "--vlm-model", "scripted", "--vlm-attempts", "1"])
         .stderr(fs::File::create(&log).unwrap());
     let mut process = Process::started(&mut command);
-    let own = process.client.request(Method::GET, "healthz").build().unwrap().url().origin().ascii_serialization();
+    let own = process
+        .client
+        .request(Method::GET, "healthz")
+        .build()
+        .unwrap()
+        .url()
+        .origin()
+        .ascii_serialization();
     process.client = Client::new(&own, Some("planted-service-key".into())).unwrap();
-    let created = process.client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap();
+    let created =
+        process.client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap();
     finished(&process.client, &created.job.unwrap().id).await;
     process.client.ground(&created.scene.id, &ask("the red sofa")).await.unwrap();
     process.kill();

@@ -20,7 +20,11 @@ fn labelled(labels: &[(&str, &str)]) -> Labels {
 }
 
 async fn filed(client: &Client, scene: &Scene, name: &str, labels: &[(&str, &str)]) {
-    let change = SceneChange { name: Some(name.into()), labels: Some(labelled(labels)), ..SceneChange::default() };
+    let change = SceneChange {
+        name: Some(name.into()),
+        labels: Some(labelled(labels)),
+        ..SceneChange::default()
+    };
     let changed = client.change_scene(&scene.id, &change).await.unwrap();
     assert_eq!((changed.name.as_str(), &changed.labels), (name, &labelled(labels)));
 }
@@ -35,7 +39,11 @@ async fn the_room_that_has_it_comes_first() {
     filed(client, &with, "office", &[("building", "A"), ("floor", "2")]).await;
     filed(client, &without, "hall", &[("building", "A"), ("floor", "1")]).await;
     let asked = client.ground_many(&ManyGroundRequest::of("the green trash can")).await.unwrap();
-    assert_eq!((asked.looked_into, asked.answers.len(), &asked.not_asked[..]), (2, 2, &[][..]), "{asked:?}");
+    assert_eq!(
+        (asked.looked_into, asked.answers.len(), &asked.not_asked[..]),
+        (2, 2, &[][..]),
+        "{asked:?}"
+    );
     let best = &asked.answers[0];
     assert_eq!((best.scene_name.as_str(), &best.answer.scene_id), ("office", &with.id));
     assert_ne!(best.answer.status, Status::NoMatch);
@@ -56,16 +64,21 @@ async fn the_room_that_has_it_comes_first() {
     assert_eq!((asked.looked_into, asked.answers.len()), (0, 0));
 
     // What is not parsed is told of, and stops nobody.
-    let stored = client.request(Method::POST, "v1/scenes?parse=false").header("content-type", "application/zip");
-    let stored: Created = stored.body(Scan::neutral().zip()).send().await.unwrap().json().await.unwrap();
+    let stored = client
+        .request(Method::POST, "v1/scenes?parse=false")
+        .header("content-type", "application/zip");
+    let stored: Created =
+        stored.body(Scan::neutral().zip()).send().await.unwrap().json().await.unwrap();
     let asked = client.ground_many(&one).await.unwrap();
     assert_eq!((asked.looked_into, asked.answers.len()), (2, 1));
-    let codes: Vec<(&str, &str)> = asked.not_asked.iter().map(|not| (not.scene_id.as_str(), not.code.as_str())).collect();
+    let codes: Vec<(&str, &str)> =
+        asked.not_asked.iter().map(|not| (not.scene_id.as_str(), not.code.as_str())).collect();
     assert_eq!(codes, [(stored.scene.id.as_str(), "scene_not_ready")]);
     server.stop().await;
 }
 
-/// Of more rooms than can be looked into one by one those are that are known to have it, also once somebody has said what it is called.
+/// Of more rooms than can be looked into one by one those are that are known to have it, also once
+/// somebody has said what it is called.
 #[tokio::test(flavor = "multi_thread")]
 async fn among_a_thousand_rooms_the_likely_ones_are_looked_into() {
     let server = TestServer::start().await;
@@ -83,7 +96,10 @@ async fn among_a_thousand_rooms_the_likely_ones_are_looked_into() {
     }
     let found = async |query: &str, id: &str| {
         for _ in 0..100 {
-            let asked = client.ground_many(&ManyGroundRequest { top_k: 1, ..ManyGroundRequest::of(query) }).await.unwrap();
+            let asked = client
+                .ground_many(&ManyGroundRequest { top_k: 1, ..ManyGroundRequest::of(query) })
+                .await
+                .unwrap();
             assert!(asked.narrowed && asked.looked_into <= 200, "{asked:?}");
             if asked.answers.iter().any(|found| found.answer.scene_id == id) {
                 return true;
@@ -101,7 +117,10 @@ async fn among_a_thousand_rooms_the_likely_ones_are_looked_into() {
         .await
         .unwrap();
     assert!(found("the theremin", &with.id).await);
-    let elsewhere = ManyGroundRequest { labels: labelled(&[("floor", "9")]), ..ManyGroundRequest::of("the theremin") };
+    let elsewhere = ManyGroundRequest {
+        labels: labelled(&[("floor", "9")]),
+        ..ManyGroundRequest::of("the theremin")
+    };
     assert_eq!(client.ground_many(&elsewhere).await.unwrap().looked_into, 0);
     server.stop().await;
 }
@@ -115,14 +134,17 @@ async fn labels_are_what_was_said_last() {
     filed(client, &scene, "den", &[("building", "A"), ("floor", "2")]).await;
     // A name that is given anew changes nothing else.
     assert_eq!(client.rename_scene(&scene.id, "study").await.unwrap().labels.len(), 2);
-    let listed = async |labels: &str| client.scenes_labelled(labels, 10, None).await.map(|page| page.scenes.len());
+    let listed = async |labels: &str| {
+        client.scenes_labelled(labels, 10, None).await.map(|page| page.scenes.len())
+    };
     assert_eq!(listed("building=A").await.unwrap(), 1);
     assert_eq!(listed("building=A,floor=2").await.unwrap(), 1);
     assert_eq!(listed("building=A,floor=3").await.unwrap(), 0);
     assert_eq!(problem(listed("building").await).code, "invalid_request");
     filed(client, &scene, "study", &[]).await;
     assert_eq!(listed("building=A").await.unwrap(), 0);
-    let wrong = SceneChange { labels: Some(labelled(&[("two words", "x")])), ..SceneChange::default() };
+    let wrong =
+        SceneChange { labels: Some(labelled(&[("two words", "x")])), ..SceneChange::default() };
     assert_eq!(problem(client.change_scene(&scene.id, &wrong).await).code, "invalid_request");
     server.stop().await;
 }
@@ -132,12 +154,20 @@ async fn what_can_not_be_asked_is_named() {
     let server = TestServer::start().await;
     let client = &server.client;
     let asked = || ManyGroundRequest::of("the red sofa");
-    let refused = async |request: ManyGroundRequest| problem(client.ground_many(&request).await).code;
+    let refused =
+        async |request: ManyGroundRequest| problem(client.ground_many(&request).await).code;
     assert_eq!(refused(ManyGroundRequest { top_k: 21, ..asked() }).await, "invalid_request");
-    assert_eq!(refused(ManyGroundRequest { scenes: Some(Vec::new()), ..asked() }).await, "invalid_request");
+    assert_eq!(
+        refused(ManyGroundRequest { scenes: Some(Vec::new()), ..asked() }).await,
+        "invalid_request"
+    );
     let nobody = "01a1ff70-0000-7000-8000-000000000001".to_owned();
-    assert_eq!(refused(ManyGroundRequest { scenes: Some(vec![nobody]), ..asked() }).await, "scene_not_found");
-    let keyed = client.request(Method::POST, "v1/ground").header("idempotency-key", "k").json(&asked());
+    assert_eq!(
+        refused(ManyGroundRequest { scenes: Some(vec![nobody]), ..asked() }).await,
+        "scene_not_found"
+    );
+    let keyed =
+        client.request(Method::POST, "v1/ground").header("idempotency-key", "k").json(&asked());
     assert_eq!(keyed.send().await.unwrap().status(), StatusCode::UNPROCESSABLE_ENTITY);
     // No scene at all is no error: it is nowhere.
     let nowhere = client.ground_many(&asked()).await.unwrap();
@@ -152,7 +182,8 @@ async fn vectors_want_a_database_that_can_keep_them() {
     config.database.vectors = Vectors::Pgvector;
     let told = format!("{:#}", app::start(&config).await.err().unwrap());
     assert!(
-        told.contains("--vectors pgvector") && (told.contains("SQLite") || told.contains("CREATE EXTENSION")),
+        told.contains("--vectors pgvector")
+            && (told.contains("SQLite") || told.contains("CREATE EXTENSION")),
         "{told}"
     );
 }

@@ -1,4 +1,5 @@
-//! The tools of the Model Context Protocol, as they go over the wire. Clients that exist are tried in `tests/mcp`.
+//! The tools of the Model Context Protocol, as they go over the wire. Clients that exist are tried
+//! in `tests/mcp`.
 
 use crate::server::TestServer;
 use base64::Engine;
@@ -11,13 +12,17 @@ use uniground_client::Client;
 use uniground_types::keys::{NewKey, Scope};
 
 async fn send(client: &Client, message: &Value) -> (StatusCode, String) {
-    let request = client.request(Method::POST, "mcp").header(header::ACCEPT, "application/json, text/event-stream");
-    let response = request.header("mcp-protocol-version", "2025-06-18").json(message).send().await.unwrap();
+    let request = client
+        .request(Method::POST, "mcp")
+        .header(header::ACCEPT, "application/json, text/event-stream");
+    let response =
+        request.header("mcp-protocol-version", "2025-06-18").json(message).send().await.unwrap();
     (response.status(), response.text().await.unwrap())
 }
 
 async fn result(client: &Client, method: &str, params: Value) -> Value {
-    let (status, text) = send(client, &json!({"jsonrpc": "2.0", "id": 7, "method": method, "params": params})).await;
+    let (status, text) =
+        send(client, &json!({"jsonrpc": "2.0", "id": 7, "method": method, "params": params})).await;
     let reply: Value = serde_json::from_str(&text).unwrap_or_else(|_| panic!("{status}: {text}"));
     assert!(status == 200 && reply["id"] == 7 && reply["result"].is_object(), "{reply:#}");
     reply["result"].clone()
@@ -34,34 +39,74 @@ async fn an_agent_finds_the_mug_and_where_to_stand_for_it() {
     let client = &server.client;
     let hello = json!({"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "test", "version": "1"}});
     let welcome = result(client, "initialize", hello).await;
-    assert_eq!((&welcome["protocolVersion"], &welcome["serverInfo"]["name"]), (&json!("2025-06-18"), &json!("uniground")));
+    assert_eq!(
+        (&welcome["protocolVersion"], &welcome["serverInfo"]["name"]),
+        (&json!("2025-06-18"), &json!("uniground"))
+    );
     assert!(welcome["instructions"].as_str().unwrap().contains("list_scenes"));
 
     let tools = result(client, "tools/list", json!({})).await;
-    let names: Vec<&str> = tools["tools"].as_array().unwrap().iter().map(|tool| tool["name"].as_str().unwrap()).collect();
+    let names: Vec<&str> = tools["tools"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|tool| tool["name"].as_str().unwrap())
+        .collect();
     assert_eq!(
         names,
-        ["list_scenes", "ground", "find_in_scenes", "list_objects", "get_object", "relations", "approach", "render_view"]
+        [
+            "list_scenes",
+            "ground",
+            "find_in_scenes",
+            "list_objects",
+            "get_object",
+            "relations",
+            "approach",
+            "render_view"
+        ]
     );
     let text = tools.to_string();
     assert!(!text.contains("#/components/"), "schemas are whole");
 
     let scenes = call(client, "list_scenes", json!({"name": "LIVING"})).await;
-    assert_eq!(scenes["structuredContent"]["scenes"][0]["scene_id"], scene.id.as_str(), "{scenes:#}");
-    assert_eq!(call(client, "list_scenes", json!({"name": "no such"})).await["structuredContent"]["scenes"], json!([]));
-    let answer = call(client, "ground", json!({"scene_id": scene.id, "query": "the mug on the coffee table"})).await;
+    assert_eq!(
+        scenes["structuredContent"]["scenes"][0]["scene_id"],
+        scene.id.as_str(),
+        "{scenes:#}"
+    );
+    assert_eq!(
+        call(client, "list_scenes", json!({"name": "no such"})).await["structuredContent"]["scenes"],
+        json!([])
+    );
+    let answer = call(
+        client,
+        "ground",
+        json!({"scene_id": scene.id, "query": "the mug on the coffee table"}),
+    )
+    .await;
     let found = &answer["structuredContent"];
-    assert_eq!((&found["status"], &answer["isError"]), (&json!("grounded"), &json!(false)), "{answer:#}");
+    assert_eq!(
+        (&found["status"], &answer["isError"]),
+        (&json!("grounded"), &json!(false)),
+        "{answer:#}"
+    );
     // Clients that know no structured content read the same.
-    let as_text: Value = serde_json::from_str(answer["content"][0]["text"].as_str().unwrap()).unwrap();
+    let as_text: Value =
+        serde_json::from_str(answer["content"][0]["text"].as_str().unwrap()).unwrap();
     assert_eq!(&as_text, found);
     let mug = found["targets"][0]["id"].as_u64().unwrap();
 
-    let anywhere = call(client, "find_in_scenes", json!({"query": "the mug on the coffee table"})).await;
+    let anywhere =
+        call(client, "find_in_scenes", json!({"query": "the mug on the coffee table"})).await;
     let anywhere = &anywhere["structuredContent"];
-    assert_eq!((&anywhere["looked_into"], &anywhere["found"][0]["scene_id"]), (&json!(1), &json!(scene.id)), "{anywhere:#}");
+    assert_eq!(
+        (&anywhere["looked_into"], &anywhere["found"][0]["scene_id"]),
+        (&json!(1), &json!(scene.id)),
+        "{anywhere:#}"
+    );
     assert_eq!(anywhere["found"][0]["targets"][0]["id"], mug);
-    let elsewhere = call(client, "find_in_scenes", json!({"query": "the mug", "labels": {"floor": "9"}})).await;
+    let elsewhere =
+        call(client, "find_in_scenes", json!({"query": "the mug", "labels": {"floor": "9"}})).await;
     assert_eq!(elsewhere["structuredContent"]["found"], json!([]));
 
     let listed = call(client, "list_objects", json!({"scene_id": scene.id, "name": "mug"})).await;
@@ -73,13 +118,20 @@ async fn an_agent_finds_the_mug_and_where_to_stand_for_it() {
             .any(|object| object["instance_id"] == mug),
         "{listed:#}"
     );
-    let object = call(client, "get_object", json!({"scene_id": scene.id, "instance_id": mug})).await;
-    assert_eq!((&object["structuredContent"]["id"], &object["content"][1]["mimeType"]), (&json!(mug), &json!("image/jpeg")));
-    let relations = call(client, "relations", json!({"scene_id": scene.id, "instance_id": mug})).await;
+    let object =
+        call(client, "get_object", json!({"scene_id": scene.id, "instance_id": mug})).await;
+    assert_eq!(
+        (&object["structuredContent"]["id"], &object["content"][1]["mimeType"]),
+        (&json!(mug), &json!("image/jpeg"))
+    );
+    let relations =
+        call(client, "relations", json!({"scene_id": scene.id, "instance_id": mug})).await;
     assert!(relations["content"][0]["text"].as_str().unwrap().contains("table"), "{relations:#}");
 
     let robot = json!({"radius_m": 0.2, "height_m": 1.3, "eye_height_m": 1.2});
-    let stand = call(client, "approach", json!({"scene_id": scene.id, "instance_id": mug, "robot": robot})).await;
+    let stand =
+        call(client, "approach", json!({"scene_id": scene.id, "instance_id": mug, "robot": robot}))
+            .await;
     assert_eq!(stand["structuredContent"]["status"], "found", "{stand:#}");
     for arguments in [
         json!({"scene_id": scene.id, "instance_ids": [mug]}),
@@ -99,7 +151,8 @@ async fn an_agent_finds_the_mug_and_where_to_stand_for_it() {
         .find(|one| one["uri"].as_str().unwrap().ends_with("/report"))
         .unwrap();
     let read = result(client, "resources/read", json!({"uri": report["uri"]})).await;
-    let report: Value = serde_json::from_str(read["contents"][0]["text"].as_str().unwrap()).unwrap();
+    let report: Value =
+        serde_json::from_str(read["contents"][0]["text"].as_str().unwrap()).unwrap();
     assert_eq!(report["scene_id"], scene.id.as_str(), "{report:#}");
     server.stop().await;
 }
@@ -114,7 +167,11 @@ async fn what_goes_wrong_is_told_to_the_model() {
         ("ground", json!({"scene_id": nobody, "query": "the sofa"}), "scene_not_found"),
         ("ground", json!({"scene_id": nobody, "query": " "}), "/query"),
         ("ground", json!({"scene_id": nobody}), "missing field `query`"),
-        ("ground", json!({"scene_id": nobody, "query": "x", "observer": {"position": [0, 0]}}), "/observer/position"),
+        (
+            "ground",
+            json!({"scene_id": nobody, "query": "x", "observer": {"position": [0, 0]}}),
+            "/observer/position",
+        ),
         ("ground", json!({"scene_id": nobody, "question": "the sofa"}), "unknown field `question`"),
         (
             "approach",
@@ -127,7 +184,11 @@ async fn what_goes_wrong_is_told_to_the_model() {
         let text = reply["content"][0]["text"].as_str().unwrap();
         assert!(reply["isError"] == true && text.contains(told), "{tool} {arguments}: {reply:#}");
     }
-    let (status, text) = send(client, &json!({"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": {"name": "sing"}})).await;
+    let (status, text) = send(
+        client,
+        &json!({"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": {"name": "sing"}}),
+    )
+    .await;
     assert!(status == 200 && text.contains("there is no tool"), "{status} {text}");
     let (_, text) = send(
         client,
@@ -135,7 +196,8 @@ async fn what_goes_wrong_is_told_to_the_model() {
     )
     .await;
     assert!(text.contains("resources are uniground://"), "{text}");
-    let (status, _) = send(client, &json!({"jsonrpc": "2.0", "method": "notifications/initialized"})).await;
+    let (status, _) =
+        send(client, &json!({"jsonrpc": "2.0", "method": "notifications/initialized"})).await;
     assert_eq!(status, StatusCode::ACCEPTED);
 
     // The transport's own refusals are problems as everywhere.
@@ -148,17 +210,30 @@ async fn what_goes_wrong_is_told_to_the_model() {
     assert_eq!(plain.status(), StatusCode::NOT_ACCEPTABLE);
     assert_eq!(plain.headers()[header::CONTENT_TYPE], "application/problem+json");
     for body in ["hello", "[]", ""] {
-        let request = client.request(Method::POST, "mcp").header(header::ACCEPT, "application/json, text/event-stream");
-        let refused = request.header(header::CONTENT_TYPE, "application/json").body(body).send().await.unwrap();
+        let request = client
+            .request(Method::POST, "mcp")
+            .header(header::ACCEPT, "application/json, text/event-stream");
+        let refused = request
+            .header(header::CONTENT_TYPE, "application/json")
+            .body(body)
+            .send()
+            .await
+            .unwrap();
         assert_eq!(refused.status(), StatusCode::BAD_REQUEST, "{body}");
         assert_eq!(refused.json::<Value>().await.unwrap()["code"], "malformed_json");
     }
     let cursor = call(client, "list_scenes", json!({"cursor": "x"})).await;
     assert!(
-        cursor["isError"] == true && cursor["content"][0]["text"].as_str().unwrap().contains("next_cursor"),
+        cursor["isError"] == true
+            && cursor["content"][0]["text"].as_str().unwrap().contains("next_cursor"),
         "{cursor:#}"
     );
-    let get = client.request(Method::GET, "mcp").header(header::ACCEPT, "text/event-stream").send().await.unwrap();
+    let get = client
+        .request(Method::GET, "mcp")
+        .header(header::ACCEPT, "text/event-stream")
+        .send()
+        .await
+        .unwrap();
     assert_eq!(get.status(), StatusCode::METHOD_NOT_ALLOWED);
     server.stop().await;
 }
@@ -179,8 +254,14 @@ async fn agents_show_keys_and_come_from_no_other_page() {
         .await
         .unwrap();
     assert_eq!(foreign.status(), StatusCode::FORBIDDEN);
-    let new =
-        NewKey { name: "agent".into(), scope: Scope::Read, expires_at: None, requests_per_minute: None, max_scenes: None, daily_usd: None };
+    let new = NewKey {
+        name: "agent".into(),
+        scope: Scope::Read,
+        expires_at: None,
+        requests_per_minute: None,
+        max_scenes: None,
+        daily_usd: None,
+    };
     let key = server.client.create_key(&new).await.unwrap();
     assert_eq!(send(&server.client, &ping).await.0, StatusCode::UNAUTHORIZED);
     let agent = Client::new(&server.url(), Some(key.secret)).unwrap();
@@ -193,8 +274,15 @@ async fn agents_show_keys_and_come_from_no_other_page() {
 fn over_stdio_a_folder_is_served() {
     let data = tempfile::tempdir().unwrap();
     let mut program = Command::new(env!("CARGO_BIN_EXE_uniground"));
-    program.args(["mcp", "--masks", "builtin", "--encoder", "builtin", "--data-dir"]).arg(data.path());
-    let mut program = program.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    program
+        .args(["mcp", "--masks", "builtin", "--encoder", "builtin", "--data-dir"])
+        .arg(data.path());
+    let mut program = program
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
     let mut stdin = program.stdin.take().unwrap();
     let mut lines = BufReader::new(program.stdout.take().unwrap()).lines();
     let hello = json!({"protocolVersion": "2025-11-25", "capabilities": {}, "clientInfo": {"name": "test", "version": "1"}});
@@ -203,7 +291,9 @@ fn over_stdio_a_folder_is_served() {
     let welcome: Value = serde_json::from_str(&lines.next().unwrap().unwrap()).unwrap();
     assert_eq!(welcome["result"]["protocolVersion"], "2025-11-25");
     say(json!({"jsonrpc": "2.0", "method": "notifications/initialized"}));
-    say(json!({"jsonrpc": "2.0", "id": 2, "method": "tools/call", "params": {"name": "list_scenes", "arguments": {}}}));
+    say(
+        json!({"jsonrpc": "2.0", "id": 2, "method": "tools/call", "params": {"name": "list_scenes", "arguments": {}}}),
+    );
     let scenes: Value = serde_json::from_str(&lines.next().unwrap().unwrap()).unwrap();
     assert_eq!(scenes["result"]["structuredContent"], json!({"scenes": [], "next_cursor": null}));
     drop(stdin);

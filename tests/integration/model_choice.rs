@@ -1,4 +1,5 @@
-//! Which models a process works with: what lies in the folder of bundles, what was named, and what happens where something is broken.
+//! Which models a process works with: what lies in the folder of bundles, what was named, and what
+//! happens where something is broken.
 
 use crate::server::{Process, command};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -15,7 +16,8 @@ fn tiny() -> Utf8PathBuf {
 }
 
 fn config(models: &Utf8Path, masks: &str, encoder: &str) -> ModelsConfig {
-    let library = std::env::var("ORT_DYLIB_PATH").map_or_else(|_| root().join(".onnxruntime/libonnxruntime.so"), Utf8PathBuf::from);
+    let library = std::env::var("ORT_DYLIB_PATH")
+        .map_or_else(|_| root().join(".onnxruntime/libonnxruntime.so"), Utf8PathBuf::from);
     let runtime = RuntimeConfig { onnxruntime_lib: Some(library), ..RuntimeConfig::default() };
     let bundles = BundlesConfig { models: models.to_owned(), runtime, ..BundlesConfig::default() };
     ModelsConfig { masks: masks.into(), encoder: encoder.into(), bundles }
@@ -46,7 +48,8 @@ fn what_lies_there_is_taken_the_first_by_name() {
     let chosen = config(&tiny(), AUTO, AUTO).load().unwrap();
     assert_eq!(names(&chosen), ["tiny-segmenter", "tiny-dual-encoder"]);
     assert!(
-        chosen.told.contains("masks: tiny-segmenter (found in") && chosen.told.contains("--masks builtin"),
+        chosen.told.contains("masks: tiny-segmenter (found in")
+            && chosen.told.contains("--masks builtin"),
         "{}",
         chosen.told
     );
@@ -66,7 +69,11 @@ fn where_nothing_lies_everything_is_built_in() {
         let mut config = config(models, AUTO, AUTO);
         config.bundles.runtime.onnxruntime_lib = Some("/nowhere/libonnxruntime.so".into());
         let chosen = config.load().unwrap();
-        assert!(chosen.models.loaded.is_empty() && chosen.warnings.is_empty(), "{:?}", chosen.warnings);
+        assert!(
+            chosen.models.loaded.is_empty() && chosen.warnings.is_empty(),
+            "{:?}",
+            chosen.warnings
+        );
         assert_eq!(chosen.told.matches("uniground models fetch").count(), 2, "{}", chosen.told);
     }
 }
@@ -102,7 +109,8 @@ fn a_library_that_was_named_must_be_there() {
     assert!(format!("{error:#}").contains("/nowhere/libonnxruntime.so"), "{error:#}");
 }
 
-/// Nothing can be fetched and no library is there: the server starts with built-in parts and says why.
+/// Nothing can be fetched and no library is there: the server starts with built-in parts and says
+/// why.
 #[tokio::test]
 async fn a_server_that_can_not_fetch_its_models_starts_without() {
     let (_folder, work) = folder();

@@ -43,11 +43,13 @@ impl House {
 
     fn server(&self, data: &Utf8Path, database: &str) -> Server {
         let mut command = command(data, "127.0.0.1:0");
-        command.args(["--vlm-url", &self.model, "--vlm-model", "scripted", "--vlm-prompt-usd", "2"]).envs([
-            ("UNIGROUND_DATABASE", database),
-            ("UNIGROUND_API_KEY", KEY),
-            ("UNIGROUND_BLOBS", "folder"),
-        ]);
+        command
+            .args(["--vlm-url", &self.model, "--vlm-model", "scripted", "--vlm-prompt-usd", "2"])
+            .envs([
+                ("UNIGROUND_DATABASE", database),
+                ("UNIGROUND_API_KEY", KEY),
+                ("UNIGROUND_BLOBS", "folder"),
+            ]);
         let process = Process::started(command.stderr(Stdio::null()));
         let url = process.client.request(Method::GET, "").build().unwrap().url().to_string();
         Server { client: Client::new(&url, Some(KEY.into())).unwrap(), process }
@@ -109,7 +111,11 @@ fn not_served(data: &Utf8Path, database: &str) -> String {
 }
 
 fn said(output: &Output) -> String {
-    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+    format!(
+        "{}{}",
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr)
+    )
 }
 
 /// A folder that everything was done in; the addresses of all that came of it.
@@ -129,7 +135,12 @@ async fn live(server: &Server) -> Lived {
     let job = finished(client, &created.job.unwrap().id).await;
     assert_eq!(job.error, None);
     let filed = json!({"labels": {"building": "A"}, "scene_to_map": {"rotation": [0.0, 0.0, 0.6, 0.8], "translation_m": [1.0, 2.0, 0.1]}});
-    let change = client.request(Method::PATCH, &format!("v1/scenes/{scene}")).json(&filed).send().await.unwrap();
+    let change = client
+        .request(Method::PATCH, &format!("v1/scenes/{scene}"))
+        .json(&filed)
+        .send()
+        .await
+        .unwrap();
     assert_eq!(change.status(), 200, "{}", change.text().await.unwrap());
 
     let asked: Value = server.asked_once(&scene).send().await.unwrap().json().await.unwrap();
@@ -149,17 +160,22 @@ async fn live(server: &Server) -> Lived {
         .correct(&scene, &Change::Rename { instance_id, name: "Grandma's bench".into() })
         .await
         .unwrap();
-    let junk = client.correct(&scene, &Change::Dismiss { instance_ids: vec![instance_id] }).await.unwrap();
+    let junk =
+        client.correct(&scene, &Change::Dismiss { instance_ids: vec![instance_id] }).await.unwrap();
     client.undo_correction(&scene, &junk.id).await.unwrap();
 
     let mut batches = Vec::new();
-    for (bounds, key) in [(json!({}), None), (json!({"max_cost_usd": 0.1, "concurrency": 2, "label": "monday"}), Some("list"))] {
+    for (bounds, key) in [
+        (json!({}), None),
+        (json!({"max_cost_usd": 0.1, "concurrency": 2, "label": "monday"}), Some("list")),
+    ] {
         let items: Vec<_> = ["the red sofa", "the fridge", ""]
             .map(|query| json!({"query": query, "reasoner": "builtin"}))
             .to_vec();
         let mut request = json!({"items": items, "defaults": {"scene_id": scene}});
         request.as_object_mut().unwrap().extend(bounds.as_object().unwrap().clone());
-        let batch = client.create_batch(&serde_json::from_value(request).unwrap(), key).await.unwrap();
+        let batch =
+            client.create_batch(&serde_json::from_value(request).unwrap(), key).await.unwrap();
         finished(client, batch.job_id.as_deref().unwrap()).await;
         assert_eq!(client.batch(&batch.id).await.unwrap().state, BatchState::Succeeded);
         batches.push(batch.id);
@@ -205,13 +221,24 @@ async fn live(server: &Server) -> Lived {
         "/instances/1/views/0.jpg",
         "/export?format=glb",
     ];
-    let mut paths: Vec<String> = of_scene.iter().map(|path| format!("v1/scenes/{scene}{path}")).collect();
-    paths.extend(["scenes", "scenes?labels=building=A", "answers", "batches", "keys", "jobs", "audit"].map(|list| format!("v1/{list}")));
+    let mut paths: Vec<String> =
+        of_scene.iter().map(|path| format!("v1/scenes/{scene}{path}")).collect();
+    paths.extend(
+        ["scenes", "scenes?labels=building=A", "answers", "batches", "keys", "jobs", "audit"]
+            .map(|list| format!("v1/{list}")),
+    );
     for answer in [&asked, &other] {
         paths.push(format!("v1/answers/{}", answer["id"].as_str().unwrap()));
     }
-    paths.extend(["prompt", "reply"].map(|part| format!("v1/answers/{}/{part}", asked["id"].as_str().unwrap())));
-    paths.extend(batches.iter().flat_map(|id| [format!("v1/batches/{id}"), format!("v1/batches/{id}/results")]));
+    paths.extend(
+        ["prompt", "reply"]
+            .map(|part| format!("v1/answers/{}/{part}", asked["id"].as_str().unwrap())),
+    );
+    paths.extend(
+        batches
+            .iter()
+            .flat_map(|id| [format!("v1/batches/{id}"), format!("v1/batches/{id}/results")]),
+    );
     paths.extend([format!("v1/jobs/{}", job.id), upload.clone()]);
     Lived { scene, upload, paths }
 }
@@ -220,7 +247,8 @@ async fn live(server: &Server) -> Lived {
 async fn told(server: &Server, paths: &[String]) -> Vec<(String, Vec<u8>)> {
     let mut told = Vec::new();
     for path in paths {
-        let bytes = server.client.bytes(path).await.unwrap_or_else(|error| panic!("{path}: {error}"));
+        let bytes =
+            server.client.bytes(path).await.unwrap_or_else(|error| panic!("{path}: {error}"));
         assert!(!bytes.is_empty(), "{path}");
         told.push((path.clone(), bytes));
     }
@@ -229,15 +257,24 @@ async fn told(server: &Server, paths: &[String]) -> Vec<(String, Vec<u8>)> {
 
 fn assert_same(told: &[(String, Vec<u8>)], before: &[(String, Vec<u8>)]) {
     for ((path, told), (_, before)) in told.iter().zip(before) {
-        let text = |bytes: &[u8]| String::from_utf8_lossy(&bytes[..bytes.len().min(2000)]).into_owned();
+        let text =
+            |bytes: &[u8]| String::from_utf8_lossy(&bytes[..bytes.len().min(2000)]).into_owned();
         assert!(told == before, "{path}: {}\n{}", text(told), text(before));
     }
 }
 
-/// What is no retry, and what goes on: a key has its answer, bytes their parse, half an upload its other half.
-async fn goes_on(server: &Server, Lived { scene, upload, .. }: &Lived, before: &[(String, Vec<u8>)]) {
+/// What is no retry, and what goes on: a key has its answer, bytes their parse, half an upload its
+/// other half.
+async fn goes_on(
+    server: &Server,
+    Lived { scene, upload, .. }: &Lived,
+    before: &[(String, Vec<u8>)],
+) {
     let again = server.asked_once(scene).send().await.unwrap();
-    assert_eq!((again.status(), again.headers()["idempotent-replayed"].to_str().unwrap()), (StatusCode::OK, "true"));
+    assert_eq!(
+        (again.status(), again.headers()["idempotent-replayed"].to_str().unwrap()),
+        (StatusCode::OK, "true")
+    );
     let answer: Value = again.json().await.unwrap();
     let path = format!("v1/answers/{}", answer["id"].as_str().unwrap());
     let kept = &before.iter().find(|(known, _)| *known == path).unwrap().1;
@@ -268,7 +305,8 @@ async fn goes_on(server: &Server, Lived { scene, upload, .. }: &Lived, before: &
         .unwrap();
     assert_eq!(rest.status(), 204, "{}", rest.text().await.unwrap());
     // Nothing is at work any more when the server is asked next.
-    let made: Upload = client.request(Method::GET, upload).send().await.unwrap().json().await.unwrap();
+    let made: Upload =
+        client.request(Method::GET, upload).send().await.unwrap().json().await.unwrap();
     assert_eq!(finished(client, &made.job_id.unwrap()).await.error, None);
 }
 
@@ -296,7 +334,17 @@ async fn a_store_moves_over_and_back_byte_for_byte() {
         (&moved["rows"]["scenes"], &moved["rows"]["batch_items"], &moved["damaged"]),
         (&json!(1), &json!(6), &json!([]))
     );
-    for table in ["instances", "answers", "question_keys", "idempotency_keys", "corrections", "keys", "audit", "uploads", "spending"] {
+    for table in [
+        "instances",
+        "answers",
+        "question_keys",
+        "idempotency_keys",
+        "corrections",
+        "keys",
+        "audit",
+        "uploads",
+        "spending",
+    ] {
         assert!(moved["rows"][table].as_u64().unwrap() > 0, "{table}: {moved}");
     }
     assert_whole(&new, &database);
@@ -360,12 +408,18 @@ async fn what_can_not_be_a_target_is_refused_and_nothing_changes() {
     let house = House::new().await;
     let (data, other, full) = (house.at("data"), house.at("other"), house.at("full"));
     let server = house.server(&data, SQLITE);
-    assert!(refused((&data, SQLITE), (&other, SQLITE)).contains("another server uses this data folder"));
+    assert!(
+        refused((&data, SQLITE), (&other, SQLITE)).contains("another server uses this data folder")
+    );
     server.stop();
     house.server(&other, SQLITE).stop();
     fs::create_dir(&full).unwrap();
     fs::write(full.join("thesis.tex"), "words").unwrap();
-    for (to, why) in [(&other, "is not empty"), (&full, "is not empty (thesis.tex)"), (&data.join("new"), "can not lie in the other")] {
+    for (to, why) in [
+        (&other, "is not empty"),
+        (&full, "is not empty (thesis.tex)"),
+        (&data.join("new"), "can not lie in the other"),
+    ] {
         let told = refused((&data, SQLITE), (to, SQLITE));
         assert!(told.contains(why), "{to}: {told}");
     }
@@ -386,7 +440,8 @@ async fn what_can_not_be_a_target_is_refused_and_nothing_changes() {
     migrate((&data, SQLITE), (&free, &elsewhere(&free)));
 }
 
-/// A row that refers to nothing is none that can be kept: what came before it is nobody's, and once it is mended all of it moves.
+/// A row that refers to nothing is none that can be kept: what came before it is nobody's, and once
+/// it is mended all of it moves.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_ends_in_the_middle_is_not_served_and_can_be_run_again() {
     let house = House::new().await;
@@ -409,7 +464,8 @@ async fn what_ends_in_the_middle_is_not_served_and_can_be_run_again() {
         assert!(not_served(&new, &database).contains("run the same `uniground migrate` again"));
     }
     execute("DELETE FROM answers WHERE id = 'stray'").await;
-    // To another database, should that be wished now: the half in the first one is nobody's for ever.
+    // To another database, should that be wished now: the half in the first one is nobody's for
+    // ever.
     let other = elsewhere(&house.at("other"));
     migrate((&old, SQLITE), (&new, &other));
     let server = house.server(&new, &other);
@@ -428,7 +484,10 @@ async fn a_killed_move_is_begun_again() {
     let (old, new) = (house.at("old"), house.at("new"));
     let database = elsewhere(&new);
     house.server(&old, SQLITE).stop();
-    let mut rows_of_old = SqliteConnection::connect(&format!("sqlite:{}", old.join("uniground.sqlite"))).await.unwrap();
+    let mut rows_of_old =
+        SqliteConnection::connect(&format!("sqlite:{}", old.join("uniground.sqlite")))
+            .await
+            .unwrap();
     let sql = "WITH RECURSIVE n (i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < $1)
                INSERT INTO audit (id, at, method, path, status)
                SELECT printf('018f0000-0000-7000-8000-%012x', i), '2026-11-24T00:00:00Z', 'POST', '/v1/scenes', 201 FROM n";
@@ -444,14 +503,17 @@ async fn a_killed_move_is_begun_again() {
     assert!(lines.any(|line| line.unwrap() == format!("rows of audit: {MANY}")));
     child.kill().unwrap();
     assert!(!child.wait().unwrap().success());
-    assert!(new.join("uniground-moving.json").exists() && !new.join("uniground-data.json").exists());
+    assert!(
+        new.join("uniground-moving.json").exists() && !new.join("uniground-data.json").exists()
+    );
     assert!(not_served(&new, &database).contains("run the same `uniground migrate` again"));
     let moved = migrate((&old, SQLITE), (&new, &database));
     assert_eq!(moved["rows"]["audit"], json!(MANY));
     assert!(!new.join("uniground-moving.json").exists());
     house.server(&new, &database).stop();
     let mut kept = rows(&new).await;
-    let count: i64 = sqlx::query_scalar("SELECT count(*) FROM audit").fetch_one(&mut kept).await.unwrap();
+    let count: i64 =
+        sqlx::query_scalar("SELECT count(*) FROM audit").fetch_one(&mut kept).await.unwrap();
     assert_eq!(count, MANY);
     kept.close().await.unwrap();
 }

@@ -1,4 +1,5 @@
-//! Neural models in the service: tiny bundles with random weights through a real server, and an inference server that misbehaves.
+//! Neural models in the service: tiny bundles with random weights through a real server, and an
+//! inference server that misbehaves.
 
 use crate::server::{TestServer, ask, command, finished, problem};
 use axum::Json;
@@ -31,18 +32,33 @@ fn sample() -> Vec<u8> {
 }
 
 fn bundles() -> BundlesConfig {
-    let library = std::env::var("ORT_DYLIB_PATH").map_or_else(|_| root().join(".onnxruntime/libonnxruntime.so"), Utf8PathBuf::from);
+    let library = std::env::var("ORT_DYLIB_PATH")
+        .map_or_else(|_| root().join(".onnxruntime/libonnxruntime.so"), Utf8PathBuf::from);
     let runtime = RuntimeConfig { onnxruntime_lib: Some(library), ..RuntimeConfig::default() };
-    BundlesConfig { models: root().join("crates/uniground-core/tests/data"), runtime, ..BundlesConfig::default() }
+    BundlesConfig {
+        models: root().join("crates/uniground-core/tests/data"),
+        runtime,
+        ..BundlesConfig::default()
+    }
 }
 
 /// A segmenter and an encoder with random weights.
 pub fn tiny() -> ModelsConfig {
-    ModelsConfig { masks: "tiny-segmenter".into(), encoder: "tiny-dual-encoder".into(), bundles: bundles() }
+    ModelsConfig {
+        masks: "tiny-segmenter".into(),
+        encoder: "tiny-dual-encoder".into(),
+        bundles: bundles(),
+    }
 }
 
 async fn server_with(models: ModelsConfig) -> TestServer {
-    TestServer::start_on(tempfile::tempdir().unwrap(), LimitsConfig::default(), VlmConfig::default(), models).await
+    TestServer::start_on(
+        tempfile::tempdir().unwrap(),
+        LimitsConfig::default(),
+        VlmConfig::default(),
+        models,
+    )
+    .await
 }
 
 /// Few prompts: these masks mean nothing anyway.
@@ -59,8 +75,17 @@ async fn reparsed(server: &TestServer, scene: &str, settings: Value) -> Job {
 async fn models_take_part_from_the_upload_to_the_answer() {
     let server = server_with(tiny()).await;
     let models = server.client.models().await.unwrap().models;
-    let roles: Vec<_> = models.iter().map(|m| (m.name.as_str(), m.role, m.runs_on.as_str(), m.dimensions)).collect();
-    assert_eq!(roles, [("tiny-segmenter", Role::Masks, "cpu", None), ("tiny-dual-encoder", Role::Encoder, "cpu", Some(64))]);
+    let roles: Vec<_> = models
+        .iter()
+        .map(|m| (m.name.as_str(), m.role, m.runs_on.as_str(), m.dimensions))
+        .collect();
+    assert_eq!(
+        roles,
+        [
+            ("tiny-segmenter", Role::Masks, "cpu", None),
+            ("tiny-dual-encoder", Role::Encoder, "cpu", Some(64))
+        ]
+    );
     assert!(models.iter().all(|m| m.fingerprint.len() == 64));
 
     let created = server.client.create_scene(None, "application/zip", sample()).await.unwrap();
@@ -79,14 +104,22 @@ async fn models_take_part_from_the_upload_to_the_answer() {
     };
     assert_eq!((used.masks, used.encoder.clone()), (label(Role::Masks), label(Role::Encoder)));
 
-    let request = |query_text, calibrated| ShortlistRequest { query_text, calibrated, ..ShortlistRequest::of("the red sofa") };
+    let request = |query_text, calibrated| ShortlistRequest {
+        query_text,
+        calibrated,
+        ..ShortlistRequest::of("the red sofa")
+    };
     let plain = server.client.shortlist(&scene, &request(QueryText::Mean, false)).await.unwrap();
     assert_eq!((plain.candidates.len(), plain.encoder.as_str()), (5, used.encoder.as_str()));
     assert!(plain.candidates.windows(2).all(|pair| pair[0].score >= pair[1].score));
-    assert_eq!(plain, server.client.shortlist(&scene, &request(QueryText::Mean, false)).await.unwrap());
+    assert_eq!(
+        plain,
+        server.client.shortlist(&scene, &request(QueryText::Mean, false)).await.unwrap()
+    );
     let target = server.client.shortlist(&scene, &request(QueryText::Target, false)).await.unwrap();
     assert_ne!(target.candidates, plain.candidates, "other words are compared");
-    let calibrated = server.client.shortlist(&scene, &request(QueryText::Mean, true)).await.unwrap();
+    let calibrated =
+        server.client.shortlist(&scene, &request(QueryText::Mean, true)).await.unwrap();
     assert_ne!(calibrated.candidates, plain.candidates);
     let long = ShortlistRequest::of("the chair ".repeat(30));
     assert!(server.client.shortlist(&scene, &long).await.unwrap().cut && !plain.cut);
@@ -106,7 +139,10 @@ async fn models_take_part_from_the_upload_to_the_answer() {
     )
     .unwrap();
     let instances = server.client.all_instances(&scene, Levels::All).await.unwrap();
-    assert_eq!(Embeddings::read(&rows, &norms).map(|e| (e.len(), e.dim())).unwrap(), (instances.len(), 64));
+    assert_eq!(
+        Embeddings::read(&rows, &norms).map(|e| (e.len(), e.dim())).unwrap(),
+        (instances.len(), 64)
+    );
 
     // The same settings again: nothing is computed.
     let again = reparsed(&server, &scene, json!({ "parsing": quick() })).await;
@@ -127,10 +163,20 @@ async fn a_scene_parsed_with_another_encoder_says_so() {
     let server = server_with(ModelsConfig { masks: "rgbd".into(), ..tiny() }).await;
     let scene = server.parsed(sample()).await.id;
     let data = server.give_back().await;
-    let plain = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await;
+    let plain = TestServer::start_on(
+        data,
+        LimitsConfig::default(),
+        VlmConfig::default(),
+        ModelsConfig::builtin(),
+    )
+    .await;
     let error = problem(plain.client.ground(&scene, &ask("the sofa")).await);
     assert_eq!((error.status, error.code.as_str()), (409, "encoder_changed"));
-    assert!(error.detail.contains("tiny-dual-encoder@") && error.detail.contains("attributes-2"), "{}", error.detail);
+    assert!(
+        error.detail.contains("tiny-dual-encoder@") && error.detail.contains("attributes-2"),
+        "{}",
+        error.detail
+    );
     let mut allowed = ask("the sofa");
     allowed.allow_builtin = true;
     let answer = plain.client.ground(&scene, &allowed).await.unwrap();
@@ -138,7 +184,10 @@ async fn a_scene_parsed_with_another_encoder_says_so() {
     assert!(answer.trace.unwrap().corrections[0].contains("parse it again"));
     let listed = plain
         .client
-        .shortlist(&scene, &ShortlistRequest { allow_builtin: true, ..ShortlistRequest::of("the sofa") })
+        .shortlist(
+            &scene,
+            &ShortlistRequest { allow_builtin: true, ..ShortlistRequest::of("the sofa") },
+        )
         .await
         .unwrap();
     assert_eq!(listed.encoder, "attributes-2");
@@ -153,16 +202,33 @@ fn a_server_whose_models_are_wrong_does_not_start() {
     let nowhere = ["--onnxruntime-lib", "/nowhere/libonnxruntime.so"];
     let there = ["--onnxruntime-lib", library.as_str()];
     for (flags, expected) in [
-        ([&nowhere[..], &["--encoder", "tiny-dual-encoder"]].concat(), "/nowhere/libonnxruntime.so"),
         (
-            [&["--onnxruntime-lib", concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml")][..], &["--encoder", "tiny-dual-encoder"]].concat(),
+            [&nowhere[..], &["--encoder", "tiny-dual-encoder"]].concat(),
+            "/nowhere/libonnxruntime.so",
+        ),
+        (
+            [
+                &["--onnxruntime-lib", concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml")][..],
+                &["--encoder", "tiny-dual-encoder"],
+            ]
+            .concat(),
             "Cargo.toml",
         ),
         ([&there[..], &["--encoder", "no-such-bundle"]].concat(), "no-such-bundle/model.json"),
         ([&there[..], &["--masks", "tiny-dual-encoder"]].concat(), "promptable-segmenter"),
-        ([&there[..], &["--encoder", "tiny-dual-encoder", "--provider", "cuda"]].concat(), "cuda is not there"),
         (
-            vec!["--encoder", "tiny-dual-encoder", "--inference-url", "http://127.0.0.1:9", "--inference-timeout-s", "1"],
+            [&there[..], &["--encoder", "tiny-dual-encoder", "--provider", "cuda"]].concat(),
+            "cuda is not there",
+        ),
+        (
+            vec![
+                "--encoder",
+                "tiny-dual-encoder",
+                "--inference-url",
+                "http://127.0.0.1:9",
+                "--inference-timeout-s",
+                "1",
+            ],
             "127.0.0.1:9",
         ),
     ] {
@@ -182,26 +248,43 @@ fn a_server_whose_models_are_wrong_does_not_start() {
 /// What lies in the folder, and whether it works, from the command line.
 #[test]
 fn bundles_are_listed_and_verified() {
-    let (folder, library) = (root().join("crates/uniground-core/tests/data"), bundles().runtime.onnxruntime_lib.unwrap());
+    let (folder, library) = (
+        root().join("crates/uniground-core/tests/data"),
+        bundles().runtime.onnxruntime_lib.unwrap(),
+    );
     let models = |args: &[&str]| {
         let mut program = Command::new(env!("CARGO_BIN_EXE_uniground"));
-        let output = program.arg("models").args(args).args(["--models", folder.as_str()]).output().unwrap();
+        let output =
+            program.arg("models").args(args).args(["--models", folder.as_str()]).output().unwrap();
         let told = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
         (output.status.code(), told(&output.stdout), told(&output.stderr))
     };
     let (code, listed, _) = models(&["list"]);
     assert_eq!(code, Some(0));
-    let row = |name: &str| listed.lines().find(|line| line.contains(name)).unwrap_or_default().to_owned();
-    assert!(row("tiny-dual-encoder").contains("--encoder") && row("tiny-segmenter-sam").contains("--masks"), "{listed}");
+    let row =
+        |name: &str| listed.lines().find(|line| line.contains(name)).unwrap_or_default().to_owned();
+    assert!(
+        row("tiny-dual-encoder").contains("--encoder")
+            && row("tiny-segmenter-sam").contains("--masks"),
+        "{listed}"
+    );
 
-    let verify = |more: &[&str]| models(&[&["verify", "--onnxruntime-lib", library.as_str()], more].concat());
+    let verify = |more: &[&str]| {
+        models(&[&["verify", "--onnxruntime-lib", library.as_str()], more].concat())
+    };
     let (code, verified, _) = verify(&["--json"]);
     let loaded: Value = serde_json::from_str(&verified).unwrap();
     assert_eq!((code, loaded.as_array().map(Vec::len)), (Some(0), Some(3)), "{verified}");
     let (code, verified, told) = verify(&["tiny-dual-encoder", "no-such-bundle"]);
     assert_eq!(code, Some(1));
-    assert!(verified.contains("tiny-dual-encoder works as --encoder on cpu, 64 dimensions"), "{verified}");
-    assert!(told.contains("no-such-bundle/model.json") && told.contains("1 of 2 bundles do not work"), "{told}");
+    assert!(
+        verified.contains("tiny-dual-encoder works as --encoder on cpu, 64 dimensions"),
+        "{verified}"
+    );
+    assert!(
+        told.contains("no-such-bundle/model.json") && told.contains("1 of 2 bundles do not work"),
+        "{told}"
+    );
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -239,7 +322,10 @@ async fn describe(Path(name): Path<String>) -> Json<Value> {
     let (input, output, shape) = match name.ends_with("-image") {
         true => (vec![("pixel_values", "FP32", json!([-1, 3, 64, 64]))], "image_embeds", [-1, 64]),
         false => (
-            vec![("input_ids", "INT64", json!([-1, 16])), ("attention_mask", "INT64", json!([-1, 16]))],
+            vec![
+                ("input_ids", "INT64", json!([-1, 16])),
+                ("attention_mask", "INT64", json!([-1, 16])),
+            ],
             "text_embeds",
             [-1, 64],
         ),
@@ -276,16 +362,23 @@ async fn infer(
             right(count * 64)
         }
         Mood::Garbage => "<html>hello</html>".into_response(),
-        Mood::Unavailable => (StatusCode::SERVICE_UNAVAILABLE, [("retry-after", "0")], "busy").into_response(),
+        Mood::Unavailable => {
+            (StatusCode::SERVICE_UNAVAILABLE, [("retry-after", "0")], "busy").into_response()
+        }
         Mood::NotANumber => {
             let header = json!({"outputs": [{"name": output, "datatype": "FP32", "shape": [count, 64], "parameters": {"binary_data_size": count * 256}}]}).to_string();
             let mut answer = header.clone().into_bytes();
             answer.extend(std::iter::repeat_n(f32::NAN.to_le_bytes(), count * 64).flatten());
-            ([("Inference-Header-Content-Length", header.len().to_string())], answer).into_response()
+            ([("Inference-Header-Content-Length", header.len().to_string())], answer)
+                .into_response()
         }
         Mood::Short => right(count * 64 - 1),
-        Mood::PlainOnly if header.is_some() => (StatusCode::BAD_REQUEST, "what is this?").into_response(),
-        Mood::FailsAfter(calls) if asked >= calls => (StatusCode::SERVICE_UNAVAILABLE, [("retry-after", "0")], "gone").into_response(),
+        Mood::PlainOnly if header.is_some() => {
+            (StatusCode::BAD_REQUEST, "what is this?").into_response()
+        }
+        Mood::FailsAfter(calls) if asked >= calls => {
+            (StatusCode::SERVICE_UNAVAILABLE, [("retry-after", "0")], "gone").into_response()
+        }
         Mood::PlainOnly | Mood::FailsAfter(_) => right(count * 64),
     }
 }
@@ -306,12 +399,18 @@ async fn a_misbehaving_inference_server_is_told_at_load() {
         });
         let error = loaded.await.unwrap().unwrap_err();
         assert!(error.to_string().contains(expected), "{mood:?}: {error}");
-        assert!(matches!(error, ModelError::Remote { .. } | ModelError::NotFinite { .. }), "{mood:?}: {error}");
+        assert!(
+            matches!(error, ModelError::Remote { .. } | ModelError::NotFinite { .. }),
+            "{mood:?}: {error}"
+        );
     }
     let address = serve(Mood::PlainOnly).await;
     let loaded = tokio::task::spawn_blocking(move || {
         let engine = RemoteServer::new(&address, Duration::from_secs(5)).unwrap();
-        Models::default().with_encoder(&engine, &root().join("crates/uniground-core/tests/data/tiny-dual-encoder"))
+        Models::default().with_encoder(
+            &engine,
+            &root().join("crates/uniground-core/tests/data/tiny-dual-encoder"),
+        )
     });
     assert_eq!(loaded.await.unwrap().unwrap().loaded[0].dimensions, Some(64));
 }
@@ -319,22 +418,34 @@ async fn a_misbehaving_inference_server_is_told_at_load() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_model_that_fails_fails_the_parse_unless_the_built_in_parts_may_help() {
     // Loading takes a handful of calls; the server is gone soon after.
-    let bundles = BundlesConfig { inference_url: Some(serve(Mood::FailsAfter(12)).await), ..bundles() };
-    let server = server_with(ModelsConfig { masks: "rgbd".into(), encoder: "tiny-dual-encoder".into(), bundles }).await;
+    let bundles =
+        BundlesConfig { inference_url: Some(serve(Mood::FailsAfter(12)).await), ..bundles() };
+    let server = server_with(ModelsConfig {
+        masks: "rgbd".into(),
+        encoder: "tiny-dual-encoder".into(),
+        bundles,
+    })
+    .await;
     let created = server.client.create_scene(None, "application/zip", sample()).await.unwrap();
     let job = finished(&server.client, &created.job.unwrap().id).await;
     let error = job.error.unwrap();
     assert_eq!(error.code, "model_failed");
-    assert!(error.detail.contains("tiny-dual-encoder-") && error.detail.contains("503"), "{}", error.detail);
+    assert!(
+        error.detail.contains("tiny-dual-encoder-") && error.detail.contains("503"),
+        "{}",
+        error.detail
+    );
 
-    let job = reparsed(&server, &created.scene.id, json!({"models": {"allow_builtin": true}})).await;
+    let job =
+        reparsed(&server, &created.scene.id, json!({"models": {"allow_builtin": true}})).await;
     assert_eq!(job.error, None);
     let scene = server.client.scene(&created.scene.id).await.unwrap();
     assert_eq!(scene.models.unwrap().encoder, "attributes-2");
     let warnings = server.client.report(&scene.id).await.unwrap().parse.unwrap().warnings;
     assert!(warnings.iter().any(|w| w.contains("a model failed")), "{warnings:?}");
     // What was made without the model is not taken for what was asked.
-    let job = reparsed(&server, &created.scene.id, json!({"models": {"allow_builtin": true}})).await;
+    let job =
+        reparsed(&server, &created.scene.id, json!({"models": {"allow_builtin": true}})).await;
     assert!(!job.message.unwrap_or_default().contains("stored parse"));
     server.stop().await;
 }

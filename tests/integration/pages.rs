@@ -1,4 +1,5 @@
-//! What web pages need of the service: other origins, links without a key, marks, parts, and something to look at.
+//! What web pages need of the service: other origins, links without a key, marks, parts, and
+//! something to look at.
 
 use crate::archives::Scan;
 use crate::server::{Process, TestServer, command, finished, parsed, problem};
@@ -30,39 +31,68 @@ async fn pages_of_named_origins_may_ask_and_others_may_not() {
     let preflight = async |origin: &str| {
         let request = client.request(Method::OPTIONS, "v1/scenes").header("origin", origin);
         let request = request.header("access-control-request-method", "POST");
-        request.header("access-control-request-headers", "authorization,content-type").send().await.unwrap()
+        request
+            .header("access-control-request-headers", "authorization,content-type")
+            .send()
+            .await
+            .unwrap()
     };
     let answer = preflight(PAGE).await;
-    assert_eq!((answer.status(), &answer.headers()["access-control-allow-origin"]), (StatusCode::OK, &PAGE.parse().unwrap()));
+    assert_eq!(
+        (answer.status(), &answer.headers()["access-control-allow-origin"]),
+        (StatusCode::OK, &PAGE.parse().unwrap())
+    );
     for named in ["authorization", "content-type", "idempotency-key", "range"] {
-        assert!(answer.headers()["access-control-allow-headers"].to_str().unwrap().contains(named), "{named}");
+        assert!(
+            answer.headers()["access-control-allow-headers"].to_str().unwrap().contains(named),
+            "{named}"
+        );
     }
-    assert!(!preflight("https://evil.example").await.headers().contains_key("access-control-allow-origin"));
-    let listed = client.request(Method::GET, "v1/scenes").header("origin", PAGE).send().await.unwrap();
+    assert!(
+        !preflight("https://evil.example")
+            .await
+            .headers()
+            .contains_key("access-control-allow-origin")
+    );
+    let listed =
+        client.request(Method::GET, "v1/scenes").header("origin", PAGE).send().await.unwrap();
     assert_eq!(listed.headers()["access-control-allow-origin"], PAGE);
-    assert!(listed.headers()["access-control-expose-headers"].to_str().unwrap().contains("retry-after"));
+    assert!(
+        listed.headers()["access-control-expose-headers"].to_str().unwrap().contains("retry-after")
+    );
     // A page of its own; what is no browser; a page that was named.
     let made = async |origin: Option<&str>, site: Option<&str>| {
         let request = client
             .request(Method::POST, "v1/links")
             .json(&LinkRequest { paths: vec!["/v1/scenes".into()], expires_in_s: 60 });
-        let request = origin.into_iter().fold(request, |request, origin| request.header("origin", origin));
+        let request =
+            origin.into_iter().fold(request, |request, origin| request.header("origin", origin));
         site.into_iter()
             .fold(request, |request, site| request.header("sec-fetch-site", site))
             .send()
             .await
             .unwrap()
     };
-    let own = format!("http://{}", client.request(Method::GET, "").build().unwrap().url().authority());
-    for (origin, site) in
-        [(None, None), (Some(&*own), None), (Some(PAGE), Some("cross-site")), (Some("https://behind.example"), Some("same-origin"))]
-    {
+    let own =
+        format!("http://{}", client.request(Method::GET, "").build().unwrap().url().authority());
+    for (origin, site) in [
+        (None, None),
+        (Some(&*own), None),
+        (Some(PAGE), Some("cross-site")),
+        (Some("https://behind.example"), Some("same-origin")),
+    ] {
         assert_eq!(made(origin, site).await.status(), StatusCode::OK, "{origin:?} {site:?}");
     }
-    for (origin, site) in [(Some("https://evil.example"), None), (Some("null"), None), (None, Some("cross-site"))] {
+    for (origin, site) in
+        [(Some("https://evil.example"), None), (Some("null"), None), (None, Some("cross-site"))]
+    {
         let refused = made(origin, site).await;
         let told: uniground_types::problem::Problem = refused.json().await.unwrap();
-        assert_eq!((told.status, told.code.as_str()), (403, "origin_not_allowed"), "{origin:?} {site:?}");
+        assert_eq!(
+            (told.status, told.code.as_str()),
+            (403, "origin_not_allowed"),
+            "{origin:?} {site:?}"
+        );
     }
     assert_eq!(process.terminate(), Some(0));
 
@@ -70,7 +100,11 @@ async fn pages_of_named_origins_may_ask_and_others_may_not() {
         .args(["--cors-origin", "*"])
         .output()
         .unwrap();
-    assert!(!refused.status.success() && String::from_utf8_lossy(&refused.stderr).contains("--cors-origin"), "{refused:?}");
+    assert!(
+        !refused.status.success()
+            && String::from_utf8_lossy(&refused.stderr).contains("--cors-origin"),
+        "{refused:?}"
+    );
 }
 
 #[tokio::test]
@@ -81,16 +115,37 @@ async fn a_page_with_a_key_shows_pictures_by_links() {
     let known = Client::new(address.as_str(), Some(KEY.into())).unwrap();
     let scene = parsed(&known, "application/zip", Scan::neutral().zip()).await;
     let below = format!("/v1/scenes/{}", scene.id);
-    let paths = vec![format!("{below}/thumbnail.jpg"), format!("{below}/*"), format!("/v1/jobs/{}/events", scene.job_id.unwrap())];
+    let paths = vec![
+        format!("{below}/thumbnail.jpg"),
+        format!("{below}/*"),
+        format!("/v1/jobs/{}/events", scene.job_id.unwrap()),
+    ];
     let links = known.links(&LinkRequest { paths, expires_in_s: 60 }).await.unwrap().links;
     // Without a key from here on.
-    let status = async |path: &str| process.client.request(Method::GET, path.trim_start_matches('/')).send().await.unwrap().status();
+    let status = async |path: &str| {
+        process
+            .client
+            .request(Method::GET, path.trim_start_matches('/'))
+            .send()
+            .await
+            .unwrap()
+            .status()
+    };
     assert_eq!(status(&format!("{below}/thumbnail.jpg")).await, StatusCode::UNAUTHORIZED);
     assert_eq!(status(links[0].url.as_ref().unwrap()).await, StatusCode::OK);
-    assert_eq!(status(&format!("{below}/cloud.ply?link={}", links[0].token)).await, StatusCode::UNAUTHORIZED);
-    for path in ["points.bin", "frames", "instances/1/views/0.jpg?picture=crop", "instances?limit=1"] {
+    assert_eq!(
+        status(&format!("{below}/cloud.ply?link={}", links[0].token)).await,
+        StatusCode::UNAUTHORIZED
+    );
+    for path in
+        ["points.bin", "frames", "instances/1/views/0.jpg?picture=crop", "instances?limit=1"]
+    {
         let separator = if path.contains('?') { '&' } else { '?' };
-        assert_eq!(status(&format!("{below}/{path}{separator}link={}", links[1].token)).await, StatusCode::OK, "{path}");
+        assert_eq!(
+            status(&format!("{below}/{path}{separator}link={}", links[1].token)).await,
+            StatusCode::OK,
+            "{path}"
+        );
     }
     // Events are as a browser's `EventSource` asks for them.
     let events = process
@@ -102,13 +157,15 @@ async fn a_page_with_a_key_shows_pictures_by_links() {
     assert_eq!(events.headers()[header::CONTENT_TYPE], "text/event-stream");
     assert!(events.text().await.unwrap().contains("succeeded"));
     // Reading is all a link is for.
-    let wrong = process
-        .client
-        .request(Method::DELETE, &format!("{}?link={}", below.trim_start_matches('/'), links[1].token));
+    let wrong = process.client.request(
+        Method::DELETE,
+        &format!("{}?link={}", below.trim_start_matches('/'), links[1].token),
+    );
     assert_eq!(wrong.send().await.unwrap().status(), StatusCode::UNAUTHORIZED);
-    let asking = process
-        .client
-        .request(Method::POST, &format!("{}/ground?link={}", below.trim_start_matches('/'), links[1].token));
+    let asking = process.client.request(
+        Method::POST,
+        &format!("{}/ground?link={}", below.trim_start_matches('/'), links[1].token),
+    );
     let asked = asking.json(&serde_json::json!({"query": "the sofa"})).send().await.unwrap();
     assert_eq!(asked.status(), StatusCode::UNAUTHORIZED, "asking may cost money");
     assert_eq!(known.scene(&scene.id).await.unwrap().id, scene.id);
@@ -129,7 +186,16 @@ async fn what_has_not_changed_is_not_sent_again() {
             .unwrap()
     };
     let drawn = "/frames/0/photograph.jpg?instances=true";
-    for path in ["", "/instances", "/frames", "/cloud.ply", "/points.bin", "/thumbnail.jpg", "/instances/1/views/0.jpg", drawn] {
+    for path in [
+        "",
+        "/instances",
+        "/frames",
+        "/cloud.ply",
+        "/points.bin",
+        "/thumbnail.jpg",
+        "/instances/1/views/0.jpg",
+        drawn,
+    ] {
         let first = get(path, &[]).await;
         assert_eq!(
             (first.status(), &first.headers()["cache-control"]),
@@ -138,9 +204,17 @@ async fn what_has_not_changed_is_not_sent_again() {
         );
         let mark = first.headers()["etag"].to_str().unwrap().to_owned();
         let again = get(path, &[("if-none-match", &mark)]).await;
-        assert_eq!((again.status(), again.headers()["etag"].to_str().unwrap()), (StatusCode::NOT_MODIFIED, &*mark), "{path}");
+        assert_eq!(
+            (again.status(), again.headers()["etag"].to_str().unwrap()),
+            (StatusCode::NOT_MODIFIED, &*mark),
+            "{path}"
+        );
         assert!(again.bytes().await.unwrap().is_empty());
-        assert_eq!(get(path, &[("if-none-match", "\"other\"")]).await.status(), StatusCode::OK, "{path}");
+        assert_eq!(
+            get(path, &[("if-none-match", "\"other\"")]).await.status(),
+            StatusCode::OK,
+            "{path}"
+        );
     }
     // A name given anew is another scene to look at.
     let mark = get("", &[]).await.headers()["etag"].clone();
@@ -151,7 +225,10 @@ async fn what_has_not_changed_is_not_sent_again() {
     let whole = get("/points.bin", &[]).await.bytes().await.unwrap();
     let part = get("/points.bin", &[("range", "bytes=0-43")]).await;
     assert_eq!(part.status(), StatusCode::PARTIAL_CONTENT);
-    assert_eq!(part.headers()["content-range"].to_str().unwrap(), format!("bytes 0-43/{}", whole.len()));
+    assert_eq!(
+        part.headers()["content-range"].to_str().unwrap(),
+        format!("bytes 0-43/{}", whole.len())
+    );
     assert_eq!(part.bytes().await.unwrap(), whole[..44]);
     let points = u32::from_le_bytes(whole[4..8].try_into().unwrap());
     assert_eq!((&whole[..4], u64::from(points)), (&b"UGP1"[..], scene.counts.unwrap().points));
@@ -161,7 +238,10 @@ async fn what_has_not_changed_is_not_sent_again() {
         get("/points.bin", &[("range", "bytes=0-43"), ("if-range", &mark)]).await.status(),
         StatusCode::PARTIAL_CONTENT
     );
-    assert_eq!(get("/points.bin", &[("range", "bytes=0-43"), ("if-range", "\"other\"")]).await.status(), StatusCode::OK);
+    assert_eq!(
+        get("/points.bin", &[("range", "bytes=0-43"), ("if-range", "\"other\"")]).await.status(),
+        StatusCode::OK
+    );
     let beyond = get("/points.bin", &[("range", "bytes=999999999-")]).await;
     assert_eq!(beyond.status(), StatusCode::RANGE_NOT_SATISFIABLE);
     let head = server
@@ -177,8 +257,14 @@ async fn what_has_not_changed_is_not_sent_again() {
 
     // Compressed for who takes it: not pictures, not parts.
     let taken = [("accept-encoding", "zstd, br;q=0.9, gzip;q=0.8")];
-    for (path, is_compressed) in [("/instances", true), ("/cloud.ply", true), ("/thumbnail.jpg", false)] {
-        assert_eq!(get(path, &taken).await.headers().contains_key("content-encoding"), is_compressed, "{path}");
+    for (path, is_compressed) in
+        [("/instances", true), ("/cloud.ply", true), ("/thumbnail.jpg", false)]
+    {
+        assert_eq!(
+            get(path, &taken).await.headers().contains_key("content-encoding"),
+            is_compressed,
+            "{path}"
+        );
     }
     assert!(
         !get("/points.bin", &[taken[0], ("range", "bytes=0-9999")])
@@ -197,10 +283,12 @@ async fn there_is_something_to_look_at() {
     assert_eq!(sample.status(), StatusCode::ACCEPTED);
     let Created { scene, job } = sample.json().await.unwrap();
     assert_eq!(scene.name, uniground::sample::NAME);
-    let early = problem(server.client.bytes(&format!("v1/scenes/{}/thumbnail.jpg", scene.id)).await);
+    let early =
+        problem(server.client.bytes(&format!("v1/scenes/{}/thumbnail.jpg", scene.id)).await);
     assert_eq!(early.code, "scene_not_ready");
     assert_eq!(finished(&server.client, &job.unwrap().id).await.error, None);
-    let small = server.client.bytes(&format!("v1/scenes/{}/thumbnail.jpg", scene.id)).await.unwrap();
+    let small =
+        server.client.bytes(&format!("v1/scenes/{}/thumbnail.jpg", scene.id)).await.unwrap();
     let small = image::load_from_memory(&small).unwrap().into_rgb8();
     let drawn = small.pixels().filter(|p| p.0 != [250, 250, 250]).count();
     assert!((small.width(), small.height()) == (320, 240) && drawn > 320 * 240 / 5, "{drawn}");
@@ -223,7 +311,9 @@ async fn there_is_something_to_look_at() {
         .filter(|(a, b)| a.0.iter().zip(b.0).any(|(a, b)| a.abs_diff(b) > 40))
         .count();
     assert!(changed > plain.pixels().len() / 10, "instances are drawn over it ({changed} pixels)");
-    let missing = problem(server.client.bytes(&format!("v1/scenes/{}/frames/9999/photograph.jpg", scene.id)).await);
+    let missing = problem(
+        server.client.bytes(&format!("v1/scenes/{}/frames/9999/photograph.jpg", scene.id)).await,
+    );
     assert_eq!((missing.status, missing.code.as_str()), (404, "frame_not_found"));
     // Lists are short.
     let listed = server.client.scenes(10, None).await.unwrap().scenes.remove(0);
@@ -237,7 +327,9 @@ async fn there_is_something_to_look_at() {
 async fn parses_from_before_can_be_looked_at() {
     let server = TestServer::start().await;
     let scene = server.parsed(Scan::neutral().zip()).await;
-    let bytes = async |file: &str| server.client.bytes(&format!("v1/scenes/{}/{file}", scene.id)).await.unwrap();
+    let bytes = async |file: &str| {
+        server.client.bytes(&format!("v1/scenes/{}/{file}", scene.id)).await.unwrap()
+    };
     let kept = (bytes("points.bin").await, bytes("thumbnail.jpg").await);
     let parse = server.data().join("blobs/parses").join(&server.stored("blobs/parses")[0]);
     let sums = std::fs::read_to_string(parse.join(".sha256sums")).unwrap();

@@ -9,7 +9,8 @@ use uniground_types::scenes::SceneChange;
 
 const QUERY: &str = "the red sofa";
 /// A quarter turn to the left.
-const QUARTER: [f64; 4] = [0.0, 0.0, std::f64::consts::FRAC_1_SQRT_2, std::f64::consts::FRAC_1_SQRT_2];
+const QUARTER: [f64; 4] =
+    [0.0, 0.0, std::f64::consts::FRAC_1_SQRT_2, std::f64::consts::FRAC_1_SQRT_2];
 
 fn sample() -> Vec<u8> {
     std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap()
@@ -30,7 +31,11 @@ async fn boxes_come_in_the_map_once_the_scene_has_a_place_in_it() {
     assert_eq!((refused.status, refused.code.as_str()), (409, "no_map"));
 
     let place = SceneToMap { rotation: QUARTER, translation_m: [10.0, 20.0, 0.5] };
-    let change = SceneChange { scene_to_map: Some(Some(place)), map_frame_id: Some(Some("map".into())), ..SceneChange::default() };
+    let change = SceneChange {
+        scene_to_map: Some(Some(place)),
+        map_frame_id: Some(Some("map".into())),
+        ..SceneChange::default()
+    };
     let changed = client.change_scene(&scene.id, &change).await.unwrap();
     assert_eq!(
         (changed.name.as_str(), changed.scene_to_map, changed.map_frame_id.as_deref()),
@@ -61,9 +66,15 @@ async fn boxes_come_in_the_map_once_the_scene_has_a_place_in_it() {
         let observer = Some(Observer { position, yaw_rad });
         GroundRequest { frame, observer, ..ask("the chair closest to me") }
     };
-    let here = client.ground(&scene.id, &nearest(FrameChoice::Scene, [1.5, -1.0, 1.5], 0.0)).await.unwrap();
+    let here = client
+        .ground(&scene.id, &nearest(FrameChoice::Scene, [1.5, -1.0, 1.5], 0.0))
+        .await
+        .unwrap();
     let there = client
-        .ground(&scene.id, &nearest(FrameChoice::Map, [11.0, 21.5, 2.0], std::f32::consts::FRAC_PI_2))
+        .ground(
+            &scene.id,
+            &nearest(FrameChoice::Map, [11.0, 21.5, 2.0], std::f32::consts::FRAC_PI_2),
+        )
         .await
         .unwrap();
     assert_eq!((there.answer.predicted_id, there.status), (here.answer.predicted_id, here.status));
@@ -71,15 +82,24 @@ async fn boxes_come_in_the_map_once_the_scene_has_a_place_in_it() {
     let bad = SceneToMap { rotation: [1.0, 1.0, 0.0, 0.0], ..place };
     let refused = problem(
         client
-            .change_scene(&scene.id, &SceneChange { scene_to_map: Some(Some(bad)), ..SceneChange::default() })
+            .change_scene(
+                &scene.id,
+                &SceneChange { scene_to_map: Some(Some(bad)), ..SceneChange::default() },
+            )
             .await,
     );
-    assert_eq!((refused.status, refused.errors[0].pointer.as_str()), (422, "/scene_to_map/rotation"));
+    assert_eq!(
+        (refused.status, refused.errors[0].pointer.as_str()),
+        (422, "/scene_to_map/rotation")
+    );
     // `null` takes it away.
     let body: Value = json!({"scene_to_map": null, "map_frame_id": null});
     let change: SceneChange = serde_json::from_value(body).unwrap();
     let without = client.change_scene(&scene.id, &change).await.unwrap();
-    assert_eq!((without.scene_to_map, without.map_frame_id, without.name.as_str()), (None, None, "den"));
+    assert_eq!(
+        (without.scene_to_map, without.map_frame_id, without.name.as_str()),
+        (None, None, "den")
+    );
     server.stop().await;
 }
 

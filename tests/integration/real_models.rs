@@ -1,5 +1,5 @@
-//! Real weights against golden outputs of the Python runtime, and what they find in annotated rooms. These need `make models` first and
-//! take minutes: `make test-models` runs them.
+//! Real weights against golden outputs of the Python runtime, and what they find in annotated
+//! rooms. These need `make models` first and take minutes: `make test-models` runs them.
 
 use crate::shared_scenes::development_rooms;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -15,7 +15,9 @@ use uniground::evaluation::annotations::Annotations;
 use uniground::evaluation::segmentation::score_instances;
 use uniground::evaluation::systems::{NamedBy, instances_of, see};
 use uniground::inference::RemoteServer;
-use uniground_core::models::neural::{DualEncoder, Engine, Models, OnnxRuntime, PointLabel, Prompt, RuntimeSettings, Segmenter};
+use uniground_core::models::neural::{
+    DualEncoder, Engine, Models, OnnxRuntime, PointLabel, Prompt, RuntimeSettings, Segmenter,
+};
 use uniground_core::progress::Progress;
 use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_core::scene_parsing::masks::sam::{EncodedFrames, SamMasks};
@@ -32,8 +34,11 @@ fn golden(path: &str) -> Utf8PathBuf {
 }
 
 fn engine() -> OnnxRuntime {
-    OnnxRuntime::load(&RuntimeSettings { library: Some(root().join(".onnxruntime/libonnxruntime.so")), ..RuntimeSettings::default() })
-        .unwrap()
+    OnnxRuntime::load(&RuntimeSettings {
+        library: Some(root().join(".onnxruntime/libonnxruntime.so")),
+        ..RuntimeSettings::default()
+    })
+    .unwrap()
 }
 
 fn encoder() -> std::sync::Arc<DualEncoder> {
@@ -54,10 +59,16 @@ fn segmenter() -> std::sync::Arc<Segmenter> {
 
 /// The annotated rooms, which lie beside the checkout where this project is built.
 fn room(name: &str, scratch: &tempfile::TempDir) -> AnnotatedRoom {
-    AnnotatedRoom::load(&root().join("../shared/scenes"), name, Utf8Path::from_path(scratch.path()).unwrap()).unwrap()
+    AnnotatedRoom::load(
+        &root().join("../shared/scenes"),
+        name,
+        Utf8Path::from_path(scratch.path()).unwrap(),
+    )
+    .unwrap()
 }
 
-/// Of what is measured in several rooms the first, which takes a quarter of an hour less; with `FULL=1` all of it.
+/// Of what is measured in several rooms the first, which takes a quarter of an hour less; with
+/// `FULL=1` all of it.
 fn of_rooms<T>(all: &[T]) -> &[T] {
     if std::env::var_os("FULL").is_some() { all } else { &all[..1] }
 }
@@ -70,7 +81,8 @@ fn picture(path: &str) -> RgbImage {
 fn rows(path: &str, dim: usize) -> Vec<Vec<f32>> {
     let bytes = fs::read(golden(path)).unwrap();
     let start = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
-    let values: Vec<f32> = bytes[start..].as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
+    let values: Vec<f32> =
+        bytes[start..].as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
     values.chunks_exact(dim).map(<[f32]>::to_vec).collect()
 }
 
@@ -86,20 +98,29 @@ fn strings(value: &Value) -> Vec<String> {
 #[test]
 #[ignore = "needs models: make test-models"]
 fn clip_embeddings_are_those_of_the_python_runtime() {
-    let known: Value = serde_json::from_str(&fs::read_to_string(golden("clip-vitb16-lite/golden.json")).unwrap()).unwrap();
+    let known: Value =
+        serde_json::from_str(&fs::read_to_string(golden("clip-vitb16-lite/golden.json")).unwrap())
+            .unwrap();
     let encoder = encoder();
     assert_eq!(encoder.batch(), 1, "its activations are quantised over the batch");
     let expected = rows("clip-vitb16-lite/image_embeds.npy", encoder.dim());
     for (files, least) in [(strings(&known["resized"]), 0.999), (strings(&known["images"]), 0.97)] {
-        let pictures: Vec<RgbImage> = files.iter().map(|f| picture(&format!("clip-vitb16-lite/{f}"))).collect();
-        for ((own, expected), file) in encoder.embed_pictures(&pictures).unwrap().iter().zip(&expected).zip(&files) {
+        let pictures: Vec<RgbImage> =
+            files.iter().map(|f| picture(&format!("clip-vitb16-lite/{f}"))).collect();
+        for ((own, expected), file) in
+            encoder.embed_pictures(&pictures).unwrap().iter().zip(&expected).zip(&files)
+        {
             println!("{file}: cosine {:.6}", cosine(own, expected));
             assert!(cosine(own, expected) >= least, "{file}");
         }
     }
-    for (text, expected) in strings(&known["texts"]).iter().zip(rows("clip-vitb16-lite/text_embeds.npy", encoder.dim())) {
+    for (text, expected) in
+        strings(&known["texts"]).iter().zip(rows("clip-vitb16-lite/text_embeds.npy", encoder.dim()))
+    {
         match encoder.embed_text(text).unwrap().vector {
-            Some(own) => assert!(cosine(&own, &expected) >= 0.999, "{text}: {}", cosine(&own, &expected)),
+            Some(own) => {
+                assert!(cosine(&own, &expected) >= 0.999, "{text}: {}", cosine(&own, &expected))
+            }
             None => assert!(expected.iter().all(|v| *v == 0.0), "{text}"),
         }
     }
@@ -130,16 +151,34 @@ struct Rle {
 fn sam2_masks_are_those_of_the_python_reference() {
     let segmenter = segmenter();
     for name in ["room1_0", "room1_10", "redkitchen_0", "hololens_0"] {
-        let known: Masks = serde_json::from_str(&fs::read_to_string(golden(&format!("sam2-hiera-tiny/{name}.json"))).unwrap()).unwrap();
+        let known: Masks = serde_json::from_str(
+            &fs::read_to_string(golden(&format!("sam2-hiera-tiny/{name}.json"))).unwrap(),
+        )
+        .unwrap();
         let encoded = segmenter.encode(&picture(&format!("sam2-hiera-tiny/{name}.png"))).unwrap();
         let scale = segmenter.low_scale(&encoded);
         let [w, h] = known.image_size;
         for asked in &known.prompts {
-            const LABELS: [PointLabel; 4] = [PointLabel::Outside, PointLabel::Inside, PointLabel::BoxTopLeft, PointLabel::BoxBottomRight];
-            let points = asked.points.iter().copied().zip(asked.labels.iter().map(|l| LABELS[usize::from(*l)])).collect();
+            const LABELS: [PointLabel; 4] = [
+                PointLabel::Outside,
+                PointLabel::Inside,
+                PointLabel::BoxTopLeft,
+                PointLabel::BoxBottomRight,
+            ];
+            let points = asked
+                .points
+                .iter()
+                .copied()
+                .zip(asked.labels.iter().map(|l| LABELS[usize::from(*l)]))
+                .collect();
             let masks = segmenter.decode(&encoded, &[Prompt { points }]).unwrap().remove(0);
             let mask = masks.iter().find(|m| m.index == asked.mask_index).unwrap();
-            let columns = asked.rle.counts.iter().enumerate().flat_map(|(i, n)| std::iter::repeat_n(i % 2 == 1, *n as usize));
+            let columns = asked
+                .rle
+                .counts
+                .iter()
+                .enumerate()
+                .flat_map(|(i, n)| std::iter::repeat_n(i % 2 == 1, *n as usize));
             let own = (0..w).flat_map(|x| (0..h).map(move |y| (x as f32, y as f32)));
             let (mut both, mut either) = (0, 0);
             for (at, expected) in own.zip(columns) {
@@ -161,8 +200,10 @@ fn sam2_masks_are_those_of_the_python_reference() {
 #[test]
 #[ignore = "needs models: make test-models"]
 fn the_perception_encoders_tokens_are_open_clips() {
-    let tokenizer = tokenizers::Tokenizer::from_file(root().join("models/pe-tokenizer.json")).unwrap();
-    let known: Value = serde_json::from_str(&fs::read_to_string(golden("pe-tokenizer.json")).unwrap()).unwrap();
+    let tokenizer =
+        tokenizers::Tokenizer::from_file(root().join("models/pe-tokenizer.json")).unwrap();
+    let known: Value =
+        serde_json::from_str(&fs::read_to_string(golden("pe-tokenizer.json")).unwrap()).unwrap();
     let expected: Vec<Vec<u32>> = serde_json::from_value(known["input_ids"].clone()).unwrap();
     let texts = strings(&known["texts"]);
     for (text, expected) in texts.iter().zip(&expected) {
@@ -180,11 +221,27 @@ fn sam2_masks_cut_rooms_into_their_things() {
         let room = room(name, &scratch);
         let frames = EncodedFrames::new(segmenter(), None, 0).unwrap();
         let settings = ParsingSettings::default();
-        let masks =
-            SamMasks { frames: &frames, settings: settings.sam_masks, segments: settings.rgbd_masks, name: "sam2-hiera-tiny".into() };
+        let masks = SamMasks {
+            frames: &frames,
+            settings: settings.sam_masks,
+            segments: settings.rgbd_masks,
+            name: "sam2-hiera-tiny".into(),
+        };
         let perception = Perception::with_masks(&masks);
-        let parsed = scene_parsing::parse(room.bundle.clone(), &perception, &settings, &Checkpoints::none(), &Progress::silent()).unwrap();
-        let score = score_instances(&parsed.instances, &parsed.instance_of_point, &room.objects(200), &room.truth);
+        let parsed = scene_parsing::parse(
+            room.bundle.clone(),
+            &perception,
+            &settings,
+            &Checkpoints::none(),
+            &Progress::silent(),
+        )
+        .unwrap();
+        let score = score_instances(
+            &parsed.instances,
+            &parsed.instance_of_point,
+            &room.objects(200),
+            &room.truth,
+        );
         let recall = score.box_recall();
         println!(
             "{name}: box recall {recall:.3?}, point-set recall {:.3?}, {} instances",
@@ -195,12 +252,15 @@ fn sam2_masks_cut_rooms_into_their_things() {
     }
 }
 
-/// Names of objects as queries over annotated instances, by appearance alone: is the right one among the first five?
+/// Names of objects as queries over annotated instances, by appearance alone: is the right one
+/// among the first five?
 #[test]
 #[ignore = "needs models: make test-models"]
 fn clip_finds_annotated_things_by_their_names() {
     let encoder = encoder();
-    for &(name, least, least_calibrated) in of_rooms(&[("room1", 0.95, 0.95), ("room2", 0.72, 0.84)]) {
+    for &(name, least, least_calibrated) in
+        of_rooms(&[("room1", 0.95, 0.95), ("room2", 0.72, 0.84)])
+    {
         let scratch = tempfile::tempdir().unwrap();
         let room = room(name, &scratch);
         let folder = root().join("../shared/scenes");
@@ -208,15 +268,25 @@ fn clip_finds_annotated_things_by_their_names() {
         let cloud = &room.bundle.cloud;
         let mut instances = instances_of(&annotations, cloud, NamedBy::Encoder);
         let settings = ParsingSettings::default();
-        let seen = see(&annotations, &mut instances, cloud, &room.bundle.frames, &encoder, &settings).unwrap();
+        let seen =
+            see(&annotations, &mut instances, cloud, &room.bundle.frames, &encoder, &settings)
+                .unwrap();
         // Structure is no object; names come from the annotations.
-        let things: Vec<usize> = (0..instances.len()).filter(|&i| instances[i].structure.is_none() && seen.is_seen(i)).collect();
+        let things: Vec<usize> = (0..instances.len())
+            .filter(|&i| instances[i].structure.is_none() && seen.is_seen(i))
+            .collect();
         let named = |i: usize| annotations.objects[i].name.as_str();
         let names: BTreeSet<&str> = things.iter().map(|&i| named(i)).collect();
-        for (scores, least) in [("plain cosine", least), ("against the vocabulary", least_calibrated)] {
+        for (scores, least) in
+            [("plain cosine", least), ("against the vocabulary", least_calibrated)]
+        {
             let (mut first, mut in_five) = (0, 0);
             for name in &names {
-                let cosines = encoder.embed_name(name).unwrap().vector.map_or_else(|| vec![0.0; seen.len()], |v| seen.cosines(&v));
+                let cosines = encoder
+                    .embed_name(name)
+                    .unwrap()
+                    .vector
+                    .map_or_else(|| vec![0.0; seen.len()], |v| seen.cosines(&v));
                 let score = |i: usize| match scores {
                     "plain cosine" => cosines[i],
                     _ => encoder.logit_scale() * cosines[i] - seen.norms()[i].appearance,
@@ -239,46 +309,80 @@ fn clip_finds_annotated_things_by_their_names() {
     }
 }
 
-/// The whole system with the built-in masks and CLIP: half of the expressions and more are answered with the right box.
+/// The whole system with the built-in masks and CLIP: half of the expressions and more are answered
+/// with the right box.
 #[test]
 #[ignore = "needs models: make test-models"]
 fn parsed_rooms_are_answered_with_clip() {
-    let rooms = development_rooms(of_rooms(&["room1", "room2"])).expect("make test-models has looked for the rooms");
+    let rooms = development_rooms(of_rooms(&["room1", "room2"]))
+        .expect("make test-models has looked for the rooms");
     let out = tempfile::tempdir().unwrap();
     let output = Command::new(env!("CARGO_BIN_EXE_uniground"))
         .args(["eval", rooms.path().to_str().unwrap(), "--out", out.path().to_str().unwrap()])
-        .args(["--matrix", "source=parsed;encoder=clip-vitb16-lite", "--models", root().join("models").as_str()])
+        .args([
+            "--matrix",
+            "source=parsed;encoder=clip-vitb16-lite",
+            "--models",
+            root().join("models").as_str(),
+        ])
         .args(["--onnxruntime-lib", root().join(".onnxruntime/libonnxruntime.so").as_str()])
         .output()
         .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let report: Value = serde_json::from_slice(&fs::read(out.path().join("report.json")).unwrap()).unwrap();
+    let report: Value =
+        serde_json::from_slice(&fs::read(out.path().join("report.json")).unwrap()).unwrap();
     let right = report["cells"][0]["figures"]["complete"][0]["value"].as_f64().unwrap();
     println!("parsed, rgbd masks and CLIP: Acc@.25 {right:.3}");
     assert!(right >= 0.5, "{right}");
 }
 
-/// The same networks behind a real server of the protocol (`tests/kserve/server.py`) give the same answers.
+/// The same networks behind a real server of the protocol (`tests/kserve/server.py`) give the same
+/// answers.
 #[test]
 #[ignore = "needs an inference server: make test-models"]
 fn networks_answer_alike_here_and_behind_a_server() {
-    let address = std::env::var("KSERVE_URL").expect("KSERVE_URL: scripts/test-models.sh starts a server");
+    let address =
+        std::env::var("KSERVE_URL").expect("KSERVE_URL: scripts/test-models.sh starts a server");
     let remote = RemoteServer::new(&address, Duration::from_mins(1)).unwrap();
     let data = root().join("crates/uniground-core/tests/data");
-    let [here, there] = [&engine() as &dyn Engine, &remote]
-        .map(|engine| Models::default().with_encoder(engine, &data.join("tiny-dual-encoder")).unwrap().encoder.unwrap());
+    let [here, there] = [&engine() as &dyn Engine, &remote].map(|engine| {
+        Models::default()
+            .with_encoder(engine, &data.join("tiny-dual-encoder"))
+            .unwrap()
+            .encoder
+            .unwrap()
+    });
     let pictures: Vec<RgbImage> = (1..12)
-        .map(|i| RgbImage::from_fn(70, 50, |x, y| image::Rgb([(x * i) as u8, (y * 2) as u8, i as u8])))
+        .map(|i| {
+            RgbImage::from_fn(70, 50, |x, y| image::Rgb([(x * i) as u8, (y * 2) as u8, i as u8]))
+        })
         .collect();
-    for (a, b) in here.embed_pictures(&pictures).unwrap().iter().zip(&there.embed_pictures(&pictures).unwrap()) {
+    for (a, b) in here
+        .embed_pictures(&pictures)
+        .unwrap()
+        .iter()
+        .zip(&there.embed_pictures(&pictures).unwrap())
+    {
         assert!(cosine(a, b) > 0.999_99);
     }
     let text = "the small blue mug";
-    assert!(cosine(&here.embed_text(text).unwrap().vector.unwrap(), &there.embed_text(text).unwrap().vector.unwrap()) > 0.999_99);
-    let [here, there] = [&engine() as &dyn Engine, &remote]
-        .map(|engine| Models::default().with_segmenter(engine, &data.join("tiny-segmenter")).unwrap().segmenters.remove(0));
+    assert!(
+        cosine(
+            &here.embed_text(text).unwrap().vector.unwrap(),
+            &there.embed_text(text).unwrap().vector.unwrap()
+        ) > 0.999_99
+    );
+    let [here, there] = [&engine() as &dyn Engine, &remote].map(|engine| {
+        Models::default()
+            .with_segmenter(engine, &data.join("tiny-segmenter"))
+            .unwrap()
+            .segmenters
+            .remove(0)
+    });
     let prompts: Vec<Prompt> = (0..20).map(|i| Prompt::inside([(i as f32 * 3.0, 20.0)])).collect();
-    let masks = |segmenter: &Segmenter| segmenter.decode(&segmenter.encode(&pictures[3]).unwrap(), &prompts).unwrap();
+    let masks = |segmenter: &Segmenter| {
+        segmenter.decode(&segmenter.encode(&pictures[3]).unwrap(), &prompts).unwrap()
+    };
     for (a, b) in masks(&here).iter().flatten().zip(masks(&there).iter().flatten()) {
         assert!((a.predicted_iou - b.predicted_iou).abs() < 1e-4);
         assert!(a.logits.iter().zip(&b.logits).all(|(x, y)| (x - y).abs() < 1e-3));

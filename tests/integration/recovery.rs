@@ -28,7 +28,8 @@ async fn a_scene_that_was_growing_keeps_its_parse_over_a_restart() {
     let data = Utf8Path::from_path(data.path()).unwrap();
     let server = Process::start(data);
     // Nobody asks it anything: no answer holds its first parse.
-    let scene = parsed(&server.client, "application/zip", Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
+    let scene =
+        parsed(&server.client, "application/zip", Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
     server
         .client
         .create_scene(None, "application/zip", Scan::neutral().with("note.txt", "in front").zip())
@@ -71,10 +72,18 @@ async fn references_that_point_nowhere_are_found_and_repaired() {
     let found = doctor(folder, &[]);
     assert!(!found.status.success());
     let told = text(&found);
-    assert!(told.contains("1 rows of scenes refer by parse_id to rows of parses that do not exist"), "{told}");
+    assert!(
+        told.contains("1 rows of scenes refer by parse_id to rows of parses that do not exist"),
+        "{told}"
+    );
     assert!(told.contains("1 rows of corrections refer by parse_id"), "{told}");
     let repaired = doctor(folder, &["--repair"]);
-    assert!(repaired.status.success(), "{}{}", text(&repaired), String::from_utf8_lossy(&repaired.stderr));
+    assert!(
+        repaired.status.success(),
+        "{}{}",
+        text(&repaired),
+        String::from_utf8_lossy(&repaired.stderr)
+    );
     assert!(doctor(folder, &[]).status.success());
 
     // The scene has its parse again: the stored one, or one that is made anew.

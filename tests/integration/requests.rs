@@ -28,7 +28,12 @@ async fn wrong_questions_are_named_by_field() {
         (r#"{"query": "the sofa", "top_k": 1000000}"#, 422, "invalid_request", Some("/top_k")),
         (r#"{"query": "the sofa", "top_k": -1}"#, 422, "invalid_request", Some("/top_k")),
         (r#"{"query": "the sofa", "top-k": 1}"#, 422, "invalid_request", Some("/top-k")),
-        (r#"{"query": "the sofa", "reasoner": "oracle"}"#, 422, "invalid_request", Some("/reasoner")),
+        (
+            r#"{"query": "the sofa", "reasoner": "oracle"}"#,
+            422,
+            "invalid_request",
+            Some("/reasoner"),
+        ),
         (
             r#"{"query": "the sofa", "observer": {"position": [0, 0], "yaw_rad": 0}}"#,
             422,
@@ -36,21 +41,37 @@ async fn wrong_questions_are_named_by_field() {
             Some("/observer/position"),
         ),
         (r#"{"query": "the sofa", "timeout_s": 0}"#, 422, "invalid_request", Some("/timeout_s")),
-        (r#"{"query": "the sofa", "max_cost_usd": -1}"#, 422, "invalid_request", Some("/max_cost_usd")),
+        (
+            r#"{"query": "the sofa", "max_cost_usd": -1}"#,
+            422,
+            "invalid_request",
+            Some("/max_cost_usd"),
+        ),
         (r#"{"query": "the sofa", "reasoner": "vlm"}"#, 409, "vlm_not_configured", None),
     ] {
         let refusal = post_raw(&server.client, &path, "application/json", body).await;
         let shown = &body[..body.len().min(80)];
-        assert_eq!((refusal.status, refusal.code.as_str()), (status, code), "{shown}: {}", refusal.detail);
+        assert_eq!(
+            (refusal.status, refusal.code.as_str()),
+            (status, code),
+            "{shown}: {}",
+            refusal.detail
+        );
         if let Some(pointer) = pointer {
             assert_eq!(refusal.errors[0].pointer, pointer, "{shown}: {}", refusal.detail);
         }
     }
-    let form = post_raw(&server.client, &path, "application/x-www-form-urlencoded", "query=sofa").await;
+    let form =
+        post_raw(&server.client, &path, "application/x-www-form-urlencoded", "query=sofa").await;
     assert_eq!((form.status, form.code.as_str()), (415, "unsupported_media_type"));
     // Odd words are questions too.
-    for query in ["🛋️🛋️🛋️", "'; DROP TABLE scenes; --", "the the of of", "ソファはどこ", "the sofa left of left of the sofa not not"]
-    {
+    for query in [
+        "🛋️🛋️🛋️",
+        "'; DROP TABLE scenes; --",
+        "the the of of",
+        "ソファはどこ",
+        "the sofa left of left of the sofa not not",
+    ] {
         server.client.ground(&scene.id, &ask(query)).await.unwrap();
     }
     server.stop().await;
@@ -77,10 +98,18 @@ async fn unknown_things_are_not_found() {
         ("v1/rooms".into(), "no_such_route"),
     ] {
         let refusal = problem(server.client.bytes(&path).await);
-        assert_eq!((refusal.status, refusal.code.as_str()), (404, code), "{path}: {}", refusal.detail);
+        assert_eq!(
+            (refusal.status, refusal.code.as_str()),
+            (404, code),
+            "{path}: {}",
+            refusal.detail
+        );
     }
     assert_eq!(problem(server.client.cancel_job(nobody).await).code, "job_not_found");
-    assert_eq!(problem(server.client.ground(nobody, &ask("the sofa")).await).code, "scene_not_found");
+    assert_eq!(
+        problem(server.client.ground(nobody, &ask("the sofa")).await).code,
+        "scene_not_found"
+    );
     server.stop().await;
 }
 
@@ -89,27 +118,53 @@ async fn wrong_methods_parameters_and_settings_are_problems() {
     let server = TestServer::start().await;
     let scene = server.parsed(Scan::neutral().zip()).await;
     let response = server.client.request(Method::PUT, "v1/scenes").send().await.unwrap();
-    assert_eq!((response.status().as_u16(), response.headers()["allow"].to_str().unwrap().contains("POST")), (405, true));
+    assert_eq!(
+        (
+            response.status().as_u16(),
+            response.headers()["allow"].to_str().unwrap().contains("POST")
+        ),
+        (405, true)
+    );
     assert_eq!(response.headers()["content-type"], "application/problem+json");
 
     for path in ["v1/scenes?limit=0", "v1/scenes?limit=many", "v1/scenes?size=3"] {
         let refusal = problem(server.client.bytes(path).await);
-        assert_eq!((refusal.status, refusal.code.as_str()), (422, "invalid_request"), "{path}: {}", refusal.detail);
+        assert_eq!(
+            (refusal.status, refusal.code.as_str()),
+            (422, "invalid_request"),
+            "{path}: {}",
+            refusal.detail
+        );
     }
     let parse = format!("v1/scenes/{}/parse", scene.id);
     for (body, pointer) in [
-        (r#"{"settings": {"parsing": {"merging": {"thresholds": []}}}}"#, "/settings/parsing/merging/thresholds"),
-        (r#"{"settings": {"parsing": {"merging": {"threshold": 1}}}}"#, "/settings/parsing/merging/threshold"),
+        (
+            r#"{"settings": {"parsing": {"merging": {"thresholds": []}}}}"#,
+            "/settings/parsing/merging/thresholds",
+        ),
+        (
+            r#"{"settings": {"parsing": {"merging": {"threshold": 1}}}}"#,
+            "/settings/parsing/merging/threshold",
+        ),
         (r#"{"preset": "fancy"}"#, "/preset"),
     ] {
         let refusal = post_raw(&server.client, &parse, "application/json", body).await;
-        assert_eq!((refusal.status, refusal.errors[0].pointer.as_str()), (422, pointer), "{}", refusal.detail);
+        assert_eq!(
+            (refusal.status, refusal.errors[0].pointer.as_str()),
+            (422, pointer),
+            "{}",
+            refusal.detail
+        );
     }
-    assert_eq!(problem(server.client.rename_scene(&scene.id, " ").await).errors[0].pointer, "/name");
+    assert_eq!(
+        problem(server.client.rename_scene(&scene.id, " ").await).errors[0].pointer,
+        "/name"
+    );
     server.stop().await;
 }
 
-/// The words `NaN` and `inf` are numbers to whoever reads a query, and a large number in JSON is an infinite `f32`.
+/// The words `NaN` and `inf` are numbers to whoever reads a query, and a large number in JSON is an
+/// infinite `f32`.
 #[tokio::test]
 async fn numbers_that_are_none_are_refused_by_field() {
     let server = TestServer::start().await;
@@ -121,15 +176,29 @@ async fn numbers_that_are_none_are_refused_by_field() {
             (Method::GET, format!("v1/scenes/{}/floor?height_m={word}", scene.id), "height_m"),
             (Method::GET, format!("v1/scenes/{}/floor.png?height_m={word}", scene.id), "height_m"),
         ] {
-            let request = server.client.request(method, &path).header("content-type", "application/jsonl").body("{}");
+            let request = server
+                .client
+                .request(method, &path)
+                .header("content-type", "application/jsonl")
+                .body("{}");
             let refusal: Problem = request.send().await.unwrap().json().await.unwrap();
-            assert_eq!((refusal.status, refusal.errors[0].pointer.as_str()), (422, pointer), "{path}: {}", refusal.detail);
+            assert_eq!(
+                (refusal.status, refusal.errors[0].pointer.as_str()),
+                (422, pointer),
+                "{path}: {}",
+                refusal.detail
+            );
         }
     }
     for metres in ["0", "0.0000001", "1e7"] {
         let path = format!("v1/scenes?metres_per_unit={metres}");
         let refusal = post_raw(&server.client, &path, "application/zip", "PK").await;
-        assert_eq!((refusal.status, refusal.errors[0].pointer.as_str()), (422, "metres_per_unit"), "{}", refusal.detail);
+        assert_eq!(
+            (refusal.status, refusal.errors[0].pointer.as_str()),
+            (422, "metres_per_unit"),
+            "{}",
+            refusal.detail
+        );
     }
     let (scene, robot) = (&scene.id, r#""radius_m": 0.25, "height_m": 1.3, "eye_height_m": 1.2"#);
     for (path, body, pointer) in [
@@ -145,20 +214,44 @@ async fn numbers_that_are_none_are_refused_by_field() {
             r#"{"query": "a", "observer": {"position": [0, 0, 0], "yaw_rad": 1e39}}"#.into(),
             "/observer/yaw_rad",
         ),
-        ("approach", format!(r#"{{"instance_id": 1, "robot": {{{robot}}}, "from": {{"x": 1e300, "y": 0}}}}"#), "/from"),
+        (
+            "approach",
+            format!(
+                r#"{{"instance_id": 1, "robot": {{{robot}}}, "from": {{"x": 1e300, "y": 0}}}}"#
+            ),
+            "/from",
+        ),
         (
             "approach",
             format!(r#"{{"instance_id": 1, "robot": {{{robot}}}, "max_distance_m": 1e39}}"#),
             "/max_distance_m",
         ),
-        ("parse", r#"{"settings": {"import": {"metres_per_unit": 1e300}}}"#.into(), "/settings/import/metres_per_unit"),
+        (
+            "parse",
+            r#"{"settings": {"import": {"metres_per_unit": 1e300}}}"#.into(),
+            "/settings/import/metres_per_unit",
+        ),
     ] {
-        let refusal = post_raw(&server.client, &format!("v1/scenes/{scene}/{path}"), "application/json", &body).await;
-        assert_eq!((refusal.status, refusal.errors[0].pointer.as_str()), (422, pointer), "{body}: {}", refusal.detail);
+        let refusal = post_raw(
+            &server.client,
+            &format!("v1/scenes/{scene}/{path}"),
+            "application/json",
+            &body,
+        )
+        .await;
+        assert_eq!(
+            (refusal.status, refusal.errors[0].pointer.as_str()),
+            (422, pointer),
+            "{body}: {}",
+            refusal.detail
+        );
     }
     let place = SceneToMap { rotation: [0.0, 0.0, 0.0, 1.0], translation_m: [1e300, 0.0, 0.0] };
     let change = SceneChange { scene_to_map: Some(Some(place)), ..SceneChange::default() };
-    assert_eq!(problem(server.client.change_scene(scene, &change).await).errors[0].pointer, "/scene_to_map/translation_m");
+    assert_eq!(
+        problem(server.client.change_scene(scene, &change).await).errors[0].pointer,
+        "/scene_to_map/translation_m"
+    );
     server.stop().await;
 }
 
@@ -166,7 +259,8 @@ async fn numbers_that_are_none_are_refused_by_field() {
 #[tokio::test]
 async fn an_idempotency_key_that_is_none_is_refused_by_name() {
     let server = TestServer::start().await;
-    let description: Value = serde_json::from_slice(&server.client.bytes("openapi.json").await.unwrap()).unwrap();
+    let description: Value =
+        serde_json::from_slice(&server.client.bytes("openapi.json").await.unwrap()).unwrap();
     let mut routes = 0;
     for (path, operations) in description["paths"].as_object().unwrap() {
         let takes_key = |operation: &Value| {
@@ -178,28 +272,58 @@ async fn an_idempotency_key_that_is_none_is_refused_by_name() {
             continue;
         }
         routes += 1;
-        let path = path.trim_start_matches('/').replace("{scene_id}", "018f0000-0000-7000-8000-000000000000");
+        let path = path
+            .trim_start_matches('/')
+            .replace("{scene_id}", "018f0000-0000-7000-8000-000000000000");
         for key in [String::new(), "k".repeat(256), "k".repeat(60_000)] {
-            let request = server.client.request(Method::POST, &path).header("idempotency-key", &key);
-            let request = request.header("tus-resumable", "1.0.0").header("content-type", "application/json");
-            let refusal: Problem = request.header("upload-length", "7").body("{}").send().await.unwrap().json().await.unwrap();
+            let request =
+                server.client.request(Method::POST, &path).header("idempotency-key", &key);
+            let request =
+                request.header("tus-resumable", "1.0.0").header("content-type", "application/json");
+            let refusal: Problem = request
+                .header("upload-length", "7")
+                .body("{}")
+                .send()
+                .await
+                .unwrap()
+                .json()
+                .await
+                .unwrap();
             let named = refusal.errors.first().map(|error| error.pointer.as_str());
-            assert_eq!((refusal.status, named), (422, Some("Idempotency-Key")), "{path}, {} bytes: {}", key.len(), refusal.detail);
+            assert_eq!(
+                (refusal.status, named),
+                (422, Some("Idempotency-Key")),
+                "{path}, {} bytes: {}",
+                key.len(),
+                refusal.detail
+            );
         }
     }
     assert!(routes >= 6, "only {routes} routes found");
     server.stop().await;
 }
 
-/// Cursors are ids as they are given out: in braces or capitals they would be compared as other texts.
+/// Cursors are ids as they are given out: in braces or capitals they would be compared as other
+/// texts.
 #[tokio::test]
 async fn a_cursor_that_is_none_is_refused_by_name() {
     let server = TestServer::start().await;
     let id = "01a1ff70-0000-7000-8000-00000000000a";
     for list in ["v1/scenes", "v1/answers", "v1/jobs", "v1/batches", "v1/keys", "v1/audit"] {
-        for cursor in ["%7B%7D".into(), format!("%7B{id}%7D"), id.to_uppercase(), format!("urn:uuid:{id}"), "x".into(), String::new()] {
+        for cursor in [
+            "%7B%7D".into(),
+            format!("%7B{id}%7D"),
+            id.to_uppercase(),
+            format!("urn:uuid:{id}"),
+            "x".into(),
+            String::new(),
+        ] {
             let refusal = problem(server.client.bytes(&format!("{list}?cursor={cursor}")).await);
-            assert_eq!((refusal.status, refusal.errors[0].pointer.as_str()), (422, "cursor"), "{list} {cursor:?}");
+            assert_eq!(
+                (refusal.status, refusal.errors[0].pointer.as_str()),
+                (422, "cursor"),
+                "{list} {cursor:?}"
+            );
         }
         assert!(server.client.bytes(&format!("{list}?cursor={id}")).await.is_ok(), "{list}");
     }

@@ -23,10 +23,17 @@ async fn a_killed_server_comes_back_with_scenes_instances_and_answers() {
     assert_eq!(server.client.instances(&scene.id, 1000).await.unwrap(), instances);
     assert_eq!(server.client.answer(&answer.id).await.unwrap(), answer);
     let again = server.client.ground(&scene.id, &ask("the red sofa")).await.unwrap();
-    assert_eq!((again.answer, again.aabb, again.candidates), (answer.answer, answer.aabb, answer.candidates));
+    assert_eq!(
+        (again.answer, again.aabb, again.candidates),
+        (answer.answer, answer.aabb, answer.candidates)
+    );
     // Nothing is parsed again: neither the stored scene nor the same bytes.
-    let same = server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap();
-    assert_eq!((same.scene.status, same.job.unwrap().state), (SceneStatus::Ready, JobState::Succeeded));
+    let same =
+        server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap();
+    assert_eq!(
+        (same.scene.status, same.job.unwrap().state),
+        (SceneStatus::Ready, JobState::Succeeded)
+    );
     assert_eq!(server.terminate(), Some(0));
 }
 
@@ -57,7 +64,9 @@ async fn a_stopped_server_goes_on_with_its_queue() {
 async fn a_hangup_stops_a_server_cleanly() {
     const SIGHUP_BIT: u64 = 1;
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let ignored = status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());
+    let ignored = status
+        .lines()
+        .find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());
     if ignored.is_some_and(|mask| mask & SIGHUP_BIT != 0) {
         eprintln!("left out: these tests run under nohup");
         return;

@@ -14,9 +14,20 @@ use uniground_core::geometry::up_axis::UpAxis;
 async fn one_key_sent_many_times_at_once_makes_one_scene() {
     let server = TestServer::start().await;
     let post = |_| async {
-        let request = server.client.request(Method::POST, "v1/scenes").header("content-type", "application/zip");
-        let response = request.header("idempotency-key", "once").body(Scan::neutral().zip()).send().await.unwrap();
-        response.json::<serde_json::Value>().await.unwrap()["scene"]["id"].as_str().unwrap().to_owned()
+        let request = server
+            .client
+            .request(Method::POST, "v1/scenes")
+            .header("content-type", "application/zip");
+        let response = request
+            .header("idempotency-key", "once")
+            .body(Scan::neutral().zip())
+            .send()
+            .await
+            .unwrap();
+        response.json::<serde_json::Value>().await.unwrap()["scene"]["id"]
+            .as_str()
+            .unwrap()
+            .to_owned()
     };
     let ids = join_all((0..6).map(post)).await;
     assert!(ids.iter().all(|id| *id == ids[0]), "{ids:?}");
@@ -26,8 +37,11 @@ async fn one_key_sent_many_times_at_once_makes_one_scene() {
 
 #[tokio::test]
 async fn an_upload_refused_for_a_full_queue_leaves_no_scene() {
-    let server = TestServer::start_with(LimitsConfig { max_queued_jobs: 0, ..LimitsConfig::default() }).await;
-    let refusal = problem(server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await);
+    let server =
+        TestServer::start_with(LimitsConfig { max_queued_jobs: 0, ..LimitsConfig::default() })
+            .await;
+    let refusal =
+        problem(server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await);
     assert_eq!((refusal.status, refusal.code.as_str()), (429, "queue_full"));
     assert_eq!(server.client.scenes(10, None).await.unwrap().scenes, []);
     server.stop().await;
@@ -53,15 +67,26 @@ async fn a_second_server_on_the_same_folder_is_refused() {
 #[tokio::test]
 async fn what_is_up_survives_a_reparse() {
     let server = TestServer::start().await;
-    let post = server.client.request(Method::POST, "v1/scenes?up=y").header("content-type", "application/zip");
-    let created: serde_json::Value = post.body(Scan::cloud_only().zip()).send().await.unwrap().json().await.unwrap();
+    let post = server
+        .client
+        .request(Method::POST, "v1/scenes?up=y")
+        .header("content-type", "application/zip");
+    let created: serde_json::Value =
+        post.body(Scan::cloud_only().zip()).send().await.unwrap().json().await.unwrap();
     let id = created["scene"]["id"].as_str().unwrap();
     finished(&server.client, created["job"]["id"].as_str().unwrap()).await;
     let before = server.client.scene(id).await.unwrap();
-    let job = server.client.parse(id, &json!({"settings": {"parsing": {"views": {"count": 4}}}})).await.unwrap();
+    let job = server
+        .client
+        .parse(id, &json!({"settings": {"parsing": {"views": {"count": 4}}}}))
+        .await
+        .unwrap();
     assert_eq!(finished(&server.client, &job.id).await.state, JobState::Succeeded);
     let after = server.client.scene(id).await.unwrap();
-    assert_eq!((after.import.unwrap().up, after.extent, after.parse_version), (UpAxis::Y, before.extent, 2));
+    assert_eq!(
+        (after.import.unwrap().up, after.extent, after.parse_version),
+        (UpAxis::Y, before.extent, 2)
+    );
     server.stop().await;
 }
 
@@ -85,13 +110,17 @@ async fn the_latest_parse_asked_for_is_the_one_that_stays() {
 #[tokio::test]
 async fn deleting_a_scene_stops_its_jobs() {
     let server = TestServer::start().await;
-    let created = server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap();
+    let created =
+        server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap();
     let again = server.client.parse(&created.scene.id, &json!({"preset": "paper"})).await.unwrap();
     server.client.delete_scene(&created.scene.id).await.unwrap();
     for id in [created.job.unwrap().id, again.id] {
         let job = finished(&server.client, &id).await;
         assert!(matches!(job.state, JobState::Cancelled | JobState::Succeeded), "{job:?}");
     }
-    assert_eq!((server.stored("blobs/contents").len(), server.stored("blobs/parses").len()), (0, 0));
+    assert_eq!(
+        (server.stored("blobs/contents").len(), server.stored("blobs/parses").len()),
+        (0, 0)
+    );
     server.stop().await;
 }

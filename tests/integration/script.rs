@@ -75,7 +75,11 @@ impl Script {
     }
 }
 
-async fn complete(State(script): State<Script>, headers: HeaderMap, Json(body): Json<Value>) -> Response {
+async fn complete(
+    State(script): State<Script>,
+    headers: HeaderMap,
+    Json(body): Json<Value>,
+) -> Response {
     let key = headers.get("authorization").map(|v| v.to_str().unwrap().to_owned());
     script.asked.lock().unwrap().push((key, body));
     let answer = {
@@ -90,14 +94,22 @@ async fn complete(State(script): State<Script>, headers: HeaderMap, Json(body): 
         at_once => at_once,
     };
     match answer {
-        Scripted::Json(status, answer) => (StatusCode::from_u16(status).unwrap(), Json(answer)).into_response(),
-        Scripted::After(status, wait) => (StatusCode::from_u16(status).unwrap(), [("retry-after", wait)], "later").into_response(),
+        Scripted::Json(status, answer) => {
+            (StatusCode::from_u16(status).unwrap(), Json(answer)).into_response()
+        }
+        Scripted::After(status, wait) => {
+            (StatusCode::from_u16(status).unwrap(), [("retry-after", wait)], "later")
+                .into_response()
+        }
         Scripted::Slowly(..) => unreachable!("an answer waits once"),
         Scripted::Text(text) => text.into_response(),
-        Scripted::Redirect(address) => (StatusCode::PERMANENT_REDIRECT, [("location", address)]).into_response(),
+        Scripted::Redirect(address) => {
+            (StatusCode::PERMANENT_REDIRECT, [("location", address)]).into_response()
+        }
         Scripted::Flood => {
             let chunk = vec![b' '; 1 << 16];
-            Body::from_stream(stream::repeat_with(move || Ok::<_, Infallible>(chunk.clone()))).into_response()
+            Body::from_stream(stream::repeat_with(move || Ok::<_, Infallible>(chunk.clone())))
+                .into_response()
         }
         Scripted::Silent => {
             let _guard = script.left.clone().drop_guard();
@@ -118,7 +130,10 @@ async fn complete(State(script): State<Script>, headers: HeaderMap, Json(body): 
 /// A completion with this text.
 pub fn says(text: &str) -> Scripted {
     let usage = json!({"prompt_tokens": 700, "completion_tokens": 40});
-    Scripted::Json(200, json!({"choices": [{"message": {"role": "assistant", "content": text}}], "usage": usage}))
+    Scripted::Json(
+        200,
+        json!({"choices": [{"message": {"role": "assistant", "content": text}}], "usage": usage}),
+    )
 }
 
 pub fn fails(status: u16, message: &str) -> Scripted {

@@ -8,8 +8,8 @@ use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 use uniground::app::{self, RunningService};
 use uniground::config::{
-    AccessConfig, BlobsConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, Role, ServeConfig, VlmConfig,
-    WebhookConfig,
+    AccessConfig, BlobsConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig,
+    Role, ServeConfig, VlmConfig, WebhookConfig,
 };
 use uniground::store::Location;
 use uniground_client::{Client, ClientError};
@@ -18,8 +18,9 @@ use uniground_types::problem::Problem;
 use uniground_types::question::GroundRequest;
 use uniground_types::scenes::Scene;
 
-/// Where the rows of a server on a data folder are kept: in the folder itself; or, where `UNIGROUND_TEST_POSTGRES` says which server
-/// (`postgres://USER@HOST:PORT`), in a database of PostgreSQL's that is the folder's own.
+/// Where the rows of a server on a data folder are kept: in the folder itself; or, where
+/// `UNIGROUND_TEST_POSTGRES` says which server (`postgres://USER@HOST:PORT`), in a database of
+/// PostgreSQL's that is the folder's own.
 pub fn location(data: &Utf8Path) -> Location {
     let Ok(server) = std::env::var("UNIGROUND_TEST_POSTGRES") else { return Location::Folder };
     let name: String = data.as_str().chars().filter(char::is_ascii_alphanumeric).collect();
@@ -33,8 +34,8 @@ pub fn location(data: &Utf8Path) -> Location {
     format!("{server}/{name}").parse().unwrap()
 }
 
-/// Where its scans and parses are kept: in the folder itself; or, where `UNIGROUND_TEST_S3` names a bucket (`s3://BUCKET`, the rest in `AWS_…`),
-/// below a prefix there that is the folder's own.
+/// Where its scans and parses are kept: in the folder itself; or, where `UNIGROUND_TEST_S3` names a
+/// bucket (`s3://BUCKET`, the rest in `AWS_…`), below a prefix there that is the folder's own.
 pub fn blobs(data: &Utf8Path) -> BlobsConfig {
     let Ok(bucket) = std::env::var("UNIGROUND_TEST_S3") else { return BlobsConfig::default() };
     let name: String = data.as_str().chars().filter(char::is_ascii_alphanumeric).collect();
@@ -71,9 +72,13 @@ pub async fn loose_rows(data: &Utf8Path) -> AnyConnection {
     rows
 }
 
-/// The limits of a server in this process, whose children are processes of the program that is tested.
+/// The limits of a server in this process, whose children are processes of the program that is
+/// tested.
 pub fn limits() -> LimitsConfig {
-    LimitsConfig { reader_program: Some(env!("CARGO_BIN_EXE_uniground").into()), ..LimitsConfig::default() }
+    LimitsConfig {
+        reader_program: Some(env!("CARGO_BIN_EXE_uniground").into()),
+        ..LimitsConfig::default()
+    }
 }
 
 /// That of a server on a data folder, without models.
@@ -115,7 +120,12 @@ impl TestServer {
     }
 
     /// A server on a data folder that may have been another server's.
-    pub async fn start_on(data: tempfile::TempDir, limits: LimitsConfig, vlm: VlmConfig, models: ModelsConfig) -> Self {
+    pub async fn start_on(
+        data: tempfile::TempDir,
+        limits: LimitsConfig,
+        vlm: VlmConfig,
+        models: ModelsConfig,
+    ) -> Self {
         let config = config(Utf8Path::from_path(data.path()).unwrap());
         let limits = LimitsConfig { reader_program: self::limits().reader_program, ..limits };
         let running = app::start(&ServeConfig { models, vlm, limits, ..config }).await.unwrap();
@@ -178,7 +188,8 @@ pub fn problem<T: std::fmt::Debug>(result: Result<T, ClientError>) -> Problem {
 
 /// Sends raw bytes as JSON and returns the problem.
 pub async fn post_raw(client: &Client, path: &str, media_type: &str, body: &str) -> Problem {
-    let request = client.request(Method::POST, path).header("content-type", media_type).body(body.to_owned());
+    let request =
+        client.request(Method::POST, path).header("content-type", media_type).body(body.to_owned());
     let response = request.send().await.unwrap();
     let content_type = response.headers()["content-type"].to_str().unwrap().to_owned();
     let text = response.text().await.unwrap();
@@ -200,7 +211,12 @@ impl Process {
     /// With its log in a file, as JSON, at the level that is on by default.
     pub fn start_logging(data: &Utf8Path, log: &Utf8Path) -> Self {
         let mut command = command(data, "127.0.0.1:0");
-        Self::started(command.args(["--log-format", "json"]).env_remove("RUST_LOG").stderr(File::create(log).unwrap()))
+        Self::started(
+            command
+                .args(["--log-format", "json"])
+                .env_remove("RUST_LOG")
+                .stderr(File::create(log).unwrap()),
+        )
     }
 
     pub fn started(command: &mut Command) -> Self {

@@ -16,9 +16,15 @@ use uniground_types::scenes::{SceneReport, SceneStatus};
 async fn upload_parse_ask_and_look() {
     let server = TestServer::start().await;
     let scene = server.parsed(Scan::neutral().zip()).await;
-    assert_eq!((scene.name.as_str(), scene.status, scene.parse_version), ("test room", SceneStatus::Ready, 1));
+    assert_eq!(
+        (scene.name.as_str(), scene.status, scene.parse_version),
+        ("test room", SceneStatus::Ready, 1)
+    );
     let import = scene.import.unwrap();
-    assert_eq!((import.format.as_str(), import.frames, import.cloud_points), ("uniground-scene/1", 8, None));
+    assert_eq!(
+        (import.format.as_str(), import.frames, import.cloud_points),
+        ("uniground-scene/1", 8, None)
+    );
     assert!(import.reprojection_agreement.unwrap() > 0.5, "{import:?}");
 
     let instances = server.client.instances(&scene.id, 1000).await.unwrap().instances;
@@ -30,10 +36,19 @@ async fn upload_parse_ask_and_look() {
     assert_eq!(answer.status, Status::Grounded, "{answer:?}");
     let aabb = answer.aabb.unwrap();
     // The sofa of the test room spans (-1, 0.6, 0) to (1, 1.5, 0.8).
-    assert!((aabb.center - uniground_core::geometry::Point3::new(0.0, 1.05, 0.4)).norm() < 0.15, "{aabb:?}");
-    assert!((aabb.size - uniground_core::geometry::Vector3::new(2.0, 0.9, 0.8)).norm() < 0.25, "{aabb:?}");
+    assert!(
+        (aabb.center - uniground_core::geometry::Point3::new(0.0, 1.05, 0.4)).norm() < 0.15,
+        "{aabb:?}"
+    );
+    assert!(
+        (aabb.size - uniground_core::geometry::Vector3::new(2.0, 0.9, 0.8)).norm() < 0.25,
+        "{aabb:?}"
+    );
     let oriented = answer.oriented_box.unwrap();
-    assert!(oriented.yaw_rad.abs() < 0.1 && (oriented.center - aabb.center).norm() < 0.1, "{oriented:?}");
+    assert!(
+        oriented.yaw_rad.abs() < 0.1 && (oriented.center - aabb.center).norm() < 0.1,
+        "{oriented:?}"
+    );
     assert_eq!(answer.models.reasoner, "builtin-3");
 
     assert_eq!(server.client.answer(&answer.id).await.unwrap(), answer);
@@ -46,12 +61,18 @@ async fn upload_parse_ask_and_look() {
     for picture in ["frame", "crop"] {
         let bytes = server
             .client
-            .bytes(&format!("v1/scenes/{}/instances/{sofa}/views/0.jpg?picture={picture}", scene.id))
+            .bytes(&format!(
+                "v1/scenes/{}/instances/{sofa}/views/0.jpg?picture={picture}",
+                scene.id
+            ))
             .await
             .unwrap();
         let image = image::load_from_memory(&bytes).unwrap().into_rgb8();
         let red = image.pixels().filter(|p| p.0[0] > 120 && p.0[1] < 80).count();
-        assert!(red as f32 > 0.1 * (image.width() * image.height()) as f32, "{picture} does not show the red sofa");
+        assert!(
+            red as f32 > 0.1 * (image.width() * image.height()) as f32,
+            "{picture} does not show the red sofa"
+        );
     }
     for file in ["cloud.ply", "instances.ply"] {
         let ply = server.client.bytes(&format!("v1/scenes/{}/{file}", scene.id)).await.unwrap();
@@ -64,18 +85,31 @@ async fn upload_parse_ask_and_look() {
 async fn the_six_fields_tell_what_was_decided() {
     let server = TestServer::start().await;
     let scene = server.parsed(Scan::neutral().zip()).await;
-    let grounded = server.client.ground(&scene.id, &ask("the trash can farthest from the sofa")).await.unwrap().answer;
+    let grounded = server
+        .client
+        .ground(&scene.id, &ask("the trash can farthest from the sofa"))
+        .await
+        .unwrap()
+        .answer;
     assert!(
-        grounded.predicted_id.is_some() && grounded.anchor_id.is_some() && grounded.predicted_id != grounded.anchor_id,
+        grounded.predicted_id.is_some()
+            && grounded.anchor_id.is_some()
+            && grounded.predicted_id != grounded.anchor_id,
         "{grounded:?}"
     );
     assert_eq!(grounded.relation_used.as_deref(), Some("farthest from the sofa"));
     assert!(!grounded.explanation.is_empty() && !grounded.candidate_names.is_empty());
 
     let absent = server.client.ground(&scene.id, &ask("the green sofa")).await.unwrap();
-    assert_eq!((absent.status, absent.aabb, absent.answer.predicted_id), (Status::NoMatch, None, None), "{absent:?}");
+    assert_eq!(
+        (absent.status, absent.aabb, absent.answer.predicted_id),
+        (Status::NoMatch, None, None),
+        "{absent:?}"
+    );
 
-    let request = serde_json::from_value(json!({"query": "the red sofa", "top_k": 2, "include": ["trace"]})).unwrap();
+    let request =
+        serde_json::from_value(json!({"query": "the red sofa", "top_k": 2, "include": ["trace"]}))
+            .unwrap();
     let short = server.client.ground(&scene.id, &request).await.unwrap();
     assert_eq!((short.candidates, short.evidence, short.trace.is_some()), (None, None, true));
     // What is left out of a reply is kept all the same.
@@ -96,7 +130,13 @@ async fn every_container_and_layout_gives_the_same_scene() {
     let zip = server.parsed(Scan::neutral().zip()).await;
     let reference = server.client.instances(&zip.id, 1000).await.unwrap();
     let plain = Scan::frames_only();
-    let nested = Scan(plain.0.iter().map(|(name, content)| (format!("my room/{name}"), content.clone())).collect());
+    let nested = Scan(
+        plain
+            .0
+            .iter()
+            .map(|(name, content)| (format!("my room/{name}"), content.clone()))
+            .collect(),
+    );
     for (media_type, archive) in [
         ("application/x-tar", Scan::neutral().tar()),
         ("application/zstd", Scan::neutral().tar_zst()),
@@ -120,11 +160,21 @@ async fn a_cloud_alone_is_a_scene_without_pictures() {
     let scene = server.parsed(Scan::cloud_only().zip()).await;
     assert!(scene.report.unwrap().warnings.iter().any(|w| w.contains("no frames")));
     let instances = server.client.instances(&scene.id, 1000).await.unwrap().instances;
-    // The sofa's top is its largest surface: red, 2.0 x 0.9 m, at 0.8 m. Nothing holds it up there, so its box reaches down to the floor.
-    let top = instances.iter().find(|i| i.mean_rgb[0] > 150 && (i.raw_box.center.z - 0.8).abs() < 0.05).unwrap();
+    // The sofa's top is its largest surface: red, 2.0 x 0.9 m, at 0.8 m. Nothing holds it up there,
+    // so its box reaches down to the floor.
+    let top = instances
+        .iter()
+        .find(|i| i.mean_rgb[0] > 150 && (i.raw_box.center.z - 0.8).abs() < 0.05)
+        .unwrap();
     assert!(top.aabb.min().z < 0.05, "{top:?}");
-    assert!((top.aabb.size.xy() - uniground_core::geometry::Vector2::new(2.0, 0.9)).norm() < 0.1, "{top:?}");
-    let missing = server.client.bytes(&format!("v1/scenes/{}/instances/{}/views/0.jpg", scene.id, top.id)).await;
+    assert!(
+        (top.aabb.size.xy() - uniground_core::geometry::Vector2::new(2.0, 0.9)).norm() < 0.1,
+        "{top:?}"
+    );
+    let missing = server
+        .client
+        .bytes(&format!("v1/scenes/{}/instances/{}/views/0.jpg", scene.id, top.id))
+        .await;
     assert_eq!(problem(missing).code, "view_not_found");
     server.stop().await;
 }
@@ -133,17 +183,29 @@ async fn a_cloud_alone_is_a_scene_without_pictures() {
 async fn the_same_content_and_settings_are_parsed_once() {
     let server = TestServer::start().await;
     let first = server.parsed(Scan::neutral().zip()).await;
-    let again = server.client.create_scene(Some("again"), "application/zip", Scan::neutral().zip()).await.unwrap();
+    let again = server
+        .client
+        .create_scene(Some("again"), "application/zip", Scan::neutral().zip())
+        .await
+        .unwrap();
     let job = again.job.unwrap();
     assert_eq!(
         (again.scene.status, job.state, job.started_at == job.finished_at),
         (SceneStatus::Ready, JobState::Succeeded, true)
     );
     assert_eq!(again.scene.content_hash, first.content_hash);
-    let unnamed = server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap().scene;
+    let unnamed = server
+        .client
+        .create_scene(None, "application/zip", Scan::neutral().zip())
+        .await
+        .unwrap()
+        .scene;
     assert_eq!(unnamed.name, "test room");
     server.client.delete_scene(&unnamed.id).await.unwrap();
-    assert_eq!((server.stored("blobs/contents").len(), server.stored("blobs/parses").len()), (1, 1));
+    assert_eq!(
+        (server.stored("blobs/contents").len(), server.stored("blobs/parses").len()),
+        (1, 1)
+    );
 
     let other = server
         .client
@@ -152,15 +214,27 @@ async fn the_same_content_and_settings_are_parsed_once() {
         .unwrap();
     assert_eq!(finished(&server.client, &other.id).await.state, JobState::Succeeded);
     let reparsed = server.client.scene(&first.id).await.unwrap();
-    assert_eq!((reparsed.parse_version, reparsed.settings.unwrap().parsing.superpoints.seed_m), (2, 0.3));
+    assert_eq!(
+        (reparsed.parse_version, reparsed.settings.unwrap().parsing.superpoints.seed_m),
+        (2, 0.3)
+    );
     assert_eq!(server.stored("blobs/parses").len(), 2);
 
     // Both scenes share the content: it stays until the last one goes.
     server.client.delete_scene(&first.id).await.unwrap();
-    assert!(server.client.ground(&again.scene.id, &ask("the red sofa")).await.unwrap().aabb.is_some());
+    assert!(
+        server.client.ground(&again.scene.id, &ask("the red sofa")).await.unwrap().aabb.is_some()
+    );
     server.client.delete_scene(&again.scene.id).await.unwrap();
-    assert_eq!((server.stored("blobs/contents").len(), server.stored("blobs/parses").len()), (0, 0));
-    assert_eq!(server.stored("blobs/checkpoints").len(), 0, "what was kept for the next parse goes with the content");
+    assert_eq!(
+        (server.stored("blobs/contents").len(), server.stored("blobs/parses").len()),
+        (0, 0)
+    );
+    assert_eq!(
+        server.stored("blobs/checkpoints").len(),
+        0,
+        "what was kept for the next parse goes with the content"
+    );
     server.stop().await;
 }
 
@@ -174,7 +248,8 @@ async fn the_report_tells_and_shows_what_every_stage_did() {
     let server = TestServer::start().await;
     let scene = server.parsed(Scan::neutral().zip()).await;
     let report = server.client.report(&scene.id).await.unwrap();
-    let stages: Vec<&str> = report.parse.as_ref().unwrap().stages.iter().map(|s| s.stage.as_str()).collect();
+    let stages: Vec<&str> =
+        report.parse.as_ref().unwrap().stages.iter().map(|s| s.stage.as_str()).collect();
     let expected = [
         "import",
         "superpoints",
@@ -190,7 +265,16 @@ async fn the_report_tells_and_shows_what_every_stage_did() {
     ];
     assert_eq!(stages, expected);
     let may_be_nothing = |stage: &str| ["gaps", "hierarchy"].contains(&stage);
-    assert!(report.parse.as_ref().unwrap().stages.iter().all(|s| s.produced > 0 || may_be_nothing(&s.stage)), "{report:?}");
+    assert!(
+        report
+            .parse
+            .as_ref()
+            .unwrap()
+            .stages
+            .iter()
+            .all(|s| s.produced > 0 || may_be_nothing(&s.stage)),
+        "{report:?}"
+    );
     assert_eq!((report.parse_version, reused(&report)), (1, vec![]));
     let names: Vec<&str> = report.pictures.iter().map(|p| p.name.as_str()).collect();
     assert_eq!(names, ["superpoints", "instances", "frame-1", "frame-2", "frame-3"]);
@@ -211,7 +295,10 @@ async fn the_report_tells_and_shows_what_every_stage_did() {
         .unwrap();
     assert_eq!(finished(&server.client, &job.id).await.state, JobState::Succeeded);
     let again = server.client.report(&scene.id).await.unwrap();
-    assert_eq!((again.parse_version, reused(&again)), (2, vec!["import", "superpoints", "masks_and_lifting"]));
+    assert_eq!(
+        (again.parse_version, reused(&again)),
+        (2, vec!["import", "superpoints", "masks_and_lifting"])
+    );
 
     // Another import makes another cloud: nothing of the first fits it.
     let job = server
@@ -230,7 +317,8 @@ async fn the_report_tells_and_shows_what_every_stage_did() {
 #[tokio::test]
 async fn a_cancelled_job_started_again_goes_on_where_it_stopped() {
     let server = TestServer::start().await;
-    let sample = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap();
+    let sample =
+        std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap();
     let created = server.client.create_scene(None, "application/zip", sample).await.unwrap();
     let id = created.job.unwrap().id;
     // Wait until frames are looked at: what comes before is done by then.
@@ -254,9 +342,20 @@ async fn a_cancelled_job_started_again_goes_on_where_it_stopped() {
 async fn an_idempotency_key_makes_one_scene() {
     let server = TestServer::start().await;
     let post = || async {
-        let request = server.client.request(Method::POST, "v1/scenes?name=once").header("content-type", "application/zip");
-        let response = request.header("idempotency-key", "k1").body(Scan::neutral().zip()).send().await.unwrap();
-        response.json::<serde_json::Value>().await.unwrap()["scene"]["id"].as_str().unwrap().to_owned()
+        let request = server
+            .client
+            .request(Method::POST, "v1/scenes?name=once")
+            .header("content-type", "application/zip");
+        let response = request
+            .header("idempotency-key", "k1")
+            .body(Scan::neutral().zip())
+            .send()
+            .await
+            .unwrap();
+        response.json::<serde_json::Value>().await.unwrap()["scene"]["id"]
+            .as_str()
+            .unwrap()
+            .to_owned()
     };
     assert_eq!(post().await, post().await);
     assert_eq!(server.client.scenes(10, None).await.unwrap().scenes.len(), 1);
@@ -272,7 +371,8 @@ async fn scenes_are_listed_renamed_and_deleted() {
             .client
             .request(Method::POST, &format!("v1/scenes?parse=false&name=room{i}"))
             .header("content-type", "application/zip");
-        let body: serde_json::Value = request.body(Scan::neutral().zip()).send().await.unwrap().json().await.unwrap();
+        let body: serde_json::Value =
+            request.body(Scan::neutral().zip()).send().await.unwrap().json().await.unwrap();
         assert_eq!((&body["scene"]["status"], &body["job"]), (&json!("uploaded"), &json!(null)));
         ids.push(body["scene"]["id"].as_str().unwrap().to_owned());
     }
@@ -299,7 +399,8 @@ async fn scenes_are_listed_renamed_and_deleted() {
 #[tokio::test]
 async fn job_events_tell_progress_and_resume() {
     let server = TestServer::start().await;
-    let created = server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap();
+    let created =
+        server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap();
     let id = created.job.unwrap().id;
     let mut progress = Vec::new();
     let job = server.client.follow_job(&id, |job| progress.push(job.progress)).await.unwrap();
@@ -325,25 +426,42 @@ async fn job_events_tell_progress_and_resume() {
 #[tokio::test]
 async fn parts_and_wholes_are_listed_beside_the_things() {
     let server = TestServer::start().await;
-    let sample = fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap();
+    let sample =
+        fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap();
     let scene = server.parsed(sample).await.id;
     let listed = async |levels| server.client.all_instances(&scene, levels).await.unwrap();
     let things = listed(Levels::Things).await;
     let (parts, wholes) = (listed(Levels::Parts).await, listed(Levels::Wholes).await);
     let all = listed(Levels::All).await;
     let report = server.client.report(&scene).await.unwrap().parse.unwrap();
-    assert_eq!((things.len(), parts.len() + wholes.len()), (report.instances as usize, report.parts_and_wholes as usize));
-    assert_eq!(all.iter().map(|i| i.id.0).collect::<Vec<_>>(), (1..=all.len() as u32).collect::<Vec<_>>());
+    assert_eq!(
+        (things.len(), parts.len() + wholes.len()),
+        (report.instances as usize, report.parts_and_wholes as usize)
+    );
+    assert_eq!(
+        all.iter().map(|i| i.id.0).collect::<Vec<_>>(),
+        (1..=all.len() as u32).collect::<Vec<_>>()
+    );
     assert!(things.iter().all(|i| i.level == Level::Thing && i.things.is_empty()));
-    assert!(!parts.is_empty() && parts.iter().all(|i| i.level == Level::Part && i.things.len() == 1));
-    assert!(!wholes.is_empty() && wholes.iter().all(|i| i.level == Level::Whole && i.things.len() >= 2));
+    assert!(
+        !parts.is_empty() && parts.iter().all(|i| i.level == Level::Part && i.things.len() == 1)
+    );
+    assert!(
+        !wholes.is_empty() && wholes.iter().all(|i| i.level == Level::Whole && i.things.len() >= 2)
+    );
     let thing = |id: InstanceId| &things[id.0 as usize - 1];
     for whole in &wholes {
-        assert_eq!(whole.point_count, whole.things.iter().map(|&id| thing(id).point_count).sum::<u32>());
+        assert_eq!(
+            whole.point_count,
+            whole.things.iter().map(|&id| thing(id).point_count).sum::<u32>()
+        );
     }
     for part in &parts {
         assert!(part.point_count < thing(part.things[0]).point_count);
-        let picture = server.client.bytes(&format!("v1/scenes/{scene}/instances/{}/views/0.jpg", part.id)).await;
+        let picture = server
+            .client
+            .bytes(&format!("v1/scenes/{scene}/instances/{}/views/0.jpg", part.id))
+            .await;
         assert!(part.views.is_empty() || image::load_from_memory(&picture.unwrap()).is_ok());
     }
     let wrong = server.client.bytes(&format!("v1/scenes/{scene}/instances?level=bits")).await;

@@ -1,5 +1,6 @@
-//! Scenes with ground truth that lie beside the checkout where this project is built. They are for measuring and never enter
-//! the repository; where they are missing, one line says so. `UNIGROUND_REQUIRE_SHARED=1` makes missing ones a failure.
+//! Scenes with ground truth that lie beside the checkout where this project is built. They are for
+//! measuring and never enter the repository; where they are missing, one line says so.
+//! `UNIGROUND_REQUIRE_SHARED=1` makes missing ones a failure.
 
 use crate::server::{TestServer, ask, parsed};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -17,8 +18,8 @@ pub fn shared_scene(name: &str) -> Option<Utf8PathBuf> {
     None
 }
 
-/// The annotated rooms this project was developed with, and none of the others: what is held by a test is held on these; what other
-/// rooms come to is printed by `make quality`.
+/// The annotated rooms this project was developed with, and none of the others: what is held by a
+/// test is held on these; what other rooms come to is printed by `make quality`.
 pub fn development_rooms(names: &[&str]) -> Option<tempfile::TempDir> {
     let folder = shared_scene("room1.zip")?.canonicalize_utf8().unwrap();
     let rooms = tempfile::tempdir().unwrap();
@@ -37,9 +38,15 @@ async fn real_scans_are_turned_upright() {
     for (name, up) in [("redkitchen.zip", UpAxis::NegY), ("hololens.zip", UpAxis::Y)] {
         let Some(folder) = shared_scene(name) else { return };
         let server = TestServer::start().await;
-        let scene = parsed(&server.client, "application/zip", fs::read(folder.join(name)).unwrap()).await;
+        let scene =
+            parsed(&server.client, "application/zip", fs::read(folder.join(name)).unwrap()).await;
         let import = scene.import.unwrap();
-        println!("{name}: up {}, agreement {:?}, {:?}", import.up.name(), import.reprojection_agreement, scene.counts.unwrap());
+        println!(
+            "{name}: up {}, agreement {:?}, {:?}",
+            import.up.name(),
+            import.reprojection_agreement,
+            scene.counts.unwrap()
+        );
         assert_eq!(import.up, up, "{name}");
         assert!(import.reprojection_agreement.unwrap() > 0.4, "{name}: {import:?}");
         // A room is a few metres high, whatever its length.

@@ -35,7 +35,9 @@ fn beginning(path: &str, media_type: &str) -> String {
 /// Whether a new client is answered.
 async fn is_answered(server: &TestServer) -> bool {
     let client = Client::new(&server.url(), None).unwrap();
-    timeout(Duration::from_secs(20), client.bytes("healthz")).await.is_ok_and(|answer| answer.is_ok())
+    timeout(Duration::from_secs(20), client.bytes("healthz"))
+        .await
+        .is_ok_and(|answer| answer.is_ok())
 }
 
 #[tokio::test]
@@ -71,7 +73,12 @@ async fn an_upload_that_gets_on_keeps_its_place() {
     const PIECE: usize = 64 << 10;
     let server = TestServer::start_with(few_connections()).await;
     let archive = Scan::neutral()
-        .with("noise.bin", (0..4 << 20).map(|i: u32| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect::<Vec<_>>())
+        .with(
+            "noise.bin",
+            (0..4 << 20)
+                .map(|i: u32| (i.wrapping_mul(2_654_435_761) >> 13) as u8)
+                .collect::<Vec<_>>(),
+        )
         .tar();
     let head = format!(
         "POST /v1/scenes?parse=false HTTP/1.1\r\nhost: 127.0.0.1\r\nconnection: close\r\ncontent-length: {}\r\n\r\n",
@@ -91,12 +98,17 @@ async fn an_upload_that_gets_on_keeps_its_place() {
     server.stop().await;
 }
 
-/// Who finds all places taken by requests that are being answered is told so, as a problem like any other.
+/// Who finds all places taken by requests that are being answered is told so, as a problem like any
+/// other.
 #[tokio::test]
 async fn past_the_last_connection_there_is_a_polite_word() {
     let script = Script::default();
     let url = script.serve(vec![Scripted::Stall]).await;
-    let vlm = VlmConfig { vlm_url: Some(url), vlm_model: Some("scripted".into()), ..VlmConfig::default() };
+    let vlm = VlmConfig {
+        vlm_url: Some(url),
+        vlm_model: Some("scripted".into()),
+        ..VlmConfig::default()
+    };
     let server = TestServer::start_configured(few_connections(), vlm).await;
     let scene = server.parsed(Scan::neutral().zip()).await.id;
     let body = r#"{"query": "the red sofa", "reasoner": "vlm"}"#;

@@ -1,4 +1,5 @@
-//! What people read, kept word by word: an answer, problems, a report. `INSTA_UPDATE=always cargo test --release` writes them anew.
+//! What people read, kept word by word: an answer, problems, a report. `INSTA_UPDATE=always cargo
+//! test --release` writes them anew.
 
 use crate::server::TestServer;
 use reqwest::Method;
@@ -13,7 +14,10 @@ const SAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.
 async fn an_answer_is_what_it_was() {
     let server = TestServer::start().await;
     let scene = server.parsed(fs::read(SAMPLE).unwrap()).await;
-    for (name, query) in [("answer_grounded", "the mug on the coffee table"), ("answer_no_match", "the green fridge")] {
+    for (name, query) in [
+        ("answer_grounded", "the mug on the coffee table"),
+        ("answer_no_match", "the green fridge"),
+    ] {
         let answer = server
             .client
             .ground(&scene.id, &GroundRequest { top_k: 3, ..GroundRequest::of(query) })
@@ -38,12 +42,36 @@ async fn problems_say_what_is_wrong_and_where() {
         ("a route nobody has", Method::GET, "v1/rooms".to_owned(), json_type, ""),
         ("a method a route does not know", Method::PUT, "v1/scenes".to_owned(), json_type, ""),
         ("no JSON", Method::POST, ground.clone(), json_type, "{\"query\": "),
-        ("a field nobody knows", Method::POST, ground.clone(), json_type, r#"{"query": "the mug", "top": 3}"#),
-        ("a value out of its range", Method::POST, ground.clone(), json_type, r#"{"query": "the mug", "top_k": 0}"#),
+        (
+            "a field nobody knows",
+            Method::POST,
+            ground.clone(),
+            json_type,
+            r#"{"query": "the mug", "top": 3}"#,
+        ),
+        (
+            "a value out of its range",
+            Method::POST,
+            ground.clone(),
+            json_type,
+            r#"{"query": "the mug", "top_k": 0}"#,
+        ),
         ("a question that is none", Method::POST, ground.clone(), json_type, r#"{"query": " "}"#),
         ("another media type", Method::POST, ground, "text/plain", "the mug"),
-        ("an upload of a strange kind", Method::POST, "v1/scenes".to_owned(), "video/mp4", "\0\0\0\x18ftypmp42"),
-        ("an upload that is no archive", Method::POST, "v1/scenes".to_owned(), "application/zip", "x"),
+        (
+            "an upload of a strange kind",
+            Method::POST,
+            "v1/scenes".to_owned(),
+            "video/mp4",
+            "\0\0\0\x18ftypmp42",
+        ),
+        (
+            "an upload that is no archive",
+            Method::POST,
+            "v1/scenes".to_owned(),
+            "application/zip",
+            "x",
+        ),
     ] {
         let request = server
             .client
@@ -65,7 +93,14 @@ fn a_report_reads_as_it_did() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     let run = Command::new(env!("CARGO_BIN_EXE_uniground"))
-        .args(["eval", concat!(env!("CARGO_MANIFEST_DIR"), "/examples"), "--matrix", "source=oracle,oracle-boxes", "--label", "snapshot"])
+        .args([
+            "eval",
+            concat!(env!("CARGO_MANIFEST_DIR"), "/examples"),
+            "--matrix",
+            "source=oracle,oracle-boxes",
+            "--label",
+            "snapshot",
+        ])
         .arg("--out")
         .arg(&out)
         .output()

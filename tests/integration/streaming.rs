@@ -22,7 +22,8 @@ fn peak_mb(pid: u32) -> f64 {
 async fn a_large_upload_stays_out_of_memory() {
     let data = tempfile::tempdir().unwrap();
     let server = Process::start(Utf8Path::from_path(data.path()).unwrap());
-    // A tar of one large file: the room is missing, so it is refused, but only after it went all the way to disk.
+    // A tar of one large file: the room is missing, so it is refused, but only after it went all
+    // the way to disk.
     const MEGABYTES: usize = 300;
     let mut header = tar::Header::new_gnu();
     header.set_path("noise.bin").unwrap();
@@ -53,7 +54,9 @@ async fn an_upload_that_breaks_off_leaves_nothing() {
     let half = Bytes::copy_from_slice(&archive[..archive.len() / 2]);
     let chunks = vec![Ok(half), Err(io::Error::other("the robot lost its network"))];
     let client: &Client = &server.client;
-    let sent = client.create_scene(None, "application/zip", reqwest::Body::wrap_stream(stream::iter(chunks))).await;
+    let sent = client
+        .create_scene(None, "application/zip", reqwest::Body::wrap_stream(stream::iter(chunks)))
+        .await;
     assert!(sent.is_err());
     // The connection's end reaches the server a moment later.
     for _ in 0..100 {

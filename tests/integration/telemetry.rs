@@ -1,4 +1,5 @@
-//! What a server tells of itself: metrics, numbers and readiness, held against what was done, and against the files that use them.
+//! What a server tells of itself: metrics, numbers and readiness, held against what was done, and
+//! against the files that use them.
 
 use crate::archives::Scan;
 use crate::script::{Script, fails, says};
@@ -31,14 +32,18 @@ struct Scrape {
 impl Scrape {
     /// Reads every line, and fails on one that is none.
     fn read(text: &str) -> Self {
-        let (mut samples, mut types, mut helped) = (BTreeMap::<_, Vec<Sample>>::new(), BTreeMap::new(), BTreeSet::new());
+        let (mut samples, mut types, mut helped) =
+            (BTreeMap::<_, Vec<Sample>>::new(), BTreeMap::new(), BTreeSet::new());
         assert!(text.ends_with("# EOF\n"), "{text}");
         for line in text.lines().filter(|line| *line != "# EOF") {
             if let Some(rest) = line.strip_prefix("# ") {
                 let (what, rest) = rest.split_once(' ').unwrap();
                 let (name, said) = rest.split_once(' ').unwrap();
                 match what {
-                    "TYPE" => assert!(types.insert(name.to_owned(), said.to_owned()).is_none(), "{name} stands there twice"),
+                    "TYPE" => assert!(
+                        types.insert(name.to_owned(), said.to_owned()).is_none(),
+                        "{name} stands there twice"
+                    ),
                     "HELP" => assert!(said.len() > 10 && helped.insert(name.to_owned()), "{line}"),
                     "UNIT" => assert!(name.ends_with(said), "{line}"),
                     _ => panic!("{line}"),
@@ -47,7 +52,9 @@ impl Scrape {
             }
             let (series, value) = line.rsplit_once(' ').unwrap();
             let value: f64 = value.parse().unwrap_or_else(|_| panic!("{line}"));
-            let (name, labels) = series.split_once('{').map_or((series, ""), |(name, rest)| (name, rest.strip_suffix('}').unwrap()));
+            let (name, labels) = series
+                .split_once('{')
+                .map_or((series, ""), |(name, rest)| (name, rest.strip_suffix('}').unwrap()));
             let labels = labels.split("\",").filter(|label| !label.is_empty()).map(|label| {
                 let (label, value) = label.split_once("=\"").unwrap_or_else(|| panic!("{line}"));
                 (label.to_owned(), value.trim_end_matches('"').to_owned())
@@ -60,7 +67,9 @@ impl Scrape {
 
     /// The value of a series; 0 where there is none yet.
     fn value(&self, name: &str, labels: &[(&str, &str)]) -> f64 {
-        let fits = |(of, _): &&Sample| labels.iter().all(|(label, value)| of.get(*label).is_some_and(|found| found == value));
+        let fits = |(of, _): &&Sample| {
+            labels.iter().all(|(label, value)| of.get(*label).is_some_and(|found| found == value))
+        };
         self.samples.get(name).into_iter().flatten().filter(fits).map(|(_, value)| value).sum()
     }
 
@@ -78,7 +87,10 @@ impl Scrape {
 
 async fn scraped(server: &TestServer) -> Scrape {
     let response = server.client.request(Method::GET, "metrics").send().await.unwrap();
-    assert_eq!(response.headers()["content-type"], "application/openmetrics-text; version=1.0.0; charset=utf-8");
+    assert_eq!(
+        response.headers()["content-type"],
+        "application/openmetrics-text; version=1.0.0; charset=utf-8"
+    );
     Scrape::read(&response.text().await.unwrap())
 }
 
@@ -104,7 +116,8 @@ fn named(text: &str) -> BTreeSet<String> {
         .collect()
 }
 
-/// Names of metrics in the expressions of the dashboard; each panel has a place of its own and one title.
+/// Names of metrics in the expressions of the dashboard; each panel has a place of its own and one
+/// title.
 fn named_in_dashboard() -> BTreeSet<String> {
     let dashboard: Value = serde_json::from_str(&file("deploy/grafana-dashboard.json")).unwrap();
     let panels = dashboard["panels"].as_array().unwrap();
@@ -117,26 +130,42 @@ fn named_in_dashboard() -> BTreeSet<String> {
 fn bytes_below(folder: &Utf8Path) -> u64 {
     let entries = folder.read_dir_utf8().unwrap().map(Result::unwrap);
     entries
-        .map(|entry| if entry.file_type().unwrap().is_dir() { bytes_below(entry.path()) } else { entry.metadata().unwrap().len() })
+        .map(|entry| {
+            if entry.file_type().unwrap().is_dir() {
+                bytes_below(entry.path())
+            } else {
+                entry.metadata().unwrap().len()
+            }
+        })
         .sum()
 }
 
-/// The sample scan is uploaded twice, asked about alone and in a batch, and one question is about a scene that is none.
+/// The sample scan is uploaded twice, asked about alone and in a batch, and one question is about a
+/// scene that is none.
 #[tokio::test(flavor = "multi_thread")]
 async fn metrics_and_stats_tell_what_was_done() {
     let server = TestServer::start().await;
     let before = scraped(&server).await;
-    assert_eq!((before.value("uniground_scenes", &[]), before.value("uniground_ready", &[])), (0.0, 1.0));
+    assert_eq!(
+        (before.value("uniground_scenes", &[]), before.value("uniground_ready", &[])),
+        (0.0, 1.0)
+    );
     assert_eq!(before.value("uniground_jobs_finished_total", &[]), 0.0);
     let scene = server.parsed(sample()).await.id;
-    let again = server.client.create_scene(Some("again"), "application/zip", sample()).await.unwrap();
+    let again =
+        server.client.create_scene(Some("again"), "application/zip", sample()).await.unwrap();
     finished(&server.client, &again.job.unwrap().id).await;
     for query in ["the mug on the coffee table", "the green fridge"] {
         server.client.ground(&scene, &ask(query)).await.unwrap();
     }
-    server.client.ground("0190a0a0-0000-7000-8000-000000000000", &ask("the mug")).await.unwrap_err();
+    server
+        .client
+        .ground("0190a0a0-0000-7000-8000-000000000000", &ask("the mug"))
+        .await
+        .unwrap_err();
     let items = serde_json::json!({"defaults": {"scene_id": scene}, "items": [{"query": "the sofa"}, {"query": "the lamp"}]});
-    let batch = server.client.create_batch(&serde_json::from_value(items).unwrap(), None).await.unwrap();
+    let batch =
+        server.client.create_batch(&serde_json::from_value(items).unwrap(), None).await.unwrap();
     finished(&server.client, batch.job_id.as_deref().unwrap()).await;
     assert_eq!(server.client.batch(&batch.id).await.unwrap().state, BatchState::Succeeded);
     server.client.bytes("no/such/path").await.unwrap_err();
@@ -145,29 +174,70 @@ async fn metrics_and_stats_tell_what_was_done() {
     let first = scraped(&server).await;
     let route = "/v1/scenes/{scene_id}/ground";
     let asked = |scrape: &Scrape, status| {
-        scrape.value("uniground_http_requests_total", &[("route", route), ("method", "POST"), ("status", status)])
+        scrape.value(
+            "uniground_http_requests_total",
+            &[("route", route), ("method", "POST"), ("status", status)],
+        )
     };
     assert_eq!((asked(&first, "200"), asked(&first, "404")), (2.0, 1.0));
-    assert_eq!(first.value("uniground_http_request_duration_seconds_count", &[("route", route), ("status", "200")]), 2.0);
-    assert_eq!(first.value("uniground_http_requests_total", &[("route", "none"), ("status", "404")]), 1.0);
+    assert_eq!(
+        first.value(
+            "uniground_http_request_duration_seconds_count",
+            &[("route", route), ("status", "200")]
+        ),
+        2.0
+    );
+    assert_eq!(
+        first.value("uniground_http_requests_total", &[("route", "none"), ("status", "404")]),
+        1.0
+    );
     assert_eq!(first.value("uniground_questions_total", &[("reasoner", "builtin")]), 4.0);
     assert_eq!(first.value("uniground_questions_total", &[("status", "no_match")]), 1.0);
-    assert_eq!(first.value("uniground_question_failures_total", &[("code", "scene_not_found")]), 1.0);
-    assert_eq!(first.value("uniground_question_duration_seconds_count", &[("reasoner", "builtin")]), 4.0);
+    assert_eq!(
+        first.value("uniground_question_failures_total", &[("code", "scene_not_found")]),
+        1.0
+    );
+    assert_eq!(
+        first.value("uniground_question_duration_seconds_count", &[("reasoner", "builtin")]),
+        4.0
+    );
     assert_eq!(first.value("uniground_batch_items_total", &[]), 2.0);
-    assert_eq!(first.value("uniground_jobs_finished_total", &[("kind", "parse"), ("state", "succeeded")]), 2.0);
-    assert_eq!(first.value("uniground_jobs_finished_total", &[("kind", "batch"), ("state", "succeeded")]), 1.0);
-    assert_eq!(first.samples["uniground_jobs_finished_total"].len(), 9, "what has not happened yet is told as 0");
-    assert_eq!(first.value("uniground_parse_duration_seconds_count", &[]), 1.0, "the second scene took the first one's parse");
+    assert_eq!(
+        first.value("uniground_jobs_finished_total", &[("kind", "parse"), ("state", "succeeded")]),
+        2.0
+    );
+    assert_eq!(
+        first.value("uniground_jobs_finished_total", &[("kind", "batch"), ("state", "succeeded")]),
+        1.0
+    );
+    assert_eq!(
+        first.samples["uniground_jobs_finished_total"].len(),
+        9,
+        "what has not happened yet is told as 0"
+    );
+    assert_eq!(
+        first.value("uniground_parse_duration_seconds_count", &[]),
+        1.0,
+        "the second scene took the first one's parse"
+    );
     let stages = first.value("uniground_parse_stage_duration_seconds_sum", &[]);
-    assert!(stages > 0.0 && stages <= first.value("uniground_parse_duration_seconds_sum", &[]) * 1.01, "{stages}");
+    assert!(
+        stages > 0.0 && stages <= first.value("uniground_parse_duration_seconds_sum", &[]) * 1.01,
+        "{stages}"
+    );
     assert_eq!(
         first.value("uniground_parse_stage_duration_seconds_count", &[("stage", "other")]),
         0.0,
         "every stage has a name"
     );
-    assert_eq!(first.value("uniground_parse_stage_duration_seconds_count", &[("stage", "merging")]), 1.0);
-    assert!(first.value("uniground_cache_requests_total", &[("cache", "parses"), ("outcome", "hit")]) >= 3.0);
+    assert_eq!(
+        first.value("uniground_parse_stage_duration_seconds_count", &[("stage", "merging")]),
+        1.0
+    );
+    assert!(
+        first.value("uniground_cache_requests_total", &[("cache", "parses"), ("outcome", "hit")])
+            >= 3.0
+    );
     assert_eq!(first.value("uniground_component_up", &[("component", "workers")]), 1.0);
     assert_eq!(first.samples["uniground_lane_up"].len(), 3);
     assert!(first.value("process_resident_memory_bytes", &[]) > 1e6);
@@ -176,27 +246,51 @@ async fn metrics_and_stats_tell_what_was_done() {
     let stats = server.client.stats().await.unwrap();
     let instances = server.client.all_instances(&scene, Levels::All).await.unwrap().len() as u32;
     let stored = &stats.stored;
-    assert_eq!((stored.scenes, stored.parses, stored.instances, stored.answers), (2, 1, instances, 4));
+    assert_eq!(
+        (stored.scenes, stored.parses, stored.instances, stored.answers),
+        (2, 1, instances, 4)
+    );
     assert_eq!(stored.batches, BTreeMap::from([("succeeded".to_owned(), 1)]));
-    for (metric, count) in
-        [("scenes", stored.scenes), ("parses", stored.parses), ("instances", stored.instances), ("answers", stored.answers)]
-    {
+    for (metric, count) in [
+        ("scenes", stored.scenes),
+        ("parses", stored.parses),
+        ("instances", stored.instances),
+        ("answers", stored.answers),
+    ] {
         assert_eq!(first.value(&format!("uniground_{metric}"), &[]), f64::from(count), "{metric}");
     }
     assert_eq!(first.value("uniground_batches", &[("state", "succeeded")]), 1.0);
     for jobs in &stats.jobs {
-        assert!(jobs.working && jobs.queued == 0 && jobs.running == 0 && jobs.oldest_queued_s.is_none(), "{jobs:?}");
-        let counted = |state| first.value("uniground_jobs_finished_total", &[("kind", &jobs.kind), ("state", state)]);
-        assert_eq!((counted("succeeded"), counted("failed")), (f64::from(jobs.succeeded), f64::from(jobs.failed)), "{jobs:?}");
+        assert!(
+            jobs.working && jobs.queued == 0 && jobs.running == 0 && jobs.oldest_queued_s.is_none(),
+            "{jobs:?}"
+        );
+        let counted = |state| {
+            first.value("uniground_jobs_finished_total", &[("kind", &jobs.kind), ("state", state)])
+        };
+        assert_eq!(
+            (counted("succeeded"), counted("failed")),
+            (f64::from(jobs.succeeded), f64::from(jobs.failed)),
+            "{jobs:?}"
+        );
     }
     assert_eq!((stats.spending.today_usd, stats.spending.daily_limit_usd), (0.0, None));
-    assert_eq!((stats.retention.answers_days, stats.version.as_str()), (365, env!("CARGO_PKG_VERSION")));
+    assert_eq!(
+        (stats.retention.answers_days, stats.version.as_str()),
+        (365, env!("CARGO_PKG_VERSION"))
+    );
     assert!(stats.disk.database_bytes > 4096 && stats.disk.free_bytes > 0);
 
-    // Sizes are measured behind everybody's back, and those of the start are of a folder that was empty.
+    // Sizes are measured behind everybody's back, and those of the start are of a folder that was
+    // empty.
     let data = server.data().to_owned();
-    let restarted =
-        TestServer::start_on(server.give_back().await, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await;
+    let restarted = TestServer::start_on(
+        server.give_back().await,
+        LimitsConfig::default(),
+        VlmConfig::default(),
+        ModelsConfig::builtin(),
+    )
+    .await;
     let sizes = loop {
         if let Some(sizes) = restarted.client.stats().await.unwrap().disk.blob_bytes {
             break sizes;
@@ -208,8 +302,14 @@ async fn metrics_and_stats_tell_what_was_done() {
     }
     assert!(sizes["contents"] > 100_000 && sizes["parses"] > 100_000, "{sizes:?}");
     let scrape = scraped(&restarted).await;
-    assert_eq!(scrape.value("uniground_blobs_size_bytes", &[("kind", "parses")]), sizes["parses"] as f64);
-    assert_eq!((scrape.value("uniground_answers", &[]), scrape.value("uniground_questions_total", &[])), (4.0, 0.0));
+    assert_eq!(
+        scrape.value("uniground_blobs_size_bytes", &[("kind", "parses")]),
+        sizes["parses"] as f64
+    );
+    assert_eq!(
+        (scrape.value("uniground_answers", &[]), scrape.value("uniground_questions_total", &[])),
+        (4.0, 0.0)
+    );
     let mut fastest = Duration::MAX;
     for _ in 0..20 {
         let start = Instant::now();
@@ -231,12 +331,15 @@ fn files_name_what_there_is(scrape: &Scrape) {
             .collect();
         assert_eq!(unknown, [""; 0], "{used}");
     }
-    let unknown: Vec<_> = named_in_dashboard().into_iter().filter(|name| !known.contains(name)).collect();
+    let unknown: Vec<_> =
+        named_in_dashboard().into_iter().filter(|name| !known.contains(name)).collect();
     assert_eq!(unknown, [""; 0], "the dashboard");
 
     // The table: | `name` | type | labels | ...
     let manual = file("docs/guides/operations.md");
-    let rows = manual.lines().filter(|line| line.starts_with("| `uniground_") || line.starts_with("| `process_"));
+    let rows = manual
+        .lines()
+        .filter(|line| line.starts_with("| `uniground_") || line.starts_with("| `process_"));
     let told: BTreeMap<&str, Vec<&str>> = rows
         .map(|row| row.split('|').map(|cell| cell.trim().trim_matches('`')).collect::<Vec<_>>())
         .map(|cells| (cells[1], cells))
@@ -247,15 +350,23 @@ fn files_name_what_there_is(scrape: &Scrape) {
         _ => family.clone(),
     };
     let families: BTreeSet<String> = scrape.types.iter().map(exposed).collect();
-    assert_eq!(told.keys().map(|name| (*name).to_owned()).collect::<BTreeSet<_>>(), families, "the manual's table");
+    assert_eq!(
+        told.keys().map(|name| (*name).to_owned()).collect::<BTreeSet<_>>(),
+        families,
+        "the manual's table"
+    );
     for (family, kind) in &scrape.types {
         assert_eq!(told[exposed((family, kind)).as_str()][2], kind, "{family}");
     }
     let alerts = file("deploy/prometheus-alerts.yml");
-    let alerts: Vec<&str> = alerts.lines().filter_map(|line| line.trim().strip_prefix("- alert: ")).collect();
+    let alerts: Vec<&str> =
+        alerts.lines().filter_map(|line| line.trim().strip_prefix("- alert: ")).collect();
     assert!(alerts.len() > 10);
     for alert in alerts {
-        assert!(manual.contains(&format!("| `{alert}` |")), "the manual does not tell about {alert}");
+        assert!(
+            manual.contains(&format!("| `{alert}` |")),
+            "the manual does not tell about {alert}"
+        );
     }
 }
 
@@ -265,8 +376,10 @@ fn labels_are_bounded(scrape: &Scrape) {
         for (labels, _) in samples {
             for (label, value) in labels {
                 // Templates have braces; what has digits like an id was somebody's.
-                let bounded =
-                    label == "le" || label == "version" || label == "status" || value.chars().filter(char::is_ascii_digit).count() <= 1;
+                let bounded = label == "le"
+                    || label == "version"
+                    || label == "status"
+                    || value.chars().filter(char::is_ascii_digit).count() <= 1;
                 assert!(bounded && value.len() < 60, "{name} {label}={value}");
             }
         }
@@ -285,12 +398,16 @@ async fn odd_requests_make_no_labels_of_their_own() {
     let scrape = scraped(&server).await;
     labels_are_bounded(&scrape);
     assert_eq!(scrape.value("uniground_http_requests_total", &[("method", "other")]), 1.0);
-    assert_eq!(scrape.value("uniground_http_requests_total", &[("route", "/v1/scenes/{scene_id}")]), 3.0);
+    assert_eq!(
+        scrape.value("uniground_http_requests_total", &[("route", "/v1/scenes/{scene_id}")]),
+        3.0
+    );
     assert_eq!(scrape.value("uniground_http_requests_total", &[("route", "none")]), 1.0);
     server.stop().await;
 }
 
-/// A model that does not answer is told, and the server is ready all the same: built-in parts answer.
+/// A model that does not answer is told, and the server is ready all the same: built-in parts
+/// answer.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
     let script = Script::default();
@@ -315,16 +432,25 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
     let (status, told) = readiness(&server).await;
     let trouble = told.vlm.unwrap();
     assert!(
-        status == 200 && told.ready && trouble.starts_with("refused since ") && trouble.ends_with(" (1 calls)"),
+        status == 200
+            && told.ready
+            && trouble.starts_with("refused since ")
+            && trouble.ends_with(" (1 calls)"),
         "{trouble}"
     );
     let scrape = scraped(&server).await;
     assert_eq!(
-        (scrape.value("uniground_component_up", &[("component", "vlm")]), scrape.value("uniground_ready", &[])),
+        (
+            scrape.value("uniground_component_up", &[("component", "vlm")]),
+            scrape.value("uniground_ready", &[])
+        ),
         (0.0, 1.0)
     );
     assert_eq!(
-        (scrape.value("uniground_vlm_attempts_total", &[]), scrape.value("uniground_questions_degraded_total", &[])),
+        (
+            scrape.value("uniground_vlm_attempts_total", &[]),
+            scrape.value("uniground_questions_degraded_total", &[])
+        ),
         (2.0, 1.0)
     );
 
@@ -340,8 +466,10 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
     tokio::time::sleep(Duration::from_millis(1100)).await;
     assert_eq!(readiness(&server).await.1.vlm.as_deref(), Some("ok"));
     server.client.ground("none", &ask(query)).await.unwrap_err();
-    let items = serde_json::json!({"items": [{"scene_id": scene, "query": query, "reasoner": "builtin"}]});
-    let batch = server.client.create_batch(&serde_json::from_value(items).unwrap(), None).await.unwrap();
+    let items =
+        serde_json::json!({"items": [{"scene_id": scene, "query": query, "reasoner": "builtin"}]});
+    let batch =
+        server.client.create_batch(&serde_json::from_value(items).unwrap(), None).await.unwrap();
     finished(&server.client, batch.job_id.as_deref().unwrap()).await;
     let scrape = scraped(&server).await;
     // Everything has happened once.
@@ -349,15 +477,27 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
     labels_are_bounded(&scrape);
     let calls = |outcome| scrape.value("uniground_vlm_calls_total", &[("outcome", outcome)]);
     assert_eq!((calls("answered"), calls("refused"), calls("unreachable")), (2.0, 1.0, 0.0));
-    assert_eq!(scrape.value("uniground_vlm_malformed_replies_total", &[("problem", "unreadable")]), 1.0);
+    assert_eq!(
+        scrape.value("uniground_vlm_malformed_replies_total", &[("problem", "unreadable")]),
+        1.0
+    );
     let tokens = |of| scrape.value("uniground_vlm_tokens_total", &[("type", of)]);
     assert_eq!((tokens("prompt"), tokens("completion")), (1400.0, 80.0));
-    assert_eq!(scrape.value("uniground_questions_total", &[("reasoner", "vlm"), ("status", "grounded")]), 1.0);
+    assert_eq!(
+        scrape.value("uniground_questions_total", &[("reasoner", "vlm"), ("status", "grounded")]),
+        1.0
+    );
     let spending = server.client.stats().await.unwrap().spending;
     let spent = scrape.value("uniground_vlm_spent_usd_total", &[]);
-    assert!(spent > answer.usage.cost_usd - 1e-9 && (spent - spending.today_usd).abs() < 1e-9, "{spent} {spending:?}");
+    assert!(
+        spent > answer.usage.cost_usd - 1e-9 && (spent - spending.today_usd).abs() < 1e-9,
+        "{spent} {spending:?}"
+    );
     assert!((scrape.value("uniground_vlm_spent_today_usd", &[]) - spent).abs() < 1e-9);
-    assert_eq!((spending.daily_limit_usd, scrape.value("uniground_vlm_daily_limit_usd", &[])), (Some(3.0), 3.0));
+    assert_eq!(
+        (spending.daily_limit_usd, scrape.value("uniground_vlm_daily_limit_usd", &[])),
+        (Some(3.0), 3.0)
+    );
     server.stop().await;
 }
 
@@ -365,46 +505,69 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
 type Sent = Arc<Mutex<Vec<(String, Option<String>, Vec<u8>)>>>;
 
 async fn note(State(sent): State<Sent>, request: axum::extract::Request) -> Json<Value> {
-    let (path, traceparent) =
-        (request.uri().path().to_owned(), request.headers().get("traceparent").map(|v| v.to_str().unwrap().to_owned()));
+    let (path, traceparent) = (
+        request.uri().path().to_owned(),
+        request.headers().get("traceparent").map(|v| v.to_str().unwrap().to_owned()),
+    );
     let body = axum::body::to_bytes(request.into_body(), 16 << 20).await.unwrap().to_vec();
     sent.lock().unwrap().push((path, traceparent, body));
-    Json(serde_json::json!({"choices": [{"message": {"role": "assistant", "content": "I would rather not"}}]}))
+    Json(
+        serde_json::json!({"choices": [{"message": {"role": "assistant", "content": "I would rather not"}}]}),
+    )
 }
 
-/// A caller's trace goes on through the server to the model, and its spans go to the collector: requests, jobs, calls.
+/// A caller's trace goes on through the server to the model, and its spans go to the collector:
+/// requests, jobs, calls.
 #[tokio::test(flavor = "multi_thread")]
 async fn traces_are_taken_up_handed_on_and_sent() {
     const TRACE: &str = "0af7651916cd43dd8448eb211c80319c";
     let sent = Sent::default();
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let there = format!("http://{}", listener.local_addr().unwrap());
-    let router = axum::Router::new().fallback(note).layer(DefaultBodyLimit::disable()).with_state(sent.clone());
+    let router = axum::Router::new()
+        .fallback(note)
+        .layer(DefaultBodyLimit::disable())
+        .with_state(sent.clone());
     tokio::spawn(async move { axum::serve(listener, router).await });
     let folder = tempfile::tempdir().unwrap();
     let mut command = command(Utf8Path::from_path(folder.path()).unwrap(), "127.0.0.1:0");
-    command.args(["--otlp-endpoint", &there, "--vlm-url", &format!("{there}/v1"), "--vlm-model", "scripted"]);
+    command.args([
+        "--otlp-endpoint",
+        &there,
+        "--vlm-url",
+        &format!("{there}/v1"),
+        "--vlm-model",
+        "scripted",
+    ]);
     let process = Process::started(command.env("RUST_LOG", "error").stderr(Stdio::null()));
     let scene = parsed(&process.client, "application/zip", Scan::neutral().zip()).await;
     let request = process.client.request(Method::POST, &format!("v1/scenes/{}/ground", scene.id));
-    let request = request.header("traceparent", format!("00-{TRACE}-b7ad6b7169203331-01")).json(&ask("the red sofa"));
+    let request = request
+        .header("traceparent", format!("00-{TRACE}-b7ad6b7169203331-01"))
+        .json(&ask("the red sofa"));
     assert_eq!(request.send().await.unwrap().status(), 200);
     assert_eq!(process.terminate(), Some(0));
 
     let sent = sent.lock().unwrap();
-    let (calls, traces): (Vec<_>, Vec<_>) = sent.iter().partition(|(path, ..)| path == "/v1/chat/completions");
+    let (calls, traces): (Vec<_>, Vec<_>) =
+        sent.iter().partition(|(path, ..)| path == "/v1/chat/completions");
     assert!(
         !calls.is_empty()
-            && calls
-                .iter()
-                .all(|(_, parent, _)| parent.as_ref().is_some_and(|parent| parent.starts_with(&format!("00-{TRACE}-"))))
+            && calls.iter().all(|(_, parent, _)| parent
+                .as_ref()
+                .is_some_and(|parent| parent.starts_with(&format!("00-{TRACE}-"))))
     );
     // The endpoint was looked for when the server started, for nobody's question.
-    let (traces, looks): (Vec<_>, Vec<_>) = traces.into_iter().partition(|(path, ..)| path == "/v1/traces");
-    assert!(!traces.is_empty() && looks.iter().all(|(path, parent, _)| path == "/v1/models" && parent.is_none()));
+    let (traces, looks): (Vec<_>, Vec<_>) =
+        traces.into_iter().partition(|(path, ..)| path == "/v1/traces");
+    assert!(
+        !traces.is_empty()
+            && looks.iter().all(|(path, parent, _)| path == "/v1/models" && parent.is_none())
+    );
     let bodies: Vec<u8> = traces.iter().flat_map(|(.., body)| body.clone()).collect();
     let has = |what: &[u8]| bodies.windows(what.len()).any(|window| window == what);
-    let trace: Vec<u8> = (0..16).map(|i| u8::from_str_radix(&TRACE[2 * i..2 * i + 2], 16).unwrap()).collect();
+    let trace: Vec<u8> =
+        (0..16).map(|i| u8::from_str_radix(&TRACE[2 * i..2 * i + 2], 16).unwrap()).collect();
     assert!(has(&trace), "the caller's trace");
     for span in ["request", "job", "model_call", "/v1/scenes/{scene_id}/ground"] {
         assert!(has(span.as_bytes()), "{span}");

@@ -1,4 +1,5 @@
-//! Data folders that earlier versions have left, opened by this one. `scripts/data-fixture.sh` makes them.
+//! Data folders that earlier versions have left, opened by this one. `scripts/data-fixture.sh`
+//! makes them.
 
 use crate::server::{TestServer, ask};
 use camino::Utf8Path;
@@ -17,7 +18,8 @@ use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::job::JobState;
 use uniground_types::scenes::{Scene, SceneStatus};
 
-/// A data folder as it was left, and what its server had told: `scene.json`, `instances.json`, `answers.jsonl`, `scan.zip`.
+/// A data folder as it was left, and what its server had told: `scene.json`, `instances.json`,
+/// `answers.jsonl`, `scan.zip`.
 struct Left {
     data: tempfile::TempDir,
     told: tempfile::TempDir,
@@ -25,7 +27,10 @@ struct Left {
 
 impl Left {
     fn unpack(name: &str) -> Self {
-        let file = fs::File::open(Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name)).unwrap();
+        let file = fs::File::open(
+            Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name),
+        )
+        .unwrap();
         let told = tempfile::tempdir().unwrap();
         tar::Archive::new(zstd::Decoder::new(file).unwrap()).unpack(told.path()).unwrap();
         let data = tempfile::tempdir().unwrap();
@@ -42,24 +47,35 @@ impl Left {
 #[tokio::test]
 async fn a_folder_from_before_records_had_versions_is_found_whole() {
     let left = Left::unpack("data-2026-11-20.tar.zst");
-    let (scene_told, scan): (Value, Vec<u8>) = (serde_json::from_slice(&left.told("scene.json")).unwrap(), left.told("scan.zip"));
+    let (scene_told, scan): (Value, Vec<u8>) =
+        (serde_json::from_slice(&left.told("scene.json")).unwrap(), left.told("scan.zip"));
     let mut instances_told: Value = serde_json::from_slice(&left.told("instances.json")).unwrap();
     for instance in instances_told["instances"].as_array_mut().unwrap() {
         instance["level"] = "thing".into();
         instance["things"] = Value::Array(Vec::new());
         // Nobody could correct anything then.
-        (instance["given_name"], instance["dismissed"], instance["merged_from"]) = (Value::Null, false.into(), Value::Array(Vec::new()));
+        (instance["given_name"], instance["dismissed"], instance["merged_from"]) =
+            (Value::Null, false.into(), Value::Array(Vec::new()));
         // No scene grew.
         instance["gone"] = false.into();
     }
     let answers_told = String::from_utf8(left.told("answers.jsonl")).unwrap();
     let Left { data, told: _told } = left;
-    let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await;
+    let server = TestServer::start_on(
+        data,
+        LimitsConfig::default(),
+        VlmConfig::default(),
+        ModelsConfig::builtin(),
+    )
+    .await;
     let get = async |path: &str| server.client.bytes(path).await.unwrap();
 
     let scenes = server.client.scenes(10, None).await.unwrap().scenes;
     let [scene]: [Scene; 1] = scenes.try_into().unwrap();
-    assert_eq!((scene.name.as_str(), scene.status, scene.parse_version), ("A block", SceneStatus::Ready, 1));
+    assert_eq!(
+        (scene.name.as_str(), scene.status, scene.parse_version),
+        ("A block", SceneStatus::Ready, 1)
+    );
     // Everything it was told to be, under the names settings have today.
     let mut expected = scene_told.clone();
     uniground_types::settings::with_names_of_today(&mut expected["settings"]);
@@ -85,39 +101,73 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
     expected["settings"]["import"]["fusion"]["truncation_voxels"] = 5.0.into();
     let path = format!("v1/scenes/{}", scene.id);
     assert_eq!(serde_json::from_slice::<Value>(&get(&path).await).unwrap(), expected);
-    assert_eq!(serde_json::from_slice::<Value>(&get(&format!("{path}/instances")).await).unwrap(), instances_told);
+    assert_eq!(
+        serde_json::from_slice::<Value>(&get(&format!("{path}/instances")).await).unwrap(),
+        instances_told
+    );
     for answer in answers_told.lines() {
         let told: Answer = serde_json::from_str(answer).unwrap();
         let stored = get(&format!("v1/answers/{}", told.id)).await;
-        assert_eq!(String::from_utf8(stored).unwrap(), answer, "an answer is given out again byte for byte");
+        assert_eq!(
+            String::from_utf8(stored).unwrap(),
+            answer,
+            "an answer is given out again byte for byte"
+        );
         let picture = get(&format!("v1/answers/{}/evidence/global.jpg", told.id)).await;
         assert!(image::load_from_memory(&picture).is_ok());
-        // The same question comes to the same, but for ids and times, the version of the parts, and what was not told then.
+        // The same question comes to the same, but for ids and times, the version of the parts, and
+        // what was not told then.
         let again = server.client.ground(&scene.id, &ask(&told.query)).await.unwrap();
-        let (id, timings_ms, evidence, models) = (told.id.clone(), told.timings_ms, told.evidence.clone(), told.models.clone());
+        let (id, timings_ms, evidence, models) =
+            (told.id.clone(), told.timings_ms, told.evidence.clone(), told.models.clone());
         assert_eq!(again.targets.first().map(|target| target.id), told.answer.predicted_id);
         assert_eq!(again.no_match_reason.is_some(), told.status == Status::NoMatch);
-        let ranks = |answer: &Answer| answer.candidates.iter().flatten().map(|c| (c.rank, c.id)).collect::<Vec<_>>();
+        let ranks = |answer: &Answer| {
+            answer.candidates.iter().flatten().map(|c| (c.rank, c.id)).collect::<Vec<_>>()
+        };
         assert_eq!(ranks(&again), ranks(&told));
         // How sure it is, is a matter of version too.
         let (confidence, candidates) = (told.confidence, told.candidates.clone());
-        let again =
-            Answer { id, timings_ms, evidence, models, confidence, candidates, targets: Vec::new(), no_match_reason: None, ..again };
+        let again = Answer {
+            id,
+            timings_ms,
+            evidence,
+            models,
+            confidence,
+            candidates,
+            targets: Vec::new(),
+            no_match_reason: None,
+            ..again
+        };
         assert_eq!(again, told);
     }
-    for file in ["cloud.ply", "instances.ply", "report", "report/superpoints.jpg", "instances/1/views/0.jpg"] {
+    for file in [
+        "cloud.ply",
+        "instances.ply",
+        "report",
+        "report/superpoints.jpg",
+        "instances/1/views/0.jpg",
+    ] {
         assert!(!get(&format!("{path}/{file}")).await.is_empty(), "{file}");
     }
     let job = server.client.job(scene.job_id.as_deref().unwrap()).await.unwrap();
     assert_eq!((job.kind.as_str(), job.error), ("parse", None));
     // A key is remembered, what was up stays up, and a scene can go.
-    let created = server.client.create_scene_once(&[("name", "x")], "application/zip", scan, "block").await.unwrap();
+    let created = server
+        .client
+        .create_scene_once(&[("name", "x")], "application/zip", scan, "block")
+        .await
+        .unwrap();
     assert_eq!(created.scene.id, scene.id);
-    let reparse = server.client.parse(&scene.id, &serde_json::json!({"preset": "paper"})).await.unwrap();
+    let reparse =
+        server.client.parse(&scene.id, &serde_json::json!({"preset": "paper"})).await.unwrap();
     let reparse = server.client.follow_job(&reparse.id, |_| {}).await.unwrap();
     assert_eq!(reparse.error, None);
     let parsed = server.client.scene(&scene.id).await.unwrap();
-    assert_eq!((parsed.parse_version, parsed.settings.unwrap().import.up.map(UpAxis::name)), (2, Some("z")));
+    assert_eq!(
+        (parsed.parse_version, parsed.settings.unwrap().import.up.map(UpAxis::name)),
+        (2, Some("z"))
+    );
     server.client.delete_scene(&scene.id).await.unwrap();
     assert_eq!(server.stored("blobs/contents"), Vec::<String>::new());
     server.stop().await;
@@ -128,14 +178,17 @@ fn migrations() -> Vec<(i64, String)> {
     let folder = Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("migrations/sqlite");
     let files = folder.read_dir_utf8().unwrap().map(|file| file.unwrap().into_path());
     let mut migrations: Vec<_> = files
-        .map(|file| (file.file_name().unwrap()[..4].parse().unwrap(), fs::read_to_string(&file).unwrap()))
+        .map(|file| {
+            (file.file_name().unwrap()[..4].parse().unwrap(), fs::read_to_string(&file).unwrap())
+        })
         .collect();
     migrations.sort();
     migrations
 }
 
-/// What tables of later schemas than the fixture's held, each with the table it is about; ids of the fixture stand in for `SCENE`, `PARSE` and
-/// `ANSWER`. A migration that makes a table adds a row here.
+/// What tables of later schemas than the fixture's held, each with the table it is about; ids of
+/// the fixture stand in for `SCENE`, `PARSE` and `ANSWER`. A migration that makes a table adds a
+/// row here.
 const LATER_ROWS: &[(&str, &str)] = &[
     (
         "instance_names",
@@ -193,9 +246,11 @@ const LATER_ROWS: &[(&str, &str)] = &[
 const SECRET: &str = "ug_00000000_upgrade";
 
 async fn open(database: &Utf8Path) -> SqliteConnection {
-    SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(database).create_if_missing(true))
-        .await
-        .unwrap()
+    SqliteConnection::connect_with(
+        &SqliteConnectOptions::new().filename(database).create_if_missing(true),
+    )
+    .await
+    .unwrap()
 }
 
 async fn texts(rows: &mut SqliteConnection, sql: String) -> Vec<String> {
@@ -203,39 +258,51 @@ async fn texts(rows: &mut SqliteConnection, sql: String) -> Vec<String> {
 }
 
 async fn tables(rows: &mut SqliteConnection, of: &str) -> Vec<String> {
-    let sql =
-        format!("SELECT name FROM {of}.sqlite_schema WHERE type = 'table' AND name NOT LIKE '!_%' ESCAPE '!' AND name NOT LIKE 'sqlite%'");
+    let sql = format!(
+        "SELECT name FROM {of}.sqlite_schema WHERE type = 'table' AND name NOT LIKE '!_%' ESCAPE '!' AND name NOT LIKE 'sqlite%'"
+    );
     texts(rows, sql).await
 }
 
-/// Makes the fixture's database one of another schema, with the fixture's rows and some in every table it did not have.
+/// Makes the fixture's database one of another schema, with the fixture's rows and some in every
+/// table it did not have.
 async fn rebuild(data: &Utf8Path, schema: &[(i64, String)]) {
     let (old, new) = (data.join("uniground.sqlite"), data.join("new.sqlite"));
     let mut rows = open(&new).await;
     let made = schema.iter().map(|(version, sql)| {
-        Migration::new(*version, "a step".into(), MigrationType::Simple, AssertSqlSafe(sql.clone()).into_sql_str(), false)
+        Migration::new(
+            *version,
+            "a step".into(),
+            MigrationType::Simple,
+            AssertSqlSafe(sql.clone()).into_sql_str(),
+            false,
+        )
     });
     Migrator::with_migrations(made.collect()).run(&mut rows).await.unwrap();
     for sql in ["PRAGMA foreign_keys = OFF".to_owned(), format!("ATTACH '{old}' AS old")] {
         sqlx::raw_sql(AssertSqlSafe(sql)).execute(&mut rows).await.unwrap();
     }
     for table in tables(&mut rows, "old").await {
-        let shared =
-            format!("SELECT name FROM pragma_table_info('{table}', 'old') INTERSECT SELECT name FROM pragma_table_info('{table}', 'main')");
+        let shared = format!(
+            "SELECT name FROM pragma_table_info('{table}', 'old') INTERSECT SELECT name FROM pragma_table_info('{table}', 'main')"
+        );
         let columns = texts(&mut rows, shared).await.join(", ");
         if !columns.is_empty() {
-            let copy = format!("INSERT INTO main.{table} ({columns}) SELECT {columns} FROM old.{table}");
+            let copy =
+                format!("INSERT INTO main.{table} ({columns}) SELECT {columns} FROM old.{table}");
             sqlx::raw_sql(AssertSqlSafe(copy)).execute(&mut rows).await.unwrap();
         }
     }
-    let [scene, parse, answer] = ["SELECT id FROM scenes", "SELECT id FROM parses", "SELECT min(id) FROM answers"];
+    let [scene, parse, answer] =
+        ["SELECT id FROM scenes", "SELECT id FROM parses", "SELECT min(id) FROM answers"];
     let mut ids = Vec::new();
     for sql in [scene, parse, answer] {
         ids.push(texts(&mut rows, sql.to_owned()).await.remove(0));
     }
     for table in tables(&mut rows, "main").await {
         if let Some((_, sql)) = LATER_ROWS.iter().find(|(about, _)| *about == table) {
-            let sql = sql.replace("SCENE", &ids[0]).replace("PARSE", &ids[1]).replace("ANSWER", &ids[2]);
+            let sql =
+                sql.replace("SCENE", &ids[0]).replace("PARSE", &ids[1]).replace("ANSWER", &ids[2]);
             sqlx::raw_sql(AssertSqlSafe(sql)).execute(&mut rows).await.unwrap();
         }
         let filled = texts(&mut rows, format!("SELECT 'x' FROM {table} LIMIT 1")).await;
@@ -255,12 +322,19 @@ async fn a_database_of_every_schema_is_brought_up_to_date_with_all_it_holds() {
     for to in 1..=migrations.len() {
         let (schema, version) = (&migrations[..to], migrations[to - 1].0);
         let left = Left::unpack("data-2026-11-20.tar.zst");
-        let (answers, scan) = (String::from_utf8(left.told("answers.jsonl")).unwrap(), left.told("scan.zip"));
+        let (answers, scan) =
+            (String::from_utf8(left.told("answers.jsonl")).unwrap(), left.told("scan.zip"));
         let instances: Value = serde_json::from_slice(&left.told("instances.json")).unwrap();
         let Left { data, told: _told } = left;
         let folder = Utf8Path::from_path(data.path()).unwrap();
         rebuild(folder, schema).await;
-        let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await;
+        let server = TestServer::start_on(
+            data,
+            LimitsConfig::default(),
+            VlmConfig::default(),
+            ModelsConfig::builtin(),
+        )
+        .await;
         let client = &Client::new(&server.url(), Some(SECRET.into())).unwrap();
         let [scene]: [Scene; 1] = client.scenes(10, None).await.unwrap().scenes.try_into().unwrap();
         assert_eq!(
@@ -275,16 +349,25 @@ async fn a_database_of_every_schema_is_brought_up_to_date_with_all_it_holds() {
             let stored = client.bytes(&format!("v1/answers/{}", told.id)).await.unwrap();
             assert_eq!(String::from_utf8(stored).unwrap(), answer, "schema {version}");
         }
-        assert_eq!(client.job(scene.job_id.as_deref().unwrap()).await.unwrap().state, JobState::Succeeded);
+        assert_eq!(
+            client.job(scene.job_id.as_deref().unwrap()).await.unwrap().state,
+            JobState::Succeeded
+        );
         // Where there are keys, each has idempotency keys of its own.
         if version < 6 {
-            let same = client.create_scene_once(&[("name", "x")], "application/zip", scan, "block").await.unwrap();
+            let same = client
+                .create_scene_once(&[("name", "x")], "application/zip", scan, "block")
+                .await
+                .unwrap();
             assert_eq!(same.scene.id, scene.id, "schema {version}: its key is remembered");
         }
         let batches = client.batches(10, None).await.unwrap().batches;
         assert_eq!(batches.len(), usize::from(version >= 5));
         for batch in batches {
-            assert_eq!((batch.state, batch.label.as_deref(), batch.done), (BatchState::Succeeded, Some("monday"), 1));
+            assert_eq!(
+                (batch.state, batch.label.as_deref(), batch.done),
+                (BatchState::Succeeded, Some("monday"), 1)
+            );
             let mut answered: Vec<BatchResult> = Vec::new();
             let take = |_: &[u8], result| {
                 answered.push(result);
@@ -304,13 +387,20 @@ async fn a_database_of_every_schema_is_brought_up_to_date_with_all_it_holds() {
             .sum::<f64>();
         assert_eq!(store.spent_on("2026-11-20").await.unwrap(), spent, "schema {version}");
         let parse = &store.all_parses().await.unwrap()[0].id;
-        assert_eq!(store.instance_names(parse, "a-model", 1).await.unwrap().len(), usize::from(version >= 2));
+        assert_eq!(
+            store.instance_names(parse, "a-model", 1).await.unwrap().len(),
+            usize::from(version >= 2)
+        );
         store.close().await;
         drop(store);
         let doctor = Command::new(env!("CARGO_BIN_EXE_uniground"))
             .args(["doctor", "--data-dir", folder.as_str()])
             .output()
             .unwrap();
-        assert!(doctor.status.success(), "schema {version}: {}", String::from_utf8_lossy(&doctor.stderr));
+        assert!(
+            doctor.status.success(),
+            "schema {version}: {}",
+            String::from_utf8_lossy(&doctor.stderr)
+        );
     }
 }

@@ -37,9 +37,15 @@ async fn any_content_type_will_do() {
     let cloud = Scan::cloud_only().0.remove("cloud.ply").unwrap();
     let scene = made("?up=z&name=bare", "application/octet-stream", cloud).await;
     assert_eq!((scene.status, scene.import.unwrap().format.as_str()), (SceneStatus::Ready, "ply"));
-    let square = |z: f32| (0..900).map(move |i| format!("{} {} {z}\n", (i % 30) as f32 * 0.05, (i / 30) as f32 * 0.05));
+    let square = |z: f32| {
+        (0..900)
+            .map(move |i| format!("{} {} {z}\n", (i % 30) as f32 * 0.05, (i / 30) as f32 * 0.05))
+    };
     let lines: String = square(0.0).chain(square(1.0)).collect();
     let scene = made("?up=z", FORM, form("points.xyz", lines.as_bytes())).await;
-    assert_eq!((scene.import.unwrap().format.as_str(), scene.counts.unwrap().points), ("xyz", 1800));
+    assert_eq!(
+        (scene.import.unwrap().format.as_str(), scene.counts.unwrap().points),
+        ("xyz", 1800)
+    );
     server.stop().await;
 }

@@ -1,4 +1,5 @@
-//! A vision-language model decides: a scripted OpenAI-compatible server on loopback plays it, well and badly.
+//! A vision-language model decides: a scripted OpenAI-compatible server on loopback plays it, well
+//! and badly.
 
 use crate::script::{Script, Scripted, fails, says};
 use crate::server::{TestServer, ask, finished, problem};
@@ -68,7 +69,8 @@ fn text_of(body: &Value) -> String {
 
 fn pictures_of(body: &Value) -> usize {
     let parts = body["messages"][1]["content"].as_array().unwrap();
-    let pictures: Vec<&str> = parts.iter().filter_map(|part| part["image_url"]["url"].as_str()).collect();
+    let pictures: Vec<&str> =
+        parts.iter().filter_map(|part| part["image_url"]["url"].as_str()).collect();
     assert!(pictures.iter().all(|url| url.starts_with("data:image/jpeg;base64,/9j/")));
     pictures.len()
 }
@@ -90,28 +92,48 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
     let ids: Vec<u32> = plain.candidates.as_ref().unwrap().iter().map(|c| c.id.0).collect();
     // Another than the geometry's choice.
     let (chosen, anchor) = (ids[1], plain.answer.anchor_id.unwrap().0);
-    script.next(vec![six_lines(chosen, &format!("{chosen} -> small red mug, 4711 -> ghost"), true, anchor)]);
+    script.next(vec![six_lines(
+        chosen,
+        &format!("{chosen} -> small red mug, 4711 -> ghost"),
+        true,
+        anchor,
+    )]);
 
     let answer = server.client.ground(&scene, &ask(QUERY)).await.unwrap();
-    assert_eq!((answer.status, answer.answer.predicted_id.map(|id| id.0)), (Status::Grounded, Some(chosen)));
+    assert_eq!(
+        (answer.status, answer.answer.predicted_id.map(|id| id.0)),
+        (Status::Grounded, Some(chosen))
+    );
     assert_eq!(answer.aabb, Some(answer.candidates.as_ref().unwrap()[1].aabb));
     assert!(answer.oriented_box.is_some() && answer.confidence > 0.6);
     assert_eq!(answer.answer.candidate_names[&chosen], "small red mug");
     assert!(!answer.answer.candidate_names.contains_key(&4711));
     assert_eq!(answer.answer.relation_used.as_deref(), Some("on the coffee table"));
-    assert_eq!((answer.answer.anchor_id.map(|id| id.0), answer.answer.target_name_matches), (Some(anchor), Some(true)));
+    assert_eq!(
+        (answer.answer.anchor_id.map(|id| id.0), answer.answer.target_name_matches),
+        (Some(anchor), Some(true))
+    );
     assert_eq!((answer.models.reasoner.as_str(), answer.degraded), ("scripted (prompt 6)", false));
     assert_eq!((answer.usage.vlm_calls, answer.usage.prompt_tokens), (1, 700));
     assert!((answer.usage.cost_usd - (700.0 * 2.0 + 40.0 * 8.0) / 1e6).abs() < 1e-12);
     assert_eq!(purposes(&answer), ["spatial"]);
-    assert!(answer.timings_ms.evidence > 0.0 && answer.timings_ms.total >= answer.timings_ms.evidence + answer.timings_ms.reason - 1.0);
+    assert!(
+        answer.timings_ms.evidence > 0.0
+            && answer.timings_ms.total
+                >= answer.timings_ms.evidence + answer.timings_ms.reason - 1.0
+    );
 
-    // What was sent: a render, one collage for every candidate and the anchor's, then the words; nothing that sets temperature or length.
+    // What was sent: a render, one collage for every candidate and the anchor's, then the words;
+    // nothing that sets temperature or length.
     let sent = script.take().remove(0);
     let candidates = answer.candidates.as_ref().unwrap();
     let beside = usize::from(candidates.iter().all(|c| c.id.0 != anchor));
     assert_eq!(pictures_of(&sent), 1 + candidates.len() + beside);
-    assert!(sent.get("temperature").is_none() && sent.get("max_tokens").is_none() && sent.get("stream").is_none());
+    assert!(
+        sent.get("temperature").is_none()
+            && sent.get("max_tokens").is_none()
+            && sent.get("stream").is_none()
+    );
     assert!(text_of(&sent).ends_with(&format!("Query: \"{QUERY}\"")));
 
     // What is kept is what was sent.
@@ -126,13 +148,18 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
     let shown: Vec<&str> = prompt.calls[0]
         .user
         .iter()
-        .filter_map(|p| if let PromptPart::Picture { href } = p { Some(href.as_str()) } else { None })
+        .filter_map(
+            |p| if let PromptPart::Picture { href } = p { Some(href.as_str()) } else { None },
+        )
         .collect();
     assert_eq!(shown.len(), pictures_of(&sent));
     for (href, part) in shown.iter().zip(sent["messages"][1]["content"].as_array().unwrap()) {
         use base64::Engine;
         let bytes = server.client.bytes(href).await.unwrap();
-        let url = format!("data:image/jpeg;base64,{}", base64::engine::general_purpose::STANDARD.encode(&bytes));
+        let url = format!(
+            "data:image/jpeg;base64,{}",
+            base64::engine::general_purpose::STANDARD.encode(&bytes)
+        );
         assert_eq!(part["image_url"]["url"].as_str(), Some(url.as_str()), "{href}");
         assert!(image::load_from_memory(&bytes).is_ok());
     }
@@ -142,12 +169,20 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
     assert_eq!(server.client.answer(&answer.id).await.unwrap().answer, answer.answer);
 
     // An answer of the geometry has a picture and no prompt.
-    assert!(server.client.bytes(&format!("v1/answers/{}/evidence/global.jpg", plain.id)).await.is_ok());
+    assert!(
+        server.client.bytes(&format!("v1/answers/{}/evidence/global.jpg", plain.id)).await.is_ok()
+    );
     let error = problem(server.client.answer_prompt(&plain.id).await);
     assert_eq!((error.status, error.code.as_str()), (404, "no_transcript"));
     for name in ["candidate-4711.jpg", "prompt.json", "..%2Fprompt.jpg", "global.png"] {
-        let error = problem(server.client.bytes(&format!("v1/answers/{}/evidence/{name}", answer.id)).await);
-        assert_eq!((error.status, error.code.as_str()), (404, "answer_picture_not_found"), "{name}");
+        let error = problem(
+            server.client.bytes(&format!("v1/answers/{}/evidence/{name}", answer.id)).await,
+        );
+        assert_eq!(
+            (error.status, error.code.as_str()),
+            (404, "answer_picture_not_found"),
+            "{name}"
+        );
     }
     // With the scene everything goes.
     assert_eq!(server.stored("blobs/answers"), std::slice::from_ref(&answer.id));
@@ -178,19 +213,29 @@ async fn what_does_not_hold_together_is_asked_again() {
         (vec!["spatial".into(), "out_of_set".into()], Some(first))
     );
     let sent = script.take();
-    assert!(text_of(&sent[1]).contains("ID 4711, which is no candidate") && pictures_of(&sent[1]) == pictures_of(&sent[0]));
-    assert!(corrections(&answer).contains("4711") && !answer.degraded && answer.usage.prompt_tokens == 1400);
+    assert!(
+        text_of(&sent[1]).contains("ID 4711, which is no candidate")
+            && pictures_of(&sent[1]) == pictures_of(&sent[0])
+    );
+    assert!(
+        corrections(&answer).contains("4711")
+            && !answer.degraded
+            && answer.usage.prompt_tokens == 1400
+    );
 
     // Something that can not be read; two ids; nothing at all.
-    for (text, why) in
-        [("I would say the mug.", "no \"Predicted ID\""), ("Predicted ID: 3 or 5", "both 3 and 5"), ("", "no \"Predicted ID\"")]
-    {
+    for (text, why) in [
+        ("I would say the mug.", "no \"Predicted ID\""),
+        ("Predicted ID: 3 or 5", "both 3 and 5"),
+        ("", "no \"Predicted ID\""),
+    ] {
         let answer = grounded(vec![says(text), good()]).await;
         assert_eq!(purposes(&answer), ["spatial", "unreadable"], "{text}");
         assert!(corrections(&answer).contains(why), "{}", corrections(&answer));
     }
 
-    // A name that speaks against the choice: asked again with the render and the images of what was chosen.
+    // A name that speaks against the choice: asked again with the render and the images of what was
+    // chosen.
     let answer = grounded(vec![six_lines(second, &named, true, 1), good()]).await;
     assert_eq!(
         (purposes(&answer), answer.answer.predicted_id.map(|id| id.0)),
@@ -198,21 +243,32 @@ async fn what_does_not_hold_together_is_asked_again() {
     );
     let sent = script.take();
     assert!(
-        text_of(&sent[1]).contains("it is named \"white wall panel\"") && pictures_of(&sent[1]) == 2,
+        text_of(&sent[1]).contains("it is named \"white wall panel\"")
+            && pictures_of(&sent[1]) == 2,
         "{}",
         text_of(&sent[1])
     );
     // It stays with its choice: that is its answer.
     let answer = grounded(vec![six_lines(second, &named, true, 1)]).await;
-    assert_eq!((purposes(&answer).len(), answer.answer.predicted_id.map(|id| id.0)), (2, Some(second)));
+    assert_eq!(
+        (purposes(&answer).len(), answer.answer.predicted_id.map(|id| id.0)),
+        (2, Some(second))
+    );
     assert!(answer.confidence < 0.7 && !answer.degraded);
 
-    // Three times outside of the set: the geometry's answer, told and degraded; or the only candidate with a fitting name.
+    // Three times outside of the set: the geometry's answer, told and degraded; or the only
+    // candidate with a fitting name.
     let answer = grounded(vec![six_lines(4711, "", true, 1)]).await;
     assert_eq!((purposes(&answer).len(), script.calls(), answer.degraded), (3, 3, true));
     assert_eq!((&answer.answer, answer.models.reasoner.as_str()), (&plain.answer, "builtin-3"));
-    assert!(corrections(&answer).contains("the model never chose a candidate"), "{}", corrections(&answer));
-    let answer = grounded(vec![six_lines(4711, &format!("{second} -> red mug, {first} -> wall"), true, 1)]).await;
+    assert!(
+        corrections(&answer).contains("the model never chose a candidate"),
+        "{}",
+        corrections(&answer)
+    );
+    let answer =
+        grounded(vec![six_lines(4711, &format!("{second} -> red mug, {first} -> wall"), true, 1)])
+            .await;
     assert_eq!((answer.answer.predicted_id.map(|id| id.0), answer.degraded), (Some(second), true));
     assert!(
         answer.answer.explanation.contains("is the only candidate with a fitting name"),
@@ -225,18 +281,25 @@ async fn what_does_not_hold_together_is_asked_again() {
     assert_eq!((answer.status, answer.aabb, purposes(&answer).len()), (Status::NoMatch, None, 1));
 
     // The second call fails: the first answer is what there is.
-    let answer = grounded(vec![six_lines(second, &named, true, 1), fails(401, "the key has expired")]).await;
+    let answer =
+        grounded(vec![six_lines(second, &named, true, 1), fails(401, "the key has expired")]).await;
     assert_eq!((answer.answer.predicted_id.map(|id| id.0), answer.degraded), (Some(second), false));
     assert!(
-        corrections(&answer).contains("asking again failed") && answer.trace.unwrap().calls[1].error.as_ref().unwrap().contains("expired")
+        corrections(&answer).contains("asking again failed")
+            && answer.trace.unwrap().calls[1].error.as_ref().unwrap().contains("expired")
     );
 
     // Content as a list of parts; a reply of a megabyte.
     let parts = json!({"choices": [{"message": {"content": [{"type": "text", "text": "Predicted ID: "}, {"type": "text", "text": first.to_string()}]}}]});
-    assert_eq!(grounded(vec![Scripted::Json(200, parts)]).await.answer.predicted_id.map(|id| id.0), Some(first));
+    assert_eq!(
+        grounded(vec![Scripted::Json(200, parts)]).await.answer.predicted_id.map(|id| id.0),
+        Some(first)
+    );
     let noise = "lorem ipsum ".repeat(90_000);
-    let answer =
-        grounded(vec![says(&format!("{noise}\nPredicted ID: {first}\nExplanation: {noise}\nAnchor ID: 1\nRelation used: on"))]).await;
+    let answer = grounded(vec![says(&format!(
+        "{noise}\nPredicted ID: {first}\nExplanation: {noise}\nAnchor ID: 1\nRelation used: on"
+    ))])
+    .await;
     assert_eq!(answer.answer.predicted_id.map(|id| id.0), Some(first));
     server.stop().await;
 }
@@ -258,14 +321,20 @@ async fn ablations_leave_out_what_they_say() {
     ] {
         script.take();
         let prompt = PromptVersion::Paper;
-        server.client.ground(&scene, &GroundRequest { ablation, prompt, ..ask(QUERY) }).await.unwrap();
+        server
+            .client
+            .ground(&scene, &GroundRequest { ablation, prompt, ..ask(QUERY) })
+            .await
+            .unwrap();
         let sent = script.take().remove(0);
         assert_eq!(pictures_of(&sent), pictures, "{ablation:?}");
         assert!(text_of(&sent).starts_with(says_first), "{ablation:?}: {}", text_of(&sent));
     }
     // Without a format, prose will do.
     let id = plain.answer.predicted_id.unwrap();
-    script.next(vec![says(&format!("The object ID that best matches the query is **ID {id}**. It is on the table."))]);
+    script.next(vec![says(&format!(
+        "The object ID that best matches the query is **ID {id}**. It is on the table."
+    ))]);
     let request = GroundRequest { ablation: Ablation::SimplePrompt, ..ask(QUERY) };
     let answer = server.client.ground(&scene, &request).await.unwrap();
     assert_eq!((answer.answer.predicted_id, purposes(&answer).len()), (Some(id), 1));
@@ -278,7 +347,9 @@ async fn a_caller_who_leaves_stops_the_call() {
     let url = script.serve(vec![Scripted::Stall]).await;
     let (server, scene) = start(VlmConfig { vlm_timeout_s: 300, ..config(&url) }).await;
     let client = reqwest::Client::new();
-    let request = client.post(format!("{}/v1/scenes/{scene}/ground", server.url())).json(&by(ReasonerChoice::Vlm));
+    let request = client
+        .post(format!("{}/v1/scenes/{scene}/ground", server.url()))
+        .json(&by(ReasonerChoice::Vlm));
     let called = async {
         while script.calls() == 0 {
             tokio::time::sleep(Duration::from_millis(20)).await;
@@ -306,14 +377,19 @@ async fn a_caller_who_leaves_stops_the_call() {
 async fn what_is_not_to_be_kept_is_not() {
     let script = Script::default();
     let vlm = config(&script.serve(vec![says("Predicted ID: none\nExplanation: x")]).await);
-    let limits =
-        LimitsConfig { retention: RetentionConfig { keep_evidence_days: 0, ..RetentionConfig::default() }, ..LimitsConfig::default() };
+    let limits = LimitsConfig {
+        retention: RetentionConfig { keep_evidence_days: 0, ..RetentionConfig::default() },
+        ..LimitsConfig::default()
+    };
     let server = TestServer::start_configured(limits, vlm).await;
     let scene = server.parsed(sample()).await.id;
     let answer = server.client.ground(&scene, &ask(QUERY)).await.unwrap();
     assert!(server.stored("blobs/answers").is_empty());
     assert_eq!(problem(server.client.answer_reply(&answer.id).await).code, "no_transcript");
-    assert!(server.client.bytes(&answer.evidence.unwrap()[0]).await.is_ok(), "the room can always be drawn");
+    assert!(
+        server.client.bytes(&answer.evidence.unwrap()[0]).await.is_ok(),
+        "the room can always be drawn"
+    );
     server.stop().await;
 }
 
@@ -324,7 +400,10 @@ async fn keys_are_never_stored() {
     let folder = tempfile::tempdir().unwrap();
     let file = camino::Utf8PathBuf::from_path_buf(folder.path().join("key")).unwrap();
     fs::write(&file, "sk-very-secret\n").unwrap();
-    let vlm = VlmConfig { vlm_api_key_file: Some(file), ..config(&script.serve(vec![fails(500, "no"), says("22")]).await) };
+    let vlm = VlmConfig {
+        vlm_api_key_file: Some(file),
+        ..config(&script.serve(vec![fails(500, "no"), says("22")]).await)
+    };
     let (server, scene) = start(vlm).await;
     server.client.ground(&scene, &ask(QUERY)).await.unwrap();
     assert_eq!(script.asked.lock().unwrap()[0].0.as_deref(), Some("Bearer sk-very-secret"));
@@ -348,12 +427,16 @@ async fn keys_are_never_stored() {
 fn eval(out: &camino::Utf8Path, args: &[&str]) -> (std::process::Output, Value) {
     let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_uniground"));
     let examples = concat!(env!("CARGO_MANIFEST_DIR"), "/examples");
-    let output = command.args(["eval", examples, "--out", out.as_str()]).args(args).output().unwrap();
-    let report = fs::read(out.join("report.json")).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
+    let output =
+        command.args(["eval", examples, "--out", out.as_str()]).args(args).output().unwrap();
+    let report = fs::read(out.join("report.json"))
+        .ok()
+        .and_then(|bytes| serde_json::from_slice(&bytes).ok());
     (output, report.unwrap_or_default())
 }
 
-/// A table of what a model decides, once with photographs and once with names, within a budget and again from what was recorded.
+/// A table of what a model decides, once with photographs and once with names, within a budget and
+/// again from what was recorded.
 #[test]
 fn a_model_is_evaluated_and_its_answers_are_kept() {
     let runtime = tokio::runtime::Runtime::new().unwrap();
@@ -363,19 +446,47 @@ fn a_model_is_evaluated_and_its_answers_are_kept() {
     let root = camino::Utf8PathBuf::from_path_buf(temporary.path().to_owned()).unwrap();
     let record = root.join("answers.jsonl");
     let matrix = "source=oracle;reasoner=builtin,vlm;evidence=full,cached_names";
-    let model = ["--vlm-url", &url, "--vlm-model", "scripted", "--vlm-prompt-usd", "2", "--vlm-completion-usd", "8"];
-    let (output, recorded) = eval(&root.join("a"), &[&model[..], &["--matrix", matrix, "--record", record.as_str()]].concat());
+    let model = [
+        "--vlm-url",
+        &url,
+        "--vlm-model",
+        "scripted",
+        "--vlm-prompt-usd",
+        "2",
+        "--vlm-completion-usd",
+        "8",
+    ];
+    let (output, recorded) = eval(
+        &root.join("a"),
+        &[&model[..], &["--matrix", matrix, "--record", record.as_str()]].concat(),
+    );
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let cells = recorded["cells"].as_array().unwrap().clone();
     let calls = |cell: &Value| cell["figures"]["vlm_calls"].as_f64().unwrap();
     assert_eq!((cells.len(), calls(&cells[0])), (4, 0.0));
-    assert!(calls(&cells[2]) >= 1.0 && cells[2]["figures"]["cost_usd"].as_f64().unwrap() > 0.0, "{}", cells[2]["figures"]);
+    assert!(
+        calls(&cells[2]) >= 1.0 && cells[2]["figures"]["cost_usd"].as_f64().unwrap() > 0.0,
+        "{}",
+        cells[2]["figures"]
+    );
     assert_eq!(cells[2]["models"]["reasoner"], "scripted (prompt 6)");
-    assert!(script.take().iter().any(|body| pictures_of(body) >= 6), "annotated instances have photographs");
+    assert!(
+        script.take().iter().any(|body| pictures_of(body) >= 6),
+        "annotated instances have photographs"
+    );
 
     let (output, replayed) = eval(
         &root.join("b"),
-        &["--matrix", matrix, "--replay", record.as_str(), "--vlm-prompt-usd", "2", "--vlm-completion-usd", "8"],
+        &[
+            "--matrix",
+            matrix,
+            "--replay",
+            record.as_str(),
+            "--vlm-prompt-usd",
+            "2",
+            "--vlm-completion-usd",
+            "8",
+        ],
     );
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert_eq!(script.calls(), 0);
@@ -385,8 +496,14 @@ fn a_model_is_evaluated_and_its_answers_are_kept() {
         }
     }
     // A run has a budget of its own: what it does not pay for fails, and is told.
-    let (output, _) = eval(&root.join("c"), &[&model[..], &["--matrix", "source=oracle;reasoner=vlm", "--max-usd", "0.03"]].concat());
+    let (output, _) = eval(
+        &root.join("c"),
+        &[&model[..], &["--matrix", "source=oracle;reasoner=vlm", "--max-usd", "0.03"]].concat(),
+    );
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(told.contains("questions failed") && told.contains("the budget of this run is spent"), "{told}");
+    assert!(
+        told.contains("questions failed") && told.contains("the budget of this run is spent"),
+        "{told}"
+    );
     assert!(script.calls() >= 1 && script.calls() < 19, "{} calls", script.calls());
 }

@@ -18,9 +18,15 @@ type Heard = Arc<Mutex<Vec<(String, Value)>>>;
 
 /// Takes every message but the first.
 async fn hear(State(heard): State<Heard>, headers: HeaderMap, body: Bytes) -> StatusCode {
-    assert!(headers["webhook-signature"].to_str().unwrap().starts_with("v1,") && headers.contains_key("webhook-timestamp"));
+    assert!(
+        headers["webhook-signature"].to_str().unwrap().starts_with("v1,")
+            && headers.contains_key("webhook-timestamp")
+    );
     let mut heard = heard.lock().unwrap();
-    heard.push((headers["webhook-id"].to_str().unwrap().to_owned(), serde_json::from_slice(&body).unwrap()));
+    heard.push((
+        headers["webhook-id"].to_str().unwrap().to_owned(),
+        serde_json::from_slice(&body).unwrap(),
+    ));
     if heard.len() == 1 { StatusCode::SERVICE_UNAVAILABLE } else { StatusCode::NO_CONTENT }
 }
 
@@ -64,12 +70,20 @@ async fn the_end_of_a_job_is_told_until_somebody_listens() {
     let [(first, event), (second, _)] = told.as_slice() else { panic!("{told:?}") };
     assert_eq!((first, &event["type"]), (second, &json!("job.succeeded")));
     let job = &event["data"]["job"];
-    assert_eq!((&job["subject"], &job["kind"], &event["timestamp"]), (&json!(scene.id), &json!("parse"), &job["finished_at"]));
+    assert_eq!(
+        (&job["subject"], &job["kind"], &event["timestamp"]),
+        (&json!(scene.id), &json!("parse"), &job["finished_at"])
+    );
 
     let batch = json!({"items": [{"query": "the red sofa", "scene_id": scene.id}]});
-    let batch = process.client.create_batch(&serde_json::from_value(batch).unwrap(), None).await.unwrap();
+    let batch =
+        process.client.create_batch(&serde_json::from_value(batch).unwrap(), None).await.unwrap();
     finished(&process.client, batch.job_id.as_deref().unwrap()).await;
     let told = until(&heard, 3).await;
-    assert_eq!((&told[2].1["data"]["batch"]["state"], told.len()), (&json!("succeeded"), 3), "{told:?}");
+    assert_eq!(
+        (&told[2].1["data"]["batch"]["state"], told.len()),
+        (&json!("succeeded"), 3),
+        "{told:?}"
+    );
     assert_eq!(process.terminate(), Some(0));
 }

@@ -5,11 +5,17 @@ use reqwest::{Method, RequestBuilder};
 use uniground_types::export::{ExportFormat, ExportedScene};
 
 impl Client {
-    /// A scene with what was found in it, as a file with at most so many points; as many as the server thinks right where not said.
+    /// A scene with what was found in it, as a file with at most so many points; as many as the
+    /// server thinks right where not said.
     ///
     /// # Errors
     /// [`ClientError`].
-    pub async fn export(&self, scene_id: &str, format: ExportFormat, points: Option<u32>) -> Result<Vec<u8>, ClientError> {
+    pub async fn export(
+        &self,
+        scene_id: &str,
+        format: ExportFormat,
+        points: Option<u32>,
+    ) -> Result<Vec<u8>, ClientError> {
         let request = self.export_request(scene_id, format).query(&[("points", points)]);
         Ok(checked(request.send().await?).await?.bytes().await?.to_vec())
     }
@@ -23,6 +29,7 @@ impl Client {
     }
 
     fn export_request(&self, scene_id: &str, format: ExportFormat) -> RequestBuilder {
-        self.request(Method::GET, &format!("v1/scenes/{scene_id}/export")).query(&[("format", format)])
+        self.request(Method::GET, &format!("v1/scenes/{scene_id}/export"))
+            .query(&[("format", format)])
     }
 }

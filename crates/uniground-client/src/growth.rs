@@ -7,12 +7,17 @@ use uniground_types::placement::FrameChoice;
 use uniground_types::scenes::Created;
 
 impl Client {
-    /// Adds frames to a scene: an archive of pictures with depth and poses, told in the coordinates of `world`. Follow the job to learn when
-    /// the scene knows them.
+    /// Adds frames to a scene: an archive of pictures with depth and poses, told in the coordinates
+    /// of `world`. Follow the job to learn when the scene knows them.
     ///
     /// # Errors
     /// [`ClientError`].
-    pub async fn add_frames(&self, scene_id: &str, world: FrameChoice, frames: impl Into<reqwest::Body>) -> Result<Created, ClientError> {
+    pub async fn add_frames(
+        &self,
+        scene_id: &str,
+        world: FrameChoice,
+        frames: impl Into<reqwest::Body>,
+    ) -> Result<Created, ClientError> {
         let request = self
             .request(Method::POST, &format!("v1/scenes/{scene_id}/frames"))
             .query(&[("world", world)])
@@ -25,16 +30,31 @@ impl Client {
     ///
     /// # Errors
     /// [`ClientError`].
-    pub async fn changes_since(&self, scene_id: &str, since: u32) -> Result<SceneChanges, ClientError> {
-        json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/changes")).query(&[("since", since)])).await
+    pub async fn changes_since(
+        &self,
+        scene_id: &str,
+        since: u32,
+    ) -> Result<SceneChanges, ClientError> {
+        json(
+            self.request(Method::GET, &format!("v1/scenes/{scene_id}/changes"))
+                .query(&[("since", since)]),
+        )
+        .await
     }
 
-    /// What is different in another scan of the same room; the two are laid over each other where `align` is set.
+    /// What is different in another scan of the same room; the two are laid over each other where
+    /// `align` is set.
     ///
     /// # Errors
     /// [`ClientError`].
-    pub async fn changes_to(&self, scene_id: &str, to: &str, align: bool) -> Result<SceneChanges, ClientError> {
+    pub async fn changes_to(
+        &self,
+        scene_id: &str,
+        to: &str,
+        align: bool,
+    ) -> Result<SceneChanges, ClientError> {
         let query = [("to", to), ("align", if align { "true" } else { "false" })];
-        json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/changes")).query(&query)).await
+        json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/changes")).query(&query))
+            .await
     }
 }

@@ -42,8 +42,8 @@ use uniground_types::service::ModelList;
 use uniground_types::stats::Stats;
 use uniground_types::transcript::{AnswerPrompt, AnswerReply};
 
-/// Chooses the cryptography of TLS for this process: ring, unless something else was chosen before. `reqwest` brings none of its own and
-/// wants it to be there when a client is made.
+/// Chooses the cryptography of TLS for this process: ring, unless something else was chosen before.
+/// `reqwest` brings none of its own and wants it to be there when a client is made.
 pub fn choose_cryptography() {
     if rustls::crypto::CryptoProvider::get_default().is_none() {
         let _chosen_meanwhile = rustls::crypto::ring::default_provider().install_default();
@@ -82,12 +82,15 @@ impl Client {
         media_type: &str,
         archive: impl Into<reqwest::Body>,
     ) -> Result<Created, ClientError> {
-        let request = self.request(Method::POST, "v1/scenes").header("content-type", media_type).body(archive);
+        let request = self
+            .request(Method::POST, "v1/scenes")
+            .header("content-type", media_type)
+            .body(archive);
         json(request.query(&[("name", name)])).await
     }
 
-    /// Uploads an archive, or finds the scene that the same `key` made before. `query` as the API describes it: `name`, `up`, `levelling` and
-    /// so on.
+    /// Uploads an archive, or finds the scene that the same `key` made before. `query` as the API
+    /// describes it: `name`, `up`, `levelling` and so on.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -102,13 +105,20 @@ impl Client {
         json(request.header("idempotency-key", key).query(query).body(archive)).await
     }
 
-    /// Uploads whatever is a scan, known by its bytes: an archive, a `.sens` file, a cloud or a mesh. `query` as the API describes it:
-    /// `name`, `parse`, `up`, `metres_per_unit`, `levelling`, `preset`.
+    /// Uploads whatever is a scan, known by its bytes: an archive, a `.sens` file, a cloud or a
+    /// mesh. `query` as the API describes it: `name`, `parse`, `up`, `metres_per_unit`,
+    /// `levelling`, `preset`.
     ///
     /// # Errors
     /// [`ClientError`].
-    pub async fn upload(&self, scan: impl Into<reqwest::Body>, query: &[(&str, &str)]) -> Result<Created, ClientError> {
-        let request = self.request(Method::POST, "v1/scenes").header("content-type", "application/octet-stream");
+    pub async fn upload(
+        &self,
+        scan: impl Into<reqwest::Body>,
+        query: &[(&str, &str)],
+    ) -> Result<Created, ClientError> {
+        let request = self
+            .request(Method::POST, "v1/scenes")
+            .header("content-type", "application/octet-stream");
         json(request.query(query).body(scan)).await
     }
 
@@ -122,8 +132,10 @@ impl Client {
     /// [`ClientError`].
     pub async fn scenes(&self, limit: u32, cursor: Option<&str>) -> Result<SceneList, ClientError> {
         json(
-            self.request(Method::GET, "v1/scenes")
-                .query(&[("limit", Some(limit.to_string())), ("cursor", cursor.map(str::to_owned))]),
+            self.request(Method::GET, "v1/scenes").query(&[
+                ("limit", Some(limit.to_string())),
+                ("cursor", cursor.map(str::to_owned)),
+            ]),
         )
         .await
     }
@@ -132,7 +144,12 @@ impl Client {
     ///
     /// # Errors
     /// [`ClientError`].
-    pub async fn scenes_labelled(&self, labels: &str, limit: u32, cursor: Option<&str>) -> Result<SceneList, ClientError> {
+    pub async fn scenes_labelled(
+        &self,
+        labels: &str,
+        limit: u32,
+        cursor: Option<&str>,
+    ) -> Result<SceneList, ClientError> {
         let limit = limit.to_string();
         let query = [("labels", Some(labels)), ("limit", Some(&limit)), ("cursor", cursor)];
         json(self.request(Method::GET, "v1/scenes").query(&query)).await
@@ -141,7 +158,11 @@ impl Client {
     /// # Errors
     /// [`ClientError`].
     pub async fn rename_scene(&self, id: &str, name: &str) -> Result<Scene, ClientError> {
-        self.change_scene(id, &SceneChange { name: Some(name.to_owned()), ..SceneChange::default() }).await
+        self.change_scene(
+            id,
+            &SceneChange { name: Some(name.to_owned()), ..SceneChange::default() },
+        )
+        .await
     }
 
     /// Renames a scene, files it under labels, or says where it lies in a map.
@@ -176,20 +197,29 @@ impl Client {
     /// # Errors
     /// [`ClientError`].
     pub async fn instances(&self, scene_id: &str, limit: u32) -> Result<InstanceList, ClientError> {
-        json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/instances")).query(&[("limit", limit)])).await
+        json(
+            self.request(Method::GET, &format!("v1/scenes/{scene_id}/instances"))
+                .query(&[("limit", limit)]),
+        )
+        .await
     }
 
     /// Every instance of a scene at these levels, in order of id.
     ///
     /// # Errors
     /// [`ClientError`].
-    pub async fn all_instances(&self, scene_id: &str, levels: Levels) -> Result<Vec<InstanceView>, ClientError> {
+    pub async fn all_instances(
+        &self,
+        scene_id: &str,
+        levels: Levels,
+    ) -> Result<Vec<InstanceView>, ClientError> {
         const PAGE: u32 = 200;
         let mut instances = Vec::new();
         let mut cursor = None;
         loop {
             let query = [("limit", Some(PAGE)), ("cursor", cursor)];
-            let page = self.request(Method::GET, &format!("v1/scenes/{scene_id}/instances")).query(&query);
+            let page =
+                self.request(Method::GET, &format!("v1/scenes/{scene_id}/instances")).query(&query);
             let page: InstanceList = json(page.query(&[("level", levels)])).await?;
             instances.extend(page.instances);
             cursor = page.next_cursor;
@@ -203,8 +233,13 @@ impl Client {
     ///
     /// # Errors
     /// [`ClientError`].
-    pub async fn correct(&self, scene_id: &str, change: &Change) -> Result<Correction, ClientError> {
-        json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/corrections")).json(change)).await
+    pub async fn correct(
+        &self,
+        scene_id: &str,
+        change: &Change,
+    ) -> Result<Correction, ClientError> {
+        json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/corrections")).json(change))
+            .await
     }
 
     /// What people have said of a scene's current parse, newest first.
@@ -219,7 +254,11 @@ impl Client {
     ///
     /// # Errors
     /// [`ClientError`].
-    pub async fn undo_correction(&self, scene_id: &str, id: &str) -> Result<Correction, ClientError> {
+    pub async fn undo_correction(
+        &self,
+        scene_id: &str,
+        id: &str,
+    ) -> Result<Correction, ClientError> {
         json(self.request(Method::DELETE, &format!("v1/scenes/{scene_id}/corrections/{id}"))).await
     }
 
@@ -233,34 +272,53 @@ impl Client {
 
     /// # Errors
     /// [`ClientError`].
-    pub async fn ground(&self, scene_id: &str, request: &GroundRequest) -> Result<Answer, ClientError> {
-        json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/ground")).json(request)).await
+    pub async fn ground(
+        &self,
+        scene_id: &str,
+        request: &GroundRequest,
+    ) -> Result<Answer, ClientError> {
+        json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/ground")).json(request))
+            .await
     }
 
     /// Finds out in which of many scenes something is.
     ///
     /// # Errors
     /// [`ClientError`].
-    pub async fn ground_many(&self, request: &ManyGroundRequest) -> Result<ManyAnswers, ClientError> {
+    pub async fn ground_many(
+        &self,
+        request: &ManyGroundRequest,
+    ) -> Result<ManyAnswers, ClientError> {
         json(self.request(Method::POST, "v1/ground").json(request)).await
     }
 
     /// # Errors
     /// [`ClientError`].
-    pub async fn shortlist(&self, scene_id: &str, request: &ShortlistRequest) -> Result<Shortlisted, ClientError> {
-        json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/shortlist")).json(request)).await
+    pub async fn shortlist(
+        &self,
+        scene_id: &str,
+        request: &ShortlistRequest,
+    ) -> Result<Shortlisted, ClientError> {
+        json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/shortlist")).json(request))
+            .await
     }
 
     /// Submits a list of questions; the same `key` again returns the batch it made.
     ///
     /// # Errors
     /// [`ClientError`].
-    pub async fn create_batch(&self, batch: &BatchRequest, key: Option<&str>) -> Result<Batch, ClientError> {
+    pub async fn create_batch(
+        &self,
+        batch: &BatchRequest,
+        key: Option<&str>,
+    ) -> Result<Batch, ClientError> {
         let request = self.request(Method::POST, "v1/batches").json(batch);
-        json(key.into_iter().fold(request, |request, key| request.header("idempotency-key", key))).await
+        json(key.into_iter().fold(request, |request, key| request.header("idempotency-key", key)))
+            .await
     }
 
-    /// Submits a list of questions as JSONL, an item a line, streamed; `query` as the API describes it: `scene_id`, `label` and the like.
+    /// Submits a list of questions as JSONL, an item a line, streamed; `query` as the API describes
+    /// it: `scene_id`, `label` and the like.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -270,8 +328,12 @@ impl Client {
         query: &[(&str, String)],
         key: Option<&str>,
     ) -> Result<Batch, ClientError> {
-        let request = self.request(Method::POST, "v1/batches").header("content-type", "application/jsonl").query(query);
-        let request = key.into_iter().fold(request, |request, key| request.header("idempotency-key", key));
+        let request = self
+            .request(Method::POST, "v1/batches")
+            .header("content-type", "application/jsonl")
+            .query(query);
+        let request =
+            key.into_iter().fold(request, |request, key| request.header("idempotency-key", key));
         json(request.body(lines)).await
     }
 
@@ -283,7 +345,11 @@ impl Client {
 
     /// # Errors
     /// [`ClientError`].
-    pub async fn batches(&self, limit: u32, cursor: Option<&str>) -> Result<BatchList, ClientError> {
+    pub async fn batches(
+        &self,
+        limit: u32,
+        cursor: Option<&str>,
+    ) -> Result<BatchList, ClientError> {
         let query = [("limit", Some(limit.to_string())), ("cursor", cursor.map(str::to_owned))];
         json(self.request(Method::GET, "v1/batches").query(&query)).await
     }
@@ -296,8 +362,9 @@ impl Client {
         json(self.request(Method::POST, &format!("v1/batches/{id}/{what}"))).await
     }
 
-    /// Reads results in the order of the items, from a place on; `follow` waits for those that are still asked. `on_result` gets each line
-    /// as it was sent, and what it says. Returns the place to go on from.
+    /// Reads results in the order of the items, from a place on; `follow` waits for those that are
+    /// still asked. `on_result` gets each line as it was sent, and what it says. Returns the
+    /// place to go on from.
     ///
     /// # Errors
     /// [`ClientError`]; what came before has been told.
@@ -318,7 +385,8 @@ impl Client {
             let mut begin = 0;
             while let Some(length) = buffer[begin..].iter().position(|&byte| byte == b'\n') {
                 let line = &buffer[begin..=begin + length];
-                let result: BatchResult = serde_json::from_slice(line).map_err(ClientError::from)?;
+                let result: BatchResult =
+                    serde_json::from_slice(line).map_err(ClientError::from)?;
                 next = result.item + 1;
                 on_result(line, result)?;
                 begin += length + 1;
@@ -380,7 +448,8 @@ impl Client {
         json(self.request(Method::DELETE, &format!("v1/jobs/{id}"))).await
     }
 
-    /// A page of answers, newest first; `query` as the API describes it: `scene_id`, `batch_id`, `status`, `since`, `until`, `limit`, `cursor`.
+    /// A page of answers, newest first; `query` as the API describes it: `scene_id`, `batch_id`,
+    /// `status`, `since`, `until`, `limit`, `cursor`.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -388,7 +457,8 @@ impl Client {
         json(self.request(Method::GET, "v1/answers").query(query)).await
     }
 
-    /// A page of jobs, newest first; `query` as the API describes it: `kind`, `state`, `subject`, `limit`, `cursor`.
+    /// A page of jobs, newest first; `query` as the API describes it: `kind`, `state`, `subject`,
+    /// `limit`, `cursor`.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -430,8 +500,14 @@ impl Client {
     ///
     /// # Errors
     /// [`ClientError`].
-    pub async fn follow_job(&self, id: &str, mut on_event: impl FnMut(&Job)) -> Result<Job, ClientError> {
-        let response = checked(self.request(Method::GET, &format!("v1/jobs/{id}/events")).send().await?).await?;
+    pub async fn follow_job(
+        &self,
+        id: &str,
+        mut on_event: impl FnMut(&Job),
+    ) -> Result<Job, ClientError> {
+        let response =
+            checked(self.request(Method::GET, &format!("v1/jobs/{id}/events")).send().await?)
+                .await?;
         let mut chunks = response.bytes_stream();
         let mut buffer = Vec::new();
         while let Some(chunk) = chunks.next().await {
@@ -455,7 +531,8 @@ impl Client {
     /// # Errors
     /// [`ClientError`].
     pub async fn bytes(&self, path: &str) -> Result<Vec<u8>, ClientError> {
-        let response = checked(self.request(Method::GET, path.trim_start_matches('/')).send().await?).await?;
+        let response =
+            checked(self.request(Method::GET, path.trim_start_matches('/')).send().await?).await?;
         Ok(response.bytes().await?.to_vec())
     }
 

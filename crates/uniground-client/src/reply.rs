@@ -35,7 +35,8 @@ pub(crate) async fn checked(response: Response) -> Result<Response, ClientError>
     if status.is_success() {
         return Ok(response);
     }
-    let retry_after_s = response.headers().get("retry-after").and_then(|v| v.to_str().ok()?.parse().ok());
+    let retry_after_s =
+        response.headers().get("retry-after").and_then(|v| v.to_str().ok()?.parse().ok());
     let body = response.text().await?;
     Err(match serde_json::from_str::<Problem>(&body) {
         Ok(problem) => ClientError::Problem(Box::new(Problem { retry_after_s, ..problem })),

@@ -20,16 +20,26 @@ impl Client {
     ///
     /// # Errors
     /// [`ClientError`].
-    pub async fn approach(&self, scene_id: &str, request: &ApproachRequest) -> Result<Approach, ClientError> {
-        json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/approach")).json(request)).await
+    pub async fn approach(
+        &self,
+        scene_id: &str,
+        request: &ApproachRequest,
+    ) -> Result<Approach, ClientError> {
+        json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/approach")).json(request))
+            .await
     }
 
-    /// The map of a scene's floor; its picture is at `/v1/scenes/{id}/floor.png`. What is higher above it than `height_m` is no obstacle.
+    /// The map of a scene's floor; its picture is at `/v1/scenes/{id}/floor.png`. What is higher
+    /// above it than `height_m` is no obstacle.
     ///
     /// # Errors
     /// [`ClientError`].
     pub async fn floor(&self, scene_id: &str, height_m: f32) -> Result<FloorMap, ClientError> {
-        json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/floor")).query(&[("height_m", height_m)])).await
+        json(
+            self.request(Method::GET, &format!("v1/scenes/{scene_id}/floor"))
+                .query(&[("height_m", height_m)]),
+        )
+        .await
     }
 
     /// What is in a scene and how it stands to each other.
@@ -37,6 +47,10 @@ impl Client {
     /// # Errors
     /// [`ClientError`].
     pub async fn graph(&self, scene_id: &str, levels: Levels) -> Result<SceneGraph, ClientError> {
-        json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/graph")).query(&[("level", levels)])).await
+        json(
+            self.request(Method::GET, &format!("v1/scenes/{scene_id}/graph"))
+                .query(&[("level", levels)]),
+        )
+        .await
     }
 }

@@ -1,11 +1,13 @@
 //! Threads of long work that give way: a parse must not stand in front of somebody's question.
 //!
-//! On Linux a thread has a niceness of its own, and threads it starts inherit it: what a low thread creates (the pools of a network's
-//! session) is low as well. Elsewhere all threads are alike, and only the pools are apart.
+//! On Linux a thread has a niceness of its own, and threads it starts inherit it: what a low thread
+//! creates (the pools of a network's session) is low as well. Elsewhere all threads are alike, and
+//! only the pools are apart.
 
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
-/// How much background threads give way: a tenth of what an ordinary thread gets where both want the same core.
+/// How much background threads give way: a tenth of what an ordinary thread gets where both want
+/// the same core.
 #[cfg(target_os = "linux")]
 const NICENESS: i32 = 10;
 
@@ -31,7 +33,8 @@ pub(crate) fn on_low_thread<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     })
 }
 
-/// Lowers the priority of this thread. What the system refuses costs speed elsewhere, never a result.
+/// Lowers the priority of this thread. What the system refuses costs speed elsewhere, never a
+/// result.
 fn give_way() {
     #[cfg(target_os = "linux")]
     if let Err(error) = rustix::process::nice(NICENESS) {
@@ -53,7 +56,8 @@ mod tests {
         };
         let own = niceness();
         assert_eq!(pool().unwrap().install(niceness), (own + NICENESS).min(19));
-        let inherited = on_low_thread(|| std::thread::scope(|scope| scope.spawn(niceness).join().unwrap()));
+        let inherited =
+            on_low_thread(|| std::thread::scope(|scope| scope.spawn(niceness).join().unwrap()));
         assert_eq!(inherited, (own + NICENESS).min(19));
         assert_eq!(niceness(), own, "the caller keeps its own");
     }

@@ -1,11 +1,13 @@
-//! 3D visual grounding as a library: a scan of a room to instances, a question in plain words to an instance and its 3D box.
+//! 3D visual grounding as a library: a scan of a room to instances, a question in plain words to an
+//! instance and its 3D box.
 //!
 //! ```text
 //! scan   -> parse (ingest -> scene_parsing) -> ParsedScene          stage 1 (paper: Global Candidate Filtering)
 //! query  -> grounding::query -> grounding::pipeline -> answer   stage 2 (paper: Contextual Precision Grounding)
 //! ```
-//! No async runtime, no database, no HTTP, no command line: usable inside a robot's own process. `examples/ground.rs` is the whole way
-//! in forty lines. `docs/METHOD.md` says what each stage computes and where the paper has it.
+//! No async runtime, no database, no HTTP, no command line: usable inside a robot's own process.
+//! `examples/ground.rs` is the whole way in forty lines. `docs/METHOD.md` says what each stage
+//! computes and where the paper has it.
 
 #![warn(missing_docs)]
 

@@ -1,10 +1,13 @@
-//! Stage 1 from end to end: an unpacked scan to a [`ParsedScene`], with the models that are at hand.
+//! Stage 1 from end to end: an unpacked scan to a [`ParsedScene`], with the models that are at
+//! hand.
 
 use crate::ingest::{self, Grown, IngestError, part_folder};
 use crate::models::attributes;
 use crate::models::neural::{Models, Role};
 use crate::progress::{Cancelled, Progress};
-use crate::scene::{FrameRef, ImportReport, ParsedScene, SceneBundle, SourceToScene, stream_frames};
+use crate::scene::{
+    FrameRef, ImportReport, ParsedScene, SceneBundle, SourceToScene, stream_frames,
+};
 use crate::scene_parsing::checkpoints::Checkpoints;
 use crate::scene_parsing::correction::Corrector;
 use crate::scene_parsing::masks::rgbd::RgbdMasks;
@@ -13,7 +16,9 @@ use crate::scene_parsing::masks::{MaskSource, Together};
 use crate::scene_parsing::{self, ParseError, Perception, StageOutcome, Stopwatch};
 use camino::Utf8Path;
 use uniground_types::scene::StageReport;
-use uniground_types::settings::{ImportSettings, ModelChoice, ParseModels, ParseSettings, PartChoice};
+use uniground_types::settings::{
+    ImportSettings, ModelChoice, ParseModels, ParseSettings, PartChoice,
+};
 
 /// Raised when stage 1 changes what it computes: older parses are kept, but not taken for new ones.
 pub const STAGE_1_VERSION: u32 = 9;
@@ -62,9 +67,11 @@ pub struct ParsedScan {
     pub models: ParseModels,
 }
 
-const BUILTIN: ModelChoice = ModelChoice { masks: PartChoice::Builtin, encoder: PartChoice::Builtin, allow_builtin: false };
+const BUILTIN: ModelChoice =
+    ModelChoice { masks: PartChoice::Builtin, encoder: PartChoice::Builtin, allow_builtin: false };
 
-/// Import and stage 1 of an unpacked scan; blocks, and uses the threads of the rayon pool it is called in.
+/// Import and stage 1 of an unpacked scan; blocks, and uses the threads of the rayon pool it is
+/// called in.
 ///
 /// # Errors
 /// [`ScanError`], also when the work was cancelled.
@@ -80,7 +87,8 @@ pub fn parse_scan(
     cut_scan(scan, settings, models, checkpoints, &progress.part(imported, 1.0))
 }
 
-/// How much of the time of a parse with these models goes into the import: networks take nearly all of it where they take part.
+/// How much of the time of a parse with these models goes into the import: networks take nearly all
+/// of it where they take part.
 #[must_use]
 pub fn share_of_import(models: &Models) -> f32 {
     if models.loaded.is_empty() { 0.25 } else { 0.01 }
@@ -92,19 +100,24 @@ pub struct ImportedScan {
     stages: Vec<StageReport>,
 }
 
-/// Bytes that stage 1 takes for a point, beside the point itself: measured with clouds of one to eight million (105 at most).
+/// Bytes that stage 1 takes for a point, beside the point itself: measured with clouds of one to
+/// eight million (105 at most).
 const BYTES_PER_POINT: u64 = 120;
 /// Bytes it takes for a pixel of a frame that is looked at, one a thread.
 const BYTES_PER_PIXEL: u64 = 64;
 
 impl ImportedScan {
-    /// What cutting it will take in the present pool of threads, bytes, without what networks take: an estimate.
+    /// What cutting it will take in the present pool of threads, bytes, without what networks take:
+    /// an estimate.
     #[must_use]
     pub fn memory_wanted(&self) -> u64 {
         let (_, frames) = self.bundle.in_all();
-        let pixels = |frame: &FrameRef| u64::from(frame.colour_intrinsics.width) * u64::from(frame.colour_intrinsics.height);
+        let pixels = |frame: &FrameRef| {
+            u64::from(frame.colour_intrinsics.width) * u64::from(frame.colour_intrinsics.height)
+        };
         let largest = frames.iter().map(pixels).max().unwrap_or(0);
-        self.bundle.points() as u64 * BYTES_PER_POINT + largest * BYTES_PER_PIXEL * rayon::current_num_threads() as u64
+        self.bundle.points() as u64 * BYTES_PER_POINT
+            + largest * BYTES_PER_PIXEL * rayon::current_num_threads() as u64
     }
 
     /// What the import took, for the report of the parse.
@@ -119,14 +132,16 @@ impl ImportedScan {
         Self { stages, ..self }
     }
 
-    /// Decodes every picture that the import has not decoded and lets go of it. Pictures that are damaged are no error: stage 1 names those it
-    /// meets. Run where a fault does no harm, this shows that none of them crashes its decoder or takes too much memory.
+    /// Decodes every picture that the import has not decoded and lets go of it. Pictures that are
+    /// damaged are no error: stage 1 names those it meets. Run where a fault does no harm, this
+    /// shows that none of them crashes its decoder or takes too much memory.
     ///
     /// # Errors
     /// [`ScanError::Ingest`] when the work was cancelled.
     pub fn try_pictures(&self, progress: &Progress) -> Result<(), ScanError> {
         let SceneBundle { frames, report, .. } = &self.bundle;
-        // Without a cloud of its own the scan was fused from all its frames, and so was what was added.
+        // Without a cloud of its own the scan was fused from all its frames, and so was what was
+        // added.
         let frames = if report.cloud_points.is_some() { &frames[..] } else { &[] };
         let all = frames.len().max(1) as f32;
         stream_frames(
@@ -142,7 +157,8 @@ impl ImportedScan {
     }
 }
 
-/// Import of an unpacked scan: reads or fuses its cloud, and checks that cloud, poses and depth agree; blocks.
+/// Import of an unpacked scan: reads or fuses its cloud, and checks that cloud, poses and depth
+/// agree; blocks.
 ///
 /// # Errors
 /// [`ScanError::Ingest`], also when the work was cancelled.
@@ -155,11 +171,16 @@ pub fn import_scan(
     timed_import(content, settings, checkpoints, progress, Missing::Made)
 }
 
-/// The import of a scan as it is stored in its checkpoints; `None` where it is not. Nothing of the scan itself is decoded.
+/// The import of a scan as it is stored in its checkpoints; `None` where it is not. Nothing of the
+/// scan itself is decoded.
 ///
 /// # Errors
 /// [`ScanError::Ingest`] where the list of a scan's parts can not be read.
-pub fn stored_import(content: &Utf8Path, settings: &ImportSettings, checkpoints: &Checkpoints) -> Result<Option<ImportedScan>, ScanError> {
+pub fn stored_import(
+    content: &Utf8Path,
+    settings: &ImportSettings,
+    checkpoints: &Checkpoints,
+) -> Result<Option<ImportedScan>, ScanError> {
     match timed_import(content, settings, checkpoints, &Progress::silent(), Missing::Refused) {
         Ok(scan) => Ok(Some(scan)),
         Err(ScanError::NotImported) => Ok(None),
@@ -190,7 +211,8 @@ fn timed_import(
     Ok(ImportedScan { bundle, stages: watch.stages })
 }
 
-/// Stage 1 of a scan that was brought in; blocks, and uses the threads of the rayon pool it is called in.
+/// Stage 1 of a scan that was brought in; blocks, and uses the threads of the rayon pool it is
+/// called in.
 ///
 /// # Errors
 /// [`ScanError`], also when the work was cancelled.
@@ -203,9 +225,13 @@ pub fn cut_scan(
 ) -> Result<ParsedScan, ScanError> {
     let ImportedScan { bundle, stages } = scan;
     let again = settings.models.allow_builtin.then(|| bundle.clone());
-    let mut scan = match (cut_with(bundle, settings, &chosen(settings.models, models), checkpoints, progress), again) {
+    let mut scan = match (
+        cut_with(bundle, settings, &chosen(settings.models, models), checkpoints, progress),
+        again,
+    ) {
         (Err(ScanError::Parse(ParseError::Model(error))), Some(bundle)) => {
-            let mut scan = cut_with(bundle, settings, &chosen(BUILTIN, models), checkpoints, progress)?;
+            let mut scan =
+                cut_with(bundle, settings, &chosen(BUILTIN, models), checkpoints, progress)?;
             scan.scene
                 .report
                 .warnings
@@ -227,11 +253,13 @@ fn import(
     missing: Missing,
 ) -> Result<(SceneBundle, bool), ScanError> {
     let may_load = || if missing == Missing::Made { Ok(()) } else { Err(ScanError::NotImported) };
-    let added = Grown::read(content)?.map_or_else(Vec::new, |grown| grown.parts.into_iter().skip(1).collect());
+    let added = Grown::read(content)?
+        .map_or_else(Vec::new, |grown| grown.parts.into_iter().skip(1).collect());
     let first = if added.is_empty() { content.to_owned() } else { part_folder(content, 0) };
     let share = |parts: usize| parts as f32 / (added.len() + 1) as f32;
     // Kept with paths relative to the folder, which may lie elsewhere tomorrow.
-    let below = |folder: &Utf8Path, path: &Utf8Path| path.strip_prefix(folder).unwrap_or(path).to_owned();
+    let below =
+        |folder: &Utf8Path, path: &Utf8Path| path.strip_prefix(folder).unwrap_or(path).to_owned();
     let load = || {
         may_load()?;
         let bundle = ingest::load(&ingest::open(&first)?, settings, &progress.part(0.0, share(1)))?;
@@ -248,9 +276,18 @@ fn import(
         let cloud = known.as_ref().unwrap_or(&bundle.cloud);
         let load = || {
             may_load()?;
-            let (first, looking) = (bundle.next_frame(), progress.part(share(number), share(number + 1)));
+            let (first, looking) =
+                (bundle.next_frame(), progress.part(share(number), share(number + 1)));
             let to_scene = part.to_scene.unwrap_or(to_scene);
-            let addition = ingest::add(ingest::open(&folder)?, made_of, &to_scene, cloud, first, settings, &looking)?;
+            let addition = ingest::add(
+                ingest::open(&folder)?,
+                made_of,
+                &to_scene,
+                cloud,
+                first,
+                settings,
+                &looking,
+            )?;
             Ok::<_, ScanError>(addition.with_paths(|path| below(&folder, path)))
         };
         let (addition, reused) = checkpoints.once(&format!("import{number}"), &(), load)?;
@@ -279,13 +316,27 @@ fn cut_with(
         .segmenters
         .iter()
         .enumerate()
-        .map(|(i, segmenter)| EncodedFrames::new(segmenter.clone(), checkpoints.folder(), if i == 0 { max_bytes } else { 0 }))
+        .map(|(i, segmenter)| {
+            EncodedFrames::new(
+                segmenter.clone(),
+                checkpoints.folder(),
+                if i == 0 { max_bytes } else { 0 },
+            )
+        })
         .collect::<Result<Vec<_>, _>>()?;
     let sam: Vec<SamMasks> = encoded
         .iter()
-        .map(|frames| SamMasks { frames, settings: parsing.sam_masks, segments: parsing.rgbd_masks, name: names.masks.clone() })
+        .map(|frames| SamMasks {
+            frames,
+            settings: parsing.sam_masks,
+            segments: parsing.rgbd_masks,
+            name: names.masks.clone(),
+        })
         .collect();
-    let together = Together { sources: sam.iter().map(|sam| sam as &dyn MaskSource).collect(), name: names.masks.clone() };
+    let together = Together {
+        sources: sam.iter().map(|sam| sam as &dyn MaskSource).collect(),
+        name: names.masks.clone(),
+    };
     let perception = Perception {
         masks: if sam.is_empty() { &rgbd } else { &together },
         corrector: encoded

@@ -20,8 +20,12 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// `sink` receives a stage's name and the overall progress in `0..=1`; `is_cancelled` is asked often and must be cheap.
-    pub fn new(sink: impl Fn(&'static str, f32) + Send + Sync + 'static, is_cancelled: impl Fn() -> bool + Send + Sync + 'static) -> Self {
+    /// `sink` receives a stage's name and the overall progress in `0..=1`; `is_cancelled` is asked
+    /// often and must be cheap.
+    pub fn new(
+        sink: impl Fn(&'static str, f32) + Send + Sync + 'static,
+        is_cancelled: impl Fn() -> bool + Send + Sync + 'static,
+    ) -> Self {
         Self { sink: Arc::new(sink), is_cancelled: Arc::new(is_cancelled), from: 0.0, to: 1.0 }
     }
 

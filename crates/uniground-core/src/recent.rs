@@ -3,8 +3,8 @@
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
-/// The most recently used values, as many as their weights allow, and always the latest. What is kept never changes, so nothing is
-/// ever stale.
+/// The most recently used values, as many as their weights allow, and always the latest. What is
+/// kept never changes, so nothing is ever stale.
 pub struct Recent<V> {
     /// Latest last: key, value, weight.
     entries: Mutex<Vec<(String, V, usize)>>,
@@ -17,7 +17,12 @@ impl<V: Clone> Recent<V> {
     /// Keeps values whose weights add up to at most `capacity`.
     #[must_use]
     pub fn new(capacity: usize) -> Self {
-        Self { entries: Mutex::default(), capacity, hits: AtomicU64::new(0), misses: AtomicU64::new(0) }
+        Self {
+            entries: Mutex::default(),
+            capacity,
+            hits: AtomicU64::new(0),
+            misses: AtomicU64::new(0),
+        }
     }
 
     /// The value under a key, which is now the latest.
@@ -39,7 +44,10 @@ impl<V: Clone> Recent<V> {
 
     /// Lets go of a value.
     pub fn remove(&self, key: &str) {
-        self.entries.lock().unwrap_or_else(PoisonError::into_inner).retain(|(known, ..)| known != key);
+        self.entries
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .retain(|(known, ..)| known != key);
     }
 
     /// Keeps a value; the least recently used leave for it.
@@ -76,9 +84,14 @@ mod tests {
         let cache = Recent::new(10);
         (0..5).for_each(|i| cache.put(i.to_string(), i, 2));
         cache.put("heavy".into(), 9, 7);
-        assert!(cache.get("heavy").is_some() && cache.get("4").is_some() && cache.get("3").is_none());
+        assert!(
+            cache.get("heavy").is_some() && cache.get("4").is_some() && cache.get("3").is_none()
+        );
         cache.put("too heavy".into(), 9, 11);
-        assert!(cache.get("too heavy").is_some() && cache.get("heavy").is_none(), "the latest stays, alone");
+        assert!(
+            cache.get("too heavy").is_some() && cache.get("heavy").is_none(),
+            "the latest stays, alone"
+        );
         cache.put("heavy".into(), 1, 1);
         assert_eq!(cache.get("heavy"), Some(1));
     }

@@ -13,8 +13,8 @@ use std::collections::BTreeMap;
 pub enum Status {
     /// One object fits, or several were asked for and are there: see `targets`.
     Grounded,
-    /// One object (or several) fits best, with less belief than the question's `min_confidence`: a guess, with its box. Not to be acted on
-    /// unasked.
+    /// One object (or several) fits best, with less belief than the question's `min_confidence`: a
+    /// guess, with its box. Not to be acted on unasked.
     Uncertain,
     /// Several objects fit alike: see `alternatives`.
     Ambiguous,
@@ -29,7 +29,8 @@ pub enum Status {
 pub enum NoMatchReason {
     /// Nothing that was found in the room is such a thing, or has the colour asked for.
     Absent,
-    /// The word for the thing means nothing to the parts that answered: whether it is there is not known.
+    /// The word for the thing means nothing to the parts that answered: whether it is there is not
+    /// known.
     NotRecognised,
     /// Most words are of another language, and the built-in parser reads English only.
     NotEnglish,
@@ -52,7 +53,8 @@ pub struct SixFields {
     /// What each candidate is called, by id, without regard to the question.
     #[cfg_attr(feature = "openapi", schema(value_type = BTreeMap<String, String>))]
     pub candidate_names: BTreeMap<u32, String>,
-    /// Whether the chosen candidate's own name means what the question asks for; `null` when nothing was chosen.
+    /// Whether the chosen candidate's own name means what the question asks for; `null` when
+    /// nothing was chosen.
     pub target_name_matches: Option<bool>,
     /// The anchor the decision used.
     pub anchor_id: Option<InstanceId>,
@@ -78,7 +80,8 @@ pub struct Seen {
 pub struct Alternative {
     /// Numbered from 1 within the parse the answer comes from.
     pub id: InstanceId,
-    /// What it is called, without regard to the question; empty in answers given before this was told.
+    /// What it is called, without regard to the question; empty in answers given before this was
+    /// told.
     #[serde(default)]
     pub name: String,
     /// Share of the belief, `0..=1`.
@@ -89,7 +92,8 @@ pub struct Alternative {
     /// Box turned about the vertical to fit it; absent in answers given before this was told.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub oriented_box: Option<OrientedBox>,
-    /// Path of the picture that shows it best, a crop; `null` where no frame shows it, and where there is no service.
+    /// Path of the picture that shows it best, a crop; `null` where no frame shows it, and where
+    /// there is no service.
     #[serde(default)]
     pub view: Option<String>,
 }
@@ -123,11 +127,13 @@ pub struct Target {
 pub struct ParsedQuerySummary {
     /// The noun asked for, as the question says it.
     pub target: String,
-    /// What it is to be like: "red", "small", "not blue", "with 2 drawers", "tallest". Empty when only a noun was asked for.
+    /// What it is to be like: "red", "small", "not blue", "with 2 drawers", "tallest". Empty when
+    /// only a noun was asked for.
     pub attributes: Vec<String>,
     /// Other things the question tells the place by: "round table", "door".
     pub anchors: Vec<String>,
-    /// How the target stands to the anchors, as the question says it; after "not" where it was denied.
+    /// How the target stands to the anchors, as the question says it; after "not" where it was
+    /// denied.
     pub relations: Vec<String>,
     /// Words that could not be used.
     pub not_understood: Vec<String>,
@@ -155,7 +161,8 @@ pub struct Timings {
 pub struct Candidate {
     /// Numbered from 1 within the parse; instances with more points come first.
     pub id: InstanceId,
-    /// What it is called, without regard to the question; empty in answers given before this was told.
+    /// What it is called, without regard to the question; empty in answers given before this was
+    /// told.
     #[serde(default)]
     pub name: String,
     /// From 1.
@@ -168,7 +175,8 @@ pub struct Candidate {
     /// Box turned about the vertical to fit it; absent in answers given before this was told.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub oriented_box: Option<OrientedBox>,
-    /// Path of the picture that shows it best, a crop; `null` where no frame shows it, and where there is no service.
+    /// Path of the picture that shows it best, a crop; `null` where no frame shows it, and where
+    /// there is no service.
     #[serde(default)]
     pub view: Option<String>,
 }
@@ -177,18 +185,21 @@ pub struct Candidate {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Models {
-    /// Cut pictures into masks when the scene was parsed: a model as `name@fingerprint`, or the built-in part, like `rgbd-2`.
+    /// Cut pictures into masks when the scene was parsed: a model as `name@fingerprint`, or the
+    /// built-in part, like `rgbd-2`.
     pub masks: String,
-    /// Compared words with instances: a model as `name@fingerprint`, or built-in names and measures, like `attributes-2`.
+    /// Compared words with instances: a model as `name@fingerprint`, or built-in names and
+    /// measures, like `attributes-2`.
     pub encoder: String,
     /// Empty in answers given before this was recorded.
     #[serde(default)]
     pub parser: String,
-    /// Named the scene's things without having heard a question, and answers used its names: a model with the version of its prompt;
-    /// `null` where no model has named them all.
+    /// Named the scene's things without having heard a question, and answers used its names: a
+    /// model with the version of its prompt; `null` where no model has named them all.
     #[serde(default)]
     pub names: Option<String>,
-    /// Decided: a vision-language model with the version of its prompt, or the built-in reasoner, like `builtin-3`.
+    /// Decided: a vision-language model with the version of its prompt, or the built-in reasoner,
+    /// like `builtin-3`.
     pub reasoner: String,
 }
 
@@ -214,13 +225,15 @@ impl Default for CoordinateFrame {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Call {
-    /// `parse`, `naming`, `spatial`, or what was wrong before: `out_of_set`, `unreadable`, `inconsistent`.
+    /// `parse`, `naming`, `spatial`, or what was wrong before: `out_of_set`, `unreadable`,
+    /// `inconsistent`.
     pub purpose: String,
     /// How often the endpoint was tried; 0 when nothing was sent.
     pub attempts: u32,
     /// Wall-clock milliseconds over all attempts, waits between them included.
     pub latency_ms: f64,
-    /// Tokens of the prompt as the endpoint counts them, estimated where it does not; 0 without a reply.
+    /// Tokens of the prompt as the endpoint counts them, estimated where it does not; 0 without a
+    /// reply.
     pub prompt_tokens: u64,
     /// Tokens of the reply, counted alike; 0 without a reply.
     pub completion_tokens: u64,
@@ -285,25 +298,32 @@ pub struct Answer {
     /// Why nothing was chosen; absent unless `no_match`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub no_match_reason: Option<NoMatchReason>,
-    /// Where a vision-language model sees what is asked for, though no instance is it; `null` unless the reason is `not_listed`.
+    /// Where a vision-language model sees what is asked for, though no instance is it; `null`
+    /// unless the reason is `not_listed`.
     #[serde(default)]
     pub seen: Option<Seen>,
     /// The six fields.
     pub answer: SixFields,
-    /// Axis-aligned box of the answer, metres, world frame (Z up); `null` unless `grounded` or `uncertain`.
+    /// Axis-aligned box of the answer, metres, world frame (Z up); `null` unless `grounded` or
+    /// `uncertain`.
     #[serde(rename = "box")]
     pub aabb: Option<Aabb>,
-    /// Box of the answer turned about the vertical to fit it; `null` unless `grounded` or `uncertain`.
+    /// Box of the answer turned about the vertical to fit it; `null` unless `grounded` or
+    /// `uncertain`.
     pub oriented_box: Option<OrientedBox>,
-    /// Belief in the answer, `0..=1`; for `no_match`, that nothing fits: 0.5 where it is not known what is asked for.
+    /// Belief in the answer, `0..=1`; for `no_match`, that nothing fits: 0.5 where it is not known
+    /// what is asked for.
     pub confidence: f32,
-    /// Best first, at most `top_k`. Things a model was shown for their place have score 0. Absent where `include` leaves it out.
+    /// Best first, at most `top_k`. Things a model was shown for their place have score 0. Absent
+    /// where `include` leaves it out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub candidates: Option<Vec<Candidate>>,
-    /// Other instances that may be meant, likeliest first: where `ambiguous`, the tied ones lead. Empty for `no_match`.
+    /// Other instances that may be meant, likeliest first: where `ambiguous`, the tied ones lead.
+    /// Empty for `no_match`.
     pub alternatives: Vec<Alternative>,
-    /// All things the question means, best first: several where it asks for several ("the chairs", "how many mugs"), else the answer's own;
-    /// empty unless `grounded` or `uncertain`, and in answers given before this was told.
+    /// All things the question means, best first: several where it asks for several ("the chairs",
+    /// "how many mugs"), else the answer's own; empty unless `grounded` or `uncertain`, and in
+    /// answers given before this was told.
     #[serde(default)]
     pub targets: Vec<Target>,
     /// How many there are; absent where the question asks for one thing.
@@ -313,17 +333,21 @@ pub struct Answer {
     pub parsed_query: ParsedQuerySummary,
     /// Who found, compared, read and decided.
     pub models: Models,
-    /// A built-in part took the place of a model that could not be used, or that never chose a candidate; `trace.corrections` says why.
+    /// A built-in part took the place of a model that could not be used, or that never chose a
+    /// candidate; `trace.corrections` says why.
     #[serde(default)]
     pub degraded: bool,
-    /// `false`: the server could not keep this answer (its disk is full, say). It is given here and can not be asked for again.
+    /// `false`: the server could not keep this answer (its disk is full, say). It is given here
+    /// and can not be asked for again.
     #[serde(default = "kept")]
     pub stored: bool,
-    /// Convention for left, right, front and back: `paper`, `viewer` or `observer`. "Facing the door" in the question comes before it.
+    /// Convention for left, right, front and back: `paper`, `viewer` or `observer`. "Facing the
+    /// door" in the question comes before it.
     pub direction_convention: String,
     /// The frame of all boxes here, but for those of `in_frame`.
     pub frame: CoordinateFrame,
-    /// The boxes of `targets` in the coordinates the question asked for; absent where it asked for the scene's.
+    /// The boxes of `targets` in the coordinates the question asked for; absent where it asked for
+    /// the scene's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub in_frame: Option<InFrame>,
     /// Paths of the pictures that go with the answer.
@@ -338,7 +362,8 @@ pub struct Answer {
     pub timings_ms: Timings,
 }
 
-/// Candidates without reasoning over relations: by appearance where an encoder has seen the scene, by names and attributes otherwise.
+/// Candidates without reasoning over relations: by appearance where an encoder has seen the scene,
+/// by names and attributes otherwise.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Shortlisted {
@@ -346,7 +371,8 @@ pub struct Shortlisted {
     pub query: String,
     /// Best first; instances that do not fit at all are left out.
     pub candidates: Vec<Candidate>,
-    /// Compared words with instances: a model as `name@fingerprint`, or built-in names and measures, like `attributes-2`.
+    /// Compared words with instances: a model as `name@fingerprint`, or built-in names and
+    /// measures, like `attributes-2`.
     pub encoder: String,
     /// The sentence is longer than the encoder reads: its end does not count.
     pub cut: bool,

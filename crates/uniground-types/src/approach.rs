@@ -29,10 +29,12 @@ pub struct Robot {
     /// What is higher above the floor than this it passes under, metres.
     #[cfg_attr(feature = "openapi", schema(minimum = 0.1, maximum = 3, example = 1.3))]
     pub height_m: f32,
-    /// Where it sees from: above the middle of its footprint, metres above the floor, at most `height_m`.
+    /// Where it sees from: above the middle of its footprint, metres above the floor, at most
+    /// `height_m`.
     #[cfg_attr(feature = "openapi", schema(exclusive_minimum = 0, maximum = 3, example = 1.2))]
     pub eye_height_m: f32,
-    /// How far its arm reaches out of the cylinder, metres. Left out, it only has to see the thing.
+    /// How far its arm reaches out of the cylinder, metres. Left out, it only has to see the
+    /// thing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(exclusive_minimum = 0, maximum = 5, example = 0.7))]
     pub reach_m: Option<f32>,
@@ -68,25 +70,30 @@ pub struct ApproachRequest {
     /// An instance of the scene's current parse.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub instance_id: Option<InstanceId>,
-    /// What to find, in plain English: answered by the built-in reasoner, and kept like any answer.
+    /// What to find, in plain English: answered by the built-in reasoner, and kept like any
+    /// answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 1000))]
     pub query: Option<String>,
     /// Who is to stand there.
     pub robot: Robot,
-    /// Where the robot is: poses it can not drive to are left out, and each has its path. Left out, poses lie in the largest free area near the
-    /// thing that is no pocket: of half a square metre at least, unless there is no larger one anywhere.
+    /// Where the robot is: poses it can not drive to are left out, and each has its path. Left
+    /// out, poses lie in the largest free area near the thing that is no pocket: of half a
+    /// square metre at least, unless there is no larger one anywhere.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<FloorPoint>,
-    /// Whose coordinates `from` is in, and in which poses are told beside the scene's own (`in_frame`).
+    /// Whose coordinates `from` is in, and in which poses are told beside the scene's own
+    /// (`in_frame`).
     #[serde(default)]
     #[cfg_attr(feature = "openapi", schema(default = "scene"))]
     pub frame: FrameChoice,
-    /// Least horizontal distance from the middle of the robot to the thing's nearest point, metres.
+    /// Least horizontal distance from the middle of the robot to the thing's nearest point,
+    /// metres.
     #[serde(default)]
     #[cfg_attr(feature = "openapi", schema(minimum = 0, maximum = 20, default = 0))]
     pub min_distance_m: f32,
-    /// Greatest horizontal distance from the middle of the robot to the thing's nearest point, metres.
+    /// Greatest horizontal distance from the middle of the robot to the thing's nearest point,
+    /// metres.
     #[serde(default = "default_distance")]
     #[cfg_attr(feature = "openapi", schema(exclusive_minimum = 0, maximum = 20, default = 2.5))]
     pub max_distance_m: f32,
@@ -118,9 +125,19 @@ impl ApproachRequest {
     }
 
     fn with(robot: Robot) -> Self {
-        let (min_distance_m, max_distance_m, max_poses) = (0.0, default_distance(), default_poses());
+        let (min_distance_m, max_distance_m, max_poses) =
+            (0.0, default_distance(), default_poses());
         let frame = FrameChoice::default();
-        Self { instance_id: None, query: None, robot, from: None, frame, min_distance_m, max_distance_m, max_poses }
+        Self {
+            instance_id: None,
+            query: None,
+            robot,
+            from: None,
+            frame,
+            min_distance_m,
+            max_distance_m,
+            max_poses,
+        }
     }
 
     /// # Errors
@@ -138,11 +155,16 @@ impl ApproachRequest {
         if eye_height_m > height_m {
             return Err(FieldError::new("/robot/eye_height_m", "must not be above height_m"));
         }
-        reach_m.map_or(Ok(()), |reach| numbers::above_zero("/robot/reach_m", reach, MAX_REACH_M))?;
-        self.from.map_or(Ok(()), |FloorPoint { x, y, z }| numbers::coordinates("/from", &[x, y, z]))?;
+        reach_m
+            .map_or(Ok(()), |reach| numbers::above_zero("/robot/reach_m", reach, MAX_REACH_M))?;
+        self.from
+            .map_or(Ok(()), |FloorPoint { x, y, z }| numbers::coordinates("/from", &[x, y, z]))?;
         numbers::above_zero("/max_distance_m", self.max_distance_m, MAX_DISTANCE_M)?;
         if !(0.0..=self.max_distance_m).contains(&self.min_distance_m) {
-            return Err(FieldError::new("/min_distance_m", "must be 0 or more, and not above max_distance_m"));
+            return Err(FieldError::new(
+                "/min_distance_m",
+                "must be 0 or more, and not above max_distance_m",
+            ));
         }
         match self.max_poses {
             1..=MAX_POSES => Ok(()),
@@ -172,7 +194,8 @@ pub enum ApproachStatus {
     Found,
     /// There is none: `failed` says which condition left nothing.
     NonePossible,
-    /// The query's answer is not `grounded`, see `answer_status`, or means several things. Nothing is driven to on a guess.
+    /// The query's answer is not `grounded`, see `answer_status`, or means several things. Nothing
+    /// is driven to on a guess.
     NotGrounded,
 }
 
@@ -223,7 +246,8 @@ pub struct Start {
     pub x: f32,
     /// Metres along Y.
     pub y: f32,
-    /// How far that is from what was asked for, metres; more than a cell where `from` was not free.
+    /// How far that is from what was asked for, metres; more than a cell where `from` was not
+    /// free.
     pub moved_m: f32,
     /// Whether the robot can stand where it says it is.
     pub was_free: bool,
@@ -243,14 +267,16 @@ pub struct StandingPose {
     pub distance_m: f32,
     /// From the robot's cylinder to the thing's nearest point: what the arm has to reach.
     pub reach_m: f32,
-    /// Share of the thing's points that nothing else hides from the eye, `0..=1`; what it hides of itself counts as seen.
+    /// Share of the thing's points that nothing else hides from the eye, `0..=1`; what it hides of
+    /// itself counts as seen.
     pub visible_share: f32,
-    /// From the middle of the robot to the nearest obstacle; never less than the robot's radius. `null` where there is none at all.
+    /// From the middle of the robot to the nearest obstacle; never less than the robot's radius.
+    /// `null` where there is none at all.
     pub clearance_m: Option<f32>,
     /// Length of `path`; `null` without `from`.
     pub path_m: Option<f32>,
-    /// From the start to here, corner by corner, straight in between; free of obstacles by the robot's radius, to within half a cell of the
-    /// grid. Empty without `from`.
+    /// From the start to here, corner by corner, straight in between; free of obstacles by the
+    /// robot's radius, to within half a cell of the grid. Empty without `from`.
     pub path: Vec<[f32; 2]>,
     /// Why here, in words.
     pub why: String,
@@ -303,7 +329,8 @@ pub struct Approach {
     pub floor_z_m: Option<f32>,
     /// The frame of all coordinates here, but those of `in_frame`.
     pub frame: CoordinateFrame,
-    /// The poses in the coordinates that were asked for; `null` for the scene's own, and where `not_grounded`.
+    /// The poses in the coordinates that were asked for; `null` for the scene's own, and where
+    /// `not_grounded`.
     pub in_frame: Option<PosesInFrame>,
 }
 
@@ -349,8 +376,8 @@ impl PlacedPose {
     }
 }
 
-/// The map of a scene's floor, as `map_server` of ROS reads it: this JSON is YAML too. The picture's upper left pixel is at the least x and
-/// the greatest y.
+/// The map of a scene's floor, as `map_server` of ROS reads it: this JSON is YAML too. The
+/// picture's upper left pixel is at the least x and the greatest y.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct FloorMap {
@@ -362,13 +389,15 @@ pub struct FloorMap {
     pub mode: String,
     /// Side of a pixel, metres.
     pub resolution: f32,
-    /// x, y and yaw of the lower left corner of the lower left pixel; metres, world frame, and radians, always 0.
+    /// x, y and yaw of the lower left corner of the lower left pixel; metres, world frame, and
+    /// radians, always 0.
     pub origin: [f32; 3],
     /// Always 0: white is free, black occupied.
     pub negate: u8,
     /// A pixel `p` is occupied where `(255 - p) / 255` is above this: black, 0.
     pub occupied_thresh: f32,
-    /// A pixel `p` is free where `(255 - p) / 255` is below this: white, 254. In between it is unknown: grey, 205.
+    /// A pixel `p` is free where `(255 - p) / 255` is below this: white, 254. In between it is
+    /// unknown: grey, 205.
     pub free_thresh: f32,
     /// Columns of the picture.
     pub width: u32,

@@ -22,7 +22,8 @@ pub struct BatchItem {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct BatchRequest {
-    /// Questions: `scene_id`, `query`, and whatever else a question may have. Longer lists are sent as JSONL, an item a line.
+    /// Questions: `scene_id`, `query`, and whatever else a question may have. Longer lists are
+    /// sent as JSONL, an item a line.
     #[cfg_attr(feature = "openapi", schema(value_type = Vec<BatchItem>))]
     pub items: Vec<Map<String, Value>>,
     /// Fields of every item that does not have them itself, `scene_id` too.
@@ -35,7 +36,8 @@ pub struct BatchRequest {
     /// Questions asked at once; default: 4.
     #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 64))]
     pub concurrency: Option<u32>,
-    /// Most that all questions together may cost, US dollars. Where it is spent, the batch pauses. With it, `auto` items are asked as `vlm`.
+    /// Most that all questions together may cost, US dollars. Where it is spent, the batch pauses.
+    /// With it, `auto` items are asked as `vlm`.
     #[cfg_attr(feature = "openapi", schema(minimum = 0))]
     pub max_cost_usd: Option<f64>,
 }
@@ -119,7 +121,8 @@ pub struct BatchResult {
     pub status: String,
     /// Where the answer is kept: `/v1/answers/{answer_id}`.
     pub answer_id: String,
-    /// The answer, whole; `null` where the item failed, or its scene or its answer was deleted since.
+    /// The answer, whole; `null` where the item failed, or its scene or its answer was deleted
+    /// since.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<crate::answer::Answer>))]
     pub answer: Option<Value>,
     /// Why it failed.

@@ -12,7 +12,8 @@ pub struct SceneChanges {
     pub from: SceneVersion,
     /// The later one.
     pub to: SceneVersion,
-    /// How the two scans lie to each other; `null` for versions of one scene, which share their coordinates and ids.
+    /// How the two scans lie to each other; `null` for versions of one scene, which share their
+    /// coordinates and ids.
     pub alignment: Option<ScanAlignment>,
     /// What is different.
     pub changes: Changes,
@@ -28,7 +29,8 @@ pub struct SceneVersion {
     pub version: u32,
 }
 
-/// From the coordinates of the earlier scan to those of the later one: `to = rotation * from + translation_m`.
+/// From the coordinates of the earlier scan to those of the later one: `to = rotation * from +
+/// translation_m`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ScanAlignment {
@@ -54,11 +56,14 @@ pub struct Changes {
     pub gone: Vec<ChangedThing>,
     /// Things that are gone in one place and, alike in size, colour and name, appeared in another.
     pub moved: Vec<MovedThing>,
-    /// Things nobody had seen before, though they may have been there: no frame had looked at their places, or too few for it to be known.
+    /// Things nobody had seen before, though they may have been there: no frame had looked at
+    /// their places, or too few for it to be known.
     pub first_seen: Vec<ChangedThing>,
-    /// Things in places that the later scan did not look at: nobody knows whether they are still there.
+    /// Things in places that the later scan did not look at: nobody knows whether they are still
+    /// there.
     pub not_seen: Vec<ChangedThing>,
-    /// Things of before that are no things of their own any more, though their surfaces are still there: the same points are grouped otherwise.
+    /// Things of before that are no things of their own any more, though their surfaces are still
+    /// there: the same points are grouped otherwise.
     pub regrouped: Vec<ChangedThing>,
     /// How many things stayed.
     pub unchanged: u32,
@@ -94,10 +99,12 @@ impl Changes {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         let Self { appeared, gone, moved, first_seen, not_seen, regrouped, unchanged: _ } = self;
-        [appeared, gone, first_seen, not_seen, regrouped].iter().all(|things| things.is_empty()) && moved.is_empty()
+        [appeared, gone, first_seen, not_seen, regrouped].iter().all(|things| things.is_empty())
+            && moved.is_empty()
     }
 
-    /// These changes and then later ones of the same scene, as one: what came and went again is not told.
+    /// These changes and then later ones of the same scene, as one: what came and went again is not
+    /// told.
     #[must_use]
     pub fn then(mut self, later: Self) -> Self {
         let Self { appeared, gone, moved, first_seen, not_seen, regrouped, unchanged } = later;
@@ -110,7 +117,9 @@ impl Changes {
         for MovedThing { before, after, distance_m } in moved {
             if let Some(came) = self.came(before.id) {
                 *came = after;
-            } else if let Some(moved) = self.moved.iter_mut().find(|moved| moved.after.id == before.id) {
+            } else if let Some(moved) =
+                self.moved.iter_mut().find(|moved| moved.after.id == before.id)
+            {
                 moved.distance_m = (after.aabb.center - moved.before.aabb.center).norm();
                 moved.after = after;
             } else {
@@ -129,7 +138,8 @@ impl Changes {
         self.appeared.iter_mut().chain(&mut self.first_seen).find(|thing| thing.id == id)
     }
 
-    /// Forgets a thing that came in the time looked at; else notes that it is no more, as it was at first.
+    /// Forgets a thing that came in the time looked at; else notes that it is no more, as it was at
+    /// first.
     fn no_more(&mut self, thing: ChangedThing, list: impl Fn(&mut Self) -> &mut Vec<ChangedThing>) {
         if self.came(thing.id).is_some() {
             self.appeared.retain(|came| came.id != thing.id);
@@ -148,7 +158,8 @@ mod tests {
     use nalgebra::Point3;
 
     fn thing(id: u32, x: f32) -> ChangedThing {
-        let aabb = Aabb { center: Point3::new(x, 0.0, 0.0), size: nalgebra::Vector3::new(0.5, 0.5, 0.5) };
+        let aabb =
+            Aabb { center: Point3::new(x, 0.0, 0.0), size: nalgebra::Vector3::new(0.5, 0.5, 0.5) };
         ChangedThing { id: InstanceId(id), label: "chair".into(), aabb }
     }
 
@@ -160,8 +171,15 @@ mod tests {
     #[test]
     fn what_comes_and_goes_again_is_not_told() {
         let first = Changes { appeared: vec![thing(7, 0.0)], unchanged: 6, ..Changes::default() };
-        let then = Changes { gone: vec![thing(7, 0.0), thing(2, 1.0)], unchanged: 5, ..Changes::default() };
-        assert_eq!(first.then(then), Changes { gone: vec![thing(2, 1.0)], unchanged: 5, ..Changes::default() });
+        let then = Changes {
+            gone: vec![thing(7, 0.0), thing(2, 1.0)],
+            unchanged: 5,
+            ..Changes::default()
+        };
+        assert_eq!(
+            first.then(then),
+            Changes { gone: vec![thing(2, 1.0)], unchanged: 5, ..Changes::default() }
+        );
     }
 
     #[test]
@@ -173,7 +191,8 @@ mod tests {
         let away = Changes { gone: vec![thing(8, 3.0)], ..Changes::default() };
         assert_eq!(both.then(away), Changes { gone: vec![thing(1, 0.0)], ..Changes::default() });
         let new = Changes { first_seen: vec![thing(7, 1.0)], ..Changes::default() };
-        let carried = new.then(Changes { moved: vec![moved((7, 1.0), (9, 2.0))], ..Changes::default() });
+        let carried =
+            new.then(Changes { moved: vec![moved((7, 1.0), (9, 2.0))], ..Changes::default() });
         assert_eq!(carried, Changes { first_seen: vec![thing(9, 2.0)], ..Changes::default() });
         assert!(!carried.is_empty() && Changes { unchanged: 3, ..Changes::default() }.is_empty());
     }

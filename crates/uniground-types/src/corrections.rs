@@ -1,4 +1,5 @@
-//! What people say of a parse that is wrong: kept beside it, used by later answers, exported as ground truth.
+//! What people say of a parse that is wrong: kept beside it, used by later answers, exported as
+//! ground truth.
 
 use crate::scene::InstanceId;
 use serde::{Deserialize, Serialize};

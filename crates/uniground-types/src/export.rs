@@ -18,7 +18,8 @@ pub enum ExportFormat {
     Glb,
     /// Points in their own colours, each with the id of its thing.
     Ply,
-    /// USD, one layer of text in an uncompressed archive: a prim for each thing, with its points and its box.
+    /// USD, one layer of text in an uncompressed archive: a prim for each thing, with its points
+    /// and its box.
     Usdz,
     /// What was found, without points.
     Json,
@@ -56,10 +57,12 @@ pub struct ExportedScene {
     pub scene_id: String,
     /// What the scene is called.
     pub name: String,
-    /// Which parse the instances are of: counted from 1, one more whenever the scene is parsed again.
+    /// Which parse the instances are of: counted from 1, one more whenever the scene is parsed
+    /// again.
     pub parse_version: u32,
     /// The frame of all coordinates.
     pub frame: CoordinateFrame,
-    /// Things, floor, walls and ceiling among them, then parts and wholes, in order of id; what was dismissed is left out.
+    /// Things, floor, walls and ceiling among them, then parts and wholes, in order of id; what
+    /// was dismissed is left out.
     pub instances: Vec<InstanceView>,
 }

@@ -5,7 +5,8 @@ use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::scene::InstanceId;
 use serde::{Deserialize, Serialize};
 
-/// A scene graph: things, parts, wholes, the building and zones, and relations between them. Metres, world frame (Z up).
+/// A scene graph: things, parts, wholes, the building and zones, and relations between them.
+/// Metres, world frame (Z up).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SceneGraph {
@@ -17,7 +18,8 @@ pub struct SceneGraph {
     pub frame: CoordinateFrame,
     /// In order of instance id, then zones.
     pub nodes: Vec<GraphNode>,
-    /// In order of their nodes. What goes without saying is left out: a symmetric relation stands once, and no relation has its inverse.
+    /// In order of their nodes. What goes without saying is left out: a symmetric relation stands
+    /// once, and no relation has its inverse.
     pub edges: Vec<GraphEdge>,
 }
 
@@ -54,7 +56,8 @@ pub enum NodeKind {
     Whole,
     /// Floor, wall or ceiling.
     Structure,
-    /// A stretch of a room that is told by what stands there: a kitchen is where stove and refrigerator are.
+    /// A stretch of a room that is told by what stands there: a kitchen is where stove and
+    /// refrigerator are.
     Zone,
 }
 
@@ -70,7 +73,8 @@ pub struct GraphEdge {
     pub to: String,
     /// What holds.
     pub relation: GraphRelation,
-    /// How well it holds by the geometry that answers questions, `0..=1`; 1 for what the parse itself says (support, parts).
+    /// How well it holds by the geometry that answers questions, `0..=1`; 1 for what the parse
+    /// itself says (support, parts).
     pub score: f32,
     /// Shortest distance between the two boxes, metres; 0 where they touch.
     pub distance_m: f32,

@@ -9,8 +9,9 @@ use std::collections::BTreeMap;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct InstanceView {
-    /// Numbered from 1 within the parse: things in falling order of points, then parts and wholes; another parse numbers anew, but for scenes
-    /// that have grown: what stays keeps its id there, and what comes is numbered on.
+    /// Numbered from 1 within the parse: things in falling order of points, then parts and wholes;
+    /// another parse numbers anew, but for scenes that have grown: what stays keeps its id
+    /// there, and what comes is numbered on.
     pub id: InstanceId,
     /// A thing, a part of one, or a whole of several.
     #[serde(default)]
@@ -43,23 +44,27 @@ pub struct InstanceView {
     pub height_above_floor_m: f32,
     /// Best first, at most five; empty for parts of the building, and where nothing fits.
     pub names: Vec<NameGuess>,
-    /// What the configured vision-language model calls it, without having heard a question; `null` until it was asked.
+    /// What the configured vision-language model calls it, without having heard a question; `null`
+    /// until it was asked.
     #[serde(default)]
     pub model_name: Option<String>,
     /// What somebody has said it is called; `null` where nobody has.
     #[serde(default)]
     pub given_name: Option<String>,
-    /// Somebody has said that it is no thing, or not one: no answer, and listed only with `level=all`.
+    /// Somebody has said that it is no thing, or not one: no answer, and listed only with
+    /// `level=all`.
     #[serde(default)]
     pub dismissed: bool,
-    /// Of a scene that has grown: it was there in an earlier version. Its id is never another's; dismissed as well.
+    /// Of a scene that has grown: it was there in an earlier version. Its id is never another's;
+    /// dismissed as well.
     #[serde(default)]
     pub gone: bool,
-    /// The instances that somebody has said are one thing, this one; empty for what the parse has found.
+    /// The instances that somebody has said are one thing, this one; empty for what the parse has
+    /// found.
     #[serde(default)]
     pub merged_from: Vec<InstanceId>,
-    /// The question it was found for: a vision-language model saw it in a photograph, and it was no instance yet. `null` for what the
-    /// parse has found.
+    /// The question it was found for: a vision-language model saw it in a photograph, and it was
+    /// no instance yet. `null` for what the parse has found.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub found_for: Option<String>,
     /// Frames that show it best; pictures at `/instances/{id}/views/{k}.jpg`, k from 0.

@@ -28,7 +28,8 @@ impl JobState {
 }
 
 impl JobState {
-    const ALL: [Self; 5] = [Self::Queued, Self::Running, Self::Succeeded, Self::Failed, Self::Cancelled];
+    const ALL: [Self; 5] =
+        [Self::Queued, Self::Running, Self::Succeeded, Self::Failed, Self::Cancelled];
 
     /// As it is written everywhere.
     #[must_use]
@@ -67,8 +68,8 @@ pub struct Job {
     pub subject: String,
     /// Where it stands.
     pub state: JobState,
-    /// While it waits, and where one job is asked for: how many of its kind were asked for before it and wait as well. Keys take turns, so
-    /// one with few jobs waits for fewer.
+    /// While it waits, and where one job is asked for: how many of its kind were asked for before
+    /// it and wait as well. Keys take turns, so one with few jobs waits for fewer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ahead: Option<u32>,
     /// Step it is in.
@@ -77,7 +78,8 @@ pub struct Job {
     pub progress: f32,
     /// Estimated seconds left; `null` while too little is done to tell.
     pub eta_s: Option<f32>,
-    /// How often it was started; 0 while it waits for the first time, or when its result was there already.
+    /// How often it was started; 0 while it waits for the first time, or when its result was there
+    /// already.
     pub attempts: u32,
     /// What came out of it, in a sentence.
     pub message: Option<String>,
@@ -105,7 +107,8 @@ pub struct JobList {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct JobError {
-    /// Stable, like the codes of problems; `interrupted` when the server stopped too often while the job ran.
+    /// Stable, like the codes of problems; `interrupted` when the server stopped too often while
+    /// the job ran.
     pub code: String,
     /// For people: names the file, frame or model at fault.
     pub detail: String,

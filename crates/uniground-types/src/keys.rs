@@ -47,7 +47,10 @@ impl TryFrom<String> for Scope {
 #[serde(deny_unknown_fields)]
 pub struct NewKey {
     /// Who holds it, for people: one line of 1 to 200 characters.
-    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 200, example = "kitchen robot"))]
+    #[cfg_attr(
+        feature = "openapi",
+        schema(min_length = 1, max_length = 200, example = "kitchen robot")
+    )]
     pub name: String,
     /// What it lets its holder do.
     pub scope: Scope,
@@ -62,7 +65,8 @@ pub struct NewKey {
     /// Scenes it may have uploaded and not deleted. Default: no limit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_scenes: Option<u32>,
-    /// Most that its questions may cost in a day (UTC), US dollars. Default: what the server may spend.
+    /// Most that its questions may cost in a day (UTC), US dollars. Default: what the server may
+    /// spend.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(minimum = 0))]
     pub daily_usd: Option<f64>,
@@ -87,7 +91,8 @@ pub struct Key {
     pub requests_per_minute: Option<u32>,
     /// Scenes it may have uploaded and not deleted; `null`: no limit.
     pub max_scenes: Option<u32>,
-    /// Most that its questions may cost in a day (UTC), US dollars; `null`: what the server may spend.
+    /// Most that its questions may cost in a day (UTC), US dollars; `null`: what the server may
+    /// spend.
     pub daily_usd: Option<f64>,
     /// What its questions cost today (UTC), US dollars.
     pub spent_today_usd: f64,
@@ -107,7 +112,10 @@ pub struct CreatedKey {
     #[serde(flatten)]
     pub key: Key,
     /// What callers show as a bearer token. It is told this once: only its hash is kept.
-    #[cfg_attr(feature = "openapi", schema(example = "ug_5f1c02ab_HbMQtr0mJm1gwYNeLRuXl5AqLvMvmbfXZ3XWfBnXo6g"))]
+    #[cfg_attr(
+        feature = "openapi",
+        schema(example = "ug_5f1c02ab_HbMQtr0mJm1gwYNeLRuXl5AqLvMvmbfXZ3XWfBnXo6g")
+    )]
     pub secret: String,
 }
 

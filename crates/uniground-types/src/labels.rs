@@ -11,16 +11,22 @@ const LONGEST_NAME: usize = 63;
 const LONGEST_VALUE: usize = 100;
 
 /// # Errors
-/// A [`FieldError`] below `at`: more than 20 labels; a name that is not 1 to 63 letters, digits, `.`, `_`, `-` and `/`; a value that is not one
-/// line of 1 to 100 characters without commas or blanks around it.
+/// A [`FieldError`] below `at`: more than 20 labels; a name that is not 1 to 63 letters, digits,
+/// `.`, `_`, `-` and `/`; a value that is not one line of 1 to 100 characters without commas or
+/// blanks around it.
 pub fn check_labels(at: &str, labels: &Labels) -> Result<(), FieldError> {
     if labels.len() > MOST {
-        return Err(FieldError::new(at, format!("has {} labels, at most {MOST} are kept", labels.len())));
+        return Err(FieldError::new(
+            at,
+            format!("has {} labels, at most {MOST} are kept", labels.len()),
+        ));
     }
     for (name, value) in labels {
         let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"._-/".contains(&byte);
         if !(1..=LONGEST_NAME).contains(&name.len()) || !name.bytes().all(plain) {
-            let detail = format!("{name:?} is no name of a label: 1 to {LONGEST_NAME} letters, digits, '.', '_', '-' and '/'");
+            let detail = format!(
+                "{name:?} is no name of a label: 1 to {LONGEST_NAME} letters, digits, '.', '_', '-' and '/'"
+            );
             return Err(FieldError::new(at, detail));
         }
         if value.trim().is_empty()
@@ -28,7 +34,9 @@ pub fn check_labels(at: &str, labels: &Labels) -> Result<(), FieldError> {
             || value.chars().count() > LONGEST_VALUE
             || value.chars().any(|c| c.is_control() || c == ',')
         {
-            let detail = format!("{name} must be one line of 1 to {LONGEST_VALUE} characters without commas or blanks around it");
+            let detail = format!(
+                "{name} must be one line of 1 to {LONGEST_VALUE} characters without commas or blanks around it"
+            );
             return Err(FieldError::new(at, detail));
         }
     }
@@ -60,13 +68,20 @@ mod tests {
     #[test]
     fn labels_are_read_as_they_are_written() {
         let labels = read_labels("labels", "building=A, floor = 2,note=a=b").unwrap();
-        assert_eq!(labels, Labels::from([("building", "A"), ("floor", "2"), ("note", "a=b")].map(|(n, v)| (n.into(), v.into()))));
+        assert_eq!(
+            labels,
+            Labels::from(
+                [("building", "A"), ("floor", "2"), ("note", "a=b")]
+                    .map(|(n, v)| (n.into(), v.into()))
+            )
+        );
     }
 
     #[test]
     fn what_is_no_label_is_refused() {
         let long = format!("x={}", "y".repeat(101));
-        for wrong in ["", "building", "a=1,a=2", "two words=x", "x=", "x= ", &long, "ä=1", "x=a\nb"] {
+        for wrong in ["", "building", "a=1,a=2", "two words=x", "x=", "x= ", &long, "ä=1", "x=a\nb"]
+        {
             assert!(read_labels("labels", wrong).is_err(), "{wrong:?}");
         }
         assert!(check_labels("/labels", &Labels::from([("a".into(), " x".into())])).is_err());

@@ -1,8 +1,9 @@
-//! The values that cross uniground's borders: what is asked, answered, told and set. The service, its client and the pipelines of
-//! `uniground-core` share them; nothing is computed here beyond what a value knows of itself.
+//! The values that cross uniground's borders: what is asked, answered, told and set. The service,
+//! its client and the pipelines of `uniground-core` share them; nothing is computed here beyond
+//! what a value knows of itself.
 //!
-//! Lengths are metres in a right-handed world with Z up, boxes are centre and full extent. With the feature `openapi` every type
-//! describes itself for an OpenAPI document.
+//! Lengths are metres in a right-handed world with Z up, boxes are centre and full extent. With the
+//! feature `openapi` every type describes itself for an OpenAPI document.
 
 #![warn(missing_docs)]
 

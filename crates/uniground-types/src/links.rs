@@ -1,4 +1,5 @@
-//! Links that work without a key for a while: for `<img>`, `EventSource` and downloads, which can show none.
+//! Links that work without a key for a while: for `<img>`, `EventSource` and downloads, which can
+//! show none.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,7 +8,8 @@ use serde::{Deserialize, Serialize};
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct LinkRequest {
-    /// Paths of this server below `/v1/`, 1 to 500. One that ends in `/*` stands for everything below it, like `/v1/scenes/{scene_id}/*`.
+    /// Paths of this server below `/v1/`, 1 to 500. One that ends in `/*` stands for everything
+    /// below it, like `/v1/scenes/{scene_id}/*`.
     #[cfg_attr(feature = "openapi", schema(min_items = 1, max_items = 500, example = json!(["/v1/scenes/01a1ff70-0000-7000-8000-000000000001/*"])))]
     pub paths: Vec<String>,
     /// How long they work, seconds.

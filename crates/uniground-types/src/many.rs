@@ -18,7 +18,10 @@ pub const MOST_SCENES: usize = 1000;
 #[serde(deny_unknown_fields)]
 pub struct ManyGroundRequest {
     /// What to find, in plain English.
-    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 1000, example = "the red mug"))]
+    #[cfg_attr(
+        feature = "openapi",
+        schema(min_length = 1, max_length = 1000, example = "the red mug")
+    )]
     pub query: String,
     /// Ids of the scenes to look in; left out: all.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -88,8 +91,13 @@ impl ManyGroundRequest {
             return Err(FieldError::new("/top_k", format!("must be 1 to {MOST_ANSWERS}")));
         }
         match self.scenes.as_ref().map(Vec::len) {
-            Some(0) => Err(FieldError::new("/scenes", "must name a scene; leave it out to look in all")),
-            Some(named) if named > MOST_SCENES => Err(FieldError::new("/scenes", format!("names {named} scenes, at most {MOST_SCENES}"))),
+            Some(0) => {
+                Err(FieldError::new("/scenes", "must name a scene; leave it out to look in all"))
+            }
+            Some(named) if named > MOST_SCENES => Err(FieldError::new(
+                "/scenes",
+                format!("names {named} scenes, at most {MOST_SCENES}"),
+            )),
             _ => Ok(()),
         }
     }
@@ -102,10 +110,12 @@ pub struct ManyAnswers {
     pub query: String,
     /// How many scenes were looked into.
     pub looked_into: u32,
-    /// More than 1,000 scenes were meant: those were looked into that most likely have it, by what their things are called.
+    /// More than 1,000 scenes were meant: those were looked into that most likely have it, by what
+    /// their things are called.
     #[serde(default)]
     pub narrowed: bool,
-    /// Best first: what is grounded before what is ambiguous, uncertain, or not there; then by confidence.
+    /// Best first: what is grounded before what is ambiguous, uncertain, or not there; then by
+    /// confidence.
     pub answers: Vec<SceneAnswer>,
     /// Scenes that could not be asked, and why: those that are not parsed yet, for the most part.
     pub not_asked: Vec<NotAsked>,
@@ -145,9 +155,14 @@ mod tests {
         assert!(asked().check().is_ok());
         let named = |request: ManyGroundRequest| request.check().unwrap_err().to_string();
         assert!(named(ManyGroundRequest { top_k: 0, ..asked() }).contains("/top_k"));
-        assert!(named(ManyGroundRequest { scenes: Some(Vec::new()), ..asked() }).contains("/scenes"));
+        assert!(
+            named(ManyGroundRequest { scenes: Some(Vec::new()), ..asked() }).contains("/scenes")
+        );
         assert!(named(ManyGroundRequest { query: " ".into(), ..asked() }).contains("/query"));
-        assert!(named(ManyGroundRequest { scenes: Some(vec![String::new(); 1001]), ..asked() }).contains("/scenes"));
+        assert!(
+            named(ManyGroundRequest { scenes: Some(vec![String::new(); 1001]), ..asked() })
+                .contains("/scenes")
+        );
         let labels = Labels::from([("two words".into(), "x".into())]);
         assert!(named(ManyGroundRequest { labels, ..asked() }).contains("/labels"));
     }

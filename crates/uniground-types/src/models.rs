@@ -30,7 +30,8 @@ pub struct LoadedModel {
     pub name: String,
     /// Which part of the work it does.
     pub role: Role,
-    /// SHA-256 over the bundle's files; of the manifest and the server's models where those run elsewhere.
+    /// SHA-256 over the bundle's files; of the manifest and the server's models where those run
+    /// elsewhere.
     pub fingerprint: String,
     /// `cpu`, `cuda`, `tensorrt`, `coreml`, or the inference server's address.
     pub runs_on: String,

@@ -1,6 +1,7 @@
 //! Checks of the numbers in a request: each refuses what is not finite, and names the field.
 //!
-//! Query parameters and the command line take the words `NaN` and `inf` for numbers, and a large number in JSON is an infinite `f32`.
+//! Query parameters and the command line take the words `NaN` and `inf` for numbers, and a large
+//! number in JSON is an infinite `f32`.
 
 use crate::problem::FieldError;
 use std::fmt::Display;
@@ -13,10 +14,16 @@ const FARTHEST: f64 = 1e9;
 ///
 /// # Errors
 /// A [`FieldError`] naming the field.
-pub fn in_range<T: PartialOrd + Display>(pointer: &str, value: T, range: RangeInclusive<T>) -> Result<(), FieldError> {
+pub fn in_range<T: PartialOrd + Display>(
+    pointer: &str,
+    value: T,
+    range: RangeInclusive<T>,
+) -> Result<(), FieldError> {
     match range.contains(&value) {
         true => Ok(()),
-        false => Err(FieldError::new(pointer, format!("must be {} to {}", range.start(), range.end()))),
+        false => {
+            Err(FieldError::new(pointer, format!("must be {} to {}", range.start(), range.end())))
+        }
     }
 }
 
@@ -24,7 +31,11 @@ pub fn in_range<T: PartialOrd + Display>(pointer: &str, value: T, range: RangeIn
 ///
 /// # Errors
 /// A [`FieldError`] naming the field.
-pub fn above_zero<T: PartialOrd + Display + Default>(pointer: &str, value: T, most: T) -> Result<(), FieldError> {
+pub fn above_zero<T: PartialOrd + Display + Default>(
+    pointer: &str,
+    value: T,
+    most: T,
+) -> Result<(), FieldError> {
     match value > T::default() && value <= most {
         true => Ok(()),
         false => Err(FieldError::new(pointer, format!("must be above 0 and at most {most}"))),

@@ -1,4 +1,5 @@
-//! Other coordinates than the scene's: those of the files that were uploaded, and those of somebody's map. And who stands there.
+//! Other coordinates than the scene's: those of the files that were uploaded, and those of
+//! somebody's map. And who stands there.
 
 use crate::geometry::boxes::OrientedBox;
 use crate::numbers;
@@ -7,7 +8,8 @@ use crate::scene::{InstanceId, SourceToScene};
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Whose coordinates a question and its answer's boxes are in. The scene's own are told in any case.
+/// Whose coordinates a question and its answer's boxes are in. The scene's own are told in any
+/// case.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
@@ -32,7 +34,8 @@ pub struct Observer {
     pub yaw_rad: f32,
 }
 
-/// Where a scene lies in somebody's map: `map = rotation * scene + translation_m`, in metres on both sides.
+/// Where a scene lies in somebody's map: `map = rotation * scene + translation_m`, in metres on
+/// both sides.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
@@ -54,7 +57,10 @@ impl SceneToMap {
     pub fn check(&self) -> Result<(), FieldError> {
         let length = self.rotation.iter().map(|v| v * v).sum::<f64>().sqrt();
         if !(length.is_finite() && (length - 1.0).abs() <= ROUNDED) {
-            return Err(FieldError::new("/scene_to_map/rotation", "it must be a unit quaternion x, y, z, w"));
+            return Err(FieldError::new(
+                "/scene_to_map/rotation",
+                "it must be a unit quaternion x, y, z, w",
+            ));
         }
         numbers::coordinates("/scene_to_map/translation_m", &self.translation_m)
     }
@@ -80,7 +86,8 @@ pub struct InFrame {
     pub frame: FrameChoice,
     /// What the map's frame is called, the scene's `map_frame_id`; `null` where nobody has said.
     pub frame_id: Option<String>,
-    /// When this was told; with `frame_id` the header of a ROS message. Absent in answers given before it was.
+    /// When this was told; with `frame_id` the header of a ROS message. Absent in answers given
+    /// before it was.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stamp: Option<Stamp>,
     /// From the scene's coordinates to these: for everything else the answer tells.
@@ -117,27 +124,40 @@ impl SceneToFrame {
     /// Into the map a scene lies in.
     #[must_use]
     pub fn to_map(to_map: &SceneToMap) -> Self {
-        Self { rotation: told(&turn(to_map.rotation)), translation: to_map.translation_m, scale: 1.0 }
+        Self {
+            rotation: told(&turn(to_map.rotation)),
+            translation: to_map.translation_m,
+            scale: 1.0,
+        }
     }
 
     /// Back into the files a scene was made of.
     #[must_use]
     pub fn to_source(from_source: &SourceToScene) -> Self {
         let rotation = Matrix3::from_fn(|row, column| from_source.rotation[row][column]);
-        let back = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation.transpose()));
-        Self { rotation: told(&back), translation: from_source.invert([0.0; 3]), scale: 1.0 / from_source.metres_per_unit }
+        let back = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(
+            rotation.transpose(),
+        ));
+        Self {
+            rotation: told(&back),
+            translation: from_source.invert([0.0; 3]),
+            scale: 1.0 / from_source.metres_per_unit,
+        }
     }
 
     /// A point of the scene in these coordinates.
     #[must_use]
     pub fn apply(&self, scene: [f64; 3]) -> [f64; 3] {
-        (turn(self.rotation) * Vector3::from(scene) * self.scale + Vector3::from(self.translation)).into()
+        (turn(self.rotation) * Vector3::from(scene) * self.scale + Vector3::from(self.translation))
+            .into()
     }
 
     /// A point of these coordinates in the scene.
     #[must_use]
     pub fn invert(&self, other: [f64; 3]) -> [f64; 3] {
-        (turn(self.rotation).inverse() * ((Vector3::from(other) - Vector3::from(self.translation)) / self.scale)).into()
+        (turn(self.rotation).inverse()
+            * ((Vector3::from(other) - Vector3::from(self.translation)) / self.scale))
+            .into()
     }
 
     /// A box of the scene in these coordinates.
@@ -151,13 +171,15 @@ impl SceneToFrame {
         }
     }
 
-    /// Turns the axes of what stands upright in the scene, turned by an angle about its Z, to these coordinates: unit quaternion `x, y, z, w`.
+    /// Turns the axes of what stands upright in the scene, turned by an angle about its Z, to these
+    /// coordinates: unit quaternion `x, y, z, w`.
     #[must_use]
     pub fn facing(&self, yaw_rad: f64) -> [f64; 4] {
         told(&(turn(self.rotation) * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad)))
     }
 
-    /// Somebody who stands in these coordinates, in the scene. Where they are tilted, the direction of view is that seen from above.
+    /// Somebody who stands in these coordinates, in the scene. Where they are tilted, the direction
+    /// of view is that seen from above.
     #[must_use]
     pub fn observer(&self, other: &Observer) -> Observer {
         let yaw = f64::from(other.yaw_rad);
@@ -192,14 +214,28 @@ mod tests {
     #[test]
     fn a_map_turned_by_a_quarter_has_things_where_a_robot_finds_them() {
         // The scene's X is the map's Y.
-        let map = SceneToFrame::to_map(&SceneToMap { rotation: [0.0, 0.0, S, S], translation_m: [10.0, 0.0, 0.5] });
+        let map = SceneToFrame::to_map(&SceneToMap {
+            rotation: [0.0, 0.0, S, S],
+            translation_m: [10.0, 0.0, 0.5],
+        });
         assert!(near(map.apply([1.0, 0.0, 0.0]), [10.0, 1.0, 0.5], 1e-12));
-        let turned = OrientedBox { center: Point3::new(1.0, 2.0, 0.0), size: nalgebra::Vector3::new(2.0, 1.0, 0.5), yaw_rad: 0.0 };
+        let turned = OrientedBox {
+            center: Point3::new(1.0, 2.0, 0.0),
+            size: nalgebra::Vector3::new(2.0, 1.0, 0.5),
+            yaw_rad: 0.0,
+        };
         let placed = map.place(InstanceId(3), &turned);
-        assert!(near(placed.center, [8.0, 1.0, 0.5], 1e-6) && near(placed.orientation, [0.0, 0.0, S, S], 1e-6), "{placed:?}");
+        assert!(
+            near(placed.center, [8.0, 1.0, 0.5], 1e-6)
+                && near(placed.orientation, [0.0, 0.0, S, S], 1e-6),
+            "{placed:?}"
+        );
         // Who looks along the map's Y looks along the scene's X.
         let observer = map.observer(&Observer { position: [10.0, 1.0, 1.5], yaw_rad: FRAC_PI_2 });
-        assert!(near(observer.position, [1.0, 0.0, 1.0], 1e-5) && observer.yaw_rad.abs() < 1e-6, "{observer:?}");
+        assert!(
+            near(observer.position, [1.0, 0.0, 1.0], 1e-5) && observer.yaw_rad.abs() < 1e-6,
+            "{observer:?}"
+        );
     }
 
     #[test]
@@ -210,21 +246,36 @@ mod tests {
             metres_per_unit: 0.001,
         };
         let back = SceneToFrame::to_source(&source);
-        assert!(near(back.apply(source.apply([500_000_123.0, 40.0, -7.0])), [500_000_123.0, 40.0, -7.0], 1e-4));
+        assert!(near(
+            back.apply(source.apply([500_000_123.0, 40.0, -7.0])),
+            [500_000_123.0, 40.0, -7.0],
+            1e-4
+        ));
         let placed = back.place(
             InstanceId(1),
-            &OrientedBox { center: Point3::origin(), size: nalgebra::Vector3::new(1.0, 2.0, 3.0), yaw_rad: 0.0 },
+            &OrientedBox {
+                center: Point3::origin(),
+                size: nalgebra::Vector3::new(1.0, 2.0, 3.0),
+                yaw_rad: 0.0,
+            },
         );
         assert!(near(placed.size, [1000.0, 2000.0, 3000.0], 1e-9), "{placed:?}");
     }
 
     #[test]
     fn what_is_no_rotation_is_refused() {
-        let map = |rotation, x| SceneToMap { rotation, translation_m: [x, 0.0, 0.0] }.check().map_err(|error| error.pointer);
+        let map = |rotation, x| {
+            SceneToMap { rotation, translation_m: [x, 0.0, 0.0] }
+                .check()
+                .map_err(|error| error.pointer)
+        };
         assert_eq!(map([0.0, 0.0, 0.6, 0.8001], 0.0), Ok(()));
         assert_eq!(map([0.0; 4], 0.0), Err("/scene_to_map/rotation".to_owned()));
         assert_eq!(map([f64::NAN, 0.0, 0.0, 1.0], 0.0), Err("/scene_to_map/rotation".to_owned()));
-        assert_eq!(map([0.0, 0.0, 0.0, 1.0], f64::INFINITY), Err("/scene_to_map/translation_m".to_owned()));
+        assert_eq!(
+            map([0.0, 0.0, 0.0, 1.0], f64::INFINITY),
+            Err("/scene_to_map/translation_m".to_owned())
+        );
     }
 
     proptest! {

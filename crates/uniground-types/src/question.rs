@@ -5,8 +5,8 @@ pub use crate::placement::{FrameChoice, Observer};
 use crate::problem::FieldError;
 use serde::{Deserialize, Serialize};
 
-/// `min_confidence` where the request leaves it out: four of five grounded answers are right where things were named by somebody who looked
-/// (docs/EVALUATION.md).
+/// `min_confidence` where the request leaves it out: four of five grounded answers are right where
+/// things were named by somebody who looked (docs/EVALUATION.md).
 pub const DEFAULT_MIN_CONFIDENCE: f32 = 0.5;
 
 const MAX_QUERY_CHARS: usize = 1000;
@@ -37,18 +37,21 @@ pub enum ReasonerChoice {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ParserChoice {
-    /// Grammar and lexicon; where they did not understand all of it and a model is configured, one call to that. Never a call where the
-    /// built-in reasoner is asked to decide; the grammar's reading stands where the model can not be asked, told in the trace.
+    /// Grammar and lexicon; where they did not understand all of it and a model is configured, one
+    /// call to that. Never a call where the built-in reasoner is asked to decide; the grammar's
+    /// reading stands where the model can not be asked, told in the trace.
     #[default]
     Auto,
     /// Grammar and lexicon: no call, no cost.
     Builtin,
-    /// One call to the configured model; the grammar where its answer can not be used, told in the trace.
+    /// One call to the configured model; the grammar where its answer can not be used, told in the
+    /// trace.
     Vlm,
 }
 
 impl ParserChoice {
-    /// Who reads where `reasoner` decides: who wants no model to decide gets none to read, unless they ask for one.
+    /// Who reads where `reasoner` decides: who wants no model to decide gets none to read, unless
+    /// they ask for one.
     #[must_use]
     pub fn beside(self, reasoner: ReasonerChoice) -> Self {
         match (self, reasoner) {
@@ -85,7 +88,8 @@ pub enum Ablation {
     NoCandidate,
     /// Pictures, candidates and the question alone: no directions, anchors, steps or format.
     SimplePrompt,
-    /// The simple prompt with one render of the room as it is, without boxes, words or photographs (the paper's naive diagnostic).
+    /// The simple prompt with one render of the room as it is, without boxes, words or photographs
+    /// (the paper's naive diagnostic).
     RawRender,
     /// No closed loop: what the model says first is not asked about again.
     NoLoop,
@@ -96,12 +100,15 @@ pub enum Ablation {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum CandidateSource {
-    /// Names somebody gave, the encoder, measures and the geometry of relations together; no walls or floors unless asked for.
+    /// Names somebody gave, the encoder, measures and the geometry of relations together; no walls
+    /// or floors unless asked for.
     #[default]
     Fused,
-    /// The paper's: how alike an instance's looks and the question's words are (`query_text`), and nothing else.
+    /// The paper's: how alike an instance's looks and the question's words are (`query_text`), and
+    /// nothing else.
     Encoder,
-    /// The built-in reasoner: what fits the question as it was read, then what stands where it says.
+    /// The built-in reasoner: what fits the question as it was read, then what stands where it
+    /// says.
     Reasoner,
 }
 
@@ -124,7 +131,8 @@ impl CandidateSource {
 pub enum PromptVersion {
     /// The paper's blocks, with scores of candidates and anchors as predicted.
     Paper,
-    /// No scores; anchors are shown, may be wrong and may be chosen; what is seen but not listed can be told.
+    /// No scores; anchors are shown, may be wrong and may be chosen; what is seen but not listed
+    /// can be told.
     #[default]
     Revised,
 }
@@ -137,16 +145,19 @@ pub enum EvidenceMode {
     /// Photographs of every candidate with every question, as in the paper.
     #[default]
     Full,
-    /// Names that a model gave once, and a smaller render; photographs only of candidates the question can not tell apart by name.
+    /// Names that a model gave once, and a smaller render; photographs only of candidates the
+    /// question can not tell apart by name.
     CachedNames,
     /// One photograph each of 24 candidates and more, on one or two contact sheets.
     Sheet,
-    /// Contact sheets first; then, with another call, photographs of the three candidates that remain.
+    /// Contact sheets first; then, with another call, photographs of the three candidates that
+    /// remain.
     TwoStep,
 }
 
 impl EvidenceMode {
-    /// How many candidates are kept where `top_k` are asked for: as many as the contact sheets hold, where there are some.
+    /// How many candidates are kept where `top_k` are asked for: as many as the contact sheets
+    /// hold, where there are some.
     #[must_use]
     pub fn candidates(self, top_k: u32) -> u32 {
         match self {
@@ -199,14 +210,18 @@ impl DirectionConvention {
 #[serde(deny_unknown_fields)]
 pub struct GroundRequest {
     /// What to find, in plain English.
-    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 1000, example = "the black chair closest to the door"))]
+    #[cfg_attr(
+        feature = "openapi",
+        schema(min_length = 1, max_length = 1000, example = "the black chair closest to the door")
+    )]
     pub query: String,
     /// Candidates to keep; contact sheets (`evidence`) show 24 at least.
     #[serde(default = "default_top_k")]
     #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 100, default = 5))]
     pub top_k: u32,
-    /// Who reads the question. `auto`, which it is when left out: the grammar, and the configured model where the grammar's reading leaves
-    /// something open; never the model where `reasoner` is `builtin`.
+    /// Who reads the question. `auto`, which it is when left out: the grammar, and the configured
+    /// model where the grammar's reading leaves something open; never the model where
+    /// `reasoner` is `builtin`.
     #[serde(default)]
     pub parser: ParserChoice,
     /// Who decides.
@@ -230,22 +245,26 @@ pub struct GroundRequest {
     /// What left, right, front and back mean; an `observer` comes before it.
     #[serde(default)]
     pub direction_convention: DirectionConvention,
-    /// Left, right, front and back as seen by this observer, and who is meant by "me": "the chair closest to me". In the coordinates that
-    /// `frame` names.
+    /// Left, right, front and back as seen by this observer, and who is meant by "me": "the chair
+    /// closest to me". In the coordinates that `frame` names.
     pub observer: Option<Observer>,
-    /// Whose coordinates `observer` is in, and boxes are told in beside the scene's own: `in_frame` of the answer.
+    /// Whose coordinates `observer` is in, and boxes are told in beside the scene's own:
+    /// `in_frame` of the answer.
     #[serde(default)]
     pub frame: FrameChoice,
-    /// Where the encoder fails, or is not the one the scene was parsed with, answer by names and measures; the answer is marked `degraded`.
+    /// Where the encoder fails, or is not the one the scene was parsed with, answer by names and
+    /// measures; the answer is marked `degraded`.
     #[serde(default)]
     pub allow_builtin: bool,
-    /// Least belief for a `grounded` answer, `0..=1`: below it the answer is `uncertain`. Left out: 0.5, where four of five are
-    /// right of what somebody named who looked, two of three of what only measures name. 0: nothing is uncertain.
+    /// Least belief for a `grounded` answer, `0..=1`: below it the answer is `uncertain`. Left
+    /// out: 0.5, where four of five are right of what somebody named who looked, two of three
+    /// of what only measures name. 0: nothing is uncertain.
     #[cfg_attr(feature = "openapi", schema(minimum = 0, maximum = 1))]
     pub min_confidence: Option<f32>,
     /// Optional parts to send back; all when left out.
     pub include: Option<Vec<Include>>,
-    /// Most this question may cost, US dollars; the built-in reasoner costs nothing. 0: no model is asked.
+    /// Most this question may cost, US dollars; the built-in reasoner costs nothing. 0: no model
+    /// is asked.
     #[cfg_attr(feature = "openapi", schema(minimum = 0))]
     pub max_cost_usd: Option<f64>,
     /// Give up after this many seconds.
@@ -259,7 +278,10 @@ pub struct GroundRequest {
 #[serde(deny_unknown_fields)]
 pub struct ShortlistRequest {
     /// What to find, in plain English.
-    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 1000, example = "the black chair"))]
+    #[cfg_attr(
+        feature = "openapi",
+        schema(min_length = 1, max_length = 1000, example = "the black chair")
+    )]
     pub query: String,
     /// Most candidates to send back; fewer when fewer fit.
     #[serde(default = "default_top_k")]
@@ -275,7 +297,8 @@ pub struct ShortlistRequest {
     /// Scores are likelihoods against a vocabulary instead of cosines.
     #[serde(default)]
     pub calibrated: bool,
-    /// Where the encoder fails, or is not the one the scene was parsed with, rank by names and measures.
+    /// Where the encoder fails, or is not the one the scene was parsed with, rank by names and
+    /// measures.
     #[serde(default)]
     pub allow_builtin: bool,
 }
@@ -292,7 +315,14 @@ impl ShortlistRequest {
     #[must_use]
     pub fn of(query: impl Into<String>) -> Self {
         let (query, top_k) = (query.into(), default_top_k());
-        Self { query, top_k, query_text: QueryText::default(), candidates: by_encoder(), calibrated: false, allow_builtin: false }
+        Self {
+            query,
+            top_k,
+            query_text: QueryText::default(),
+            candidates: by_encoder(),
+            calibrated: false,
+            allow_builtin: false,
+        }
     }
 }
 
@@ -338,9 +368,11 @@ impl GroundRequest {
             numbers::coordinates("/observer/position", position)?;
             numbers::finite("/observer/yaw_rad", f64::from(*yaw_rad))?;
         }
-        self.min_confidence.map_or(Ok(()), |least| numbers::in_range("/min_confidence", least, 0.0..=1.0))?;
+        self.min_confidence
+            .map_or(Ok(()), |least| numbers::in_range("/min_confidence", least, 0.0..=1.0))?;
         self.max_cost_usd.map_or(Ok(()), |usd| numbers::zero_or_more("/max_cost_usd", usd))?;
-        self.timeout_s.map_or(Ok(()), |seconds| numbers::above_zero("/timeout_s", seconds, MAX_TIMEOUT_S))
+        self.timeout_s
+            .map_or(Ok(()), |seconds| numbers::above_zero("/timeout_s", seconds, MAX_TIMEOUT_S))
     }
 }
 
@@ -350,7 +382,10 @@ pub(crate) fn check_query(query: &str) -> Result<(), FieldError> {
         return Err(FieldError::new("/query", "must not be empty"));
     }
     if characters > MAX_QUERY_CHARS {
-        return Err(FieldError::new("/query", format!("has {characters} characters, at most {MAX_QUERY_CHARS} are read")));
+        return Err(FieldError::new(
+            "/query",
+            format!("has {characters} characters, at most {MAX_QUERY_CHARS} are read"),
+        ));
     }
     if query.contains('\0') {
         return Err(FieldError::new("/query", "holds a NUL character, which no text has"));

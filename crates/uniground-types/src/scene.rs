@@ -15,8 +15,11 @@ impl std::fmt::Display for FrameIndex {
     }
 }
 
-/// Number of an instance within its scene, counted from 1: things in falling order of points, then parts and wholes, best shown first.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+/// Number of an instance within its scene, counted from 1: things in falling order of points, then
+/// parts and wholes, best shown first.
+#[derive(
+    Debug, Clone, Copy, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize,
+)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(transparent)]
 pub struct InstanceId(pub u32);
@@ -27,7 +30,8 @@ impl std::fmt::Display for InstanceId {
     }
 }
 
-/// What an instance is among the others. Every point belongs to one thing or none; parts and wholes overlap them.
+/// What an instance is among the others. Every point belongs to one thing or none; parts and wholes
+/// overlap them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
@@ -151,7 +155,8 @@ pub struct FrameView {
     pub cx: f32,
     /// Row where the optical axis meets the photograph.
     pub cy: f32,
-    /// Takes points of the camera (x right, y down, z forward) to the scene's world (Z up), metres; rows of a 4 x 4 matrix.
+    /// Takes points of the camera (x right, y down, z forward) to the scene's world (Z up),
+    /// metres; rows of a 4 x 4 matrix.
     pub camera_to_world: [[f32; 4]; 4],
 }
 
@@ -161,7 +166,8 @@ pub struct FrameView {
 pub struct ViewMask {
     /// Rows and columns of cells, at most 64 each.
     pub size: [u32; 2],
-    /// Lengths of runs down the columns, outside and inside by turns, in COCO's compressed letters.
+    /// Lengths of runs down the columns, outside and inside by turns, in COCO's compressed
+    /// letters.
     pub counts: String,
 }
 
@@ -186,8 +192,9 @@ pub enum PoseConvention {
     WorldToCamera,
 }
 
-/// From the coordinates of the files that were uploaded to the scene's (metres, Z up): `scene = rotation * (metres_per_unit * source) +
-/// translation_m`. In double precision: what lies at map coordinates keeps its place.
+/// From the coordinates of the files that were uploaded to the scene's (metres, Z up): `scene =
+/// rotation * (metres_per_unit * source) + translation_m`. In double precision: what lies at map
+/// coordinates keeps its place.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SourceToScene {
@@ -201,21 +208,28 @@ pub struct SourceToScene {
 
 impl SourceToScene {
     /// Files that are in the scene's own coordinates.
-    pub const IDENTITY: Self =
-        Self { rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], translation_m: [0.0; 3], metres_per_unit: 1.0 };
+    pub const IDENTITY: Self = Self {
+        rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        translation_m: [0.0; 3],
+        metres_per_unit: 1.0,
+    };
 
     /// A point of the files, in their units, in the scene: metres, Z up.
     #[must_use]
     pub fn apply(&self, source: [f64; 3]) -> [f64; 3] {
         let m = source.map(|c| c * self.metres_per_unit);
-        std::array::from_fn(|i| self.rotation[i].iter().zip(m).map(|(r, c)| r * c).sum::<f64>() + self.translation_m[i])
+        std::array::from_fn(|i| {
+            self.rotation[i].iter().zip(m).map(|(r, c)| r * c).sum::<f64>() + self.translation_m[i]
+        })
     }
 
     /// A point of the scene (metres, Z up) in the files' own coordinates and units.
     #[must_use]
     pub fn invert(&self, scene: [f64; 3]) -> [f64; 3] {
         let d: [f64; 3] = std::array::from_fn(|i| scene[i] - self.translation_m[i]);
-        std::array::from_fn(|i| (0..3).map(|row| self.rotation[row][i] * d[row]).sum::<f64>() / self.metres_per_unit)
+        std::array::from_fn(|i| {
+            (0..3).map(|row| self.rotation[row][i] * d[row]).sum::<f64>() / self.metres_per_unit
+        })
     }
 }
 
@@ -225,7 +239,8 @@ impl SourceToScene {
 pub struct Levelling {
     /// Angle between the axis called up in the files and what was found to be up, degrees.
     pub tilt_deg: f32,
-    /// Whether the scene was turned by it. Worlds that are level within a few degrees stay as they are.
+    /// Whether the scene was turned by it. Worlds that are level within a few degrees stay as they
+    /// are.
     pub turned: bool,
     /// Share of the surfaces looked at that are level or upright with it, `0..=1`.
     pub confidence: f32,
@@ -237,14 +252,17 @@ pub struct Levelling {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ImportReport {
-    /// Layout that the files were read as: `uniground-scene/1`, `color-depth-pose`, `tum-rgbd` and so on.
+    /// Layout that the files were read as: `uniground-scene/1`, `color-depth-pose`, `tum-rgbd` and
+    /// so on.
     pub format: String,
-    /// The axis of the files next to what is up; the stored scene has Z up. Of a tilted world `levelling` says the rest.
+    /// The axis of the files next to what is up; the stored scene has Z up. Of a tilted world
+    /// `levelling` says the rest.
     pub up: UpAxis,
     /// From the files' coordinates to the scene's; `null` in records of before it was kept.
     #[serde(default)]
     pub source_to_scene: Option<SourceToScene>,
-    /// How level the world of the files is, and by what that was told; `null` where nothing was there to tell by.
+    /// How level the world of the files is, and by what that was told; `null` where nothing was
+    /// there to tell by.
     #[serde(default)]
     pub levelling: Option<Levelling>,
     /// Which way the poses of the files were read.
@@ -253,11 +271,13 @@ pub struct ImportReport {
     pub camera_axes: String,
     /// Frames that can be used: those left out are not counted.
     pub frames: u32,
-    /// Frames left out: their pose is marked as lost (infinite), or a file of theirs is damaged or missing. The warnings name them.
+    /// Frames left out: their pose is marked as lost (infinite), or a file of theirs is damaged or
+    /// missing. The warnings name them.
     pub frames_skipped: u32,
     /// Points in the archive's own cloud; `null` when the cloud is fused from the frames.
     pub cloud_points: Option<u64>,
-    /// Share of sampled points that agree with the depth pictures they project into, `0..=1`; `null` where it could not be measured.
+    /// Share of sampled points that agree with the depth pictures they project into, `0..=1`;
+    /// `null` where it could not be measured.
     pub reprojection_agreement: Option<f32>,
     /// What is odd but was accepted, each with its file or frame.
     pub warnings: Vec<String>,
@@ -280,10 +300,12 @@ pub struct ParseReport {
     pub parts_and_wholes: u32,
     /// Instances flagged as floor, wall or ceiling.
     pub structural: u32,
-    /// Regions that became no instance because the masks of the frames that see them show something else; their points belong to nothing.
+    /// Regions that became no instance because the masks of the frames that see them show
+    /// something else; their points belong to nothing.
     #[serde(default)]
     pub dropped: u32,
-    /// Regions that became no instance because they have too few points and no frame shows more of them than a few pixels.
+    /// Regions that became no instance because they have too few points and no frame shows more of
+    /// them than a few pixels.
     #[serde(default)]
     pub specks: u32,
     /// Instances that no frame shows.
@@ -298,17 +320,21 @@ pub struct ParseReport {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct StageReport {
-    /// `import`, `superpoints`, `masks_and_lifting`, `gaps`, `planes`, `merging`, `part_merging`, `hierarchy`, `refinement`, `views`, `instances`, or with models `appearance`.
+    /// `import`, `superpoints`, `masks_and_lifting`, `gaps`, `planes`, `merging`, `part_merging`,
+    /// `hierarchy`, `refinement`, `views`, `instances`, or with models `appearance`.
     pub stage: String,
     /// Wall-clock.
     pub seconds: f32,
-    /// How many came out: points, superpoints, masks over all frames, regions, proposals of parts and wholes, instances, sightings of instances.
+    /// How many came out: points, superpoints, masks over all frames, regions, proposals of parts
+    /// and wholes, instances, sightings of instances.
     #[serde(default)]
     pub produced: u64,
-    /// Whether they were kept from an earlier parse of the scan that got so far under the same settings.
+    /// Whether they were kept from an earlier parse of the scan that got so far under the same
+    /// settings.
     #[serde(default)]
     pub reused: bool,
-    /// Largest resident memory of the whole process during the stage, 10^6 bytes; `null` where the system does not tell.
+    /// Largest resident memory of the whole process during the stage, 10^6 bytes; `null` where the
+    /// system does not tell.
     #[serde(default)]
     pub peak_memory_mb: Option<u32>,
 }

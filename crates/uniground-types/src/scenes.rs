@@ -44,13 +44,15 @@ pub struct SceneCounts {
 pub struct Scene {
     /// UUIDv7; in order of time.
     pub id: String,
-    /// One line of 1 to 200 characters, given at the upload, taken from the archive, or `scene`. Need not be unique.
+    /// One line of 1 to 200 characters, given at the upload, taken from the archive, or `scene`.
+    /// Need not be unique.
     pub name: String,
     /// Whether questions can be asked.
     pub status: SceneStatus,
     /// SHA-256 of the uploaded bytes, hex; of a scene that has grown, of what it is made of.
     pub content_hash: String,
-    /// Number of the current parse, from 1; 0 before the first. Questions use the current one until a newer is ready.
+    /// Number of the current parse, from 1; 0 before the first. Questions use the current one
+    /// until a newer is ready.
     pub parse_version: u32,
     /// Sizes of the current parse; `null` before the first.
     pub counts: Option<SceneCounts>,
@@ -112,7 +114,8 @@ pub struct SceneChange {
     #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 200))]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Where the scene lies in a map: questions may then ask for boxes in it. `null` takes it away.
+    /// Where the scene lies in a map: questions may then ask for boxes in it. `null` takes it
+    /// away.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<SceneToMap>))]
     #[serde(default, deserialize_with = "said", skip_serializing_if = "Option::is_none")]
     pub scene_to_map: Option<Option<SceneToMap>>,
@@ -120,14 +123,17 @@ pub struct SceneChange {
     #[cfg_attr(feature = "openapi", schema(value_type = Option<String>, min_length = 1, max_length = 200, example = "map"))]
     #[serde(default, deserialize_with = "said", skip_serializing_if = "Option::is_none")]
     pub map_frame_id: Option<Option<String>>,
-    /// What the scene is filed under, all of it: labels that are left out are taken away. At most 20; names of 1 to 63 letters, digits, `.`,
-    /// `_`, `-` and `/`, values of 1 to 100 characters without commas.
+    /// What the scene is filed under, all of it: labels that are left out are taken away. At most
+    /// 20; names of 1 to 63 letters, digits, `.`, `_`, `-` and `/`, values of 1 to 100
+    /// characters without commas.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub labels: Option<BTreeMap<String, String>>,
 }
 
 /// What a field says, `null` too: a field that is left out says nothing.
-fn said<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Option<T>, D::Error> {
+fn said<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
+    deserializer: D,
+) -> Result<Option<T>, D::Error> {
     T::deserialize(deserializer).map(Some)
 }
 
@@ -136,8 +142,12 @@ fn said<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Resu
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ImportRequest {
-    /// A file or folder below the one that the server's operator named, relative to it: whatever can be uploaded, a folder unpacked.
-    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 4096, example = "monday/kitchen"))]
+    /// A file or folder below the one that the server's operator named, relative to it: whatever
+    /// can be uploaded, a folder unpacked.
+    #[cfg_attr(
+        feature = "openapi",
+        schema(min_length = 1, max_length = 4096, example = "monday/kitchen")
+    )]
     pub path: String,
     /// Name of the scene; default: what the archive calls itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -147,10 +157,12 @@ pub struct ImportRequest {
     #[serde(default = "yes")]
     #[cfg_attr(feature = "openapi", schema(default = true))]
     pub parse: bool,
-    /// The axis that points up in the files, for scans that do not say; default: the axis the cameras hold up.
+    /// The axis that points up in the files, for scans that do not say; default: the axis the
+    /// cameras hold up.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub up: Option<UpAxis>,
-    /// Length of one unit of the files' clouds and poses, metres, for files that are not in metres; default: told by their size.
+    /// Length of one unit of the files' clouds and poses, metres, for files that are not in
+    /// metres; default: told by their size.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub metres_per_unit: Option<f64>,
     /// Whether a world that is tilted is turned level.
@@ -188,7 +200,8 @@ impl ImportRequest {
 pub struct ParseRequest {
     /// What `settings` start from.
     pub preset: ParsePreset,
-    /// Single values that replace those of the preset, e.g. `{"parsing": {"superpoints": {"voxel_m": 0.02}}}`.
+    /// Single values that replace those of the preset, e.g. `{"parsing": {"superpoints":
+    /// {"voxel_m": 0.02}}}`.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<ParseSettings>))]
     pub settings: Option<serde_json::Value>,
 }
@@ -209,7 +222,8 @@ pub struct SceneReport {
     pub settings: Option<ParseSettings>,
     /// Models the parse was made with.
     pub models: Option<ParseModels>,
-    /// The cloud by superpoint and by instance, and instances over up to three frames; empty for parses of old versions.
+    /// The cloud by superpoint and by instance, and instances over up to three frames; empty for
+    /// parses of old versions.
     pub pictures: Vec<ReportPictureLink>,
 }
 

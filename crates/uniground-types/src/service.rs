@@ -17,7 +17,8 @@ pub struct Health {
 #[derive(Debug, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Readiness {
-    /// Whether database, folder, disk, workers and inference server are all `ok`; the HTTP status is 503 otherwise.
+    /// Whether database, folder, disk, workers and inference server are all `ok`; the HTTP status
+    /// is 503 otherwise.
     pub ready: bool,
     /// `ok`, or why the database can not be written.
     pub database: String,
@@ -28,11 +29,12 @@ pub struct Readiness {
     pub disk: String,
     /// `ok`, or `stopped` with the kinds of jobs that are no longer worked on.
     pub worker: String,
-    /// `ok`, or why the inference server does not answer; absent where networks run in the server itself.
+    /// `ok`, or why the inference server does not answer; absent where networks run in the server
+    /// itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inference_server: Option<String>,
-    /// `ok`, or since when the vision-language model has answered no call; absent where none is configured. It does not count for `ready`:
-    /// built-in parts answer meanwhile.
+    /// `ok`, or since when the vision-language model has answered no call; absent where none is
+    /// configured. It does not count for `ready`: built-in parts answer meanwhile.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vlm: Option<String>,
     /// Where masks come from.
@@ -47,8 +49,10 @@ pub struct Readiness {
 #[derive(Debug, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ModelList {
-    /// The neural models that take part in parses and questions; empty when all parts are built in.
+    /// The neural models that take part in parses and questions; empty when all parts are built
+    /// in.
     pub models: Vec<LoadedModel>,
-    /// The vision-language model that reasons, by the name its endpoint knows it by; `null` when none is configured.
+    /// The vision-language model that reasons, by the name its endpoint knows it by; `null` when
+    /// none is configured.
     pub vlm: Option<String>,
 }

@@ -1,4 +1,5 @@
-//! What a server holds, does and may spend, in numbers: for people, and for programs without Prometheus.
+//! What a server holds, does and may spend, in numbers: for people, and for programs without
+//! Prometheus.
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -37,7 +38,8 @@ pub struct StoredCounts {
     pub instances: u32,
     /// Answers that can be asked for again.
     pub answers: u32,
-    /// Batches by state: `running`, `paused`, `succeeded`, `cancelled`; one whose job ended early counts as running here.
+    /// Batches by state: `running`, `paused`, `succeeded`, `cancelled`; one whose job ended early
+    /// counts as running here.
     pub batches: BTreeMap<String, u32>,
 }
 
@@ -81,14 +83,16 @@ pub struct Spending {
 pub struct DiskUse {
     /// The database with its journal.
     pub database_bytes: u64,
-    /// Files by kind: `contents` (scans), `parses`, `checkpoints`, `answers` (what models were shown), `uploads` (in parts), `tmp`, `quarantine`. Measured in the
-    /// background, a minute apart at least; `null` until that was done once.
+    /// Files by kind: `contents` (scans), `parses`, `checkpoints`, `answers` (what models were
+    /// shown), `uploads` (in parts), `tmp`, `quarantine`. Measured in the background, a minute
+    /// apart at least; `null` until that was done once.
     pub blob_bytes: Option<BTreeMap<String, u64>>,
     /// What may still be written.
     pub free_bytes: u64,
 }
 
-/// How long things are kept, in days, and how much of what only saves time. 0 days: for ever, except for evidence.
+/// How long things are kept, in days, and how much of what only saves time. 0 days: for ever,
+/// except for evidence.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Retention {

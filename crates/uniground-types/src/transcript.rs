@@ -16,7 +16,8 @@ pub struct AnswerPrompt {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct PromptCall {
-    /// `parse`, `naming`, `spatial`, or what was wrong: `out_of_set`, `unreadable`, `inconsistent`.
+    /// `parse`, `naming`, `spatial`, or what was wrong: `out_of_set`, `unreadable`,
+    /// `inconsistent`.
     pub purpose: String,
     /// The system message: what the model is there for.
     pub system: String,

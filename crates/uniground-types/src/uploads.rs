@@ -30,7 +30,8 @@ pub struct Upload {
     pub offset: u64,
     /// Bytes it will have.
     pub length: u64,
-    /// When it is removed unless more of it comes, RFC 3339 UTC; of one that is over, when it is forgotten. `null`: never.
+    /// When it is removed unless more of it comes, RFC 3339 UTC; of one that is over, when it is
+    /// forgotten. `null`: never.
     pub expires_at: Option<String>,
     /// The scene it has become.
     pub scene_id: Option<String>,

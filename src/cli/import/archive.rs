@@ -9,7 +9,8 @@ use uniground_core::scene::{FrameRef, Intrinsics, Optics, PointCloud, write_clou
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
-/// A zip with `scene.json`, the cloud, and every frame: rectified colour, registered depth in millimetres, its pose.
+/// A zip with `scene.json`, the cloud, and every frame: rectified colour, registered depth in
+/// millimetres, its pose.
 pub(super) fn write(out: &Utf8Path, frames: &[FrameRef], cloud: &PointCloud) -> anyhow::Result<()> {
     let mut zip = ZipWriter::new(BufWriter::new(File::create(out)?));
     let stored = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
@@ -20,20 +21,36 @@ pub(super) fn write(out: &Utf8Path, frames: &[FrameRef], cloud: &PointCloud) -> 
     };
     let mut listed = Vec::new();
     for (i, frame) in frames.iter().enumerate() {
-        let ending = if frame.optics == Optics::default() { frame.colour.extension().unwrap_or("jpg") } else { "png" };
-        let (colour, depth, pose) = (format!("color/{i}.{ending}"), format!("depth/{i}.png"), format!("pose/{i}.txt"));
+        let ending = if frame.optics == Optics::default() {
+            frame.colour.extension().unwrap_or("jpg")
+        } else {
+            "png"
+        };
+        let (colour, depth, pose) =
+            (format!("color/{i}.{ending}"), format!("depth/{i}.png"), format!("pose/{i}.txt"));
         // What is a pinhole picture already is not encoded again.
         let bytes = match &frame.optics.colour_lens {
-            None if ending != "png" || frame.colour.extension() == Some("png") => fs::read(&frame.colour)?,
+            None if ending != "png" || frame.colour.extension() == Some("png") => {
+                fs::read(&frame.colour)?
+            }
             _ => png(frame.decode_colour()?.into())?,
         };
         put(&colour, &bytes)?;
         let measured = frame.decode_depth()?;
-        let units = measured.depth_m.iter().map(|z| if *z < 65.5 { (z * 1000.0).round() as u16 } else { 0 }).collect();
-        let picture = image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::from_raw(measured.width, measured.height, units);
+        let units = measured
+            .depth_m
+            .iter()
+            .map(|z| if *z < 65.5 { (z * 1000.0).round() as u16 } else { 0 })
+            .collect();
+        let picture = image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::from_raw(
+            measured.width,
+            measured.height,
+            units,
+        );
         put(&depth, &png(picture.context("a depth picture of another size")?.into())?)?;
         let m = frame.camera_to_world.to_homogeneous();
-        let rows: String = m.row_iter().map(|r| format!("{} {} {} {}\n", r[0], r[1], r[2], r[3])).collect();
+        let rows: String =
+            m.row_iter().map(|r| format!("{} {} {} {}\n", r[0], r[1], r[2], r[3])).collect();
         put(&pose, rows.as_bytes())?;
         listed.push(json!({
             "color": colour, "depth": depth, "pose": pose,
@@ -43,7 +60,8 @@ pub(super) fn write(out: &Utf8Path, frames: &[FrameRef], cloud: &PointCloud) -> 
     let mut ply = Vec::new();
     write_cloud_ply(cloud, &mut ply)?;
     put("cloud.ply", &ply)?;
-    let manifest = json!({"format": "uniground-scene/1", "up": "z", "cloud": "cloud.ply", "frames": listed});
+    let manifest =
+        json!({"format": "uniground-scene/1", "up": "z", "cloud": "cloud.ply", "frames": listed});
     put("scene.json", &serde_json::to_vec_pretty(&manifest)?)?;
     zip.finish()?.flush()?;
     Ok(())

@@ -17,7 +17,11 @@ const COLUMNS: u32 = 4;
 const WIDTH: u32 = 256;
 
 /// The whole page; pictures are links to `<name>.jpg` beside it.
-pub(super) fn render(scan: &Utf8Path, lines: &[(&str, String)], pictures: &[(&str, &str)]) -> String {
+pub(super) fn render(
+    scan: &Utf8Path,
+    lines: &[(&str, String)],
+    pictures: &[(&str, &str)],
+) -> String {
     let mut page = format!(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>{0}</title><style>{STYLE}</style><h1>{0}</h1><table>",
         escaped(scan.file_name().unwrap_or(scan.as_str()))
@@ -40,7 +44,11 @@ pub(super) fn contact_sheet(frames: &[FrameRef]) -> Option<RgbImage> {
     let height = (WIDTH * first.height / first.width.max(1)).clamp(1, 4 * WIDTH);
     let shown = FRAMES.min(frames.len());
     let rows = (shown as u32).div_ceil(COLUMNS);
-    let mut sheet = RgbImage::from_pixel(WIDTH * COLUMNS.min(shown as u32), height * rows, image::Rgb([255; 3]));
+    let mut sheet = RgbImage::from_pixel(
+        WIDTH * COLUMNS.min(shown as u32),
+        height * rows,
+        image::Rgb([255; 3]),
+    );
     for k in 0..shown {
         let frame = &frames[frames.len() * (2 * k + 1) / (2 * shown)];
         let Ok(picture) = frame.decode_colour() else { continue };

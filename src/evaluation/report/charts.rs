@@ -15,13 +15,17 @@ pub(super) struct Line {
     pub points: Vec<(f32, f32)>,
 }
 
-/// Lines over a common X axis; Y starts at zero and ends at `top`, or a little above the highest point.
+/// Lines over a common X axis; Y starts at zero and ends at `top`, or a little above the highest
+/// point.
 pub(super) fn lines(title: &str, x_label: &str, lines: &[Line], top: Option<f32>) -> String {
     let points = || lines.iter().flat_map(|line| &line.points);
     let highest = points().map(|p| p.1).fold(0.0, f32::max);
     let top = top.unwrap_or(highest * 1.1).max(f32::MIN_POSITIVE);
-    let (first, last) = points().fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), p| (lo.min(p.0), hi.max(p.0)));
-    let x_of = |x: f32| LEFT + if last > first { (x - first) / (last - first) * (WIDTH - LEFT - 10.0) } else { 0.0 };
+    let (first, last) =
+        points().fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), p| (lo.min(p.0), hi.max(p.0)));
+    let x_of = |x: f32| {
+        LEFT + if last > first { (x - first) / (last - first) * (WIDTH - LEFT - 10.0) } else { 0.0 }
+    };
     let y_of = |y: f32| HEIGHT - BOTTOM - y / top * (HEIGHT - BOTTOM - TOP);
     let mut svg = frame(title, x_label, top, &y_of);
     let mut ticks: Vec<f32> = points().map(|p| p.0).collect();
@@ -29,19 +33,37 @@ pub(super) fn lines(title: &str, x_label: &str, lines: &[Line], top: Option<f32>
     ticks.dedup();
     let step = ticks.len().div_ceil(10).max(1);
     for x in ticks.iter().step_by(step) {
-        let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{x}</text>", x_of(*x), HEIGHT - BOTTOM + 14.0);
+        let _ = write!(
+            svg,
+            "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{x}</text>",
+            x_of(*x),
+            HEIGHT - BOTTOM + 14.0
+        );
     }
     for (i, line) in lines.iter().enumerate() {
         let colour = COLOURS[i % COLOURS.len()];
-        let path: String = line.points.iter().map(|(x, y)| format!("{:.1},{:.1} ", x_of(*x), y_of(*y))).collect();
-        let _ = write!(svg, "<polyline fill=\"none\" stroke=\"{colour}\" stroke-width=\"2\" points=\"{path}\"/>");
+        let path: String =
+            line.points.iter().map(|(x, y)| format!("{:.1},{:.1} ", x_of(*x), y_of(*y))).collect();
+        let _ = write!(
+            svg,
+            "<polyline fill=\"none\" stroke=\"{colour}\" stroke-width=\"2\" points=\"{path}\"/>"
+        );
         for (x, y) in &line.points {
-            let _ = write!(svg, "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"2.5\" fill=\"{colour}\"/>", x_of(*x), y_of(*y));
+            let _ = write!(
+                svg,
+                "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"2.5\" fill=\"{colour}\"/>",
+                x_of(*x),
+                y_of(*y)
+            );
         }
         // Curves rise to the right: the legend stands where they seldom are.
         let y = HEIGHT - BOTTOM - 8.0 - 14.0 * (lines.len() - 1 - i) as f32;
         let name = super::escaped(&line.name);
-        let _ = write!(svg, "<text x=\"{:.1}\" y=\"{y:.1}\" text-anchor=\"end\" style=\"fill:{colour}\">{name}</text>", WIDTH - 10.0);
+        let _ = write!(
+            svg,
+            "<text x=\"{:.1}\" y=\"{y:.1}\" text-anchor=\"end\" style=\"fill:{colour}\">{name}</text>",
+            WIDTH - 10.0
+        );
     }
     svg.push_str("</svg></figure>");
     svg
@@ -66,14 +88,20 @@ pub(super) fn histogram(title: &str, x_label: &str, counts: &[usize]) -> String 
     for tick in 0..=4_u8 {
         let at = f32::from(tick) / 4.0;
         let x = LEFT + at * (WIDTH - LEFT - 10.0);
-        let _ = write!(svg, "<text x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{at}</text>", HEIGHT - BOTTOM + 14.0);
+        let _ = write!(
+            svg,
+            "<text x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{at}</text>",
+            HEIGHT - BOTTOM + 14.0
+        );
     }
     svg.push_str("</svg></figure>");
     svg
 }
 
 fn frame(title: &str, x_label: &str, top: f32, y_of: &dyn Fn(f32) -> f32) -> String {
-    let mut svg = format!("<figure><figcaption>{title}</figcaption><svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\" role=\"img\">");
+    let mut svg = format!(
+        "<figure><figcaption>{title}</figcaption><svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\" role=\"img\">"
+    );
     for part in 0..=4_u8 {
         let value = top * f32::from(part) / 4.0;
         let y = y_of(value);

@@ -1,4 +1,5 @@
-//! The report as one page that needs nothing beside it: tables, charts, and every failure with its picture.
+//! The report as one page that needs nothing beside it: tables, charts, and every failure with its
+//! picture.
 
 use super::charts::{self, Line};
 use super::markdown::interval;
@@ -44,7 +45,11 @@ pub(super) fn page(report: &Report, folder: &Utf8Path, embedded: usize) -> Strin
         page.push_str("<p class=\"note\">Paper-compatible: annotated target classes and anchors were handed over. Not leak-free.</p>");
     }
     if !report.omissions.is_empty() {
-        let _ = write!(page, "<details><summary>{} left out of the suite</summary><ul>", report.omissions.len());
+        let _ = write!(
+            page,
+            "<details><summary>{} left out of the suite</summary><ul>",
+            report.omissions.len()
+        );
         for omission in &report.omissions {
             let _ = write!(page, "<li>{}", escaped(&omission.to_string()));
         }
@@ -77,10 +82,14 @@ fn section(cell: &CellReport, folder: &Utf8Path, embedded: usize) -> String {
     let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
     cell.left_out.iter().for_each(|left| *reasons.entry(&left.reason).or_default() += 1);
     for (reason, count) in reasons {
-        let _ = write!(html, "<p class=\"note\">{count} expressions left out: {}</p>", escaped(reason));
+        let _ =
+            write!(html, "<p class=\"note\">{count} expressions left out: {}</p>", escaped(reason));
     }
     let scenes = cell.by_scene.iter().filter(|_| cell.by_scene.len() > 1);
-    html.push_str(&table(cell.splits.iter().chain(scenes).map(|(name, f)| (name.as_str(), f)), false));
+    html.push_str(&table(
+        cell.splits.iter().chain(scenes).map(|(name, f)| (name.as_str(), f)),
+        false,
+    ));
     if let Some(oriented) = cell.figures.oriented {
         let _ = write!(
             html,
@@ -94,7 +103,11 @@ fn section(cell: &CellReport, folder: &Utf8Path, embedded: usize) -> String {
     if let Some(reliability) = &cell.figures.reliability {
         let _ = write!(html, "<p>Confidence: {reliability}</p>");
     }
-    html.push_str(&charts::histogram("Targets by IoU of the answer", "IoU", &cell.figures.iou_histogram));
+    html.push_str(&charts::histogram(
+        "Targets by IoU of the answer",
+        "IoU",
+        &cell.figures.iou_histogram,
+    ));
     let curve = |name: &str, recall: &[[f32; 2]], i: usize| Line {
         name: name.to_owned(),
         points: recall.iter().enumerate().map(|(k, r)| ((k + 1) as f32, r[i])).collect(),
@@ -160,11 +173,23 @@ fn failure(outcome: &ScoredExpression, folder: &Utf8Path, embed: bool) -> String
             Status::Ambiguous => "ambiguous",
             Status::NoMatch => "no match",
         };
-        let _ = write!(html, "<p>Reply: {status}, confidence {:.2}. {}</p>", reply.confidence, escaped(&reply.answer.explanation));
+        let _ = write!(
+            html,
+            "<p>Reply: {status}, confidence {:.2}. {}</p>",
+            reply.confidence,
+            escaped(&reply.answer.explanation)
+        );
         let candidates: Vec<String> = reply
             .candidates
             .iter()
-            .map(|c| format!("{} {} ({:.2})", c.id, reply.answer.candidate_names.get(&c.id.0).map_or("", String::as_str), c.score))
+            .map(|c| {
+                format!(
+                    "{} {} ({:.2})",
+                    c.id,
+                    reply.answer.candidate_names.get(&c.id.0).map_or("", String::as_str),
+                    c.score
+                )
+            })
             .collect();
         let _ = write!(html, "<p>Candidates: {}</p>", escaped(&candidates.join(", ")));
     }
@@ -179,7 +204,12 @@ fn cost_charts(report: &Report) -> String {
     for cell in &report.cells {
         let k = cell.configuration.top_k;
         // Cells that differ in top_k alone make a line.
-        let name = cell.name.split(", ").filter(|part| !part.starts_with("top_k=")).collect::<Vec<_>>().join(", ");
+        let name = cell
+            .name
+            .split(", ")
+            .filter(|part| !part.starts_with("top_k="))
+            .collect::<Vec<_>>()
+            .join(", ");
         let ms = cell.figures.latency_ms.map_or(0.0, |l| l.p50 as f32);
         latency.entry(name.clone()).or_default().push((k as f32, ms));
         tokens
@@ -195,19 +225,25 @@ fn cost_charts(report: &Report) -> String {
         return String::new();
     }
     let chart = |title: &str, lines: BTreeMap<String, Vec<(f32, f32)>>| {
-        let lines: Vec<Line> = lines.into_iter().map(|(name, points)| Line { name, points }).collect();
+        let lines: Vec<Line> =
+            lines.into_iter().map(|(name, points)| Line { name, points }).collect();
         charts::lines(title, "top_k", &lines, None)
     };
     chart("Median latency, ms", latency) + &chart("Tokens per question", tokens)
 }
 
 fn table<'a>(rows: impl Iterator<Item = (&'a str, &'a Figures)>, whole: bool) -> String {
-    let more = if whole { "<th>ambiguous<th>failed<th>ms p50<th>p95<th>p99<th>calls<th>tokens<th>USD" } else { "" };
+    let more = if whole {
+        "<th>ambiguous<th>failed<th>ms p50<th>p95<th>p99<th>calls<th>tokens<th>USD"
+    } else {
+        ""
+    };
     let mut html = format!(
         "<table><tr><th><th>n<th>Acc@.25<th>Acc@.5<th>filtered .25<th>.5<th>mean IoU<th>first .25<th>recall@k .25<th>.5<th>any instance .25\
          <th>absent told<th>no_match right<th>denied{more}</tr>"
     );
-    let percent = |share: Option<f32>| share.map_or_else(|| "-".to_owned(), |v| format!("{:.1}", v * 100.0));
+    let percent =
+        |share: Option<f32>| share.map_or_else(|| "-".to_owned(), |v| format!("{:.1}", v * 100.0));
     for (name, f) in rows {
         let targets = f.complete[0].of > 0;
         let recall = f.recall_at.last().filter(|_| targets);
@@ -230,11 +266,16 @@ fn table<'a>(rows: impl Iterator<Item = (&'a str, &'a Figures)>, whole: bool) ->
             percent(f.abstention.denied)
         );
         if whole {
-            let ms = f
-                .latency_ms
-                .map_or_else(|| "<td>-<td>-<td>-".into(), |l| format!("<td>{:.2}<td>{:.2}<td>{:.2}", l.p50, l.p95, l.p99));
+            let ms = f.latency_ms.map_or_else(
+                || "<td>-<td>-<td>-".into(),
+                |l| format!("<td>{:.2}<td>{:.2}<td>{:.2}", l.p50, l.p95, l.p99),
+            );
             let tokens = f.prompt_tokens + f.completion_tokens;
-            let _ = write!(html, "<td>{}<td>{}{ms}<td>{:.2}<td>{tokens:.0}<td>{:.3}", f.ambiguous, f.failed, f.vlm_calls, f.cost_usd);
+            let _ = write!(
+                html,
+                "<td>{}<td>{}{ms}<td>{:.2}<td>{tokens:.0}<td>{:.3}",
+                f.ambiguous, f.failed, f.vlm_calls, f.cost_usd
+            );
         }
         html.push_str("</tr>");
     }

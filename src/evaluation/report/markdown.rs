@@ -31,7 +31,12 @@ pub(super) fn page(report: &Report) -> String {
             let _ = writeln!(page, "> {note}\n");
         }
         if !cell.left_out.is_empty() {
-            let _ = writeln!(page, "{} expressions left out: {}\n", cell.left_out.len(), cell.left_out[0].reason);
+            let _ = writeln!(
+                page,
+                "{} expressions left out: {}\n",
+                cell.left_out.len(),
+                cell.left_out[0].reason
+            );
         }
         page.push_str(&splits_table(cell));
     }
@@ -41,24 +46,29 @@ pub(super) fn page(report: &Report) -> String {
             let _ = writeln!(page, "- {omission}");
         }
         if report.omissions.len() > SHOWN_OMISSIONS {
-            let _ = writeln!(page, "- and {} more, in report.json", report.omissions.len() - SHOWN_OMISSIONS);
+            let _ = writeln!(
+                page,
+                "- and {} more, in report.json",
+                report.omissions.len() - SHOWN_OMISSIONS
+            );
         }
     }
     page
 }
 
-const HEAD: &str =
-    "| | n | Acc@.25 | Acc@.5 | filtered .25 | .5 | mIoU | first .25 | recall@k .25 | any instance .25 | absent told | denied |";
+const HEAD: &str = "| | n | Acc@.25 | Acc@.5 | filtered .25 | .5 | mIoU | first .25 | recall@k .25 | any instance .25 | absent told | denied |";
 const RULE: &str = "|---|---|---|---|---|---|---|---|---|---|---|---|";
 
 /// One row per cell.
 fn cells_table(report: &Report) -> String {
-    let mut table = format!("{HEAD} ambiguous | failed | ms p50 | p95 | calls | tokens | USD |\n{RULE}---|---|---|---|---|---|---|\n");
+    let mut table = format!(
+        "{HEAD} ambiguous | failed | ms p50 | p95 | calls | tokens | USD |\n{RULE}---|---|---|---|---|---|---|\n"
+    );
     for cell in &report.cells {
         let f = &cell.figures;
-        let (p50, p95) = f
-            .latency_ms
-            .map_or(("-".into(), "-".into()), |l| (format!("{:.2}", l.p50), format!("{:.2}", l.p95)));
+        let (p50, p95) = f.latency_ms.map_or(("-".into(), "-".into()), |l| {
+            (format!("{:.2}", l.p50), format!("{:.2}", l.p95))
+        });
         let _ = writeln!(
             table,
             "{} {} | {} | {p50} | {p95} | {:.2} | {:.0} | {:.3} |",
@@ -76,7 +86,9 @@ fn cells_table(report: &Report) -> String {
 /// One row per split and scene.
 fn splits_table(cell: &CellReport) -> String {
     let mut table = format!("{HEAD}\n{RULE}\n");
-    for (name, figures) in cell.splits.iter().chain(cell.by_scene.iter().filter(|_| cell.by_scene.len() > 1)) {
+    for (name, figures) in
+        cell.splits.iter().chain(cell.by_scene.iter().filter(|_| cell.by_scene.len() > 1))
+    {
         let _ = writeln!(table, "{}", row(name, figures));
     }
     if let Some(oriented) = cell.figures.oriented {
@@ -93,7 +105,8 @@ fn splits_table(cell: &CellReport) -> String {
 }
 
 fn row(name: &str, f: &Figures) -> String {
-    let percent = |share: Option<f32>| share.map_or_else(|| "-".to_owned(), |v| format!("{:.1}", v * 100.0));
+    let percent =
+        |share: Option<f32>| share.map_or_else(|| "-".to_owned(), |v| format!("{:.1}", v * 100.0));
     let recall = f.recall_at.last().map(|r| r[0]);
     let has_targets = f.complete[0].of > 0;
     let [any, _] = f.any_instance;

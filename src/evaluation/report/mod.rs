@@ -97,17 +97,23 @@ impl Report {
         let file = if path.is_dir() { path.join("report.json") } else { path.to_owned() };
         let text = fs::read_to_string(&file).with_context(|| file.to_string())?;
         let report: Self = serde_json::from_str(&text).with_context(|| file.to_string())?;
-        ensure!(report.format == FORMAT, "{file}: the format is {:?}, expected {FORMAT:?}", report.format);
+        ensure!(
+            report.format == FORMAT,
+            "{file}: the format is {:?}, expected {FORMAT:?}",
+            report.format
+        );
         Ok(report)
     }
 
-    /// Writes `report.json`, `report.md` and `index.html`. Pictures are taken from the folder; the first `embedded` of them per cell
-    /// become part of the page, the rest are links.
+    /// Writes `report.json`, `report.md` and `index.html`. Pictures are taken from the folder; the
+    /// first `embedded` of them per cell become part of the page, the rest are links.
     ///
     /// # Errors
     /// When the folder can not be written.
     pub fn write(&self, folder: &Utf8Path, embedded: usize) -> anyhow::Result<()> {
-        let write = |name: &str, content: Vec<u8>| fs::write(folder.join(name), content).with_context(|| folder.join(name).to_string());
+        let write = |name: &str, content: Vec<u8>| {
+            fs::write(folder.join(name), content).with_context(|| folder.join(name).to_string())
+        };
         write("report.json", serde_json::to_vec(self)?)?;
         write("report.md", self.markdown().into_bytes())?;
         write("index.html", html::page(self, folder, embedded).into_bytes())
@@ -129,11 +135,19 @@ impl CellReport {
             by_scene.entry(&outcome.scene).or_default().push(outcome);
         }
         let figures = |groups: BTreeMap<&str, Vec<&ScoredExpression>>| {
-            groups.into_iter().map(|(name, group)| (name.to_owned(), Figures::of(&group, seed))).collect()
+            groups
+                .into_iter()
+                .map(|(name, group)| (name.to_owned(), Figures::of(&group, seed)))
+                .collect()
         };
-        // Where the built-in reasoner stood in for a model here and there, the cell is still the model's.
-        let replies = || outcomes.iter().filter_map(|o| o.reply.as_ref()).map(|reply| &reply.models);
-        let models = replies().find(|models| models.reasoner != builtin::NAME).or_else(|| replies().next()).cloned();
+        // Where the built-in reasoner stood in for a model here and there, the cell is still the
+        // model's.
+        let replies =
+            || outcomes.iter().filter_map(|o| o.reply.as_ref()).map(|reply| &reply.models);
+        let models = replies()
+            .find(|models| models.reasoner != builtin::NAME)
+            .or_else(|| replies().next())
+            .cloned();
         Self {
             notes: notes(&configuration, models.as_ref()),
             figures: Figures::of(&outcomes.iter().collect::<Vec<_>>(), seed),
@@ -167,7 +181,8 @@ fn notes(configuration: &Configuration, models: Option<&Models>) -> Vec<String> 
         notes.push("the built-in reasoner has no prompt: ablations change nothing".into());
     }
     if configuration.paper_compatible {
-        notes.push("paper-compatible: annotated target classes and anchors were handed over".into());
+        notes
+            .push("paper-compatible: annotated target classes and anchors were handed over".into());
     }
     notes
 }

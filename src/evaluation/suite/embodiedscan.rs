@@ -1,8 +1,10 @@
-//! `EmbodiedScan` visual grounding lists (`{scan_id, target_id, distractor_ids, text, target, anchors}`) and `UniGround`'s query
-//! lists of `ScanNet` and `ARKitScenes` (`{scan_id, target_id, target_name, caption}`).
+//! `EmbodiedScan` visual grounding lists (`{scan_id, target_id, distractor_ids, text, target,
+//! anchors}`) and `UniGround`'s query lists of `ScanNet` and `ARKitScenes` (`{scan_id, target_id,
+//! target_name, caption}`).
 //!
-//! `scan_id` may carry its dataset (`arkitscenes/Training/47333462`): scans and annotations go by its last part. Targets are
-//! looked up by `bbox_id`; an expression with several targets has no single right box and is left out.
+//! `scan_id` may carry its dataset (`arkitscenes/Training/47333462`): scans and annotations go by
+//! its last part. Targets are looked up by `bbox_id`; an expression with several targets has no
+//! single right box and is left out.
 
 use super::scanrefer::Number;
 use super::tables::depends_on_view;
@@ -38,7 +40,9 @@ pub(super) fn read(file: &Utf8Path, records: &[Record], collected: &mut Collecte
     for (i, record) in records.iter().enumerate() {
         let task = record
             .decode::<VisualGroundingRecord>(file)
-            .and_then(|found| task_of(found, i).map_err(|what| Omission::new(file, record.line, what)))
+            .and_then(|found| {
+                task_of(found, i).map_err(|what| Omission::new(file, record.line, what))
+            })
             .map(|task| RawTask { file: file.to_owned(), line: record.line, ..task });
         collected.take(task);
     }
@@ -50,14 +54,21 @@ fn task_of(record: VisualGroundingRecord, index: usize) -> Result<RawTask, Strin
         Some(Targets::One(id)) => id.get()?,
         Some(Targets::Many(ids)) => match ids.as_slice() {
             [id] => id.get()?,
-            ids => return Err(format!("{} targets: only expressions with one are scored", ids.len())),
+            ids => {
+                return Err(format!("{} targets: only expressions with one are scored", ids.len()));
+            }
         },
     };
     let scene = record.scan_id.rsplit('/').next().unwrap_or_default().to_owned();
-    let mut splits = vec![if depends_on_view(&record.text) { "view-dependent" } else { "view-independent" }.to_owned()];
+    let mut splits = vec![
+        if depends_on_view(&record.text) { "view-dependent" } else { "view-independent" }
+            .to_owned(),
+    ];
     let distractors = record.distractor_ids.as_ref().map(Vec::len);
-    splits.extend(distractors.map(|n| if n > EASY_DISTRACTORS { "hard" } else { "easy" }.to_owned()));
-    // The converter of the paper writes `false` for every expression of ARKitScenes: only `true` says something.
+    splits
+        .extend(distractors.map(|n| if n > EASY_DISTRACTORS { "hard" } else { "easy" }.to_owned()));
+    // The converter of the paper writes `false` for every expression of ARKitScenes: only `true`
+    // says something.
     let uniqueness = match (distractors, record.unique) {
         (Some(0), _) | (None, Some(true)) => Some("unique"),
         (Some(_), _) => Some("multiple"),

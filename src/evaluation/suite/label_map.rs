@@ -37,7 +37,12 @@ impl LabelMap {
             .from_path(file)
             .with_context(|| file.to_string())?;
         let headers = reader.headers().with_context(|| file.to_string())?.clone();
-        let column = |name: &str| headers.iter().position(|h| h == name).with_context(|| format!("{file}: no column {name}"));
+        let column = |name: &str| {
+            headers
+                .iter()
+                .position(|h| h == name)
+                .with_context(|| format!("{file}: no column {name}"))
+        };
         let (raw, class) = (column("raw_category")?, column("nyu40class")?);
         let mut classes = HashMap::new();
         for row in reader.records() {

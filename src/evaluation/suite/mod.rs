@@ -1,7 +1,8 @@
 //! Suites: scenes, expressions and ground truth, from the layouts the field uses.
 //!
-//! Readers ([`queries`], [`scanrefer`], [`tables`], [`embodiedscan`], [`task_folders`]) turn files into [`RawTask`]s; here they are
-//! joined with scans and annotations. What can not be used is told with file and line, the rest is scored.
+//! Readers ([`queries`], [`scanrefer`], [`tables`], [`embodiedscan`], [`task_folders`]) turn files
+//! into [`RawTask`]s; here they are joined with scans and annotations. What can not be used is told
+//! with file and line, the rest is scored.
 
 mod embodiedscan;
 mod label_map;
@@ -93,7 +94,8 @@ pub struct Suite {
 pub struct SuiteOptions {
     /// Where scans and annotations lie; the suite's own folder when `None`.
     pub scenes: Option<Utf8PathBuf>,
-    /// `ScanNet`'s `scannetv2-labels.combined.tsv`, to tell unique from multiple as `ScanRefer` does.
+    /// `ScanNet`'s `scannetv2-labels.combined.tsv`, to tell unique from multiple as `ScanRefer`
+    /// does.
     pub label_map: Option<Utf8PathBuf>,
 }
 
@@ -149,7 +151,8 @@ impl Suite {
     /// Opens a folder, a JSON list, a `suite.json` or a CSV table.
     ///
     /// # Errors
-    /// When there is nothing to score: an unreadable path, an unknown layout, or no usable expression (the reasons are in the message).
+    /// When there is nothing to score: an unreadable path, an unknown layout, or no usable
+    /// expression (the reasons are in the message).
     pub fn open(path: &Utf8Path, options: &SuiteOptions) -> anyhow::Result<Self> {
         ensure!(path.exists(), "{path}: there is no such file or folder");
         if let Some(file) = &options.label_map {
@@ -161,13 +164,15 @@ impl Suite {
         } else {
             read_file(path, options, &mut collected)?;
         }
-        let own_folder = if path.is_dir() { path } else { path.parent().unwrap_or(Utf8Path::new(".")) };
+        let own_folder =
+            if path.is_dir() { path } else { path.parent().unwrap_or(Utf8Path::new(".")) };
         let folder = options.scenes.as_deref().unwrap_or(own_folder);
         ensure!(folder.is_dir(), "{folder}: there is no such folder of scenes");
         let full = path.canonicalize_utf8().unwrap_or_else(|_| path.to_owned());
         let suite = assemble(full.file_stem().unwrap_or("suite").to_owned(), folder, collected);
         if suite.tasks.is_empty() {
-            let reasons: String = suite.omissions.iter().take(10).map(|o| format!("\n  {o}")).collect();
+            let reasons: String =
+                suite.omissions.iter().take(10).map(|o| format!("\n  {o}")).collect();
             bail!("{path}: no expression to score ({} left out){reasons}", suite.omissions.len());
         }
         Ok(suite)
@@ -176,7 +181,8 @@ impl Suite {
     /// The first `count` tasks of an order that depends on ids and `seed` alone.
     #[must_use]
     pub fn sampled(mut self, count: usize, seed: u64) -> Self {
-        let mut keyed: Vec<(u64, usize)> = self.tasks.iter().enumerate().map(|(i, task)| (hash(&task.id, seed), i)).collect();
+        let mut keyed: Vec<(u64, usize)> =
+            self.tasks.iter().enumerate().map(|(i, task)| (hash(&task.id, seed), i)).collect();
         keyed.sort_unstable();
         let mut kept: Vec<usize> = keyed.into_iter().take(count).map(|(_, i)| i).collect();
         kept.sort_unstable();
@@ -190,7 +196,10 @@ impl Suite {
     #[must_use]
     pub fn sampled_by_scene(mut self, count: usize, seed: u64) -> Self {
         let asked_about: BTreeSet<usize> = self.tasks.iter().map(|task| task.scene).collect();
-        let mut keyed: Vec<(u64, usize)> = asked_about.into_iter().map(|scene| (hash(&self.scenes[scene].id, seed), scene)).collect();
+        let mut keyed: Vec<(u64, usize)> = asked_about
+            .into_iter()
+            .map(|scene| (hash(&self.scenes[scene].id, seed), scene))
+            .collect();
         keyed.sort_unstable();
         let kept: BTreeSet<usize> = keyed.into_iter().take(count).map(|(_, scene)| scene).collect();
         self.tasks.retain(|task| kept.contains(&task.scene));
@@ -201,7 +210,8 @@ impl Suite {
 /// FNV-1a: stable over platforms and versions, which the standard hasher is not.
 fn hash(text: &str, seed: u64) -> u64 {
     let start = 0xcbf2_9ce4_8422_2325 ^ seed.wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    let mixed = text.bytes().fold(start, |h, byte| (h ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
+    let mixed =
+        text.bytes().fold(start, |h, byte| (h ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
     (mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9)
 }
 
@@ -219,19 +229,27 @@ fn read_folder(folder: &Utf8Path, collected: &mut Collected) -> anyhow::Result<(
         }
     }
     found |= task_folders::read_below(folder, collected)?;
-    ensure!(found, "{folder}: no *.queries.json, suite.json or task.json folders; give a list or table as a file");
+    ensure!(
+        found,
+        "{folder}: no *.queries.json, suite.json or task.json folders; give a list or table as a file"
+    );
     Ok(())
 }
 
 /// Files and folders directly below, in order of name.
 fn entries(folder: &Utf8Path) -> anyhow::Result<Vec<Utf8PathBuf>> {
     let listed = folder.read_dir_utf8().with_context(|| folder.to_string())?;
-    let mut paths = listed.map(|entry| Ok(entry?.into_path())).collect::<std::io::Result<Vec<_>>>()?;
+    let mut paths =
+        listed.map(|entry| Ok(entry?.into_path())).collect::<std::io::Result<Vec<_>>>()?;
     paths.sort();
     Ok(paths)
 }
 
-fn read_file(file: &Utf8Path, options: &SuiteOptions, collected: &mut Collected) -> anyhow::Result<()> {
+fn read_file(
+    file: &Utf8Path,
+    options: &SuiteOptions,
+    collected: &mut Collected,
+) -> anyhow::Result<()> {
     let text = fs::read_to_string(file)
         .with_context(|| file.to_string())?
         .trim_start_matches('\u{feff}')
@@ -251,7 +269,8 @@ fn read_file(file: &Utf8Path, options: &SuiteOptions, collected: &mut Collected)
         }
     };
     // The first record that is an object says which list this is.
-    let keys: Option<BTreeMap<String, serde_json::Value>> = records.iter().find_map(|record| record.decode(file).ok());
+    let keys: Option<BTreeMap<String, serde_json::Value>> =
+        records.iter().find_map(|record| record.decode(file).ok());
     let has = |key: &str| keys.as_ref().is_some_and(|keys| keys.contains_key(key));
     if has("query") || file.as_str().ends_with(".queries.json") {
         queries::read_list(file, &records, collected);
@@ -260,7 +279,9 @@ fn read_file(file: &Utf8Path, options: &SuiteOptions, collected: &mut Collected)
     } else if has("text") || has("caption") {
         embodiedscan::read(file, &records, collected);
     } else if !records.is_empty() {
-        bail!("{file}: an unknown list: expected records with query, with description and object_id, or with text or caption");
+        bail!(
+            "{file}: an unknown list: expected records with query, with description and object_id, or with text or caption"
+        );
     }
     Ok(())
 }
@@ -290,10 +311,16 @@ fn assemble(name: String, folder: &Utf8Path, collected: Collected) -> Suite {
     Suite { name, scenes, tasks, omissions }
 }
 
-fn scene_of(id: &str, folder: &Utf8Path, known: Option<&SceneFiles>, omissions: &mut Vec<Omission>) -> SuiteScene {
+fn scene_of(
+    id: &str,
+    folder: &Utf8Path,
+    known: Option<&SceneFiles>,
+    omissions: &mut Vec<Omission>,
+) -> SuiteScene {
     let SceneFiles { scan, annotations, recorded } = known.cloned().unwrap_or_default();
     let scan = scan.or_else(|| {
-        let candidates = [".zip", ".tar", ".tar.zst", ""].map(|ending| folder.join(format!("{id}{ending}")));
+        let candidates =
+            [".zip", ".tar", ".tar.zst", ""].map(|ending| folder.join(format!("{id}{ending}")));
         candidates.into_iter().find(|path| path.exists())
     });
     let annotations = annotations.or_else(|| Annotations::file_of(folder, id)).map(|file| {
@@ -310,22 +337,33 @@ fn resolve(task: &RawTask, scene: usize, suite_scene: &SuiteScene) -> Result<Tas
         return Err("the query is empty".into());
     }
     if suite_scene.scan.is_none() && suite_scene.annotations.is_none() {
-        return Err(format!("the scene {} is missing: neither scan nor annotations were found", task.scene));
+        return Err(format!(
+            "the scene {} is missing: neither scan nor annotations were found",
+            task.scene
+        ));
     }
     let annotations = suite_scene.annotations.as_ref().map(Sealed::for_reader);
     let (target, name) = match &task.target {
         RawTarget::Absent => (Target::Absent, None),
         RawTarget::Box(aabb) => {
             check_box(aabb)?;
-            (Target::Object { name: task.target_name.clone(), aabb: *aabb, rotated: None }, task.target_name.clone())
+            (
+                Target::Object { name: task.target_name.clone(), aabb: *aabb, rotated: None },
+                task.target_name.clone(),
+            )
         }
         RawTarget::Id(id) => {
-            let annotations =
-                annotations.ok_or_else(|| format!("the scene {} has no annotations to look up target {id} in", task.scene))?;
-            let object = annotations
-                .object(*id)
-                .ok_or_else(|| format!("target {id} is not in the annotations of {}", task.scene))?;
-            let target = Target::Object { name: Some(object.name.clone()), aabb: object.aabb, rotated: object.rotated };
+            let annotations = annotations.ok_or_else(|| {
+                format!("the scene {} has no annotations to look up target {id} in", task.scene)
+            })?;
+            let object = annotations.object(*id).ok_or_else(|| {
+                format!("target {id} is not in the annotations of {}", task.scene)
+            })?;
+            let target = Target::Object {
+                name: Some(object.name.clone()),
+                aabb: object.aabb,
+                rotated: object.rotated,
+            };
             (target, Some(object.name.clone()))
         }
     };
@@ -334,7 +372,8 @@ fn resolve(task: &RawTask, scene: usize, suite_scene: &SuiteScene) -> Result<Tas
         (Some(_), Some(_)) => "multiple",
         _ => "unknown",
     };
-    let uniqueness = if target == Target::Absent { "absent" } else { task.uniqueness.unwrap_or_else(counted) };
+    let uniqueness =
+        if target == Target::Absent { "absent" } else { task.uniqueness.unwrap_or_else(counted) };
     let hints = Hints { target_name: task.target_name.clone(), anchors: task.anchors.clone() };
     Ok(Task {
         id: task.id.clone(),

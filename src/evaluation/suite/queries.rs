@@ -1,4 +1,5 @@
-//! `<scene>.queries.json`, a list of expressions about one scene; and `suite.json`, which names its scenes itself.
+//! `<scene>.queries.json`, a list of expressions about one scene; and `suite.json`, which names its
+//! scenes itself.
 
 use super::{Collected, RawTarget, RawTask, SceneFiles};
 use crate::evaluation::records::{Omission, Record};
@@ -68,16 +69,36 @@ pub(super) fn read_list(file: &Utf8Path, records: &[Record], collected: &mut Col
     read(file, records, Some(scene), collected);
 }
 
-pub(super) fn read_suite(file: &Utf8Path, text: &str, collected: &mut Collected) -> anyhow::Result<()> {
-    let SuiteFile { format, scenes, expressions } = serde_json::from_str(text).with_context(|| file.to_string())?;
-    anyhow::ensure!(format == SUITE_FORMAT, "{file}: the format is {format:?}, expected {SUITE_FORMAT:?}");
+pub(super) fn read_suite(
+    file: &Utf8Path,
+    text: &str,
+    collected: &mut Collected,
+) -> anyhow::Result<()> {
+    let SuiteFile { format, scenes, expressions } =
+        serde_json::from_str(text).with_context(|| file.to_string())?;
+    anyhow::ensure!(
+        format == SUITE_FORMAT,
+        "{file}: the format is {format:?}, expected {SUITE_FORMAT:?}"
+    );
     let folder = file.parent().unwrap_or(Utf8Path::new("."));
     for SceneEntry { id, scan, annotations } in scenes {
-        for path in scan.iter().chain(&annotations).map(|path| folder.join(path)).filter(|path| !path.exists()) {
-            collected.omissions.push(Omission::new(file, None, format!("scene {id}: {path} does not exist")));
+        for path in scan
+            .iter()
+            .chain(&annotations)
+            .map(|path| folder.join(path))
+            .filter(|path| !path.exists())
+        {
+            collected.omissions.push(Omission::new(
+                file,
+                None,
+                format!("scene {id}: {path} does not exist"),
+            ));
         }
-        let found = |path: Option<Utf8PathBuf>| path.map(|path| folder.join(path)).filter(|path| path.exists());
-        let files = SceneFiles { scan: found(scan), annotations: found(annotations), recorded: None };
+        let found = |path: Option<Utf8PathBuf>| {
+            path.map(|path| folder.join(path)).filter(|path| path.exists())
+        };
+        let files =
+            SceneFiles { scan: found(scan), annotations: found(annotations), recorded: None };
         collected.scenes.insert(id, files);
     }
     read(file, &Record::located(text, &expressions), None, collected);
@@ -95,7 +116,8 @@ fn read(file: &Utf8Path, records: &[Record], scene: Option<&str>, collected: &mu
                 id: query.id.unwrap_or_else(|| format!("{scene}#{}", i + 1)),
                 scene,
                 query: query.query,
-                target: target(&query.target_id, query.target_box).map_err(|what| Omission::new(file, record.line, what))?,
+                target: target(&query.target_id, query.target_box)
+                    .map_err(|what| Omission::new(file, record.line, what))?,
                 target_name: query.target_name,
                 uniqueness: query.unique.map(|unique| if unique { "unique" } else { "multiple" }),
                 splits: query.kind.map(|kind| format!("kind: {kind}")).into_iter().collect(),

@@ -1,6 +1,8 @@
-//! `ScanRefer_filtered_val.json`: a list of `{scene_id, object_id, object_name, ann_id, description}`.
+//! `ScanRefer_filtered_val.json`: a list of `{scene_id, object_id, object_name, ann_id,
+//! description}`.
 //!
-//! Targets are looked up in the scene's annotations by `object_id` (`ScanNet`'s `objectId`, from 0).
+//! Targets are looked up in the scene's annotations by `object_id` (`ScanNet`'s `objectId`, from
+//! 0).
 
 use super::label_map::LabelMap;
 use super::{Collected, RawTarget, RawTask};
@@ -21,7 +23,9 @@ impl Number {
     pub(super) fn get(&self) -> Result<u32, String> {
         match self {
             Self::Number(n) => Ok(*n),
-            Self::Text(text) => text.trim().parse().map_err(|_| format!("{text:?} is not an object's number")),
+            Self::Text(text) => {
+                text.trim().parse().map_err(|_| format!("{text:?} is not an object's number"))
+            }
         }
     }
 }
@@ -35,21 +39,38 @@ struct ScanReferRecord {
     description: String,
 }
 
-pub(super) fn read(file: &Utf8Path, records: &[Record], labels: Option<&LabelMap>, collected: &mut Collected) {
-    let decoded: Vec<(u64, Result<ScanReferRecord, Omission>)> = records.iter().map(|r| (r.line, r.decode(file))).collect();
+pub(super) fn read(
+    file: &Utf8Path,
+    records: &[Record],
+    labels: Option<&LabelMap>,
+    collected: &mut Collected,
+) {
+    let decoded: Vec<(u64, Result<ScanReferRecord, Omission>)> =
+        records.iter().map(|r| (r.line, r.decode(file))).collect();
     // Unique: one annotated object of its class in its scene, among the objects of this very list.
-    let class = |name: &str| labels.map_or_else(|| name.to_owned(), |labels| labels.class(&name.replace('_', " ")).to_owned());
+    let class = |name: &str| {
+        labels.map_or_else(
+            || name.to_owned(),
+            |labels| labels.class(&name.replace('_', " ")).to_owned(),
+        )
+    };
     let mut objects_of: BTreeMap<(String, String), BTreeSet<u32>> = BTreeMap::new();
     for record in decoded.iter().filter_map(|(_, record)| record.as_ref().ok()) {
         if let Ok(id) = record.object_id.get() {
-            objects_of.entry((record.scene_id.clone(), class(&record.object_name))).or_default().insert(id);
+            objects_of
+                .entry((record.scene_id.clone(), class(&record.object_name)))
+                .or_default()
+                .insert(id);
         }
     }
     for (line, record) in decoded {
         let task = record.and_then(|record| {
             let told = |what| Omission::new(file, line, what);
-            let (object, annotation) = (record.object_id.get().map_err(told)?, record.ann_id.get().map_err(told)?);
-            let alike = objects_of.get(&(record.scene_id.clone(), class(&record.object_name))).map_or(0, BTreeSet::len);
+            let (object, annotation) =
+                (record.object_id.get().map_err(told)?, record.ann_id.get().map_err(told)?);
+            let alike = objects_of
+                .get(&(record.scene_id.clone(), class(&record.object_name)))
+                .map_or(0, BTreeSet::len);
             Ok(RawTask {
                 file: file.to_owned(),
                 line,

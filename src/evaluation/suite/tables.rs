@@ -1,7 +1,9 @@
-//! Tables: `nr3d.csv` and `sr3d.csv` of `ReferIt3D`, and the 250-task lists of VLM-Grounder, which have the same core.
+//! Tables: `nr3d.csv` and `sr3d.csv` of `ReferIt3D`, and the 250-task lists of VLM-Grounder, which
+//! have the same core.
 //!
-//! Columns used: `scan_id`, `target_id`, `utterance`, `instance_type`; where given `stimulus_id`, `is_unique_scanrefer`,
-//! `is_easy_referit3d`, `is_vd_referit3d`, `reference_type`. Targets are `ScanNet` `objectId`s; boxes come from the annotations.
+//! Columns used: `scan_id`, `target_id`, `utterance`, `instance_type`; where given `stimulus_id`,
+//! `is_unique_scanrefer`, `is_easy_referit3d`, `is_vd_referit3d`, `reference_type`. Targets are
+//! `ScanNet` `objectId`s; boxes come from the annotations.
 
 use super::{Collected, RawTarget, RawTask};
 use crate::evaluation::records::Omission;
@@ -11,9 +13,21 @@ use csv::StringRecord;
 use std::collections::HashMap;
 
 /// Words that make an expression depend on the viewer (`ReferIt3D`).
-const VIEW_WORDS: [&str; 10] = ["front", "behind", "back", "right", "left", "facing", "leftmost", "rightmost", "looking", "across"];
+const VIEW_WORDS: [&str; 10] = [
+    "front",
+    "behind",
+    "back",
+    "right",
+    "left",
+    "facing",
+    "leftmost",
+    "rightmost",
+    "looking",
+    "across",
+];
 
-/// Up to this many objects of the target's class, the target included, an expression is easy (`ReferIt3D`).
+/// Up to this many objects of the target's class, the target included, an expression is easy
+/// (`ReferIt3D`).
 const EASY_UP_TO: u32 = 2;
 
 struct Row<'a> {
@@ -43,7 +57,8 @@ impl Row<'_> {
 pub(super) fn read(file: &Utf8Path, text: &str, collected: &mut Collected) -> anyhow::Result<()> {
     let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(text.as_bytes());
     let headers = reader.headers().with_context(|| file.to_string())?.clone();
-    let columns: HashMap<String, usize> = headers.iter().enumerate().map(|(i, name)| (name.trim().to_owned(), i)).collect();
+    let columns: HashMap<String, usize> =
+        headers.iter().enumerate().map(|(i, name)| (name.trim().to_owned(), i)).collect();
     let needed = ["scan_id", "target_id", "utterance"];
     let missing: Vec<_> = needed.into_iter().filter(|name| !columns.contains_key(*name)).collect();
     ensure!(missing.is_empty(), "{file}: no column {}", missing.join(", "));
@@ -55,7 +70,11 @@ pub(super) fn read(file: &Utf8Path, text: &str, collected: &mut Collected) -> an
                 task.map(|task| RawTask { file: file.to_owned(), line, ..task })
                     .map_err(|what| Omission::new(file, line, what))
             }
-            Err(error) => Err(Omission::new(file, error.position().map(csv::Position::line), error.to_string())),
+            Err(error) => Err(Omission::new(
+                file,
+                error.position().map(csv::Position::line),
+                error.to_string(),
+            )),
         };
         collected.take(task);
     }
@@ -64,7 +83,8 @@ pub(super) fn read(file: &Utf8Path, text: &str, collected: &mut Collected) -> an
 
 fn task_of(row: &Row, index: usize) -> Result<RawTask, String> {
     let target = row.need("target_id")?;
-    let target: u32 = target.parse().map_err(|_| format!("target_id {target:?} is not an object's number"))?;
+    let target: u32 =
+        target.parse().map_err(|_| format!("target_id {target:?} is not an object's number"))?;
     let (scene, query) = (row.need("scan_id")?, row.need("utterance")?);
     let alike = row.get("stimulus_id").and_then(alike_of);
     let mut splits = Vec::new();
@@ -94,7 +114,8 @@ fn task_of(row: &Row, index: usize) -> Result<RawTask, String> {
     })
 }
 
-/// How many objects of the class there are: `scan-label-N-target-distractors…`; N counts the target.
+/// How many objects of the class there are: `scan-label-N-target-distractors…`; N counts the
+/// target.
 fn alike_of(stimulus: &str) -> Option<u32> {
     stimulus.split('-').nth(2)?.parse().ok()
 }

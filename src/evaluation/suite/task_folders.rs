@@ -1,7 +1,8 @@
 //! `UniGround`'s task folders: `task.json`, `gt.json`, `ref.json`, `anchor*.json`, `full_pcd.ply`.
 //!
-//! Boxes are centre and full extent in a Y-up world, the cloud is Z-up: boxes are turned here, once. `ref.json` has the candidates
-//! of the run that wrote the folder; its `target_id: null` in `gt.json` says that run missed the target, which says nothing of ours.
+//! Boxes are centre and full extent in a Y-up world, the cloud is Z-up: boxes are turned here,
+//! once. `ref.json` has the candidates of the run that wrote the folder; its `target_id: null` in
+//! `gt.json` says that run missed the target, which says nothing of ours.
 
 use super::{Collected, RawTarget, RawTask, SceneFiles, entries};
 use crate::evaluation::annotations::{Annotations, SceneObject, check_box};
@@ -69,7 +70,13 @@ pub(super) fn read_below(root: &Utf8Path, collected: &mut Collected) -> anyhow::
             }
         } else if depth < DEPTH {
             // Popped from the end: reversed, so that folders are read in order of name.
-            folders.extend(entries(&folder)?.into_iter().rev().filter(|path| path.is_dir()).map(|path| (path, depth + 1)));
+            folders.extend(
+                entries(&folder)?
+                    .into_iter()
+                    .rev()
+                    .filter(|path| path.is_dir())
+                    .map(|path| (path, depth + 1)),
+            );
         }
     }
     Ok(found)
@@ -80,15 +87,25 @@ fn read(folder: &Utf8Path, name: &str) -> Result<(RawTask, SceneFiles), Omission
     let told = |what: &str| Omission::new(&file, None, what);
     let task: TaskRecord = match json(&file)? {
         OneOrList::One(task) => task,
-        OneOrList::List(tasks) => tasks.first().cloned().ok_or_else(|| told("the list is empty"))?,
+        OneOrList::List(tasks) => {
+            tasks.first().cloned().ok_or_else(|| told("the list is empty"))?
+        }
     };
-    let query = task.description.or(task.caption).ok_or_else(|| told("there is neither description nor caption"))?;
+    let query = task
+        .description
+        .or(task.caption)
+        .ok_or_else(|| told("there is neither description nor caption"))?;
     let scan = task.scene_id.or(task.scan_id);
     let truth_file = folder.join("gt.json");
     let truth: TruthRecord = json(&truth_file)?;
-    let target = z_up(&truth.gt_bbox).map_err(|what| Omission::new(&truth_file, None, format!("gt_bbox: {what}")))?;
+    let target = z_up(&truth.gt_bbox)
+        .map_err(|what| Omission::new(&truth_file, None, format!("gt_bbox: {what}")))?;
     let cloud = folder.join("full_pcd.ply");
-    let files = SceneFiles { scan: cloud.is_file().then_some(cloud), annotations: None, recorded: candidates(folder)? };
+    let files = SceneFiles {
+        scan: cloud.is_file().then_some(cloud),
+        annotations: None,
+        recorded: candidates(folder)?,
+    };
     let task = RawTask {
         line: 1,
         id: name.to_owned(),
@@ -141,8 +158,12 @@ fn anchors(folder: &Utf8Path) -> Result<Vec<(String, Aabb)>, Omission> {
     let files = if single.is_file() {
         vec![single]
     } else {
-        let listed = entries(folder).map_err(|error| Omission::new(folder, None, error.to_string()))?;
-        let anchored = |path: &Utf8Path| path.file_name().is_some_and(|n| n.starts_with("anchor_")) && path.extension() == Some("json");
+        let listed =
+            entries(folder).map_err(|error| Omission::new(folder, None, error.to_string()))?;
+        let anchored = |path: &Utf8Path| {
+            path.file_name().is_some_and(|n| n.starts_with("anchor_"))
+                && path.extension() == Some("json")
+        };
         listed.into_iter().filter(|path| anchored(path)).collect()
     };
     let read = |file: &camino::Utf8PathBuf| {
@@ -152,7 +173,8 @@ fn anchors(folder: &Utf8Path) -> Result<Vec<(String, Aabb)>, Omission> {
     files.iter().map(read).collect()
 }
 
-/// `[x, y, z, dx, dy, dz]` of a Y-up world, in ours: `(x, -z, y)`, extents swapped alike. Further numbers are ignored.
+/// `[x, y, z, dx, dy, dz]` of a Y-up world, in ours: `(x, -z, y)`, extents swapped alike. Further
+/// numbers are ignored.
 fn z_up(numbers: &[f32]) -> Result<Aabb, String> {
     match *numbers {
         [x, y, z, dx, dy, dz, ..] => {
@@ -164,6 +186,8 @@ fn z_up(numbers: &[f32]) -> Result<Aabb, String> {
 }
 
 fn json<T: DeserializeOwned>(file: &Utf8Path) -> Result<T, Omission> {
-    let text = fs::read_to_string(file).map_err(|error| Omission::new(file, None, error.to_string()))?;
-    serde_json::from_str(&text).map_err(|error| Omission::new(file, error.line() as u64, error.to_string()))
+    let text =
+        fs::read_to_string(file).map_err(|error| Omission::new(file, None, error.to_string()))?;
+    serde_json::from_str(&text)
+        .map_err(|error| Omission::new(file, error.line() as u64, error.to_string()))
 }

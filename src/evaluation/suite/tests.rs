@@ -22,7 +22,9 @@ fn target(task: &Task) -> &Target {
 }
 
 fn told(suite: &Suite) -> Vec<String> {
-    let relative = |o: &Omission| format!("{}:{} {}", o.file.file_name().unwrap(), o.line.unwrap_or(0), o.reason);
+    let relative = |o: &Omission| {
+        format!("{}:{} {}", o.file.file_name().unwrap(), o.line.unwrap_or(0), o.reason)
+    };
     suite.omissions.iter().map(relative).collect()
 }
 
@@ -54,15 +56,23 @@ fn query_lists_are_joined_with_annotations_and_bad_ones_are_told() {
         ("other.queries.json", r#"[{"query": "the sofa", "target_id": 1}]"#),
     ]);
     let suite = Suite::open(&root, &SuiteOptions::default()).unwrap();
-    assert_eq!(suite.tasks.iter().map(|t| t.id.as_str()).collect::<Vec<_>>(), ["room#1", "room#2", "left", "room#9"]);
-    assert!(matches!(target(&suite.tasks[0]), Target::Object { name: Some(name), .. } if name == "table"));
+    assert_eq!(
+        suite.tasks.iter().map(|t| t.id.as_str()).collect::<Vec<_>>(),
+        ["room#1", "room#2", "left", "room#9"]
+    );
+    assert!(
+        matches!(target(&suite.tasks[0]), Target::Object { name: Some(name), .. } if name == "table")
+    );
     assert_eq!(target(&suite.tasks[1]), &Target::Absent);
     let uniqueness: Vec<_> = suite.tasks.iter().map(|t| t.truth.for_reader().uniqueness).collect();
     assert_eq!(uniqueness, ["unique", "absent", "multiple", "unknown"]);
     assert_eq!(suite.tasks[0].truth.for_reader().splits, ["kind: unique"]);
     let told = told(&suite);
     assert!(told[0].starts_with("room.queries.json:8 query: invalid type"), "{told:?}");
-    assert!(told[1].starts_with("room.queries.json:9 there is neither target_id nor target_box"), "{told:?}");
+    assert!(
+        told[1].starts_with("room.queries.json:9 there is neither target_id nor target_box"),
+        "{told:?}"
+    );
     assert!(told[2].starts_with("other.queries.json:1 the scene other is missing"), "{told:?}");
     assert!(told[3].starts_with("room.queries.json:5 the id left is taken by"), "{told:?}");
     assert_eq!(told[4], "room.queries.json:6 target 9 is not in the annotations of room");
@@ -105,12 +115,15 @@ fn scanrefer_counts_a_class_over_its_own_objects() {
                 {"scene_id": "scene0011_00", "object_id": "x", "object_name": "table", "ann_id": "0", "description": "it is a table.", "token": []}]"#,
         ),
     ]);
-    let uniqueness = |suite: &Suite| suite.tasks.iter().map(|t| t.truth.for_reader().uniqueness).collect::<Vec<_>>();
+    let uniqueness = |suite: &Suite| {
+        suite.tasks.iter().map(|t| t.truth.for_reader().uniqueness).collect::<Vec<_>>()
+    };
     let by_name = open(&root, "ScanRefer_filtered_val.json");
     assert_eq!(by_name.tasks[0].id, "scene0011_00-0-3");
     assert_eq!(uniqueness(&by_name), ["unique", "unique", "unique"]);
     assert_eq!(told(&by_name), ["ScanRefer_filtered_val.json:4 \"x\" is not an object's number"]);
-    let options = SuiteOptions { label_map: Some(root.join("labels.tsv")), ..SuiteOptions::default() };
+    let options =
+        SuiteOptions { label_map: Some(root.join("labels.tsv")), ..SuiteOptions::default() };
     let by_class = Suite::open(&root.join("ScanRefer_filtered_val.json"), &options).unwrap();
     assert_eq!(uniqueness(&by_class), ["multiple", "multiple", "unique"]);
 }
@@ -139,14 +152,20 @@ fn tables_carry_the_splits_of_referit3d() {
     assert_eq!(told(&nr3d), ["nr3d.csv:4 target_id \"one\" is not an object's number"]);
     let subset = open(&root, "scanrefer_250.csv");
     let truth = subset.tasks[0].truth.for_reader();
-    assert_eq!((truth.uniqueness, truth.splits.as_slice()), ("unique", &["easy".to_owned(), "view-independent".into()][..]));
+    assert_eq!(
+        (truth.uniqueness, truth.splits.as_slice()),
+        ("unique", &["easy".to_owned(), "view-independent".into()][..])
+    );
     assert_eq!(subset.tasks[0].hints.for_reader().target_name.as_deref(), Some("table"));
 }
 
 #[test]
 fn embodiedscan_lists_go_by_the_last_part_of_their_scan() {
     let (_keep, root) = folder(&[
-        ("scans/47333462.json", r#"[{"bbox_id": 2, "target": "bed", "bbox_3d": [0, 0, 0.3, 2, 1.5, 0.6, 0.5, 0, 0]}]"#),
+        (
+            "scans/47333462.json",
+            r#"[{"bbox_id": 2, "target": "bed", "bbox_3d": [0, 0, 0.3, 2, 1.5, 0.6, 0.5, 0, 0]}]"#,
+        ),
         (
             "vg.json",
             r#"[{"scan_id": "arkitscenes/Training/47333462", "target_id": 2, "distractor_ids": [], "text": "the bed on the left", "target": "bed"},
@@ -187,12 +206,21 @@ fn task_folders_are_turned_upright() {
     ]);
     let suite = Suite::open(&root, &SuiteOptions::default()).unwrap();
     let expected = Aabb { center: Point3::new(1.0, 3.0, 0.5), size: Vector3::new(2.0, 4.0, 1.0) };
-    assert_eq!(target(&suite.tasks[0]), &Target::Object { name: Some("window".into()), aabb: expected, rotated: None });
+    assert_eq!(
+        target(&suite.tasks[0]),
+        &Target::Object { name: Some("window".into()), aabb: expected, rotated: None }
+    );
     let scene = &suite.scenes[0];
-    assert_eq!(scene.recorded.as_ref().unwrap().objects.iter().map(|o| o.id).collect::<Vec<_>>(), [7, 22]);
+    assert_eq!(
+        scene.recorded.as_ref().unwrap().objects.iter().map(|o| o.id).collect::<Vec<_>>(),
+        [7, 22]
+    );
     assert!(scene.scan.as_ref().unwrap().ends_with("full_pcd.ply"));
     let hints = suite.tasks[0].hints.for_reader();
-    assert_eq!((hints.target_name.as_deref(), hints.anchors[0].0.as_str()), (Some("window"), "dresser"));
+    assert_eq!(
+        (hints.target_name.as_deref(), hints.anchors[0].0.as_str()),
+        (Some("window"), "dresser")
+    );
     assert_eq!(hints.anchors[0].1.size, Vector3::new(1.0, 2.0, 1.0));
     assert!(suite.omissions[0].file.ends_with("2/gt.json"), "{:?}", suite.omissions);
 }
@@ -216,7 +244,8 @@ fn what_can_not_be_scored_at_all_is_an_error_that_says_why() {
         ("missing.queries.json", "the scene missing is missing: neither scan nor annotations"),
         ("absent", "no such file or folder"),
     ] {
-        let error = format!("{:#}", Suite::open(&root.join(path), &SuiteOptions::default()).unwrap_err());
+        let error =
+            format!("{:#}", Suite::open(&root.join(path), &SuiteOptions::default()).unwrap_err());
         assert!(error.contains(expected), "{path}: {error}");
     }
 }
@@ -224,9 +253,12 @@ fn what_can_not_be_scored_at_all_is_an_error_that_says_why() {
 #[test]
 fn a_sample_depends_on_ids_and_seed_alone() {
     let expressions: String = (0..50)
-        .map(|i| format!("{}{{\"query\": \"q{i}\", \"target_id\": null}}", if i > 0 { "," } else { "" }))
+        .map(|i| {
+            format!("{}{{\"query\": \"q{i}\", \"target_id\": null}}", if i > 0 { "," } else { "" })
+        })
         .collect();
-    let (_keep, root) = folder(&[("room.scene.json", ROOM), ("room.queries.json", &format!("[{expressions}]"))]);
+    let (_keep, root) =
+        folder(&[("room.scene.json", ROOM), ("room.queries.json", &format!("[{expressions}]"))]);
     let suite = open(&root, "room.queries.json");
     let ids = |suite: Suite| suite.tasks.into_iter().map(|t| t.id).collect::<Vec<_>>();
     let drawn = ids(suite.clone().sampled(10, 1));
@@ -241,8 +273,10 @@ fn a_sample_of_scenes_keeps_all_that_is_asked_of_them() {
     let names = ["a", "b", "c", "d", "e"];
     let annotations = names.map(|name| format!("{name}.scene.json"));
     let lists = names.map(|name| format!("{name}.queries.json"));
-    let expressions = r#"[{"query": "one", "target_id": null}, {"query": "two", "target_id": null}]"#;
-    let mut files: Vec<(&str, &str)> = annotations.iter().map(|name| (name.as_str(), ROOM)).collect();
+    let expressions =
+        r#"[{"query": "one", "target_id": null}, {"query": "two", "target_id": null}]"#;
+    let mut files: Vec<(&str, &str)> =
+        annotations.iter().map(|name| (name.as_str(), ROOM)).collect();
     files.extend(lists.iter().map(|name| (name.as_str(), expressions)));
     let (_keep, root) = folder(&files);
     let suite = open(&root, "");

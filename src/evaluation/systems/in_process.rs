@@ -22,7 +22,9 @@ use std::time::Instant;
 use tokio::runtime::Runtime;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::album::{Album, AlbumScene};
-use uniground_core::grounding::pipeline::{self, Answered, Ask, Review, WithoutModel, shortlist_of};
+use uniground_core::grounding::pipeline::{
+    self, Answered, Ask, Review, WithoutModel, shortlist_of,
+};
 use uniground_core::grounding::query::{AutoParser, BuiltinParser, QueryParser, VlmParser};
 use uniground_core::grounding::vlm::Options;
 use uniground_core::grounding::{Question, ShortlistScoring};
@@ -33,7 +35,9 @@ use uniground_core::models::neural::{Models as NeuralModels, Role};
 use uniground_core::parse::{ParsedScan, parse_scan};
 use uniground_core::progress::Progress;
 use uniground_core::render::RenderScene;
-use uniground_core::scene::{Embeddings, FrameEmbeddings, FrameRef, Instance, InstanceId, ParsedScene, PointCloud};
+use uniground_core::scene::{
+    Embeddings, FrameEmbeddings, FrameRef, Instance, InstanceId, ParsedScene, PointCloud,
+};
 use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_types::answer::Models;
 use uniground_types::question::{ParserChoice, ReasonerChoice};
@@ -73,11 +77,17 @@ struct LocalScene {
 }
 
 impl InProcess {
-    /// `recorded` is where the model's answers are recorded, if they are; `usage` is how it is asked.
+    /// `recorded` is where the model's answers are recorded, if they are; `usage` is how it is
+    /// asked.
     ///
     /// # Errors
     /// When the executable can not be read: what it would answer is known by its bytes.
-    pub fn new(bundles: BundlesConfig, vlm: Option<ChatClient>, recorded: Option<&Utf8Path>, usage: ModelUse) -> anyhow::Result<Self> {
+    pub fn new(
+        bundles: BundlesConfig,
+        vlm: Option<ChatClient>,
+        recorded: Option<&Utf8Path>,
+        usage: ModelUse,
+    ) -> anyhow::Result<Self> {
         let executable = std::env::current_exe()?;
         let bytes = fs::read(&executable).with_context(|| executable.display().to_string())?;
         let program = digest::of(&bytes);
@@ -92,8 +102,8 @@ impl InProcess {
         Ok(Self { fingerprint, program, parses: None, vlm, bundles, loaded: Mutex::default() })
     }
 
-    /// With finished stages of parses kept below a folder: a run with other questions, models or settings of stage 2 does not repeat them. They
-    /// are this executable's alone.
+    /// With finished stages of parses kept below a folder: a run with other questions, models or
+    /// settings of stage 2 does not repeat them. They are this executable's alone.
     #[must_use]
     pub fn keeping_parses_in(self, folder: &Utf8Path) -> Self {
         Self { parses: Some(folder.to_owned()), ..self }
@@ -122,7 +132,11 @@ impl InProcess {
         if let Some(models) = loaded.get(&(masks.clone(), encoder.clone())) {
             return Ok(models.clone());
         }
-        let config = ModelsConfig { masks: masks.clone(), encoder: encoder.clone(), bundles: self.bundles.clone() };
+        let config = ModelsConfig {
+            masks: masks.clone(),
+            encoder: encoder.clone(),
+            bundles: self.bundles.clone(),
+        };
         let models = config.load()?.models;
         loaded.insert((masks, encoder), models.clone());
         Ok(models)
@@ -139,10 +153,14 @@ impl System for InProcess {
     }
 
     fn accepts(&self, configuration: &Configuration) -> anyhow::Result<()> {
-        for (axis, wanted) in
-            [("parser=vlm", configuration.parser == ParserChoice::Vlm), ("reasoner=vlm", configuration.reasoner == ReasonerChoice::Vlm)]
-        {
-            ensure!(!wanted || self.vlm.is_some(), "{axis}: no vision-language model is configured");
+        for (axis, wanted) in [
+            ("parser=vlm", configuration.parser == ParserChoice::Vlm),
+            ("reasoner=vlm", configuration.reasoner == ReasonerChoice::Vlm),
+        ] {
+            ensure!(
+                !wanted || self.vlm.is_some(),
+                "{axis}: no vision-language model is configured"
+            );
         }
         // Before anything runs: whether the models are there and whole.
         self.models(configuration).map(drop)
@@ -152,39 +170,90 @@ impl System for InProcess {
         true // Everything a reply depends on is in the fingerprint and the content.
     }
 
-    fn enter(&self, scene: &SuiteScene, configuration: &Configuration) -> anyhow::Result<Box<dyn OpenScene>> {
-        let annotated = |permission| scene.annotations.as_ref().map(|sealed| sealed.as_instances(permission));
+    fn enter(
+        &self,
+        scene: &SuiteScene,
+        configuration: &Configuration,
+    ) -> anyhow::Result<Box<dyn OpenScene>> {
+        let annotated =
+            |permission| scene.annotations.as_ref().map(|sealed| sealed.as_instances(permission));
         let missing = |what: &str| format!("the scene {} has no {what}", scene.id);
         let models = self.models(configuration)?;
-        let mut settings = ParseSettings::from_request(configuration.preset, configuration.settings.clone())?;
+        let mut settings =
+            ParseSettings::from_request(configuration.preset, configuration.settings.clone())?;
         // The truth is told in the world of the files.
         settings.import.levelling = LevellingChoice::Off;
-        // The scene is brought in once for all reasoners and parsers: where a model may decide, it needs photographs.
+        // The scene is brought in once for all reasoners and parsers: where a model may decide, it
+        // needs photographs.
         let with_views = self.vlm.is_some();
-        let known = |annotations: &Annotations, names| boxed(annotations, scene, names, &models, &settings, with_views);
-        let Entered { mut instances, cloud, extent, masks, embeddings, frame_embeddings, frames, folder } = match configuration.source {
+        let known = |annotations: &Annotations, names| {
+            boxed(annotations, scene, names, &models, &settings, with_views)
+        };
+        let Entered {
+            mut instances,
+            cloud,
+            extent,
+            masks,
+            embeddings,
+            frame_embeddings,
+            frames,
+            folder,
+        } = match configuration.source {
             Source::Parsed => {
                 let scan = scene.scan.as_deref().with_context(|| missing("scan"))?;
                 let folder = Unpacked::of(scan)?;
-                let ParsedScan { scene, models, frames, .. } =
-                    parse_scan(&folder.path, &settings, &models, &self.checkpoints(scan, &settings.import)?, &Progress::silent())?;
-                let ParsedScene { instances, cloud, extent, embeddings, frame_embeddings, .. } = scene;
-                Entered { instances, cloud, extent, masks: models.masks, embeddings, frame_embeddings, frames, folder: Some(folder) }
+                let ParsedScan { scene, models, frames, .. } = parse_scan(
+                    &folder.path,
+                    &settings,
+                    &models,
+                    &self.checkpoints(scan, &settings.import)?,
+                    &Progress::silent(),
+                )?;
+                let ParsedScene { instances, cloud, extent, embeddings, frame_embeddings, .. } =
+                    scene;
+                Entered {
+                    instances,
+                    cloud,
+                    extent,
+                    masks: models.masks,
+                    embeddings,
+                    frame_embeddings,
+                    frames,
+                    folder: Some(folder),
+                }
             }
-            Source::Oracle => known(annotated(OracleRun(())).with_context(|| missing("annotations"))?, NamedBy::Annotated)?,
-            Source::OracleBoxes => known(annotated(OracleRun(())).with_context(|| missing("annotations"))?, NamedBy::Encoder)?,
-            Source::Recorded => known(scene.recorded.as_ref().with_context(|| missing("recorded candidates"))?, NamedBy::Encoder)?,
+            Source::Oracle => known(
+                annotated(OracleRun(())).with_context(|| missing("annotations"))?,
+                NamedBy::Annotated,
+            )?,
+            Source::OracleBoxes => known(
+                annotated(OracleRun(())).with_context(|| missing("annotations"))?,
+                NamedBy::Encoder,
+            )?,
+            Source::Recorded => known(
+                scene.recorded.as_ref().with_context(|| missing("recorded candidates"))?,
+                NamedBy::Encoder,
+            )?,
         };
         if configuration.names == Names::Seen {
-            name_as_seen(&mut instances, annotated(OracleRun(())).with_context(|| missing("annotations"))?);
+            name_as_seen(
+                &mut instances,
+                annotated(OracleRun(())).with_context(|| missing("annotations"))?,
+            );
         }
         let encoder = models
             .label(Role::Encoder)
             .filter(|_| embeddings.is_some())
             .unwrap_or_else(|| attributes::NAME.into());
-        let album = Album::new(extent, RenderScene::of_parsed(cloud, &instances), models.encoder.zip(embeddings), encoder, frames)
-            .with_segmenter(models.segmenters.first().cloned())
-            .with_frame_embeddings(frame_embeddings);
+        let album = Album::new(
+            extent,
+            RenderScene::of_parsed(cloud, &instances),
+            models.encoder.zip(embeddings),
+            encoder,
+            frames,
+        )
+        .with_segmenter(models.segmenters.first().cloned())
+        .with_frame_embeddings(frame_embeddings);
         Ok(Box::new(LocalScene {
             boxes: instances.iter().map(|i| i.aabb).collect(),
             instances: instances.into(),
@@ -210,7 +279,8 @@ struct Entered {
     folder: Option<Unpacked>,
 }
 
-/// Instances from known boxes, with the scan's cloud where there is one, and what an encoder sees of them.
+/// Instances from known boxes, with the scan's cloud where there is one, and what an encoder sees
+/// of them.
 fn boxed(
     known: &Annotations,
     scene: &SuiteScene,
@@ -221,25 +291,45 @@ fn boxed(
 ) -> anyhow::Result<Entered> {
     let folder = scene.scan.as_deref().map(Unpacked::of).transpose()?;
     let bundle = match &folder {
-        Some(folder) => Some(ingest::load(&ingest::open(&folder.path)?, &settings.import, &Progress::silent())?),
+        Some(folder) => {
+            Some(ingest::load(&ingest::open(&folder.path)?, &settings.import, &Progress::silent())?)
+        }
         None => None,
     };
-    let (cloud, frames) = bundle.map_or_else(Default::default, |bundle| (bundle.cloud, bundle.frames));
+    let (cloud, frames) =
+        bundle.map_or_else(Default::default, |bundle| (bundle.cloud, bundle.frames));
     let corners: Vec<_> = known.objects.iter().flat_map(|o| o.aabb.corners()).collect();
-    let extent = Aabb::around(cloud.positions.iter().chain(&corners)).with_context(|| format!("the scene {} is empty", scene.id))?;
+    let extent = Aabb::around(cloud.positions.iter().chain(&corners))
+        .with_context(|| format!("the scene {} is empty", scene.id))?;
     let mut instances = instances_of(known, &cloud, names);
     let embeddings = match &models.encoder {
-        Some(encoder) if names == NamedBy::Encoder => Some(see(known, &mut instances, &cloud, &frames, encoder, &settings.parsing)?),
+        Some(encoder) if names == NamedBy::Encoder => {
+            Some(see(known, &mut instances, &cloud, &frames, encoder, &settings.parsing)?)
+        }
         _ => None,
     };
     if with_views {
         view(known, &mut instances, &cloud, &frames, &settings.parsing)?;
     }
-    Ok(Entered { instances, cloud, extent, masks: "none".into(), embeddings, frame_embeddings: None, frames, folder })
+    Ok(Entered {
+        instances,
+        cloud,
+        extent,
+        masks: "none".into(),
+        embeddings,
+        frame_embeddings: None,
+        frames,
+        folder,
+    })
 }
 
 impl OpenScene for LocalScene {
-    fn ask(&self, expression: &Expression, configuration: &Configuration, hints: Option<&Hints>) -> anyhow::Result<Reply> {
+    fn ask(
+        &self,
+        expression: &Expression,
+        configuration: &Configuration,
+        hints: Option<&Hints>,
+    ) -> anyhow::Result<Reply> {
         // In a paper-compatible run annotated anchors join the scene.
         let instances = match hints.filter(|h| !h.anchors.is_empty()) {
             Some(hints) => self.with(&hints.anchors).into(),
@@ -260,8 +350,19 @@ impl OpenScene for LocalScene {
         let answered = answer(&source, self.vlm.as_deref(), question, configuration)?;
         let latency_ms = start.elapsed().as_secs_f64() * 1e3;
         let Answered { grounding, parsed, parser, encoder, reasoner, calls, .. } = answered;
-        let scoring = ShortlistScoring { from: configuration.candidates, query_text: configuration.query_text, calibrated: false };
-        let shortlist = shortlist_of(source.as_ref(), &expression.query, &parsed, scoring, false, SHORTLIST_DEPTH as usize)?;
+        let scoring = ShortlistScoring {
+            from: configuration.candidates,
+            query_text: configuration.query_text,
+            calibrated: false,
+        };
+        let shortlist = shortlist_of(
+            source.as_ref(),
+            &expression.query,
+            &parsed,
+            scoring,
+            false,
+            SHORTLIST_DEPTH as usize,
+        )?;
         Ok(Reply {
             status: grounding.status,
             answer: grounding.answer,
@@ -303,27 +404,40 @@ impl LocalScene {
     }
 }
 
-/// The question pipeline, as a configuration wants it. A call of a model that failed is no answer of the configuration: it is told, counted
-/// as wrong, and asked again next time.
-fn answer(source: &Arc<AlbumScene>, vlm: Option<&Reviewer>, question: Question, configuration: &Configuration) -> anyhow::Result<Answered> {
+/// The question pipeline, as a configuration wants it. A call of a model that failed is no answer
+/// of the configuration: it is told, counted as wrong, and asked again next time.
+fn answer(
+    source: &Arc<AlbumScene>,
+    vlm: Option<&Reviewer>,
+    question: Question,
+    configuration: &Configuration,
+) -> anyhow::Result<Answered> {
     let model = vlm.map(|vlm| VlmParser { model: vlm.model.clone(), budgets: vlm.budgets.clone() });
-    let parser: Arc<dyn QueryParser> = match (configuration.parser.beside(configuration.reasoner), model) {
-        (ParserChoice::Vlm, Some(model)) => Arc::new(model),
-        (ParserChoice::Auto, Some(model)) => Arc::new(AutoParser(model)),
-        (ParserChoice::Builtin, _) | (_, None) => Arc::new(BuiltinParser),
+    let parser: Arc<dyn QueryParser> =
+        match (configuration.parser.beside(configuration.reasoner), model) {
+            (ParserChoice::Vlm, Some(model)) => Arc::new(model),
+            (ParserChoice::Auto, Some(model)) => Arc::new(AutoParser(model)),
+            (ParserChoice::Builtin, _) | (_, None) => Arc::new(BuiltinParser),
+        };
+    let review =
+        vlm.filter(|_| configuration.reasoner != ReasonerChoice::Builtin).map(|vlm| Review {
+            model: vlm.model.clone(),
+            budgets: vlm.budgets.clone(),
+            options: Options {
+                ablation: configuration.ablation,
+                evidence: configuration.evidence,
+                prompt: configuration.prompt,
+                json: vlm.json,
+            },
+            without_model: WithoutModel::Fail,
+        });
+    let ask = Ask {
+        question,
+        parser,
+        without_parser: WithoutModel::Fail,
+        allow_builtin_encoder: false,
+        review,
     };
-    let review = vlm.filter(|_| configuration.reasoner != ReasonerChoice::Builtin).map(|vlm| Review {
-        model: vlm.model.clone(),
-        budgets: vlm.budgets.clone(),
-        options: Options {
-            ablation: configuration.ablation,
-            evidence: configuration.evidence,
-            prompt: configuration.prompt,
-            json: vlm.json,
-        },
-        without_model: WithoutModel::Fail,
-    });
-    let ask = Ask { question, parser, without_parser: WithoutModel::Fail, allow_builtin_encoder: false, review };
     let answered = pipeline::answer(source, ask);
     match vlm {
         Some(vlm) => vlm.runtime.block_on(answered),
@@ -333,7 +447,8 @@ fn answer(source: &Arc<AlbumScene>, vlm: Option<&Reviewer>, question: Question, 
     .context("the question was not answered")
 }
 
-/// A vision-language model, what may be spent on it in this run, and a runtime to wait for it: evaluation asks from threads that have none.
+/// A vision-language model, what may be spent on it in this run, and a runtime to wait for it:
+/// evaluation asks from threads that have none.
 struct Reviewer {
     model: Arc<dyn ChatModel>,
     budgets: Vec<Budget>,
@@ -343,7 +458,8 @@ struct Reviewer {
 
 impl Reviewer {
     fn new(client: ChatClient, ModelUse { max_usd, json }: ModelUse) -> anyhow::Result<Self> {
-        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
+        let runtime =
+            tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
         let budgets = max_usd.map(|usd| Budget::new("this run", usd)).into_iter().collect();
         Ok(Self { model: Arc::new(client), budgets, json, runtime })
     }

@@ -35,7 +35,11 @@ pub trait System: Sync {
     ///
     /// # Errors
     /// Why the scene can not be used.
-    fn enter(&self, scene: &SuiteScene, configuration: &Configuration) -> anyhow::Result<Box<dyn OpenScene>>;
+    fn enter(
+        &self,
+        scene: &SuiteScene,
+        configuration: &Configuration,
+    ) -> anyhow::Result<Box<dyn OpenScene>>;
 }
 
 /// A scene that can be asked about. All boxes in metres, world frame (Z up).
@@ -44,7 +48,12 @@ pub trait OpenScene: Sync {
     ///
     /// # Errors
     /// Why there is no answer; it counts as wrong.
-    fn ask(&self, expression: &Expression, configuration: &Configuration, hints: Option<&Hints>) -> anyhow::Result<Reply>;
+    fn ask(
+        &self,
+        expression: &Expression,
+        configuration: &Configuration,
+        hints: Option<&Hints>,
+    ) -> anyhow::Result<Reply>;
 
     /// The boxes of all instances: what no shortlist can do better than.
     fn boxes(&self) -> &[Aabb];

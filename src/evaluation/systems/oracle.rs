@@ -7,7 +7,9 @@ use uniground_core::geometry::{Point3, Vector3};
 use uniground_core::models::neural::DualEncoder;
 use uniground_core::models::{attributes, calibration};
 use uniground_core::progress::Progress;
-use uniground_core::scene::{Embeddings, FrameRef, Instance, InstanceId, Level, NameGuess, PointCloud, Structure, Support};
+use uniground_core::scene::{
+    Embeddings, FrameRef, Instance, InstanceId, Level, NameGuess, PointCloud, Structure, Support,
+};
 use uniground_core::scene_parsing::appearance;
 use uniground_core::scene_parsing::instances::{Body, planarity, supports};
 use uniground_core::scene_parsing::labels::Labels;
@@ -27,26 +29,37 @@ pub enum NamedBy {
 /// Of an object without points: says neither flat nor rough.
 const UNKNOWN_PLANARITY: f32 = 0.4;
 
-/// Instances with annotated boxes, in the order of the annotations. With annotated names come annotated colours; else, and where none
-/// are, colours are those of the points that belong to each object in `cloud`, or the annotated mean colour where it has no points.
+/// Instances with annotated boxes, in the order of the annotations. With annotated names come
+/// annotated colours; else, and where none are, colours are those of the points that belong to each
+/// object in `cloud`, or the annotated mean colour where it has no points.
 #[must_use]
-pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: NamedBy) -> Vec<Instance> {
+pub fn instances_of(
+    annotations: &Annotations,
+    cloud: &PointCloud,
+    names: NamedBy,
+) -> Vec<Instance> {
     let objects = &annotations.objects;
     let label_of_point = annotations.label(cloud);
     let mut colours: Vec<Vec<[u8; 3]>> = vec![Vec::new(); objects.len()];
     let mut points: Vec<Vec<Point3<f32>>> = vec![Vec::new(); objects.len()];
     for (i, label) in label_of_point.iter().enumerate() {
-        if let Some(Ok(object)) = label.map(|label| objects.binary_search_by_key(&label, |o| o.id)) {
+        if let Some(Ok(object)) = label.map(|label| objects.binary_search_by_key(&label, |o| o.id))
+        {
             colours[object].push(cloud.colours[i]);
             points[object].push(cloud.positions[i]);
         }
     }
     let structures: Vec<Option<Structure>> = objects.iter().map(SceneObject::structure).collect();
-    let bodies: Vec<Body> = objects.iter().map(|o| Body::of_box(o.aabb, &oriented_box_of(o))).collect();
-    let floor = objects.iter().find(|o| o.structure() == Some(Structure::Floor)).map(|o| o.aabb.max().z);
-    let floor_z = floor.or_else(|| objects.iter().map(|o| o.aabb.min().z).min_by(f32::total_cmp)).unwrap_or(0.0);
+    let bodies: Vec<Body> =
+        objects.iter().map(|o| Body::of_box(o.aabb, &oriented_box_of(o))).collect();
+    let floor =
+        objects.iter().find(|o| o.structure() == Some(Structure::Floor)).map(|o| o.aabb.max().z);
+    let floor_z = floor
+        .or_else(|| objects.iter().map(|o| o.aabb.min().z).min_by(f32::total_cmp))
+        .unwrap_or(0.0);
     // Nobody can cancel what is not told to anybody.
-    let supports = supports(&bodies, &structures, floor_z, &Progress::silent()).unwrap_or_else(|_| vec![Support::Nothing; objects.len()]);
+    let supports = supports(&bodies, &structures, floor_z, &Progress::silent())
+        .unwrap_or_else(|_| vec![Support::Nothing; objects.len()]);
     let build = |(i, object): (usize, &SceneObject)| {
         let seen = &colours[i];
         let annotated = object.mean_rgb.map(|rgb| rgb.map(|v| v.clamp(0.0, 255.0) as u8));
@@ -101,7 +114,8 @@ fn oriented_box_of(object: &SceneObject) -> OrientedBox {
     }
 }
 
-/// What an encoder sees of annotated instances, and what it calls them: crops around the points annotated as theirs.
+/// What an encoder sees of annotated instances, and what it calls them: crops around the points
+/// annotated as theirs.
 ///
 /// # Errors
 /// An unreadable frame, or a model that fails.
@@ -141,7 +155,11 @@ pub(super) fn view(
     Ok(())
 }
 
-fn visibility(cloud: &PointCloud, instance_of_point: &[InstanceId], settings: &ParsingSettings) -> Visibility {
+fn visibility(
+    cloud: &PointCloud,
+    instance_of_point: &[InstanceId],
+    settings: &ParsingSettings,
+) -> Visibility {
     let group_of: Vec<u32> = instance_of_point.iter().map(|id| id.0).collect();
     Visibility::new(cloud, &group_of, settings.depth_tolerance)
 }
@@ -151,7 +169,9 @@ fn points_of(annotations: &Annotations, cloud: &PointCloud) -> (PointCloud, Vec<
     let mut own = PointCloud::default();
     let mut instance_of_point = Vec::new();
     for (i, label) in annotations.label(cloud).iter().enumerate() {
-        if let Some(Ok(object)) = label.map(|label| annotations.objects.binary_search_by_key(&label, |o| o.id)) {
+        if let Some(Ok(object)) =
+            label.map(|label| annotations.objects.binary_search_by_key(&label, |o| o.id))
+        {
             own.positions.push(cloud.positions[i]);
             own.colours.push(cloud.colours[i]);
             instance_of_point.push(InstanceId(object as u32 + 1));
@@ -162,13 +182,16 @@ fn points_of(annotations: &Annotations, cloud: &PointCloud) -> (PointCloud, Vec<
 
 /// Names an instance, in the lexicon's word where it has one.
 pub(super) fn give_name(instance: &mut Instance, name: &str) {
-    let known = attributes::Lexicon::get().find(name).map_or_else(|| name.to_owned(), |noun| noun.name.clone());
+    let known = attributes::Lexicon::get()
+        .find(name)
+        .map_or_else(|| name.to_owned(), |noun| noun.name.clone());
     instance.names = vec![NameGuess { name: known, score: 1.0 }];
     instance.given_name = Some(name.to_owned());
 }
 
 fn mean(colours: &[[u8; 3]]) -> Option<[u8; 3]> {
     let n = colours.len() as u64;
-    let sum = colours.iter().fold([0_u64; 3], |sum, c| std::array::from_fn(|i| sum[i] + u64::from(c[i])));
+    let sum =
+        colours.iter().fold([0_u64; 3], |sum, c| std::array::from_fn(|i| sum[i] + u64::from(c[i])));
     (n > 0).then(|| sum.map(|s| ((s + n / 2) / n) as u8))
 }

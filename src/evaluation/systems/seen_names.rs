@@ -1,4 +1,5 @@
-//! Names that somebody gave annotated objects from pictures alone, handed to the instances that cover them.
+//! Names that somebody gave annotated objects from pictures alone, handed to the instances that
+//! cover them.
 
 use crate::evaluation::annotations::{Annotations, SceneObject};
 use uniground_core::geometry::boxes::Aabb;
@@ -9,9 +10,11 @@ const COVERS: f32 = 0.25;
 /// It is a part of an object that holds this share of its box.
 const WITHIN: f32 = 0.6;
 
-/// Names instances as somebody would who sees what they cover: the object itself, or a part of one. What covers nothing has no name.
+/// Names instances as somebody would who sees what they cover: the object itself, or a part of one.
+/// What covers nothing has no name.
 pub fn name_as_seen(instances: &mut [Instance], annotations: &Annotations) {
-    let things: Vec<&SceneObject> = annotations.objects.iter().filter(|o| o.structure().is_none()).collect();
+    let things: Vec<&SceneObject> =
+        annotations.objects.iter().filter(|o| o.structure().is_none()).collect();
     for instance in instances.iter_mut().filter(|i| i.structure.is_none()) {
         let best = |score: &dyn Fn(&Aabb) -> f32| {
             let scored = things.iter().map(|object| (score(&object.aabb), *object));
@@ -20,11 +23,14 @@ pub fn name_as_seen(instances: &mut [Instance], annotations: &Annotations) {
         let covered = best(&|aabb| instance.aabb.iou(aabb)).filter(|(iou, _)| *iou >= COVERS);
         let holds = || {
             let volume = instance.aabb.volume().max(f32::EPSILON);
-            best(&|aabb| instance.aabb.shared_volume(aabb) / volume).filter(|(share, _)| *share >= WITHIN)
+            best(&|aabb| instance.aabb.shared_volume(aabb) / volume)
+                .filter(|(share, _)| *share >= WITHIN)
         };
         instance.given_name = match (covered, holds()) {
             (Some((_, object)), _) => object.seen_as.clone(),
-            (None, Some((_, object))) => object.seen_as.as_ref().map(|name| format!("part of {name}")),
+            (None, Some((_, object))) => {
+                object.seen_as.as_ref().map(|name| format!("part of {name}"))
+            }
             (None, None) => None,
         };
     }

@@ -48,8 +48,11 @@ impl Server {
     /// An address that is none, or a server that is not ready.
     pub fn connect(address: &str, api_key: Option<String>) -> anyhow::Result<Self> {
         let client = Client::new(address, api_key)?;
-        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
-        runtime.block_on(client.scenes(1, None)).with_context(|| format!("the server at {address}"))?;
+        let runtime =
+            tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+        runtime
+            .block_on(client.scenes(1, None))
+            .with_context(|| format!("the server at {address}"))?;
         Ok(Self { client, address: address.to_owned(), runtime: runtime.into() })
     }
 }
@@ -64,14 +67,31 @@ impl System for Server {
     }
 
     fn accepts(&self, configuration: &Configuration) -> anyhow::Result<()> {
-        let Configuration { source, names, preset, settings, masks, encoder, paper_compatible, .. } = configuration;
-        ensure!(*source == Source::Parsed, "a server parses by itself: annotated and recorded instances need a run in process");
-        ensure!(*names == Names::Own, "a server has the names its own model gave: names=seen needs a run in process");
+        let Configuration {
+            source, names, preset, settings, masks, encoder, paper_compatible, ..
+        } = configuration;
+        ensure!(
+            *source == Source::Parsed,
+            "a server parses by itself: annotated and recorded instances need a run in process"
+        );
+        ensure!(
+            *names == Names::Own,
+            "a server has the names its own model gave: names=seen needs a run in process"
+        );
         let own = *preset == ParsePreset::Default && settings.is_none();
-        ensure!(own, "a server parses with its own settings: presets and settings of a parse need a run in process");
+        ensure!(
+            own,
+            "a server parses with its own settings: presets and settings of a parse need a run in process"
+        );
         let unnamed = masks == BUILTIN_MASKS && encoder == BUILTIN_ENCODER;
-        ensure!(unnamed, "a server looks through the models it was started with: masks= and encoder= need a run in process");
-        ensure!(!paper_compatible, "a server takes no annotated hints: --paper-compatible needs a run in process");
+        ensure!(
+            unnamed,
+            "a server looks through the models it was started with: masks= and encoder= need a run in process"
+        );
+        ensure!(
+            !paper_compatible,
+            "a server takes no annotated hints: --paper-compatible needs a run in process"
+        );
         Ok(())
     }
 
@@ -81,40 +101,70 @@ impl System for Server {
     }
 
     fn enter(&self, scene: &SuiteScene, _: &Configuration) -> anyhow::Result<Box<dyn OpenScene>> {
-        let scan = scene.scan.as_deref().with_context(|| format!("the scene {} has no scan", scene.id))?;
+        let scan =
+            scene.scan.as_deref().with_context(|| format!("the scene {} has no scan", scene.id))?;
         let archive = Archive::of(scan)?;
         // The same scan again finds the scene it made before.
         let key = format!("evaluation-as-it-is-{}", archive.digest()?);
         self.runtime.block_on(async {
-            let body = Body::wrap_stream(ReaderStream::new(tokio::fs::File::open(&archive.path).await?));
+            let body =
+                Body::wrap_stream(ReaderStream::new(tokio::fs::File::open(&archive.path).await?));
             // Truth is told in the world of the files.
             let query = [("name", scene.id.as_str()), ("levelling", "off")];
-            let created = self.client.create_scene_once(&query, archive.media_type, body, &key).await?;
+            let created =
+                self.client.create_scene_once(&query, archive.media_type, body, &key).await?;
             let job = created.job.context("the server parses nothing by itself")?;
             let job = self.client.follow_job(&job.id, |_| {}).await?;
             if job.state != JobState::Succeeded {
-                let why = job
-                    .error
-                    .map_or_else(|| format!("it ended as {:?}", job.state), |e| format!("{} ({})", e.detail, e.code));
+                let why = job.error.map_or_else(
+                    || format!("it ended as {:?}", job.state),
+                    |e| format!("{} ({})", e.detail, e.code),
+                );
                 bail!("the parse of {} failed: {why}", scene.id);
             }
             let id = created.scene.id;
-            let boxes = self.client.all_instances(&id, Levels::All).await?.iter().map(|i| i.aabb).collect();
+            let boxes =
+                self.client.all_instances(&id, Levels::All).await?.iter().map(|i| i.aabb).collect();
             let cloud = self.client.bytes(&format!("v1/scenes/{id}/cloud.ply")).await?;
             let folder = tempfile::tempdir()?;
-            let file = Utf8Path::from_path(folder.path()).context("the temporary folder is no text")?.join("cloud.ply");
+            let file = Utf8Path::from_path(folder.path())
+                .context("the temporary folder is no text")?
+                .join("cloud.ply");
             fs::write(&file, cloud)?;
             let render_scene = RenderScene::of(read_cloud(&file)?);
             let token = token_of(&self.client.scene(&id).await?);
-            let scene = RemoteScene { token, client: self.client.clone(), runtime: self.runtime.clone(), id, boxes, render_scene };
+            let scene = RemoteScene {
+                token,
+                client: self.client.clone(),
+                runtime: self.runtime.clone(),
+                id,
+                boxes,
+                render_scene,
+            };
             Ok(Box::new(scene) as Box<dyn OpenScene>)
         })
     }
 }
 
 impl OpenScene for RemoteScene {
-    fn ask(&self, expression: &Expression, configuration: &Configuration, _: Option<&Hints>) -> anyhow::Result<Reply> {
-        let Configuration { parser, reasoner, candidates, query_text, prompt, ablation, evidence, top_k, convention, .. } = configuration;
+    fn ask(
+        &self,
+        expression: &Expression,
+        configuration: &Configuration,
+        _: Option<&Hints>,
+    ) -> anyhow::Result<Reply> {
+        let Configuration {
+            parser,
+            reasoner,
+            candidates,
+            query_text,
+            prompt,
+            ablation,
+            evidence,
+            top_k,
+            convention,
+            ..
+        } = configuration;
         let request = GroundRequest {
             top_k: *top_k,
             candidates: *candidates,
@@ -140,10 +190,12 @@ impl OpenScene for RemoteScene {
             let answer = self.client.ground(&self.id, &request).await?;
             let latency_ms = start.elapsed().as_secs_f64() * 1e3;
             let trace = answer.trace.as_ref();
-            let reading = trace.and_then(|trace| trace.calls.iter().find(|call| call.purpose == "parse"));
+            let reading =
+                trace.and_then(|trace| trace.calls.iter().find(|call| call.purpose == "parse"));
             let unread = reading.and_then(|call| call.error.as_ref());
             let fell_back = trace.and_then(|trace| trace.corrections.first());
-            let fell_back = fell_back.filter(|_| *parser == ParserChoice::Vlm && answer.usage.vlm_calls == 0);
+            let fell_back =
+                fell_back.filter(|_| *parser == ParserChoice::Vlm && answer.usage.vlm_calls == 0);
             if let Some(why) = fell_back.or(unread) {
                 bail!("the model could not be asked: {why}");
             }
@@ -191,7 +243,11 @@ struct Archive {
 impl Archive {
     fn of(scan: &Utf8Path) -> anyhow::Result<Self> {
         if let Some(kind) = ArchiveKind::of_file_name(scan.as_str()).filter(|_| scan.is_file()) {
-            return Ok(Self { media_type: kind.media_type(), path: scan.to_owned(), _temporary: None });
+            return Ok(Self {
+                media_type: kind.media_type(),
+                path: scan.to_owned(),
+                _temporary: None,
+            });
         }
         let temporary = tempfile::tempdir()?;
         let path: Utf8PathBuf = temporary.path().join("scan.tar").try_into()?;

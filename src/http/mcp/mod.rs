@@ -1,5 +1,6 @@
-//! `/mcp`: the use cases as tools of the Model Context Protocol, so that a language model can call them. Streamable HTTP without sessions:
-//! every request stands alone, with the same keys, hosts and origins as all others. Over stdio for a folder of this machine.
+//! `/mcp`: the use cases as tools of the Model Context Protocol, so that a language model can call
+//! them. Streamable HTTP without sessions: every request stands alone, with the same keys, hosts
+//! and origins as all others. Over stdio for a folder of this machine.
 
 mod resources;
 mod schema;
@@ -16,8 +17,9 @@ use axum::http::request::Parts;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use rmcp::model::{
-    CallToolRequestParams, CallToolResponse, ErrorData, Implementation, InitializeResult, ListResourceTemplatesResult, ListResourcesResult,
-    ListToolsResult, PaginatedRequestParams, ReadResourceRequestParams, ReadResourceResponse, ReadResourceResult, ServerCapabilities,
+    CallToolRequestParams, CallToolResponse, ErrorData, Implementation, InitializeResult,
+    ListResourceTemplatesResult, ListResourcesResult, ListToolsResult, PaginatedRequestParams,
+    ReadResourceRequestParams, ReadResourceResponse, ReadResourceResult, ServerCapabilities,
 };
 use rmcp::service::RequestContext;
 use rmcp::transport::streamable_http_server::session::never::NeverSessionManager;
@@ -58,7 +60,11 @@ impl Mcp {
             .disable_allowed_hosts()
             .disable_allowed_origins();
         let handler = Self { service, local: None };
-        StreamableHttpService::new(move || Ok(handler.clone()), Arc::new(NeverSessionManager::default()), config)
+        StreamableHttpService::new(
+            move || Ok(handler.clone()),
+            Arc::new(NeverSessionManager::default()),
+            config,
+        )
     }
 
     /// Over stdin and stdout, until stdin ends. Whoever started the program may do everything.
@@ -72,7 +78,8 @@ impl Mcp {
     }
 
     fn caller(&self, context: &RequestContext<RoleServer>) -> Result<Caller, ErrorData> {
-        let asked = context.extensions.get::<Parts>().and_then(|parts| parts.extensions.get::<Caller>());
+        let asked =
+            context.extensions.get::<Parts>().and_then(|parts| parts.extensions.get::<Caller>());
         asked
             .or(self.local.as_ref())
             .cloned()
@@ -98,14 +105,33 @@ impl ServerHandler for Mcp {
         InitializeResult::new(capabilities).with_server_info(server).with_instructions(INSTRUCTIONS)
     }
 
-    async fn list_tools(&self, _: Option<PaginatedRequestParams>, _: RequestContext<RoleServer>) -> Result<ListToolsResult, ErrorData> {
+    async fn list_tools(
+        &self,
+        _: Option<PaginatedRequestParams>,
+        _: RequestContext<RoleServer>,
+    ) -> Result<ListToolsResult, ErrorData> {
         Ok(ListToolsResult::with_all_items(tools::all()))
     }
 
-    async fn call_tool(&self, request: CallToolRequestParams, context: RequestContext<RoleServer>) -> Result<CallToolResponse, ErrorData> {
+    async fn call_tool(
+        &self,
+        request: CallToolRequestParams,
+        context: RequestContext<RoleServer>,
+    ) -> Result<CallToolResponse, ErrorData> {
         let caller = self.caller(&context)?;
-        let called = tools::call(&self.service, caller, &request.name, request.arguments.unwrap_or_default()).await;
-        let unknown = || ErrorData::invalid_params(format!("there is no tool {:?}: tools/list tells which there are", request.name), None);
+        let called = tools::call(
+            &self.service,
+            caller,
+            &request.name,
+            request.arguments.unwrap_or_default(),
+        )
+        .await;
+        let unknown = || {
+            ErrorData::invalid_params(
+                format!("there is no tool {:?}: tools/list tells which there are", request.name),
+                None,
+            )
+        };
         called.map(CallToolResponse::from).ok_or_else(unknown)
     }
 
@@ -142,12 +168,16 @@ impl ServerHandler for Mcp {
 /// A message of JSON-RPC 2.0.
 #[derive(utoipa::ToSchema)]
 #[schema(value_type = Object, example = json!({"jsonrpc": "2.0", "id": 1, "method": "tools/list"}))]
-pub(super) struct Message(#[expect(dead_code, reason = "only its schema is used")] serde_json::Value);
+pub(super) struct Message(
+    #[expect(dead_code, reason = "only its schema is used")] serde_json::Value,
+);
 
-/// The Model Context Protocol, for agents: the tools `list_scenes`, `ground`, `find_in_scenes`, `list_objects`, `get_object`,
-/// `relations`, `approach` and `render_view`, and scenes and reports as resources.
+/// The Model Context Protocol, for agents: the tools `list_scenes`, `ground`, `find_in_scenes`,
+/// `list_objects`, `get_object`, `relations`, `approach` and `render_view`, and scenes and reports
+/// as resources.
 ///
-/// Streamable HTTP, revisions 2024-11-05 to 2026-07-28, without sessions; answers are JSON. A call a POST; nothing is sent unasked.
+/// Streamable HTTP, revisions 2024-11-05 to 2026-07-28, without sessions; answers are JSON. A call
+/// a POST; nothing is sent unasked.
 #[utoipa::path(
     post, path = "/mcp", operation_id = "mcp", tag = "agents", request_body = Message,
     responses(
@@ -167,7 +197,9 @@ pub(super) struct Message(#[expect(dead_code, reason = "only its schema is used"
 pub(super) async fn answer(State(app): State<App>, request: Request) -> Response {
     let says_json = request.headers().get(header::CONTENT_TYPE).is_some_and(is_json);
     let answered = app.mcp.handle(request).await.map(Body::new);
-    if answered.status().is_success() || answered.headers().get(header::CONTENT_TYPE).is_some_and(is_json) {
+    if answered.status().is_success()
+        || answered.headers().get(header::CONTENT_TYPE).is_some_and(is_json)
+    {
         return answered;
     }
     // What the transport refuses in plain words is a problem as everywhere.

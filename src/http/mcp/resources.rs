@@ -1,4 +1,5 @@
-//! Scenes and their reports as resources: `uniground://scenes/{id}` and `uniground://scenes/{id}/report`.
+//! Scenes and their reports as resources: `uniground://scenes/{id}` and
+//! `uniground://scenes/{id}/report`.
 
 use crate::error::Error;
 use crate::http::paging;
@@ -19,24 +20,37 @@ pub(super) fn templates() -> Vec<ResourceTemplate> {
         template.with_description(description).with_mime_type(JSON)
     };
     vec![
-        template("{scene_id}", "scene", "A scan: name, state, sizes, how it was read, where it lies in a map"),
-        template("{scene_id}/report", "report", "How a scan was imported and cut into things, stage by stage"),
+        template(
+            "{scene_id}",
+            "scene",
+            "A scan: name, state, sizes, how it was read, where it lies in a map",
+        ),
+        template(
+            "{scene_id}/report",
+            "report",
+            "How a scan was imported and cut into things, stage by stage",
+        ),
     ]
 }
 
 /// A page of scenes and their reports, newest first.
-pub(super) async fn list(service: &Service, cursor: Option<String>) -> Result<ListResourcesResult, Error> {
+pub(super) async fn list(
+    service: &Service,
+    cursor: Option<String>,
+) -> Result<ListResourcesResult, Error> {
     let (_, cursor) = paging::checked(PAGE, cursor)?;
     let page = service.scenes(PAGE, cursor.as_deref(), Labels::new()).await?;
     let of_scene = |scene: uniground_types::scenes::Scene| {
         let uri = format!("{SCENES}{}", scene.id);
         let report = scene.counts.is_some().then(|| {
-            let report = Resource::new(format!("{uri}{REPORT}"), format!("report of {}", scene.name));
+            let report =
+                Resource::new(format!("{uri}{REPORT}"), format!("report of {}", scene.name));
             report.with_mime_type(JSON)
         });
         std::iter::once(Resource::new(uri, scene.name).with_mime_type(JSON)).chain(report)
     };
-    let mut list = ListResourcesResult::with_all_items(page.scenes.into_iter().flat_map(of_scene).collect());
+    let mut list =
+        ListResourcesResult::with_all_items(page.scenes.into_iter().flat_map(of_scene).collect());
     list.next_cursor = page.next_cursor;
     Ok(list)
 }

@@ -12,7 +12,8 @@ pub(super) fn of<T: ToSchema>() -> Arc<JsonObject> {
     let mut parts = Vec::new();
     T::schemas(&mut parts);
     let mut whole = written(&T::schema());
-    let parts: Map<String, Value> = parts.into_iter().map(|(name, schema)| (name, Value::Object(written(&schema)))).collect();
+    let parts: Map<String, Value> =
+        parts.into_iter().map(|(name, schema)| (name, Value::Object(written(&schema)))).collect();
     if !parts.is_empty() {
         whole.insert("$defs".into(), Value::Object(parts));
     }
@@ -40,8 +41,12 @@ fn refer_within(schema: &mut Value) {
             {
                 *reference = format!("#/$defs/{name}");
             }
-            // JSON Schema has a list of examples; a field may be called so too, and is an object then.
-            if fields.get("example").is_some_and(|example| !example.is_object() || fields.contains_key("type")) {
+            // JSON Schema has a list of examples; a field may be called so too, and is an object
+            // then.
+            if fields
+                .get("example")
+                .is_some_and(|example| !example.is_object() || fields.contains_key("type"))
+            {
                 fields.remove("example");
             }
             fields.values_mut().for_each(refer_within);

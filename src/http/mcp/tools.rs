@@ -2,8 +2,8 @@
 
 use super::schema;
 use super::values::{
-    Approach, FindInScenes, FoundBriefs, Ground, Grounded, ListObjects, ListScenes, MOST_MARKED, ObjectBrief, ObjectBriefs, OneObject,
-    Relations, RenderView, SceneBrief, SceneBriefs, ViewKind,
+    Approach, FindInScenes, FoundBriefs, Ground, Grounded, ListObjects, ListScenes, MOST_MARKED,
+    ObjectBrief, ObjectBriefs, OneObject, Relations, RenderView, SceneBrief, SceneBriefs, ViewKind,
 };
 use crate::error::Error;
 use crate::http::paging;
@@ -30,13 +30,22 @@ const OBJECTS: u32 = 100;
 /// All tools, in the order an agent needs them.
 pub(super) fn all() -> Vec<Tool> {
     vec![
-        tool::<ListScenes, SceneBriefs>("list_scenes", "Scans of rooms that can be asked about, newest first."),
+        tool::<ListScenes, SceneBriefs>(
+            "list_scenes",
+            "Scans of rooms that can be asked about, newest first.",
+        ),
         tool::<Ground, Grounded>(
             "ground",
             "Finds what a sentence means in a scene, and gives its 3D box: \"the black chair closest to the door\". Says so where nothing or several things fit.",
         ),
-        tool::<FindInScenes, FoundBriefs>("find_in_scenes", "Finds out in which of all scenes something is."),
-        tool::<ListObjects, ObjectBriefs>("list_objects", "What was found in a scene: names, boxes, and what stands on what."),
+        tool::<FindInScenes, FoundBriefs>(
+            "find_in_scenes",
+            "Finds out in which of all scenes something is.",
+        ),
+        tool::<ListObjects, ObjectBriefs>(
+            "list_objects",
+            "What was found in a scene: names, boxes, and what stands on what.",
+        ),
         tool::<OneObject, InstanceView>(
             "get_object",
             "Everything known of one thing: names, colours, boxes, support, and the photograph that shows it best.",
@@ -49,7 +58,10 @@ pub(super) fn all() -> Vec<Tool> {
             "approach",
             "Where a robot can stand to see a thing, or to reach it, with the way there; or which condition left no place.",
         ),
-        without_output::<RenderView>("render_view", "A picture of a scene with things marked, or the photograph that shows a thing best."),
+        without_output::<RenderView>(
+            "render_view",
+            "A picture of a scene with things marked, or the photograph that shows a thing best.",
+        ),
     ]
 }
 
@@ -62,8 +74,14 @@ fn without_output<I: ToSchema>(name: &'static str, description: &'static str) ->
     Tool::new(name, description, schema::of::<I>()).with_annotations(hints)
 }
 
-/// Calls a tool; `None` where there is none of that name. What goes wrong is told as a result, so that whoever called can do better.
-pub(super) async fn call(service: &Service, caller: Caller, name: &str, arguments: JsonObject) -> Option<CallToolResult> {
+/// Calls a tool; `None` where there is none of that name. What goes wrong is told as a result, so
+/// that whoever called can do better.
+pub(super) async fn call(
+    service: &Service,
+    caller: Caller,
+    name: &str,
+    arguments: JsonObject,
+) -> Option<CallToolResult> {
     let result = match name {
         "list_scenes" => list_scenes(service, arguments).await,
         "ground" => ground(service, caller, arguments).await,
@@ -77,7 +95,10 @@ pub(super) async fn call(service: &Service, caller: Caller, name: &str, argument
     };
     Some(result.unwrap_or_else(|error| {
         let problem = Refused::from(error).problem();
-        CallToolResult::error(vec![ContentBlock::text(format!("{} ({})", problem.detail, problem.code))])
+        CallToolResult::error(vec![ContentBlock::text(format!(
+            "{} ({})",
+            problem.detail, problem.code
+        ))])
     }))
 }
 
@@ -86,7 +107,8 @@ fn read<T: DeserializeOwned>(arguments: JsonObject) -> Result<T, Error> {
     serde_path_to_error::deserialize(Value::Object(arguments)).map_err(|error| {
         let path = error.path().to_string();
         // The arguments themselves are a dot.
-        let pointer = if path == "." { "/".to_owned() } else { format!("/{}", path.replace('.', "/")) };
+        let pointer =
+            if path == "." { "/".to_owned() } else { format!("/{}", path.replace('.', "/")) };
         Error::invalid(pointer, error.into_inner().to_string())
     })
 }
@@ -115,7 +137,12 @@ async fn list_scenes(service: &Service, arguments: JsonObject) -> Result<CallToo
     // A page of those that are meant, or all there are.
     loop {
         let page = service.scenes(SCENES, cursor.as_deref(), Labels::new()).await?;
-        scenes.extend(page.scenes.into_iter().filter(|scene| has(&scene.name, name.as_deref())).map(SceneBrief::from));
+        scenes.extend(
+            page.scenes
+                .into_iter()
+                .filter(|scene| has(&scene.name, name.as_deref()))
+                .map(SceneBrief::from),
+        );
         cursor = page.next_cursor;
         if cursor.is_none() || !scenes.is_empty() {
             return told(&SceneBriefs { scenes, next_cursor: cursor });
@@ -123,12 +150,20 @@ async fn list_scenes(service: &Service, arguments: JsonObject) -> Result<CallToo
     }
 }
 
-async fn ground(service: &Service, caller: Caller, arguments: JsonObject) -> Result<CallToolResult, Error> {
+async fn ground(
+    service: &Service,
+    caller: Caller,
+    arguments: JsonObject,
+) -> Result<CallToolResult, Error> {
     let (scene_id, request) = read::<Ground>(arguments)?.request();
     told(&Grounded::from(service.ground(&scene_id, request, caller).await?))
 }
 
-async fn find_in_scenes(service: &Service, caller: Caller, arguments: JsonObject) -> Result<CallToolResult, Error> {
+async fn find_in_scenes(
+    service: &Service,
+    caller: Caller,
+    arguments: JsonObject,
+) -> Result<CallToolResult, Error> {
     let request = read::<FindInScenes>(arguments)?.request();
     told(&FoundBriefs::from(service.ground_many(request, caller).await?))
 }
@@ -156,7 +191,8 @@ async fn get_object(service: &Service, arguments: JsonObject) -> Result<CallTool
     let instance = service.instance(&scene_id, InstanceId(instance_id)).await?;
     let mut result = told(&instance)?;
     if !instance.views.is_empty() {
-        let file = service.view_picture(&scene_id, InstanceId(instance_id), 0, ViewPicture::Crop).await?;
+        let file =
+            service.view_picture(&scene_id, InstanceId(instance_id), 0, ViewPicture::Crop).await?;
         result.content.push(picture(bytes_of(file).await?));
     }
     Ok(result)
@@ -169,7 +205,11 @@ async fn relations(service: &Service, arguments: JsonObject) -> Result<CallToolR
     with_text(&graph, text)
 }
 
-async fn approach(service: &Service, caller: Caller, arguments: JsonObject) -> Result<CallToolResult, Error> {
+async fn approach(
+    service: &Service,
+    caller: Caller,
+    arguments: JsonObject,
+) -> Result<CallToolResult, Error> {
     let (scene_id, request) = read::<Approach>(arguments)?.request();
     told(&service.approach(&scene_id, request, caller).await?)
 }
@@ -177,13 +217,23 @@ async fn approach(service: &Service, caller: Caller, arguments: JsonObject) -> R
 async fn render_view(service: &Service, arguments: JsonObject) -> Result<CallToolResult, Error> {
     let RenderView { scene_id, instance_ids, view } = read(arguments)?;
     if instance_ids.len() > MOST_MARKED {
-        return Err(Error::invalid("/instance_ids", format!("at most {MOST_MARKED} are marked in one picture")));
+        return Err(Error::invalid(
+            "/instance_ids",
+            format!("at most {MOST_MARKED} are marked in one picture"),
+        ));
     }
     let ids: Vec<InstanceId> = instance_ids.into_iter().map(InstanceId).collect();
     let jpeg = match (view, ids.first()) {
         (ViewKind::Room, _) => service.room_picture(&scene_id, ids).await?,
-        (ViewKind::Photograph, Some(&id)) => bytes_of(service.view_picture(&scene_id, id, 0, ViewPicture::Frame).await?).await?,
-        (ViewKind::Photograph, None) => return Err(Error::invalid("/instance_ids", "a photograph is of an instance: name one")),
+        (ViewKind::Photograph, Some(&id)) => {
+            bytes_of(service.view_picture(&scene_id, id, 0, ViewPicture::Frame).await?).await?
+        }
+        (ViewKind::Photograph, None) => {
+            return Err(Error::invalid(
+                "/instance_ids",
+                "a photograph is of an instance: name one",
+            ));
+        }
     };
     Ok(CallToolResult::success(vec![picture(jpeg)]))
 }

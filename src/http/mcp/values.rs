@@ -50,7 +50,8 @@ pub(super) struct SceneBriefs {
 
 impl From<Scene> for SceneBrief {
     fn from(scene: Scene) -> Self {
-        let Scene { id, name, status, counts, extent, map_frame_id, labels, created_at, .. } = scene;
+        let Scene { id, name, status, counts, extent, map_frame_id, labels, created_at, .. } =
+            scene;
         let instances = counts.map(|counts| counts.instances);
         Self { scene_id: id, name, status, instances, extent, map_frame_id, labels, created_at }
     }
@@ -81,7 +82,8 @@ impl Ground {
 /// What a question comes to.
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct Grounded {
-    /// `grounded`: `targets` has it. `uncertain`: likely, not surely. `ambiguous`: one of `alternatives`. `no_match`: nothing fits.
+    /// `grounded`: `targets` has it. `uncertain`: likely, not surely. `ambiguous`: one of
+    /// `alternatives`. `no_match`: nothing fits.
     pub status: Status,
     /// Why nothing was chosen; `null` unless `no_match`.
     pub no_match_reason: Option<NoMatchReason>,
@@ -107,8 +109,20 @@ pub(super) struct Grounded {
 
 impl From<Answer> for Grounded {
     fn from(answer: Answer) -> Self {
-        let Answer { id, status, no_match_reason, seen, answer, confidence, alternatives, targets, count, parsed_query, in_frame, .. } =
-            answer;
+        let Answer {
+            id,
+            status,
+            no_match_reason,
+            seen,
+            answer,
+            confidence,
+            alternatives,
+            targets,
+            count,
+            parsed_query,
+            in_frame,
+            ..
+        } = answer;
         Self {
             status,
             no_match_reason,
@@ -148,7 +162,8 @@ impl FindInScenes {
 pub(super) struct FoundBrief {
     pub scene_id: String,
     pub scene_name: String,
-    /// `grounded`: `targets` has it. `uncertain`: likely, not surely. `ambiguous`: several there fit alike. `no_match`: nothing there fits.
+    /// `grounded`: `targets` has it. `uncertain`: likely, not surely. `ambiguous`: several there
+    /// fit alike. `no_match`: nothing there fits.
     pub status: Status,
     /// Belief in that, `0..=1`.
     pub confidence: f32,
@@ -172,10 +187,21 @@ impl From<ManyAnswers> for FoundBriefs {
     fn from(answers: ManyAnswers) -> Self {
         let brief = |SceneAnswer { scene_name, answer, .. }| {
             let Answer { scene_id, status, confidence, answer, targets, .. } = answer;
-            FoundBrief { scene_id, scene_name, status, confidence, explanation: answer.explanation, targets }
+            FoundBrief {
+                scene_id,
+                scene_name,
+                status,
+                confidence,
+                explanation: answer.explanation,
+                targets,
+            }
         };
         let ManyAnswers { looked_into, answers, not_asked, .. } = answers;
-        Self { found: answers.into_iter().map(brief).collect(), looked_into, not_asked: not_asked.len() as u32 }
+        Self {
+            found: answers.into_iter().map(brief).collect(),
+            looked_into,
+            not_asked: not_asked.len() as u32,
+        }
     }
 }
 
@@ -219,8 +245,17 @@ pub(super) struct ObjectBriefs {
 
 impl From<InstanceView> for ObjectBrief {
     fn from(view: InstanceView) -> Self {
-        let InstanceView { id, label, level, structure, aabb, support, model_name, given_name, .. } = view;
-        Self { instance_id: id, name: given_name.or(model_name).unwrap_or(label), level, structure, aabb, support }
+        let InstanceView {
+            id, label, level, structure, aabb, support, model_name, given_name, ..
+        } = view;
+        Self {
+            instance_id: id,
+            name: given_name.or(model_name).unwrap_or(label),
+            level,
+            structure,
+            aabb,
+            support,
+        }
     }
 }
 
@@ -239,7 +274,8 @@ pub(super) struct OneObject {
 pub(super) struct Relations {
     /// Of `list_scenes`.
     pub scene_id: String,
-    /// Of `ground` or `list_objects`: it and what it stands in a relation to, alone. Left out, the whole scene.
+    /// Of `ground` or `list_objects`: it and what it stands in a relation to, alone. Left out, the
+    /// whole scene.
     #[schema(minimum = 1)]
     pub instance_id: Option<u32>,
 }
@@ -267,7 +303,10 @@ impl Approach {
     pub fn request(self) -> (String, ApproachRequest) {
         let Self { scene_id, instance_id, query, robot, from, frame } = self;
         let any = ApproachRequest::to(InstanceId(0), robot);
-        (scene_id, ApproachRequest { instance_id: instance_id.map(InstanceId), query, from, frame, ..any })
+        (
+            scene_id,
+            ApproachRequest { instance_id: instance_id.map(InstanceId), query, from, frame, ..any },
+        )
     }
 }
 
@@ -276,7 +315,8 @@ impl Approach {
 pub(super) struct RenderView {
     /// Of `list_scenes`.
     pub scene_id: String,
-    /// Instances to mark, at most 20; in a photograph the first is shown. Left out, the room alone.
+    /// Instances to mark, at most 20; in a photograph the first is shown. Left out, the room
+    /// alone.
     #[serde(default)]
     #[schema(max_items = 20)]
     pub instance_ids: Vec<u32>,

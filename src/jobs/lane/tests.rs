@@ -6,9 +6,13 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 async fn queue(folder: &tempfile::TempDir) -> Jobs {
     Jobs::new(
-        Store::open(Utf8Path::from_path(folder.path()).unwrap(), &Location::Folder, &BlobHome::Folder)
-            .await
-            .unwrap(),
+        Store::open(
+            Utf8Path::from_path(folder.path()).unwrap(),
+            &Location::Folder,
+            &BlobHome::Folder,
+        )
+        .await
+        .unwrap(),
         10,
     )
 }
@@ -20,7 +24,12 @@ struct Obedient {
 }
 
 fn failed(transient: bool) -> JobFailure {
-    JobFailure::Failed { code: "broken".into(), detail: "it broke".into(), cause: "it broke: on purpose".into(), transient }
+    JobFailure::Failed {
+        code: "broken".into(),
+        detail: "it broke".into(),
+        cause: "it broke: on purpose".into(),
+        transient,
+    }
 }
 
 impl JobKind for Obedient {
@@ -70,7 +79,11 @@ async fn submit(jobs: &Jobs, what: &str) -> String {
     jobs.submit::<Obedient>("s", &what.to_owned(), None).await.unwrap().id
 }
 
-fn lane<K: JobKind>(jobs: &Jobs, kind: K, shutdown: &CancellationToken) -> tokio::task::JoinHandle<()> {
+fn lane<K: JobKind>(
+    jobs: &Jobs,
+    kind: K,
+    shutdown: &CancellationToken,
+) -> tokio::task::JoinHandle<()> {
     let (jobs, shutdown) = (jobs.clone(), shutdown.clone());
     tokio::spawn(async move { jobs.run_lane(Arc::new(kind), K::CONCURRENCY, shutdown).await })
 }
@@ -95,7 +108,10 @@ async fn jobs_succeed_fail_and_panic_each_to_their_end() {
     assert_eq!(jobs.get(&stranger).await.unwrap().error.unwrap().code, "unknown_job_kind");
     let unreadable = jobs.store.insert_job("s", &written(Obedient::NAME, "{")).await.unwrap().id;
     let worker = lane(&jobs, Obedient::default(), &shutdown);
-    assert_eq!(until(&jobs, &unreadable, |j| j.state.is_final()).await.error.unwrap().code, "internal");
+    assert_eq!(
+        until(&jobs, &unreadable, |j| j.state.is_final()).await.error.unwrap().code,
+        "internal"
+    );
     for (what, state, code) in [
         ("panic", JobState::Failed, Some("internal")),
         ("fail", JobState::Failed, Some("broken")),
@@ -104,7 +120,11 @@ async fn jobs_succeed_fail_and_panic_each_to_their_end() {
     ] {
         let id = submit(&jobs, what).await;
         let job = until(&jobs, &id, |j| j.state.is_final()).await;
-        assert_eq!((job.state, job.error.map(|e| e.code)), (state, code.map(str::to_owned)), "{what}");
+        assert_eq!(
+            (job.state, job.error.map(|e| e.code)),
+            (state, code.map(str::to_owned)),
+            "{what}"
+        );
         assert_eq!(job.attempts, if what == "fail twice" { 3 } else { 1 }, "{what}");
     }
     shutdown.cancel();
@@ -116,7 +136,8 @@ async fn cancelling_stops_a_job_and_stopping_the_server_puts_it_back() {
     let folder = tempfile::tempdir().unwrap();
     let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
     let worker = lane(&jobs, Obedient::default(), &shutdown);
-    let (first, second, third) = (submit(&jobs, "wait").await, submit(&jobs, "wait").await, submit(&jobs, "wait").await);
+    let (first, second, third) =
+        (submit(&jobs, "wait").await, submit(&jobs, "wait").await, submit(&jobs, "wait").await);
     until(&jobs, &first, |j| j.stage.as_deref() == Some("waiting") && j.progress == 0.5).await;
     assert_eq!(jobs.cancel(&third).await.unwrap().state, JobState::Cancelled);
     jobs.cancel(&first).await.unwrap();
@@ -134,7 +155,11 @@ async fn a_wish_to_stop_between_claim_and_start_is_not_lost() {
     let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
     let id = submit(&jobs, "wait").await;
     let claimed = jobs.store.claim_job(Obedient::NAME).await.unwrap().unwrap();
-    assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Running, "claimed, and in nobody's hands yet");
+    assert_eq!(
+        jobs.cancel(&id).await.unwrap().state,
+        JobState::Running,
+        "claimed, and in nobody's hands yet"
+    );
     jobs.run(&Arc::new(Obedient::default()), claimed, &shutdown).await.unwrap();
     assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Cancelled);
 }
@@ -164,7 +189,9 @@ async fn a_job_has_one_holder() {
     jobs.store.forget_all_members().await;
     jobs.store.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
     assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Queued);
-    let not_held = |written: Result<(), StoreError>| assert!(matches!(written, Err(StoreError::NotHeld)), "{written:?}");
+    let not_held = |written: Result<(), StoreError>| {
+        assert!(matches!(written, Err(StoreError::NotHeld)), "{written:?}")
+    };
     not_held(jobs.store.save_job_progress(&first, "stage", 0.5).await.map(drop));
     not_held(jobs.store.finish_job(&first, JobState::Succeeded, Some("done twice"), None).await);
     not_held(jobs.store.requeue_job(&first).await);
@@ -257,7 +284,8 @@ async fn a_full_queue_says_so() {
     jobs.submit::<Slow>("s", &(), None).await.unwrap();
 }
 
-/// Who fills the queue leaves a place to who has none in it; the last one who waits is told how many are before him.
+/// Who fills the queue leaves a place to who has none in it; the last one who waits is told how
+/// many are before him.
 #[tokio::test]
 async fn one_key_does_not_fill_the_queue() {
     let folder = tempfile::tempdir().unwrap();
@@ -288,8 +316,12 @@ async fn a_lane_that_ends_is_known_by_its_kind() {
     assert!(jobs.lanes()["obedient"]);
     let told = jobs.metrics().text();
     assert!(
-        told.contains("uniground_lane_up{kind=\"slow\"} 0") && told.contains("uniground_lane_up{kind=\"obedient\"} 1"),
+        told.contains("uniground_lane_up{kind=\"slow\"} 0")
+            && told.contains("uniground_lane_up{kind=\"obedient\"} 1"),
         "{told}"
     );
-    assert!(told.contains("uniground_jobs_finished_total{kind=\"obedient\",state=\"succeeded\"} 1"), "{told}");
+    assert!(
+        told.contains("uniground_jobs_finished_total{kind=\"obedient\",state=\"succeeded\"} 1"),
+        "{told}"
+    );
 }

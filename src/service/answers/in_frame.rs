@@ -20,15 +20,22 @@ impl Frame {
     ///
     /// # Errors
     /// [`Error::NoMap`], [`Error::NoSourceFrame`].
-    pub fn of(choice: FrameChoice, scene: &SceneRow, source_to_scene: Option<SourceToScene>) -> Result<Option<Self>, Error> {
+    pub fn of(
+        choice: FrameChoice,
+        scene: &SceneRow,
+        source_to_scene: Option<SourceToScene>,
+    ) -> Result<Option<Self>, Error> {
         let (id, from_scene) = match choice {
             FrameChoice::Scene => return Ok(None),
             FrameChoice::Source => {
-                let source = source_to_scene.ok_or_else(|| Error::NoSourceFrame { scene_id: scene.id.clone() })?;
+                let source = source_to_scene
+                    .ok_or_else(|| Error::NoSourceFrame { scene_id: scene.id.clone() })?;
                 (None, SceneToFrame::to_source(&source))
             }
             FrameChoice::Map => {
-                let map = scene.scene_to_map.ok_or_else(|| Error::NoMap { scene_id: scene.id.clone() })?;
+                let map = scene
+                    .scene_to_map
+                    .ok_or_else(|| Error::NoMap { scene_id: scene.id.clone() })?;
                 (scene.map_frame_id.clone(), SceneToFrame::to_map(&map))
             }
         };
@@ -37,14 +44,29 @@ impl Frame {
 
     /// With the boxes of these.
     pub fn holding(self, targets: &[Target]) -> InFrame {
-        let boxes = targets.iter().map(|target| self.from_scene.place(target.id, &target.oriented_box)).collect();
-        InFrame { frame: self.choice, frame_id: self.id, stamp: Some(stamp()), scene_to_frame: self.from_scene, boxes }
+        let boxes = targets
+            .iter()
+            .map(|target| self.from_scene.place(target.id, &target.oriented_box))
+            .collect();
+        InFrame {
+            frame: self.choice,
+            frame_id: self.id,
+            stamp: Some(stamp()),
+            scene_to_frame: self.from_scene,
+            boxes,
+        }
     }
 
     /// With these places to stand.
     pub fn with_poses(self, poses: &[StandingPose]) -> PosesInFrame {
         let poses = poses.iter().map(|pose| PlacedPose::of(pose, &self.from_scene)).collect();
-        PosesInFrame { frame: self.choice, frame_id: self.id, stamp: stamp(), scene_to_frame: self.from_scene, poses }
+        PosesInFrame {
+            frame: self.choice,
+            frame_id: self.id,
+            stamp: stamp(),
+            scene_to_frame: self.from_scene,
+            poses,
+        }
     }
 }
 

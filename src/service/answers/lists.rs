@@ -24,20 +24,36 @@ pub enum LineFormat {
 const PAGE: u32 = 200;
 
 impl Service {
-    /// Answers that were kept, newest first: JSON of a list, each answer byte for byte as it was given.
+    /// Answers that were kept, newest first: JSON of a list, each answer byte for byte as it was
+    /// given.
     ///
     /// # Errors
     /// [`Error::Store`].
-    pub async fn answers(&self, filter: &AnswerFilter, limit: u32, cursor: Option<&str>) -> Result<String, Error> {
-        let (rows, next) = page(self.store.answers(filter, limit + 1, cursor).await?, limit, |row| &row.id);
+    pub async fn answers(
+        &self,
+        filter: &AnswerFilter,
+        limit: u32,
+        cursor: Option<&str>,
+    ) -> Result<String, Error> {
+        let (rows, next) =
+            page(self.store.answers(filter, limit + 1, cursor).await?, limit, |row| &row.id);
         let answers: Vec<&str> = rows.iter().map(|row| row.body.as_str()).collect();
-        Ok(format!("{{\"answers\":[{}],\"next_cursor\":{}}}", answers.join(","), serde_json::to_string(&next)?))
+        Ok(format!(
+            "{{\"answers\":[{}],\"next_cursor\":{}}}",
+            answers.join(","),
+            serde_json::to_string(&next)?
+        ))
     }
 
     /// All of them, as lines.
-    pub fn all_answers(&self, filter: AnswerFilter, format: LineFormat) -> impl Stream<Item = Result<Bytes, Error>> + use<> {
+    pub fn all_answers(
+        &self,
+        filter: AnswerFilter,
+        format: LineFormat,
+    ) -> impl Stream<Item = Result<Bytes, Error>> + use<> {
         let service = self.clone();
-        let begin = (format == LineFormat::Csv).then(|| Bytes::from(format!("{}\n", columns().join(","))));
+        let begin =
+            (format == LineFormat::Csv).then(|| Bytes::from(format!("{}\n", columns().join(","))));
         let pages = stream::try_unfold((filter, None::<String>), move |(filter, cursor)| {
             let service = service.clone();
             async move {
@@ -45,7 +61,11 @@ impl Service {
                 let Some(last) = rows.last() else { return Ok(None) };
                 let cursor = Some(last.id.clone());
                 let page = match format {
-                    LineFormat::Jsonl => rows.iter().flat_map(|row| [row.body.as_str(), "\n"]).collect::<String>().into_bytes(),
+                    LineFormat::Jsonl => rows
+                        .iter()
+                        .flat_map(|row| [row.body.as_str(), "\n"])
+                        .collect::<String>()
+                        .into_bytes(),
                     LineFormat::Csv => rows_of(&rows)?,
                 };
                 Ok(Some((Bytes::from(page), (filter, cursor))))

@@ -1,4 +1,5 @@
-//! Questions about many scenes: every one is looked into without a model, and those that most likely have it are asked in full.
+//! Questions about many scenes: every one is looked into without a model, and those that most
+//! likely have it are asked in full.
 
 use super::{Asker, StoredScene};
 use crate::error::Error;
@@ -30,8 +31,13 @@ impl Service {
     /// Finds out in which of many scenes something is.
     ///
     /// # Errors
-    /// [`Error::Invalid`], [`Error::SceneNotFound`] for a scene that was named; where no scene could be asked in full, why the first could not.
-    pub async fn ground_many(&self, request: ManyGroundRequest, caller: Caller) -> Result<ManyAnswers, Error> {
+    /// [`Error::Invalid`], [`Error::SceneNotFound`] for a scene that was named; where no scene
+    /// could be asked in full, why the first could not.
+    pub async fn ground_many(
+        &self,
+        request: ManyGroundRequest,
+        caller: Caller,
+    ) -> Result<ManyAnswers, Error> {
         request.check()?;
         let (start, question) = (Instant::now(), request.of_one());
         self.reviewer(&question, &caller)?;
@@ -46,7 +52,8 @@ impl Service {
             .buffered(AT_ONCE)
             .collect()
             .await;
-        let (mut looked_into, mut likely, mut not_asked, mut first_error) = (0, Vec::new(), Vec::new(), None);
+        let (mut looked_into, mut likely, mut not_asked, mut first_error) =
+            (0, Vec::new(), Vec::new(), None);
         for (row, seen) in looks {
             match seen {
                 Ok(standing) => {
@@ -73,7 +80,8 @@ impl Service {
         let pays = request.max_cost_usd.map(|usd| Budget::new(OF_QUESTION, usd));
         let asked: Vec<(SceneRow, Result<_, Error>)> = stream::iter(likely)
             .map(async |(_, row)| {
-                let answer = Box::pin(self.ask_in_full(&row, &question, &caller, start, pays.clone())).await;
+                let answer =
+                    Box::pin(self.ask_in_full(&row, &question, &caller, start, pays.clone())).await;
                 (row, answer)
             })
             .buffered(AT_ONCE)
@@ -82,7 +90,9 @@ impl Service {
         let (mut answers, mut first_error) = (Vec::new(), None);
         for (row, answer) in asked {
             match answer {
-                Ok(answer) => answers.push(SceneAnswer { scene_name: row.name, labels: row.labels, answer }),
+                Ok(answer) => {
+                    answers.push(SceneAnswer { scene_name: row.name, labels: row.labels, answer })
+                }
                 Err(error) => {
                     not_asked.push(told(&row, &error));
                     first_error.get_or_insert(error);
@@ -98,7 +108,8 @@ impl Service {
                 let _ = self.keys.count(key).await;
             }
         }
-        let standing_of = |found: &SceneAnswer| standing(found.answer.status, found.answer.confidence);
+        let standing_of =
+            |found: &SceneAnswer| standing(found.answer.status, found.answer.confidence);
         answers.sort_by(|a, b| {
             let (a, b) = (standing_of(a), standing_of(b));
             a.0.cmp(&b.0).then(b.1.total_cmp(&a.1))
@@ -106,12 +117,19 @@ impl Service {
         Ok(ManyAnswers { query: request.query, looked_into, narrowed, answers, not_asked })
     }
 
-    /// The scenes to look into: all that are meant, or where those are too many the likeliest by what they are known by, and whether that is so.
-    async fn scenes_meant(&self, request: &ManyGroundRequest) -> Result<(Vec<SceneRow>, bool), Error> {
+    /// The scenes to look into: all that are meant, or where those are too many the likeliest by
+    /// what they are known by, and whether that is so.
+    async fn scenes_meant(
+        &self,
+        request: &ManyGroundRequest,
+    ) -> Result<(Vec<SceneRow>, bool), Error> {
         let filter = SceneFilter { ids: request.scenes.clone(), labels: request.labels.clone() };
         let rows = self.store.scenes(MOST_SCENES as u32 + 1, None, &filter).await?;
         if rows.len() > MOST_SCENES {
-            return Ok((self.likely_scenes(&request.query, &request.labels, LIKELY_SCENES).await?, true));
+            return Ok((
+                self.likely_scenes(&request.query, &request.labels, LIKELY_SCENES).await?,
+                true,
+            ));
         }
         let found: HashSet<&str> = rows.iter().map(|row| row.id.as_str()).collect();
         for id in request.scenes.iter().flatten().filter(|id| !found.contains(id.as_str())) {
@@ -133,11 +151,22 @@ impl Service {
         let mut tries = 1;
         loop {
             check_time(question, start)?;
-            let timeout_s = question.timeout_s.map(|seconds| seconds - start.elapsed().as_secs_f32()).filter(|left| *left > 0.0);
+            let timeout_s = question
+                .timeout_s
+                .map(|seconds| seconds - start.elapsed().as_secs_f32())
+                .filter(|left| *left > 0.0);
             // What naming a scene costs is no part of a question's budget.
-            let asker =
-                Asker { caller: caller.clone(), answer_id: self.store.new_id(), pays: pays.clone(), is_batch: false, may_name: false };
-            match self.ground_for(&row.id, GroundRequest { timeout_s, ..question.clone() }, asker).await {
+            let asker = Asker {
+                caller: caller.clone(),
+                answer_id: self.store.new_id(),
+                pays: pays.clone(),
+                is_batch: false,
+                may_name: false,
+            };
+            match self
+                .ground_for(&row.id, GroundRequest { timeout_s, ..question.clone() }, asker)
+                .await
+            {
                 Err(Error::Overloaded) if tries < TRIES => sleep(STEP_ASIDE).await,
                 answered => return answered,
             }
@@ -160,14 +189,22 @@ impl Service {
         loop {
             let glance = self.glances.acquire().await;
             check_time(question, start)?;
-            let parse = if stays { self.loaded_parse(parse_id).await? } else { self.passing_parse(parse_id).await? };
+            let parse = if stays {
+                self.loaded_parse(parse_id).await?
+            } else {
+                self.passing_parse(parse_id).await?
+            };
             let scene = StoredScene::new(self.clone(), parse);
             match pipeline::answer(&scene, self.ask(question, caller, None, &[])?).await {
                 Err(Error::Overloaded) if tries < TRIES => {
                     drop(glance);
                     sleep(STEP_ASIDE).await;
                 }
-                answered => return answered.map(|Answered { grounding, .. }| standing(grounding.status, grounding.confidence)),
+                answered => {
+                    return answered.map(|Answered { grounding, .. }| {
+                        standing(grounding.status, grounding.confidence)
+                    });
+                }
             }
             tries += 1;
         }
@@ -184,7 +221,8 @@ fn check_time(question: &GroundRequest, start: Instant) -> Result<(), Error> {
 /// A rank, the lower the better, and within it the higher the better.
 type Standing = (u8, f32);
 
-/// The lower first, then by confidence: what is said of a thing counts before what is said of its absence.
+/// The lower first, then by confidence: what is said of a thing counts before what is said of its
+/// absence.
 fn standing(status: Status, confidence: f32) -> Standing {
     match status {
         Status::Grounded => (0, confidence),
@@ -196,7 +234,11 @@ fn standing(status: Status, confidence: f32) -> Standing {
 
 fn told(row: &SceneRow, error: &Error) -> NotAsked {
     if !matches!(error, Error::SceneNotReady { .. }) {
-        tracing::warn!(scene_id = row.id, error = error as &dyn std::error::Error, "one of many scenes could not be asked");
+        tracing::warn!(
+            scene_id = row.id,
+            error = error as &dyn std::error::Error,
+            "one of many scenes could not be asked"
+        );
     }
     NotAsked { scene_id: row.id.clone(), code: error.code().to_owned(), detail: error.to_string() }
 }

@@ -29,7 +29,9 @@ use uniground_core::grounding::{Grounding, Question, ShortlistScoring, Status};
 use uniground_core::models::chat::{Budget, CallRecord, OverBudget};
 use uniground_core::scene::InstanceId;
 use uniground_types::answer::{Answer, Call, CoordinateFrame, Models, Shortlisted, Trace, Usage};
-use uniground_types::question::{DEFAULT_MIN_CONFIDENCE, GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest};
+use uniground_types::question::{
+    DEFAULT_MIN_CONFIDENCE, GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest,
+};
 
 /// How long the store may be away until an answer of a batch is lost, and asked for again.
 pub(super) const STORE_IS_BACK: Duration = Duration::from_mins(5);
@@ -54,19 +56,41 @@ impl Service {
     ///
     /// # Errors
     /// [`Error`]: unknown or unparsed scene, a question that is none, no model or no money where a model was demanded, overload, time-out.
-    pub async fn ground(&self, scene_id: &str, request: GroundRequest, caller: Caller) -> Result<Answer, Error> {
-        let asker = Asker { caller, answer_id: self.store.new_id(), pays: None, is_batch: false, may_name: true };
+    pub async fn ground(
+        &self,
+        scene_id: &str,
+        request: GroundRequest,
+        caller: Caller,
+    ) -> Result<Answer, Error> {
+        let asker = Asker {
+            caller,
+            answer_id: self.store.new_id(),
+            pays: None,
+            is_batch: false,
+            may_name: true,
+        };
         self.ground_for(scene_id, request, asker).await
     }
 
     /// The same for somebody who has chosen the answer's id, or pays.
-    pub(super) async fn ground_for(&self, scene_id: &str, request: GroundRequest, asker: Asker) -> Result<Answer, Error> {
+    pub(super) async fn ground_for(
+        &self,
+        scene_id: &str,
+        request: GroundRequest,
+        asker: Asker,
+    ) -> Result<Answer, Error> {
         let (start, is_batch) = (Instant::now(), asker.is_batch);
         let answered = Box::pin(self.ground_uncounted(scene_id, request, asker)).await;
         match &answered {
             Ok(answer) => {
-                let reasoner = if answer.models.reasoner == builtin::NAME { "builtin" } else { "vlm" };
-                self.metrics.questions.answered(word(answer.status), reasoner, answer.degraded, start.elapsed());
+                let reasoner =
+                    if answer.models.reasoner == builtin::NAME { "builtin" } else { "vlm" };
+                self.metrics.questions.answered(
+                    word(answer.status),
+                    reasoner,
+                    answer.degraded,
+                    start.elapsed(),
+                );
             }
             // A batch steps aside for people and asks again at once.
             Err(Error::Overloaded) if is_batch => {}
@@ -75,7 +99,12 @@ impl Service {
         answered
     }
 
-    async fn ground_uncounted(&self, scene_id: &str, request: GroundRequest, asker: Asker) -> Result<Answer, Error> {
+    async fn ground_uncounted(
+        &self,
+        scene_id: &str,
+        request: GroundRequest,
+        asker: Asker,
+    ) -> Result<Answer, Error> {
         request.check()?;
         let (scene, parse_id) = self.ready_scene(scene_id).await?;
         let reviewer = self.reviewer(&request, &asker.caller)?;
@@ -83,17 +112,25 @@ impl Service {
         if reviewer.is_some() && asker.may_name {
             let naming = self.name_before_asking(&scene.id, &parse_id, &asker.caller);
             let named = match request.timeout_s {
-                Some(seconds) => timeout(Duration::from_secs_f32(seconds), naming).await.unwrap_or(Ok(())),
+                Some(seconds) => {
+                    timeout(Duration::from_secs_f32(seconds), naming).await.unwrap_or(Ok(()))
+                }
                 None => naming.await,
             };
             if let Err(error) = named {
-                tracing::warn!(error = &error as &dyn std::error::Error, "a question goes without names");
+                tracing::warn!(
+                    error = &error as &dyn std::error::Error,
+                    "a question goes without names"
+                );
             }
         }
         let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
         let frame = Frame::of(request.frame, &scene, source.parse.source_to_scene)?;
         let request = match &frame {
-            Some(frame) => GroundRequest { observer: request.observer.map(|observer| frame.from_scene.observer(&observer)), ..request },
+            Some(frame) => GroundRequest {
+                observer: request.observer.map(|observer| frame.from_scene.observer(&observer)),
+                ..request
+            },
             None => request,
         };
         // A place among those who wait for the model, for as long as the question takes.
@@ -104,7 +141,12 @@ impl Service {
         let ask = self.ask(&request, &asker.caller, reviewer, &budgets)?;
         let answered = match request.timeout_s {
             Some(seconds) => {
-                match timeout(Duration::from_secs_f32(seconds).saturating_sub(start.elapsed()), pipeline::answer(&source, ask)).await {
+                match timeout(
+                    Duration::from_secs_f32(seconds).saturating_sub(start.elapsed()),
+                    pipeline::answer(&source, ask),
+                )
+                .await
+                {
                     Ok(answered) => answered?,
                     // Who did not insist on the model gets what there is without it.
                     Err(_) if asks_model && request.reasoner == ReasonerChoice::Auto => {
@@ -120,7 +162,8 @@ impl Service {
         let mut answer = self.told(&answered, asker.answer_id, scene.id, version, &source.parse);
         answer.in_frame = frame.map(|frame| frame.holding(&answer.targets));
         let model = self.vlm.as_ref().map_or("", |vlm| vlm.name());
-        // Nobody waits for an item of a batch, and it may have been paid for: it is kept as soon as that can be done.
+        // Nobody waits for an item of a batch, and it may have been paid for: it is kept as soon as
+        // that can be done.
         let patience = if asker.is_batch { STORE_IS_BACK } else { Duration::ZERO };
         match self.keep_within(patience, &answer, model, &parse_id, answered.calls).await {
             Ok(true) => {}
@@ -130,7 +173,10 @@ impl Service {
             }
             // Who asked wants to know; that it can not be kept is the operator's concern.
             Err(error) => {
-                tracing::error!(error = &error as &dyn std::error::Error, "an answer is given but can not be kept");
+                tracing::error!(
+                    error = &error as &dyn std::error::Error,
+                    "an answer is given but can not be kept"
+                );
                 (answer.stored, answer.evidence) = (false, Some(Vec::new()));
             }
         }
@@ -138,8 +184,17 @@ impl Service {
     }
 
     /// The built-in answer, for a question whose time was over before the model's came.
-    async fn without_model(&self, request: &GroundRequest, source: &Arc<StoredScene>, seconds: f32) -> Result<Answered, Error> {
-        let request = GroundRequest { reasoner: ReasonerChoice::Builtin, parser: ParserChoice::Builtin, ..request.clone() };
+    async fn without_model(
+        &self,
+        request: &GroundRequest,
+        source: &Arc<StoredScene>,
+        seconds: f32,
+    ) -> Result<Answered, Error> {
+        let request = GroundRequest {
+            reasoner: ReasonerChoice::Builtin,
+            parser: ParserChoice::Builtin,
+            ..request.clone()
+        };
         let ask = self.ask(&request, &Caller::operator(), None, &[])?;
         let mut answered = pipeline::answer(source, ask).await?;
         answered.degraded = true;
@@ -160,7 +215,10 @@ impl Service {
         loop {
             match self.keep(answer, model, parse_id, calls.clone()).await {
                 Err(error) if error.may_pass() && start.elapsed() < patience => {
-                    tracing::warn!(error = &error as &dyn std::error::Error, "an answer can not be kept yet");
+                    tracing::warn!(
+                        error = &error as &dyn std::error::Error,
+                        "an answer can not be kept yet"
+                    );
                     sleep(LOOK_AGAIN).await;
                 }
                 kept => return kept,
@@ -169,7 +227,13 @@ impl Service {
     }
 
     /// Keeps an answer with what led to it; `false` when its scene is gone.
-    async fn keep(&self, answer: &Answer, model: &str, parse_id: &str, calls: Vec<CallRecord>) -> Result<bool, Error> {
+    async fn keep(
+        &self,
+        answer: &Answer,
+        model: &str,
+        parse_id: &str,
+        calls: Vec<CallRecord>,
+    ) -> Result<bool, Error> {
         self.keep_transcript(answer, model, calls).await?;
         let new = NewAnswer {
             id: answer.id.clone(),
@@ -184,14 +248,20 @@ impl Service {
     ///
     /// # Errors
     /// As [`ground`](Self::ground).
-    pub async fn shortlist(&self, scene_id: &str, request: ShortlistRequest) -> Result<Shortlisted, Error> {
+    pub async fn shortlist(
+        &self,
+        scene_id: &str,
+        request: ShortlistRequest,
+    ) -> Result<Shortlisted, Error> {
         request.check()?;
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
-        let ShortlistRequest { query, top_k, query_text, candidates, calibrated, allow_builtin } = request;
+        let ShortlistRequest { query, top_k, query_text, candidates, calibrated, allow_builtin } =
+            request;
         let scoring = ShortlistScoring { from: candidates, query_text, calibrated };
         let Shortlist { candidates, encoder, cut } =
-            pipeline::shortlist(&source, query.clone(), scoring, allow_builtin, top_k as usize).await?;
+            pipeline::shortlist(&source, query.clone(), scoring, allow_builtin, top_k as usize)
+                .await?;
         Ok(Shortlisted { query, candidates, encoder, cut })
     }
 
@@ -200,51 +270,87 @@ impl Service {
     /// # Errors
     /// [`Error::AnswerNotFound`].
     pub async fn answer(&self, id: &str) -> Result<String, Error> {
-        Ok(self.store.answer(id).await?.ok_or_else(|| Error::AnswerNotFound { id: id.into() })?.body)
+        Ok(self
+            .store
+            .answer(id)
+            .await?
+            .ok_or_else(|| Error::AnswerNotFound { id: id.into() })?
+            .body)
     }
 
-    /// The model that reviews a question; `None` where the built-in reasoner decides, by choice or because nothing may be spent.
-    fn reviewer(&self, request: &GroundRequest, caller: &Caller) -> Result<Option<Arc<Vlm>>, Error> {
+    /// The model that reviews a question; `None` where the built-in reasoner decides, by choice or
+    /// because nothing may be spent.
+    fn reviewer(
+        &self,
+        request: &GroundRequest,
+        caller: &Caller,
+    ) -> Result<Option<Arc<Vlm>>, Error> {
         let unpaid = self.is_unpaid(request, caller);
-        let asks = request.reasoner != ReasonerChoice::Builtin || request.parser == ParserChoice::Vlm;
-        if let Some(vlm) = self.vlm.as_ref().filter(|_| asks && !unpaid && request.max_cost_usd.is_some())
+        let asks =
+            request.reasoner != ReasonerChoice::Builtin || request.parser == ParserChoice::Vlm;
+        if let Some(vlm) =
+            self.vlm.as_ref().filter(|_| asks && !unpaid && request.max_cost_usd.is_some())
             && !vlm.prices().are_known()
         {
-            return Err(Error::invalid("/max_cost_usd", "this server knows no prices of its model: only 0 can be held to"));
+            return Err(Error::invalid(
+                "/max_cost_usd",
+                "this server knows no prices of its model: only 0 can be held to",
+            ));
         }
         match (request.reasoner, &self.vlm) {
             (ReasonerChoice::Builtin, _) | (ReasonerChoice::Auto, None) => Ok(None),
             (ReasonerChoice::Auto, Some(_)) if unpaid => Ok(None),
             (ReasonerChoice::Vlm, None) => Err(Error::VlmNotConfigured),
-            (ReasonerChoice::Vlm, Some(_)) if unpaid => {
-                Err(Error::OverBudget(OverBudget { of: OF_QUESTION, limit_usd: 0.0, left_usd: 0.0, wanted_usd: 0.0 }))
-            }
+            (ReasonerChoice::Vlm, Some(_)) if unpaid => Err(Error::OverBudget(OverBudget {
+                of: OF_QUESTION,
+                limit_usd: 0.0,
+                left_usd: 0.0,
+                wanted_usd: 0.0,
+            })),
             (_, Some(vlm)) => Ok(Some(vlm.clone())),
         }
     }
 
-    /// Whether nothing may be spent on a question: it says so, or its key has a budget that nothing can be held against.
+    /// Whether nothing may be spent on a question: it says so, or its key has a budget that nothing
+    /// can be held against.
     fn is_unpaid(&self, request: &GroundRequest, caller: &Caller) -> bool {
         let has_budget = caller.key.as_ref().is_some_and(|key| key.row.daily_usd.is_some());
-        request.max_cost_usd == Some(0.0) || (has_budget && self.vlm.as_ref().is_some_and(|vlm| !vlm.prices().are_known()))
+        request.max_cost_usd == Some(0.0)
+            || (has_budget && self.vlm.as_ref().is_some_and(|vlm| !vlm.prices().are_known()))
     }
 
     /// A request as the pipeline takes it.
-    fn ask(&self, request: &GroundRequest, caller: &Caller, reviewer: Option<Arc<Vlm>>, budgets: &[Budget]) -> Result<Ask, Error> {
+    fn ask(
+        &self,
+        request: &GroundRequest,
+        caller: &Caller,
+        reviewer: Option<Arc<Vlm>>,
+        budgets: &[Budget],
+    ) -> Result<Ask, Error> {
         // The grammar reads where nothing may be spent.
         let model = self.vlm.as_ref().filter(|_| !self.is_unpaid(request, caller));
-        let model = model.map(|vlm| VlmParser { model: vlm.model_for(caller), budgets: budgets.to_vec() });
+        let model =
+            model.map(|vlm| VlmParser { model: vlm.model_for(caller), budgets: budgets.to_vec() });
         let parser: Arc<dyn QueryParser> = match (request.parser.beside(request.reasoner), model) {
             (ParserChoice::Vlm, _) if self.vlm.is_none() => return Err(Error::VlmNotConfigured),
             (ParserChoice::Vlm, Some(model)) => Arc::new(model),
             (ParserChoice::Auto, Some(model)) => Arc::new(AutoParser(model)),
             (ParserChoice::Builtin, _) | (_, None) => Arc::new(BuiltinParser),
         };
-        let without_model = if request.reasoner == ReasonerChoice::Vlm { WithoutModel::Fail } else { WithoutModel::BuiltIn };
+        let without_model = if request.reasoner == ReasonerChoice::Vlm {
+            WithoutModel::Fail
+        } else {
+            WithoutModel::BuiltIn
+        };
         let review = reviewer.map(|vlm| Review {
             model: vlm.model_for(caller),
             budgets: budgets.to_vec(),
-            options: Options { ablation: request.ablation, evidence: request.evidence, prompt: request.prompt, json: vlm.json() },
+            options: Options {
+                ablation: request.ablation,
+                evidence: request.evidence,
+                prompt: request.prompt,
+                json: vlm.json(),
+            },
             without_model,
         });
         let question = Question {
@@ -257,12 +363,34 @@ impl Service {
             query_text: request.query_text,
             min_confidence: request.min_confidence.unwrap_or(DEFAULT_MIN_CONFIDENCE),
         };
-        Ok(Ask { question, parser, without_parser: WithoutModel::BuiltIn, allow_builtin_encoder: request.allow_builtin, review })
+        Ok(Ask {
+            question,
+            parser,
+            without_parser: WithoutModel::BuiltIn,
+            allow_builtin_encoder: request.allow_builtin,
+            review,
+        })
     }
 
     /// What came of a question, as callers are told.
-    fn told(&self, answered: &Answered, id: String, scene_id: String, parse_version: u32, parse: &LoadedParse) -> Answer {
-        let Answered { grounding, parsed: _, parser, encoder, reasoner, degraded, corrections, calls } = answered.clone();
+    fn told(
+        &self,
+        answered: &Answered,
+        id: String,
+        scene_id: String,
+        parse_version: u32,
+        parse: &LoadedParse,
+    ) -> Answer {
+        let Answered {
+            grounding,
+            parsed: _,
+            parser,
+            encoder,
+            reasoner,
+            degraded,
+            corrections,
+            calls,
+        } = answered.clone();
         let Grounding {
             query,
             status,
@@ -281,14 +409,19 @@ impl Service {
             timings_ms,
         } = grounding;
         let view = |id: InstanceId| {
-            let is_shown = parse.instances.get(id.0 as usize - 1).is_some_and(|instance| !instance.views.is_empty());
-            is_shown.then(|| format!("/v1/scenes/{scene_id}/instances/{id}/views/0.jpg?picture=crop"))
+            let is_shown = parse
+                .instances
+                .get(id.0 as usize - 1)
+                .is_some_and(|instance| !instance.views.is_empty());
+            is_shown
+                .then(|| format!("/v1/scenes/{scene_id}/instances/{id}/views/0.jpg?picture=crop"))
         };
         candidates.iter_mut().for_each(|candidate| candidate.view = view(candidate.id));
         alternatives.iter_mut().for_each(|alternative| alternative.view = view(alternative.id));
         let mut evidence = vec![transcripts::picture_path(&id, pictures::GLOBAL)];
         if self.limits.retention.evidence_days > 0 {
-            let shown = transcripts::pictures(&calls).into_iter().filter(|name| *name != pictures::GLOBAL);
+            let shown =
+                transcripts::pictures(&calls).into_iter().filter(|name| *name != pictures::GLOBAL);
             evidence.extend(shown.map(|name| transcripts::picture_path(&id, name)));
         }
         Answer {
@@ -309,7 +442,13 @@ impl Service {
             targets,
             count,
             parsed_query,
-            models: Models { masks: parse.masks.clone(), encoder, parser, names: parse.named_by.clone(), reasoner },
+            models: Models {
+                masks: parse.masks.clone(),
+                encoder,
+                parser,
+                names: parse.named_by.clone(),
+                reasoner,
+            },
             degraded,
             stored: true,
             direction_convention,

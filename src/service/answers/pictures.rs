@@ -10,7 +10,8 @@ use uniground_core::scene::InstanceId;
 
 /// The picture every answer has.
 pub(super) const GLOBAL: &str = "global";
-/// What a picture takes of a stored answer, of whatever version: fields that are missing are not drawn.
+/// What a picture takes of a stored answer, of whatever version: fields that are missing are not
+/// drawn.
 #[derive(Deserialize)]
 struct Drawn {
     #[serde(default)]
@@ -36,7 +37,8 @@ struct DrawnCandidate {
 const MAX_CANDIDATES: usize = 5;
 
 impl Service {
-    /// A picture of an answer by its name: as a model was shown it, where that is kept; the room is drawn otherwise. JPEG.
+    /// A picture of an answer by its name: as a model was shown it, where that is kept; the room is
+    /// drawn otherwise. JPEG.
     ///
     /// # Errors
     /// [`Error::AnswerNotFound`], [`Error::AnswerPictureNotFound`].
@@ -54,11 +56,15 @@ impl Service {
 
     /// The room from above: the answer's box, its anchor and the other candidates over the cloud.
     async fn drawn_picture(&self, id: &str) -> Result<Vec<u8>, Error> {
-        let row = self.store.answer(id).await?.ok_or_else(|| Error::AnswerNotFound { id: id.into() })?;
+        let row =
+            self.store.answer(id).await?.ok_or_else(|| Error::AnswerNotFound { id: id.into() })?;
         let Drawn { answer, candidates } = serde_json::from_str(&row.body)?;
         let source = StoredScene::new(self.clone(), self.loaded_parse(&row.parse_id).await?);
         // Later boxes lie on top: candidates, anchor, answer.
-        let candidates = candidates.iter().take(MAX_CANDIDATES).map(|candidate| (candidate.id, BoxStyle::Candidate));
+        let candidates = candidates
+            .iter()
+            .take(MAX_CANDIDATES)
+            .map(|candidate| (candidate.id, BoxStyle::Candidate));
         let anchor = answer.anchor_id.map(|id| (id, BoxStyle::Anchor));
         let chosen = answer.predicted_id.map(|id| (id, BoxStyle::Answer));
         let marks = candidates.chain(anchor).chain(chosen).collect();
@@ -68,8 +74,13 @@ impl Service {
     /// The room of a scene's current parse from above, with instances marked. JPEG.
     ///
     /// # Errors
-    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::InstanceNotFound`], [`Error::ParseDamaged`].
-    pub async fn room_picture(&self, scene_id: &str, marked: Vec<InstanceId>) -> Result<Vec<u8>, Error> {
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::InstanceNotFound`],
+    /// [`Error::ParseDamaged`].
+    pub async fn room_picture(
+        &self,
+        scene_id: &str,
+        marked: Vec<InstanceId>,
+    ) -> Result<Vec<u8>, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
         let instances = source.instances().len();
@@ -82,10 +93,16 @@ impl Service {
 }
 
 impl StoredScene {
-    /// The room from above with boxes, the last on top; of several boxes of an instance the last. JPEG.
-    fn room_with(&self, marks: Vec<(InstanceId, BoxStyle)>, names: &BTreeMap<u32, String>) -> Result<Vec<u8>, Error> {
+    /// The room from above with boxes, the last on top; of several boxes of an instance the last.
+    /// JPEG.
+    fn room_with(
+        &self,
+        marks: Vec<(InstanceId, BoxStyle)>,
+        names: &BTreeMap<u32, String>,
+    ) -> Result<Vec<u8>, Error> {
         let instances = self.instances();
-        let last: BTreeMap<InstanceId, usize> = marks.iter().enumerate().map(|(at, (id, _))| (*id, at)).collect();
+        let last: BTreeMap<InstanceId, usize> =
+            marks.iter().enumerate().map(|(at, (id, _))| (*id, at)).collect();
         let lasting = marks.into_iter().enumerate().filter(|(at, (id, _))| last[id] == *at);
         let labelled = |(_, (id, style)): (usize, (InstanceId, BoxStyle))| {
             let instance = instances.get((id.0 as usize).wrapping_sub(1))?;

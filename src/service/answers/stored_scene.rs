@@ -2,7 +2,9 @@
 
 use crate::error::Error;
 use crate::service::Service;
-use crate::service::parses::{LoadedParse, ParseFile, photograph, read_frames, read_photograph, view};
+use crate::service::parses::{
+    LoadedParse, ParseFile, photograph, read_frames, read_photograph, view,
+};
 use crate::store::{Blobs, Kept, Scratch};
 use camino::{Utf8Path, Utf8PathBuf};
 use image::RgbImage;
@@ -109,7 +111,9 @@ impl SceneSource for StoredScene {
         // Whoever asked has nothing to do with it.
         let damaged = |error| match error {
             IngestError::Io { .. } => Error::Ingest(error),
-            error => Error::ParseDamaged { parse_id: self.parse.id.clone(), what: with_causes(&error) },
+            error => {
+                Error::ParseDamaged { parse_id: self.parse.id.clone(), what: with_causes(&error) }
+            }
         };
         let cloud = ingest::read_cloud(&file).map_err(damaged)?;
         let render_scene = Arc::new(RenderScene::of_parsed(cloud, &self.parse.instances));
@@ -119,15 +123,17 @@ impl SceneSource for StoredScene {
 
     fn photographs(&self, instance: &Instance, most: usize) -> Vec<Shot> {
         if instance.came_later() {
-            let shots = instance.views.iter().filter_map(|view| Some(Shot::of_view(self.photograph(view.frame)?, view)));
+            let shots = instance
+                .views
+                .iter()
+                .filter_map(|view| Some(Shot::of_view(self.photograph(view.frame)?, view)));
             return shots.take(most).collect();
         }
         let folder = self.folder();
-        let shots = instance
-            .views
-            .iter()
-            .enumerate()
-            .filter_map(|(k, view)| shot(&self.service.store.blobs, &folder, instance.id, k, view));
+        let shots =
+            instance.views.iter().enumerate().filter_map(|(k, view)| {
+                shot(&self.service.store.blobs, &folder, instance.id, k, view)
+            });
         shots.take(most).collect()
     }
 
@@ -144,14 +150,20 @@ impl SceneSource for StoredScene {
     async fn keep_names(&self, names: &BTreeMap<u32, String>) -> Result<(), Error> {
         // They were given beside an answer that was paid for: that one is not lost with them.
         if let Err(error) = self.service.keep_names(&self.parse.id, names).await {
-            tracing::warn!(parse_id = self.parse.id, error = &error as &dyn std::error::Error, "names that a model gave are not kept");
+            tracing::warn!(
+                parse_id = self.parse.id,
+                error = &error as &dyn std::error::Error,
+                "names that a model gave are not kept"
+            );
         }
         Ok(())
     }
 
     fn cut_out(&self, place: Place, is_not: &[InstanceId]) -> Result<Option<Instance>, Error> {
         let blobs = &self.service.store.blobs;
-        let Some(frames) = read_frames(blobs, &self.folder(), &self.parse.content)? else { return Ok(None) };
+        let Some(frames) = read_frames(blobs, &self.folder(), &self.parse.content)? else {
+            return Ok(None);
+        };
         // Any of them may show the place.
         let _scan = blobs.whole(&self.parse.content)?;
         let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
@@ -161,24 +173,41 @@ impl SceneSource for StoredScene {
             .segmenters
             .first()
             .filter(|_| models.label(Role::Masks).as_deref() == Some(&*self.parse.masks));
-        let pointing = Pointing { cloud: &render_scene.cloud, frames: &frames, segmenter: segmenter.map(|s| &**s), settings: &settings };
+        let pointing = Pointing {
+            cloud: &render_scene.cloud,
+            frames: &frames,
+            segmenter: segmenter.map(|s| &**s),
+            settings: &settings,
+        };
         match pointing.find(place, &self.parse.instances, is_not) {
             Ok(found) => Ok(found),
             // The scan's own pictures are not needed for an answer.
             Err(ParseError::Frame(error)) => {
-                tracing::warn!(parse_id = self.parse.id, error = &error as &dyn std::error::Error, "a photograph can not be looked into");
+                tracing::warn!(
+                    parse_id = self.parse.id,
+                    error = &error as &dyn std::error::Error,
+                    "a photograph can not be looked into"
+                );
                 Ok(None)
             }
             Err(error) => Err(error.into()),
         }
     }
 
-    async fn keep_found(self: &Arc<Self>, found: Instance) -> Result<(Arc<Self>, InstanceId), Error> {
-        // Of a scene that grows it is kept before the next parse goes on from this one, or not at all: its id would be another's.
+    async fn keep_found(
+        self: &Arc<Self>,
+        found: Instance,
+    ) -> Result<(Arc<Self>, InstanceId), Error> {
+        // Of a scene that grows it is kept before the next parse goes on from this one, or not at
+        // all: its id would be another's.
         let _turn = self.service.correcting(&self.parse.id).await?;
-        let Some(id) = self.service.store.insert_found(&self.parse.id, &found, MOST_FOUND).await? else {
+        let Some(id) = self.service.store.insert_found(&self.parse.id, &found, MOST_FOUND).await?
+        else {
             // For this question alone.
-            let (mut parse, id) = (LoadedParse::clone(&self.parse), InstanceId(self.parse.instances.len() as u32 + 1));
+            let (mut parse, id) = (
+                LoadedParse::clone(&self.parse),
+                InstanceId(self.parse.instances.len() as u32 + 1),
+            );
             parse.instances.push(Instance { id, ..found });
             return Ok((Self::new(self.service.clone(), Arc::new(parse)), id));
         };
@@ -197,7 +226,8 @@ impl SceneSource for StoredScene {
     }
 }
 
-/// A stored view; `None`, and a line in the log, where it can not be read. Parses from before masks were kept have drawn pictures alone.
+/// A stored view; `None`, and a line in the log, where it can not be read. Parses from before masks
+/// were kept have drawn pictures alone.
 fn shot(blobs: &Blobs, parse: &Utf8Path, id: InstanceId, at: usize, of: &View) -> Option<Shot> {
     let read = |file: Utf8PathBuf| {
         let decoded = blobs
@@ -207,7 +237,9 @@ fn shot(blobs: &Blobs, parse: &Utf8Path, id: InstanceId, at: usize, of: &View) -
             .and_then(|bytes| image::load_from_memory(&bytes).map_err(|e| e.to_string()));
         decoded
             .map(image::DynamicImage::into_rgb8)
-            .inspect_err(|error| tracing::warn!(%file, error, "an evidence picture can not be read"))
+            .inspect_err(
+                |error| tracing::warn!(%file, error, "an evidence picture can not be read"),
+            )
             .ok()
     };
     if of.mask.is_some() {

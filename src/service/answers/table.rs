@@ -5,15 +5,27 @@ use std::io;
 use uniground_types::answer::Answer;
 
 /// Their columns.
-pub const COLUMNS: [&str; 10] =
-    ["predicted_id", "confidence", "count", "center_x", "center_y", "center_z", "size_x", "size_y", "size_z", "cost_usd"];
+pub const COLUMNS: [&str; 10] = [
+    "predicted_id",
+    "confidence",
+    "count",
+    "center_x",
+    "center_y",
+    "center_z",
+    "size_x",
+    "size_y",
+    "size_z",
+    "cost_usd",
+];
 
 /// Of one answer, in order of [`COLUMNS`]; what it does not have is empty.
 pub fn cells(answer: Option<&Answer>) -> [String; COLUMNS.len()] {
     let Some(answer) = answer else { return Default::default() };
-    let [center, size] = [answer.aabb.map(|aabb| aabb.center), answer.aabb.map(|aabb| aabb.size.into())];
+    let [center, size] =
+        [answer.aabb.map(|aabb| aabb.center), answer.aabb.map(|aabb| aabb.size.into())];
     let number = |number: Option<String>| number.unwrap_or_default();
-    let axis = |of: Option<nalgebra::Point3<f32>>, axis: usize| number(of.map(|of| of[axis].to_string()));
+    let axis =
+        |of: Option<nalgebra::Point3<f32>>, axis: usize| number(of.map(|of| of[axis].to_string()));
     [
         number(answer.answer.predicted_id.map(|id| id.to_string())),
         answer.confidence.to_string(),

@@ -24,13 +24,20 @@ pub(super) fn picture_path(answer_id: &str, name: &str) -> String {
 pub(super) fn pictures(records: &[CallRecord]) -> BTreeSet<&str> {
     let parts = records.iter().flat_map(|record| &record.request.user);
     parts
-        .filter_map(|part| if let Part::Picture(picture) = part { Some(picture.name.as_str()) } else { None })
+        .filter_map(|part| {
+            if let Part::Picture(picture) = part { Some(picture.name.as_str()) } else { None }
+        })
         .collect()
 }
 
 impl Service {
     /// Writes down what was asked and said.
-    pub(super) async fn keep_transcript(&self, answer: &Answer, model: &str, records: Vec<CallRecord>) -> Result<(), Error> {
+    pub(super) async fn keep_transcript(
+        &self,
+        answer: &Answer,
+        model: &str,
+        records: Vec<CallRecord>,
+    ) -> Result<(), Error> {
         if records.is_empty() || self.limits.retention.evidence_days == 0 {
             return Ok(());
         }
@@ -46,7 +53,8 @@ impl Service {
     /// What the model was shown and asked for an answer.
     ///
     /// # Errors
-    /// [`Error::AnswerNotFound`]; [`Error::NoTranscript`] for answers of the built-in reasoner, and once it is no longer kept.
+    /// [`Error::AnswerNotFound`]; [`Error::NoTranscript`] for answers of the built-in reasoner, and
+    /// once it is no longer kept.
     pub async fn answer_prompt(&self, id: &str) -> Result<AnswerPrompt, Error> {
         self.transcript(id, PROMPT_FILE).await
     }
@@ -59,20 +67,28 @@ impl Service {
         self.transcript(id, REPLY_FILE).await
     }
 
-    async fn transcript<T: serde::de::DeserializeOwned>(&self, id: &str, file: &str) -> Result<T, Error> {
+    async fn transcript<T: serde::de::DeserializeOwned>(
+        &self,
+        id: &str,
+        file: &str,
+    ) -> Result<T, Error> {
         Ok(serde_json::from_slice(&self.kept_file(id, file).await?)?)
     }
 
     /// A file kept with an answer.
     pub(super) async fn kept_file(&self, id: &str, file: &str) -> Result<Vec<u8>, Error> {
         self.store.answer(id).await?.ok_or_else(|| Error::AnswerNotFound { id: id.into() })?;
-        let (blobs, folder, file) = (self.store.blobs.clone(), self.store.blobs.answer(id), file.to_owned());
+        let (blobs, folder, file) =
+            (self.store.blobs.clone(), self.store.blobs.answer(id), file.to_owned());
         let kept = spawn_blocking(move || read(&blobs, &folder, file)).await??;
         kept.ok_or_else(|| Error::NoTranscript { id: id.into() })
     }
 
     /// Removes what was kept for answers that are gone, in the background.
-    pub(in crate::service) async fn discard_transcripts(&self, answers: &[String]) -> Result<(), Error> {
+    pub(in crate::service) async fn discard_transcripts(
+        &self,
+        answers: &[String],
+    ) -> Result<(), Error> {
         let folders = answers.iter().map(|answer| self.store.blobs.answer(answer)).collect();
         self.store.blobs.remove_later(self.store.blobs.set_aside(folders).await?);
         Ok(())

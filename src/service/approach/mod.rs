@@ -9,7 +9,10 @@ use std::sync::Arc;
 use uniground_core::approach::{Floor, Occupancy, Places, Wish, approach, explanation};
 use uniground_core::grounding::pipeline::SceneSource;
 use uniground_types::answer::{Answer, CoordinateFrame, Status};
-use uniground_types::approach::{Approach, ApproachRequest, ApproachStatus, ApproachTarget, FloorMap, FloorPoint, check_map_height};
+use uniground_types::approach::{
+    Approach, ApproachRequest, ApproachStatus, ApproachTarget, FloorMap, FloorPoint,
+    check_map_height,
+};
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
 impl Service {
@@ -18,7 +21,12 @@ impl Service {
     /// # Errors
     /// [`Error`]: unknown or unparsed scene, an instance there is none of or that is no thing, a request that makes no sense, coordinates that
     /// the scene does not know, overload.
-    pub async fn approach(&self, scene_id: &str, request: ApproachRequest, caller: Caller) -> Result<Approach, Error> {
+    pub async fn approach(
+        &self,
+        scene_id: &str,
+        request: ApproachRequest,
+        caller: Caller,
+    ) -> Result<Approach, Error> {
         request.check()?;
         let (answer, row, scene) = self.asked_about(scene_id, &request, caller).await?;
         let frame = Frame::of(request.frame, &row, scene.parse.source_to_scene)?;
@@ -38,14 +46,18 @@ impl Service {
             frame: CoordinateFrame::default(),
             in_frame: None,
         };
-        if let Some(several) = answer.as_ref().map(|answer| answer.targets.len()).filter(|meant| *meant > 1) {
+        if let Some(several) =
+            answer.as_ref().map(|answer| answer.targets.len()).filter(|meant| *meant > 1)
+        {
             told.detail = format!(
                 "the question means {several} things, and one is driven to: ask with the instance_id of one of its answer's targets"
             );
             return Ok(told);
         }
         let meant = match &answer {
-            Some(answer) => answer.answer.predicted_id.filter(|_| answer.status == Status::Grounded),
+            Some(answer) => {
+                answer.answer.predicted_id.filter(|_| answer.status == Status::Grounded)
+            }
             None => request.instance_id,
         };
         let Some(id) = meant else {
@@ -53,9 +65,13 @@ impl Service {
             return Ok(told);
         };
         let known = scene.instances().get((id.0 as usize).wrapping_sub(1));
-        let instance = known.ok_or_else(|| Error::InstanceNotFound { scene_id: scene_id.into(), id })?;
+        let instance =
+            known.ok_or_else(|| Error::InstanceNotFound { scene_id: scene_id.into(), id })?;
         if instance.dismissed {
-            return Err(Error::invalid("/instance_id", format!("instance {id} is no thing: somebody has dismissed or split it")));
+            return Err(Error::invalid(
+                "/instance_id",
+                format!("instance {id} is no thing: somebody has dismissed or split it"),
+            ));
         }
         let (name, wish) = (instance.label().to_owned(), wish_of(&request, frame.as_ref()));
         told.target = Some(ApproachTarget {
@@ -71,7 +87,8 @@ impl Service {
                 Ok((occupancy.floor_z_m(), approach(&occupancy, scene.instances(), id, &wish)))
             })
             .await?;
-        let Places { poses, start, cells } = places.ok_or_else(|| Error::InstanceNotFound { scene_id: scene_id.into(), id })?;
+        let Places { poses, start, cells } =
+            places.ok_or_else(|| Error::InstanceNotFound { scene_id: scene_id.into(), id })?;
         (told.start, told.cells, told.floor_z_m) = (start, Some(cells), Some(floor_z_m));
         match poses {
             Ok(poses) => {
@@ -90,7 +107,8 @@ impl Service {
     /// The map of a scene's floor: what is higher above it than `height_m` is no obstacle.
     ///
     /// # Errors
-    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`]; a height that makes no sense.
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`]; a height that
+    /// makes no sense.
     pub async fn floor(&self, scene_id: &str, height_m: f32) -> Result<FloorMap, Error> {
         let scene = self.mapped(scene_id, height_m).await?;
         scene.compute(move |scene| Ok(Floor::of(&*scene.occupancy()?, height_m).map().0)).await
@@ -130,9 +148,17 @@ impl Service {
                 None => None,
             };
             let (row, parse_id) = self.ready_scene(scene_id).await?;
-            // Another parse may have come in meanwhile, and its ids are others: then the question is asked of that one.
-            if answer.as_ref().is_none_or(|answer| i64::from(answer.parse_version) == row.parse_version) {
-                return Ok((answer, row, StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?)));
+            // Another parse may have come in meanwhile, and its ids are others: then the question
+            // is asked of that one.
+            if answer
+                .as_ref()
+                .is_none_or(|answer| i64::from(answer.parse_version) == row.parse_version)
+            {
+                return Ok((
+                    answer,
+                    row,
+                    StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?),
+                ));
             }
         }
     }
@@ -140,17 +166,35 @@ impl Service {
 
 /// Asked of the built-in reasoner: it costs nothing, and a robot does not wait for a model.
 fn question(query: &str) -> GroundRequest {
-    GroundRequest { reasoner: ReasonerChoice::Builtin, allow_builtin: true, ..GroundRequest::of(query) }
+    GroundRequest {
+        reasoner: ReasonerChoice::Builtin,
+        allow_builtin: true,
+        ..GroundRequest::of(query)
+    }
 }
 
 /// `frame` is that of the robot's own place; `None` for the scene's.
 fn wish_of(request: &ApproachRequest, frame: Option<&Frame>) -> Wish {
-    let ApproachRequest { instance_id: _, query: _, robot, from, frame: _, min_distance_m, max_distance_m, max_poses } = request;
+    let ApproachRequest {
+        instance_id: _,
+        query: _,
+        robot,
+        from,
+        frame: _,
+        min_distance_m,
+        max_distance_m,
+        max_poses,
+    } = request;
     let in_scene = |FloorPoint { x, y, z }| {
         let [x, y, z] = frame.map_or([x, y, z], |frame| frame.from_scene.invert([x, y, z]));
         FloorPoint { x, y, z }
     };
-    Wish { robot: *robot, from: from.map(in_scene), distances_m: [*min_distance_m, *max_distance_m], max_poses: *max_poses as usize }
+    Wish {
+        robot: *robot,
+        from: from.map(in_scene),
+        distances_m: [*min_distance_m, *max_distance_m],
+        max_poses: *max_poses as usize,
+    }
 }
 
 impl StoredScene {
@@ -161,7 +205,8 @@ impl StoredScene {
             return Ok(occupancy);
         }
         let (render_scene, of_point) = (self.render_scene()?, self.instance_of_point()?);
-        let occupancy = Arc::new(Occupancy::of(&render_scene.cloud.positions, &of_point, self.instances()));
+        let occupancy =
+            Arc::new(Occupancy::of(&render_scene.cloud.positions, &of_point, self.instances()));
         known.put(self.parse.id.clone(), occupancy.clone(), occupancy.bytes());
         Ok(occupancy)
     }

@@ -1,4 +1,5 @@
-//! Questions of a batch: an item stores the fields it has of its own, its batch those that all items share.
+//! Questions of a batch: an item stores the fields it has of its own, its batch those that all
+//! items share.
 
 use crate::error::Error;
 use serde::{Deserialize, Deserializer};
@@ -21,13 +22,15 @@ impl BatchDefaults {
         Ok(Self(json.map(serde_json::from_str).transpose()?.unwrap_or_default()))
     }
 
-    /// Returns the whole question of an item, its own fields before the shared ones. Text by text: numbers keep their digits.
+    /// Returns the whole question of an item, its own fields before the shared ones. Text by text:
+    /// numbers keep their digits.
     pub fn merge<'a>(&self, request: &'a str) -> Result<Cow<'a, str>, Error> {
         if self.0.is_empty() {
             return Ok(request.into());
         }
         let own: BTreeMap<String, &RawValue> = serde_json::from_str(request)?;
-        let mut all: BTreeMap<&str, &RawValue> = self.0.iter().map(|(name, value)| (name.as_str(), value.as_ref())).collect();
+        let mut all: BTreeMap<&str, &RawValue> =
+            self.0.iter().map(|(name, value)| (name.as_str(), value.as_ref())).collect();
         all.extend(own.iter().map(|(name, value)| (name.as_str(), *value)));
         Ok(serde_json::to_string(&all)?.into())
     }
@@ -58,10 +61,16 @@ pub fn take_scene(fields: &mut Map<String, Value>, shared: &str) -> String {
 /// The question of an item.
 pub fn question_of(request: &str) -> Result<GroundRequest, Error> {
     let mut reader = serde_json::Deserializer::from_str(request);
-    let question: GroundRequest = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
-        let pointer: String = error.path().iter().map(|segment| format!("/{segment}")).filter(|s| s != "/?").collect();
-        Error::invalid(pointer, error.inner().to_string())
-    })?;
+    let question: GroundRequest =
+        serde_path_to_error::deserialize(&mut reader).map_err(|error| {
+            let pointer: String = error
+                .path()
+                .iter()
+                .map(|segment| format!("/{segment}"))
+                .filter(|s| s != "/?")
+                .collect();
+            Error::invalid(pointer, error.inner().to_string())
+        })?;
     question.check()?;
     Ok(question)
 }
@@ -89,7 +98,9 @@ mod tests {
 
     #[test]
     fn an_item_goes_before_the_defaults() {
-        let defaults = fields(json!({"query": "the sofa", "top_k": 3, "min_confidence": 0.1, "\"odd\"\n": [1, {"a": null}]}));
+        let defaults = fields(
+            json!({"query": "the sofa", "top_k": 3, "min_confidence": 0.1, "\"odd\"\n": [1, {"a": null}]}),
+        );
         for own in [
             json!({}),
             json!({"query": "the lamp"}),
@@ -99,7 +110,8 @@ mod tests {
             let (defaults, own) = (&defaults, fields(own));
             let request = Value::Object(own.clone()).to_string();
             assert_eq!(stored(defaults).merge(&request).unwrap(), whole(defaults, own.clone()));
-            let query = serde_json::from_str::<Map<String, Value>>(&whole(defaults, own)).unwrap()["query"]
+            let query = serde_json::from_str::<Map<String, Value>>(&whole(defaults, own)).unwrap()
+                ["query"]
                 .as_str()
                 .map(str::to_owned);
             assert_eq!(stored(defaults).query_of(&request), query.unwrap_or_default());
@@ -111,7 +123,10 @@ mod tests {
     #[test]
     fn whole_questions_stay_as_they_are() {
         let none = BatchDefaults::from_stored(None).unwrap();
-        assert!(matches!(none.merge("{ \"query\" : 1.50 }").unwrap(), Cow::Borrowed("{ \"query\" : 1.50 }")));
+        assert!(matches!(
+            none.merge("{ \"query\" : 1.50 }").unwrap(),
+            Cow::Borrowed("{ \"query\" : 1.50 }")
+        ));
         let texts = [("{\"query\": \"a\"}", "a"), ("{\"query\": 1}", ""), ("{}", ""), ("", "")];
         assert!(texts.iter().all(|(request, query)| none.query_of(request) == *query));
     }

@@ -1,4 +1,5 @@
-//! Lists of questions: submitted whole, asked in the background, their results read while they are made.
+//! Lists of questions: submitted whole, asked in the background, their results read while they are
+//! made.
 
 mod items;
 mod job;
@@ -47,7 +48,8 @@ impl Service {
     /// # Errors
     /// [`Error::Store`].
     pub async fn batches(&self, limit: u32, cursor: Option<&str>) -> Result<BatchList, Error> {
-        let (rows, next_cursor) = page(self.store.batches(limit + 1, cursor).await?, limit, |row| &row.id);
+        let (rows, next_cursor) =
+            page(self.store.batches(limit + 1, cursor).await?, limit, |row| &row.id);
         let mut batches = Vec::with_capacity(rows.len());
         for row in rows {
             batches.push(self.present_batch(row).await?);
@@ -79,7 +81,12 @@ impl Service {
         let row = self.batch_row(id).await?;
         self.jobs.check_room::<BatchJob>(row.key_id.as_deref()).await?;
         let payload = serde_json::to_string(&Payload { batch_id: id.to_owned() })?;
-        let job = NewJob { kind: BatchJob::NAME, payload: &payload, key_id: row.key_id.as_deref(), done: None };
+        let job = NewJob {
+            kind: BatchJob::NAME,
+            payload: &payload,
+            key_id: row.key_id.as_deref(),
+            done: None,
+        };
         match self.store.resume_batch(id, &job).await? {
             Resumed::By(job) => drop(self.jobs.recorded::<BatchJob>(*job)),
             Resumed::GoesOn => {}
@@ -101,7 +108,10 @@ impl Service {
     }
 
     /// Where a batch stands, why, and how long it will take, seconds.
-    async fn batch_state(&self, row: &BatchRow) -> Result<(BatchState, Option<String>, Option<f32>), Error> {
+    async fn batch_state(
+        &self,
+        row: &BatchRow,
+    ) -> Result<(BatchState, Option<String>, Option<f32>), Error> {
         let (is_over, eta_s) = match &row.job_id {
             Some(id) => match self.jobs.get(id).await {
                 Ok(job) => (job.state.is_final(), job.eta_s),
@@ -112,7 +122,8 @@ impl Service {
         };
         let (mut state, mut reason) = (row.state.clone(), row.reason.clone());
         if state == "running" && is_over {
-            // A job that ends well has moved its batch before: what was read before that is looked at again.
+            // A job that ends well has moved its batch before: what was read before that is looked
+            // at again.
             let now = self.batch_row(&row.id).await?;
             (state, reason) = (now.state, now.reason);
             if state == "running" && now.job_id == row.job_id {
@@ -133,6 +144,19 @@ impl Service {
         let (by_status, cost_usd) = self.store.batch_figures(&row.id).await?;
         let done = by_status.values().sum();
         let BatchRow { id, label, items, job_id, created_at, finished_at, .. } = row;
-        Ok(Batch { id, label, state, reason, items, done, by_status, cost_usd, eta_s, job_id, created_at, finished_at })
+        Ok(Batch {
+            id,
+            label,
+            state,
+            reason,
+            items,
+            done,
+            by_status,
+            cost_usd,
+            eta_s,
+            job_id,
+            created_at,
+            finished_at,
+        })
     }
 }

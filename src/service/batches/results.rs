@@ -46,15 +46,22 @@ struct Line<'a> {
 }
 
 impl Service {
-    /// Streams results in item order. The stream ends with the last item, or, unless it follows, before the first that is not done.
+    /// Streams results in item order. The stream ends with the last item, or, unless it follows,
+    /// before the first that is not done.
     ///
     /// # Errors
     /// [`Error::BatchNotFound`].
-    pub async fn batch_results(&self, results: Results) -> Result<impl Stream<Item = Result<Bytes, Error>> + use<>, Error> {
+    pub async fn batch_results(
+        &self,
+        results: Results,
+    ) -> Result<impl Stream<Item = Result<Bytes, Error>> + use<>, Error> {
         self.batch_row(&results.batch_id).await?;
-        let defaults = Arc::new(BatchDefaults::from_stored(self.store.batch_defaults(&results.batch_id).await?.as_deref())?);
+        let defaults = Arc::new(BatchDefaults::from_stored(
+            self.store.batch_defaults(&results.batch_id).await?.as_deref(),
+        )?);
         let service = self.clone();
-        let begin = (results.format == LineFormat::Csv).then(|| Bytes::from(format!("{}\n", columns().join(","))));
+        let begin = (results.format == LineFormat::Csv)
+            .then(|| Bytes::from(format!("{}\n", columns().join(","))));
         let pages = stream::try_unfold(results, move |wanted| {
             let (service, defaults) = (service.clone(), defaults.clone());
             async move { service.next_page(wanted, &defaults).await }
@@ -62,12 +69,17 @@ impl Service {
         Ok(futures::StreamExt::chain(stream::iter(begin.map(Ok)), pages))
     }
 
-    async fn next_page(&self, mut wanted: Results, defaults: &BatchDefaults) -> Result<Option<(Bytes, Results)>, Error> {
+    async fn next_page(
+        &self,
+        mut wanted: Results,
+        defaults: &BatchDefaults,
+    ) -> Result<Option<(Bytes, Results)>, Error> {
         loop {
             // Looked at before the items: what is closed after this is found next time.
             let (state, ..) = self.batch_state(&self.batch_row(&wanted.batch_id).await?).await?;
             let rows = self.store.batch_items(&wanted.batch_id, wanted.from, PAGE).await?;
-            let done: Vec<ItemRow> = rows.into_iter().take_while(|row| row.status.is_some()).collect();
+            let done: Vec<ItemRow> =
+                rows.into_iter().take_while(|row| row.status.is_some()).collect();
             if let Some(last) = done.last() {
                 wanted.from = last.item + 1;
                 let page = match wanted.format {
@@ -113,7 +125,13 @@ fn rows_of(rows: &[ItemRow], defaults: &BatchDefaults) -> Result<Vec<u8>, Error>
         let query = defaults.query_of(&row.request);
         let answer: Option<Answer> = row.answer.as_deref().map(serde_json::from_str).transpose()?;
         let (code, detail) = row.error.clone().unwrap_or_default();
-        let item = [row.item.to_string(), row.scene_id.clone(), query, row.status.clone().unwrap_or_default(), row.answer_id.clone()];
+        let item = [
+            row.item.to_string(),
+            row.scene_id.clone(),
+            query,
+            row.status.clone().unwrap_or_default(),
+            row.answer_id.clone(),
+        ];
         Ok(item.into_iter().chain(table::cells(answer.as_ref())).chain([code, detail]).collect())
     }))
 }

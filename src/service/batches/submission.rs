@@ -33,7 +33,8 @@ pub enum Body<S> {
     Lines(S),
 }
 
-/// Items written together, and bytes of them: few enough that no question waits long for the database.
+/// Items written together, and bytes of them: few enough that no question waits long for the
+/// database.
 const TOGETHER: usize = 500;
 const BYTES_TOGETHER: usize = 1 << 20;
 /// No question needs a longer line. Defaults are a part of one.
@@ -46,7 +47,10 @@ const MAX_SCENE_ID_BYTES: usize = 64;
 impl Submission {
     /// Splits a JSON request into what comes with it and its items.
     #[must_use]
-    pub fn of(request: BatchRequest, idempotency_key: Option<String>) -> (Self, Vec<Map<String, Value>>) {
+    pub fn of(
+        request: BatchRequest,
+        idempotency_key: Option<String>,
+    ) -> (Self, Vec<Map<String, Value>>) {
         let BatchRequest { items, defaults, label, concurrency, max_cost_usd } = request;
         (Self { label, concurrency, max_cost_usd, idempotency_key, defaults }, items)
     }
@@ -56,12 +60,13 @@ impl Submission {
             return Err(Error::invalid("/concurrency", format!("must be 1 to {MAX_CONCURRENCY}")));
         }
         self.max_cost_usd.map_or(Ok(()), |usd| zero_or_more("/max_cost_usd", usd))?;
-        if self
-            .label
-            .as_ref()
-            .is_some_and(|label| label.chars().count() > MAX_LABEL_CHARS || label.chars().any(char::is_control))
-        {
-            return Err(Error::invalid("/label", format!("a line of at most {MAX_LABEL_CHARS} characters")));
+        if self.label.as_ref().is_some_and(|label| {
+            label.chars().count() > MAX_LABEL_CHARS || label.chars().any(char::is_control)
+        }) {
+            return Err(Error::invalid(
+                "/label",
+                format!("a line of at most {MAX_LABEL_CHARS} characters"),
+            ));
         }
         Ok(())
     }
@@ -101,7 +106,8 @@ impl Receiving<'_> {
             && fields.len() == 1
             && let Some(Value::Object(defaults)) = fields.get("defaults")
         {
-            // What comes in many lines is one list of defaults: together they are no longer than one line.
+            // What comes in many lines is one list of defaults: together they are no longer than
+            // one line.
             self.defaults_bytes += fields["defaults"].to_string().len();
             if self.defaults_bytes > MAX_LINE_BYTES {
                 return Err(long_defaults());
@@ -138,7 +144,11 @@ impl Receiving<'_> {
         }
         self.waiting.push(NewItem { scene_id, request });
         self.waiting_bytes += bytes;
-        if self.waiting.len() >= TOGETHER || self.waiting_bytes >= BYTES_TOGETHER { self.write().await } else { Ok(()) }
+        if self.waiting.len() >= TOGETHER || self.waiting_bytes >= BYTES_TOGETHER {
+            self.write().await
+        } else {
+            Ok(())
+        }
     }
 
     /// No more defaults come: items do.
@@ -171,17 +181,26 @@ impl Receiving<'_> {
         let bytes = std::mem::take(&mut self.waiting_bytes);
         if let Some(id) = &self.batch_id {
             self.service.check_disk(bytes as u64)?;
-            self.service.store.insert_batch_items(id, self.items - items.len() as u32, &items).await?;
+            self.service
+                .store
+                .insert_batch_items(id, self.items - items.len() as u32, &items)
+                .await?;
         }
         Ok(())
     }
 
     fn too_long(&self) -> Error {
-        Error::invalid(format!("/items/{}", self.items), format!("a line has at most {MAX_LINE_BYTES} bytes"))
+        Error::invalid(
+            format!("/items/{}", self.items),
+            format!("a line has at most {MAX_LINE_BYTES} bytes"),
+        )
     }
 
     /// Takes all items; a batch has at least one.
-    async fn take_all<E>(&mut self, body: Body<impl Stream<Item = Result<Bytes, E>> + Unpin>) -> Result<(), Error> {
+    async fn take_all<E>(
+        &mut self,
+        body: Body<impl Stream<Item = Result<Bytes, E>> + Unpin>,
+    ) -> Result<(), Error> {
         match body {
             Body::Items(items) => {
                 for fields in items {
@@ -205,11 +224,16 @@ impl Receiving<'_> {
             return Err(self.too_long());
         }
         let fields = serde_json::from_slice(line);
-        let fields = fields.map_err(|error| Error::invalid(format!("/items/{}", self.items), format!("not a JSON object: {error}")))?;
+        let fields = fields.map_err(|error| {
+            Error::invalid(format!("/items/{}", self.items), format!("not a JSON object: {error}"))
+        })?;
         self.take(fields).await
     }
 
-    async fn take_lines<E>(&mut self, mut lines: impl Stream<Item = Result<Bytes, E>> + Unpin) -> Result<(), Error> {
+    async fn take_lines<E>(
+        &mut self,
+        mut lines: impl Stream<Item = Result<Bytes, E>> + Unpin,
+    ) -> Result<(), Error> {
         let mut rest: Vec<u8> = Vec::new();
         let mut received = 0;
         let left = |received| Error::UploadInterrupted { received };
@@ -237,7 +261,11 @@ fn long_defaults() -> Error {
 
 /// Fails where a batch is larger than batches may be.
 fn check_size(stored_bytes: u64) -> Result<(), Error> {
-    if stored_bytes > MAX_STORED_BYTES { Err(Error::BatchTooLarge { most_bytes: MAX_STORED_BYTES }) } else { Ok(()) }
+    if stored_bytes > MAX_STORED_BYTES {
+        Err(Error::BatchTooLarge { most_bytes: MAX_STORED_BYTES })
+    } else {
+        Ok(())
+    }
 }
 
 /// A batch that is being received; deleted where its sender leaves.
@@ -268,14 +296,19 @@ impl Drop for Unfinished {
 async fn discard(store: &Store, id: &str) {
     if let Err(error) = store.discard_batch(id).await {
         let error = &error as &dyn std::error::Error;
-        tracing::warn!(batch_id = id, error, "a refused batch could not be deleted: the next start deletes it");
+        tracing::warn!(
+            batch_id = id,
+            error,
+            "a refused batch could not be deleted: the next start deletes it"
+        );
     }
 }
 
 impl Service {
     /// Takes a list of questions and starts asking them. All of it is taken or nothing.
     ///
-    /// What is wrong with one question is that item's failure. The same submission again under its idempotency key returns the batch it made.
+    /// What is wrong with one question is that item's failure. The same submission again under its
+    /// idempotency key returns the batch it made.
     ///
     /// # Errors
     /// [`Error`]: what is no list of JSON objects, or empty, or too long; [`Error::IdempotencyKeyReused`]; a full queue or disk.
@@ -298,7 +331,12 @@ impl Service {
         } else {
             self.check_disk(0)?;
             self.jobs.check_room::<BatchJob>(caller.key_id()).await?;
-            let new = NewBatch { label: label.as_deref(), concurrency, max_cost_usd, key_id: caller.key_id() };
+            let new = NewBatch {
+                label: label.as_deref(),
+                concurrency,
+                max_cost_usd,
+                key_id: caller.key_id(),
+            };
             (Some(self.store.insert_batch(new).await?), DigestForm::Shared)
         };
         let mut unfinished = Unfinished { store: self.store.clone(), id: batch_id.clone() };
@@ -328,7 +366,13 @@ impl Service {
                 .ok_or(Error::IdempotencyKeyReused)?;
             return self.batch(&before.id).await;
         };
-        let received = received.map(|()| ReceivedBatch { id: &id, items, defaults: &defaults, request: &request, key: key.as_deref() });
+        let received = received.map(|()| ReceivedBatch {
+            id: &id,
+            items,
+            defaults: &defaults,
+            request: &request,
+            key: key.as_deref(),
+        });
         let submitted = match received {
             Ok(received) => self.submit(&received, caller).await,
             Err(error) => Err(error),
@@ -354,9 +398,14 @@ impl Service {
         }
     }
 
-    async fn submit(&self, received: &ReceivedBatch<'_>, caller: &Caller) -> Result<Submitted, Error> {
+    async fn submit(
+        &self,
+        received: &ReceivedBatch<'_>,
+        caller: &Caller,
+    ) -> Result<Submitted, Error> {
         let payload = serde_json::to_string(&Payload { batch_id: received.id.to_owned() })?;
-        let job = NewJob { kind: BatchJob::NAME, payload: &payload, key_id: caller.key_id(), done: None };
+        let job =
+            NewJob { kind: BatchJob::NAME, payload: &payload, key_id: caller.key_id(), done: None };
         Ok(self.store.submit_batch(received, &job).await?)
     }
 }

@@ -43,14 +43,16 @@ struct TurnedBox {
 }
 
 impl Service {
-    /// The things of a scene's current parse as people have corrected them; floor, walls and ceiling are left out.
+    /// The things of a scene's current parse as people have corrected them; floor, walls and
+    /// ceiling are left out.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
     pub async fn ground_truth(&self, scene_id: &str) -> Result<GroundTruth, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let parse = self.loaded_parse(&parse_id).await?;
-        let is_thing = |i: &&Instance| i.level == Level::Thing && i.structure.is_none() && !i.dismissed;
+        let is_thing =
+            |i: &&Instance| i.level == Level::Thing && i.structure.is_none() && !i.dismissed;
         let object = |instance: &Instance| {
             let OrientedBox { center, size, yaw_rad } = instance.oriented_box;
             TrueObject {
@@ -58,10 +60,18 @@ impl Service {
                 name: instance.label().to_owned(),
                 min: instance.aabb.min().into(),
                 max: instance.aabb.max().into(),
-                obb: TurnedBox { center: center.into(), size: size.into(), yaw_deg: yaw_rad.to_degrees() },
-                corrected: parse.renamed.contains_key(&instance.id.0) || !instance.merged_from.is_empty(),
+                obb: TurnedBox {
+                    center: center.into(),
+                    size: size.into(),
+                    yaw_deg: yaw_rad.to_degrees(),
+                },
+                corrected: parse.renamed.contains_key(&instance.id.0)
+                    || !instance.merged_from.is_empty(),
             }
         };
-        Ok(GroundTruth { scene_id: scene_id.to_owned(), objects: parse.instances.iter().filter(is_thing).map(object).collect() })
+        Ok(GroundTruth {
+            scene_id: scene_id.to_owned(),
+            objects: parse.instances.iter().filter(is_thing).map(object).collect(),
+        })
     }
 }

@@ -12,17 +12,25 @@ use uniground_types::instances::Levels;
 use uniground_types::scene::InstanceId;
 
 impl Service {
-    /// The graph of a scene's current parse; with `around`, of an instance of any level and what it stands in a relation to.
+    /// The graph of a scene's current parse; with `around`, of an instance of any level and what it
+    /// stands in a relation to.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::InstanceNotFound`].
-    pub async fn graph(&self, scene_id: &str, levels: Levels, around: Option<InstanceId>) -> Result<SceneGraph, Error> {
+    pub async fn graph(
+        &self,
+        scene_id: &str,
+        levels: Levels,
+        around: Option<InstanceId>,
+    ) -> Result<SceneGraph, Error> {
         let (row, parse_id) = self.ready_scene(scene_id).await?;
         let parse: Arc<LoadedParse> = self.loaded_parse(&parse_id).await?;
         let levels = if around.is_some() { Levels::All } else { levels };
         let graph = self.compute(move || Ok(graph_of(&parse, levels))).await?;
         let Graph { nodes, edges } = match around {
-            Some(id) => graph.around(id).ok_or_else(|| Error::InstanceNotFound { scene_id: row.id.clone(), id })?,
+            Some(id) => graph
+                .around(id)
+                .ok_or_else(|| Error::InstanceNotFound { scene_id: row.id.clone(), id })?,
             None => graph,
         };
         Ok(SceneGraph {

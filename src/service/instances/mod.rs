@@ -24,7 +24,11 @@ pub enum EvidenceFile {
 }
 
 /// An instance as callers see it.
-fn view_of(instance: Instance, model_name: Option<String>, given_name: Option<String>) -> InstanceView {
+fn view_of(
+    instance: Instance,
+    model_name: Option<String>,
+    given_name: Option<String>,
+) -> InstanceView {
     let label = instance.label().to_owned();
     let Instance {
         id,
@@ -48,7 +52,11 @@ fn view_of(instance: Instance, model_name: Option<String>, given_name: Option<St
         dismissed,
         gone,
     } = instance;
-    let colours = colours.dominant().into_iter().map(|(name, share)| (name.word().to_owned(), share)).collect();
+    let colours = colours
+        .dominant()
+        .into_iter()
+        .map(|(name, share)| (name.word().to_owned(), share))
+        .collect();
     InstanceView {
         id,
         level,
@@ -80,26 +88,46 @@ impl Service {
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
-    pub async fn instances(&self, scene_id: &str, levels: Levels, limit: u32, cursor: u32) -> Result<InstanceList, Error> {
+    pub async fn instances(
+        &self,
+        scene_id: &str,
+        levels: Levels,
+        limit: u32,
+        cursor: u32,
+    ) -> Result<InstanceList, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let parse = self.loaded_parse(&parse_id).await?;
-        let listed = parse.instances.iter().filter(|i| i.id.0 > cursor && levels.lists(i.level, i.dismissed));
+        let listed = parse
+            .instances
+            .iter()
+            .filter(|i| i.id.0 > cursor && levels.lists(i.level, i.dismissed));
         let mut page = self.views_of(&parse, listed.take(limit as usize + 1)).await?;
         let more = page.len() > limit as usize;
         page.truncate(limit as usize);
-        Ok(InstanceList { next_cursor: page.last().filter(|_| more).map(|i| i.id.0), instances: page })
+        Ok(InstanceList {
+            next_cursor: page.last().filter(|_| more).map(|i| i.id.0),
+            instances: page,
+        })
     }
 
     /// All instances of a parse but those that were dismissed, in order of id.
-    pub(super) async fn shown_instances(&self, parse: &LoadedParse) -> Result<Vec<InstanceView>, Error> {
+    pub(super) async fn shown_instances(
+        &self,
+        parse: &LoadedParse,
+    ) -> Result<Vec<InstanceView>, Error> {
         self.views_of(parse, parse.instances.iter().filter(|instance| !instance.dismissed)).await
     }
 
     /// Instances with the names they were given.
-    async fn views_of<'a>(&self, parse: &LoadedParse, instances: impl Iterator<Item = &'a Instance>) -> Result<Vec<InstanceView>, Error> {
+    async fn views_of<'a>(
+        &self,
+        parse: &LoadedParse,
+        instances: impl Iterator<Item = &'a Instance>,
+    ) -> Result<Vec<InstanceView>, Error> {
         let mut names = self.names_of(&parse.id).await?;
         let view = |instance: &Instance| {
-            let (name, given) = (names.remove(&instance.id.0), parse.renamed.get(&instance.id.0).cloned());
+            let (name, given) =
+                (names.remove(&instance.id.0), parse.renamed.get(&instance.id.0).cloned());
             view_of(instance.clone(), name, given)
         };
         Ok(instances.map(view).collect())
@@ -117,7 +145,13 @@ impl Service {
     ///
     /// # Errors
     /// [`Error::ViewNotFound`] and those of [`instance`](Self::instance).
-    pub async fn view_picture(&self, scene_id: &str, id: InstanceId, view: u32, picture: ViewPicture) -> Result<EvidenceFile, Error> {
+    pub async fn view_picture(
+        &self,
+        scene_id: &str,
+        id: InstanceId,
+        view: u32,
+        picture: ViewPicture,
+    ) -> Result<EvidenceFile, Error> {
         let (parse, instance) = self.known_instance(scene_id, id).await?;
         let views = instance.views.len();
         if view as usize >= views {
@@ -133,7 +167,11 @@ impl Service {
     }
 
     /// An instance of a scene's current parse, and the parse.
-    async fn known_instance(&self, scene_id: &str, id: InstanceId) -> Result<(Arc<LoadedParse>, Instance), Error> {
+    async fn known_instance(
+        &self,
+        scene_id: &str,
+        id: InstanceId,
+    ) -> Result<(Arc<LoadedParse>, Instance), Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let parse = self.loaded_parse(&parse_id).await?;
         match parse.instances.get((id.0 as usize).wrapping_sub(1)).cloned() {

@@ -1,4 +1,5 @@
-//! What was done: every request that changes what is stored, whose key it came with and what came of it.
+//! What was done: every request that changes what is stored, whose key it came with and what came
+//! of it.
 
 use super::{Caller, Keyring};
 use crate::error::Error;
@@ -23,17 +24,20 @@ pub struct Done {
 /// The status of a request whose caller left before the answer: what it did is done.
 const LEFT: u16 = 499;
 
-/// A request that is written down however it ends: answered, or because whoever asked left, or because the handler panicked.
+/// A request that is written down however it ends: answered, or because whoever asked left, or
+/// because the handler panicked.
 pub struct Noting {
     keys: Keyring,
     open: Option<(Caller, Done)>,
 }
 
 impl Noting {
-    /// It was answered. Whoever asked waits until that is written down, unless the database takes too long.
+    /// It was answered. Whoever asked waits until that is written down, unless the database takes
+    /// too long.
     pub async fn answered(mut self, status: u16) {
         if let Some((caller, done)) = self.open.take() {
-            let written = self.keys.audit_log.push(self.keys.entry(&caller, Done { status, ..done }));
+            let written =
+                self.keys.audit_log.push(self.keys.entry(&caller, Done { status, ..done }));
             // What waits longer is written all the same; what was dropped has been logged.
             let _ = timeout(MAX_WAIT, written).await;
         }
@@ -62,7 +66,8 @@ const RETRY_AFTER: Duration = Duration::from_millis(200);
 /// How often the log says that entries were dropped, at most.
 const LOG_EVERY: Duration = Duration::from_secs(10);
 
-/// Writes audit entries in the background, in order. Entries that come together are written together.
+/// Writes audit entries in the background, in order. Entries that come together are written
+/// together.
 #[derive(Clone)]
 pub(super) struct AuditLog {
     queue: mpsc::Sender<Pending>,
@@ -88,17 +93,24 @@ impl AuditLog {
     fn push(&self, entry: AuditEntry) -> oneshot::Receiver<()> {
         let (written, receiver) = oneshot::channel();
         if let Err(error) = self.queue.try_send(Pending { entry, written }) {
-            self.dropped
-                .count(std::slice::from_ref(&error.into_inner().entry), "too many are waiting to be written");
+            self.dropped.count(
+                std::slice::from_ref(&error.into_inner().entry),
+                "too many are waiting to be written",
+            );
         }
         receiver
     }
 }
 
-async fn write_entries(writer: AuditWriter, mut queue: mpsc::Receiver<Pending>, dropped: Arc<Dropped>) {
+async fn write_entries(
+    writer: AuditWriter,
+    mut queue: mpsc::Receiver<Pending>,
+    dropped: Arc<Dropped>,
+) {
     let mut pending = Vec::new();
     while queue.recv_many(&mut pending, MAX_TOGETHER).await > 0 {
-        let (entries, callers): (Vec<_>, Vec<_>) = pending.drain(..).map(|pending| (pending.entry, pending.written)).unzip();
+        let (entries, callers): (Vec<_>, Vec<_>) =
+            pending.drain(..).map(|pending| (pending.entry, pending.written)).unzip();
         if let Err(error) = write(&writer, &entries).await {
             dropped.count(&entries, &with_causes(&error));
         }
@@ -155,7 +167,8 @@ impl Keyring {
     /// # Errors
     /// [`Error::Store`].
     pub async fn audit(&self, limit: u32, cursor: Option<&str>) -> Result<AuditList, Error> {
-        let (entries, next_cursor) = page(self.store.audit(limit + 1, cursor).await?, limit, |entry| &entry.id);
+        let (entries, next_cursor) =
+            page(self.store.audit(limit + 1, cursor).await?, limit, |entry| &entry.id);
         Ok(AuditList { entries, next_cursor })
     }
 }
@@ -194,7 +207,8 @@ mod tests {
         keys.noting(Caller::operator(), done("/answered")).answered(204).await;
         drop(keys.noting(Caller::operator(), done("/left")));
         let entries = entries(&keys, 2).await;
-        let written: Vec<(&str, u16)> = entries.iter().map(|entry| (entry.path.as_str(), entry.status)).collect();
+        let written: Vec<(&str, u16)> =
+            entries.iter().map(|entry| (entry.path.as_str(), entry.status)).collect();
         assert_eq!(written, [("/left", LEFT), ("/answered", 204)]);
     }
 
@@ -208,7 +222,11 @@ mod tests {
         for _ in 0..FLOOD {
             drop(keys.noting(Caller::operator(), done("/flood")));
         }
-        assert!(metrics.text().contains("uniground_audit_entries_dropped_total 100"), "{}", metrics.text());
+        assert!(
+            metrics.text().contains("uniground_audit_entries_dropped_total 100"),
+            "{}",
+            metrics.text()
+        );
         assert_eq!(entries(&keys, MAX_QUEUED).await.len(), MAX_QUEUED);
         keys.noting(Caller::operator(), done("/later")).answered(200).await;
         assert_eq!(entries(&keys, MAX_QUEUED + 1).await[0].path, "/later");
@@ -222,6 +240,10 @@ mod tests {
         keys.store.close().await;
         let refused = keys.entry(&Caller::operator(), done("/refused"));
         let _ = keys.audit_log.push(refused).await;
-        assert!(metrics.text().contains("uniground_audit_entries_dropped_total 1"), "{}", metrics.text());
+        assert!(
+            metrics.text().contains("uniground_audit_entries_dropped_total 1"),
+            "{}",
+            metrics.text()
+        );
     }
 }

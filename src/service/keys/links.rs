@@ -1,4 +1,5 @@
-//! Links that work without a key: who made one, until when, and for what stands in the link, signed with a secret of this server's.
+//! Links that work without a key: who made one, until when, and for what stands in the link, signed
+//! with a secret of this server's.
 //!
 //! ```text
 //! link = <expires, Unix seconds>.<id of the key, "own" or "none">.<HMAC-SHA-256 of both and the path, hex>
@@ -42,7 +43,8 @@ impl LinkSecret {
     /// [`Error::Io`]: the system gives no random bytes.
     pub fn random() -> Result<Self, Error> {
         let mut secret = [0; 32];
-        getrandom::fill(&mut secret).map_err(|error| Error::Io(std::io::Error::other(error.to_string())))?;
+        getrandom::fill(&mut secret)
+            .map_err(|error| Error::Io(std::io::Error::other(error.to_string())))?;
         Ok(Self::new(&secret))
     }
 
@@ -58,10 +60,18 @@ impl Keyring {
     ///
     /// # Errors
     /// [`Error::Invalid`].
-    pub fn links(&self, request: LinkRequest, caller: &Caller, now: Timestamp) -> Result<LinkList, Error> {
+    pub fn links(
+        &self,
+        request: LinkRequest,
+        caller: &Caller,
+        now: Timestamp,
+    ) -> Result<LinkList, Error> {
         let LinkRequest { paths, expires_in_s } = request;
         if !SECONDS.contains(&expires_in_s) {
-            return Err(Error::invalid("/expires_in_s", format!("must be {} to {}", SECONDS.start(), SECONDS.end())));
+            return Err(Error::invalid(
+                "/expires_in_s",
+                format!("must be {} to {}", SECONDS.start(), SECONDS.end()),
+            ));
         }
         if !(1..=MOST_PATHS).contains(&paths.len()) {
             return Err(Error::invalid("/paths", format!("must be 1 to {MOST_PATHS} paths")));
@@ -75,15 +85,25 @@ impl Keyring {
         let link = |(index, path): (usize, String)| {
             // One resource, or all of one.
             let is_path = path.strip_prefix("/v1/").is_some_and(|below| {
-                let (folder, is_all) = below.strip_suffix(ALL).map_or((below, false), |folder| (folder, true));
+                let (folder, is_all) =
+                    below.strip_suffix(ALL).map_or((below, false), |folder| (folder, true));
                 let is_one = folder.contains('/') && !folder.ends_with('/');
                 !folder.is_empty() && !folder.contains('*') && (is_one || !is_all)
             });
-            if !is_path || path.len() > LONGEST_PATH || path.contains(['?', '#']) || !path.is_ascii() {
-                let detail = format!("must be a path below /v1/ without a query, at most {LONGEST_PATH} characters");
+            if !is_path
+                || path.len() > LONGEST_PATH
+                || path.contains(['?', '#'])
+                || !path.is_ascii()
+            {
+                let detail = format!(
+                    "must be a path below /v1/ without a query, at most {LONGEST_PATH} characters"
+                );
                 return Err(Error::invalid(format!("/paths/{index}"), detail));
             }
-            let token = format!("{expires}.{maker}.{}", self.link_secret.sign(&path, expires, &self.signer(maker)));
+            let token = format!(
+                "{expires}.{maker}.{}",
+                self.link_secret.sign(&path, expires, &self.signer(maker))
+            );
             let url = (!path.ends_with(ALL)).then(|| format!("{path}?{PARAMETER}={token}"));
             let expires_at = Timestamp::from_second(expires).unwrap_or(now).to_string();
             Ok(Link { path, token, url, expires_at })
@@ -103,12 +123,21 @@ impl Keyring {
     ///
     /// # Errors
     /// Why it does not work (any more).
-    pub fn caller_of_link(&self, token: &str, path: &str, now: Timestamp) -> Result<Caller, Denied> {
+    pub fn caller_of_link(
+        &self,
+        token: &str,
+        path: &str,
+        now: Timestamp,
+    ) -> Result<Caller, Denied> {
         let mut parts = token.splitn(3, '.');
-        let (Some(expires), Some(maker), Some(mac)) = (parts.next(), parts.next(), parts.next()) else { return Err(Denied::BadLink) };
+        let (Some(expires), Some(maker), Some(mac)) = (parts.next(), parts.next(), parts.next())
+        else {
+            return Err(Denied::BadLink);
+        };
         let expires: i64 = expires.parse().map_err(|_| Denied::BadLink)?;
         // The path itself, or everything below one of the folders it lies in.
-        let folders = path.match_indices('/').skip(3).map(|(at, _)| format!("{}{ALL}", &path[..at]));
+        let folders =
+            path.match_indices('/').skip(3).map(|(at, _)| format!("{}{ALL}", &path[..at]));
         let signer = self.signer(maker);
         let is_signed = |path: String| equal(&self.link_secret.sign(&path, expires, &signer), mac);
         if !std::iter::once(path.to_owned()).chain(folders).any(is_signed) {
@@ -143,10 +172,13 @@ mod tests {
     #[tokio::test]
     async fn a_link_opens_its_path_until_it_is_over() {
         let folder = tempfile::tempdir().unwrap();
-        let store =
-            Store::open(Utf8Path::from_path(folder.path()).unwrap(), &crate::store::Location::Folder, &crate::store::BlobHome::Folder)
-                .await
-                .unwrap();
+        let store = Store::open(
+            Utf8Path::from_path(folder.path()).unwrap(),
+            &crate::store::Location::Folder,
+            &crate::store::BlobHome::Folder,
+        )
+        .await
+        .unwrap();
         let keys = Keyring::open(store, Some("the servers own key")).await.unwrap();
         let now = Timestamp::from_second(1_700_000_000).unwrap();
         let later = |s: i64| Timestamp::from_second(1_700_000_000 + s).unwrap();
@@ -161,14 +193,22 @@ mod tests {
         let made = keys.create(new).await.unwrap();
         let maker = keys.caller(Some(&made.secret)).unwrap();
         let cloud = format!("{SCENE}/cloud.ply");
-        let links = keys.links(wanted(&[cloud.clone(), format!("{SCENE}/*")]), &maker, now).unwrap().links;
-        assert_eq!((links[0].url.clone(), &links[1].url), (Some(format!("{cloud}?link={}", links[0].token)), &None));
+        let links =
+            keys.links(wanted(&[cloud.clone(), format!("{SCENE}/*")]), &maker, now).unwrap().links;
+        assert_eq!(
+            (links[0].url.clone(), &links[1].url),
+            (Some(format!("{cloud}?link={}", links[0].token)), &None)
+        );
         let opens = |token: &str, path: &str, at| {
             keys.caller_of_link(token, path, at)
                 .map(|caller| (caller.scope, caller.key_id().map(str::to_owned)))
         };
         let reader = Ok((Scope::Read, Some(made.key.id.clone())));
-        assert_eq!(opens(&links[0].token, &cloud, later(59)), reader, "no more than reading, whoever made it");
+        assert_eq!(
+            opens(&links[0].token, &cloud, later(59)),
+            reader,
+            "no more than reading, whoever made it"
+        );
         assert_eq!(opens(&links[0].token, &cloud, later(60)), Err(Denied::LinkOver));
         for below in [cloud.clone(), format!("{SCENE}/instances/3/views/0.jpg")] {
             assert_eq!(opens(&links[1].token, &below, now), reader);
@@ -187,19 +227,31 @@ mod tests {
             assert_eq!(opens(&token, &path, now), Err(Denied::BadLink), "{token} {path}");
         }
         keys.revoke(&made.key.id).await.unwrap();
-        assert_eq!(opens(&links[0].token, &cloud, now), Err(Denied::Revoked), "it goes with its key");
+        assert_eq!(
+            opens(&links[0].token, &cloud, now),
+            Err(Denied::Revoked),
+            "it goes with its key"
+        );
     }
 
     #[tokio::test]
     async fn what_was_signed_before_there_were_keys_opens_nothing_after() {
         let folder = tempfile::tempdir().unwrap();
-        let store =
-            Store::open(Utf8Path::from_path(folder.path()).unwrap(), &crate::store::Location::Folder, &crate::store::BlobHome::Folder)
-                .await
-                .unwrap();
+        let store = Store::open(
+            Utf8Path::from_path(folder.path()).unwrap(),
+            &crate::store::Location::Folder,
+            &crate::store::BlobHome::Folder,
+        )
+        .await
+        .unwrap();
         let keys = Keyring::open(store, None).await.unwrap();
         let now = Timestamp::now();
-        let token = keys.links(wanted(&[SCENE.into()]), &Caller::operator(), now).unwrap().links.remove(0).token;
+        let token = keys
+            .links(wanted(&[SCENE.into()]), &Caller::operator(), now)
+            .unwrap()
+            .links
+            .remove(0)
+            .token;
         assert!(keys.caller_of_link(&token, SCENE, now).is_ok());
         let new = serde_json::from_str(r#"{"name": "first", "scope": "admin"}"#).unwrap();
         keys.create(new).await.unwrap();
@@ -209,18 +261,37 @@ mod tests {
     #[tokio::test]
     async fn only_paths_of_one_thing_get_links() {
         let folder = tempfile::tempdir().unwrap();
-        let store =
-            Store::open(Utf8Path::from_path(folder.path()).unwrap(), &crate::store::Location::Folder, &crate::store::BlobHome::Folder)
-                .await
-                .unwrap();
+        let store = Store::open(
+            Utf8Path::from_path(folder.path()).unwrap(),
+            &crate::store::Location::Folder,
+            &crate::store::BlobHome::Folder,
+        )
+        .await
+        .unwrap();
         let keys = Keyring::open(store, None).await.unwrap();
         let refused = |paths: &[&str], expires_in_s| {
             let paths = paths.iter().map(|&path| path.to_owned()).collect();
-            keys.links(LinkRequest { paths, expires_in_s }, &Caller::operator(), Timestamp::now()).is_err()
+            keys.links(LinkRequest { paths, expires_in_s }, &Caller::operator(), Timestamp::now())
+                .is_err()
         };
-        for path in ["", "/", "/v1/", "/v1/*", "/v1/scenes/*", "/v1/scenes//*", "/metrics", "/v1/jobs?limit=1", "/v1/caf\u{e9}"] {
+        for path in [
+            "",
+            "/",
+            "/v1/",
+            "/v1/*",
+            "/v1/scenes/*",
+            "/v1/scenes//*",
+            "/metrics",
+            "/v1/jobs?limit=1",
+            "/v1/caf\u{e9}",
+        ] {
             assert!(refused(&[path], 60), "{path}");
         }
-        assert!(refused(&[], 60) && refused(&[SCENE], 9) && refused(&[SCENE], 86_401) && !refused(&[SCENE], 86_400));
+        assert!(
+            refused(&[], 60)
+                && refused(&[SCENE], 9)
+                && refused(&[SCENE], 86_401)
+                && !refused(&[SCENE], 86_400)
+        );
     }
 }

@@ -1,7 +1,8 @@
 //! Who asks: keys, what they allow, how often they may be used and what they may spend.
 //!
-//! A key is 32 random bytes, shown once. Kept are its first characters, by which it is found, and its hash, by which it is known. Where no
-//! key was ever made and none is configured, nobody needs one.
+//! A key is 32 random bytes, shown once. Kept are its first characters, by which it is found, and
+//! its hash, by which it is known. Where no key was ever made and none is configured, nobody needs
+//! one.
 
 mod audit;
 mod links;
@@ -42,7 +43,8 @@ pub struct Caller {
 }
 
 impl Caller {
-    /// Who may do everything: holders of the server's own key, and whoever comes where no key is wanted.
+    /// Who may do everything: holders of the server's own key, and whoever comes where no key is
+    /// wanted.
     #[must_use]
     pub fn operator() -> Self {
         Self { key: None, scope: Scope::Admin }
@@ -95,7 +97,10 @@ pub enum Denied {
 impl KnownKey {
     fn of(row: KeyRow) -> Arc<Self> {
         let per_minute = row.requests_per_minute.and_then(NonZeroU32::new);
-        let limit = per_minute.map(|n| RateLimiter::direct(Quota::per_minute(n)).with_middleware::<StateInformationMiddleware>());
+        let limit = per_minute.map(|n| {
+            RateLimiter::direct(Quota::per_minute(n))
+                .with_middleware::<StateInformationMiddleware>()
+        });
         Arc::new(Self { row, limit, noted: Mutex::default() })
     }
 
@@ -123,7 +128,10 @@ impl KnownKey {
 
     fn is_expired(&self, now: Timestamp) -> bool {
         // Checked when it was made; what can not be read protects nobody.
-        self.row.expires_at.as_ref().is_some_and(|at| at.parse().map_or(true, |at: Timestamp| at <= now))
+        self.row
+            .expires_at
+            .as_ref()
+            .is_some_and(|at| at.parse().map_or(true, |at: Timestamp| at <= now))
     }
 
     /// Why it is refused, if so.
@@ -153,10 +161,21 @@ impl Keyring {
     /// # Errors
     /// [`Error::Store`].
     pub async fn open(store: Store, own: Option<&str>) -> Result<Self, Error> {
-        let known = store.all_keys().await?.into_iter().map(|row| (row.prefix.clone(), KnownKey::of(row))).collect();
+        let known = store
+            .all_keys()
+            .await?
+            .into_iter()
+            .map(|row| (row.prefix.clone(), KnownKey::of(row)))
+            .collect();
         let own = own.map(|key| hash_of(key).into());
         let audit_log = AuditLog::start(store.audit_writer(), Arc::default());
-        Ok(Self { store, own, known: Arc::new(RwLock::new(known)), link_secret: LinkSecret::random()?, audit_log })
+        Ok(Self {
+            store,
+            own,
+            known: Arc::new(RwLock::new(known)),
+            link_secret: LinkSecret::random()?,
+            audit_log,
+        })
     }
 
     /// Counts audit entries that are dropped in these metrics.
@@ -166,7 +185,8 @@ impl Keyring {
         Self { audit_log, ..self }
     }
 
-    /// Reads anew what other processes may have changed. A key that is as it was keeps the count of its requests.
+    /// Reads anew what other processes may have changed. A key that is as it was keeps the count of
+    /// its requests.
     ///
     /// # Errors
     /// [`Error::Store`].
@@ -181,13 +201,15 @@ impl Keyring {
         Ok(())
     }
 
-    /// With a secret that other servers know as well, or that outlives this one: links work there too.
+    /// With a secret that other servers know as well, or that outlives this one: links work there
+    /// too.
     #[must_use]
     pub fn with_link_secret(self, link_secret: LinkSecret) -> Self {
         Self { link_secret, ..self }
     }
 
-    /// Whether callers must show a key: from the first one on, for good. Revoking the last one locks the door, it does not open it.
+    /// Whether callers must show a key: from the first one on, for good. Revoking the last one
+    /// locks the door, it does not open it.
     #[must_use]
     pub fn is_wanted(&self) -> bool {
         self.own.is_some() || !self.known.read().unwrap_or_else(PoisonError::into_inner).is_empty()
@@ -203,7 +225,8 @@ impl Keyring {
         }
         let presented = presented.ok_or(Denied::NoKey)?;
         let hash = hash_of(presented);
-        // First, also where it is the server's own key as well: its limits hold, and it can be revoked.
+        // First, also where it is the server's own key as well: its limits hold, and it can be
+        // revoked.
         let found = presented.get(..PREFIX_CHARS).and_then(|prefix| self.by_prefix(prefix));
         if let Some(key) = found.filter(|key| equal(&key.row.hash, &hash)) {
             return match key.refusal(Timestamp::now()) {
@@ -221,7 +244,8 @@ impl Keyring {
         self.known.read().unwrap_or_else(PoisonError::into_inner).get(prefix).cloned()
     }
 
-    /// The caller a stored id means. What was begun for a key that is refused by now is not gone on with.
+    /// The caller a stored id means. What was begun for a key that is refused by now is not gone on
+    /// with.
     ///
     /// # Errors
     /// Why it is refused.
@@ -235,7 +259,8 @@ impl Keyring {
         }
     }
 
-    /// Counts a request of a key, whichever process it came to. `None`: it may come as often as it likes.
+    /// Counts a request of a key, whichever process it came to. `None`: it may come as often as it
+    /// likes.
     ///
     /// # Errors
     /// How long it has to wait, seconds, and what it may.
@@ -248,7 +273,8 @@ impl Keyring {
         let whole = |seconds: f64| seconds.ceil().max(0.0) as u64;
         match self.store.count_request(&key.row.id, per_minute).await {
             Ok(Ok(until_full_s)) => {
-                let left = ((1.0 - until_full_s / 60.0) * f64::from(per_minute) + 0.001).max(0.0) as u32;
+                let left =
+                    ((1.0 - until_full_s / 60.0) * f64::from(per_minute) + 0.001).max(0.0) as u32;
                 Ok(Some(Allowance { per_minute, left, reset_s: whole(until_full_s) }))
             }
             Ok(Err(wait_s)) => {
@@ -257,7 +283,10 @@ impl Keyring {
             }
             // What this process has counted holds all the same.
             Err(error) => {
-                tracing::warn!(error = &error as &dyn std::error::Error, "requests to other processes are not counted now");
+                tracing::warn!(
+                    error = &error as &dyn std::error::Error,
+                    "requests to other processes are not counted now"
+                );
                 Ok(Some(here))
             }
         }
@@ -273,7 +302,10 @@ impl Keyring {
         let (store, id) = (self.store.clone(), key.row.id.clone());
         tokio::spawn(async move {
             if let Err(error) = store.note_key_use(&id, &now()).await {
-                tracing::debug!(error = &error as &dyn std::error::Error, "when a key was last used could not be written down");
+                tracing::debug!(
+                    error = &error as &dyn std::error::Error,
+                    "when a key was last used could not be written down"
+                );
             }
         });
     }
@@ -300,9 +332,13 @@ impl Keyring {
             last_used_at: None,
             revoked_at: None,
         };
-        // A task of its own: whoever asked may leave, and what is stored is known here all the same.
+        // A task of its own: whoever asked may leave, and what is stored is known here all the
+        // same.
         let (keys, new) = (self.clone(), row.clone());
-        let inserted = tokio::spawn(async move { keys.store.insert_key(&new).await.inspect(|()| keys.put(new)) });
+        let inserted =
+            tokio::spawn(
+                async move { keys.store.insert_key(&new).await.inspect(|()| keys.put(new)) },
+            );
         inserted.await??;
         Ok(CreatedKey { key: told(row, 0.0), secret })
     }
@@ -312,7 +348,8 @@ impl Keyring {
     /// # Errors
     /// [`Error::Store`].
     pub async fn list(&self, limit: u32, cursor: Option<&str>) -> Result<KeyList, Error> {
-        let (rows, next_cursor) = page(self.store.keys(limit + 1, cursor).await?, limit, |row| &row.id);
+        let (rows, next_cursor) =
+            page(self.store.keys(limit + 1, cursor).await?, limit, |row| &row.id);
         let mut keys = Vec::with_capacity(rows.len());
         for row in rows {
             keys.push(self.present(row).await?);
@@ -326,10 +363,12 @@ impl Keyring {
     /// [`Error::KeyNotFound`].
     pub async fn revoke(&self, id: &str) -> Result<Key, Error> {
         let (keys, key_id) = (self.clone(), id.to_owned());
-        let revoked =
-            tokio::spawn(
-                async move { keys.store.revoke_key(&key_id).await.inspect(|row| row.iter().for_each(|row| keys.put(row.clone()))) },
-            );
+        let revoked = tokio::spawn(async move {
+            keys.store
+                .revoke_key(&key_id)
+                .await
+                .inspect(|row| row.iter().for_each(|row| keys.put(row.clone())))
+        });
         let row = revoked.await??.ok_or_else(|| Error::KeyNotFound { id: id.into() })?;
         self.present(row).await
     }
@@ -349,7 +388,18 @@ impl Keyring {
 
 /// A key as admins see it.
 fn told(row: KeyRow, spent_today_usd: f64) -> Key {
-    let KeyRow { id, name, prefix, hash: _, scope, expires_at, requests_per_minute, max_scenes, daily_usd, .. } = row;
+    let KeyRow {
+        id,
+        name,
+        prefix,
+        hash: _,
+        scope,
+        expires_at,
+        requests_per_minute,
+        max_scenes,
+        daily_usd,
+        ..
+    } = row;
     let KeyRow { created_at, last_used_at, revoked_at, .. } = row;
     Key {
         id,
@@ -369,15 +419,23 @@ fn told(row: KeyRow, spent_today_usd: f64) -> Key {
 
 /// Looks a wanted key over; its expiry as it is kept.
 fn check(new: &NewKey) -> Result<Option<String>, Error> {
-    if new.name.trim().is_empty() || new.name.chars().count() > MAX_NAME_CHARS || new.name.chars().any(char::is_control) {
+    if new.name.trim().is_empty()
+        || new.name.chars().count() > MAX_NAME_CHARS
+        || new.name.chars().any(char::is_control)
+    {
         return Err(Error::invalid("/name", format!("a line of 1 to {MAX_NAME_CHARS} characters")));
     }
     if new.requests_per_minute == Some(0) {
-        return Err(Error::invalid("/requests_per_minute", "must be at least 1; to refuse all of them, revoke the key"));
+        return Err(Error::invalid(
+            "/requests_per_minute",
+            "must be at least 1; to refuse all of them, revoke the key",
+        ));
     }
     new.daily_usd.map_or(Ok(()), |usd| zero_or_more("/daily_usd", usd))?;
     let Some(at) = &new.expires_at else { return Ok(None) };
-    let at: Timestamp = at.parse().map_err(|_| Error::invalid("/expires_at", "must be a time like 2027-01-31T00:00:00Z"))?;
+    let at: Timestamp = at
+        .parse()
+        .map_err(|_| Error::invalid("/expires_at", "must be a time like 2027-01-31T00:00:00Z"))?;
     if at <= Timestamp::now() {
         return Err(Error::invalid("/expires_at", "must lie ahead"));
     }
@@ -386,7 +444,8 @@ fn check(new: &NewKey) -> Result<Option<String>, Error> {
 
 fn new_secret() -> Result<String, Error> {
     let mut bytes = [0; 36];
-    getrandom::fill(&mut bytes).map_err(|error| Error::Io(std::io::Error::other(error.to_string())))?;
+    getrandom::fill(&mut bytes)
+        .map_err(|error| Error::Io(std::io::Error::other(error.to_string())))?;
     let (name, secret) = bytes.split_at(4);
     Ok(format!("ug_{}_{}", hex(name), URL_SAFE_NO_PAD.encode(secret)))
 }
@@ -401,7 +460,8 @@ fn hex(bytes: &[u8]) -> String {
 
 /// Compares hashes: how long that takes says nothing about where they differ.
 fn equal(a: &str, b: &str) -> bool {
-    a.len() == b.len() && a.bytes().zip(b.bytes()).fold(0, |difference, (a, b)| difference | (a ^ b)) == 0
+    a.len() == b.len()
+        && a.bytes().zip(b.bytes()).fold(0, |difference, (a, b)| difference | (a ^ b)) == 0
 }
 
 #[cfg(test)]
@@ -410,15 +470,25 @@ mod tests {
     use camino::Utf8Path;
 
     async fn keyring(folder: &tempfile::TempDir, own: Option<&str>) -> Keyring {
-        let store =
-            Store::open(Utf8Path::from_path(folder.path()).unwrap(), &crate::store::Location::Folder, &crate::store::BlobHome::Folder)
-                .await
-                .unwrap();
+        let store = Store::open(
+            Utf8Path::from_path(folder.path()).unwrap(),
+            &crate::store::Location::Folder,
+            &crate::store::BlobHome::Folder,
+        )
+        .await
+        .unwrap();
         Keyring::open(store, own).await.unwrap()
     }
 
     fn wanted(scope: Scope) -> NewKey {
-        NewKey { name: "robot".into(), scope, expires_at: None, requests_per_minute: None, max_scenes: None, daily_usd: None }
+        NewKey {
+            name: "robot".into(),
+            scope,
+            expires_at: None,
+            requests_per_minute: None,
+            max_scenes: None,
+            daily_usd: None,
+        }
     }
 
     #[tokio::test]
@@ -430,7 +500,14 @@ mod tests {
         assert!(secret.starts_with(&key.prefix) && secret.len() > 40, "{secret}");
         assert_eq!(keys.caller(None).unwrap_err(), Denied::NoKey);
         assert_eq!(keys.caller(Some(&secret)).unwrap().scope, Scope::Read);
-        for wrong in ["", "ug_", &secret[..secret.len() - 1], &format!("{secret}x"), &key.prefix, "ug_0123é56789ab"] {
+        for wrong in [
+            "",
+            "ug_",
+            &secret[..secret.len() - 1],
+            &format!("{secret}x"),
+            &key.prefix,
+            "ug_0123é56789ab",
+        ] {
             assert_eq!(keys.caller(Some(wrong)).unwrap_err(), Denied::UnknownKey, "{wrong}");
         }
         keys.revoke(&key.id).await.unwrap();
@@ -441,7 +518,11 @@ mod tests {
         assert_eq!(both.caller(Some(&secret)).unwrap_err(), Denied::Revoked);
         drop((keys, both));
         let data = keyring(&folder, Some("ug_the_servers_own")).await;
-        assert_eq!(data.caller(Some(&secret)).unwrap_err(), Denied::Revoked, "nor is it known to the next server");
+        assert_eq!(
+            data.caller(Some(&secret)).unwrap_err(),
+            Denied::Revoked,
+            "nor is it known to the next server"
+        );
         assert_eq!(data.caller(Some("ug_the_servers_own")).unwrap().scope, Scope::Admin);
     }
 
@@ -449,9 +530,13 @@ mod tests {
     async fn a_key_expires_and_has_a_rate() {
         let folder = tempfile::tempdir().unwrap();
         let keys = keyring(&folder, None).await;
-        let late = NewKey { expires_at: Some("2001-01-01T00:00:00Z".into()), ..wanted(Scope::Read) };
+        let late =
+            NewKey { expires_at: Some("2001-01-01T00:00:00Z".into()), ..wanted(Scope::Read) };
         assert!(keys.create(late).await.unwrap_err().to_string().contains("/expires_at"));
-        let mut row = KeyRow { expires_at: Some("2001-01-01T00:00:00Z".into()), ..row_of(&keys, wanted(Scope::Read)).await };
+        let mut row = KeyRow {
+            expires_at: Some("2001-01-01T00:00:00Z".into()),
+            ..row_of(&keys, wanted(Scope::Read)).await
+        };
         assert_eq!(KnownKey::of(row.clone()).refusal(Timestamp::now()), Some(Denied::Expired));
         (row.expires_at, row.requests_per_minute) = (None, Some(2));
         let key = KnownKey::of(row);

@@ -27,7 +27,8 @@ pub struct LoadedParse {
     /// Name and version of the model that named everything; `None` where none did.
     pub named_by: Option<String>,
     pub extent: Aabb,
-    /// From the coordinates of the files that were uploaded; `None` in parses from before it was kept.
+    /// From the coordinates of the files that were uploaded; `None` in parses from before it was
+    /// kept.
     pub source_to_scene: Option<SourceToScene>,
     /// Name and version of what the parse was made with.
     pub masks: String,
@@ -41,7 +42,8 @@ pub struct LoadedParse {
 const PARSES: usize = 64;
 /// Points of clouds that stay in memory, 17 bytes each.
 const POINTS: usize = 8_000_000;
-/// Bytes of columns that stay in memory, for places to stand: 16 a cell of the floor and 8 an occupied voxel.
+/// Bytes of columns that stay in memory, for places to stand: 16 a cell of the floor and 8 an
+/// occupied voxel.
 const OCCUPANCY_BYTES: usize = 128 << 20;
 /// Folders with points that were made since the start; each is as large as the scene's cloud.
 const MADE: usize = 16;
@@ -55,7 +57,8 @@ pub struct ParseCache {
     /// Each with how often what is known of it had changed by then.
     loaded: Recent<(i64, Arc<LoadedParse>)>,
     pub render_scenes: Recent<Arc<RenderScene>>,
-    /// What of the room is occupied. Corrections change nothing of it: it is of the points as they were cut.
+    /// What of the room is occupied. Corrections change nothing of it: it is of the points as they
+    /// were cut.
     pub occupancies: Recent<Arc<Occupancy>>,
     /// Files that were found to be what was written, by path: their size and time then.
     pub sound: Recent<(u64, SystemTime)>,

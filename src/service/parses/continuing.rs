@@ -1,4 +1,5 @@
-//! A parse that goes on from another: of a scene that has grown, what stays keeps its id, its names and what people have said of it.
+//! A parse that goes on from another: of a scene that has grown, what stays keeps its id, its names
+//! and what people have said of it.
 
 use super::{ParseFile, read_frames};
 use crate::error::Error;
@@ -12,7 +13,9 @@ use uniground_core::geometry::Isometry3;
 use uniground_core::ingest;
 use uniground_core::parse::ParsedScan;
 use uniground_core::progress::Progress;
-use uniground_core::scene::{FrameRef, Instance, InstanceId, Owners, PointCloud, correct, read_instance_of_point};
+use uniground_core::scene::{
+    FrameRef, Instance, InstanceId, Owners, PointCloud, correct, read_instance_of_point,
+};
 use uniground_types::changes::Changes;
 use uniground_types::corrections::Correction;
 use uniground_types::settings::InstanceSettings;
@@ -38,12 +41,16 @@ pub(super) struct Inherited {
 }
 
 impl Service {
-    /// A scene's current parse, and the turn at changing what is known of it: while somebody has that, nothing is corrected or found in it, and
-    /// a scene that grows does not go on from it.
+    /// A scene's current parse, and the turn at changing what is known of it: while somebody has
+    /// that, nothing is corrected or found in it, and a scene that grows does not go on from
+    /// it.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
-    pub(in crate::service) async fn turn_at_parse(&self, scene_id: &str) -> Result<(String, Turn), Error> {
+    pub(in crate::service) async fn turn_at_parse(
+        &self,
+        scene_id: &str,
+    ) -> Result<(String, Turn), Error> {
         loop {
             let (_, parse_id) = self.ready_scene(scene_id).await?;
             let turn = self.correcting(&parse_id).await?;
@@ -56,8 +63,10 @@ impl Service {
     /// The parse that the next one of a scene that has grown goes on from.
     pub(super) async fn previous_parse(&self, parse_id: String) -> Result<Previous, Error> {
         let loaded = self.loaded_parse(&parse_id).await?;
-        let (blobs, folder, content) = (self.store.blobs.clone(), self.store.blobs.parse(&parse_id), loaded.content.clone());
-        let brought = spawn_blocking(move || Ok::<_, Error>((blobs.whole(&folder)?, blobs.whole(&content)?)));
+        let (blobs, folder, content) =
+            (self.store.blobs.clone(), self.store.blobs.parse(&parse_id), loaded.content.clone());
+        let brought =
+            spawn_blocking(move || Ok::<_, Error>((blobs.whole(&folder)?, blobs.whole(&content)?)));
         let (folder, content) = brought.await??;
         Ok(Previous {
             found: self.store.instances(&parse_id).await?,
@@ -76,7 +85,12 @@ impl Previous {
     ///
     /// # Errors
     /// Unreadable frames, and calling off.
-    pub fn continue_in(self, scan: &mut ParsedScan, settings: &InstanceSettings, progress: &Progress) -> Result<Inherited, Error> {
+    pub fn continue_in(
+        self,
+        scan: &mut ParsedScan,
+        settings: &InstanceSettings,
+        progress: &Progress,
+    ) -> Result<Inherited, Error> {
         let Some((cloud, of_point)) = self.points() else {
             tracing::warn!(
                 parse_id = self.parse_id,
@@ -85,7 +99,11 @@ impl Previous {
             let same = identical(&self.found, &scan.scene.instances);
             scan.scene = continued(&self.found, scan.scene.clone(), &same);
             let corrections = carried(&self.corrections, &mut scan.scene, settings);
-            return Ok(Inherited { parse_id: self.parse_id, changes: Changes::default(), corrections });
+            return Ok(Inherited {
+                parse_id: self.parse_id,
+                changes: Changes::default(),
+                corrections,
+            });
         };
         let counterparts = Counterparts::same_points(&cloud.positions, &scan.scene.cloud.positions);
         let same = pairs(&of_point, &scan.scene.instance_of_point, &counterparts);
@@ -93,16 +111,30 @@ impl Previous {
         let corrections = carried(&self.corrections, &mut scan.scene, settings);
         let mut now = scan.scene.instances.clone();
         correct(&mut now, &corrections);
-        let frames_before = read_frames(&self.blobs, &self.folder, &self.content)?.unwrap_or_default();
-        let is_new = |frame: &&FrameRef| frames_before.iter().all(|before| before.index != frame.index);
+        let frames_before =
+            read_frames(&self.blobs, &self.folder, &self.content)?.unwrap_or_default();
+        let is_new =
+            |frame: &&FrameRef| frames_before.iter().all(|before| before.index != frame.index);
         let new_frames: Vec<FrameRef> = scan.frames.iter().filter(is_new).cloned().collect();
         let owner_before = owned(&self.shown, &of_point, &cloud);
         let owner_now = owned(&now, &scan.scene.instance_of_point, &scan.scene.cloud);
-        let stayed = self.shown.iter().zip(&now).filter(|(before, now)| before.is_shown() && now.is_shown());
-        let stayed: Vec<(InstanceId, InstanceId)> = stayed.map(|(before, now)| (before.id, now.id)).collect();
+        let stayed =
+            self.shown.iter().zip(&now).filter(|(before, now)| before.is_shown() && now.is_shown());
+        let stayed: Vec<(InstanceId, InstanceId)> =
+            stayed.map(|(before, now)| (before.id, now.id)).collect();
         let changes = compare(
-            &Look { cloud: &cloud, owner_of_point: &owner_before, instances: &self.shown, frames: &frames_before },
-            &Look { cloud: &scan.scene.cloud, owner_of_point: &owner_now, instances: &now, frames: &new_frames },
+            &Look {
+                cloud: &cloud,
+                owner_of_point: &owner_before,
+                instances: &self.shown,
+                frames: &frames_before,
+            },
+            &Look {
+                cloud: &scan.scene.cloud,
+                owner_of_point: &owner_now,
+                instances: &now,
+                frames: &new_frames,
+            },
             &stayed,
             &counterparts,
             &Isometry3::identity(),
@@ -121,8 +153,11 @@ impl Previous {
 
 /// Things that are the same to the bit.
 fn identical(before: &[Instance], now: &[Instance]) -> Vec<(InstanceId, InstanceId)> {
-    let is_same = |a: &Instance, b: &Instance| !a.gone && a.raw_box == b.raw_box && a.point_count == b.point_count && a.level == b.level;
-    let pair = |new: &Instance| before.iter().find(|old| is_same(old, new)).map(|old| (old.id, new.id));
+    let is_same = |a: &Instance, b: &Instance| {
+        !a.gone && a.raw_box == b.raw_box && a.point_count == b.point_count && a.level == b.level
+    };
+    let pair =
+        |new: &Instance| before.iter().find(|old| is_same(old, new)).map(|old| (old.id, new.id));
     now.iter().filter_map(pair).collect()
 }
 

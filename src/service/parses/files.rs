@@ -11,7 +11,8 @@ use uniground_core::parse::ParsedScan;
 use uniground_core::progress::Progress;
 use uniground_core::render::{RenderScene, jpeg};
 use uniground_core::scene::{
-    Embeddings, FrameEmbeddings, FrameIndex, FrameRef, InstanceId, write_cloud_ply, write_even_points, write_instances_ply,
+    Embeddings, FrameEmbeddings, FrameIndex, FrameRef, InstanceId, write_cloud_ply,
+    write_even_points, write_instances_ply,
 };
 use uniground_core::scene_parsing::evidence::Picture;
 use uniground_core::scene_parsing::{ParseError, report_pictures};
@@ -23,8 +24,8 @@ pub enum ParseFile {
     Cloud,
     /// The cloud coloured by instance, PLY.
     Instances,
-    /// The cloud in an order of which every beginning is an even sample, with the instances of its points; not in parses from before it
-    /// was kept.
+    /// The cloud in an order of which every beginning is an even sample, with the instances of its
+    /// points; not in parses from before it was kept.
     Points,
     /// The room from above, small; not in parses from before it was kept.
     Thumbnail,
@@ -50,7 +51,8 @@ const FRAME_EMBEDDINGS: [&str; 2] = ["frame_embeddings.npy", "frame_embeddings_o
 const VIEWS: &str = "views";
 const FRAMES: &str = "frames.json";
 
-/// An evidence picture of an instance, as parses keep it from before such pictures were drawn for who looks at them; `view` counts from 0.
+/// An evidence picture of an instance, as parses keep it from before such pictures were drawn for
+/// who looks at them; `view` counts from 0.
 pub fn view(parse: &Utf8Path, instance: InstanceId, view: usize, picture: Picture) -> Utf8PathBuf {
     parse.join(VIEWS).join(view_name(instance, view, picture))
 }
@@ -68,9 +70,14 @@ pub fn photograph(parse: &Utf8Path, frame: FrameIndex) -> Utf8PathBuf {
     parse.join(VIEWS).join(format!("photograph-{frame}"))
 }
 
-/// A frame's picture in colour, through a pinhole: kept beside the parse, or the scan's own; `None`, and a line in the log, where it can not be
-/// read.
-pub fn read_photograph(blobs: &Blobs, parse: &Utf8Path, content: &Utf8Path, frame: FrameIndex) -> Option<RgbImage> {
+/// A frame's picture in colour, through a pinhole: kept beside the parse, or the scan's own;
+/// `None`, and a line in the log, where it can not be read.
+pub fn read_photograph(
+    blobs: &Blobs,
+    parse: &Utf8Path,
+    content: &Utf8Path,
+    frame: FrameIndex,
+) -> Option<RgbImage> {
     let kept = photograph(parse, frame);
     let picture = match if_kept(blobs.file(parse, &kept)) {
         Ok(Some(file)) if file.exists() => fs::read(&file)
@@ -88,11 +95,16 @@ pub fn read_photograph(blobs: &Blobs, parse: &Utf8Path, content: &Utf8Path, fram
     picture.inspect_err(|error| tracing::warn!(%kept, error, "a photograph can not be read")).ok()
 }
 
-/// The frames of a parse, with their picture files in the content's folder; `None` in parses that were made before frames were kept.
+/// The frames of a parse, with their picture files in the content's folder; `None` in parses that
+/// were made before frames were kept.
 ///
 /// # Errors
 /// An unreadable file.
-pub fn read_frames(blobs: &Blobs, parse: &Utf8Path, content: &Utf8Path) -> Result<Option<Vec<FrameRef>>, Error> {
+pub fn read_frames(
+    blobs: &Blobs,
+    parse: &Utf8Path,
+    content: &Utf8Path,
+) -> Result<Option<Vec<FrameRef>>, Error> {
     let Some(bytes) = read(blobs, parse, FRAMES)? else { return Ok(None) };
     let kept: Vec<FrameRef> = serde_json::from_slice(&bytes)?;
     Ok(Some(kept.into_iter().map(|frame| frame.with_paths(|path| content.join(path))).collect()))
@@ -101,7 +113,8 @@ pub fn read_frames(blobs: &Blobs, parse: &Utf8Path, content: &Utf8Path) -> Resul
 /// Paths are kept relative to the content, whose folder may lie elsewhere tomorrow.
 fn write_frames(frames: &[FrameRef], content: &Utf8Path, parse: &Utf8Path) -> Result<(), Error> {
     let relative = |path: &Utf8Path| path.strip_prefix(content).unwrap_or(path).to_owned();
-    let kept: Vec<FrameRef> = frames.iter().map(|frame| frame.clone().with_paths(relative)).collect();
+    let kept: Vec<FrameRef> =
+        frames.iter().map(|frame| frame.clone().with_paths(relative)).collect();
     Ok(fs::write(parse.join(FRAMES), serde_json::to_vec(&kept)?)?)
 }
 
@@ -118,7 +131,10 @@ pub fn read_embeddings(blobs: &Blobs, parse: &Utf8Path) -> Result<Option<Embeddi
 ///
 /// # Errors
 /// Unreadable files.
-pub fn read_frame_embeddings(blobs: &Blobs, parse: &Utf8Path) -> Result<Option<FrameEmbeddings>, Error> {
+pub fn read_frame_embeddings(
+    blobs: &Blobs,
+    parse: &Utf8Path,
+) -> Result<Option<FrameEmbeddings>, Error> {
     let [rows, frames] = FRAME_EMBEDDINGS;
     let Some(rows) = read(blobs, parse, rows)? else { return Ok(None) };
     Ok(Some(FrameEmbeddings::read(&rows, &fs::read(blobs.file(parse, frames.into())?)?)?))
@@ -128,7 +144,11 @@ pub fn read_frame_embeddings(blobs: &Blobs, parse: &Utf8Path) -> Result<Option<F
 ///
 /// # Errors
 /// An unreadable file; that the object store can not be used.
-pub fn read(blobs: &Blobs, folder: &Utf8Path, file: impl AsRef<Utf8Path>) -> io::Result<Option<Vec<u8>>> {
+pub fn read(
+    blobs: &Blobs,
+    folder: &Utf8Path,
+    file: impl AsRef<Utf8Path>,
+) -> io::Result<Option<Vec<u8>>> {
     if_kept(blobs.file(folder, file.as_ref()).and_then(fs::read))
 }
 
@@ -139,19 +159,36 @@ fn if_kept<T>(got: io::Result<T>) -> io::Result<Option<T>> {
     }
 }
 
-/// Writes what a parse keeps: clouds, embeddings, pictures of the report, and the photographs that evidence is drawn from.
+/// Writes what a parse keeps: clouds, embeddings, pictures of the report, and the photographs that
+/// evidence is drawn from.
 ///
 /// # Errors
 /// Those of the file system and of frames; cancellation.
-pub fn write(scan: &ParsedScan, content: &Utf8Path, folder: &Scratch, writing: &Progress) -> Result<(), Error> {
+pub fn write(
+    scan: &ParsedScan,
+    content: &Utf8Path,
+    folder: &Scratch,
+    writing: &Progress,
+) -> Result<(), Error> {
     let (parsed, parse) = (&scan.scene, folder.path());
     writing.report("write_clouds", 0.0).map_err(ParseError::from)?;
-    let points = || Ok(write_even_points(&parsed.cloud, &parsed.instance_of_point, File::create(ParseFile::Points.of(parse))?)?);
+    let points = || {
+        Ok(write_even_points(
+            &parsed.cloud,
+            &parsed.instance_of_point,
+            File::create(ParseFile::Points.of(parse))?,
+        )?)
+    };
     let (points, rest) = rayon::join(points, || write_rest(scan, content, parse, writing));
     points.and(rest)?;
     writing.check().map_err(ParseError::from)?;
     fs::create_dir(parse.join(VIEWS))?;
-    let shown: BTreeSet<FrameIndex> = parsed.instances.iter().flat_map(|instance| &instance.views).map(|view| view.frame).collect();
+    let shown: BTreeSet<FrameIndex> = parsed
+        .instances
+        .iter()
+        .flat_map(|instance| &instance.views)
+        .map(|view| view.frame)
+        .collect();
     for frame in scan.frames.iter().filter(|frame| shown.contains(&frame.index)) {
         let file = photograph(parse, frame.index);
         // What views say of pixels is said of pinhole pictures.
@@ -164,7 +201,12 @@ pub fn write(scan: &ParsedScan, content: &Utf8Path, folder: &Scratch, writing: &
 }
 
 /// All but the order of the points, which takes as long as all of this.
-fn write_rest(scan: &ParsedScan, content: &Utf8Path, parse: &Utf8Path, writing: &Progress) -> Result<(), Error> {
+fn write_rest(
+    scan: &ParsedScan,
+    content: &Utf8Path,
+    parse: &Utf8Path,
+    writing: &Progress,
+) -> Result<(), Error> {
     let parsed = &scan.scene;
     write_cloud_ply(&parsed.cloud, File::create(ParseFile::Cloud.of(parse))?)?;
     write_instances_ply(parsed, File::create(ParseFile::Instances.of(parse))?)?;
@@ -181,7 +223,10 @@ fn write_rest(scan: &ParsedScan, content: &Utf8Path, parse: &Utf8Path, writing: 
     writing.report("draw_report", 0.5).map_err(ParseError::from)?;
     fs::write(
         ParseFile::Thumbnail.of(parse),
-        report_pictures::thumbnail(&RenderScene::of_parsed(parsed.cloud.clone(), &parsed.instances), &parsed.extent),
+        report_pictures::thumbnail(
+            &RenderScene::of_parsed(parsed.cloud.clone(), &parsed.instances),
+            &parsed.extent,
+        ),
     )?;
     super::report_files::write(parse, report_pictures::render(parsed, &scan.frames, writing)?)
 }

@@ -15,7 +15,9 @@ use std::time::{Duration, Instant};
 use tokio::task::spawn_blocking;
 use tokio::time::{sleep, timeout};
 use uniground_core::ingest::Grown;
-use uniground_core::parse::{ImportedScan, ParsedScan, STAGE_1_VERSION, chosen, cut_scan, share_of_import, stored_import};
+use uniground_core::parse::{
+    ImportedScan, ParsedScan, STAGE_1_VERSION, chosen, cut_scan, share_of_import, stored_import,
+};
 use uniground_core::progress::Progress;
 use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_types::settings::{ParseSettings, with_names_of_today};
@@ -24,7 +26,8 @@ use uniground_types::settings::{ParseSettings, with_names_of_today};
 pub struct ParseJob(pub Service);
 
 /// What came of a parse that was not needed.
-pub(super) const STORED_PARSE_USED: &str = "the stored parse of the same content and settings is used";
+pub(super) const STORED_PARSE_USED: &str =
+    "the stored parse of the same content and settings is used";
 
 /// What a parse is asked to do.
 #[derive(Serialize, Deserialize)]
@@ -35,7 +38,9 @@ pub struct Payload {
 }
 
 /// A job that waits may have been written by a server whose settings had other names.
-fn settings_of_any_version<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<ParseSettings, D::Error> {
+fn settings_of_any_version<'de, D: serde::Deserializer<'de>>(
+    deserializer: D,
+) -> Result<ParseSettings, D::Error> {
     let mut settings = serde_json::Value::deserialize(deserializer)?;
     with_names_of_today(&mut settings);
     serde_json::from_value(settings).map_err(serde::de::Error::custom)
@@ -44,13 +49,17 @@ fn settings_of_any_version<'de, D: serde::Deserializer<'de>>(deserializer: D) ->
 /// How the files of a scan are read: what is true of them whatever they are parsed with.
 const READING: [&str; 3] = ["up", "metres_per_unit", "levelling"];
 
-/// Settings that are asked for, with what an earlier job was told of how the files are read, as far as they do not say it themselves.
+/// Settings that are asked for, with what an earlier job was told of how the files are read, as far
+/// as they do not say it themselves.
 pub(super) fn with_reading_of(payload: &str, asked: Option<Value>) -> Option<Value> {
     let told: Option<Value> = serde_json::from_str(payload).ok();
-    let Some(told) = told.as_ref().and_then(|told| told.pointer("/settings/import")) else { return asked };
+    let Some(told) = told.as_ref().and_then(|told| told.pointer("/settings/import")) else {
+        return asked;
+    };
     let mut asked = asked.unwrap_or_else(|| json!({}));
     // What is no object is refused, with a word on where, by whoever reads it.
-    let import = asked.as_object_mut().map(|settings| settings.entry("import").or_insert_with(|| json!({})));
+    let import =
+        asked.as_object_mut().map(|settings| settings.entry("import").or_insert_with(|| json!({})));
     if let Some(import) = import.and_then(Value::as_object_mut) {
         for name in READING {
             if let (Some(value), false) = (told.get(name), import.contains_key(name)) {
@@ -64,7 +73,8 @@ pub(super) fn with_reading_of(payload: &str, asked: Option<Value>) -> Option<Val
 impl JobKind for ParseJob {
     const NAME: &'static str = "parse";
     const CONCURRENCY: usize = 1;
-    /// A scan that could not be parsed can not be parsed tomorrow; a disk that was full may have room.
+    /// A scan that could not be parsed can not be parsed tomorrow; a disk that was full may have
+    /// room.
     const RETRY: Retry = Retry { interrupted: 10, transient: 2, backoff: Duration::from_secs(5) };
     type Payload = Payload;
 
@@ -73,8 +83,13 @@ impl JobKind for ParseJob {
         let told = loop {
             match self.0.run_parse(&job).await {
                 // What is done is kept: nothing is computed twice.
-                Err(error) if error.is_blobs_away() && self.0.blobs_come_back(&job.progress).await => {
-                    tracing::warn!(error = &error as &dyn std::error::Error, "the object store was away: the parse goes on");
+                Err(error)
+                    if error.is_blobs_away() && self.0.blobs_come_back(&job.progress).await =>
+                {
+                    tracing::warn!(
+                        error = &error as &dyn std::error::Error,
+                        "the object store was away: the parse goes on"
+                    );
                 }
                 done => break done.map_err(job_failure)?,
             }
@@ -85,7 +100,8 @@ impl JobKind for ParseJob {
 }
 
 impl Service {
-    /// Waits until the object store can be had again; whether it can, before that takes too long or the job is to stop.
+    /// Waits until the object store can be had again; whether it can, before that takes too long or
+    /// the job is to stop.
     async fn blobs_come_back(&self, progress: &Progress) -> bool {
         const PATIENCE: Duration = Duration::from_mins(10);
         const LOOK_EVERY: Duration = Duration::from_secs(2);
@@ -100,29 +116,46 @@ impl Service {
         }
     }
 
-    async fn run_parse(&self, JobContext { hold, payload, progress, .. }: &JobContext<Payload>) -> Result<String, Error> {
-        let (Payload { scene_id, settings }, job_id, progress) = (payload, hold.job_id.as_str(), progress.clone());
+    async fn run_parse(
+        &self,
+        JobContext { hold, payload, progress, .. }: &JobContext<Payload>,
+    ) -> Result<String, Error> {
+        let (Payload { scene_id, settings }, job_id, progress) =
+            (payload, hold.job_id.as_str(), progress.clone());
         let scene = self.scene_row(scene_id).await?;
         if self.take_stored_parse(&scene, settings, job_id).await? {
             return Ok(STORED_PARSE_USED.into());
         }
-        let (blobs, content, hash) = (self.store.blobs.clone(), self.store.blobs.content(&scene.content_hash), scene.content_hash.clone());
+        let (blobs, content, hash) = (
+            self.store.blobs.clone(),
+            self.store.blobs.content(&scene.content_hash),
+            scene.content_hash.clone(),
+        );
         // Read from the import to the pictures of the report.
         let content = Arc::new(spawn_blocking(move || blobs.whole(&content)).await??);
-        // Every stage works on what the import made of the content; of a scan that has grown, of what it began with.
+        // Every stage works on what the import made of the content; of a scan that has grown, of
+        // what it began with.
         let grown_from = first_upload(&content).await?;
-        let origin = serde_json::to_string(&(STAGE_1_VERSION, grown_from.as_ref().unwrap_or(&scene.content_hash), &settings.import))?;
+        let origin = serde_json::to_string(&(
+            STAGE_1_VERSION,
+            grown_from.as_ref().unwrap_or(&scene.content_hash),
+            &settings.import,
+        ))?;
         let (span, start) = (tracing::Span::current(), Instant::now());
         // Networks take nearly all of the time where they take part.
         let parsed_by = if self.models.loaded.is_empty() { 0.9 } else { 0.99 };
-        let (blobs, pool, models, job_settings) = (self.store.blobs.clone(), self.parsing.clone(), self.models.clone(), settings.clone());
-        let (service, entered, scan_folder, parsing) = (self.clone(), span.clone(), content.clone(), progress.part(0.0, parsed_by));
+        let (blobs, pool, models, job_settings) =
+            (self.store.blobs.clone(), self.parsing.clone(), self.models.clone(), settings.clone());
+        let (service, entered, scan_folder, parsing) =
+            (self.clone(), span.clone(), content.clone(), progress.part(0.0, parsed_by));
         let work = move || {
             let _entered = entered.enter();
             let folder = blobs.use_checkpoints(&hash)?;
             let checkpoints = Checkpoints::kept_in(&folder, &origin);
             let imported = share_of_import(&chosen(job_settings.models, &models));
-            let scan = if let Some(scan) = stored_import(&scan_folder, &job_settings.import, &checkpoints)? {
+            let scan = if let Some(scan) =
+                stored_import(&scan_folder, &job_settings.import, &checkpoints)?
+            {
                 scan
             } else {
                 let (content, settings) = (scan_folder.to_path_buf(), job_settings.import.clone());
@@ -132,7 +165,13 @@ impl Service {
             // In the pool of parses: what it does in parallel stays there, and gives way.
             pool.install(|| {
                 service.check_memory(scan.memory_wanted())?;
-                Ok::<_, Error>(cut_scan(scan, &job_settings, &models, &checkpoints, &parsing.part(imported, 1.0))?)
+                Ok::<_, Error>(cut_scan(
+                    scan,
+                    &job_settings,
+                    &models,
+                    &checkpoints,
+                    &parsing.part(imported, 1.0),
+                )?)
             })
         };
         let stages = self.store.blobs.keep_stages(&scene.content_hash);
@@ -141,21 +180,30 @@ impl Service {
         let mut scan = cut?;
         // What people say of the scene from here on is of the parse that is being written.
         let turn = match grown_from {
-            Some(_) if self.scene_row(scene_id).await?.parse_id.is_some() => Some(self.turn_at_parse(scene_id).await?),
+            Some(_) if self.scene_row(scene_id).await?.parse_id.is_some() => {
+                Some(self.turn_at_parse(scene_id).await?)
+            }
             _ => None,
         };
         let previous = match &turn {
             Some((parse_id, _turn)) => Some(self.previous_parse(parse_id.clone()).await?),
             None => None,
         };
-        let (blobs, pool, id, how) = (self.store.blobs.clone(), self.parsing.clone(), self.store.new_id(), settings.parsing.instances);
+        let (blobs, pool, id, how) = (
+            self.store.blobs.clone(),
+            self.parsing.clone(),
+            self.store.new_id(),
+            settings.parsing.instances,
+        );
         let place = blobs.parse(&id);
         let work = move || {
             let _entered = span.enter();
             let folder = blobs.scratch()?;
             let inherited = pool.install(|| {
                 let inherited = previous
-                    .map(|previous| previous.continue_in(&mut scan, &how, &progress.part(parsed_by, parsed_by)))
+                    .map(|previous| {
+                        previous.continue_in(&mut scan, &how, &progress.part(parsed_by, parsed_by))
+                    })
                     .transpose()?;
                 files::write(&scan, &content, &folder, &progress.part(parsed_by, 1.0))?;
                 Ok::<_, Error>(inherited)
@@ -163,7 +211,8 @@ impl Service {
             blobs.publish(folder, &place)?;
             Ok::<_, Error>((scan, inherited))
         };
-        let (ParsedScan { import, scene: parsed, models, .. }, inherited) = spawn_blocking(work).await??;
+        let (ParsedScan { import, scene: parsed, models, .. }, inherited) =
+            spawn_blocking(work).await??;
 
         let inserted = self
             .store
@@ -201,26 +250,46 @@ impl Service {
         self.metrics
             .questions
             .parsed(start.elapsed(), computed.map(|stage| (stage.stage.as_str(), stage.seconds)));
-        Ok(format!("{} instances from {} points and {} frames", report.instances, report.points, report.frames_used))
+        Ok(format!(
+            "{} instances from {} points and {} frames",
+            report.instances, report.points, report.frames_used
+        ))
     }
 
     /// Has a scan imported, away from here where that is how this service reads; blocks.
-    fn import(&self, task: &Task, checkpoints: &Checkpoints, progress: &Progress) -> Result<ImportedScan, Error> {
+    fn import(
+        &self,
+        task: &Task,
+        checkpoints: &Checkpoints,
+        progress: &Progress,
+    ) -> Result<ImportedScan, Error> {
         let outcome = self.reader.import(task, progress)?;
-        let (Task::Import { content, settings, .. }, Outcome::Imported { stages }) = (task, outcome) else {
-            return Err(Error::Io(io::Error::other("the reader of scans answered another question")));
+        let (Task::Import { content, settings, .. }, Outcome::Imported { stages }) =
+            (task, outcome)
+        else {
+            return Err(Error::Io(io::Error::other(
+                "the reader of scans answered another question",
+            )));
         };
         let scan = stored_import(content, settings, checkpoints)?;
         // A full disk, most likely: checkpoints are not written then.
-        let scan = scan.ok_or_else(|| Error::Io(io::Error::other("the scan's import could not be stored")))?;
+        let scan = scan
+            .ok_or_else(|| Error::Io(io::Error::other("the scan's import could not be stored")))?;
         Ok(scan.with_stages(stages))
     }
 
     /// Makes a stored parse of the same content and settings the scene's own, where there is one.
-    async fn take_stored_parse(&self, scene: &SceneRow, settings: &ParseSettings, job_id: &str) -> Result<bool, Error> {
+    async fn take_stored_parse(
+        &self,
+        scene: &SceneRow,
+        settings: &ParseSettings,
+        job_id: &str,
+    ) -> Result<bool, Error> {
         // It stays until the scene refers to it.
         let _references = self.parse_references().await?;
-        let Some(parse_id) = self.stored_parse(&scene.content_hash, settings).await? else { return Ok(false) };
+        let Some(parse_id) = self.stored_parse(&scene.content_hash, settings).await? else {
+            return Ok(false);
+        };
         self.store.set_scene_parse(&scene.id, &parse_id, job_id).await?;
         Ok(true)
     }

@@ -1,4 +1,5 @@
-//! A parse for who looks at it: points, a small picture, the photographs and where they were taken from.
+//! A parse for who looks at it: points, a small picture, the photographs and where they were taken
+//! from.
 
 use super::{Download, ParseFile, photograph, read_frames, read_photograph, view};
 use crate::error::Error;
@@ -12,7 +13,9 @@ use std::io::BufReader;
 use std::sync::Arc;
 use tokio::task::spawn_blocking;
 use uniground_core::grounding::pipeline::SceneSource;
-use uniground_core::scene::{FrameRef, Instance, InstanceId, Intrinsics, Owners, read_instance_of_point, write_even_points};
+use uniground_core::scene::{
+    FrameRef, Instance, InstanceId, Intrinsics, Owners, read_instance_of_point, write_even_points,
+};
 use uniground_core::scene_parsing::evidence::{self, Picture};
 use uniground_core::scene_parsing::{ParseError, report_pictures};
 use uniground_types::scene::{FrameList, FrameView};
@@ -51,11 +54,14 @@ impl Service {
         if let Some(file) = file {
             return Ok(EvidenceFile::Stored(file));
         }
-        let drawn = self.draw(scene, |_, scene| Ok(report_pictures::thumbnail(&*scene.render_scene()?, &scene.extent())));
+        let drawn = self.draw(scene, |_, scene| {
+            Ok(report_pictures::thumbnail(&*scene.render_scene()?, &scene.extent()))
+        });
         drawn.await.map(|jpeg| EvidenceFile::Drawn(jpeg.into()))
     }
 
-    /// Computes for who looks at a scene, one after the other: questions go before, in places of their own.
+    /// Computes for who looks at a scene, one after the other: questions go before, in places of
+    /// their own.
     pub(in crate::service) async fn draw<T: Send + 'static>(
         &self,
         scene: Arc<StoredScene>,
@@ -74,7 +80,11 @@ impl Service {
     }
 
     /// A file of a scene's current parse; `None` in a parse from before it was kept.
-    async fn kept(&self, scene_id: &str, file: ParseFile) -> Result<(Arc<StoredScene>, Option<Kept>), Error> {
+    async fn kept(
+        &self,
+        scene_id: &str,
+        file: ParseFile,
+    ) -> Result<(Arc<StoredScene>, Option<Kept>), Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let scene = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
         let file = self.if_kept(&scene, file.of(&scene.folder())).await?;
@@ -87,7 +97,8 @@ impl Service {
         Ok(if is_kept { Some(self.sound_file(&scene.parse.id, path).await?) } else { None })
     }
 
-    /// A picture of an instance in one of its views; `None`, and a line in the log, where the photograph can not be read.
+    /// A picture of an instance in one of its views; `None`, and a line in the log, where the
+    /// photograph can not be read.
     ///
     /// # Errors
     /// [`Error::ParseDamaged`].
@@ -119,8 +130,10 @@ impl Service {
                 true => Some(scene.check(&kept)?),
                 false => None,
             };
-            let photograph = read_photograph(&service.store.blobs, &folder, &parse.content, seen.frame);
-            Ok(photograph.map(|photograph| Bytes::from(evidence::picture(&photograph, &seen, picture))))
+            let photograph =
+                read_photograph(&service.store.blobs, &folder, &parse.content, seen.frame);
+            Ok(photograph
+                .map(|photograph| Bytes::from(evidence::picture(&photograph, &seen, picture))))
         });
         let Some(drawn) = drawn.await? else { return Ok(None) };
         if stays {
@@ -135,31 +148,43 @@ impl Service {
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
     pub async fn frames(&self, scene_id: &str) -> Result<FrameList, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let (folder, content) = (self.store.blobs.parse(&parse_id), self.loaded_parse(&parse_id).await?.content.clone());
+        let (folder, content) = (
+            self.store.blobs.parse(&parse_id),
+            self.loaded_parse(&parse_id).await?.content.clone(),
+        );
         let blobs = self.store.blobs.clone();
         let frames = spawn_blocking(move || read_frames(&blobs, &folder, &content)).await??;
         let view = |frame: FrameRef| {
             let Intrinsics { width, height, fx, fy, cx, cy } = frame.colour_intrinsics;
             let pose = frame.camera_to_world.to_homogeneous();
-            let camera_to_world = std::array::from_fn(|row| std::array::from_fn(|column| pose[(row, column)]));
+            let camera_to_world =
+                std::array::from_fn(|row| std::array::from_fn(|column| pose[(row, column)]));
             FrameView { index: frame.index, width, height, fx, fy, cx, cy, camera_to_world }
         };
         Ok(FrameList { frames: frames.unwrap_or_default().into_iter().map(view).collect() })
     }
 
-    /// A photograph of a scene's scan, by its place in the scan's own list; with the instances it shows drawn in, where that is wanted. JPEG
-    /// or PNG as it was taken, else JPEG.
+    /// A photograph of a scene's scan, by its place in the scan's own list; with the instances it
+    /// shows drawn in, where that is wanted. JPEG or PNG as it was taken, else JPEG.
     ///
     /// # Errors
     /// [`Error::FrameNotFound`] and those of [`points`](Self::points).
-    pub async fn frame_picture(&self, scene_id: &str, index: u32, with_instances: bool) -> Result<EvidenceFile, Error> {
+    pub async fn frame_picture(
+        &self,
+        scene_id: &str,
+        index: u32,
+        with_instances: bool,
+    ) -> Result<EvidenceFile, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let scene = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
         let (folder, content) = (scene.folder(), scene.parse.content.clone());
         let blobs = self.store.blobs.clone();
         let found = spawn_blocking(move || {
             let frames = read_frames(&blobs, &folder, &content)?.unwrap_or_default();
-            let frame = frames.into_iter().find(|frame| frame.index.0 == index).ok_or(Error::FrameNotFound { index })?;
+            let frame = frames
+                .into_iter()
+                .find(|frame| frame.index.0 == index)
+                .ok_or(Error::FrameNotFound { index })?;
             let colour = blobs.file(&content, &frame.colour)?;
             Ok::<_, Error>((frame, colour))
         });
@@ -189,7 +214,11 @@ impl StoredScene {
     fn even_points(&self) -> Result<Scratch, Error> {
         let (render_scene, of_point) = (self.render_scene()?, self.instance_of_point()?);
         let scratch = self.scratch()?;
-        write_even_points(&render_scene.cloud, &of_point, File::create(scratch.path().join(POINTS))?)?;
+        write_even_points(
+            &render_scene.cloud,
+            &of_point,
+            File::create(scratch.path().join(POINTS))?,
+        )?;
         Ok(scratch)
     }
 
@@ -200,7 +229,12 @@ impl StoredScene {
             Some(found) => owners.of_point(*found, &render_scene.cloud.positions[point]),
             None => InstanceId::default(),
         };
-        let drawn = report_pictures::photograph_with_instances(frame, &render_scene.cloud, self.instances(), shown_as);
+        let drawn = report_pictures::photograph_with_instances(
+            frame,
+            &render_scene.cloud,
+            self.instances(),
+            shown_as,
+        );
         drawn.map_err(|error| ParseError::from(error).into())
     }
 }

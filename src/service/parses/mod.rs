@@ -45,11 +45,17 @@ impl Service {
         names_of(&self.models)
     }
 
-    /// Parses a scene, in the background. A stored parse of the same content and settings is taken at once.
+    /// Parses a scene, in the background. A stored parse of the same content and settings is taken
+    /// at once.
     ///
     /// # Errors
     /// [`Error`] when the scene is unknown or the queue is full.
-    pub async fn start_parse(&self, scene_id: &str, settings: &ParseSettings, caller: &Caller) -> Result<Job, Error> {
+    pub async fn start_parse(
+        &self,
+        scene_id: &str,
+        settings: &ParseSettings,
+        caller: &Caller,
+    ) -> Result<Job, Error> {
         let scene = self.scene_row(scene_id).await?;
         // A stored parse stays until the scene refers to it.
         let _references = self.parse_references().await?;
@@ -71,13 +77,17 @@ impl Service {
         settings: &ParseSettings,
         caller: &Caller,
     ) -> Result<WantedParse, Error> {
-        let payload = serde_json::to_string(&Payload { scene_id: scene_id.to_owned(), settings: settings.clone() })?;
+        let payload = serde_json::to_string(&Payload {
+            scene_id: scene_id.to_owned(),
+            settings: settings.clone(),
+        })?;
         let stored = self.stored_parse(content_hash, settings).await?;
         Ok(WantedParse { payload, key_id: caller.key_id().map(str::to_owned), stored })
     }
 
-    /// Parses a scene again: a preset with single values replaced. How the files are read was settled at the upload and stays, unless
-    /// said: what is up, how long their unit is, whether they are levelled.
+    /// Parses a scene again: a preset with single values replaced. How the files are read was
+    /// settled at the upload and stays, unless said: what is up, how long their unit is,
+    /// whether they are levelled.
     ///
     /// # Errors
     /// [`Error`] for settings that make no sense, an unknown scene or a full queue.
@@ -104,15 +114,19 @@ impl Service {
     /// A file of a scene's current parse.
     ///
     /// # Errors
-    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`]; [`Error::NoEmbeddings`] when no encoder has seen the scene.
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`]; [`Error::NoEmbeddings`] when no encoder
+    /// has seen the scene.
     pub async fn parse_file(&self, scene_id: &str, file: ParseFile) -> Result<Download, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
-        if file == ParseFile::Embeddings && self.loaded_parse(&parse_id).await?.embeddings.is_none() {
+        if file == ParseFile::Embeddings && self.loaded_parse(&parse_id).await?.embeddings.is_none()
+        {
             return Err(Error::NoEmbeddings { scene_id: scene_id.into() });
         }
         match self.link_to(&parse_id, file).await? {
             Some(link) => Ok(Download::There(link)),
-            None => Ok(Download::Here(self.sound_file(&parse_id, file.of(&self.store.blobs.parse(&parse_id))).await?)),
+            None => Ok(Download::Here(
+                self.sound_file(&parse_id, file.of(&self.store.blobs.parse(&parse_id))).await?,
+            )),
         }
     }
 
@@ -122,8 +136,13 @@ impl Service {
         Ok(spawn_blocking(move || blobs.link(&folder, &file.of(&folder))).await??)
     }
 
-    /// The parse of a content under these settings and the models they choose, where there is one and its files are.
-    async fn stored_parse(&self, content_hash: &str, settings: &ParseSettings) -> Result<Option<String>, Error> {
+    /// The parse of a content under these settings and the models they choose, where there is one
+    /// and its files are.
+    async fn stored_parse(
+        &self,
+        content_hash: &str,
+        settings: &ParseSettings,
+    ) -> Result<Option<String>, Error> {
         let hash = settings_hash(settings, &names_of(&chosen(settings.models, &self.models)))?;
         let Some(parse) = self.store.parse_of(content_hash, &hash).await? else { return Ok(None) };
         let wrong = self.look_at_parse(&parse.id, Look::Names).await?;
@@ -135,7 +154,8 @@ impl Service {
         Ok(None)
     }
 
-    /// Has a parse made anew whose files are lost or damaged, for every scene that uses it. Until then the scenes keep what they have.
+    /// Has a parse made anew whose files are lost or damaged, for every scene that uses it. Until
+    /// then the scenes keep what they have.
     ///
     /// # Errors
     /// [`Error::Store`].
@@ -143,10 +163,18 @@ impl Service {
         let settings = self.store.parse(parse_id).await?.map(|parse| parse.record().settings);
         for scene in self.store.retire_parse(parse_id).await? {
             let Some(settings) = &settings else { continue };
-            let payload = serde_json::to_string(&Payload { scene_id: scene.id.clone(), settings: settings.clone() })?;
+            let payload = serde_json::to_string(&Payload {
+                scene_id: scene.id.clone(),
+                settings: settings.clone(),
+            })?;
             let job = NewJob { kind: ParseJob::NAME, payload: &payload, key_id: None, done: None };
             if let Some(row) = self.store.insert_scene_job(&scene.id, job).await? {
-                tracing::info!(parse_id, scene_id = scene.id, job_id = row.id, "a parse is made anew");
+                tracing::info!(
+                    parse_id,
+                    scene_id = scene.id,
+                    job_id = row.id,
+                    "a parse is made anew"
+                );
                 self.jobs.recorded::<ParseJob>(row);
             }
         }
@@ -157,7 +185,11 @@ impl Service {
     ///
     /// # Errors
     /// [`Error::ParseDamaged`]: it is lost or damaged, and the parse is being made anew.
-    pub(super) async fn sound_file(&self, parse_id: &str, file: Utf8PathBuf) -> Result<Kept, Error> {
+    pub(super) async fn sound_file(
+        &self,
+        parse_id: &str,
+        file: Utf8PathBuf,
+    ) -> Result<Kept, Error> {
         let (service, id) = (self.clone(), parse_id.to_owned());
         match spawn_blocking(move || service.check_file(&id, &file)).await? {
             Err(error) => Err(self.after_damage(error).await),
@@ -165,11 +197,14 @@ impl Service {
         }
     }
 
-    /// A file of a parse, if it is what was written; blocks. What was looked at once and has not changed since is believed.
+    /// A file of a parse, if it is what was written; blocks. What was looked at once and has not
+    /// changed since is believed.
     pub(super) fn check_file(&self, parse_id: &str, file: &Utf8Path) -> Result<Kept, Error> {
         let damaged = |what: String| Error::ParseDamaged { parse_id: parse_id.to_owned(), what };
         let of = |error: io::Error| match error.kind() {
-            io::ErrorKind::NotFound => damaged(format!("{} is missing", file.file_name().unwrap_or_default())),
+            io::ErrorKind::NotFound => {
+                damaged(format!("{} is missing", file.file_name().unwrap_or_default()))
+            }
             io::ErrorKind::InvalidData => damaged(error.to_string()),
             // A disk that fails for a moment has lost nothing.
             _ => Error::Io(error),
@@ -192,7 +227,9 @@ impl Service {
     /// Has a damaged parse made anew, if that is what an error is about.
     pub(super) async fn after_damage(&self, error: Error) -> Error {
         match &error {
-            Error::ParseDamaged { parse_id, .. } => self.retire_parse(parse_id).await.err().unwrap_or(error),
+            Error::ParseDamaged { parse_id, .. } => {
+                self.retire_parse(parse_id).await.err().unwrap_or(error)
+            }
             _ => error,
         }
     }
@@ -209,7 +246,8 @@ impl Service {
         Ok(parse)
     }
 
-    /// A parse that is looked at in passing: those that people ask about stay in memory, whatever many are looked through.
+    /// A parse that is looked at in passing: those that people ask about stay in memory, whatever
+    /// many are looked through.
     pub(super) async fn passing_parse(&self, parse_id: &str) -> Result<Arc<LoadedParse>, Error> {
         match self.parses.loaded(parse_id, self.changes_of_parse(parse_id).await?) {
             Some(parse) => Ok(parse),
@@ -231,24 +269,35 @@ impl Service {
         let named_by = self.give_names(parse_id, &mut instances).await?;
         let corrections = self.store.corrections(parse_id).await?;
         let (blobs, folder) = (self.store.blobs.clone(), self.store.blobs.parse(parse_id));
-        let (id, content, masks, encoder) = (parse_id.to_owned(), blobs.content(&row.content_hash), models.masks, models.encoder);
+        let (id, content, masks, encoder) =
+            (parse_id.to_owned(), blobs.content(&row.content_hash), models.masks, models.encoder);
         let source_to_scene = import.and_then(|import| import.source_to_scene);
         // Names are read as questions are: that computes.
         let read = move || {
             correct(&mut instances, &corrections);
-            // What was found since no encoder has seen; what was merged looks like its members together.
+            // What was found since no encoder has seen; what was merged looks like its members
+            // together.
             let embeddings = files::read_embeddings(&blobs, &folder)?.map(|seen| {
                 let seen = seen.padded_to(instances.len());
-                let merged = instances.iter().enumerate().filter(|(_, instance)| !instance.merged_from.is_empty());
-                merged.fold(seen, |seen, (at, merged)| seen.with_mean(merged.merged_from.iter().map(|id| id.0 as usize - 1), at))
+                let merged = instances
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, instance)| !instance.merged_from.is_empty());
+                merged.fold(seen, |seen, (at, merged)| {
+                    seen.with_mean(merged.merged_from.iter().map(|id| id.0 as usize - 1), at)
+                })
             });
-            let around = || Aabb::around(&instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>());
+            let around = || {
+                Aabb::around(&instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>())
+            };
             Ok(LoadedParse {
                 content,
                 embeddings,
                 frame_embeddings: files::read_frame_embeddings(&blobs, &folder)?,
                 renamed: renamed(&corrections),
-                extent: extent.or_else(around).ok_or_else(|| Error::SceneNotFound { id: id.clone() })?,
+                extent: extent
+                    .or_else(around)
+                    .ok_or_else(|| Error::SceneNotFound { id: id.clone() })?,
                 source_to_scene,
                 names: NameIndex::of(&instances),
                 named_by,
@@ -269,7 +318,11 @@ fn renamed(corrections: &[Correction]) -> BTreeMap<u32, String> {
         (Change::Merge { name: Some(name), .. }, Some(made)) => Some((made.0, name.clone())),
         _ => None,
     };
-    corrections.iter().filter(|correction| correction.undone_at.is_none()).filter_map(name).collect()
+    corrections
+        .iter()
+        .filter(|correction| correction.undone_at.is_none())
+        .filter_map(name)
+        .collect()
 }
 
 /// A parse somebody wants: to be made, or there already.
@@ -282,7 +335,12 @@ pub(super) struct WantedParse {
 impl WantedParse {
     pub(super) fn job(&self) -> NewJob<'_> {
         let done = self.stored.as_deref().map(|id| (id, job::STORED_PARSE_USED));
-        NewJob { kind: ParseJob::NAME, payload: &self.payload, key_id: self.key_id.as_deref(), done }
+        NewJob {
+            kind: ParseJob::NAME,
+            payload: &self.payload,
+            key_id: self.key_id.as_deref(),
+            done,
+        }
     }
 }
 
@@ -300,9 +358,21 @@ mod tests {
     #[test]
     fn settings_and_models_make_the_hash() {
         let models = |encoder: &str| ParseModels { masks: "m".into(), encoder: encoder.into() };
-        let (default, paper) = (ParseSettings::default(), ParseSettings::from_request(ParsePreset::Paper, None).unwrap());
-        assert_eq!(settings_hash(&default, &models("a")).unwrap(), settings_hash(&default.clone(), &models("a")).unwrap());
-        assert_ne!(settings_hash(&default, &models("a")).unwrap(), settings_hash(&paper, &models("a")).unwrap());
-        assert_ne!(settings_hash(&default, &models("a")).unwrap(), settings_hash(&default, &models("b")).unwrap());
+        let (default, paper) = (
+            ParseSettings::default(),
+            ParseSettings::from_request(ParsePreset::Paper, None).unwrap(),
+        );
+        assert_eq!(
+            settings_hash(&default, &models("a")).unwrap(),
+            settings_hash(&default.clone(), &models("a")).unwrap()
+        );
+        assert_ne!(
+            settings_hash(&default, &models("a")).unwrap(),
+            settings_hash(&paper, &models("a")).unwrap()
+        );
+        assert_ne!(
+            settings_hash(&default, &models("a")).unwrap(),
+            settings_hash(&default, &models("b")).unwrap()
+        );
     }
 }

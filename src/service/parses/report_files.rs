@@ -1,4 +1,5 @@
-//! The pictures of a parse on disk: `report/<name>.jpg` and their titles in `report/index.json`, below the parse's folder.
+//! The pictures of a parse on disk: `report/<name>.jpg` and their titles in `report/index.json`,
+//! below the parse's folder.
 
 use super::files::read;
 use crate::error::Error;
@@ -37,6 +38,7 @@ pub(super) fn picture(parse: &Utf8Path, name: &str) -> Utf8PathBuf {
 
 /// All pictures of a parse. Parses of earlier versions have none.
 pub(super) async fn index(blobs: Blobs, parse: Utf8PathBuf) -> Result<Vec<Entry>, Error> {
-    let index = spawn_blocking(move || read(&blobs, &parse, parse.join(FOLDER).join(INDEX))).await??;
+    let index =
+        spawn_blocking(move || read(&blobs, &parse, parse.join(FOLDER).join(INDEX))).await??;
     index.map_or_else(|| Ok(Vec::new()), |bytes| Ok(serde_json::from_slice(&bytes)?))
 }

@@ -28,13 +28,17 @@ impl Service {
     /// What changed in a scene after its version `since`, as it grew.
     ///
     /// # Errors
-    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`]; [`Error::NoVersion`], [`Error::VersionsApart`] where the scene was parsed anew in
-    /// between, with other ids.
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`]; [`Error::NoVersion`],
+    /// [`Error::VersionsApart`] where the scene was parsed anew in between, with other ids.
     pub async fn changes_since(&self, scene_id: &str, since: u32) -> Result<SceneChanges, Error> {
         let (scene, _) = self.ready_scene(scene_id).await?;
         let now = version(&scene);
         if since == 0 || since > now.version {
-            return Err(Error::NoVersion { id: scene_id.to_owned(), asked: since, version: now.version });
+            return Err(Error::NoVersion {
+                id: scene_id.to_owned(),
+                asked: since,
+                version: now.version,
+            });
         }
         let known = self.store.scene_changes(scene_id, since).await?;
         let (mut changes, mut next) = (Changes::default(), now.version);
@@ -51,25 +55,42 @@ impl Service {
         for (_, later) in known {
             changes = changes.then(later);
         }
-        Ok(SceneChanges { from: SceneVersion { scene_id: scene_id.to_owned(), version: since }, to: now, alignment: None, changes })
+        Ok(SceneChanges {
+            from: SceneVersion { scene_id: scene_id.to_owned(), version: since },
+            to: now,
+            alignment: None,
+            changes,
+        })
     }
 
-    /// What is different in another scan of the same room. The first guess of how the two lie to each other is their places in the same
-    /// map, else that they were told in one world; `refine` lays the clouds over each other from there.
+    /// What is different in another scan of the same room. The first guess of how the two lie to
+    /// each other is their places in the same map, else that they were told in one world;
+    /// `refine` lays the clouds over each other from there.
     ///
     /// Few are computed at once, not for long, and only as long as the caller waits.
     ///
     /// # Errors
-    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ScansApart`]; [`Error::TooMany`], [`Error::ComparisonTimedOut`].
-    pub async fn changes_to(&self, scene_id: &str, to_id: &str, refine: bool) -> Result<SceneChanges, Error> {
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ScansApart`];
+    /// [`Error::TooMany`], [`Error::ComparisonTimedOut`].
+    pub async fn changes_to(
+        &self,
+        scene_id: &str,
+        to_id: &str,
+        refine: bool,
+    ) -> Result<SceneChanges, Error> {
         let permit = self.comparisons.clone().try_acquire_owned();
-        let permit = permit.map_err(|_| Error::TooMany { what: "comparisons of scans", most: MAX_COMPARISONS })?;
+        let permit = permit
+            .map_err(|_| Error::TooMany { what: "comparisons of scans", most: MAX_COMPARISONS })?;
         let (from_row, from) = self.stored_scene(scene_id).await?;
         let (to_row, to) = self.stored_scene(to_id).await?;
         let guess = in_one_map(&from_row, &to_row);
-        let (caller_left, deadline) = (CancellationToken::new(), Instant::now() + COMPARISON_TIMEOUT);
+        let (caller_left, deadline) =
+            (CancellationToken::new(), Instant::now() + COMPARISON_TIMEOUT);
         let _caller = caller_left.clone().drop_guard();
-        let progress = Progress::new(|_, _| {}, move || caller_left.is_cancelled() || Instant::now() >= deadline);
+        let progress = Progress::new(
+            |_, _| {},
+            move || caller_left.is_cancelled() || Instant::now() >= deadline,
+        );
         let compared = spawn_blocking(move || {
             let _permit = permit;
             compared(&from, &to, &guess, refine, &progress)
@@ -81,7 +102,12 @@ impl Service {
             }
             Err(error) => return Err(self.after_damage(error).await),
         };
-        Ok(SceneChanges { from: version(&from_row), to: version(&to_row), alignment: Some(alignment), changes })
+        Ok(SceneChanges {
+            from: version(&from_row),
+            to: version(&to_row),
+            alignment: Some(alignment),
+            changes,
+        })
     }
 
     async fn stored_scene(&self, id: &str) -> Result<(SceneRow, Arc<StoredScene>), Error> {
@@ -91,21 +117,35 @@ impl Service {
 }
 
 fn version(scene: &SceneRow) -> SceneVersion {
-    SceneVersion { scene_id: scene.id.clone(), version: u32::try_from(scene.parse_version).unwrap_or(0) }
+    SceneVersion {
+        scene_id: scene.id.clone(),
+        version: u32::try_from(scene.parse_version).unwrap_or(0),
+    }
 }
 
-/// From one scene to another by their places in the same map; where they are in none, they were told in one world.
+/// From one scene to another by their places in the same map; where they are in none, they were
+/// told in one world.
 fn in_one_map(from: &SceneRow, to: &SceneRow) -> Isometry3<f32> {
-    let (Some(from_place), Some(to_place)) = (&from.scene_to_map, &to.scene_to_map) else { return Isometry3::identity() };
+    let (Some(from_place), Some(to_place)) = (&from.scene_to_map, &to.scene_to_map) else {
+        return Isometry3::identity();
+    };
     if from.map_frame_id != to.map_frame_id {
         return Isometry3::identity();
     }
     let (out, back) = (SceneToFrame::to_map(from_place), SceneToFrame::to_map(to_place));
     let through = |p: [f64; 3]| Vector3::from(back.invert(out.apply(p)));
     let origin = through([0.0; 3]);
-    let axes = [through([1.0, 0.0, 0.0]) - origin, through([0.0, 1.0, 0.0]) - origin, through([0.0, 0.0, 1.0]) - origin];
-    let rotation = nalgebra::Rotation3::from_matrix_unchecked(nalgebra::Matrix3::from_columns(&axes));
-    Isometry3::from_parts(origin.cast::<f32>().into(), nalgebra::UnitQuaternion::from_rotation_matrix(&rotation).cast())
+    let axes = [
+        through([1.0, 0.0, 0.0]) - origin,
+        through([0.0, 1.0, 0.0]) - origin,
+        through([0.0, 0.0, 1.0]) - origin,
+    ];
+    let rotation =
+        nalgebra::Rotation3::from_matrix_unchecked(nalgebra::Matrix3::from_columns(&axes));
+    Isometry3::from_parts(
+        origin.cast::<f32>().into(),
+        nalgebra::UnitQuaternion::from_rotation_matrix(&rotation).cast(),
+    )
 }
 
 fn compared(
@@ -121,11 +161,14 @@ fn compared(
     if overlap < LEAST_OVERLAP {
         return Err(Error::ScansApart { overlap });
     }
-    let (positions_before, positions_after) = (&before.scene.cloud.positions, &after.scene.cloud.positions);
-    let counterparts = Counterparts::nearest(positions_before, positions_after, &place, SAME_PLACE_M, progress);
+    let (positions_before, positions_after) =
+        (&before.scene.cloud.positions, &after.scene.cloud.positions);
+    let counterparts =
+        Counterparts::nearest(positions_before, positions_after, &place, SAME_PLACE_M, progress);
     let counterparts = counterparts.map_err(ParseError::from)?;
     let same = pairs(&before.owner_of_point, &after.owner_of_point, &counterparts);
-    let changes = compare(&before.look(from), &after.look(to), &same, &counterparts, &place, progress)?;
+    let changes =
+        compare(&before.look(from), &after.look(to), &same, &counterparts, &place, progress)?;
     let turn = place.rotation.cast::<f64>();
     let alignment = ScanAlignment {
         rotation: [turn.i, turn.j, turn.k, turn.w],
@@ -150,7 +193,10 @@ impl Kept {
     fn of(scene: &StoredScene) -> Result<Self, Error> {
         let (render_scene, of_point) = (scene.render_scene()?, scene.instance_of_point()?);
         let owners = Owners::of(&of_point, scene.instances());
-        let owned = of_point.iter().zip(&render_scene.cloud.positions).map(|(found, p)| owners.of_point(*found, p));
+        let owned = of_point
+            .iter()
+            .zip(&render_scene.cloud.positions)
+            .map(|(found, p)| owners.of_point(*found, p));
         let owner_of_point = owned.collect();
         let blobs = scene.blobs();
         let scan = blobs.whole(&scene.parse.content)?;
@@ -159,6 +205,11 @@ impl Kept {
     }
 
     fn look<'a>(&'a self, scene: &'a StoredScene) -> Look<'a> {
-        Look { cloud: &self.scene.cloud, owner_of_point: &self.owner_of_point, instances: scene.instances(), frames: &self.frames }
+        Look {
+            cloud: &self.scene.cloud,
+            owner_of_point: &self.owner_of_point,
+            instances: scene.instances(),
+            frames: &self.frames,
+        }
     }
 }

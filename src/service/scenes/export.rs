@@ -23,8 +23,14 @@ impl Service {
     /// A scene's current parse as people have corrected it, with at most so many points.
     ///
     /// # Errors
-    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`]; a number of points that makes no sense.
-    pub async fn export(&self, scene_id: &str, format: ExportFormat, points: u32) -> Result<ExportFile, Error> {
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`]; a number of
+    /// points that makes no sense.
+    pub async fn export(
+        &self,
+        scene_id: &str,
+        format: ExportFormat,
+        points: u32,
+    ) -> Result<ExportFile, Error> {
         if !(1..=MAX_POINTS).contains(&points) {
             return Err(Error::invalid("points", format!("must be 1 to {MAX_POINTS}")));
         }
@@ -46,9 +52,12 @@ impl Service {
         let made = self.draw(scene, move |_, scene| {
             let bytes = match format {
                 ExportFormat::Json => serde_json::to_vec(&listed)?,
-                ExportFormat::Glb | ExportFormat::Ply | ExportFormat::Usdz => scene.written(&listed.name, format, points as usize)?,
+                ExportFormat::Glb | ExportFormat::Ply | ExportFormat::Usdz => {
+                    scene.written(&listed.name, format, points as usize)?
+                }
             };
-            let fingerprint = Sha256::digest(&bytes).iter().take(12).map(|byte| format!("{byte:02x}")).collect();
+            let fingerprint =
+                Sha256::digest(&bytes).iter().take(12).map(|byte| format!("{byte:02x}")).collect();
             Ok(ExportFile { name, bytes, fingerprint })
         });
         made.await

@@ -34,8 +34,8 @@ pub struct NewFrames {
 const MOST_PARTS: usize = 200;
 
 impl Service {
-    /// Adds frames to a scene and starts parsing what they change. Until that is done questions are answered as before; ids of what stays
-    /// are the same afterwards.
+    /// Adds frames to a scene and starts parsing what they change. Until that is done questions are
+    /// answered as before; ids of what stays are the same afterwards.
     ///
     /// # Errors
     /// [`Error`]: what is wrong with the upload; [`Error::SceneNotReady`], [`Error::NoMap`]; frames that do not lie in the scene;
@@ -53,7 +53,8 @@ impl Service {
         let (scene, parse_id) = self.ready_scene(scene_id).await?;
         let parse = self.loaded_parse(&parse_id).await?;
         let to_scene = match Frame::of(world, &scene, parse.source_to_scene)? {
-            // In the files' own coordinates: whatever they are found to be whenever the scan is parsed.
+            // In the files' own coordinates: whatever they are found to be whenever the scan is
+            // parsed.
             Some(_) if world == FrameChoice::Source => None,
             Some(frame) => Some(inverse(&frame.from_scene)),
             None => Some(SourceToScene::IDENTITY),
@@ -78,13 +79,24 @@ impl Service {
         let (scene, _) = self.ready_scene(scene_id).await?;
         let from_content = scene.content_hash.clone();
         let to_scene = parse_to_scene(part.to_scene, parse.source_to_scene);
-        let cloud = self.sound_file(&parse_id, ParseFile::Cloud.of(&self.store.blobs.parse(&parse_id))).await?;
+        let cloud = self
+            .sound_file(&parse_id, ParseFile::Cloud.of(&self.store.blobs.parse(&parse_id)))
+            .await?;
         let bytes = received.bytes;
         let laid = self
-            .lay_beside(scene, received, part, |folder| Task::CheckFit { folder, cloud: cloud.to_path_buf(), to_scene })
+            .lay_beside(scene, received, part, |folder| Task::CheckFit {
+                folder,
+                cloud: cloud.to_path_buf(),
+                to_scene,
+            })
             .await?;
         let references = self.content_references().await?;
-        let settings = self.store.parse(&parse_id).await?.map(|parse| parse.record().settings).unwrap_or_default();
+        let settings = self
+            .store
+            .parse(&parse_id)
+            .await?
+            .map(|parse| parse.record().settings)
+            .unwrap_or_default();
         let wanted = self.wanted_parse(scene_id, &laid, &settings, caller).await?;
         let grew = self.store.grow_scene(Growth {
             scene_id,
@@ -97,7 +109,9 @@ impl Service {
         let grew = grew.await?;
         drop(references);
         match grew {
-            Grew::Now(row, job) => Ok((self.present(row).await?, self.jobs.recorded::<ParseJob>(*job))),
+            Grew::Now(row, job) => {
+                Ok((self.present(row).await?, self.jobs.recorded::<ParseJob>(*job)))
+            }
             Grew::Before(row) => self.grown_before(row).await,
             Grew::KeyReused => Err(Error::IdempotencyKeyReused),
             Grew::Overtaken => Err(Error::GrowthOvertaken { id: scene_id.to_owned() }),
@@ -110,7 +124,8 @@ impl Service {
         Ok((self.present(scene).await?, job))
     }
 
-    /// Puts what a scene is made of and what was received in place as one content, once both checks have nothing against it; its hash.
+    /// Puts what a scene is made of and what was received in place as one content, once both checks
+    /// have nothing against it; its hash.
     async fn lay_beside(
         &self,
         scene: SceneRow,
@@ -137,9 +152,14 @@ impl Service {
         self.reader.check(fits(folder)).await?;
         let blobs = self.store.blobs.clone();
         let publish = move || {
-            let mut grown = so_far.clone().unwrap_or_else(|| Grown::from_upload(&scene.content_hash));
+            let mut grown =
+                so_far.clone().unwrap_or_else(|| Grown::from_upload(&scene.content_hash));
             // A scan that has grown before has its parts already.
-            let below = if so_far.is_some() { Utf8PathBuf::new() } else { part_folder(Utf8Path::new(""), 0) };
+            let below = if so_far.is_some() {
+                Utf8PathBuf::new()
+            } else {
+                part_folder(Utf8Path::new(""), 0)
+            };
             let mut sums = blobs.share(&content, &scratch, &below)?;
             grown.parts.push(part);
             let list = scratch.path().join(ingest::GROWN);
@@ -189,11 +209,17 @@ mod tests {
     #[test]
     fn frames_told_in_a_map_are_led_back_to_the_scene() {
         let s = std::f64::consts::FRAC_1_SQRT_2;
-        let map = SceneToFrame::to_map(&SceneToMap { rotation: [0.0, 0.0, s, s], translation_m: [100.0, -40.0, 0.5] });
+        let map = SceneToFrame::to_map(&SceneToMap {
+            rotation: [0.0, 0.0, s, s],
+            translation_m: [100.0, -40.0, 0.5],
+        });
         let back = inverse(&map);
         for point in [[0.0, 0.0, 0.0], [1.0, 2.0, 3.0], [-4.0, 0.5, 1.0]] {
             let there = back.apply(map.apply(point));
-            assert!(there.iter().zip(point).all(|(a, b)| (a - b).abs() < 1e-9), "{there:?} for {point:?}");
+            assert!(
+                there.iter().zip(point).all(|(a, b)| (a - b).abs() < 1e-9),
+                "{there:?} for {point:?}"
+            );
         }
     }
 }

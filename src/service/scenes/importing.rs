@@ -41,7 +41,8 @@ impl Service {
         let ImportRequest { path, name, parse, up, metres_per_unit, levelling, preset } = request;
         let root = self.import_root.clone().ok_or(Error::ImportNotAllowed)?;
         check_metres_per_unit("/metres_per_unit", metres_per_unit)?;
-        let (found, below) = spawn_blocking(move || found(&root, &path).map(|found| (found, root))).await??;
+        let (found, below) =
+            spawn_blocking(move || found(&root, &path).map(|found| (found, root))).await??;
         let mut settings = ParseSettings::from_request(preset, None)?;
         settings.import = ImportSettings { up, metres_per_unit, levelling, ..settings.import };
         let new = |file_name, announced_bytes| NewScene {
@@ -57,16 +58,24 @@ impl Service {
                 self.create_scene(new(name, bytes), &mut body, caller).await
             }
             Found::Folder { path, name } => {
-                // Packed while it is received: bounded like any upload, and never on the disk twice.
+                // Packed while it is received: bounded like any upload, and never on the disk
+                // twice.
                 let (sender, receiver) = mpsc::channel(CHUNKS);
-                let packing = spawn_blocking(move || packed(&path, &below, &sender).map_err(|error| told(&error, &below)));
-                let next = |mut receiver: mpsc::Receiver<io::Result<Bytes>>| async { receiver.recv().await.map(|chunk| (chunk, receiver)) };
+                let packing = spawn_blocking(move || {
+                    packed(&path, &below, &sender).map_err(|error| told(&error, &below))
+                });
+                let next = |mut receiver: mpsc::Receiver<io::Result<Bytes>>| async {
+                    receiver.recv().await.map(|chunk| (chunk, receiver))
+                };
                 let mut body = Box::pin(stream::unfold(receiver, next));
-                let made = self.create_scene(new(format!("{name}.tar"), 0), &mut body, caller).await;
+                let made =
+                    self.create_scene(new(format!("{name}.tar"), 0), &mut body, caller).await;
                 drop(body);
                 match (made, packing.await?) {
                     // Why nothing more came is what helps.
-                    (Err(Error::UploadInterrupted { .. }), Err(why)) => Err(Error::invalid("/path", why)),
+                    (Err(Error::UploadInterrupted { .. }), Err(why)) => {
+                        Err(Error::invalid("/path", why))
+                    }
                     (made, _) => made,
                 }
             }
@@ -90,7 +99,10 @@ fn found(root: &Utf8Path, path: &str) -> Result<Found, Error> {
         return Err(not_found());
     }
     if path == root {
-        return Err(Error::invalid("/path", "it names a file or folder below the one that is imported from"));
+        return Err(Error::invalid(
+            "/path",
+            "it names a file or folder below the one that is imported from",
+        ));
     }
     let name = path.file_name().unwrap_or("scan").to_owned();
     if path.is_dir() {
@@ -105,11 +117,16 @@ fn found(root: &Utf8Path, path: &str) -> Result<Found, Error> {
 }
 
 /// Packs a folder into a body. Nothing that a link brings in from elsewhere goes with it.
-fn packed(folder: &Utf8Path, root: &Utf8Path, to: &mpsc::Sender<io::Result<Bytes>>) -> Result<(), PackingError> {
+fn packed(
+    folder: &Utf8Path,
+    root: &Utf8Path,
+    to: &mpsc::Sender<io::Result<Bytes>>,
+) -> Result<(), PackingError> {
     let below = |source| PackingError::File { path: folder.to_owned(), source };
     let mut body = BufWriter::with_capacity(CHUNK_BYTES, Body(to));
     let root = root.canonicalize_utf8().map_err(below)?;
-    let done = pack(folder, Links::Below(&root), &mut body).and_then(|()| body.flush().map_err(below));
+    let done =
+        pack(folder, Links::Below(&root), &mut body).and_then(|()| body.flush().map_err(below));
     if done.is_err() {
         // What was sent so far is no scan. Nobody may be listening any more.
         let _ = to.blocking_send(Err(io::ErrorKind::BrokenPipe.into()));

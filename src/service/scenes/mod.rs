@@ -37,12 +37,19 @@ impl Service {
     ///
     /// # Errors
     /// [`Error::Store`].
-    pub async fn scenes(&self, limit: u32, cursor: Option<&str>, labels: Labels) -> Result<SceneList, Error> {
+    pub async fn scenes(
+        &self,
+        limit: u32,
+        cursor: Option<&str>,
+        labels: Labels,
+    ) -> Result<SceneList, Error> {
         let filter = SceneFilter { ids: None, labels };
-        let (rows, next_cursor) = page(self.store.scenes(limit + 1, cursor, &filter).await?, limit, |row| &row.id);
+        let (rows, next_cursor) =
+            page(self.store.scenes(limit + 1, cursor, &filter).await?, limit, |row| &row.id);
         let mut scenes = Vec::with_capacity(rows.len());
         for row in rows {
-            // Pages of scenes are looked through: what one scene was parsed with, and how that went, is asked of that scene.
+            // Pages of scenes are looked through: what one scene was parsed with, and how that
+            // went, is asked of that scene.
             scenes.push(Scene { settings: None, report: None, ..self.present(row).await? });
         }
         Ok(SceneList { scenes, next_cursor })
@@ -60,7 +67,8 @@ impl Service {
             idempotency_key: None,
             announced_bytes: sample::LIVING_ROOM.len() as u64,
         };
-        let body = futures::stream::iter([Ok::<_, Infallible>(Bytes::from_static(sample::LIVING_ROOM))]);
+        let body =
+            futures::stream::iter([Ok::<_, Infallible>(Bytes::from_static(sample::LIVING_ROOM))]);
         self.create_scene(new, body, caller).await
     }
 
@@ -71,23 +79,33 @@ impl Service {
     pub async fn change_scene(&self, id: &str, change: SceneChange) -> Result<Scene, Error> {
         let SceneChange { name, scene_to_map, map_frame_id, labels } = change;
         name.iter().try_for_each(|name| check_name("/name", name))?;
-        map_frame_id.iter().flatten().try_for_each(|frame_id| check_name("/map_frame_id", frame_id))?;
+        map_frame_id
+            .iter()
+            .flatten()
+            .try_for_each(|frame_id| check_name("/map_frame_id", frame_id))?;
         scene_to_map.iter().flatten().try_for_each(SceneToMap::check)?;
         labels.iter().try_for_each(|labels| check_labels("/labels", labels))?;
         let map_frame_id = map_frame_id.as_ref().map(Option::as_deref);
         let change = SceneRowChange { name: name.as_deref(), scene_to_map, map_frame_id, labels };
-        let row = self.store.change_scene(id, change).await?.ok_or_else(|| Error::SceneNotFound { id: id.into() })?;
+        let row = self
+            .store
+            .change_scene(id, change)
+            .await?
+            .ok_or_else(|| Error::SceneNotFound { id: id.into() })?;
         self.present(row).await
     }
 
-    /// Deletes a scene with its answers; its parse and files too when no other scene shares them. What it leaves on the disk is out of the
-    /// way at once and removed in the background: gigabytes take their time. On a full disk the room for it comes from the reserve.
+    /// Deletes a scene with its answers; its parse and files too when no other scene shares them.
+    /// What it leaves on the disk is out of the way at once and removed in the background:
+    /// gigabytes take their time. On a full disk the room for it comes from the reserve.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`].
     pub async fn delete_scene(&self, id: &str) -> Result<(), Error> {
         let trash = match self.try_to_delete(id).await {
-            Err(error) if error.is_disk_full() && self.store.release_reserve() => self.try_to_delete(id).await,
+            Err(error) if error.is_disk_full() && self.store.release_reserve() => {
+                self.try_to_delete(id).await
+            }
             done => done,
         }?;
         let store = self.store.clone();
@@ -110,7 +128,11 @@ impl Service {
             self.discard_transcripts(&answers).await?;
         }
         let _references = self.content_references().await?;
-        let left_over = self.store.delete_scene(id).await?.ok_or_else(|| Error::SceneNotFound { id: id.into() })?;
+        let left_over = self
+            .store
+            .delete_scene(id)
+            .await?
+            .ok_or_else(|| Error::SceneNotFound { id: id.into() })?;
         Ok(self.store.set_aside(left_over).await?)
     }
 
@@ -143,7 +165,9 @@ impl Service {
         let status = match (&parse, job.as_ref().map(|job| job.state)) {
             (Some(_), _) => SceneStatus::Ready,
             (None, None) => SceneStatus::Uploaded,
-            (None, Some(JobState::Queued | JobState::Running | JobState::Succeeded)) => SceneStatus::Parsing,
+            (None, Some(JobState::Queued | JobState::Running | JobState::Succeeded)) => {
+                SceneStatus::Parsing
+            }
             (None, Some(JobState::Failed | JobState::Cancelled)) => SceneStatus::Failed,
         };
         let SceneRow {
@@ -179,7 +203,9 @@ impl Service {
             created_at,
             updated_at,
         };
-        if let Some(ParseRecord { settings, models, import, report, extent }) = parse.map(|parse| parse.record()) {
+        if let Some(ParseRecord { settings, models, import, report, extent }) =
+            parse.map(|parse| parse.record())
+        {
             scene.counts = report.as_ref().map(|report| SceneCounts {
                 points: report.points,
                 frames_used: report.frames_used,

@@ -1,5 +1,5 @@
-//! A body as it comes in: a megabyte at a time, and never too much. How slowly it may come is the business of whoever receives it
-//! (`http/body_rate.rs`).
+//! A body as it comes in: a megabyte at a time, and never too much. How slowly it may come is the
+//! business of whoever receives it (`http/body_rate.rs`).
 
 use crate::error::Error;
 use bytes::Bytes;
@@ -27,7 +27,8 @@ impl<E, S: Stream<Item = Result<Bytes, E>> + Unpin> Pieces<S> {
     /// The next piece; `None` at the end.
     ///
     /// # Errors
-    /// [`Error::UploadTooLarge`], [`Error::UploadInterrupted`]; what came before that was given out.
+    /// [`Error::UploadTooLarge`], [`Error::UploadInterrupted`]; what came before that was given
+    /// out.
     pub async fn next(&mut self) -> Result<Option<Vec<Bytes>>, Error> {
         let (mut piece, mut bytes) = (Vec::new(), 0);
         while bytes < PIECE_BYTES && self.end.is_none() {

@@ -52,7 +52,8 @@ pub struct Asked {
     pub parse: Option<ParseSettings>,
     /// The caller's own.
     pub idempotency_key: Option<String>,
-    /// The scene that key made before, and what identifies the request it came with, where that was noted.
+    /// The scene that key made before, and what identifies the request it came with, where that
+    /// was noted.
     pub made_before: Option<(SceneRow, Option<String>)>,
 }
 
@@ -84,7 +85,12 @@ impl Receiving {
         self.hasher.update(chunk);
     }
 
-    fn finish(self, path: Utf8PathBuf, file: Option<NamedTempFile>, file_name: &str) -> Result<Received, Error> {
+    fn finish(
+        self,
+        path: Utf8PathBuf,
+        file: Option<NamedTempFile>,
+        file_name: &str,
+    ) -> Result<Received, Error> {
         what_comes(&self.head, file_name)?;
         let hash = self.hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
         Ok(Received { path, file, file_name: file_name.to_owned(), hash, bytes: self.bytes })
@@ -99,12 +105,18 @@ pub fn what_comes(head: &[u8], file_name: &str) -> Result<Packed, Error> {
 impl Received {
     /// The task that unpacks it into a folder, which is there and empty, and checks it as a scan.
     pub fn unpacking(&self, into: &Utf8Path, limits: &UnpackLimits) -> Task {
-        Task::Unpack { archive: self.path.clone(), file_name: self.file_name.clone(), folder: into.to_owned(), limits: *limits }
+        Task::Unpack {
+            archive: self.path.clone(),
+            file_name: self.file_name.clone(),
+            folder: into.to_owned(),
+            limits: *limits,
+        }
     }
 
     /// An archive that is on the disk already, read once; it stays there.
     pub fn read(path: Utf8PathBuf, file_name: &str) -> Result<Self, Error> {
-        let (mut receiving, mut file, mut chunk) = (Receiving::default(), File::open(&path)?, vec![0; READ_BYTES]);
+        let (mut receiving, mut file, mut chunk) =
+            (Receiving::default(), File::open(&path)?, vec![0; READ_BYTES]);
         loop {
             match file.read(&mut chunk) {
                 Ok(0) => return receiving.finish(path, None, file_name),
@@ -117,9 +129,11 @@ impl Received {
 }
 
 impl Service {
-    /// Makes a scene from an uploaded archive and starts parsing it. Nothing is stored unless all of it is fine.
+    /// Makes a scene from an uploaded archive and starts parsing it. Nothing is stored unless all
+    /// of it is fine.
     ///
-    /// The job is there only when parsing was asked for. The same request again under its idempotency key returns the scene it made.
+    /// The job is there only when parsing was asked for. The same request again under its
+    /// idempotency key returns the scene it made.
     ///
     /// # Errors
     /// [`Error`]: what is wrong with the archive, or with the server's disk; [`Error::IdempotencyKeyReused`].
@@ -216,7 +230,9 @@ impl Service {
         let inserted = inserted.await?;
         drop(references);
         match inserted {
-            Inserted::New(row, job) => Ok((self.present(row).await?, job.map(|job| self.jobs.recorded::<ParseJob>(*job)))),
+            Inserted::New(row, job) => {
+                Ok((self.present(row).await?, job.map(|job| self.jobs.recorded::<ParseJob>(*job))))
+            }
             Inserted::MadeBefore(row) => self.made_before(row, parse, caller).await,
             Inserted::KeyReused => Err(Error::IdempotencyKeyReused),
         }
@@ -227,17 +243,29 @@ impl Service {
     }
 
     /// Whether a key may have one more scene, where so many are on their way.
-    pub(in crate::service) async fn check_quota_beside(&self, coming: u32, caller: &Caller) -> Result<(), Error> {
+    pub(in crate::service) async fn check_quota_beside(
+        &self,
+        coming: u32,
+        caller: &Caller,
+    ) -> Result<(), Error> {
         let Some(key) = &caller.key else { return Ok(()) };
         let Some(most) = key.row.max_scenes else { return Ok(()) };
         let scenes = self.store.scenes_of_key(&key.row.id).await?.saturating_add(coming);
         if scenes >= most { Err(Error::TooManyScenes { most }) } else { Ok(()) }
     }
 
-    /// The scene an idempotency key made. A server that was killed in the middle may have left it without its job.
-    async fn made_before(&self, row: SceneRow, parse: Option<ParseSettings>, caller: &Caller) -> Result<(Scene, Option<Job>), Error> {
+    /// The scene an idempotency key made. A server that was killed in the middle may have left it
+    /// without its job.
+    async fn made_before(
+        &self,
+        row: SceneRow,
+        parse: Option<ParseSettings>,
+        caller: &Caller,
+    ) -> Result<(Scene, Option<Job>), Error> {
         let job = match (self.job_of(&row).await?, parse) {
-            (None, Some(settings)) if row.parse_id.is_none() => Some(self.start_parse(&row.id, &settings, caller).await?),
+            (None, Some(settings)) if row.parse_id.is_none() => {
+                Some(self.start_parse(&row.id, &settings, caller).await?)
+            }
             (job, _) => job,
         };
         Ok((self.scene(&row.id).await?, job))
@@ -251,13 +279,21 @@ impl Service {
         let (blobs, content) = (self.store.blobs.clone(), self.store.blobs.content(hash));
         let wrong = spawn_blocking(move || blobs.look(&content, Look::Names)).await??;
         if !wrong.is_empty() {
-            tracing::warn!(hash, files = wrong.len(), "a stored scan is not whole: it is stored again");
+            tracing::warn!(
+                hash,
+                files = wrong.len(),
+                "a stored scan is not whole: it is stored again"
+            );
         }
         Ok(wrong.is_empty())
     }
 
     /// Streams a body to a temporary file, hashed and written off the async threads.
-    pub(super) async fn receive<E>(&self, body: impl Stream<Item = Result<Bytes, E>> + Unpin, file_name: &str) -> Result<Received, Error> {
+    pub(super) async fn receive<E>(
+        &self,
+        body: impl Stream<Item = Result<Bytes, E>> + Unpin,
+        file_name: &str,
+    ) -> Result<Received, Error> {
         let max_bytes = self.limits.max_upload_bytes;
         let tmp = self.store.blobs.tmp().to_owned();
         let mut file = spawn_blocking(move || NamedTempFile::new_in(tmp)).await??;
@@ -283,15 +319,18 @@ impl Service {
         receiving.finish(path, Some(file), file_name)
     }
 
-    /// Unpacks what came, puts it through the importer's checks, and has all of it ready to be published.
+    /// Unpacks what came, puts it through the importer's checks, and has all of it ready to be
+    /// published.
     async fn unpack(&self, received: Arc<Received>) -> Result<Unpacked, Error> {
         let blobs = self.store.blobs.clone();
         let folder = spawn_blocking(move || blobs.scratch()).await??;
-        let name = self.checked_name(received.unpacking(folder.path(), &self.limits.unpack)).await?;
+        let name =
+            self.checked_name(received.unpacking(folder.path(), &self.limits.unpack)).await?;
         let blobs = self.store.blobs.clone();
         spawn_blocking(move || {
             if let Some(file) = &received.file {
-                // It is all unpacked: nothing of the archive that is still in memory has to reach the disk.
+                // It is all unpacked: nothing of the archive that is still in memory has to reach
+                // the disk.
                 file.as_file().set_len(0)?;
             }
             let folder = blobs.prepare(folder, &blobs.content(&received.hash))?;
@@ -311,8 +350,11 @@ impl Service {
     /// What a stored archive calls itself.
     async fn archive_name(&self, hash: &str) -> Result<String, Error> {
         let (blobs, content) = (self.store.blobs.clone(), self.store.blobs.content(hash));
-        let Ok(scan) = spawn_blocking(move || blobs.whole(&content)).await? else { return Ok(name_or_scene(None)) };
-        // Removed in between: it is unpacked again, and called what scenes without a name are called.
+        let Ok(scan) = spawn_blocking(move || blobs.whole(&content)).await? else {
+            return Ok(name_or_scene(None));
+        };
+        // Removed in between: it is unpacked again, and called what scenes without a name are
+        // called.
         Ok(self
             .checked_name(Task::Inspect { folder: scan.to_path_buf() })
             .await
@@ -321,7 +363,11 @@ impl Service {
 }
 
 /// Identifies what was asked for under an idempotency key.
-fn request_of(hash: &str, name: Option<&str>, parse: Option<&ParseSettings>) -> Result<String, Error> {
+fn request_of(
+    hash: &str,
+    name: Option<&str>,
+    parse: Option<&ParseSettings>,
+) -> Result<String, Error> {
     let digest = Sha256::digest(serde_json::to_vec(&(hash, name, parse))?);
     Ok(digest.iter().map(|byte| format!("{byte:02x}")).collect())
 }
@@ -337,7 +383,10 @@ pub(in crate::service) fn check_name(pointer: &str, name: &str) -> Result<(), Er
         return Err(Error::invalid(pointer, "a name must not be empty"));
     }
     if name.chars().count() > MAX_NAME_CHARS {
-        return Err(Error::invalid(pointer, format!("a name has at most {MAX_NAME_CHARS} characters")));
+        return Err(Error::invalid(
+            pointer,
+            format!("a name has at most {MAX_NAME_CHARS} characters"),
+        ));
     }
     if name.chars().any(char::is_control) {
         return Err(Error::invalid(pointer, "a name must not hold control characters"));

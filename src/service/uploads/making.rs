@@ -24,14 +24,18 @@ impl Service {
         self
     }
 
-    /// Makes scenes of uploads that are all there and were not made one: their server was stopped, or a queue or the disk was full.
+    /// Makes scenes of uploads that are all there and were not made one: their server was stopped,
+    /// or a queue or the disk was full.
     ///
     /// # Errors
     /// [`Error::Store`].
     pub async fn make_left_uploads(&self) -> Result<(), Error> {
         for id in self.store.unmade_uploads().await? {
             let Ok(_turn) = self.at_upload(&id).await else { continue };
-            let Some(row) = self.store.upload(&id).await?.filter(|row| row.came_of.is_none()) else { continue };
+            let Some(row) = self.store.upload(&id).await?.filter(|row| row.came_of.is_none())
+            else {
+                continue;
+            };
             let row = self.as_on_disk(row).await?;
             if row.received < row.length {
                 continue;
@@ -41,16 +45,31 @@ impl Service {
                 Err(_) => self.refuse_upload(&id, Error::KeyRefused).await,
             };
             if let Err(error) = made {
-                tracing::debug!(upload_id = id, error = &error as &dyn std::error::Error, "an upload waits to be made a scene");
+                tracing::debug!(
+                    upload_id = id,
+                    error = &error as &dyn std::error::Error,
+                    "an upload waits to be made a scene"
+                );
             }
         }
         Ok(())
     }
 
-    /// Makes a scene of an upload that is all there, or notes why there is none. Its file has had its time then.
-    pub(super) async fn make_upload(&self, row: UploadRow, caller: &Caller) -> Result<UploadRow, Error> {
+    /// Makes a scene of an upload that is all there, or notes why there is none. Its file has had
+    /// its time then.
+    pub(super) async fn make_upload(
+        &self,
+        row: UploadRow,
+        caller: &Caller,
+    ) -> Result<UploadRow, Error> {
         match Box::pin(self.scene_of_upload(&row, caller)).await {
-            Ok((scene, job)) => self.end_upload(&row.id, CameOf::Scene { scene_id: scene.id, job_id: job.map(|job| job.id) }).await,
+            Ok((scene, job)) => {
+                self.end_upload(
+                    &row.id,
+                    CameOf::Scene { scene_id: scene.id, job_id: job.map(|job| job.id) },
+                )
+                .await
+            }
             Err(error) if may_pass(&error) => Err(error),
             Err(error) => self.refuse_upload(&row.id, error).await,
         }
@@ -67,28 +86,36 @@ impl Service {
         row.ok_or_else(|| Error::UploadNotFound { id: id.into() })
     }
 
-    async fn scene_of_upload(&self, row: &UploadRow, caller: &Caller) -> Result<(Scene, Option<Job>), Error> {
+    async fn scene_of_upload(
+        &self,
+        row: &UploadRow,
+        caller: &Caller,
+    ) -> Result<(Scene, Option<Job>), Error> {
         let wanted = &row.wanted;
         let mut settings = ParseSettings::from_request(wanted.preset, None)?;
         settings.import.up = wanted.up;
         let (path, name) = (self.store.blobs.upload(&row.id), file_name(row).to_owned());
         let received = Arc::new(spawn_blocking(move || Received::read(path, &name)).await??);
-        // Made twice, by a server that was killed between the scene and the note of it, it is one scene.
-        let key = caller.own(wanted.idempotency_key.clone().unwrap_or_else(|| format!("upload {}", row.id)));
+        // Made twice, by a server that was killed between the scene and the note of it, it is one
+        // scene.
+        let key = caller
+            .own(wanted.idempotency_key.clone().unwrap_or_else(|| format!("upload {}", row.id)));
         let made_before = self.store.scene_of_idempotency_key(&key).await?;
         if made_before.is_none() {
             self.check_disk(0)?;
             self.check_quota(caller).await?;
         }
         let parse = wanted.parse.then_some(settings);
-        let asked = Asked { name: wanted.name.clone(), parse, idempotency_key: Some(key), made_before };
+        let asked =
+            Asked { name: wanted.name.clone(), parse, idempotency_key: Some(key), made_before };
         self.make_scene(asked, received, caller).await
     }
 }
 
 /// Whether an upload may become a scene a while later.
 fn may_pass(error: &Error) -> bool {
-    error.may_pass() || matches!(error, Error::Jobs(JobsError::QueueFull { .. }) | Error::Background(_))
+    error.may_pass()
+        || matches!(error, Error::Jobs(JobsError::QueueFull { .. }) | Error::Background(_))
 }
 
 /// For services that nobody uploads to.

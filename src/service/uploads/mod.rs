@@ -1,8 +1,10 @@
-//! Uploads that come in parts: begun with a length, gone on with where they stopped, whatever happened in between. No protocol is known
-//! here: what tells parts apart is the offset they begin at.
+//! Uploads that come in parts: begun with a length, gone on with where they stopped, whatever
+//! happened in between. No protocol is known here: what tells parts apart is the offset they begin
+//! at.
 //!
-//! How much of an upload is there is what its record says, which is written after the bytes are on the disk. A server that is killed, and a
-//! machine that loses its power, forget what was not noted yet, never more.
+//! How much of an upload is there is what its record says, which is written after the bytes are on
+//! the disk. A server that is killed, and a machine that loses its power, forget what was not noted
+//! yet, never more.
 
 mod checking;
 mod making;
@@ -59,7 +61,8 @@ impl Service {
         let unfinished = self.store.unfinished_uploads(&since, caller.key_id()).await?;
         let most = match &caller.key {
             Some(_) if unfinished.of_key >= MOST_OF_A_KEY => Some(MOST_OF_A_KEY),
-            _ => (unfinished.uploads >= self.limits.max_unfinished_uploads).then_some(self.limits.max_unfinished_uploads),
+            _ => (unfinished.uploads >= self.limits.max_unfinished_uploads)
+                .then_some(self.limits.max_unfinished_uploads),
         };
         if let Some(most) = most {
             return Err(Error::TooManyUploads { most });
@@ -108,7 +111,8 @@ impl Service {
 
     /// The record of a caller's upload, which claims no more than is on the disk.
     async fn upload_row(&self, id: &str, caller: &Caller) -> Result<UploadRow, Error> {
-        let row = self.store.upload(id).await?.filter(|row| row.key_id.as_deref() == caller.key_id());
+        let row =
+            self.store.upload(id).await?.filter(|row| row.key_id.as_deref() == caller.key_id());
         let row = row.ok_or_else(|| Error::UploadNotFound { id: id.into() })?;
         if self
             .oldest_upload()
@@ -138,8 +142,18 @@ impl Service {
     fn present_upload(&self, row: UploadRow) -> Upload {
         let days = self.limits.retention.uploads_days;
         let expires_at = row.updated_at.parse::<Timestamp>().ok().filter(|_| days > 0);
-        let expires_at = expires_at.and_then(|at| at.checked_add(hours(days)).ok()).map(|at| at.to_string());
-        let UploadRow { id, key_id: _, wanted: _, length, received, came_of, created_at, updated_at: _ } = row;
+        let expires_at =
+            expires_at.and_then(|at| at.checked_add(hours(days)).ok()).map(|at| at.to_string());
+        let UploadRow {
+            id,
+            key_id: _,
+            wanted: _,
+            length,
+            received,
+            came_of,
+            created_at,
+            updated_at: _,
+        } = row;
         let state = match &came_of {
             Some(CameOf::Scene { .. }) => UploadState::Done,
             Some(CameOf::Nothing(_)) => UploadState::Refused,
@@ -151,7 +165,17 @@ impl Service {
             Some(CameOf::Nothing(problem)) => (None, None, problem),
             None => (None, None, None),
         };
-        Upload { id, state, offset: received, length, expires_at, scene_id, job_id, problem, created_at }
+        Upload {
+            id,
+            state,
+            offset: received,
+            length,
+            expires_at,
+            scene_id,
+            job_id,
+            problem,
+            created_at,
+        }
     }
 }
 

@@ -27,14 +27,21 @@ pub struct Part<S> {
 const SAVE_BYTES: u64 = 32 << 20;
 
 impl Service {
-    /// Goes on with an upload. What came of a part that breaks off is kept, unless it has a checksum, which nobody can know then. With the
-    /// last part the upload becomes a scene, or is refused: what came of it is told by the answer, not as an error. Done to its end even if
+    /// Goes on with an upload. What came of a part that breaks off is kept, unless it has a
+    /// checksum, which nobody can know then. With the last part the upload becomes a scene, or
+    /// is refused: what came of it is told by the answer, not as an error. Done to its end even if
     /// the sender has gone.
     ///
     /// # Errors
-    /// [`Error::WrongOffset`], [`Error::UploadBusy`], [`Error::ChecksumMismatch`], [`Error::UploadInterrupted`] and others about the body;
-    /// what stands in the way of making a scene and may pass: that is tried again by itself.
-    pub async fn append<E, S>(&self, id: &str, part: Part<S>, caller: Caller) -> Result<Upload, Error>
+    /// [`Error::WrongOffset`], [`Error::UploadBusy`], [`Error::ChecksumMismatch`],
+    /// [`Error::UploadInterrupted`] and others about the body; what stands in the way of making
+    /// a scene and may pass: that is tried again by itself.
+    pub async fn append<E, S>(
+        &self,
+        id: &str,
+        part: Part<S>,
+        caller: Caller,
+    ) -> Result<Upload, Error>
     where
         S: Stream<Item = Result<Bytes, E>> + Send + Unpin + 'static,
         E: Send + 'static,
@@ -44,7 +51,12 @@ impl Service {
         tokio::spawn(appending.in_current_span()).await?
     }
 
-    async fn append_to_end<E, S>(&self, id: &str, part: Part<S>, caller: &Caller) -> Result<Upload, Error>
+    async fn append_to_end<E, S>(
+        &self,
+        id: &str,
+        part: Part<S>,
+        caller: &Caller,
+    ) -> Result<Upload, Error>
     where
         S: Stream<Item = Result<Bytes, E>> + Unpin,
     {
@@ -115,7 +127,11 @@ impl Service {
     }
 
     /// Puts what has come on the disk and notes it, in this order.
-    async fn save_part(&self, row: UploadRow, mut file: GrowingFile) -> Result<(UploadRow, GrowingFile), Error> {
+    async fn save_part(
+        &self,
+        row: UploadRow,
+        mut file: GrowingFile,
+    ) -> Result<(UploadRow, GrowingFile), Error> {
         let (file, head) = spawn_blocking(move || {
             file.save()?;
             file.head(Packed::HEAD_BYTES).map(|head| (file, head))

@@ -24,9 +24,13 @@ struct Rested {
 
 impl Rested {
     async fn over(data: TempDir) -> Self {
-        let store = Store::open(Utf8Path::from_path(data.path()).unwrap(), &Location::Folder, &BlobHome::Folder)
-            .await
-            .unwrap();
+        let store = Store::open(
+            Utf8Path::from_path(data.path()).unwrap(),
+            &Location::Folder,
+            &BlobHome::Folder,
+        )
+        .await
+        .unwrap();
         let limits = Limits {
             max_upload_bytes: 1 << 30,
             max_unfinished_uploads: 10,
@@ -60,14 +64,25 @@ impl Rested {
         self.service.upload(id, &Caller::operator()).await.unwrap().offset as usize
     }
 
-    async fn append(&self, id: &str, part: Part<impl Stream<Item = Result<Bytes, ()>> + Send + Unpin + 'static>) -> Result<Upload, Error> {
+    async fn append(
+        &self,
+        id: &str,
+        part: Part<impl Stream<Item = Result<Bytes, ()>> + Send + Unpin + 'static>,
+    ) -> Result<Upload, Error> {
         self.service.append(id, part, Caller::operator()).await
     }
 }
 
 /// Bytes in chunks of odd lengths, and then it breaks off, or does not.
-fn body(bytes: &[u8], end: Option<()>) -> impl Stream<Item = Result<Bytes, ()>> + Send + Unpin + use<> {
-    let chunks: Vec<_> = bytes.chunks(7919).map(|chunk| Ok(Bytes::copy_from_slice(chunk))).chain(end.map(Err)).collect();
+fn body(
+    bytes: &[u8],
+    end: Option<()>,
+) -> impl Stream<Item = Result<Bytes, ()>> + Send + Unpin + use<> {
+    let chunks: Vec<_> = bytes
+        .chunks(7919)
+        .map(|chunk| Ok(Bytes::copy_from_slice(chunk)))
+        .chain(end.map(Err))
+        .collect();
     stream::iter(chunks)
 }
 
@@ -172,14 +187,23 @@ async fn two_senders_at_once_are_told_apart() {
     sender.send(Ok::<_, Infallible>(Bytes::from(bytes[..1000].to_vec()))).await.unwrap();
     let second = rested.append(&id, part(0, None, body(&bytes[..0], None))).await;
     assert!(matches!(second, Err(Error::UploadBusy { .. })), "{second:?}");
-    assert!(matches!(rested.service.delete_upload(&id, &Caller::operator()).await, Err(Error::UploadBusy { .. })));
+    assert!(matches!(
+        rested.service.delete_upload(&id, &Caller::operator()).await,
+        Err(Error::UploadBusy { .. })
+    ));
     sender.send(Ok(Bytes::from(bytes[1000..2000].to_vec()))).await.unwrap();
     drop(sender);
     assert_eq!(first.await.unwrap().unwrap().offset, 2000);
-    assert_eq!(rested.append(&id, part(2000, None, body(&bytes[2000..], None))).await.unwrap().offset, 3000);
+    assert_eq!(
+        rested.append(&id, part(2000, None, body(&bytes[2000..], None))).await.unwrap().offset,
+        3000
+    );
     assert!(fs::read(rested.store.blobs.upload(&id)).unwrap() == bytes);
     rested.service.delete_upload(&id, &Caller::operator()).await.unwrap();
-    assert!(matches!(rested.service.upload(&id, &Caller::operator()).await, Err(Error::UploadNotFound { .. })));
+    assert!(matches!(
+        rested.service.upload(&id, &Caller::operator()).await,
+        Err(Error::UploadNotFound { .. })
+    ));
 }
 
 /// More than was announced is not taken; what fits is kept.
@@ -204,7 +228,10 @@ async fn a_record_without_its_file_begins_anew() {
     let rested = rested.again().await;
     assert_eq!(rested.offset(&id).await, 0);
     assert!(!rested.store.blobs.upload("stranger").exists());
-    assert_eq!(rested.append(&id, part(0, None, body(&archive(8000), None))).await.unwrap().offset, 8000);
+    assert_eq!(
+        rested.append(&id, part(0, None, body(&archive(8000), None))).await.unwrap().offset,
+        8000
+    );
 }
 
 #[tokio::test]
@@ -212,6 +239,9 @@ async fn what_is_no_scan_is_refused_by_its_first_bytes() {
     let rested = Rested::new().await;
     let id = rested.begun(1 << 30).await;
     let upload = rested.append(&id, part(0, None, body(&[b'x'; 5000], None))).await.unwrap();
-    assert_eq!((upload.state, upload.problem.unwrap().code.as_str()), (UploadState::Refused, "archive_unreadable"));
+    assert_eq!(
+        (upload.state, upload.problem.unwrap().code.as_str()),
+        (UploadState::Refused, "archive_unreadable")
+    );
     assert!(!rested.store.blobs.upload(&id).exists());
 }

@@ -1,4 +1,5 @@
-//! A model whose server is down is not asked for a while: nobody waits for what will not come. Now and then one question tries it.
+//! A model whose server is down is not asked for a while: nobody waits for what will not come. Now
+//! and then one question tries it.
 
 use jiff::Timestamp;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -29,7 +30,8 @@ pub struct Circuit(Mutex<State>);
 
 #[derive(Default)]
 struct State {
-    /// Calls in a row that came to nothing, what the last one came to, and when the first of them was.
+    /// Calls in a row that came to nothing, what the last one came to, and when the first of them
+    /// was.
     failing: Option<(u32, &'static str, String)>,
     /// Calls in a row after which it was taken to be down, or might have been.
     down: u32,
@@ -76,7 +78,8 @@ impl Circuit {
             *state = State::default();
             return;
         }
-        let (calls, _, since) = state.failing.take().unwrap_or_else(|| (0, word, Timestamp::now().to_string()));
+        let (calls, _, since) =
+            state.failing.take().unwrap_or_else(|| (0, word, Timestamp::now().to_string()));
         state.failing = Some((calls + 1, word, since));
         state.down = match sign {
             Sign::Gone | Sign::Failing => state.down + 1,
@@ -124,13 +127,18 @@ mod tests {
         circuit.left();
         assert!(circuit.admit(after(16)).is_ok(), "who tried it left");
         circuit.note(Sign::Up, "answered", after(17));
-        assert!(circuit.admit(after(17)).is_ok() && circuit.admit(after(17)).is_ok() && circuit.condition().is_ok());
+        assert!(
+            circuit.admit(after(17)).is_ok()
+                && circuit.admit(after(17)).is_ok()
+                && circuit.condition().is_ok()
+        );
     }
 
     #[test]
     fn some_failures_are_none_and_a_question_that_is_refused_closes_nothing() {
         let (circuit, now) = (Circuit::default(), Instant::now());
-        let failing = |calls: u32| (0..calls).for_each(|_| circuit.note(Sign::Failing, "refused", now));
+        let failing =
+            |calls: u32| (0..calls).for_each(|_| circuit.note(Sign::Failing, "refused", now));
         failing(FAILURES - 1);
         circuit.note(Sign::Unclear, "refused", now);
         failing(FAILURES - 1);

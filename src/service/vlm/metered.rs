@@ -12,7 +12,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::time::sleep;
 use tracing::{Instrument, field};
-use uniground_core::models::chat::{ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, OverBudget, Prices};
+use uniground_core::models::chat::{
+    ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, OverBudget, Prices,
+};
 use uniground_core::models::with_causes;
 
 /// What may come of a call.
@@ -60,8 +62,8 @@ fn sign_of(answered: &Result<ChatReply, ChatFailure>) -> Option<Sign> {
     }
 }
 
-/// A model whose calls are written down before they are made: whatever becomes of the server or of who asked, what was spent is known.
-/// They are counted, too.
+/// A model whose calls are written down before they are made: whatever becomes of the server or of
+/// who asked, what was spent is known. They are counted, too.
 #[derive(Clone)]
 pub struct Metered {
     model: Arc<dyn ChatModel>,
@@ -75,7 +77,12 @@ pub struct Metered {
 }
 
 impl Metered {
-    pub fn new(model: Arc<dyn ChatModel>, daily_usd: Option<f64>, store: Store, metrics: Arc<Metrics>) -> Self {
+    pub fn new(
+        model: Arc<dyn ChatModel>,
+        daily_usd: Option<f64>,
+        store: Store,
+        metrics: Arc<Metrics>,
+    ) -> Self {
         metrics.vlm.knows(&[ANSWERED, REFUSED, UNREACHABLE, UNREADABLE, NOT_ASKED]);
         Self { model, store, metrics, circuit: Arc::default(), daily_usd, key: None }
     }
@@ -97,19 +104,23 @@ impl Metered {
             return self.model.ask(request).await;
         }
         let thought_usd = prices.thought_usd(request);
-        // Who leaves before the call is made has bought nothing, whether or not the money is aside by then; who leaves while the model thinks
-        // has asked it all the same.
+        // Who leaves before the call is made has bought nothing, whether or not the money is aside
+        // by then; who leaves while the model thinks has asked it all the same.
         let mut call = Call { store: self.store.clone(), open: Some((self.store.new_id(), 0.0)) };
         let id = call.open.as_ref().map_or("", |(id, _)| id);
         let (day, key_id) = (today(), self.key.as_ref().map(|key| &*key.row.id));
-        let wish = Wish { day: &day, usd: thought_usd, key_id, daily_usd: self.daily_usd, key_daily_usd };
+        let wish =
+            Wish { day: &day, usd: thought_usd, key_id, daily_usd: self.daily_usd, key_daily_usd };
         let never_asked = |error| ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 };
         let reserved = self.reserve(id, &wish).await;
-        let reserved = reserved.map_err(|error| never_asked(ChatError::NotRecordable(with_causes(&error))))?;
+        let reserved =
+            reserved.map_err(|error| never_asked(ChatError::NotRecordable(with_causes(&error))))?;
         if let Err(Short { whose, limit_usd, left_usd }) = reserved {
             let of = if whose == Allowance::OfKey { OF_KEY } else { OF_EVERYBODY };
             call.open = None;
-            return Err(never_asked(OverBudget { of, limit_usd, left_usd, wanted_usd: thought_usd }.into()));
+            return Err(never_asked(
+                OverBudget { of, limit_usd, left_usd, wanted_usd: thought_usd }.into(),
+            ));
         }
         call.open = call.open.take().map(|(id, _)| (id, thought_usd));
         let outcome = self.model.ask(request).await;
@@ -118,12 +129,15 @@ impl Metered {
         outcome
     }
 
-    /// Puts money aside. In the middle of a question, whose first call was paid, the database may be away for a moment.
+    /// Puts money aside. In the middle of a question, whose first call was paid, the database may
+    /// be away for a moment.
     async fn reserve(&self, id: &str, wish: &Wish<'_>) -> Result<Result<(), Short>, StoreError> {
         let start = Instant::now();
         loop {
             match self.store.reserve_spending(id, wish).await {
-                Err(error) if error.is_busy() && start.elapsed() < DATABASE_IS_BACK => sleep(LOOK_AGAIN).await,
+                Err(error) if error.is_busy() && start.elapsed() < DATABASE_IS_BACK => {
+                    sleep(LOOK_AGAIN).await
+                }
                 reserved => return reserved,
             }
         }
@@ -144,15 +158,27 @@ impl ChatModel for Metered {
         self.model.prices()
     }
 
-    fn ask<'a>(&'a self, request: &'a ChatRequest) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
+    fn ask<'a>(
+        &'a self,
+        request: &'a ChatRequest,
+    ) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
         async move {
             if let Err(wait) = self.circuit.admit(Instant::now()) {
                 self.metrics.vlm.called(NOT_ASKED, 0, Duration::ZERO);
                 let error = ChatError::Down { again_in_s: wait.as_secs().max(1) };
                 return Err(ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 });
             }
-            let span = tracing::info_span!("model_call", model = self.name(), outcome = field::Empty, attempts = field::Empty);
-            let mut counted = Counted { metered: self, start: Instant::now(), thought_usd: Some(self.prices().thought_usd(request)) };
+            let span = tracing::info_span!(
+                "model_call",
+                model = self.name(),
+                outcome = field::Empty,
+                attempts = field::Empty
+            );
+            let mut counted = Counted {
+                metered: self,
+                start: Instant::now(),
+                thought_usd: Some(self.prices().thought_usd(request)),
+            };
             let answered = self.ask_paid(request).instrument(span.clone()).await;
             counted.thought_usd = None;
             if let Err(ChatFailure { error: ChatError::OverBudget(_), .. }) = &answered {

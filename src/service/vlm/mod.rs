@@ -54,7 +54,12 @@ const MAX_WAITING: usize = 256;
 
 impl Vlm {
     #[must_use]
-    pub fn new(model: Arc<dyn ChatModel>, settings: VlmSettings, store: Store, metrics: Arc<Metrics>) -> Self {
+    pub fn new(
+        model: Arc<dyn ChatModel>,
+        settings: VlmSettings,
+        store: Store,
+        metrics: Arc<Metrics>,
+    ) -> Self {
         let model = Metered::new(model, settings.daily_usd, store.clone(), metrics);
         Self { model, store, settings, places: Arc::new(Semaphore::new(MAX_WAITING)) }
     }
@@ -110,7 +115,8 @@ impl Vlm {
         Ok(self.store.spent_on(&today()).await?)
     }
 
-    /// What pays for a question of its own. The day's money, everybody's and a key's, is looked at with every call: all processes share it.
+    /// What pays for a question of its own. The day's money, everybody's and a key's, is looked at
+    /// with every call: all processes share it.
     pub(super) fn budgets(of_question: Option<f64>) -> Vec<Budget> {
         of_question.map(|usd| Budget::new(OF_QUESTION, usd)).into_iter().collect()
     }

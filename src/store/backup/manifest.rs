@@ -46,7 +46,8 @@ pub struct Kept {
     pub sha256: String,
     pub files: u64,
     pub bytes: u64,
-    /// When it was published, seconds since 1970: what is kept for a time only is not younger for having been restored.
+    /// When it was published, seconds since 1970: what is kept for a time only is not younger for
+    /// having been restored.
     pub published_s: u64,
 }
 
@@ -73,11 +74,13 @@ impl Manifest {
     /// Reads a manifest and looks whether it can be believed: sums fit, names lead nowhere else.
     pub fn open(bytes: &[u8]) -> Result<Self, BackupError> {
         let damaged = |what: &str| BackupError::Damaged { what: format!("{FILE}: {what}") };
-        let Sealed { sha256, backup } = serde_json::from_slice(bytes).map_err(|_| damaged("it can not be read"))?;
+        let Sealed { sha256, backup } =
+            serde_json::from_slice(bytes).map_err(|_| damaged("it can not be read"))?;
         if hex(&Sha256::digest(backup.get())) != sha256 {
             return Err(damaged("it is not what was written"));
         }
-        let manifest: Self = serde_json::from_str(backup.get()).map_err(|error| BackupError::Unknown { why: error.to_string() })?;
+        let manifest: Self = serde_json::from_str(backup.get())
+            .map_err(|error| BackupError::Unknown { why: error.to_string() })?;
         if manifest.format != FORMAT {
             return Err(BackupError::Newer { program: manifest.program });
         }
@@ -111,7 +114,14 @@ mod tests {
 
     fn manifest(name: &str) -> Manifest {
         let database = Database { file: "uniground-1.sqlite".into(), sha256: "0".into(), bytes: 1 };
-        let kept = Kept { kind: "parses".into(), name: name.into(), sha256: "0".into(), files: 1, bytes: 1, published_s: 0 };
+        let kept = Kept {
+            kind: "parses".into(),
+            name: name.into(),
+            sha256: "0".into(),
+            files: 1,
+            bytes: 1,
+            published_s: 0,
+        };
         Manifest {
             format: FORMAT,
             program: "0".into(),
@@ -137,14 +147,24 @@ mod tests {
         for at in 0..whole.len() {
             let mut bytes = whole.clone();
             bytes[at] ^= 1;
-            assert!(Manifest::open(&bytes).is_err(), "byte {at}: {}", String::from_utf8_lossy(&bytes));
+            assert!(
+                Manifest::open(&bytes).is_err(),
+                "byte {at}: {}",
+                String::from_utf8_lossy(&bytes)
+            );
         }
     }
 
     #[test]
     fn names_lead_nowhere_else() {
         for name in ["..", ".", "", "a/b", "/a", "../a", "a/"] {
-            assert!(matches!(Manifest::open(&manifest(name).sealed().unwrap()), Err(BackupError::Damaged { .. })), "{name}");
+            assert!(
+                matches!(
+                    Manifest::open(&manifest(name).sealed().unwrap()),
+                    Err(BackupError::Damaged { .. })
+                ),
+                "{name}"
+            );
         }
     }
 }

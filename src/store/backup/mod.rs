@@ -1,4 +1,5 @@
-//! Backups: the database as it was at one moment, with all files it speaks of. Taken beside a running server, which notices nothing.
+//! Backups: the database as it was at one moment, with all files it speaks of. Taken beside a
+//! running server, which notices nothing.
 //!
 //! ```text
 //! manifest.json               what belongs to the backup, with sums; written last
@@ -6,8 +7,9 @@
 //! blobs/<kind>/<name>/...     published folders, each with the sums of its files
 //! backup.lock                 held while a backup is being taken (folders only)
 //! ```
-//! Published folders never change, so those that are there already are not copied again. The database is taken first and its folders after
-//! it; a folder that was removed in between makes another round necessary, which has nearly nothing left to copy. Checkpoints only save
+//! Published folders never change, so those that are there already are not copied again. The
+//! database is taken first and its folders after it; a folder that was removed in between makes
+//! another round necessary, which has nearly nothing left to copy. Checkpoints only save
 //! time and are left out.
 
 mod manifest;
@@ -49,7 +51,9 @@ pub enum BackupError {
     Unknown { why: String },
     #[error("the backup is damaged: {what}")]
     Damaged { what: String },
-    #[error("the backup was made by uniground {program}, which knows a newer database: restore it with that version or a later one")]
+    #[error(
+        "the backup was made by uniground {program}, which knows a newer database: restore it with that version or a later one"
+    )]
     Newer { program: String },
     #[error("the data folder changes faster than it can be copied")]
     Restless,
@@ -80,7 +84,8 @@ pub struct BackedUp {
     /// What was not there already.
     pub new_folders: u64,
     pub new_bytes: u64,
-    /// Folders that were lost or damaged before: the backup does not have them. Folder, and what is wrong.
+    /// Folders that were lost or damaged before: the backup does not have them. Folder, and what
+    /// is wrong.
     pub left_out: Vec<(String, String)>,
 }
 
@@ -118,20 +123,31 @@ pub async fn back_up(data_dir: &Utf8Path, target: Target) -> Result<BackedUp, Ba
     let (id, source, mut sink) = opening.await.map_err(io::Error::other)??;
     let mut progress = Progress::default();
     for _ in 0..ROUNDS {
-        let snapshot = Snapshot::take(&data_dir.join(super::data_folder::DATABASE), sink.room_for_database()).await?;
+        let snapshot =
+            Snapshot::take(&data_dir.join(super::data_folder::DATABASE), sink.room_for_database())
+                .await?;
         let wanted = snapshot.folders(&source).await?;
         let (missed_before, blobs) = (progress.missing.clone(), source.clone());
-        (sink, progress) = spawn_blocking(move || copy(&blobs, wanted, sink, progress)).await.map_err(io::Error::other)??;
+        (sink, progress) = spawn_blocking(move || copy(&blobs, wanted, sink, progress))
+            .await
+            .map_err(io::Error::other)??;
         // What one snapshot speaks of that was taken after it was missed, is lost.
         if progress.missing.keys().all(|name| missed_before.contains_key(name)) {
-            return spawn_blocking(move || finish(sink, &snapshot, &id, progress)).await.map_err(io::Error::other)?;
+            return spawn_blocking(move || finish(sink, &snapshot, &id, progress))
+                .await
+                .map_err(io::Error::other)?;
         }
     }
     Err(BackupError::Restless)
 }
 
 /// Copies what a snapshot speaks of and the backup does not have.
-fn copy(source: &Blobs, wanted: Vec<Name>, mut sink: Sink, before: Progress) -> Result<(Sink, Progress), BackupError> {
+fn copy(
+    source: &Blobs,
+    wanted: Vec<Name>,
+    mut sink: Sink,
+    before: Progress,
+) -> Result<(Sink, Progress), BackupError> {
     let Progress { kept: mut had, new_folders, new_bytes, .. } = before;
     let mut progress = Progress { new_folders, new_bytes, ..Progress::default() };
     for (kind, name) in wanted {
@@ -146,7 +162,8 @@ fn copy(source: &Blobs, wanted: Vec<Name>, mut sink: Sink, before: Progress) -> 
                 progress.new_bytes += if is_new { kept.bytes } else { 0 };
                 progress.kept.insert(name, kept);
             }
-            // What a model was shown and said is kept for a time only: it may be gone while its answer is there.
+            // What a model was shown and said is kept for a time only: it may be gone while its
+            // answer is there.
             Err(Unsound::Gone) if kind == "answers" => {}
             Err(Unsound::Gone) => drop(progress.missing.insert(name, "missing".into())),
             Err(Unsound::Damaged(what)) => drop(progress.missing.insert(name, what)),
@@ -157,10 +174,18 @@ fn copy(source: &Blobs, wanted: Vec<Name>, mut sink: Sink, before: Progress) -> 
 }
 
 /// Writes the manifest: from then on it is a backup.
-fn finish(mut sink: Sink, snapshot: &Snapshot, id: &str, progress: Progress) -> Result<BackedUp, BackupError> {
+fn finish(
+    mut sink: Sink,
+    snapshot: &Snapshot,
+    id: &str,
+    progress: Progress,
+) -> Result<BackedUp, BackupError> {
     let Progress { kept, missing, new_folders, new_bytes } = progress;
     let database = sink.put_database(&snapshot.file)?;
-    let left_out: Vec<(String, String)> = missing.into_iter().map(|((kind, name), what)| (format!("blobs/{kind}/{name}"), what)).collect();
+    let left_out: Vec<(String, String)> = missing
+        .into_iter()
+        .map(|((kind, name), what)| (format!("blobs/{kind}/{name}"), what))
+        .collect();
     let backed_up = BackedUp {
         scenes: snapshot.scenes,
         answers: snapshot.answers,

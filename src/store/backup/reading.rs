@@ -53,9 +53,12 @@ pub fn listed(sums: &str) -> Result<Vec<(Utf8PathBuf, &str)>, Unsound> {
     }
 }
 
-/// Reads a folder; `take` gets every file, its length and its bytes, exactly as many. What it took of a folder that turns out to be unsound
-/// is worth nothing.
-pub fn read_folder(folder: &Utf8Path, mut take: impl FnMut(&Utf8Path, u64, &mut dyn Read) -> io::Result<()>) -> Result<Whole, Unsound> {
+/// Reads a folder; `take` gets every file, its length and its bytes, exactly as many. What it took
+/// of a folder that turns out to be unsound is worth nothing.
+pub fn read_folder(
+    folder: &Utf8Path,
+    mut take: impl FnMut(&Utf8Path, u64, &mut dyn Read) -> io::Result<()>,
+) -> Result<Whole, Unsound> {
     let known = sums_of(folder)?;
     let files: Vec<(Utf8PathBuf, Option<String>)> = if let Some(sums) = &known {
         listed(sums)?.into_iter().map(|(file, sum)| (file, Some(sum.to_owned()))).collect()
@@ -66,11 +69,13 @@ pub fn read_folder(folder: &Utf8Path, mut take: impl FnMut(&Utf8Path, u64, &mut 
     let (mut sums, mut bytes) = (String::new(), 0);
     for (file, known) in &files {
         let (sum, length) =
-            read_file(&folder.join(file), |length, reader| take(file, length, reader)).map_err(|unsound| match unsound {
-                Unsound::Gone if folder.is_dir() => Unsound::Damaged(format!("{file} missing")),
-                Unsound::Damaged(what) => Unsound::Damaged(format!("{file} {what}")),
-                other => other,
-            })?;
+            read_file(&folder.join(file), |length, reader| take(file, length, reader)).map_err(
+                |unsound| match unsound {
+                    Unsound::Gone if folder.is_dir() => Unsound::Damaged(format!("{file} missing")),
+                    Unsound::Damaged(what) => Unsound::Damaged(format!("{file} {what}")),
+                    other => other,
+                },
+            )?;
         if known.as_ref().is_some_and(|known| *known != sum) {
             return Err(Unsound::Damaged(format!("{file} damaged")));
         }
@@ -81,7 +86,10 @@ pub fn read_folder(folder: &Utf8Path, mut take: impl FnMut(&Utf8Path, u64, &mut 
 }
 
 /// Reads a file; its sum and length.
-pub fn read_file(path: &Utf8Path, take: impl FnOnce(u64, &mut dyn Read) -> io::Result<()>) -> Result<(String, u64), Unsound> {
+pub fn read_file(
+    path: &Utf8Path,
+    take: impl FnOnce(u64, &mut dyn Read) -> io::Result<()>,
+) -> Result<(String, u64), Unsound> {
     let opened = File::open(path).and_then(|file| Ok((file.metadata()?.len(), file)));
     let (length, file) = opened.map_err(|error| match error.kind() {
         io::ErrorKind::NotFound => Unsound::Gone,
@@ -89,7 +97,8 @@ pub fn read_file(path: &Utf8Path, take: impl FnOnce(u64, &mut dyn Read) -> io::R
     })?;
     let mut summing = Summing { file, hasher: Sha256::new(), failed: None };
     // Nobody's archive shall break because a file is shorter than its folder says.
-    take(length, &mut (&mut summing).chain(io::repeat(0)).take(length)).map_err(Unsound::NotWritten)?;
+    take(length, &mut (&mut summing).chain(io::repeat(0)).take(length))
+        .map_err(Unsound::NotWritten)?;
     match summing.failed {
         Some(error) => Err(Unsound::Damaged(error.to_string())),
         None => Ok((hex(&summing.hasher.finalize()), length)),
@@ -150,7 +159,10 @@ mod tests {
         fs::create_dir(folder.join("views")).unwrap();
         fs::write(folder.join("cloud.ply"), "points").unwrap();
         fs::write(folder.join("views/1.jpg"), "picture").unwrap();
-        let both = [("cloud.ply".to_owned(), b"points".to_vec()), ("views/1.jpg".to_owned(), b"picture".to_vec())];
+        let both = [
+            ("cloud.ply".to_owned(), b"points".to_vec()),
+            ("views/1.jpg".to_owned(), b"picture".to_vec()),
+        ];
         assert_eq!(taken(folder).unwrap(), both, "also without sums");
         checksums::seal(folder, &checksums::Sums::new(), "").unwrap();
         assert_eq!(taken(folder).unwrap(), both);

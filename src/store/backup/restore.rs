@@ -113,7 +113,8 @@ pub async fn check(source: Source) -> Result<Restored, BackupError> {
 
 impl Restored {
     fn of(manifest: Manifest) -> Self {
-        let Manifest { program, taken_at, database, scenes, answers, folders, left_out, .. } = manifest;
+        let Manifest { program, taken_at, database, scenes, answers, folders, left_out, .. } =
+            manifest;
         Self {
             taken_at,
             program,
@@ -139,11 +140,15 @@ struct Place {
 impl Place {
     fn open(data_dir: Utf8PathBuf) -> Result<Self, BackupError> {
         let was_there = data_dir.is_dir();
-        fs::create_dir_all(&data_dir).map_err(|source| BackupError::File { file: data_dir.clone(), source })?;
+        fs::create_dir_all(&data_dir)
+            .map_err(|source| BackupError::File { file: data_dir.clone(), source })?;
         for entry in data_dir.read_dir_utf8()? {
             let entry = entry?;
             if !is_harmless(entry.file_name()) && entry.file_name() != RESTORING {
-                return Err(BackupError::NotEmpty { found: entry.file_name().to_owned(), folder: data_dir });
+                return Err(BackupError::NotEmpty {
+                    found: entry.file_name().to_owned(),
+                    folder: data_dir,
+                });
             }
         }
         let lock = File::create(data_dir.join(LOCK))?;
@@ -198,7 +203,8 @@ fn gather(source: &Source, staging: &Utf8Path, wanted: Wanted) -> Result<Manifes
     let (folder, take) = match source {
         Source::Folder(folder) => (folder.as_path(), Take::Copy),
         Source::Archive(file) => {
-            let archive = File::open(file).map_err(|source| BackupError::File { file: file.clone(), source })?;
+            let archive = File::open(file)
+                .map_err(|source| BackupError::File { file: file.clone(), source })?;
             unpack(BufReader::new(archive), &unpacked)?;
             (unpacked.as_path(), Take::Move)
         }
@@ -227,9 +233,15 @@ fn gather(source: &Source, staging: &Utf8Path, wanted: Wanted) -> Result<Manifes
     Ok(manifest)
 }
 
-fn bring_database(manifest: &Manifest, folder: &Utf8Path, to: &Utf8Path) -> Result<(), BackupError> {
+fn bring_database(
+    manifest: &Manifest,
+    folder: &Utf8Path,
+    to: &Utf8Path,
+) -> Result<(), BackupError> {
     let manifest::Database { file, sha256, .. } = &manifest.database;
-    let copied = read_file(&folder.join(file), |_, reader| io::copy(reader, &mut File::create(to)?).map(drop));
+    let copied = read_file(&folder.join(file), |_, reader| {
+        io::copy(reader, &mut File::create(to)?).map(drop)
+    });
     match copied {
         Ok((sum, _)) if sum == *sha256 => Ok(()),
         Ok(_) => Err(damaged(file, "damaged")),
@@ -237,7 +249,12 @@ fn bring_database(manifest: &Manifest, folder: &Utf8Path, to: &Utf8Path) -> Resu
     }
 }
 
-fn bring_folder(kept: &Kept, folder: &Utf8Path, new: &Utf8Path, take: Take) -> Result<(), BackupError> {
+fn bring_folder(
+    kept: &Kept,
+    folder: &Utf8Path,
+    new: &Utf8Path,
+    take: Take,
+) -> Result<(), BackupError> {
     let below = format!("blobs/{}/{}", kept.kind, kept.name);
     let (from, to) = (folder.join(&below), new.join(&below));
     let sums = sums_of(&from).map_err(|unsound| unsound_error(&below, unsound))?;
@@ -246,7 +263,9 @@ fn bring_folder(kept: &Kept, folder: &Utf8Path, new: &Utf8Path, take: Take) -> R
     }
     let read: Result<Whole, Unsound> = match take {
         Take::Copy => copy_folder(&from, &to),
-        Take::Move | Take::Look => read_folder(&from, |_, _, reader| io::copy(reader, &mut io::sink()).map(drop)),
+        Take::Move | Take::Look => {
+            read_folder(&from, |_, _, reader| io::copy(reader, &mut io::sink()).map(drop))
+        }
     };
     read.map_err(|unsound| unsound_error(&below, unsound))?;
     if take == Take::Move {
@@ -275,18 +294,24 @@ fn unsound_error(place: &str, unsound: Unsound) -> BackupError {
 
 /// Unpacks an archive, files only, none outside.
 fn unpack(mut archive: impl BufRead, to: &Utf8Path) -> Result<(), BackupError> {
-    let broken = |error: io::Error| BackupError::Damaged { what: format!("the archive can not be read: {error}") };
+    let broken = |error: io::Error| BackupError::Damaged {
+        what: format!("the archive can not be read: {error}"),
+    };
     let is_packed = archive.fill_buf().map_err(broken)?.starts_with(&ZSTD);
-    let reader: Box<dyn Read> = if is_packed { Box::new(zstd::Decoder::with_buffer(archive)?) } else { Box::new(archive) };
+    let reader: Box<dyn Read> =
+        if is_packed { Box::new(zstd::Decoder::with_buffer(archive)?) } else { Box::new(archive) };
     fs::create_dir_all(to)?;
     for entry in tar::Archive::new(reader).entries().map_err(broken)? {
         let mut entry = entry.map_err(broken)?;
         let path = entry.path().map_err(broken)?.into_owned();
-        let path = Utf8PathBuf::try_from(path).map_err(|path| damaged(&format!("{path:?}"), "it has no place in a backup"))?;
+        let path = Utf8PathBuf::try_from(path)
+            .map_err(|path| damaged(&format!("{path:?}"), "it has no place in a backup"))?;
         if entry.header().entry_type().is_dir() {
             continue;
         }
-        if !entry.header().entry_type().is_file() || path.components().any(|step| !matches!(step, Utf8Component::Normal(_))) {
+        if !entry.header().entry_type().is_file()
+            || path.components().any(|step| !matches!(step, Utf8Component::Normal(_)))
+        {
             return Err(damaged(path.as_str(), "it has no place in a backup"));
         }
         let file = to.join(&path);

@@ -1,4 +1,5 @@
-//! Where a backup goes: a folder that is brought up to date, or an archive that is written from front to back.
+//! Where a backup goes: a folder that is brought up to date, or an archive that is written from
+//! front to back.
 
 use super::manifest::{self, Database, Kept, Manifest, hex};
 use super::reading::{Unsound, Whole, listed, read_file, read_folder, sums_of};
@@ -57,17 +58,24 @@ impl Sink {
                     Some(parent) if parent != "" => parent.to_owned(),
                     _ => Utf8PathBuf::from("."),
                 };
-                let unfinished = NamedTempFile::new_in(&folder).map_err(|source| BackupError::File { file: folder.clone(), source })?;
+                let unfinished = NamedTempFile::new_in(&folder)
+                    .map_err(|source| BackupError::File { file: folder.clone(), source })?;
                 let writer = unfinished.reopen()?;
                 let packed: Box<dyn Finish> = match file.extension() {
                     Some("zst") => Box::new(zstd::Encoder::new(writer, 0)?),
                     _ => Box::new(BufWriter::new(writer)),
                 };
-                Ok(Self::Archive(Box::new(ArchiveSink::new(packed, Some((unfinished, file)), tempfile::tempdir_in(folder)?))))
+                Ok(Self::Archive(Box::new(ArchiveSink::new(
+                    packed,
+                    Some((unfinished, file)),
+                    tempfile::tempdir_in(folder)?,
+                ))))
             }
-            Target::Stdout => {
-                Ok(Self::Archive(Box::new(ArchiveSink::new(Box::new(BufWriter::new(io::stdout())), None, tempfile::tempdir()?))))
-            }
+            Target::Stdout => Ok(Self::Archive(Box::new(ArchiveSink::new(
+                Box::new(BufWriter::new(io::stdout())),
+                None,
+                tempfile::tempdir()?,
+            )))),
         }
     }
 
@@ -75,31 +83,54 @@ impl Sink {
     pub fn room_for_database(&self) -> Utf8PathBuf {
         match self {
             Self::Folder(sink) => sink.folder.join(UNFINISHED).join("database"),
-            Self::Archive(sink) => Utf8PathBuf::from(sink.scratch.path().to_string_lossy().into_owned()).join("database"),
+            Self::Archive(sink) => {
+                Utf8PathBuf::from(sink.scratch.path().to_string_lossy().into_owned())
+                    .join("database")
+            }
         }
     }
 
     /// Takes a published folder in; the flag tells whether it is new there.
-    pub fn put(&mut self, kind: &str, name: &str, source: &Utf8Path) -> Result<(Kept, bool), Unsound> {
-        let published = fs::metadata(source).and_then(|folder| folder.modified()).map_err(|_| Unsound::Gone)?;
+    pub fn put(
+        &mut self,
+        kind: &str,
+        name: &str,
+        source: &Utf8Path,
+    ) -> Result<(Kept, bool), Unsound> {
+        let published =
+            fs::metadata(source).and_then(|folder| folder.modified()).map_err(|_| Unsound::Gone)?;
         let (whole, is_new) = match self {
             Self::Folder(sink) => sink.put(kind, name, source)?,
             Self::Archive(sink) => (sink.put(kind, name, source)?, true),
         };
         let Whole { sums, files, bytes } = whole;
         let published_s = published.duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
-        let kept = Kept { kind: kind.to_owned(), name: name.to_owned(), sha256: hex(&Sha256::digest(&sums)), files, bytes, published_s };
+        let kept = Kept {
+            kind: kind.to_owned(),
+            name: name.to_owned(),
+            sha256: hex(&Sha256::digest(&sums)),
+            files,
+            bytes,
+            published_s,
+        };
         Ok((kept, is_new))
     }
 
     /// Takes the last snapshot in.
     pub fn put_database(&mut self, snapshot: &Utf8Path) -> Result<Database, BackupError> {
-        let unreadable = |_| BackupError::File { file: snapshot.to_owned(), source: io::Error::other("it can not be read") };
-        let (sha256, bytes) = read_file(snapshot, |_, reader| io::copy(reader, &mut io::sink()).map(drop)).map_err(unreadable)?;
+        let unreadable = |_| BackupError::File {
+            file: snapshot.to_owned(),
+            source: io::Error::other("it can not be read"),
+        };
+        let (sha256, bytes) =
+            read_file(snapshot, |_, reader| io::copy(reader, &mut io::sink()).map(drop))
+                .map_err(unreadable)?;
         let file = format!("{}{}{}", DATABASES.0, &sha256[..16], DATABASES.1);
         match self {
             Self::Folder(sink) => fs::rename(snapshot, sink.folder.join(&file))?,
-            Self::Archive(sink) => sink.append(&file, bytes, SystemTime::now(), &mut File::open(snapshot)?)?,
+            Self::Archive(sink) => {
+                sink.append(&file, bytes, SystemTime::now(), &mut File::open(snapshot)?)?
+            }
         }
         Ok(Database { file, sha256, bytes })
     }
@@ -132,7 +163,8 @@ impl FolderSink {
         if nearest.canonicalize_utf8()?.starts_with(data_dir.canonicalize_utf8()?) {
             return Err(BackupError::Within);
         }
-        fs::create_dir_all(&folder).map_err(|source| BackupError::File { file: folder.clone(), source })?;
+        fs::create_dir_all(&folder)
+            .map_err(|source| BackupError::File { file: folder.clone(), source })?;
         let lock = File::create(folder.join(LOCK))?;
         match lock.try_lock() {
             Ok(()) => {}
@@ -174,7 +206,8 @@ impl FolderSink {
         sync_everything(&self.folder)?;
         write_synced(&self.folder.join(manifest::FILE), &manifest.sealed()?)?;
         // From here on what only the last backup had is of no use.
-        let kept: HashSet<(&str, &str)> = manifest.folders.iter().map(|kept| (kept.kind.as_str(), kept.name.as_str())).collect();
+        let kept: HashSet<(&str, &str)> =
+            manifest.folders.iter().map(|kept| (kept.kind.as_str(), kept.name.as_str())).collect();
         for kind in KINDS {
             for entry in self.folder.join("blobs").join(kind).read_dir_utf8()? {
                 let entry = entry?;
@@ -186,7 +219,10 @@ impl FolderSink {
         for entry in self.folder.read_dir_utf8()? {
             let entry = entry?;
             let name = entry.file_name();
-            if name.starts_with(DATABASES.0) && name.ends_with(DATABASES.1) && name != manifest.database.file {
+            if name.starts_with(DATABASES.0)
+                && name.ends_with(DATABASES.1)
+                && name != manifest.database.file
+            {
                 fs::remove_file(entry.path())?;
             }
         }
@@ -209,14 +245,17 @@ pub fn copy_folder(source: &Utf8Path, to: &Utf8Path) -> Result<Whole, Unsound> {
 /// What is known of a folder the backup has already, as it is now at its source.
 fn same(source: &Utf8Path, place: &Utf8Path) -> Result<Option<Whole>, Unsound> {
     let Ok(Some(sums)) = sums_of(place) else { return Ok(None) };
-    // A folder of before there were sums got them when it was copied first. Its name stands for what it holds, then as now.
+    // A folder of before there were sums got them when it was copied first. Its name stands for
+    // what it holds, then as now.
     if sums_of(source)?.is_some_and(|own| own != sums) {
         return Ok(None);
     }
     let (mut files, mut bytes) = (0, 0);
     for (file, _) in listed(&sums)? {
         match (fs::metadata(place.join(&file)), fs::metadata(source.join(&file))) {
-            (Ok(copy), Ok(own)) if copy.len() == own.len() => (files, bytes) = (files + 1, bytes + copy.len()),
+            (Ok(copy), Ok(own)) if copy.len() == own.len() => {
+                (files, bytes) = (files + 1, bytes + copy.len())
+            }
             _ => return Ok(None),
         }
     }
@@ -240,7 +279,8 @@ impl Finish for zstd::Encoder<'static, File> {
     }
 }
 
-/// An archive. What was begun of a folder that turned out to be unsound stays in it; the manifest, which comes last, does not speak of it.
+/// An archive. What was begun of a folder that turned out to be unsound stays in it; the manifest,
+/// which comes last, does not speak of it.
 pub struct ArchiveSink {
     archive: tar::Builder<Box<dyn Finish>>,
     /// Moved to its place once it is whole.
@@ -249,11 +289,21 @@ pub struct ArchiveSink {
 }
 
 impl ArchiveSink {
-    fn new(writer: Box<dyn Finish>, file: Option<(NamedTempFile, Utf8PathBuf)>, scratch: TempDir) -> Self {
+    fn new(
+        writer: Box<dyn Finish>,
+        file: Option<(NamedTempFile, Utf8PathBuf)>,
+        scratch: TempDir,
+    ) -> Self {
         Self { archive: tar::Builder::new(writer), file, scratch }
     }
 
-    fn append(&mut self, path: &str, length: u64, time: SystemTime, reader: &mut dyn Read) -> io::Result<()> {
+    fn append(
+        &mut self,
+        path: &str,
+        length: u64,
+        time: SystemTime,
+        reader: &mut dyn Read,
+    ) -> io::Result<()> {
         let mut header = tar::Header::new_gnu();
         header.set_size(length);
         header.set_mode(0o600);
@@ -264,19 +314,33 @@ impl ArchiveSink {
     fn put(&mut self, kind: &str, name: &str, source: &Utf8Path) -> Result<Whole, Unsound> {
         let below = format!("blobs/{kind}/{name}");
         let now = SystemTime::now();
-        let whole = read_folder(source, |file, length, reader| self.append(&format!("{below}/{file}"), length, now, reader))?;
-        self.append(&format!("{below}/{SUMS}"), whole.sums.len() as u64, now, &mut whole.sums.as_bytes())
-            .map_err(Unsound::NotWritten)?;
+        let whole = read_folder(source, |file, length, reader| {
+            self.append(&format!("{below}/{file}"), length, now, reader)
+        })?;
+        self.append(
+            &format!("{below}/{SUMS}"),
+            whole.sums.len() as u64,
+            now,
+            &mut whole.sums.as_bytes(),
+        )
+        .map_err(Unsound::NotWritten)?;
         Ok(whole)
     }
 
     fn finish(mut self, manifest: &Manifest) -> Result<(), BackupError> {
         let manifest = manifest.sealed()?;
-        self.append(manifest::FILE, manifest.len() as u64, SystemTime::now(), &mut manifest.as_slice())?;
+        self.append(
+            manifest::FILE,
+            manifest.len() as u64,
+            SystemTime::now(),
+            &mut manifest.as_slice(),
+        )?;
         self.archive.into_inner()?.done()?;
         if let Some((unfinished, file)) = self.file {
             unfinished.as_file().sync_all()?;
-            unfinished.persist(&file).map_err(|error| BackupError::File { file, source: error.error })?;
+            unfinished
+                .persist(&file)
+                .map_err(|error| BackupError::File { file, source: error.error })?;
         }
         Ok(())
     }

@@ -38,18 +38,30 @@ impl Snapshot {
         sqlx::query("VACUUM INTO ?").bind(file.as_str()).execute(&mut source).await?;
         source.close().await?;
         let mut copy = SqliteConnection::connect_with(&read_only(&file)).await?;
-        let schema: i64 = sqlx::query_scalar("SELECT max(version) FROM _sqlx_migrations").fetch_one(&mut copy).await?;
-        let knows_folder: i64 = sqlx::query_scalar("SELECT count(*) FROM sqlite_schema WHERE name = 'data_folder'")
+        let schema: i64 = sqlx::query_scalar("SELECT max(version) FROM _sqlx_migrations")
             .fetch_one(&mut copy)
             .await?;
+        let knows_folder: i64 =
+            sqlx::query_scalar("SELECT count(*) FROM sqlite_schema WHERE name = 'data_folder'")
+                .fetch_one(&mut copy)
+                .await?;
         let data_folder = match knows_folder {
             0 => None,
             _ => sqlx::query_scalar("SELECT id FROM data_folder").fetch_optional(&mut copy).await?,
         };
-        let scenes: i64 = sqlx::query_scalar("SELECT count(*) FROM scenes").fetch_one(&mut copy).await?;
-        let answers: i64 = sqlx::query_scalar("SELECT count(*) FROM answers").fetch_one(&mut copy).await?;
+        let scenes: i64 =
+            sqlx::query_scalar("SELECT count(*) FROM scenes").fetch_one(&mut copy).await?;
+        let answers: i64 =
+            sqlx::query_scalar("SELECT count(*) FROM answers").fetch_one(&mut copy).await?;
         copy.close().await?;
-        Ok(Self { file, taken_at, schema, data_folder, scenes: scenes as u64, answers: answers as u64 })
+        Ok(Self {
+            file,
+            taken_at,
+            schema,
+            data_folder,
+            scenes: scenes as u64,
+            answers: answers as u64,
+        })
     }
 
     /// Folders it speaks of; of answers those that are there.
@@ -57,14 +69,19 @@ impl Snapshot {
         let [contents, parses, answers] = KINDS;
         let mut copy = SqliteConnection::connect_with(&read_only(&self.file)).await?;
         let mut folders = Vec::new();
-        for (kind, sql) in [(contents, "SELECT hash FROM contents ORDER BY hash"), (parses, "SELECT id FROM parses ORDER BY id")] {
+        for (kind, sql) in [
+            (contents, "SELECT hash FROM contents ORDER BY hash"),
+            (parses, "SELECT id FROM parses ORDER BY id"),
+        ] {
             let names: Vec<String> = sqlx::query_scalar(sql).fetch_all(&mut copy).await?;
             folders.extend(names.into_iter().map(|name| (kind, name)));
         }
         for names in source.names(answers)?.chunks(CHUNK) {
-            let sql = "SELECT id FROM answers WHERE id IN (SELECT value FROM json_each(?)) ORDER BY id";
+            let sql =
+                "SELECT id FROM answers WHERE id IN (SELECT value FROM json_each(?)) ORDER BY id";
             let names = serde_json::to_string(names).map_err(StoreError::from)?;
-            let known: Vec<String> = sqlx::query_scalar(sql).bind(names).fetch_all(&mut copy).await?;
+            let known: Vec<String> =
+                sqlx::query_scalar(sql).bind(names).fetch_all(&mut copy).await?;
             folders.extend(known.into_iter().map(|name| (answers, name)));
         }
         copy.close().await?;
@@ -76,9 +93,10 @@ impl Snapshot {
 pub async fn rename_folder(database: &Utf8Path, id: &str) -> Result<(), BackupError> {
     let options = SqliteConnectOptions::new().filename(database);
     let mut connection = SqliteConnection::connect_with(&options).await?;
-    let tables: i64 = sqlx::query_scalar("SELECT count(*) FROM sqlite_schema WHERE name = 'data_folder'")
-        .fetch_one(&mut connection)
-        .await?;
+    let tables: i64 =
+        sqlx::query_scalar("SELECT count(*) FROM sqlite_schema WHERE name = 'data_folder'")
+            .fetch_one(&mut connection)
+            .await?;
     if tables > 0 {
         connection.execute(sqlx::query("UPDATE data_folder SET id = ?").bind(id)).await?;
     }
@@ -86,10 +104,13 @@ pub async fn rename_folder(database: &Utf8Path, id: &str) -> Result<(), BackupEr
     Ok(())
 }
 
-/// Opens the database that is copied. What SQLite lays beside it wants room: on a full disk that of the reserve, if no server runs.
+/// Opens the database that is copied. What SQLite lays beside it wants room: on a full disk that of
+/// the reserve, if no server runs.
 async fn open_source(database: &Utf8Path) -> Result<SqliteConnection, StoreError> {
     match try_to_open_source(database).await {
-        Err(error) if reserve::make_room_to_open(database.parent().unwrap_or(database), &error) => try_to_open_source(database).await,
+        Err(error) if reserve::make_room_to_open(database.parent().unwrap_or(database), &error) => {
+            try_to_open_source(database).await
+        }
         opened => opened,
     }
 }

@@ -19,7 +19,12 @@ impl Blobs {
     ///
     /// # Errors
     /// Those of the file system; that the object store can not be used.
-    pub fn older_than(&self, kind: &'static str, age: Duration, now: SystemTime) -> io::Result<Vec<String>> {
+    pub fn older_than(
+        &self,
+        kind: &'static str,
+        age: Duration,
+        now: SystemTime,
+    ) -> io::Result<Vec<String>> {
         let is_old = |made: SystemTime| now.duration_since(made).unwrap_or_default() > age;
         if let Some(shared) = &self.shared {
             let found = shared.objects.wait(shared.objects.folders(kind))?;
@@ -51,7 +56,8 @@ pub fn size_of(path: &Utf8Path) -> io::Result<u64> {
     Ok(measure(path)?.0)
 }
 
-/// Bytes below a folder, and when anything there changed last. What goes away meanwhile counts no more.
+/// Bytes below a folder, and when anything there changed last. What goes away meanwhile counts no
+/// more.
 pub(super) fn measure(path: &Utf8Path) -> io::Result<(u64, SystemTime)> {
     let (mut bytes, mut changed, mut left) = (0, SystemTime::UNIX_EPOCH, vec![path.to_owned()]);
     while let Some(path) = left.pop() {
@@ -82,7 +88,12 @@ mod tests {
     const DAY: Duration = Duration::from_hours(24);
 
     fn opened(data: &tempfile::TempDir) -> Blobs {
-        Blobs::open(Utf8Path::from_path(data.path()).unwrap(), &super::super::BlobHome::Folder, super::super::Files::Used).unwrap()
+        Blobs::open(
+            Utf8Path::from_path(data.path()).unwrap(),
+            &super::super::BlobHome::Folder,
+            super::super::Files::Used,
+        )
+        .unwrap()
     }
 
     #[test]
@@ -119,7 +130,11 @@ mod tests {
                 .map(|kept| (kept.hash, kept.bytes))
                 .collect::<Vec<_>>()
         };
-        assert_eq!(order(), [("first", 4), ("third", 4), ("second", 4)].map(|(hash, bytes)| (hash.to_owned(), bytes)));
+        assert_eq!(
+            order(),
+            [("first", 4), ("third", 4), ("second", 4)]
+                .map(|(hash, bytes)| (hash.to_owned(), bytes))
+        );
         blobs.use_checkpoints("first").unwrap();
         assert_eq!(order()[2].0, "first");
     }

@@ -1,5 +1,5 @@
-//! Folders of an object store that lie in the data folder for a while: what is in use stays, and of the rest what was used last, up to a
-//! bound.
+//! Folders of an object store that lie in the data folder for a while: what is in use stays, and of
+//! the rest what was used last, up to a bound.
 
 use super::remove_tree;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -99,7 +99,8 @@ impl AsRef<Path> for Kept {
 }
 
 impl Cache {
-    /// A cache of folders that lie somewhere already, by when each was brought, and how large it is.
+    /// A cache of folders that lie somewhere already, by when each was brought, and how large it
+    /// is.
     pub fn new(
         most: u64,
         tmp: &Utf8Path,
@@ -113,7 +114,13 @@ impl Cache {
             here.touch(&place).bytes = bytes;
             here.bytes += bytes;
         }
-        let cache = Arc::new(Self { most, tmp: tmp.to_owned(), runtime, here: Mutex::new(here), _lock: lock.into() });
+        let cache = Arc::new(Self {
+            most,
+            tmp: tmp.to_owned(),
+            runtime,
+            here: Mutex::new(here),
+            _lock: lock.into(),
+        });
         cache.make_room();
         cache
     }
@@ -160,7 +167,8 @@ impl Cache {
         self.move_away(place)
     }
 
-    /// Takes a folder out of the way, whoever uses it: what is open stays so. `None` where nothing was.
+    /// Takes a folder out of the way, whoever uses it: what is open stays so. `None` where nothing
+    /// was.
     ///
     /// # Errors
     /// Those of the file system.
@@ -192,14 +200,21 @@ impl Cache {
         let mut aside = Vec::new();
         let mut here = self.here();
         while here.bytes > self.most {
-            let unused = here.folders.iter().filter(|(_, folder)| Arc::strong_count(&folder.turn) == 1);
-            let Some(place) = unused.min_by_key(|(_, folder)| folder.used).map(|(place, _)| place.clone()) else { break };
+            let unused =
+                here.folders.iter().filter(|(_, folder)| Arc::strong_count(&folder.turn) == 1);
+            let Some(place) =
+                unused.min_by_key(|(_, folder)| folder.used).map(|(place, _)| place.clone())
+            else {
+                break;
+            };
             let Some(folder) = here.folders.remove(&place) else { break };
             here.bytes -= folder.bytes;
             // While nobody can begin to use it.
             match self.move_away(&place) {
                 Ok(gone) => aside.extend(gone),
-                Err(error) => tracing::warn!(folder = %place, %error, "a folder can not be let go of"),
+                Err(error) => {
+                    tracing::warn!(folder = %place, %error, "a folder can not be let go of")
+                }
             }
         }
         drop(here);
@@ -247,7 +262,10 @@ mod tests {
         let in_use = cache.hold(&a);
         cache.add(&b, 10);
         cache.add(&c, 10);
-        assert_eq!([a.exists(), b.exists(), c.exists(), cache.bytes() == 20], [true, false, true, true]);
+        assert_eq!(
+            [a.exists(), b.exists(), c.exists(), cache.bytes() == 20],
+            [true, false, true, true]
+        );
         // All in use: over the bound as long as that is so, and no longer.
         let also = cache.hold(&c);
         let last = cache.hold(&d);
@@ -267,7 +285,13 @@ mod tests {
         let found = ["new", "old"].map(|name| folder(root, name));
         let age = |days: u64| SystemTime::UNIX_EPOCH + std::time::Duration::from_hours(24 * days);
         let [new, old] = found.clone();
-        let cache = Cache::new(15, &tmp, Handle::current(), vec![(age(9), new.clone(), 10), (age(1), old.clone(), 10)], None);
+        let cache = Cache::new(
+            15,
+            &tmp,
+            Handle::current(),
+            vec![(age(9), new.clone(), 10), (age(1), old.clone(), 10)],
+            None,
+        );
         assert_eq!((new.exists(), old.exists(), cache.bytes()), (true, false, 10));
     }
 }

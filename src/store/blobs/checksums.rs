@@ -1,5 +1,5 @@
-//! What a published folder holds, by name and SHA-256, in a file of its own: what was lost or damaged since can be told.
-//! The file is `sha256sum`'s: `sha256sum -c .sha256sums` says the same.
+//! What a published folder holds, by name and SHA-256, in a file of its own: what was lost or
+//! damaged since can be told. The file is `sha256sum`'s: `sha256sum -c .sha256sums` says the same.
 
 use camino::{Utf8Path, Utf8PathBuf};
 use sha2::{Digest, Sha256};
@@ -33,14 +33,19 @@ pub enum Look {
 /// Sums that are known, by file.
 pub type Sums = BTreeMap<Utf8PathBuf, String>;
 
-/// Writes down what `folder` holds, after `head`, and puts all of it on the disk. Files whose sums are known are not read again.
+/// Writes down what `folder` holds, after `head`, and puts all of it on the disk. Files whose sums
+/// are known are not read again.
 pub fn seal(folder: &Utf8Path, known: &Sums, head: &str) -> io::Result<()> {
     let files = files_below(folder)?;
     if files.len() <= SYNC_ONE_BY_ONE {
         fs::write(folder.join(SUMS), sums_of(folder, &files, known, head)?)?;
-        let folders: std::collections::BTreeSet<_> =
-            files.iter().filter_map(|file| file.parent()).map(|parent| folder.join(parent)).collect();
-        let paths = files.iter().map(|file| folder.join(file)).chain([folder.join(SUMS)]).chain(folders);
+        let folders: std::collections::BTreeSet<_> = files
+            .iter()
+            .filter_map(|file| file.parent())
+            .map(|parent| folder.join(parent))
+            .collect();
+        let paths =
+            files.iter().map(|file| folder.join(file)).chain([folder.join(SUMS)]).chain(folders);
         return sync(folder, files.len(), paths);
     }
     // The disk writes while the sums are made; what is left is the sums themselves.
@@ -54,8 +59,13 @@ pub fn seal(folder: &Utf8Path, known: &Sums, head: &str) -> io::Result<()> {
     sync_everything(folder)
 }
 
-/// Puts so many files of a folder on the disk: these, one by one, or everything where they are many.
-pub fn sync(folder: &Utf8Path, files: usize, mut paths: impl Iterator<Item = Utf8PathBuf>) -> io::Result<()> {
+/// Puts so many files of a folder on the disk: these, one by one, or everything where they are
+/// many.
+pub fn sync(
+    folder: &Utf8Path,
+    files: usize,
+    mut paths: impl Iterator<Item = Utf8PathBuf>,
+) -> io::Result<()> {
     if files > SYNC_ONE_BY_ONE {
         return sync_everything(folder);
     }
@@ -63,10 +73,16 @@ pub fn sync(folder: &Utf8Path, files: usize, mut paths: impl Iterator<Item = Utf
     File::open(folder)?.sync_all()
 }
 
-fn sums_of(folder: &Utf8Path, files: &[Utf8PathBuf], known: &Sums, head: &str) -> io::Result<String> {
+fn sums_of(
+    folder: &Utf8Path,
+    files: &[Utf8PathBuf],
+    known: &Sums,
+    head: &str,
+) -> io::Result<String> {
     let mut sums = head.to_owned();
     for file in files {
-        let sum = known.get(file).map_or_else(|| hash_of(&folder.join(file)), |sum| Ok(sum.clone()))?;
+        let sum =
+            known.get(file).map_or_else(|| hash_of(&folder.join(file)), |sum| Ok(sum.clone()))?;
         let _ = writeln!(sums, "{sum}  {file}");
     }
     Ok(sums)
@@ -83,7 +99,8 @@ pub fn sync_everything(_: &Utf8Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Gives `to` the files of a sealed folder, below `below`, without copying them where the disk can; their sums.
+/// Gives `to` the files of a sealed folder, below `below`, without copying them where the disk can;
+/// their sums.
 pub fn share(sealed: &Utf8Path, to: &Utf8Path, below: &Utf8Path) -> io::Result<Sums> {
     for file in files_below(sealed)? {
         let (from, place) = (sealed.join(&file), to.join(below).join(&file));
@@ -101,13 +118,18 @@ pub fn share(sealed: &Utf8Path, to: &Utf8Path, below: &Utf8Path) -> io::Result<S
     Ok(sums.map(|(sum, file)| (below.join(file), sum.to_owned())).collect())
 }
 
-/// What is wrong with a folder; nothing where nothing was written down about it, as long as it is there.
+/// What is wrong with a folder; nothing where nothing was written down about it, as long as it is
+/// there.
 pub fn look(folder: &Utf8Path, closely: Look) -> io::Result<Vec<Damage>> {
     let sums = match fs::read_to_string(folder.join(SUMS)) {
         Ok(sums) => sums,
         // A folder of before there were sums.
-        Err(error) if error.kind() == io::ErrorKind::NotFound && folder.is_dir() => return Ok(Vec::new()),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(vec![damage("", "missing")]),
+        Err(error) if error.kind() == io::ErrorKind::NotFound && folder.is_dir() => {
+            return Ok(Vec::new());
+        }
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            return Ok(vec![damage("", "missing")]);
+        }
         Err(error) => return Err(error),
     };
     let mut wrong = Vec::new();
@@ -121,7 +143,9 @@ pub fn look(folder: &Utf8Path, closely: Look) -> io::Result<Vec<Damage>> {
             Look::Bytes => match hash_of(&path) {
                 Ok(found) if found == sum => {}
                 Ok(_) => wrong.push(damage(file, "damaged")),
-                Err(error) if error.kind() == io::ErrorKind::NotFound => wrong.push(damage(file, "missing")),
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                    wrong.push(damage(file, "missing"))
+                }
                 Err(error) => wrong.push(damage(file, &error.to_string())),
             },
         }
@@ -139,7 +163,11 @@ pub fn look_at(folder: &Utf8Path, file: &Utf8Path) -> io::Result<Option<Damage>>
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         sums => sums?,
     };
-    let Some((sum, _)) = sums.lines().filter_map(|line| line.split_once("  ")).find(|(_, name)| *name == file) else { return Ok(None) };
+    let Some((sum, _)) =
+        sums.lines().filter_map(|line| line.split_once("  ")).find(|(_, name)| *name == file)
+    else {
+        return Ok(None);
+    };
     Ok((hash_of(&folder.join(file))? != sum).then(|| damage(file.as_str(), "damaged")))
 }
 
@@ -147,7 +175,9 @@ pub fn look_at(folder: &Utf8Path, file: &Utf8Path) -> io::Result<Option<Damage>>
 pub fn holds(folder: &Utf8Path, file: &Utf8Path) -> io::Result<bool> {
     match fs::read_to_string(folder.join(SUMS)) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(folder.join(file).is_file()),
-        sums => Ok(sums?.lines().filter_map(|line| line.split_once("  ")).any(|(_, name)| file == name)),
+        sums => {
+            Ok(sums?.lines().filter_map(|line| line.split_once("  ")).any(|(_, name)| file == name))
+        }
     }
 }
 
@@ -174,7 +204,8 @@ pub fn files_below(folder: &Utf8Path) -> io::Result<Vec<Utf8PathBuf>> {
 }
 
 pub fn hash_of(file: &Utf8Path) -> io::Result<String> {
-    let (mut source, mut hasher, mut buffer) = (File::open(file)?, Sha256::new(), vec![0; 256 << 10]);
+    let (mut source, mut hasher, mut buffer) =
+        (File::open(file)?, Sha256::new(), vec![0; 256 << 10]);
     loop {
         let n = source.read(&mut buffer)?;
         if n == 0 {

@@ -38,16 +38,21 @@ impl Blobs {
         }
     }
 
-    /// Goes on with an upload after its first `bytes`. What its file has beyond them is cut off: nobody was told that it is there.
+    /// Goes on with an upload after its first `bytes`. What its file has beyond them is cut off:
+    /// nobody was told that it is there.
     ///
     /// # Errors
     /// Those of the file system; a file that has fewer bytes.
     pub fn open_upload(&self, id: &str, bytes: u64) -> io::Result<GrowingFile> {
         let path = self.upload(id);
         let is_new = !path.exists();
-        let mut file = OpenOptions::new().create(true).truncate(false).read(true).write(true).open(&path)?;
+        let mut file =
+            OpenOptions::new().create(true).truncate(false).read(true).write(true).open(&path)?;
         if file.metadata()?.len() < bytes {
-            return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the file of an upload has lost bytes"));
+            return Err(io::Error::new(
+                io::ErrorKind::UnexpectedEof,
+                "the file of an upload has lost bytes",
+            ));
         }
         file.set_len(bytes)?;
         file.seek(SeekFrom::Start(bytes))?;

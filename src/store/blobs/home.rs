@@ -1,4 +1,5 @@
-//! Where published folders are kept: in the data folder, or in an object store, of which the data folder then holds copies.
+//! Where published folders are kept: in the data folder, or in an object store, of which the data
+//! folder then holds copies.
 
 use super::cache::Cache;
 use super::objects::{AccessKeys, Bucket, Links, Objects};
@@ -76,16 +77,24 @@ pub struct CopiesOf {
 
 impl Blobs {
     /// Opens the folders, and makes those that are not there; blocks.
-    pub(in crate::store) fn open(data_dir: &Utf8Path, home: &BlobHome, files: Files) -> Result<Self, StoreError> {
+    pub(in crate::store) fn open(
+        data_dir: &Utf8Path,
+        home: &BlobHome,
+        files: Files,
+    ) -> Result<Self, StoreError> {
         let blobs = Self::below(data_dir, Hands::Free);
         let kept_in = kept_in(data_dir)?;
         if let (BlobHome::Folder, Some(CopiesOf { bucket, .. })) = (home, &kept_in) {
             return Err(StoreError::BlobsElsewhere { kept_in: bucket.clone() });
         }
-        for folder in KINDS.map(|kind| blobs.root.join(kind)).iter().chain([&blobs.tmp, &blobs.uploads()]) {
+        for folder in
+            KINDS.map(|kind| blobs.root.join(kind)).iter().chain([&blobs.tmp, &blobs.uploads()])
+        {
             fs::create_dir_all(folder)?;
         }
-        let BlobHome::Bucket { bucket, keys, links, cache_bytes, grace } = home else { return Ok(blobs) };
+        let BlobHome::Bucket { bucket, keys, links, cache_bytes, grace } = home else {
+            return Ok(blobs);
+        };
         let objects = bucket.objects(keys.as_ref(), *links, *grace)?;
         match files {
             Files::Used => blobs.copying(objects, &bucket.to_string(), kept_in, *cache_bytes),
@@ -96,8 +105,15 @@ impl Blobs {
         }
     }
 
-    /// Has these folders hold copies of what an object store has, by its name and the one they held copies of; blocks.
-    pub(super) fn copying(self, objects: Objects, bucket: &str, known: Option<CopiesOf>, cache_bytes: u64) -> Result<Self, StoreError> {
+    /// Has these folders hold copies of what an object store has, by its name and the one they held
+    /// copies of; blocks.
+    pub(super) fn copying(
+        self,
+        objects: Objects,
+        bucket: &str,
+        known: Option<CopiesOf>,
+        cache_bytes: u64,
+    ) -> Result<Self, StoreError> {
         let id = objects.wait(objects.id())?;
         let mark = self.root.join(CACHE_OF);
         match known {
@@ -109,7 +125,13 @@ impl Blobs {
                         return Err(StoreError::BlobsHere);
                     }
                 }
-                write_synced(&mark, &serde_json::to_vec_pretty(&CopiesOf { bucket: bucket.to_owned(), id: id.clone() })?)?;
+                write_synced(
+                    &mark,
+                    &serde_json::to_vec_pretty(&CopiesOf {
+                        bucket: bucket.to_owned(),
+                        id: id.clone(),
+                    })?,
+                )?;
             }
         }
         // Which copies are in use only their process knows.
@@ -132,7 +154,8 @@ impl Blobs {
         Ok(Self { id: Some(id.into()), shared: Some(Arc::new(Shared { objects, cache })), ..self })
     }
 
-    /// Folders that are looked at and stay as they are, whatever is asked: nothing goes out of the way, nothing to the quarantine.
+    /// Folders that are looked at and stay as they are, whatever is asked: nothing goes out of the
+    /// way, nothing to the quarantine.
     ///
     /// # Errors
     /// [`StoreError::BlobsElsewhere`].
@@ -160,9 +183,15 @@ impl Blobs {
     }
 
     /// Takes copies out of the way, off the async threads; where they are from nothing changes.
-    pub(in crate::store) async fn forget_copies(&self, places: Vec<Utf8PathBuf>) -> io::Result<Vec<Scratch>> {
+    pub(in crate::store) async fn forget_copies(
+        &self,
+        places: Vec<Utf8PathBuf>,
+    ) -> io::Result<Vec<Scratch>> {
         let blobs = self.clone();
-        spawn_blocking(move || places.iter().filter_map(|place| blobs.take_away(place).transpose()).collect()).await?
+        spawn_blocking(move || {
+            places.iter().filter_map(|place| blobs.take_away(place).transpose()).collect()
+        })
+        .await?
     }
 
     /// Whether any scan is kept.

@@ -8,12 +8,14 @@
 //! uploads/<id>                    what has come of an upload that comes in parts
 //! tmp/                            uploads and folders being written, folders being removed; emptied after a start
 //! ```
-//! A folder is written under `tmp/`, put on the disk, and moved into place as a whole; the row that speaks of it comes last. So a blob
-//! that can be seen is complete, and a row that can be seen has its blob, also after the power has failed.
+//! A folder is written under `tmp/`, put on the disk, and moved into place as a whole; the row that
+//! speaks of it comes last. So a blob that can be seen is complete, and a row that can be seen has
+//! its blob, also after the power has failed.
 //!
-//! Published folders may be kept in an object store instead ([`objects`]): those that lie here are then copies of what is there, brought by
-//! whoever reads them ([`shared`]), and go when they are not in use and too many ([`cache`]). Whoever reads a folder asks for its files
-//! ([`Blobs::file`], [`Blobs::whole`]) wherever they are kept.
+//! Published folders may be kept in an object store instead ([`objects`]): those that lie here are
+//! then copies of what is there, brought by whoever reads them ([`shared`]), and go when they are
+//! not in use and too many ([`cache`]). Whoever reads a folder asks for its files ([`Blobs::file`],
+//! [`Blobs::whole`]) wherever they are kept.
 
 mod aging;
 mod cache;
@@ -85,7 +87,8 @@ impl Scratch {
 impl Drop for Scratch {
     fn drop(&mut self) {
         drop(self.beyond.take());
-        // Published folders have moved away; what can not be removed now goes when the server starts next.
+        // Published folders have moved away; what can not be removed now goes when the server
+        // starts next.
         if let Err(error) = remove_tree(&self.path, &self.tmp) {
             tracing::warn!(folder = %self.path, %error, "a temporary folder stays behind");
         }
@@ -110,7 +113,13 @@ pub struct Prepared {
 impl Blobs {
     /// Folders below `data_dir`, and nowhere else.
     fn below(data_dir: &Utf8Path, hands: Hands) -> Self {
-        Self { root: data_dir.join("blobs"), tmp: data_dir.join("tmp"), hands, id: None, shared: None }
+        Self {
+            root: data_dir.join("blobs"),
+            tmp: data_dir.join("tmp"),
+            hands,
+            id: None,
+            shared: None,
+        }
     }
 
     /// Whether folders may be moved and removed.
@@ -123,13 +132,15 @@ impl Blobs {
         Scratch { path, tmp: self.tmp.clone(), beyond: None }
     }
 
-    /// What processes that are gone left under `tmp/`, to be removed when it is dropped: what has not changed for so long.
+    /// What processes that are gone left under `tmp/`, to be removed when it is dropped: what has
+    /// not changed for so long.
     pub(super) fn left_behind(&self, unchanged: Duration) -> io::Result<Vec<Scratch>> {
         let mut left = Vec::new();
         for entry in self.tmp.read_dir_utf8()? {
             let entry = entry?;
             // Gone meanwhile, or from tomorrow: in somebody's hands.
-            let age = entry.metadata().and_then(|m| m.modified()).ok().and_then(|at| at.elapsed().ok());
+            let age =
+                entry.metadata().and_then(|m| m.modified()).ok().and_then(|at| at.elapsed().ok());
             if unchanged.is_zero() || age.is_some_and(|age| age >= unchanged) {
                 left.push(self.aside(entry.into_path()));
             }
@@ -216,8 +227,8 @@ impl Blobs {
         Ok(self.aside(path))
     }
 
-    /// Moves a finished folder into place, on the disk. When somebody was faster, theirs stays: same name, same content; unless it is not
-    /// whole: then ours takes its place.
+    /// Moves a finished folder into place, on the disk. When somebody was faster, theirs stays:
+    /// same name, same content; unless it is not whole: then ours takes its place.
     ///
     /// # Errors
     /// Those of the file system.
@@ -229,7 +240,12 @@ impl Blobs {
     ///
     /// # Errors
     /// As for [`prepare`](Self::prepare).
-    pub fn publish_knowing(&self, scratch: Scratch, place: &Utf8Path, known: &Sums) -> io::Result<()> {
+    pub fn publish_knowing(
+        &self,
+        scratch: Scratch,
+        place: &Utf8Path,
+        known: &Sums,
+    ) -> io::Result<()> {
         self.publish_prepared(self.prepare_knowing(scratch, place, known)?)
     }
 
@@ -241,7 +257,12 @@ impl Blobs {
         self.prepare_knowing(scratch, place, &Sums::new())
     }
 
-    fn prepare_knowing(&self, scratch: Scratch, place: &Utf8Path, known: &Sums) -> io::Result<Prepared> {
+    fn prepare_knowing(
+        &self,
+        scratch: Scratch,
+        place: &Utf8Path,
+        known: &Sums,
+    ) -> io::Result<Prepared> {
         let put = if let (Some(shared), Some(name)) = (&self.shared, self.name_of(place)) {
             let put = shared.put(&scratch, &name, known)?;
             Some((shared.clone(), name, put))
@@ -271,15 +292,22 @@ impl Blobs {
         sync_folder(place.parent().unwrap_or(&place))
     }
 
-    /// Gives a folder that is to be published the files of one that is, below `below`, without copying them where the disk can; their sums.
+    /// Gives a folder that is to be published the files of one that is, below `below`, without
+    /// copying them where the disk can; their sums.
     ///
     /// # Errors
     /// Those of the file system.
-    pub fn share(&self, published: &Utf8Path, with: &Scratch, below: &Utf8Path) -> io::Result<Sums> {
+    pub fn share(
+        &self,
+        published: &Utf8Path,
+        with: &Scratch,
+        below: &Utf8Path,
+    ) -> io::Result<Sums> {
         checksums::share(&self.whole(published)?, with.path(), below)
     }
 
-    /// Takes a folder out of the way, under `tmp/`: it is gone for everybody at once, whatever it holds. `None` where nothing was.
+    /// Takes a folder out of the way, under `tmp/`: it is gone for everybody at once, whatever it
+    /// holds. `None` where nothing was.
     fn take_away(&self, folder: &Utf8Path) -> io::Result<Option<Scratch>> {
         if let Some(Shared { cache, .. }) = self.shared.as_deref() {
             return Ok(cache.take(folder)?.map(|path| self.aside(path)));
@@ -305,7 +333,8 @@ impl Blobs {
         spawn_blocking(move || match (blobs.shared.as_deref(), aside.beyond.take()) {
             // Its copy comes again when somebody wants it.
             (Some(Shared { objects, .. }), Some(unclaimed)) => objects.wait(unclaimed.put_back()),
-            _ => fs::rename(&aside.path, &place).or_else(|error| if place.exists() { Ok(()) } else { Err(error) }),
+            _ => fs::rename(&aside.path, &place)
+                .or_else(|error| if place.exists() { Ok(()) } else { Err(error) }),
         })
         .await?
     }
@@ -324,7 +353,8 @@ impl Blobs {
             let taken = folders.iter().map(|folder| {
                 let (aside, beyond) = (blobs.take_away(folder)?, beyond.remove(folder));
                 // Of what there is no copy of here, only the objects go.
-                let aside = aside.or_else(|| beyond.is_some().then(|| blobs.aside(blobs.free_name())));
+                let aside =
+                    aside.or_else(|| beyond.is_some().then(|| blobs.aside(blobs.free_name())));
                 Ok(aside.map(|mut aside| {
                     aside.beyond = beyond;
                     aside
@@ -335,10 +365,12 @@ impl Blobs {
         .await?
     }
 
-    /// Takes folders away from the object store, where they are there. What can not be had now is for the sweep: no row speaks of it any more.
+    /// Takes folders away from the object store, where they are there. What can not be had now is
+    /// for the sweep: no row speaks of it any more.
     fn unseal(&self, folders: &[Utf8PathBuf]) -> HashMap<Utf8PathBuf, Unclaimed> {
         let Some(Shared { objects, .. }) = self.shared.as_deref() else { return HashMap::new() };
-        let named = folders.iter().filter_map(|folder| Some((folder.clone(), self.name_of(folder)?)));
+        let named =
+            folders.iter().filter_map(|folder| Some((folder.clone(), self.name_of(folder)?)));
         let unsealed = named.map(async |(folder, name)| match objects.unseal(&name).await {
             Ok(unsealed) => unsealed.map(|unclaimed| (folder, unclaimed)),
             Err(error) => {
@@ -346,13 +378,17 @@ impl Blobs {
                 None
             }
         });
-        let unsealed = objects.wait(stream::iter(unsealed).buffer_unordered(AT_ONCE).collect::<Vec<_>>());
-        let stages = folders.iter().filter(|folder| folder.starts_with(self.root.join("checkpoints")));
-        let stages = stages.filter_map(|folder| Some((folder.clone(), objects.loose_stages(folder.file_name()?))));
+        let unsealed =
+            objects.wait(stream::iter(unsealed).buffer_unordered(AT_ONCE).collect::<Vec<_>>());
+        let stages =
+            folders.iter().filter(|folder| folder.starts_with(self.root.join("checkpoints")));
+        let stages = stages
+            .filter_map(|folder| Some((folder.clone(), objects.loose_stages(folder.file_name()?))));
         unsealed.into_iter().flatten().chain(stages).collect()
     }
 
-    /// Removes what was set aside, in the background. What a server that stops leaves under `tmp/` goes when the next one starts.
+    /// Removes what was set aside, in the background. What a server that stops leaves under `tmp/`
+    /// goes when the next one starts.
     pub fn remove_later(&self, aside: Vec<Scratch>) {
         if !aside.is_empty() {
             spawn_blocking(move || drop(aside));
@@ -370,8 +406,9 @@ impl Blobs {
     }
 }
 
-/// Removes a file, or a folder with all it holds, however deep: folders within are moved up to `tmp` first, so that no path and no stack
-/// of open folders grows with the depth. Nothing to remove is fine.
+/// Removes a file, or a folder with all it holds, however deep: folders within are moved up to
+/// `tmp` first, so that no path and no stack of open folders grows with the depth. Nothing to
+/// remove is fine.
 pub(super) fn remove_tree(path: &Utf8Path, tmp: &Utf8Path) -> io::Result<()> {
     match fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
@@ -401,10 +438,12 @@ mod tests {
     use super::*;
 
     fn opened(data: &tempfile::TempDir) -> Blobs {
-        Blobs::open(Utf8Path::from_path(data.path()).unwrap(), &BlobHome::Folder, Files::Used).unwrap()
+        Blobs::open(Utf8Path::from_path(data.path()).unwrap(), &BlobHome::Folder, Files::Used)
+            .unwrap()
     }
 
-    /// Thousands of folders, one in another, with names that make their path longer than any path may be.
+    /// Thousands of folders, one in another, with names that make their path longer than any path
+    /// may be.
     #[test]
     fn folders_of_any_depth_are_removed() {
         let data = tempfile::tempdir().unwrap();

@@ -1,8 +1,12 @@
-//! Folders that are kept in an object store: brought here by whoever is going to read them, put there by whoever publishes.
+//! Folders that are kept in an object store: brought here by whoever is going to read them, put
+//! there by whoever publishes.
 
 use super::cache::{Cache, Held, Kept};
 use super::checksums::{self, Damage, Look, SUMS, Sums};
-use super::objects::{Away, FolderName, Objects, Sealed, Unclaimed, edition_of, head_of_seal, new_edition, sums_of_seal};
+use super::objects::{
+    Away, FolderName, Objects, Sealed, Unclaimed, edition_of, head_of_seal, new_edition,
+    sums_of_seal,
+};
 use super::{Blobs, SEALED, Scratch, size_of, sync_folder};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::fs::{self, File};
@@ -36,7 +40,12 @@ pub struct Put {
 
 impl Shared {
     /// Seals a folder that is written, and puts it into the object store, as nobody's yet.
-    pub(super) fn put(&self, scratch: &Scratch, name: &FolderName, known: &Sums) -> io::Result<Put> {
+    pub(super) fn put(
+        &self,
+        scratch: &Scratch,
+        name: &FolderName,
+        known: &Sums,
+    ) -> io::Result<Put> {
         let (objects, begun, edition) = (&self.objects, Instant::now(), new_edition());
         checksums::seal(scratch.path(), known, &head_of_seal(&edition))?;
         let seal = fs::read_to_string(scratch.path().join(SUMS))?;
@@ -47,8 +56,9 @@ impl Shared {
 }
 
 impl Blobs {
-    /// A file of a published folder, to be read as long as what is returned lives; blocks where it has to be brought. Whether it was
-    /// published with the folder is known only where folders are in an object store: else the file is looked for by who reads it.
+    /// A file of a published folder, to be read as long as what is returned lives; blocks where it
+    /// has to be brought. Whether it was published with the folder is known only where folders
+    /// are in an object store: else the file is looked for by who reads it.
     ///
     /// # Errors
     /// Those of the file system; that the object store can not be used.
@@ -56,7 +66,9 @@ impl Blobs {
         let below = file.strip_prefix(place).unwrap_or(file);
         let path = place.join(below);
         match (&self.shared, self.name_of(place)) {
-            (Some(shared), Some(name)) => Ok(Kept::held(path, self.bring(shared, &name, place, Wanted::File(below))?)),
+            (Some(shared), Some(name)) => {
+                Ok(Kept::held(path, self.bring(shared, &name, place, Wanted::File(below))?))
+            }
             _ => Ok(path.into()),
         }
     }
@@ -67,26 +79,37 @@ impl Blobs {
     /// As for [`file`](Self::file).
     pub fn whole(&self, place: &Utf8Path) -> io::Result<Kept> {
         match (&self.shared, self.name_of(place)) {
-            (Some(shared), Some(name)) => Ok(Kept::held(place.to_owned(), self.bring(shared, &name, place, Wanted::Everything)?)),
+            (Some(shared), Some(name)) => Ok(Kept::held(
+                place.to_owned(),
+                self.bring(shared, &name, place, Wanted::Everything)?,
+            )),
             _ => Ok(place.to_owned().into()),
         }
     }
 
-    /// An address of a file of a published folder that anybody may read for a while, where the object store is to be asked for it; blocks.
+    /// An address of a file of a published folder that anybody may read for a while, where the
+    /// object store is to be asked for it; blocks.
     ///
     /// # Errors
     /// As for [`file`](Self::file).
     pub fn link(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<Option<String>> {
-        let (Some(shared), Some(name)) = (&self.shared, self.name_of(place)) else { return Ok(None) };
+        let (Some(shared), Some(name)) = (&self.shared, self.name_of(place)) else {
+            return Ok(None);
+        };
         if !shared.objects.gives_links() || !self.holds(place, file)? {
             return Ok(None);
         }
         let seal = fs::read_to_string(self.file(place, SUMS.into())?)?;
         let Some(edition) = edition_of(&seal) else { return Ok(None) };
-        shared.objects.wait(shared.objects.link(&name, edition, file.strip_prefix(place).unwrap_or(file)))
+        shared.objects.wait(shared.objects.link(
+            &name,
+            edition,
+            file.strip_prefix(place).unwrap_or(file),
+        ))
     }
 
-    /// Whether a published folder was published with this file; of folders from before that was written down, whether it is there.
+    /// Whether a published folder was published with this file; of folders from before that was
+    /// written down, whether it is there.
     ///
     /// # Errors
     /// As for [`file`](Self::file).
@@ -101,7 +124,8 @@ impl Blobs {
         checksums::holds(place, file.strip_prefix(place).unwrap_or(file))
     }
 
-    /// What is wrong with a published folder. In an object store that is what is missing there; what objects hold is its own care.
+    /// What is wrong with a published folder. In an object store that is what is missing there;
+    /// what objects hold is its own care.
     ///
     /// # Errors
     /// Those of the file system; that the object store can not be used.
@@ -117,7 +141,8 @@ impl Blobs {
         }
     }
 
-    /// What is wrong with one file of a published folder. Where it is in an object store a damaged copy is brought anew.
+    /// What is wrong with one file of a published folder. Where it is in an object store a damaged
+    /// copy is brought anew.
     ///
     /// # Errors
     /// As for [`file`](Self::file).
@@ -140,7 +165,13 @@ impl Blobs {
         more.is_none().then(|| FolderName { kind, name: name.as_str().to_owned() })
     }
 
-    fn bring(&self, shared: &Shared, name: &FolderName, place: &Utf8Path, wanted: Wanted<'_>) -> io::Result<Held> {
+    fn bring(
+        &self,
+        shared: &Shared,
+        name: &FolderName,
+        place: &Utf8Path,
+        wanted: Wanted<'_>,
+    ) -> io::Result<Held> {
         let held = shared.cache.hold(place);
         if is_here(place, wanted)? {
             return Ok(held);
@@ -152,7 +183,8 @@ impl Blobs {
             return Ok(held);
         }
         let there = match self.bring_missing(shared, name, place, wanted) {
-            // Published anew since its seal was brought: what is here is of an edition that is gone.
+            // Published anew since its seal was brought: what is here is of an edition that is
+            // gone.
             Err(error) if error.kind() == io::ErrorKind::NotFound && place.join(SUMS).exists() => {
                 drop(shared.cache.empty(place)?.map(|path| self.aside(path)));
                 self.bring_missing(shared, name, place, wanted)?
@@ -166,7 +198,8 @@ impl Blobs {
         Ok(held)
     }
 
-    /// Brings what is not here of a folder, checked; a file is in its place as a whole or not at all. Whether the folder has what is wanted.
+    /// Brings what is not here of a folder, checked; a file is in its place as a whole or not at
+    /// all. Whether the folder has what is wanted.
     fn bring_missing(
         &self,
         Shared { objects, cache, .. }: &Shared,
@@ -187,7 +220,9 @@ impl Blobs {
             }
             seal => seal?,
         };
-        let edition = edition_of(&seal).ok_or_else(|| io::Error::new(io::ErrorKind::InvalidData, "a seal without an edition"))?;
+        let edition = edition_of(&seal).ok_or_else(|| {
+            io::Error::new(io::ErrorKind::InvalidData, "a seal without an edition")
+        })?;
         let mut missing: Sums = sums_of_seal(&seal);
         match wanted {
             Wanted::Seal => return Ok(true),
@@ -205,7 +240,10 @@ impl Blobs {
         let at = |number: usize| brought.path().join(number.to_string());
         for (number, (file, sum)) in missing.iter().enumerate() {
             if checksums::hash_of(&at(number))? != *sum {
-                return Err(io::Error::new(io::ErrorKind::InvalidData, format!("{file}: its object is not what was put there")));
+                return Err(io::Error::new(
+                    io::ErrorKind::InvalidData,
+                    format!("{file}: its object is not what was put there"),
+                ));
             }
         }
         checksums::sync(brought.path(), files.len(), (0..files.len()).map(at))?;
@@ -219,17 +257,27 @@ impl Blobs {
     }
 
     /// Seals what was put, and keeps what was written here.
-    pub(super) fn publish_put(&self, shared: &Shared, name: &FolderName, scratch: &Scratch, put: Put, place: &Utf8Path) -> io::Result<()> {
+    pub(super) fn publish_put(
+        &self,
+        shared: &Shared,
+        name: &FolderName,
+        scratch: &Scratch,
+        put: Put,
+        place: &Utf8Path,
+    ) -> io::Result<()> {
         let Shared { objects, cache, .. } = shared;
         let Put { files, seal, begun } = put;
         // Its row must come before the sweep takes it for one that nobody wants.
         if begun.elapsed() > objects.grace / 2 {
-            return Err(Away::because("putting a folder there took longer than half of what is kept without a row (--blobs-grace-s)"));
+            return Err(Away::because(
+                "putting a folder there took longer than half of what is kept without a row (--blobs-grace-s)",
+            ));
         }
         objects.wait(async {
             match objects.put_seal(name, &seal).await? {
                 Sealed::Ours => files.keep(),
-                // Same name, same content; but one that is old may be about to go, and one that is not whole is of no use.
+                // Same name, same content; but one that is old may be about to go, and one that is
+                // not whole is of no use.
                 Sealed::Theirs(theirs) => {
                     let is_young = theirs.made.elapsed().unwrap_or_default() < objects.grace / 2;
                     if is_young && objects.look(name).await?.is_empty() {
@@ -291,7 +339,12 @@ mod tests {
                 let objects = Objects::new(store.clone(), "rooms/a", grace);
                 let machine = spawn_blocking(move || {
                     let folder = tempfile::tempdir().unwrap();
-                    let blobs = Blobs::open(Utf8Path::from_path(folder.path()).unwrap(), &BlobHome::Folder, Files::Used).unwrap();
+                    let blobs = Blobs::open(
+                        Utf8Path::from_path(folder.path()).unwrap(),
+                        &BlobHome::Folder,
+                        Files::Used,
+                    )
+                    .unwrap();
                     let blobs = blobs.copying(objects, "memory", None, cache_bytes).unwrap();
                     (folder, blobs)
                 });
@@ -301,7 +354,11 @@ mod tests {
         }
 
         /// Has a machine do something, where it may block.
-        async fn on<T: Send + 'static>(&self, machine: usize, work: impl FnOnce(Blobs) -> T + Send + 'static) -> T {
+        async fn on<T: Send + 'static>(
+            &self,
+            machine: usize,
+            work: impl FnOnce(Blobs) -> T + Send + 'static,
+        ) -> T {
             let blobs = self.machines[machine].1.clone();
             spawn_blocking(move || work(blobs)).await.unwrap()
         }
@@ -309,14 +366,25 @@ mod tests {
         /// All keys there are, without what says whose they are.
         async fn keys(&self) -> Vec<String> {
             use futures::TryStreamExt;
-            let all: Vec<_> = self.store.list(None).map_ok(|object| object.location.to_string()).try_collect().await.unwrap();
-            let mut keys: Vec<String> = all.into_iter().filter(|key| !key.ends_with("uniground-data.json")).collect();
+            let all: Vec<_> = self
+                .store
+                .list(None)
+                .map_ok(|object| object.location.to_string())
+                .try_collect()
+                .await
+                .unwrap();
+            let mut keys: Vec<String> =
+                all.into_iter().filter(|key| !key.ends_with("uniground-data.json")).collect();
             keys.sort();
             keys
         }
     }
 
-    const FILES: [(&str, &str); 3] = [("cloud.ply", "points"), ("views/1 a#\u{e9}.jpg", "picture"), ("views/deep/er/2.jpg", "other")];
+    const FILES: [(&str, &str); 3] = [
+        ("cloud.ply", "points"),
+        ("views/1 a#\u{e9}.jpg", "picture"),
+        ("views/deep/er/2.jpg", "other"),
+    ];
 
     fn written(blobs: &Blobs) -> Scratch {
         let scratch = blobs.scratch().unwrap();
@@ -339,7 +407,9 @@ mod tests {
     fn all_of(blobs: &Blobs, place: &Utf8Path) -> BTreeMap<String, String> {
         let whole = blobs.whole(place).unwrap();
         let files = checksums::files_below(&whole).unwrap().into_iter();
-        files.map(|file| (file.to_string(), fs::read_to_string(whole.join(file)).unwrap())).collect()
+        files
+            .map(|file| (file.to_string(), fs::read_to_string(whole.join(file)).unwrap()))
+            .collect()
     }
 
     #[tokio::test]
@@ -348,18 +418,31 @@ mod tests {
         site.on(0, |blobs| publish(&blobs, &blobs.parse("p")).unwrap()).await;
         site.on(1, |blobs| {
             let place = blobs.parse("p");
-            assert!(blobs.holds(&place, "views/1 a#\u{e9}.jpg".into()).unwrap() && !blobs.holds(&place, "views/3.jpg".into()).unwrap());
+            assert!(
+                blobs.holds(&place, "views/1 a#\u{e9}.jpg".into()).unwrap()
+                    && !blobs.holds(&place, "views/3.jpg".into()).unwrap()
+            );
             assert_eq!(read(&blobs, &place, "cloud.ply").unwrap(), "points");
             // Only what was asked for is here.
             assert!(!place.join("views/deep/er/2.jpg").exists());
-            assert_eq!(read(&blobs, &place, "views/3.jpg").unwrap_err().kind(), io::ErrorKind::NotFound);
-            assert!(place.join("cloud.ply").exists(), "what it never had is no reason to doubt what is here");
+            assert_eq!(
+                read(&blobs, &place, "views/3.jpg").unwrap_err().kind(),
+                io::ErrorKind::NotFound
+            );
+            assert!(
+                place.join("cloud.ply").exists(),
+                "what it never had is no reason to doubt what is here"
+            );
             assert!(blobs.look(&place, Look::Bytes).unwrap().is_empty());
-            assert_eq!(read(&blobs, &blobs.parse("q"), "cloud.ply").unwrap_err().kind(), io::ErrorKind::NotFound);
+            assert_eq!(
+                read(&blobs, &blobs.parse("q"), "cloud.ply").unwrap_err().kind(),
+                io::ErrorKind::NotFound
+            );
             assert_eq!(blobs.look(&blobs.parse("q"), Look::Names).unwrap()[0].what, "missing");
         })
         .await;
-        let expected: BTreeMap<String, String> = FILES.iter().map(|(file, text)| ((*file).to_owned(), (*text).to_owned())).collect();
+        let expected: BTreeMap<String, String> =
+            FILES.iter().map(|(file, text)| ((*file).to_owned(), (*text).to_owned())).collect();
         assert_eq!(site.on(2, |blobs| all_of(&blobs, &blobs.parse("p"))).await, expected);
     }
 
@@ -368,27 +451,42 @@ mod tests {
         let site = Site::of(2, u64::MAX, DAY).await;
         // Its writer ended before the seal came.
         for (file, _) in FILES {
-            site.store.put(&Path::from(format!("rooms/a/contents/c/0123/{file}")), "torn".into()).await.unwrap();
+            site.store
+                .put(&Path::from(format!("rooms/a/contents/c/0123/{file}")), "torn".into())
+                .await
+                .unwrap();
         }
         site.on(0, |blobs| {
             let place = blobs.content("c");
-            assert_eq!(read(&blobs, &place, "cloud.ply").unwrap_err().kind(), io::ErrorKind::NotFound);
+            assert_eq!(
+                read(&blobs, &place, "cloud.ply").unwrap_err().kind(),
+                io::ErrorKind::NotFound
+            );
             publish(&blobs, &place).unwrap();
         })
         .await;
-        assert_eq!(site.on(1, |blobs| read(&blobs, &blobs.content("c"), "cloud.ply")).await.unwrap(), "points");
+        assert_eq!(
+            site.on(1, |blobs| read(&blobs, &blobs.content("c"), "cloud.ply")).await.unwrap(),
+            "points"
+        );
     }
 
     #[tokio::test]
     async fn of_two_who_publish_the_same_the_first_counts_and_nothing_of_the_other_stays() {
         let site = Site::of(2, u64::MAX, DAY).await;
         // Both are at it before either is done.
-        let prepared = site.on(1, |blobs| blobs.prepare(written(&blobs), &blobs.content("c")).unwrap()).await;
+        let prepared =
+            site.on(1, |blobs| blobs.prepare(written(&blobs), &blobs.content("c")).unwrap()).await;
         site.on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
         assert_eq!(site.keys().await.len(), 2 * FILES.len() + 1);
         site.on(1, |blobs| blobs.publish_prepared(prepared).unwrap()).await;
         for machine in 0..2 {
-            assert_eq!(site.on(machine, |blobs| read(&blobs, &blobs.content("c"), "cloud.ply")).await.unwrap(), "points");
+            assert_eq!(
+                site.on(machine, |blobs| read(&blobs, &blobs.content("c"), "cloud.ply"))
+                    .await
+                    .unwrap(),
+                "points"
+            );
         }
         gone_but(&site, FILES.len() + 1).await;
     }
@@ -411,11 +509,17 @@ mod tests {
         site.on(1, |blobs| read(&blobs, &blobs.content("c"), "cloud.ply").unwrap()).await;
         let blobs = site.machines[0].1.clone();
         blobs.discard(blobs.content("c")).await.unwrap();
-        assert_eq!(site.on(0, |blobs| blobs.look(&blobs.content("c"), Look::Names).unwrap().len()).await, 1);
+        assert_eq!(
+            site.on(0, |blobs| blobs.look(&blobs.content("c"), Look::Names).unwrap().len()).await,
+            1
+        );
         gone_but(&site, 0).await;
         site.on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
         // This one still has the seal of before, and not all the files.
-        assert_eq!(site.on(1, |blobs| all_of(&blobs, &blobs.content("c"))).await.len(), FILES.len());
+        assert_eq!(
+            site.on(1, |blobs| all_of(&blobs, &blobs.content("c"))).await.len(),
+            FILES.len()
+        );
     }
 
     #[tokio::test]
@@ -425,12 +529,18 @@ mod tests {
         site.on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
         let taken = other.set_aside(vec![other.content("c")]).await.unwrap().remove(0);
         other.put_back(taken, other.content("c")).await.unwrap();
-        assert_eq!(site.on(1, |blobs| all_of(&blobs, &blobs.content("c"))).await.len(), FILES.len());
+        assert_eq!(
+            site.on(1, |blobs| all_of(&blobs, &blobs.content("c"))).await.len(),
+            FILES.len()
+        );
         let taken = one.set_aside(vec![one.content("c")]).await.unwrap().remove(0);
         site.on(1, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
         one.put_back(taken, one.content("c")).await.unwrap();
         gone_but(&site, FILES.len() + 1).await;
-        assert_eq!(site.on(0, |blobs| all_of(&blobs, &blobs.content("c"))).await.len(), FILES.len());
+        assert_eq!(
+            site.on(0, |blobs| all_of(&blobs, &blobs.content("c"))).await.len(),
+            FILES.len()
+        );
     }
 
     #[tokio::test]
@@ -489,12 +599,16 @@ mod tests {
         let (folder, blobs) = &site.machines[0];
         let path = Utf8Path::from_path(folder.path()).unwrap();
         let (blobs, known) = (blobs.clone(), super::super::home::kept_in(path).unwrap());
-        let again = spawn_blocking(move || blobs.copying(other, "memory", known, u64::MAX).map(drop));
+        let again =
+            spawn_blocking(move || blobs.copying(other, "memory", known, u64::MAX).map(drop));
         assert!(matches!(again.await.unwrap(), Err(crate::store::StoreError::NotTogether)));
         assert!(matches!(
             Blobs::open(path, &BlobHome::Folder, Files::Used),
             Err(crate::store::StoreError::BlobsElsewhere { .. })
         ));
-        assert!(matches!(Blobs::look_only(path), Err(crate::store::StoreError::OnlyOfFolder { .. })));
+        assert!(matches!(
+            Blobs::look_only(path),
+            Err(crate::store::StoreError::OnlyOfFolder { .. })
+        ));
     }
 }

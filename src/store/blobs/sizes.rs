@@ -22,7 +22,8 @@ const BESIDE: [&str; 3] = ["uploads", "tmp", "quarantine"];
 pub struct Measured(HashMap<u64, u64>);
 
 impl Blobs {
-    /// Bytes of all files, by kind; folders that were measured before and do not change are believed.
+    /// Bytes of all files, by kind; folders that were measured before and do not change are
+    /// believed.
     ///
     /// # Errors
     /// Those of the file system. Folders that go meanwhile are none.
@@ -47,7 +48,8 @@ impl Blobs {
             while unknown.peek().is_some() {
                 let step: Vec<(u64, Utf8PathBuf)> = unknown.by_ref().take(STEP).collect();
                 let sizes = spawn_blocking(move || {
-                    let sizes = step.into_iter().map(|(key, folder)| Ok((key, bytes_below(&folder)?)));
+                    let sizes =
+                        step.into_iter().map(|(key, folder)| Ok((key, bytes_below(&folder)?)));
                     sizes.collect::<io::Result<Vec<_>>>()
                 });
                 for (key, bytes) in sizes.await?? {
@@ -102,8 +104,12 @@ mod tests {
     #[tokio::test]
     async fn sizes_are_those_of_the_files_and_follow_them() {
         let data = tempfile::tempdir().unwrap();
-        let blobs =
-            Blobs::open(Utf8Path::from_path(data.path()).unwrap(), &super::super::BlobHome::Folder, super::super::Files::Used).unwrap();
+        let blobs = Blobs::open(
+            Utf8Path::from_path(data.path()).unwrap(),
+            &super::super::BlobHome::Folder,
+            super::super::Files::Used,
+        )
+        .unwrap();
         for i in 0..STEP + 3 {
             let parse = blobs.parse(&i.to_string());
             fs::create_dir_all(parse.join("views")).unwrap();
@@ -113,7 +119,10 @@ mod tests {
         fs::write(blobs.checkpoints("c").join("log"), [0; 7]).unwrap();
         let mut measured = Measured::default();
         let sizes = blobs.sizes(&mut measured).await.unwrap();
-        assert_eq!((sizes["parses"], sizes["checkpoints"], sizes["contents"], sizes["tmp"]), (670, 7, 0, 0));
+        assert_eq!(
+            (sizes["parses"], sizes["checkpoints"], sizes["contents"], sizes["tmp"]),
+            (670, 7, 0, 0)
+        );
         fs::write(blobs.checkpoints("c").join("log"), [0; 9]).unwrap();
         fs::remove_dir_all(blobs.parse("0")).unwrap();
         let sizes = blobs.sizes(&mut measured).await.unwrap();

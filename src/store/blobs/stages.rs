@@ -1,5 +1,6 @@
-//! Finished stages of parses: in the data folder while a parse runs, and in the object store for whoever goes on with it elsewhere. Advice
-//! only: without them, or with half of one, it is computed again.
+//! Finished stages of parses: in the data folder while a parse runs, and in the object store for
+//! whoever goes on with it elsewhere. Advice only: without them, or with half of one, it is
+//! computed again.
 
 use super::objects::{Objects, StoredLog};
 use super::{Blobs, KeptCheckpoints};
@@ -35,7 +36,10 @@ impl StagesKept {
         let Some((looking, following)) = self.0.take() else { return };
         looking.abort();
         if timeout(PATIENCE, following.put_rest()).await.is_err() {
-            tracing::warn!(hash = following.hash, "finished stages could not be put into the object store in time");
+            tracing::warn!(
+                hash = following.hash,
+                "finished stages could not be put into the object store in time"
+            );
         }
     }
 }
@@ -49,7 +53,8 @@ impl Drop for StagesKept {
 }
 
 impl Blobs {
-    /// The folder for finished stages of a content, made where there is none, and in use from now on; with what the object store has of them.
+    /// The folder for finished stages of a content, made where there is none, and in use from now
+    /// on; with what the object store has of them.
     ///
     /// # Errors
     /// Those of the file system.
@@ -59,7 +64,11 @@ impl Blobs {
         if let Some(shared) = &self.shared
             && let Err(error) = self.bring_logs(&shared.objects, hash, &folder)
         {
-            tracing::warn!(hash, error = &error as &dyn std::error::Error, "finished stages can not be brought: they are computed again");
+            tracing::warn!(
+                hash,
+                error = &error as &dyn std::error::Error,
+                "finished stages can not be brought: they are computed again"
+            );
         }
         File::open(&folder)?.set_modified(SystemTime::now())?;
         Ok(folder)
@@ -80,11 +89,16 @@ impl Blobs {
         Ok(())
     }
 
-    /// Puts the logs of a content into the object store as stages are finished, as long as what is returned lives.
+    /// Puts the logs of a content into the object store as stages are finished, as long as what is
+    /// returned lives.
     #[must_use]
     pub fn keep_stages(&self, hash: &str) -> StagesKept {
         let Some(shared) = &self.shared else { return StagesKept(None) };
-        let following = Following { objects: shared.objects.clone(), hash: hash.to_owned(), folder: self.checkpoints(hash) };
+        let following = Following {
+            objects: shared.objects.clone(),
+            hash: hash.to_owned(),
+            folder: self.checkpoints(hash),
+        };
         let looking = tokio::spawn({
             let following = following.clone();
             async move {
@@ -122,7 +136,8 @@ impl Blobs {
         Ok(())
     }
 
-    /// All finished stages that are kept, here or in the object store, those first that were not used for longest.
+    /// All finished stages that are kept, here or in the object store, those first that were not
+    /// used for longest.
     ///
     /// # Errors
     /// Those of the file system; that the object store can not be used.
@@ -147,13 +162,17 @@ impl Blobs {
 }
 
 impl Following {
-    /// Puts logs that have come to rest, or have grown by a quarter: all in all little more than once.
+    /// Puts logs that have come to rest, or have grown by a quarter: all in all little more than
+    /// once.
     async fn put_finished(&self, put: &mut HashMap<String, u64>) {
         let Ok(logs) = self.logs_here().await else { return };
         for (name, bytes, changed) in logs {
             let before = put.get(&name).copied().unwrap_or(0);
             let is_at_rest = changed.elapsed().unwrap_or_default() >= AT_REST;
-            if bytes > before && (is_at_rest || bytes - before > before / 4) && self.put(&name).await {
+            if bytes > before
+                && (is_at_rest || bytes - before > before / 4)
+                && self.put(&name).await
+            {
                 put.insert(name, bytes);
             }
         }
@@ -161,18 +180,30 @@ impl Following {
 
     /// Puts what is not there yet, and removes what is of other settings by now.
     async fn put_rest(&self) {
-        let (Ok(here), Ok(there)) = (self.logs_here().await, self.objects.logs(&self.hash).await) else {
+        let (Ok(here), Ok(there)) = (self.logs_here().await, self.objects.logs(&self.hash).await)
+        else {
             tracing::warn!(hash = self.hash, "finished stages stay on this machine");
             return;
         };
-        let stored: HashMap<&str, u64> = there.iter().map(|log| (log.name.as_str(), log.bytes)).collect();
-        for (name, bytes, _) in here.iter().filter(|(name, bytes, _)| stored.get(name.as_str()) != Some(bytes)) {
-            tracing::debug!(hash = self.hash, name, bytes, "a finished stage goes into the object store");
+        let stored: HashMap<&str, u64> =
+            there.iter().map(|log| (log.name.as_str(), log.bytes)).collect();
+        for (name, bytes, _) in
+            here.iter().filter(|(name, bytes, _)| stored.get(name.as_str()) != Some(bytes))
+        {
+            tracing::debug!(
+                hash = self.hash,
+                name,
+                bytes,
+                "a finished stage goes into the object store"
+            );
             self.put(name).await;
         }
         for log in there.iter().filter(|log| here.iter().all(|(name, ..)| *name != log.name)) {
             if let Err(error) = self.objects.remove_log(&self.hash, &log.name).await {
-                tracing::debug!(error = &error as &dyn std::error::Error, "a stage of other settings stays");
+                tracing::debug!(
+                    error = &error as &dyn std::error::Error,
+                    "a stage of other settings stays"
+                );
             }
         }
     }

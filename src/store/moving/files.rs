@@ -21,15 +21,21 @@ pub struct KindOfFiles {
     /// Of uploads, files.
     pub folders: u64,
     pub bytes: u64,
-    /// Of these, what was written anew: the rest has a second name on the same disk, or had come before.
+    /// Of these, what was written anew: the rest has a second name on the same disk, or had come
+    /// before.
     pub copied_bytes: u64,
 }
 
 /// Folder, and what is wrong with it.
 type Damaged = Vec<(String, String)>;
 
-/// Brings all files to where others are missing, or are there already; what an earlier try has brought that is not wanted any more goes.
-pub fn move_files(from: &Blobs, to: &Blobs, tell: &Tell) -> Result<(Vec<KindOfFiles>, Damaged), MoveError> {
+/// Brings all files to where others are missing, or are there already; what an earlier try has
+/// brought that is not wanted any more goes.
+pub fn move_files(
+    from: &Blobs,
+    to: &Blobs,
+    tell: &Tell,
+) -> Result<(Vec<KindOfFiles>, Damaged), MoveError> {
     let (mut kinds, mut damaged) = (Vec::new(), Damaged::new());
     for kind in KINDS {
         let names: BTreeSet<String> = from.names(kind)?.into_iter().collect();
@@ -42,7 +48,8 @@ pub fn move_files(from: &Blobs, to: &Blobs, tell: &Tell) -> Result<(Vec<KindOfFi
         for name in names {
             let (source, place) = (from.place(kind, &name), to.place(kind, &name));
             let file_error = |error| MoveError::File { file: source.clone(), source: error };
-            moved.copied_bytes += move_folder(kind, &source, &place, to, &mut damaged).map_err(file_error)?;
+            moved.copied_bytes +=
+                move_folder(kind, &source, &place, to, &mut damaged).map_err(file_error)?;
             moved.bytes += size_of(&place).map_err(file_error)?;
             moved.folders += 1;
             tell(Progress { part: Part::Files(kind), done: moved.folders, of });
@@ -54,7 +61,13 @@ pub fn move_files(from: &Blobs, to: &Blobs, tell: &Tell) -> Result<(Vec<KindOfFi
 }
 
 /// Bytes that were written.
-fn move_folder(kind: &str, source: &Utf8Path, place: &Utf8Path, to: &Blobs, damaged: &mut Damaged) -> io::Result<u64> {
+fn move_folder(
+    kind: &str,
+    source: &Utf8Path,
+    place: &Utf8Path,
+    to: &Blobs,
+    damaged: &mut Damaged,
+) -> io::Result<u64> {
     let (scratch, copied) = match link(kind, source, to, damaged)? {
         Some(scratch) => (scratch, 0),
         None if kind != GROWING && is_same(source, place)? => return Ok(0),
@@ -75,8 +88,14 @@ fn is_same(source: &Utf8Path, place: &Utf8Path) -> io::Result<bool> {
     }
 }
 
-/// The files of a folder under a second name; nothing where the disk has no such thing, or it is another disk.
-fn link(kind: &str, source: &Utf8Path, to: &Blobs, damaged: &mut Damaged) -> io::Result<Option<Scratch>> {
+/// The files of a folder under a second name; nothing where the disk has no such thing, or it is
+/// another disk.
+fn link(
+    kind: &str,
+    source: &Utf8Path,
+    to: &Blobs,
+    damaged: &mut Damaged,
+) -> io::Result<Option<Scratch>> {
     if kind == GROWING {
         return Ok(None);
     }
@@ -89,12 +108,22 @@ fn link(kind: &str, source: &Utf8Path, to: &Blobs, damaged: &mut Damaged) -> io:
         }
     }
     let missing = look(source, Look::Names)?;
-    damaged.extend(missing.into_iter().map(|Damage { file, what }| (name_of(source), format!("{file} {what}"))));
+    damaged.extend(
+        missing
+            .into_iter()
+            .map(|Damage { file, what }| (name_of(source), format!("{file} {what}"))),
+    );
     Ok(Some(scratch))
 }
 
-/// A copy of a folder, every file held against its sum on the way; how many bytes. What was damaged before is copied as it is, and told.
-fn copy(kind: &str, source: &Utf8Path, to: &Blobs, damaged: &mut Damaged) -> io::Result<(Scratch, u64)> {
+/// A copy of a folder, every file held against its sum on the way; how many bytes. What was damaged
+/// before is copied as it is, and told.
+fn copy(
+    kind: &str,
+    source: &Utf8Path,
+    to: &Blobs,
+    damaged: &mut Damaged,
+) -> io::Result<(Scratch, u64)> {
     let mut scratch = to.scratch()?;
     let copied = match kind {
         GROWING => copy_as_it_is(source, scratch.path()).map_err(Unsound::NotWritten),
@@ -148,8 +177,14 @@ fn move_uploads(from: &Blobs, to: &Blobs, tell: &Tell) -> Result<KindOfFiles, Mo
     tell(Progress { part: Part::Files(UPLOADS), done: 0, of });
     for id in uploads {
         let file = from.upload(&id);
-        let bytes = fs::copy(&file, to.upload(&id)).map_err(|source| MoveError::File { file, source })?;
-        moved = KindOfFiles { folders: moved.folders + 1, bytes: moved.bytes + bytes, copied_bytes: moved.copied_bytes + bytes, ..moved };
+        let bytes =
+            fs::copy(&file, to.upload(&id)).map_err(|source| MoveError::File { file, source })?;
+        moved = KindOfFiles {
+            folders: moved.folders + 1,
+            bytes: moved.bytes + bytes,
+            copied_bytes: moved.copied_bytes + bytes,
+            ..moved
+        };
         tell(Progress { part: Part::Files(UPLOADS), done: moved.folders, of });
     }
     Ok(moved)
@@ -165,8 +200,14 @@ mod tests {
     /// Two data folders; in the first a published parse, checkpoints of a scan, half an upload.
     fn folders() -> (tempfile::TempDir, Blobs, Blobs) {
         let root = tempfile::tempdir().unwrap();
-        let [from, to] = ["old", "new"]
-            .map(|name| Blobs::open(&Utf8Path::from_path(root.path()).unwrap().join(name), &BlobHome::Folder, Files::Used).unwrap());
+        let [from, to] = ["old", "new"].map(|name| {
+            Blobs::open(
+                &Utf8Path::from_path(root.path()).unwrap().join(name),
+                &BlobHome::Folder,
+                Files::Used,
+            )
+            .unwrap()
+        });
         let scratch = from.scratch().unwrap();
         fs::create_dir(scratch.path().join("views")).unwrap();
         fs::write(scratch.path().join("cloud.ply"), "points").unwrap();
@@ -175,7 +216,9 @@ mod tests {
         fs::write(from.use_checkpoints("c").unwrap().join("stage.log"), "finished").unwrap();
         fs::write(from.upload("u"), "half").unwrap();
         let long_ago = SystemTime::now() - Duration::from_hours(99);
-        for place in [from.parse("p"), from.checkpoints("c"), from.checkpoints("c").join("stage.log")] {
+        for place in
+            [from.parse("p"), from.checkpoints("c"), from.checkpoints("c").join("stage.log")]
+        {
             File::open(place).unwrap().set_modified(long_ago).unwrap();
         }
         (root, from, to)
@@ -195,7 +238,8 @@ mod tests {
     fn what_does_not_change_gets_a_second_name_and_what_grows_a_copy() {
         let (_root, from, to) = folders();
         let (kinds, damaged) = moved(&from, &to);
-        let told: Vec<_> = kinds.iter().map(|kind| (kind.kind, kind.folders, kind.copied_bytes)).collect();
+        let told: Vec<_> =
+            kinds.iter().map(|kind| (kind.kind, kind.folders, kind.copied_bytes)).collect();
         assert_eq!(told, [("parses", 1, 0), ("checkpoints", 1, 8), ("uploads", 1, 4)]);
         assert_eq!(damaged, []);
         assert!(to.look(&to.parse("p"), Look::Bytes).unwrap().is_empty());
@@ -203,10 +247,17 @@ mod tests {
         for log in [from.checkpoints("c").join("stage.log"), from.upload("u")] {
             fs::write(log, "more").unwrap();
         }
-        assert_eq!((text(to.checkpoints("c").join("stage.log")), text(to.upload("u"))), ("finished".into(), "half".into()));
+        assert_eq!(
+            (text(to.checkpoints("c").join("stage.log")), text(to.upload("u"))),
+            ("finished".into(), "half".into())
+        );
         // Nothing is younger for having been moved.
-        assert!(to.older_than("parses", Duration::from_hours(98), SystemTime::now()).unwrap() == ["p"]);
-        assert!(to.kept_checkpoints().unwrap()[0].used.elapsed().unwrap() > Duration::from_hours(98));
+        assert!(
+            to.older_than("parses", Duration::from_hours(98), SystemTime::now()).unwrap() == ["p"]
+        );
+        assert!(
+            to.kept_checkpoints().unwrap()[0].used.elapsed().unwrap() > Duration::from_hours(98)
+        );
     }
 
     #[test]
@@ -219,11 +270,18 @@ mod tests {
         fs::remove_file(to.parse("p").join("views/1.jpg")).unwrap();
         fs::write(from.upload("u"), "all of it").unwrap();
         moved(&from, &to);
-        assert_eq!((to.names("parses").unwrap(), to.all_uploads().unwrap()), (vec!["p".to_owned()], vec!["u".to_owned()]));
-        assert_eq!((text(to.parse("p").join("views/1.jpg")), text(to.upload("u"))), ("picture".into(), "all of it".into()));
+        assert_eq!(
+            (to.names("parses").unwrap(), to.all_uploads().unwrap()),
+            (vec!["p".to_owned()], vec!["u".to_owned()])
+        );
+        assert_eq!(
+            (text(to.parse("p").join("views/1.jpg")), text(to.upload("u"))),
+            ("picture".into(), "all of it".into())
+        );
     }
 
-    /// As it goes to another disk: every file against its sum, and one that was damaged before is as it was.
+    /// As it goes to another disk: every file against its sum, and one that was damaged before is
+    /// as it was.
     #[test]
     fn a_copy_is_whole_or_told() {
         let (_root, from, to) = folders();
@@ -231,7 +289,10 @@ mod tests {
         let mut damaged = Damaged::new();
         let (scratch, bytes) = copy("parses", &source, &to, &mut damaged).unwrap();
         fs::rename(scratch.path(), &place).unwrap();
-        assert_eq!((bytes, size_of(&place).unwrap(), damaged.len()), (size_of(&source).unwrap(), bytes, 0));
+        assert_eq!(
+            (bytes, size_of(&place).unwrap(), damaged.len()),
+            (size_of(&source).unwrap(), bytes, 0)
+        );
         assert!(is_same(&source, &place).unwrap());
         fs::write(place.join("cloud.ply"), "pointz").unwrap();
         assert!(!is_same(&source, &place).unwrap());

@@ -1,12 +1,13 @@
 //! A store moved over to another data folder, another database, or both; `uniground migrate`.
 //!
-//! Nobody else may be at work on either side. What is moved stays where it was, as it was: rows are copied, files are given a second name or
-//! copied. Until the marker of the target's folder is written, last of all, the target is nobody's: its database knows an id that no folder
-//! has, and a folder that is new has a note instead of a marker, by which servers know that something is missing. Whoever is interrupted
-//! begins again: rows from the start, of the files what is missing.
+//! Nobody else may be at work on either side. What is moved stays where it was, as it was: rows are
+//! copied, files are given a second name or copied. Until the marker of the target's folder is
+//! written, last of all, the target is nobody's: its database knows an id that no folder has, and a
+//! folder that is new has a note instead of a marker, by which servers know that something is
+//! missing. Whoever is interrupted begins again: rows from the start, of the files what is missing.
 //!
-//! In place (the folder stays, the rows go to another database) it is the same, without files: the marker is the moment from which the
-//! folder belongs to the other database.
+//! In place (the folder stays, the rows go to another database) it is the same, without files: the
+//! marker is the moment from which the folder belongs to the other database.
 
 mod files;
 mod rows;
@@ -37,7 +38,9 @@ pub enum MoveError {
     From { data_dir: Utf8PathBuf, source: StoreError },
     #[error("the rows of {data_dir} are kept in {kept_in}: say so with --from-database")]
     FromOtherDatabase { data_dir: Utf8PathBuf, kept_in: &'static str },
-    #[error("scans and parses of {data_dir} are kept in {kept_in}, and those of a folder alone are moved")]
+    #[error(
+        "scans and parses of {data_dir} are kept in {kept_in}, and those of a folder alone are moved"
+    )]
     FromElsewhere { data_dir: Utf8PathBuf, kept_in: String },
     #[error("the target can not be used ({place})")]
     To { place: String, source: StoreError },
@@ -123,8 +126,8 @@ enum Files {
     Stay,
 }
 
-/// Moves everything over. What is moved is left as it was, but for the schema, which is brought up to date; in place, the file of a
-/// database that is not used any more gets another name.
+/// Moves everything over. What is moved is left as it was, but for the schema, which is brought up
+/// to date; in place, the file of a database that is not used any more gets another name.
 ///
 /// # Errors
 /// [`MoveError`]: nothing has moved, and it can be tried again.
@@ -133,8 +136,12 @@ pub async fn move_over(from: &Place, to: &Place, tell: Tell) -> Result<Moved, Mo
     let source = Store::open_known(&from.data_dir, &from.database, &BlobHome::Folder)
         .await
         .map_err(|source| match source {
-            StoreError::OtherDatabase { kept_in } => MoveError::FromOtherDatabase { data_dir: from.data_dir.clone(), kept_in },
-            StoreError::BlobsElsewhere { kept_in } => MoveError::FromElsewhere { data_dir: from.data_dir.clone(), kept_in },
+            StoreError::OtherDatabase { kept_in } => {
+                MoveError::FromOtherDatabase { data_dir: from.data_dir.clone(), kept_in }
+            }
+            StoreError::BlobsElsewhere { kept_in } => {
+                MoveError::FromElsewhere { data_dir: from.data_dir.clone(), kept_in }
+            }
             source => MoveError::From { data_dir: from.data_dir.clone(), source },
         })?;
     let brought = bring(&source, to, files, &tell).await;
@@ -147,7 +154,12 @@ pub async fn move_over(from: &Place, to: &Place, tell: Tell) -> Result<Moved, Mo
 }
 
 /// Brings everything that a place lacks to it.
-async fn bring(source: &Store, to: &Place, files: Files, tell: &Tell) -> Result<(Folder, Moved), MoveError> {
+async fn bring(
+    source: &Store,
+    to: &Place,
+    files: Files,
+    tell: &Tell,
+) -> Result<(Folder, Moved), MoveError> {
     let (path, engine) = (to.data_dir.clone(), to.database.engine()?);
     let current = (files == Files::Stay).then(|| (source.folder.id.clone(), source.engine));
     let opening = spawn_blocking(move || match current {
@@ -159,7 +171,8 @@ async fn bring(source: &Store, to: &Place, files: Files, tell: &Tell) -> Result<
     let rows = rows::move_rows(source, &database, &folder.id, tell).await;
     database.close().await;
     let rows::Rows { moved: rows, texts_changed } = rows?;
-    let mut moved = Moved { rows, texts_changed, files: Vec::new(), damaged: Vec::new(), set_aside: None };
+    let mut moved =
+        Moved { rows, texts_changed, files: Vec::new(), damaged: Vec::new(), set_aside: None };
     if files == Files::Move {
         let (from, to, tell) = (source.blobs.clone(), folder.clone(), tell.clone());
         let moving = spawn_blocking(move || files::move_files(&from, &to.blobs()?, &tell));
@@ -186,7 +199,9 @@ fn way(from: &Place, to: &Place) -> Result<Files, MoveError> {
         }
         false => Files::Move,
     };
-    match from.database == to.database && (files == Files::Stay || from.database != Location::Folder) {
+    match from.database == to.database
+        && (files == Files::Stay || from.database != Location::Folder)
+    {
         true => Err(MoveError::SameDatabase),
         false => Ok(files),
     }

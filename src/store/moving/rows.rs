@@ -17,8 +17,9 @@ use std::fmt::Write;
 use std::io;
 use tokio::task::spawn_blocking;
 
-/// Every table that moves, each after those its rows refer to. `data_folder`, which says whose a database is, and `members`, who is at work on
-/// it, are each database's own; so are vectors, which are made anew.
+/// Every table that moves, each after those its rows refer to. `data_folder`, which says whose a
+/// database is, and `members`, who is at work on it, are each database's own; so are vectors, which
+/// are made anew.
 const TABLES: [&str; 23] = [
     "contents",
     "parses",
@@ -46,7 +47,8 @@ const TABLES: [&str; 23] = [
 ];
 /// Rows that are read, and written in one transaction.
 const ROWS: usize = 1000;
-/// Rows that one statement writes: the time SQLite takes to read a statement grows with the square of its parameters.
+/// Rows that one statement writes: the time SQLite takes to read a statement grows with the square
+/// of its parameters.
 const ROWS_OF_STATEMENT: usize = 50;
 
 /// What a column holds: a value that is not there has a type, too.
@@ -72,8 +74,8 @@ pub struct Database {
 }
 
 impl Database {
-    /// A database with the schema and no rows: a new file, or one of a server's that is empty or was begun for the same folder. The folder is
-    /// begun, too, once nothing speaks against it.
+    /// A database with the schema and no rows: a new file, or one of a server's that is empty or
+    /// was begun for the same folder. The folder is begun, too, once nothing speaks against it.
     pub async fn open(location: &Location, folder: &mut Folder) -> Result<Self, MoveError> {
         let not_used = |source: StoreError| MoveError::To { place: location.to_string(), source };
         let members = Membership::join(location, Company::None, LEASE).await.map_err(not_used)?;
@@ -136,13 +138,21 @@ async fn begin(folder: &Folder) -> Result<(), MoveError> {
     spawn_blocking(move || folder.begin()).await.map_err(io::Error::other)?
 }
 
-/// Whether a database that is not empty was begun for a folder of this id. Every server writes down whose a database is before anything else.
-async fn was_begun_for(id: &str, Connections { engine, writer, .. }: &Connections, location: &Location) -> Result<bool, MoveError> {
+/// Whether a database that is not empty was begun for a folder of this id. Every server writes down
+/// whose a database is before anything else.
+async fn was_begun_for(
+    id: &str,
+    Connections { engine, writer, .. }: &Connections,
+    location: &Location,
+) -> Result<bool, MoveError> {
     let tables: Vec<String> = sqlx::query_scalar(engine.tables()).fetch_all(writer).await?;
     if !tables.iter().any(|table| table == "data_folder") {
         return Ok(false);
     }
-    match sqlx::query_scalar::<_, String>("SELECT id FROM data_folder").fetch_optional(writer).await? {
+    match sqlx::query_scalar::<_, String>("SELECT id FROM data_folder")
+        .fetch_optional(writer)
+        .await?
+    {
         None => Ok(false),
         Some(known) if known == id => Ok(true),
         Some(_) => {
@@ -154,9 +164,16 @@ async fn was_begun_for(id: &str, Connections { engine, writer, .. }: &Connection
     }
 }
 
-/// Moves all rows to a database, which belongs to a folder of this id from the first of them on: no other folder's server takes it.
-pub async fn move_rows(source: &Store, target: &Database, id: &str, tell: &Tell) -> Result<Rows, MoveError> {
-    let since: String = sqlx::query_scalar("SELECT since FROM data_folder").fetch_one(&source.reader).await?;
+/// Moves all rows to a database, which belongs to a folder of this id from the first of them on: no
+/// other folder's server takes it.
+pub async fn move_rows(
+    source: &Store,
+    target: &Database,
+    id: &str,
+    tell: &Tell,
+) -> Result<Rows, MoveError> {
+    let since: String =
+        sqlx::query_scalar("SELECT since FROM data_folder").fetch_one(&source.reader).await?;
     target.introduce(id, &since).await?;
     let mut from = without_haste(&source.reader, source.engine).await?;
     let mut rows = Rows { moved: Vec::new(), texts_changed: 0 };
@@ -185,7 +202,10 @@ async fn move_table(
 ) -> Result<u64, StoreError> {
     let sql = format!("SELECT count(*) FROM {table}");
     let of: i64 = sqlx::query_scalar(AssertSqlSafe(sql)).fetch_one(&mut *from).await?;
-    let (mut progress, columns) = (Progress { part: Part::Rows(table), done: 0, of: number(of)? }, columns_of(target, table).await?);
+    let (mut progress, columns) = (
+        Progress { part: Part::Rows(table), done: 0, of: number(of)? },
+        columns_of(target, table).await?,
+    );
     tell(progress);
     let sql = format!("SELECT {} FROM {table}", names(&columns));
     let mut chunks = sqlx::query(AssertSqlSafe(sql)).fetch(from).try_chunks(ROWS);
@@ -210,7 +230,8 @@ fn write<'q>(
     texts_changed: &mut u64,
 ) -> sqlx::Result<Query<'q, Any, AnyArguments>> {
     // Not kept prepared: sqlx takes a number that is not there for a smaller type than one that is.
-    let mut query = sqlx::query(AssertSqlSafe(insert(table, columns, rows.len()))).persistent(false);
+    let mut query =
+        sqlx::query(AssertSqlSafe(insert(table, columns, rows.len()))).persistent(false);
     for row in rows {
         for (place, (_, kind)) in columns.iter().enumerate() {
             query = match kind {
@@ -230,7 +251,8 @@ fn write<'q>(
 
 /// Columns to write, as the target has them: both have the same schema.
 async fn columns_of(target: &Database, table: &str) -> sqlx::Result<Vec<(String, Kind)>> {
-    let columns: Vec<(String, String)> = sqlx::query_as(target.engine.columns()).bind(table).fetch_all(target.writer.pool()).await?;
+    let columns: Vec<(String, String)> =
+        sqlx::query_as(target.engine.columns()).bind(table).fetch_all(target.writer.pool()).await?;
     let columns = columns.into_iter().map(|(name, type_name)| match type_name.as_str() {
         "text" => Ok((name, Kind::Text)),
         "integer" | "bigint" => Ok((name, Kind::Integer)),
@@ -272,26 +294,40 @@ mod tests {
     use crate::store::BlobHome;
     use camino::Utf8Path;
 
-    /// A table that is made by a migration moves, or stands among those that do not; and none comes before one its rows refer to.
+    /// A table that is made by a migration moves, or stands among those that do not; and none comes
+    /// before one its rows refer to.
     #[tokio::test]
     async fn no_table_is_forgotten() {
         let place = tempfile::tempdir().unwrap();
-        let store = Store::open_as_it_is(Utf8Path::from_path(place.path()).unwrap(), &Location::Folder, &BlobHome::Folder)
-            .await
-            .unwrap();
-        let mut tables: Vec<String> = sqlx::query_scalar(Engine::Sqlite.tables()).fetch_all(&store.reader).await.unwrap();
+        let store = Store::open_as_it_is(
+            Utf8Path::from_path(place.path()).unwrap(),
+            &Location::Folder,
+            &BlobHome::Folder,
+        )
+        .await
+        .unwrap();
+        let mut tables: Vec<String> =
+            sqlx::query_scalar(Engine::Sqlite.tables()).fetch_all(&store.reader).await.unwrap();
         tables.sort();
-        let mut known: Vec<&str> = TABLES.into_iter().chain(["_sqlx_migrations", "data_folder", "members"]).collect();
+        let mut known: Vec<&str> =
+            TABLES.into_iter().chain(["_sqlx_migrations", "data_folder", "members"]).collect();
         known.sort_unstable();
         assert_eq!(tables, known, "what becomes of a table when a store is moved?");
         for (place, table) in TABLES.iter().enumerate() {
             let sql = "SELECT \"table\" FROM pragma_foreign_key_list($1)";
-            let above: Vec<String> = sqlx::query_scalar(sql).bind(*table).fetch_all(&store.reader).await.unwrap();
-            assert!(above.iter().all(|above| TABLES[..place].contains(&&**above)), "{table} comes before {above:?}");
+            let above: Vec<String> =
+                sqlx::query_scalar(sql).bind(*table).fetch_all(&store.reader).await.unwrap();
+            assert!(
+                above.iter().all(|above| TABLES[..place].contains(&&**above)),
+                "{table} comes before {above:?}"
+            );
         }
         for table in TABLES {
-            let columns: Vec<(String, String)> =
-                sqlx::query_as(Engine::Sqlite.columns()).bind(table).fetch_all(&store.reader).await.unwrap();
+            let columns: Vec<(String, String)> = sqlx::query_as(Engine::Sqlite.columns())
+                .bind(table)
+                .fetch_all(&store.reader)
+                .await
+                .unwrap();
             assert!(!columns.is_empty() && columns.len() * ROWS_OF_STATEMENT < 1 << 15, "{table}");
         }
         store.close().await;

@@ -5,7 +5,8 @@ use uniground_core::geometry::boxes::{Aabb, OrientedBox};
 use uniground_core::geometry::colour::ColourHistogram;
 use uniground_core::scene::{Instance, InstanceId, Level, NameGuess, Structure, Support, View};
 
-/// One object candidate. Lengths in metres, world frame (Z up). Only the id and the box must be there.
+/// One object candidate. Lengths in metres, world frame (Z up). Only the id and the box must be
+/// there.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct InstanceRecord {
     id: InstanceId,
@@ -48,7 +49,8 @@ pub struct InstanceRecord {
 
 impl From<&Instance> for InstanceRecord {
     fn from(instance: &Instance) -> Self {
-        // Every field by name: a new one does not compile until somebody decides whether it is stored.
+        // Every field by name: a new one does not compile until somebody decides whether it is
+        // stored.
         let Instance {
             id,
             level,
@@ -124,7 +126,11 @@ impl From<InstanceRecord> for Instance {
             things,
             aabb,
             raw_box: raw_box.unwrap_or(aabb),
-            oriented_box: oriented_box.unwrap_or(OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 }),
+            oriented_box: oriented_box.unwrap_or(OrientedBox {
+                center: aabb.center,
+                size: aabb.size,
+                yaw_rad: 0.0,
+            }),
             point_count,
             mean_rgb,
             colours,
@@ -152,10 +158,18 @@ mod tests {
         let stored = r#"{"id": 7, "aabb": {"center": [1, 2, 3], "size": [1, 1, 1]}, "names": [{"name": "mug", "score": 0.5}], "mood": "blue",
                 "views": [{"frame": 3, "visible_points": 9, "box_px": [1, 2, 3, 4]}]}"#;
         let instance: Instance = serde_json::from_str::<InstanceRecord>(stored).unwrap().into();
-        assert_eq!((instance.id.0, instance.label(), instance.support), (7, "mug", Support::Nothing));
-        assert_eq!((instance.views[0].box_px, &instance.views[0].mask), ([1, 2, 3, 4], &None), "made before masks were kept");
+        assert_eq!(
+            (instance.id.0, instance.label(), instance.support),
+            (7, "mug", Support::Nothing)
+        );
+        assert_eq!(
+            (instance.views[0].box_px, &instance.views[0].mask),
+            ([1, 2, 3, 4], &None),
+            "made before masks were kept"
+        );
         let again = InstanceRecord::from(&instance);
-        let read: InstanceRecord = serde_json::from_str(&serde_json::to_string(&again).unwrap()).unwrap();
+        let read: InstanceRecord =
+            serde_json::from_str(&serde_json::to_string(&again).unwrap()).unwrap();
         assert_eq!(Instance::from(read), instance);
     }
 }

@@ -3,20 +3,23 @@
 use serde_json::Value;
 use uniground_types::settings::{ParseSettings, with_names_of_today};
 
-/// Settings under the names they have today. A value that is none of today's is left at its default: the settings are told to people
-/// and never used again.
+/// Settings under the names they have today. A value that is none of today's is left at its
+/// default: the settings are told to people and never used again.
 pub(super) fn read(mut stored: Value) -> ParseSettings {
     with_names_of_today(&mut stored);
     without_steps_of_today(&mut stored);
     if let Ok(settings) = serde_json::from_value(stored.clone()) {
         return settings;
     }
-    let Ok(mut whole) = serde_json::to_value(ParseSettings::default()) else { return ParseSettings::default() };
+    let Ok(mut whole) = serde_json::to_value(ParseSettings::default()) else {
+        return ParseSettings::default();
+    };
     overlay(&mut whole, &stored, &mut Vec::new());
     serde_json::from_value(whole).unwrap_or_default()
 }
 
-/// A parse without the switch of a younger step of stage 1 was made without the step, whatever the default is today.
+/// A parse without the switch of a younger step of stage 1 was made without the step, whatever the
+/// default is today.
 fn without_steps_of_today(stored: &mut Value) {
     let young = [
         ("/parsing", "refine_borders", Value::Bool(false)),
@@ -37,7 +40,8 @@ fn without_steps_of_today(stored: &mut Value) {
     }
 }
 
-/// Takes over what is known and can be read, value by value; `path` leads to where `stored` belongs in `whole`.
+/// Takes over what is known and can be read, value by value; `path` leads to where `stored` belongs
+/// in `whole`.
 fn overlay(whole: &mut Value, stored: &Value, path: &mut Vec<String>) {
     let pointer: String = path.iter().map(|key| format!("/{key}")).collect();
     let Some(known) = whole.pointer(&pointer) else { return };

@@ -23,8 +23,12 @@ async fn until(what: &str, mut is_so: impl AsyncFnMut() -> bool) {
 /// US dollars spent, and calls under way for which money is reserved.
 async fn spending(server: &TestServer) -> (f64, i64) {
     let mut database = rows(server.data()).await;
-    let usd: Option<f64> = sqlx::query_scalar("SELECT sum(usd) FROM spending").fetch_one(&mut database).await.unwrap();
-    let reserved: i64 = sqlx::query_scalar("SELECT count(*) FROM reservations").fetch_one(&mut database).await.unwrap();
+    let usd: Option<f64> =
+        sqlx::query_scalar("SELECT sum(usd) FROM spending").fetch_one(&mut database).await.unwrap();
+    let reserved: i64 = sqlx::query_scalar("SELECT count(*) FROM reservations")
+        .fetch_one(&mut database)
+        .await
+        .unwrap();
     (usd.unwrap_or(0.0), reserved)
 }
 
@@ -46,8 +50,9 @@ async fn send(server: &TestServer, scene: &str, request: &GroundRequest) -> TcpS
     stream
 }
 
-/// The model is being called when its caller hangs up: the call ends, what it may have cost is written down, and its place goes to the next
-/// question. Whether the model has begun to answer or not.
+/// The model is being called when its caller hangs up: the call ends, what it may have cost is
+/// written down, and its place goes to the next question. Whether the model has begun to answer or
+/// not.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_caller_that_hangs_up_during_a_model_call_stops_it_and_frees_its_place() {
     for never in [Scripted::Silent, Scripted::Stall] {
@@ -74,18 +79,29 @@ async fn a_caller_that_hangs_up_during_a_model_call_stops_it_and_frees_its_place
         let left = timeout(Duration::from_mins(1), script.left.cancelled()).await;
         assert!(left.is_ok(), "{never:?}: the model's server is still being called");
         until("the call is settled", async || spending(&server).await.1 == 0).await;
-        assert!(spending(&server).await.0 > 0.5, "{never:?}: the model was asked, whoever waits for it");
-        until("its place is free", async || has_metric(&server, "uniground_vlm_questions_waiting 0").await).await;
+        assert!(
+            spending(&server).await.0 > 0.5,
+            "{never:?}: the model was asked, whoever waits for it"
+        );
+        until("its place is free", async || {
+            has_metric(&server, "uniground_vlm_questions_waiting 0").await
+        })
+        .await;
         assert!(has_metric(&server, "uniground_vlm_calls_total{outcome=\"abandoned\"} 1").await);
 
         script.next(vec![six_lines("none", "", true, 1)]);
         let next = server.client.ground(&scene, &asked).await.unwrap();
-        assert_eq!((next.usage.vlm_calls > 0, next.degraded), (true, false), "{never:?}: the only permit is free again");
+        assert_eq!(
+            (next.usage.vlm_calls > 0, next.degraded),
+            (true, false),
+            "{never:?}: the only permit is free again"
+        );
         server.stop().await;
     }
 }
 
-/// Asks questions that may take longer and longer, until the model was called for one that took too long.
+/// Asks questions that may take longer and longer, until the model was called for one that took too
+/// long.
 pub async fn time_out_during_a_call(server: &TestServer, scene: &str, script: &Script) {
     let calls = script.calls();
     for seconds in [0.3, 1.0, 4.0, 16.0] {

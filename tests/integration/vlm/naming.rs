@@ -1,4 +1,5 @@
-//! Names that a model gives without having heard a question: asked for once, and an index from the day all are there.
+//! Names that a model gives without having heard a question: asked for once, and an index from the
+//! day all are there.
 
 use super::{QUERY, builtin, by, config, pictures_of, purposes, six_lines, start, text_of};
 use crate::script::{Script, Scripted, says};
@@ -17,13 +18,20 @@ async fn names_are_asked_for_once() {
     let (server, scene) = start(config(&script.serve(vec![says("-")]).await)).await;
     let plain = builtin(&server, &scene).await;
     let ids: Vec<u32> = plain.candidates.as_ref().unwrap().iter().map(|c| c.id.0).collect();
-    let named = ids.iter().map(|id| format!("{id} -> red thing number {id}")).collect::<Vec<_>>().join("\n");
+    let named = ids
+        .iter()
+        .map(|id| format!("{id} -> red thing number {id}"))
+        .collect::<Vec<_>>()
+        .join("\n");
     let cached = || GroundRequest { evidence: EvidenceMode::CachedNames, ..ask(QUERY) };
     script.next(vec![says(&named), six_lines(ids[0], "", true, 1)]);
     let answer = server.client.ground(&scene, &cached()).await.unwrap();
     assert_eq!(purposes(&answer), ["naming", "spatial"]);
     let sent = script.take();
-    assert!(pictures_of(&sent[0]) == 1 && !text_of(&sent[0]).contains("mug"), "names do not know the question");
+    assert!(
+        pictures_of(&sent[0]) == 1 && !text_of(&sent[0]).contains("mug"),
+        "names do not know the question"
+    );
     assert!(text_of(&sent[1]).contains(&format!("\"red thing number {}\"", ids[0])));
     assert!(pictures_of(&sent[1]) < 1 + ids.len());
     // Again: nobody is asked for names; and they can be looked up.
@@ -34,28 +42,40 @@ async fn names_are_asked_for_once() {
     assert_eq!(of(ids[0]), Some(format!("red thing number {}", ids[0])));
     assert!(instances.iter().any(|i| i.model_name.is_none()));
 
-    // All the others, up front, in the background: things, parts and wholes. From then on names decide.
+    // All the others, up front, in the background: things, parts and wholes. From then on names
+    // decide.
     let theremin = || GroundRequest { reasoner: ReasonerChoice::Builtin, ..ask("the theremin") };
     let before = server.client.ground(&scene, &theremin()).await.unwrap();
     assert_eq!((before.status, before.models.names), (Status::NoMatch, None));
     let instances = server.client.all_instances(&scene, Levels::All).await.unwrap();
     let unnamed = |i: &&InstanceView| i.structure.is_none() && i.model_name.is_none();
     let chosen = instances.iter().find(unnamed).unwrap().id;
-    let name = |i: &InstanceView| format!("{}: {}", i.id.0, if i.id == chosen { "small wooden theremin" } else { "grey box" });
+    let name = |i: &InstanceView| {
+        format!("{}: {}", i.id.0, if i.id == chosen { "small wooden theremin" } else { "grey box" })
+    };
     script.next(vec![says(&instances.iter().map(name).collect::<Vec<_>>().join("\n"))]);
     script.take();
-    let job = finished(&server.client, &server.client.name_instances(&scene).await.unwrap().id).await;
+    let job =
+        finished(&server.client, &server.client.name_instances(&scene).await.unwrap().id).await;
     assert_eq!((job.kind.as_str(), job.error.clone()), ("naming", None), "{job:?}");
     let (calls, wanted) = (script.calls(), instances.iter().filter(unnamed).count());
     assert!((2..=wanted.div_ceil(12)).contains(&calls), "{calls} calls for {wanted} instances");
     let named = server.client.all_instances(&scene, Levels::All).await.unwrap();
     let of = |id: u32| named.iter().find(|i| i.id.0 == id).unwrap();
-    assert_eq!(of(ids[0]).model_name, Some(format!("red thing number {}", ids[0])), "names that were given stay");
+    assert_eq!(
+        of(ids[0]).model_name,
+        Some(format!("red thing number {}", ids[0])),
+        "names that were given stay"
+    );
     assert_eq!(of(chosen.0).label, "small wooden theremin");
     let after = server.client.ground(&scene, &theremin()).await.unwrap();
-    assert_eq!((after.answer.predicted_id, after.models.names.as_deref()), (Some(chosen), Some("scripted (naming 2)")));
+    assert_eq!(
+        (after.answer.predicted_id, after.models.names.as_deref()),
+        (Some(chosen), Some("scripted (naming 2)"))
+    );
     assert!(after.targets[0].name.ends_with("small wooden theremin"), "{}", after.targets[0].name);
-    let again: Job = finished(&server.client, &server.client.name_instances(&scene).await.unwrap().id).await;
+    let again: Job =
+        finished(&server.client, &server.client.name_instances(&scene).await.unwrap().id).await;
     assert!(again.error.is_none() && script.calls() == calls, "nothing is paid for twice");
     server.stop().await;
 }
@@ -71,7 +91,9 @@ async fn a_scene_is_named_with_its_parse_or_before_the_first_question() {
         let script = Script::default();
         let url = script.serve(vec![names_for_all()]).await;
         let (server, scene) = start(VlmConfig { names, ..config(&url) }).await;
-        let namings = || async { server.client.jobs(&[("kind", "naming"), ("subject", &scene)]).await.unwrap().jobs };
+        let namings = || async {
+            server.client.jobs(&[("kind", "naming"), ("subject", &scene)]).await.unwrap().jobs
+        };
         if first == "naming" {
             let job = loop {
                 match namings().await.into_iter().next() {

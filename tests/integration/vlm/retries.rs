@@ -9,8 +9,15 @@ use uniground_types::answer::Answer;
 use uniground_types::problem::Problem;
 use uniground_types::question::{GroundRequest, Include, ReasonerChoice};
 
-async fn send(client: &uniground_client::Client, scene: &str, key: &str, request: &GroundRequest) -> Response {
-    let asked = client.request(Method::POST, &format!("v1/scenes/{scene}/ground")).header("idempotency-key", key);
+async fn send(
+    client: &uniground_client::Client,
+    scene: &str,
+    key: &str,
+    request: &GroundRequest,
+) -> Response {
+    let asked = client
+        .request(Method::POST, &format!("v1/scenes/{scene}/ground"))
+        .header("idempotency-key", key);
     asked.json(request).send().await.unwrap()
 }
 
@@ -47,12 +54,14 @@ async fn a_retry_never_pays_twice() {
         let (answer, again) = told(send(client, &scene, "k3", &brief).await).await;
         assert!(again == replayed && answer.candidates.is_none() && answer.trace.is_some());
     }
-    let refused: Problem = send(client, &scene, &"k".repeat(300), &asked).await.json().await.unwrap();
+    let refused: Problem =
+        send(client, &scene, &"k".repeat(300), &asked).await.json().await.unwrap();
     assert_eq!((refused.status, refused.errors[0].pointer.as_str()), (422, "Idempotency-Key"));
     server.stop().await;
 }
 
-/// Who asks again while the first is still being answered waits for it; who hung up comes back to its answer.
+/// Who asks again while the first is still being answered waits for it; who hung up comes back to
+/// its answer.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_lost_connection_is_no_second_call() {
     let script = Script::default();
@@ -60,12 +69,15 @@ async fn a_lost_connection_is_no_second_call() {
     let (server, scene) = start(config(&url)).await;
     let client = &server.client;
     let id = builtin(&server, &scene).await.answer.predicted_id.unwrap();
-    let slow = |id| Scripted::Slowly(Duration::from_millis(600), Box::new(six_lines(id, "", true, 1)));
+    let slow =
+        |id| Scripted::Slowly(Duration::from_millis(600), Box::new(six_lines(id, "", true, 1)));
     script.next(vec![slow(id)]);
     let asked = by(ReasonerChoice::Vlm);
-    let gone = tokio::time::timeout(Duration::from_millis(200), send(client, &scene, "k", &asked)).await;
+    let gone =
+        tokio::time::timeout(Duration::from_millis(200), send(client, &scene, "k", &asked)).await;
     assert!(gone.is_err(), "the model takes longer");
-    let (one, two) = tokio::join!(send(client, &scene, "k", &asked), send(client, &scene, "k", &asked));
+    let (one, two) =
+        tokio::join!(send(client, &scene, "k", &asked), send(client, &scene, "k", &asked));
     let (one, two) = (told(one).await, told(two).await);
     assert_eq!((&one, script.calls()), (&two, 1));
     assert!(one.1 && one.0.usage.cost_usd > 0.0, "both are told what the first got");

@@ -15,7 +15,11 @@ async fn down(server: &TestServer, scene: &str) {
     assert_eq!((error.status, error.code.as_str()), (503, "vlm_down"), "{}", error.detail);
     assert!(error.retry_after_s.is_some_and(|wait| (1..=10).contains(&wait)), "{error:?}");
     let answer = server.client.ground(scene, &ask(QUERY)).await.unwrap();
-    assert!(answer.degraded && corrections(&answer).contains("is down"), "{}", corrections(&answer));
+    assert!(
+        answer.degraded && corrections(&answer).contains("is down"),
+        "{}",
+        corrections(&answer)
+    );
     assert!(asked_at.elapsed() < Duration::from_secs(1), "{:?}", asked_at.elapsed());
 }
 
@@ -29,7 +33,11 @@ async fn at_the_deadline_there_is_the_built_in_answer() {
     let hurried = |reasoner| GroundRequest { timeout_s: Some(0.5), ..by(reasoner) };
     let answer = server.client.ground(&scene, &hurried(ReasonerChoice::Auto)).await.unwrap();
     assert!(answer.degraded && answer.answer == plain.answer, "{answer:?}");
-    assert!(corrections(&answer).contains("did not answer within 0.5 s"), "{}", corrections(&answer));
+    assert!(
+        corrections(&answer).contains("did not answer within 0.5 s"),
+        "{}",
+        corrections(&answer)
+    );
     let error = problem(server.client.ground(&scene, &hurried(ReasonerChoice::Vlm)).await);
     assert_eq!((error.status, error.code.as_str()), (504, "question_timed_out"));
     server.stop().await;
@@ -48,7 +56,11 @@ async fn a_model_that_can_not_be_asked_is_told_or_replaced() {
         (vec![fails(500, "oops")], 5, "500 Internal Server Error: oops"),
         (vec![Scripted::After(429, "0")], 5, "429"),
         (vec![Scripted::Text("<html>".into())], 5, "no chat completion"),
-        (vec![Scripted::Json(200, json!({"object": "chat.completion"}))], 5, "missing field `choices`"),
+        (
+            vec![Scripted::Json(200, json!({"object": "chat.completion"}))],
+            5,
+            "missing field `choices`",
+        ),
         (vec![Scripted::Json(200, json!({"choices": []}))], 5, "there is no choice"),
         (vec![Scripted::Flood], 1, "longer than"),
     ] {
@@ -62,23 +74,38 @@ async fn a_model_that_can_not_be_asked_is_told_or_replaced() {
             error.detail
         );
         assert!(
-            error.detail.contains(told) && error.detail.contains(&format!("in {attempts} attempts")),
+            error.detail.contains(told)
+                && error.detail.contains(&format!("in {attempts} attempts")),
             "{told}: {}",
             error.detail
         );
 
         let answer = server.client.ground(&scene, &by(ReasonerChoice::Auto)).await.unwrap();
-        assert!(answer.degraded && answer.models.reasoner == "builtin-3" && answer.answer == plain.answer, "{told}");
+        assert!(
+            answer.degraded
+                && answer.models.reasoner == "builtin-3"
+                && answer.answer == plain.answer,
+            "{told}"
+        );
         assert!(corrections(&answer).contains(told), "{}", corrections(&answer));
         let call = &answer.trace.unwrap().calls[0];
-        assert_eq!((call.attempts as usize, call.error.as_ref().is_some_and(|e| e.contains(told))), (attempts, true), "{told}");
+        assert_eq!(
+            (call.attempts as usize, call.error.as_ref().is_some_and(|e| e.contains(told))),
+            (attempts, true),
+            "{told}"
+        );
         assert_eq!(answer.usage.vlm_calls, 0);
         let reply = server.client.answer_reply(&answer.id).await.unwrap();
-        assert!(reply.calls[0].text.is_none() && reply.calls[0].error.as_ref().unwrap().contains(told));
+        assert!(
+            reply.calls[0].text.is_none() && reply.calls[0].error.as_ref().unwrap().contains(told)
+        );
     }
     // What is asked for is waited for.
     script.take();
-    script.next(vec![Scripted::After(429, "1"), six_lines(plain.answer.predicted_id.unwrap(), "", true, 1)]);
+    script.next(vec![
+        Scripted::After(429, "1"),
+        six_lines(plain.answer.predicted_id.unwrap(), "", true, 1),
+    ]);
     let asked_at = std::time::Instant::now();
     let answer = server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await.unwrap();
     assert_eq!(answer.trace.unwrap().calls[0].attempts, 2);
@@ -87,16 +114,22 @@ async fn a_model_that_can_not_be_asked_is_told_or_replaced() {
 
     // A body whose end never comes: from then on its server is taken to be down.
     script.next(vec![Scripted::Stall]);
-    let (server, scene) = start(VlmConfig { vlm_attempts: 2, vlm_timeout_s: 1, ..config(&url) }).await;
+    let (server, scene) =
+        start(VlmConfig { vlm_attempts: 2, vlm_timeout_s: 1, ..config(&url) }).await;
     let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
     assert_eq!((error.status, error.code.as_str()), (502, "vlm_unavailable"));
-    assert!(error.detail.contains("timed out") && error.detail.contains("in 2 attempts"), "{}", error.detail);
+    assert!(
+        error.detail.contains("timed out") && error.detail.contains("in 2 attempts"),
+        "{}",
+        error.detail
+    );
     down(&server, &scene).await;
     server.stop().await;
     // Nobody there; somebody who does not speak TLS.
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     for url in [format!("http://127.0.0.1:{port}/v1"), url.replace("http://", "https://")] {
-        let (server, scene) = start(VlmConfig { vlm_attempts: 2, vlm_timeout_s: 1, ..config(&url) }).await;
+        let (server, scene) =
+            start(VlmConfig { vlm_attempts: 2, vlm_timeout_s: 1, ..config(&url) }).await;
         // Where the look at the start is some seconds ago, the first question tries it.
         assert!(server.client.ground(&scene, &ask(QUERY)).await.unwrap().degraded);
         down(&server, &scene).await;

@@ -1,6 +1,9 @@
-//! A model sees in a photograph what was not listed: the place becomes an instance, and the model is asked again with it.
+//! A model sees in a photograph what was not listed: the place becomes an instance, and the model
+//! is asked again with it.
 
-use super::{Script, config, corrections, pictures_of, purposes, sample, six_lines, start, text_of};
+use super::{
+    Script, config, corrections, pictures_of, purposes, sample, six_lines, start, text_of,
+};
 use crate::neural::tiny;
 use crate::script::{Scripted, says};
 use crate::server::{TestServer, ask};
@@ -13,7 +16,8 @@ use uniground_types::question::{GroundRequest, PromptVersion};
 const QUERY: &str = "the porcelain teapot";
 const NAME: &str = "white porcelain teapot";
 
-/// "Not listed", and where it is seen: in the whole photograph below the crop of the collage that comes as this image.
+/// "Not listed", and where it is seen: in the whole photograph below the crop of the collage that
+/// comes as this image.
 fn sees(image: usize, (x, y): (u32, u32)) -> Scripted {
     says(&format!(
         "Predicted ID: not listed\nExplanation: it stands there\nCandidate Names: none\nTarget name matches?: false\nAnchor ID: unknown\n\
@@ -41,16 +45,27 @@ async fn what_is_seen_but_not_listed_becomes_an_instance() {
 
     // A place in the render is told, but shows no photograph.
     let answer = asked(vec![sees(1, (500, 500))]).await;
-    assert_eq!((answer.status, answer.no_match_reason), (Status::NoMatch, Some(NoMatchReason::NotListed)));
+    assert_eq!(
+        (answer.status, answer.no_match_reason),
+        (Status::NoMatch, Some(NoMatchReason::NotListed))
+    );
     assert_eq!((answer.seen.as_ref().unwrap().name.as_str(), purposes(&answer).len()), (NAME, 1));
 
-    // Somewhere in the photographs lies something that is no instance yet. The model does not take it: nothing was meant.
-    let spots = (2..=4).flat_map(|image| [80, 160, 240].into_iter().flat_map(move |x| [600, 700, 800, 900].map(|y| (image, (x, y)))));
+    // Somewhere in the photographs lies something that is no instance yet. The model does not take
+    // it: nothing was meant.
+    let spots = (2..=4).flat_map(|image| {
+        [80, 160, 240].into_iter().flat_map(move |x| [600, 700, 800, 900].map(|y| (image, (x, y))))
+    });
     let mut found = None;
     for (image, at) in spots {
         let answer = asked(vec![sees(image, at), six_lines("none", "", false, 1)]).await;
         if let Some(id) = made(&answer) {
-            assert_eq!((answer.status, purposes(&answer).len()), (Status::NoMatch, 2), "{}", corrections(&answer));
+            assert_eq!(
+                (answer.status, purposes(&answer).len()),
+                (Status::NoMatch, 2),
+                "{}",
+                corrections(&answer)
+            );
             assert!(answer.candidates.as_ref().unwrap().iter().any(|c| c.id.0 == id));
             found = Some((image, at, id));
             break;
@@ -60,10 +75,15 @@ async fn what_is_seen_but_not_listed_becomes_an_instance() {
     assert_eq!(id as usize, before + 1, "behind all others");
 
     // It is kept, flagged, and can be looked at.
-    let instances: Vec<InstanceView> = server.client.all_instances(&scene, Levels::All).await.unwrap();
+    let instances: Vec<InstanceView> =
+        server.client.all_instances(&scene, Levels::All).await.unwrap();
     let instance = instances.last().unwrap();
     assert_eq!((instance.label.as_str(), instance.found_for.as_deref()), (NAME, Some(QUERY)));
-    assert!(instance.point_count >= 20 && instance.aabb.size.iter().all(|side| *side > 0.0) && !instance.views.is_empty());
+    assert!(
+        instance.point_count >= 20
+            && instance.aabb.size.iter().all(|side| *side > 0.0)
+            && !instance.views.is_empty()
+    );
     for picture in ["frame", "crop"] {
         let bytes = server
             .client
@@ -81,11 +101,18 @@ async fn what_is_seen_but_not_listed_becomes_an_instance() {
     );
     assert_eq!(answer.aabb, Some(instance.aabb));
 
-    // It is listed now: who points there once more and says that it is not listed means something else, or nothing. No thing is kept twice.
+    // It is listed now: who points there once more and says that it is not listed means something
+    // else, or nothing. No thing is kept twice.
     let answer = asked(vec![sees(image, at), six_lines("none", "", false, 1)]).await;
     let instances = server.client.all_instances(&scene, Levels::All).await.unwrap();
-    assert_eq!(instances.len(), before + 1 + usize::from(made(&answer).is_some()), "{}", corrections(&answer));
-    let again = instances.iter().filter(|other| other.id.0 != id && other.aabb.iou(&instance.aabb) >= 0.5);
+    assert_eq!(
+        instances.len(),
+        before + 1 + usize::from(made(&answer).is_some()),
+        "{}",
+        corrections(&answer)
+    );
+    let again =
+        instances.iter().filter(|other| other.id.0 != id && other.aabb.iou(&instance.aabb) >= 0.5);
     assert_eq!(again.count(), 0, "{}", corrections(&answer));
     server.stop().await;
 }
@@ -95,12 +122,15 @@ async fn photographs_are_offered_where_nothing_fits_and_can_be_pointed_into() {
     let script = Script::default();
     let encoder = ModelsConfig { masks: "builtin".into(), ..tiny() };
     let vlm = config(&script.serve(vec![says("-")]).await);
-    let server = TestServer::start_on(tempfile::tempdir().unwrap(), LimitsConfig::default(), vlm, encoder).await;
+    let server =
+        TestServer::start_on(tempfile::tempdir().unwrap(), LimitsConfig::default(), vlm, encoder)
+            .await;
     let scene = server.parsed(sample()).await.id;
     let asked = async |prompt: PromptVersion, answers: Vec<Scripted>| {
         script.take();
         script.next(answers);
-        let answer = server.client.ground(&scene, &GroundRequest { prompt, ..ask(QUERY) }).await.unwrap();
+        let answer =
+            server.client.ground(&scene, &GroundRequest { prompt, ..ask(QUERY) }).await.unwrap();
         (answer, script.take().remove(0))
     };
     let none = || six_lines("none", "", false, 1);
@@ -113,7 +143,8 @@ async fn photographs_are_offered_where_nothing_fits_and_can_be_pointed_into() {
     assert!(!text_of(&paper).contains(told));
 
     // A place in the last one of them is a place in its frame: what lies there becomes an instance.
-    let spots = [200, 350, 500, 650, 800].into_iter().flat_map(|x| [400, 550, 700, 850].map(|y| (x, y)));
+    let spots =
+        [200, 350, 500, 650, 800].into_iter().flat_map(|x| [400, 550, 700, 850].map(|y| (x, y)));
     let mut found = None;
     for at in spots {
         let (answer, _) = asked(PromptVersion::Revised, vec![sees(pictures, at), none()]).await;
@@ -126,6 +157,9 @@ async fn photographs_are_offered_where_nothing_fits_and_can_be_pointed_into() {
     }
     let id = found.expect("something in the photograph is no instance");
     let instances = server.client.all_instances(&scene, Levels::All).await.unwrap();
-    assert_eq!((instances.last().unwrap().id.0, instances.last().unwrap().label.as_str()), (id, NAME));
+    assert_eq!(
+        (instances.last().unwrap().id.0, instances.last().unwrap().label.as_str()),
+        (id, NAME)
+    );
     server.stop().await;
 }

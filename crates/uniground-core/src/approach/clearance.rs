@@ -1,11 +1,14 @@
-//! Distances on the grid: exact, in time linear in its cells (Felzenszwalb and Huttenlocher, Distance Transforms of Sampled Functions).
+//! Distances on the grid: exact, in time linear in its cells (Felzenszwalb and Huttenlocher,
+//! Distance Transforms of Sampled Functions).
 
 use rayon::prelude::*;
 use std::f32::consts::FRAC_1_SQRT_2;
 
-/// From the middle of a cell to the middle of the nearest of the `sites`, in cells; infinite where there are none.
+/// From the middle of a cell to the middle of the nearest of the `sites`, in cells; infinite where
+/// there are none.
 pub(super) fn distances(width: usize, height: usize, sites: impl Fn(usize) -> bool) -> Vec<f32> {
-    let mut along_y: Vec<f32> = (0..width * height).map(|cell| if sites(cell) { 0.0 } else { f32::INFINITY }).collect();
+    let mut along_y: Vec<f32> =
+        (0..width * height).map(|cell| if sites(cell) { 0.0 } else { f32::INFINITY }).collect();
     for cell in width..width * height {
         along_y[cell] = along_y[cell].min(along_y[cell - width] + 1.0);
     }
@@ -16,7 +19,8 @@ pub(super) fn distances(width: usize, height: usize, sites: impl Fn(usize) -> bo
     along_y
 }
 
-/// Of a row of distances along the other axis, the distances over both: the lower envelope of a parabola for each cell.
+/// Of a row of distances along the other axis, the distances over both: the lower envelope of a
+/// parabola for each cell.
 fn across(row: &mut [f32]) {
     let square = |x: usize, row: &[f32]| f64::from(row[x]) * f64::from(row[x]);
     // Apex of each parabola of the envelope, and where it begins to be the lowest.
@@ -47,7 +51,8 @@ fn across(row: &mut [f32]) {
     }
 }
 
-/// What is surely free around the middle of a cell, metres: an obstacle may reach out to the corners of its own cell.
+/// What is surely free around the middle of a cell, metres: an obstacle may reach out to the
+/// corners of its own cell.
 pub(super) fn clearance_m(distance_cells: f32, cell_m: f32) -> f32 {
     ((distance_cells - FRAC_1_SQRT_2) * cell_m).max(0.0)
 }

@@ -8,13 +8,16 @@ use uniground_types::approach::FloorMap;
 const STEP_M: f32 = 0.05;
 /// What begins exactly at the robot's height does not touch it, metres.
 const SLACK_M: f32 = 1e-4;
-/// A cell without points is floor where so many of the eight around it are: a hole between points, and no place that was never seen.
+/// A cell without points is floor where so many of the eight around it are: a hole between points,
+/// and no place that was never seen.
 const CLOSING_NEIGHBOURS: usize = 6;
-/// Shades of `map_server`: 254 is below its threshold for free, 0 above that for occupied, 205 in between.
+/// Shades of `map_server`: 254 is below its threshold for free, 0 above that for occupied, 205 in
+/// between.
 const FREE: Luma<u8> = Luma([254]);
 const OCCUPIED: Luma<u8> = Luma([0]);
 const UNKNOWN: Luma<u8> = Luma([205]);
-/// Of `map_server`, with which 205 is unknown: at 0.25, the default of newer ones, it would be free.
+/// Of `map_server`, with which 205 is unknown: at 0.25, the default of newer ones, it would be
+/// free.
 const FREE_THRESHOLD: f32 = 0.196;
 const OCCUPIED_THRESHOLD: f32 = 0.65;
 
@@ -51,7 +54,8 @@ impl Floor {
             (false, false) => Cell::Unknown,
         };
         let mut cells: Vec<Cell> = occupancy.columns.iter().map(|&column| seen(column)).collect();
-        let holes: Vec<usize> = (0..cells.len()).filter(|&cell| is_hole(&grid, &cells, cell)).collect();
+        let holes: Vec<usize> =
+            (0..cells.len()).filter(|&cell| is_hole(&grid, &cells, cell)).collect();
         holes.into_iter().for_each(|cell| cells[cell] = Cell::Floor);
         Self { grid, cells, height_m, z_m: occupancy.floor_z_m }
     }

@@ -1,5 +1,5 @@
-//! What of a room is occupied: the cloud in columns of voxels above a 5 cm grid of the floor. Made once per parse; every question
-//! about places to stand reads it.
+//! What of a room is occupied: the cloud in columns of voxels above a 5 cm grid of the floor. Made
+//! once per parse; every question about places to stand reads it.
 
 use crate::geometry::statistics::quantile;
 use crate::geometry::voxels::typical_spacing_m;
@@ -8,7 +8,8 @@ use crate::scene::{Instance, InstanceId, Structure};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
-/// Side of a cell, metres; larger in steps of it where points lie further apart, or the scan is too large.
+/// Side of a cell, metres; larger in steps of it where points lie further apart, or the scan is too
+/// large.
 const CELL_M: f32 = 0.05;
 /// A cell is so many times as wide as points lie apart: else floors would have holes.
 const POINTS_PER_CELL_SIDE: f32 = 1.5;
@@ -20,7 +21,8 @@ pub(super) const LAYERS: i32 = 128;
 pub(super) const BELOW_FLOOR_M: f32 = 0.1;
 /// Most cells of a grid: 100 x 100 m at 5 cm.
 const MAX_CELLS: usize = 4_000_000;
-/// Where a scan reaches further than [`MAX_CELLS`], this share of its points is left out on every side: strays.
+/// Where a scan reaches further than [`MAX_CELLS`], this share of its points is left out on every
+/// side: strays.
 const STRAY_SHARE: f32 = 0.001;
 /// Points that quantiles are taken of.
 const SAMPLE: usize = 200_000;
@@ -47,16 +49,19 @@ impl Grid {
             .reduce_with(|(lo, hi), (l, h)| (lo.inf(&l), hi.sup(&h)));
         let (mut low, mut high) = all.unwrap_or_default();
         let cells = |low: Point2<f32>, high: Point2<f32>, cell_m: f32| {
-            let [width, height] = [0, 1].map(|axis| ((high[axis] - low[axis]) / cell_m) as usize + 3);
+            let [width, height] =
+                [0, 1].map(|axis| ((high[axis] - low[axis]) / cell_m) as usize + 3);
             (width, height)
         };
         let fits = |(width, height): (usize, usize)| width.saturating_mul(height) <= MAX_CELLS;
         if !fits(cells(low, high, cell_m)) {
             let step = positions.len().div_ceil(SAMPLE).max(1);
             for axis in [0, 1] {
-                let mut values: Vec<f32> = positions.iter().step_by(step).map(|p| p[axis]).collect();
+                let mut values: Vec<f32> =
+                    positions.iter().step_by(step).map(|p| p[axis]).collect();
                 low[axis] = quantile(&mut values, STRAY_SHARE).unwrap_or(low[axis]).max(low[axis]);
-                high[axis] = quantile(&mut values, 1.0 - STRAY_SHARE).unwrap_or(high[axis]).min(high[axis]);
+                high[axis] =
+                    quantile(&mut values, 1.0 - STRAY_SHARE).unwrap_or(high[axis]).min(high[axis]);
             }
         }
         let mut cell_m = cell_m;
@@ -71,8 +76,10 @@ impl Grid {
 
     /// Column and row of a place; `None` outside.
     pub fn at(&self, x: f32, y: f32) -> Option<(usize, usize)> {
-        let [column, row] = [x - self.origin.x, y - self.origin.y].map(|c| (c / self.cell_m).floor());
-        let inside = column >= 0.0 && row >= 0.0 && column < self.width as f32 && row < self.height as f32;
+        let [column, row] =
+            [x - self.origin.x, y - self.origin.y].map(|c| (c / self.cell_m).floor());
+        let inside =
+            column >= 0.0 && row >= 0.0 && column < self.width as f32 && row < self.height as f32;
         inside.then_some((column as usize, row as usize))
     }
 
@@ -89,7 +96,10 @@ impl Grid {
     /// Middle of a cell, metres, world frame.
     pub fn center(&self, cell: usize) -> Point2<f32> {
         let (column, row) = self.place(cell);
-        Point2::new(self.origin.x + (column as f32 + 0.5) * self.cell_m, self.origin.y + (row as f32 + 0.5) * self.cell_m)
+        Point2::new(
+            self.origin.x + (column as f32 + 0.5) * self.cell_m,
+            self.origin.y + (row as f32 + 0.5) * self.cell_m,
+        )
     }
 
     pub fn len(&self) -> usize {
@@ -127,9 +137,14 @@ pub struct Occupancy {
 }
 
 impl Occupancy {
-    /// Bins a parsed cloud. `instance_of_point` has the thing of every point, 0 for none; `instances` tell where the floor is.
+    /// Bins a parsed cloud. `instance_of_point` has the thing of every point, 0 for none;
+    /// `instances` tell where the floor is.
     #[must_use]
-    pub fn of(positions: &[Point3<f32>], instance_of_point: &[InstanceId], instances: &[Instance]) -> Self {
+    pub fn of(
+        positions: &[Point3<f32>],
+        instance_of_point: &[InstanceId],
+        instances: &[Instance],
+    ) -> Self {
         let steps = (POINTS_PER_CELL_SIDE * typical_spacing_m(positions) / CELL_M).ceil().max(1.0);
         let grid = Grid::around(positions, CELL_M * steps);
         let floor_z_m = floor_height(positions, instance_of_point, instances);
@@ -137,10 +152,14 @@ impl Occupancy {
             .par_iter()
             .enumerate()
             .filter_map(|(point, p)| {
-                // What is higher than columns reach lies in their last layer: above every robot, and still to be looked at.
+                // What is higher than columns reach lies in their last layer: above every robot,
+                // and still to be looked at.
                 let layer = layer_of(p.z - floor_z_m).min(LAYERS - 1);
                 let cell = grid.cell(p.x, p.y).filter(|_| layer >= 0)?;
-                Some((instance_of_point.get(point).copied().unwrap_or_default(), Voxel::new(cell, layer)))
+                Some((
+                    instance_of_point.get(point).copied().unwrap_or_default(),
+                    Voxel::new(cell, layer),
+                ))
             })
             .collect();
         voxels.dedup();
@@ -162,19 +181,27 @@ impl Occupancy {
     /// Bytes it takes in memory.
     #[must_use]
     pub fn bytes(&self) -> usize {
-        self.columns.len() * size_of::<u128>() + self.voxels.len() * size_of::<(InstanceId, Voxel)>()
+        self.columns.len() * size_of::<u128>()
+            + self.voxels.len() * size_of::<(InstanceId, Voxel)>()
     }
 
     /// The voxels that hold points of an instance, ascending.
     pub(super) fn of_instance(&self, id: InstanceId) -> impl Iterator<Item = Voxel> {
         let from = self.voxels.partition_point(|(other, _)| *other < id);
-        self.voxels[from..].iter().take_while(move |(other, _)| *other == id).map(|(_, voxel)| *voxel)
+        self.voxels[from..]
+            .iter()
+            .take_while(move |(other, _)| *other == id)
+            .map(|(_, voxel)| *voxel)
     }
 
     /// Middle of a voxel, metres, world frame.
     pub(super) fn center(&self, voxel: Voxel) -> Point3<f32> {
         let at = self.grid.center(voxel.cell());
-        Point3::new(at.x, at.y, self.floor_z_m - BELOW_FLOOR_M + (voxel.layer() as f32 + 0.5) * LAYER_M)
+        Point3::new(
+            at.x,
+            at.y,
+            self.floor_z_m - BELOW_FLOOR_M + (voxel.layer() as f32 + 0.5) * LAYER_M,
+        )
     }
 }
 
@@ -183,12 +210,21 @@ pub(super) fn layer_of(above_floor_m: f32) -> i32 {
     ((above_floor_m + BELOW_FLOOR_M) / LAYER_M).floor() as i32
 }
 
-/// The middle of the points of the floor; where none was recognised, of the fullest layer near the lowest points.
-fn floor_height(positions: &[Point3<f32>], instance_of_point: &[InstanceId], instances: &[Instance]) -> f32 {
+/// The middle of the points of the floor; where none was recognised, of the fullest layer near the
+/// lowest points.
+fn floor_height(
+    positions: &[Point3<f32>],
+    instance_of_point: &[InstanceId],
+    instances: &[Instance],
+) -> f32 {
     let is_floor = |i: &&Instance| i.structure == Some(Structure::Floor);
     let floors: BTreeSet<InstanceId> = instances.iter().filter(is_floor).map(|i| i.id).collect();
     let step = positions.len().div_ceil(SAMPLE).max(1);
-    let of_floor = positions.iter().zip(instance_of_point).filter(|(_, id)| floors.contains(id)).map(|(p, _)| p.z);
+    let of_floor = positions
+        .iter()
+        .zip(instance_of_point)
+        .filter(|(_, id)| floors.contains(id))
+        .map(|(p, _)| p.z);
     let mut heights: Vec<f32> = of_floor.step_by(step).collect();
     if let Some(middle) = quantile(&mut heights, 0.5) {
         return middle;
@@ -197,7 +233,8 @@ fn floor_height(positions: &[Point3<f32>], instance_of_point: &[InstanceId], ins
     let Some(lowest) = quantile(&mut heights, 0.01) else { return 0.0 };
     let mut layers = [0_usize; (FLOOR_SEARCH_M / LAYER_M) as usize];
     for height in &heights {
-        if let Some(layer) = layers.get_mut(((height - lowest) / LAYER_M).round().max(0.0) as usize) {
+        if let Some(layer) = layers.get_mut(((height - lowest) / LAYER_M).round().max(0.0) as usize)
+        {
             *layer += 1;
         }
     }

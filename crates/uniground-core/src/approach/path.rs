@@ -1,11 +1,13 @@
 //! Shortest ways over free cells: eight neighbours, never diagonally past a corner.
 //!
-//! One search from the start (Dijkstra's, with buckets for its whole costs) gives the ways to all poses at once and tells what can not be
-//! reached; a search per pose would look at the same cells again. Costs are whole numbers, so that nothing depends on rounding.
+//! One search from the start (Dijkstra's, with buckets for its whole costs) gives the ways to all
+//! poses at once and tells what can not be reached; a search per pose would look at the same cells
+//! again. Costs are whole numbers, so that nothing depends on rounding.
 
 use super::occupancy::Grid;
 
-/// Costs of a step along an axis and of a diagonal one: 99 / 70 is the square root of 2 to 5 digits.
+/// Costs of a step along an axis and of a diagonal one: 99 / 70 is the square root of 2 to 5
+/// digits.
 const STRAIGHT: u32 = 70;
 const DIAGONAL: u32 = 99;
 const BUCKETS: usize = 128;
@@ -29,7 +31,12 @@ impl FreeCells<'_> {
         let width = self.grid.width;
         let [east, west, north, south] = [cell + 1, cell - 1, cell + width, cell - width];
         let straight = [east, west, north, south].map(|to| (to, [to, to], STRAIGHT));
-        let diagonal = [(north + 1, [north, east]), (north - 1, [north, west]), (south + 1, [south, east]), (south - 1, [south, west])];
+        let diagonal = [
+            (north + 1, [north, east]),
+            (north - 1, [north, west]),
+            (south + 1, [south, east]),
+            (south - 1, [south, west]),
+        ];
         let all = straight.into_iter().chain(diagonal.map(|(to, past)| (to, past, DIAGONAL)));
         all.filter(|&(to, [a, b], _)| self.free[to] && self.free[a] && self.free[b])
             .map(|(to, _, cost)| (to, cost))
@@ -37,7 +44,10 @@ impl FreeCells<'_> {
 
     /// All ways from a free cell.
     pub fn ways_from(&self, start: usize) -> Ways {
-        let mut ways = Ways { costs: vec![u32::MAX; self.free.len()], before: vec![u32::MAX; self.free.len()] };
+        let mut ways = Ways {
+            costs: vec![u32::MAX; self.free.len()],
+            before: vec![u32::MAX; self.free.len()],
+        };
         let mut buckets: Vec<Vec<usize>> = vec![Vec::new(); BUCKETS];
         ways.costs[start] = 0;
         buckets[0].push(start);
@@ -45,7 +55,9 @@ impl FreeCells<'_> {
         while waiting > 0 {
             let bucket = std::mem::take(&mut buckets[cost as usize % BUCKETS]);
             waiting -= bucket.len();
-            for cell in bucket.into_iter().filter(|&cell| ways.costs[cell] == cost).collect::<Vec<_>>() {
+            for cell in
+                bucket.into_iter().filter(|&cell| ways.costs[cell] == cost).collect::<Vec<_>>()
+            {
                 for (to, step) in self.steps(cell) {
                     let reached = cost + step;
                     if reached < ways.costs[to] {
@@ -60,8 +72,9 @@ impl FreeCells<'_> {
         ways
     }
 
-    /// The largest area of free cells that hang together and hold one of `wanted`, as flags by cell; the first of equals. None of them where
-    /// that is less than `least` cells and the room has a larger one elsewhere: a pocket that nobody gets into.
+    /// The largest area of free cells that hang together and hold one of `wanted`, as flags by
+    /// cell; the first of equals. None of them where that is less than `least` cells and the
+    /// room has a larger one elsewhere: a pocket that nobody gets into.
     pub fn largest_area(&self, wanted: &[usize], least: usize) -> Vec<bool> {
         let mut area_of = vec![u32::MAX; self.free.len()];
         let mut sizes: Vec<usize> = Vec::new();
@@ -74,7 +87,8 @@ impl FreeCells<'_> {
             area_of[seed] = number;
             while let Some(cell) = open.pop() {
                 size += 1;
-                // A diagonal step goes past two free cells, so these four tell the same areas apart.
+                // A diagonal step goes past two free cells, so these four tell the same areas
+                // apart.
                 for to in [cell + 1, cell - 1, cell + self.grid.width, cell - self.grid.width] {
                     if self.free[to] && area_of[to] == u32::MAX {
                         area_of[to] = number;
@@ -119,7 +133,8 @@ impl FreeCells<'_> {
         }
     }
 
-    /// A way with its corners only: what lies on a straight line between two of its cells is left out.
+    /// A way with its corners only: what lies on a straight line between two of its cells is left
+    /// out.
     pub fn corners(&self, way: &[usize]) -> Vec<usize> {
         let mut corners: Vec<usize> = way.first().copied().into_iter().collect();
         let mut at = 0;
@@ -145,7 +160,12 @@ impl Ways {
 
     /// The cells from the start to one that is reached.
     pub fn way_to(&self, cell: usize) -> Vec<usize> {
-        let before = |cell: &usize| self.before.get(*cell).filter(|&&before| before != u32::MAX).map(|&before| before as usize);
+        let before = |cell: &usize| {
+            self.before
+                .get(*cell)
+                .filter(|&&before| before != u32::MAX)
+                .map(|&before| before as usize)
+        };
         let mut way: Vec<usize> = std::iter::successors(Some(cell), before).collect();
         way.reverse();
         way

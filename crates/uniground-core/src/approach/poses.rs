@@ -9,7 +9,9 @@ use super::visibility::{Look, look};
 use crate::geometry::{Point2, Point3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use uniground_types::approach::{CellCounts, FailedCondition, FloorPoint, Robot, StandingPose, Start};
+use uniground_types::approach::{
+    CellCounts, FailedCondition, FloorPoint, Robot, StandingPose, Start,
+};
 
 /// Points of the target that are looked at from every candidate, and from those that are told.
 const SAMPLE: usize = 64;
@@ -18,15 +20,17 @@ const FINE_SAMPLE: usize = 400;
 const LEAST_VISIBLE: f32 = 0.1;
 /// How far a start that is not free may be from a place that is, metres.
 const START_SEARCH_M: f32 = 0.5;
-/// A free area smaller than this, shut off from a larger one, is a pocket behind furniture, square metres.
+/// A free area smaller than this, shut off from a larger one, is a pocket behind furniture, square
+/// metres.
 const POCKET_M2: f32 = 0.5;
 /// Of so many by so many cells the clearest is looked from: eyes 5 cm apart see the same.
 const BLOCK: usize = 3;
 /// Poses are apart by this and by the robot's own width, metres: others are no choice.
 const APART_M: f32 = 0.6;
 
-/// What a metre to the thing, the whole thing hidden, and a metre of room missing cost, in metres to drive. A metre to the thing costs more
-/// than a metre of driving: else a robot would stop at the first place with a view.
+/// What a metre to the thing, the whole thing hidden, and a metre of room missing cost, in metres
+/// to drive. A metre to the thing costs more than a metre of driving: else a robot would stop at
+/// the first place with a view.
 const NEARNESS: f32 = 2.5;
 const HIDDEN: f32 = 3.0;
 const TIGHTNESS: f32 = 2.0;
@@ -81,9 +85,12 @@ struct Room<'a> {
 pub(super) fn places(occupancy: &Occupancy, target: &Target, wish: &Wish) -> Places {
     let grid = &occupancy.grid;
     let floor = Floor::of(occupancy, wish.robot.height_m);
-    let to_obstacle = distances(grid.width, grid.height, |cell| floor.cells[cell] == Cell::Obstacle);
-    let clearance_m: Vec<f32> = to_obstacle.into_iter().map(|cells| clearance_m(cells, grid.cell_m)).collect();
-    let is_free = |cell: usize| floor.cells[cell] == Cell::Floor && clearance_m[cell] >= wish.robot.radius_m;
+    let to_obstacle =
+        distances(grid.width, grid.height, |cell| floor.cells[cell] == Cell::Obstacle);
+    let clearance_m: Vec<f32> =
+        to_obstacle.into_iter().map(|cells| clearance_m(cells, grid.cell_m)).collect();
+    let is_free =
+        |cell: usize| floor.cells[cell] == Cell::Floor && clearance_m[cell] >= wish.robot.radius_m;
     let free = FreeCells { grid, free: (0..grid.len()).map(is_free).collect() };
     Room { occupancy, target, wish, floor, clearance_m, free }.places()
 }
@@ -99,7 +106,9 @@ impl Room<'_> {
         cells.clear = left.len() as u32;
         let start = self.wish.from.map(|from| self.start(from));
         let ways = match start {
-            Some(None) => return Places { poses: Err(FailedCondition::StartNotFree), start: None, cells },
+            Some(None) => {
+                return Places { poses: Err(FailedCondition::StartNotFree), start: None, cells };
+            }
             Some(Some((cell, _))) => Some(self.free.ways_from(cell)),
             None => None,
         };
@@ -108,7 +117,10 @@ impl Room<'_> {
             left.into_iter().partition(|candidate| ways.reaches(candidate.cell))
         } else {
             let least = (POCKET_M2 / self.occupancy.grid.cell_m.powi(2)) as usize;
-            let area = self.free.largest_area(&left.iter().map(|candidate| candidate.cell).collect::<Vec<_>>(), least);
+            let area = self.free.largest_area(
+                &left.iter().map(|candidate| candidate.cell).collect::<Vec<_>>(),
+                least,
+            );
             left.into_iter().partition(|candidate| area[candidate.cell])
         };
         cells.connected = left.len() as u32;
@@ -118,13 +130,17 @@ impl Room<'_> {
         cells.looked_from = from.len() as u32;
         let mut ranked = self.looked_from(from, ways.as_ref());
         cells.visible = ranked.len() as u32;
-        ranked.sort_by(|a, b| a.cost.total_cmp(&b.cost).then(a.candidate.cell.cmp(&b.candidate.cell)));
+        ranked.sort_by(|a, b| {
+            a.cost.total_cmp(&b.cost).then(a.candidate.cell.cmp(&b.candidate.cell))
+        });
         let poses = match cells {
             CellCounts { floor: 0, .. } => Err(FailedCondition::NoFloor),
             CellCounts { clear: 0, .. } => Err(FailedCondition::NoRoom),
             CellCounts { connected: 0, .. } => Err(FailedCondition::NotReachable),
             CellCounts { in_reach: 0, .. } => Err(FailedCondition::OutOfReach),
-            CellCounts { visible: 0, .. } if self.is_seen_from(beyond) => Err(FailedCondition::NotReachable),
+            CellCounts { visible: 0, .. } if self.is_seen_from(beyond) => {
+                Err(FailedCondition::NotReachable)
+            }
             CellCounts { visible: 0, .. } => Err(FailedCondition::NotVisible),
             _ => match self.spread(&ranked, ways.as_ref()) {
                 poses if poses.is_empty() => Err(FailedCondition::NotVisible),
@@ -138,13 +154,18 @@ impl Room<'_> {
     fn near(&self) -> Vec<Candidate> {
         let (grid, [least, most]) = (&self.occupancy.grid, self.wish.distances_m);
         let window = self.target.distances(self.occupancy, most);
-        let cells = (0..window.width * window.height).map(|at| (window.column + at % window.width, window.row + at / window.width));
+        let cells = (0..window.width * window.height)
+            .map(|at| (window.column + at % window.width, window.row + at / window.width));
         let candidate = |(column, row): (usize, usize)| {
-            let (cell, distance_m) = (row * grid.width + column, window.at(column, row)? * grid.cell_m);
+            let (cell, distance_m) =
+                (row * grid.width + column, window.at(column, row)? * grid.cell_m);
             let clearance_m = self.clearance_m[cell];
-            (least..=most)
-                .contains(&distance_m)
-                .then_some(Candidate { cell, distance_m, reach_m: 0.0, clearance_m })
+            (least..=most).contains(&distance_m).then_some(Candidate {
+                cell,
+                distance_m,
+                reach_m: 0.0,
+                clearance_m,
+            })
         };
         cells.filter_map(candidate).collect()
     }
@@ -156,11 +177,16 @@ impl Room<'_> {
         let away = |cell: usize| (grid.center(cell) - from).norm();
         let own = grid.cell(from.x, from.y).filter(|&cell| self.free.free[cell]);
         let [(left, top), (right, bottom)] = [-START_SEARCH_M, START_SEARCH_M].map(|by| {
-            let place = |at: f32, origin: f32, cells: usize| (((at + by - origin) / grid.cell_m).max(0.0) as usize).min(cells - 1);
+            let place = |at: f32, origin: f32, cells: usize| {
+                (((at + by - origin) / grid.cell_m).max(0.0) as usize).min(cells - 1)
+            };
             (place(from.x, grid.origin.x, grid.width), place(from.y, grid.origin.y, grid.height))
         });
-        let around = (top..=bottom).flat_map(|row| (left..=right).map(move |column| row * grid.width + column));
-        let nearest = || around.filter(|&cell| self.free.free[cell]).min_by(|a, b| away(*a).total_cmp(&away(*b)));
+        let around = (top..=bottom)
+            .flat_map(|row| (left..=right).map(move |column| row * grid.width + column));
+        let nearest = || {
+            around.filter(|&cell| self.free.free[cell]).min_by(|a, b| away(*a).total_cmp(&away(*b)))
+        };
         let cell = own.or_else(nearest).filter(|&cell| away(cell) <= START_SEARCH_M)?;
         let at = grid.center(cell);
         Some((cell, Start { x: at.x, y: at.y, moved_m: away(cell), was_free: own.is_some() }))
@@ -170,16 +196,28 @@ impl Room<'_> {
     fn measure_reach(&self, candidates: &mut Vec<Candidate>) {
         let (robot, grid) = (&self.wish.robot, &self.occupancy.grid);
         // No nearer than that, whatever the height.
-        candidates.retain(|candidate| robot.reach_m.is_none_or(|reach| candidate.distance_m - robot.radius_m <= reach));
+        candidates.retain(|candidate| {
+            robot.reach_m.is_none_or(|reach| candidate.distance_m - robot.radius_m <= reach)
+        });
         let up = |low_m: f32| (low_m - robot.height_m).max(0.0);
-        let above: Vec<(Point2<f32>, f32)> = self.target.footprint.iter().map(|&(cell, low_m)| (grid.center(cell), up(low_m))).collect();
+        let above: Vec<(Point2<f32>, f32)> = self
+            .target
+            .footprint
+            .iter()
+            .map(|&(cell, low_m)| (grid.center(cell), up(low_m)))
+            .collect();
         let is_low = above.iter().all(|(_, up_m)| *up_m == 0.0);
         candidates.par_iter_mut().for_each(|candidate| {
             let at = grid.center(candidate.cell);
             let across = |metres: f32| (metres - robot.radius_m).max(0.0);
-            let squares = above.iter().map(|(part, up_m)| across((part - at).norm()).powi(2) + up_m * up_m);
+            let squares =
+                above.iter().map(|(part, up_m)| across((part - at).norm()).powi(2) + up_m * up_m);
             // Where nothing is higher than the robot the nearest part is the one that was measured.
-            candidate.reach_m = if is_low { across(candidate.distance_m) } else { squares.fold(f32::INFINITY, f32::min).sqrt() };
+            candidate.reach_m = if is_low {
+                across(candidate.distance_m)
+            } else {
+                squares.fold(f32::INFINITY, f32::min).sqrt()
+            };
         });
         candidates.retain(|candidate| robot.reach_m.is_none_or(|reach| candidate.reach_m <= reach));
     }
@@ -207,8 +245,10 @@ impl Room<'_> {
     fn looked_from(&self, candidates: Vec<Candidate>, ways: Option<&Ways>) -> Vec<Ranked> {
         let sample = self.target.sample(SAMPLE);
         let ranked = candidates.into_par_iter().map(|candidate| {
-            let Look { visible_share, .. } = look(self.occupancy, self.target, &self.eye(candidate.cell), &sample);
-            let path_m = ways.map_or(0.0, |ways| ways.length_m(candidate.cell, &self.occupancy.grid));
+            let Look { visible_share, .. } =
+                look(self.occupancy, self.target, &self.eye(candidate.cell), &sample);
+            let path_m =
+                ways.map_or(0.0, |ways| ways.length_m(candidate.cell, &self.occupancy.grid));
             Ranked { candidate, visible_share, cost: self.cost(&candidate, visible_share, path_m) }
         });
         ranked.filter(|one| one.visible_share >= LEAST_VISIBLE).collect()
@@ -217,7 +257,10 @@ impl Room<'_> {
     /// In metres to drive.
     fn cost(&self, candidate: &Candidate, visible_share: f32, path_m: f32) -> f32 {
         let room_m = candidate.clearance_m - self.wish.robot.radius_m;
-        path_m + NEARNESS * candidate.distance_m + HIDDEN * (1.0 - visible_share) + TIGHTNESS * (ROOMY_M - room_m).max(0.0)
+        path_m
+            + NEARNESS * candidate.distance_m
+            + HIDDEN * (1.0 - visible_share)
+            + TIGHTNESS * (ROOMY_M - room_m).max(0.0)
     }
 
     fn eye(&self, cell: usize) -> Point3<f32> {
@@ -225,7 +268,8 @@ impl Room<'_> {
         Point3::new(at.x, at.y, self.occupancy.floor_z_m + self.wish.robot.eye_height_m)
     }
 
-    /// The best ones, none near another. They are looked from once more, closer: what few rays took for enough may be too little.
+    /// The best ones, none near another. They are looked from once more, closer: what few rays took
+    /// for enough may be too little.
     fn spread(&self, ranked: &[Ranked], ways: Option<&Ways>) -> Vec<StandingPose> {
         let (grid, apart_m) = (&self.occupancy.grid, APART_M.max(2.0 * self.wish.robot.radius_m));
         let fine = self.target.sample(FINE_SAMPLE);
@@ -247,12 +291,19 @@ impl Room<'_> {
         poses
     }
 
-    fn pose(&self, candidate: &Candidate, Look { visible_share, middle }: Look, ways: Option<&Ways>) -> StandingPose {
+    fn pose(
+        &self,
+        candidate: &Candidate,
+        Look { visible_share, middle }: Look,
+        ways: Option<&Ways>,
+    ) -> StandingPose {
         let (grid, at) = (&self.occupancy.grid, self.occupancy.grid.center(candidate.cell));
-        let corners = ways.map(|ways| self.free.corners(&ways.way_to(candidate.cell))).unwrap_or_default();
+        let corners =
+            ways.map(|ways| self.free.corners(&ways.way_to(candidate.cell))).unwrap_or_default();
         let path: Vec<_> = corners.into_iter().map(|cell| grid.center(cell)).collect();
         // An empty sum of floats is -0.
-        let path_m = ways.map(|_| path.windows(2).fold(0.0, |sum, leg| sum + (leg[1] - leg[0]).norm()));
+        let path_m =
+            ways.map(|_| path.windows(2).fold(0.0, |sum, leg| sum + (leg[1] - leg[0]).norm()));
         StandingPose {
             position: [at.x, at.y, self.occupancy.floor_z_m],
             yaw_rad: (middle.y - at.y).atan2(middle.x - at.x),

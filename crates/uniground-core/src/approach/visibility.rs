@@ -15,8 +15,14 @@ pub(super) struct Look {
 }
 
 /// Looks from a point at a sample of the target.
-pub(super) fn look(occupancy: &Occupancy, target: &Target, eye: &Point3<f32>, sample: &[Voxel]) -> Look {
-    let (mut seen, mut sum, mut sum_of_all) = (0_u32, nalgebra::Vector3::zeros(), nalgebra::Vector3::zeros());
+pub(super) fn look(
+    occupancy: &Occupancy,
+    target: &Target,
+    eye: &Point3<f32>,
+    sample: &[Voxel],
+) -> Look {
+    let (mut seen, mut sum, mut sum_of_all) =
+        (0_u32, nalgebra::Vector3::zeros(), nalgebra::Vector3::zeros());
     for &voxel in sample {
         let point = occupancy.center(voxel);
         sum_of_all += point.coords;
@@ -31,15 +37,18 @@ pub(super) fn look(occupancy: &Occupancy, target: &Target, eye: &Point3<f32>, sa
 
 /// Whether nothing but the target itself lies on the way to one of its voxels.
 ///
-/// What touches the voxel does not count: a mug's lowest points share voxels with the table they stand on.
+/// What touches the voxel does not count: a mug's lowest points share voxels with the table they
+/// stand on.
 fn is_visible(occupancy: &Occupancy, target: &Target, eye: &Point3<f32>, voxel: Voxel) -> bool {
     let grid = &occupancy.grid;
     let (to, end) = (occupancy.center(voxel), grid.place(voxel.cell()));
     let Some(mut at) = grid.at(eye.x, eye.y) else { return false };
     let (from, along) = (eye, to - eye);
-    // Share of the way at which the next border of a cell is crossed, and the share between two borders.
+    // Share of the way at which the next border of a cell is crossed, and the share between two
+    // borders.
     let crossing = |axis: usize, place: usize| {
-        let border = grid.origin[axis] + (place as f32 + if along[axis] > 0.0 { 1.0 } else { 0.0 }) * grid.cell_m;
+        let border = grid.origin[axis]
+            + (place as f32 + if along[axis] > 0.0 { 1.0 } else { 0.0 }) * grid.cell_m;
         if along[axis] == 0.0 { f32::INFINITY } else { (border - from[axis]) / along[axis] }
     };
     let per_cell = [0, 1].map(|axis| (grid.cell_m / along[axis]).abs());
@@ -50,7 +59,9 @@ fn is_visible(occupancy: &Occupancy, target: &Target, eye: &Point3<f32>, voxel: 
     loop {
         let until = next[0].min(next[1]).min(1.0);
         let (a, b) = (layer_of(height(share)), layer_of(height(until)));
-        let mut hidden_by = occupancy.columns[at.1 * grid.width + at.0] & layers(a.min(b), a.max(b)) & !target.own_layers(at.0, at.1);
+        let mut hidden_by = occupancy.columns[at.1 * grid.width + at.0]
+            & layers(a.min(b), a.max(b))
+            & !target.own_layers(at.0, at.1);
         if at.0.abs_diff(end.0) <= 1 && at.1.abs_diff(end.1) <= 1 {
             hidden_by &= !near_end;
         }

@@ -1,4 +1,5 @@
-//! Laying one scan over another: iterative closest points, from a first guess (Chen and Medioni 1992, point to plane).
+//! Laying one scan over another: iterative closest points, from a first guess (Chen and Medioni
+//! 1992, point to plane).
 
 use super::overlap::Nearest;
 use crate::geometry::least_axis::least_axis;
@@ -36,7 +37,13 @@ pub struct Aligned {
 ///
 /// # Errors
 /// [`Cancelled`].
-pub fn align(from: &PointCloud, to: &PointCloud, guess: &Isometry3<f32>, refine: bool, progress: &Progress) -> Result<Aligned, Cancelled> {
+pub fn align(
+    from: &PointCloud,
+    to: &PointCloud,
+    guess: &Isometry3<f32>,
+    refine: bool,
+    progress: &Progress,
+) -> Result<Aligned, Cancelled> {
     let (from, to) = (sampled(from), sampled(to));
     let surfaces = Surfaces::of(&to);
     let mut place = *guess;
@@ -86,8 +93,12 @@ impl<'a> Surfaces<'a> {
             let d = p.coords - sum / count;
             scatter[voxel as usize] += d * d.transpose();
         }
-        let normals: Vec<Vector3<f32>> = scatter.par_iter().map(|scatter| least_axis(scatter).1).collect();
-        Self { points, normals: by_voxel.of_point.iter().map(|&voxel| normals[voxel as usize]).collect() }
+        let normals: Vec<Vector3<f32>> =
+            scatter.par_iter().map(|scatter| least_axis(scatter).1).collect();
+        Self {
+            points,
+            normals: by_voxel.of_point.iter().map(|&voxel| normals[voxel as usize]).collect(),
+        }
     }
 
     /// How far a point lies off the surface at its nearest point, signed, and the normal there.
@@ -96,8 +107,14 @@ impl<'a> Surfaces<'a> {
         Some(((p - self.points[at]).dot(&self.normals[at]), self.normals[at]))
     }
 
-    /// The motion that brings the points nearer to their surfaces; `None` where too few have any near.
-    fn step(&self, from: &[Point3<f32>], nearest: &Nearest, place: &Isometry3<f32>) -> Option<Isometry3<f32>> {
+    /// The motion that brings the points nearer to their surfaces; `None` where too few have any
+    /// near.
+    fn step(
+        &self,
+        from: &[Point3<f32>],
+        nearest: &Nearest,
+        place: &Isometry3<f32>,
+    ) -> Option<Isometry3<f32>> {
         const FEWEST: usize = 100;
         let partners: Vec<(Point3<f32>, f32, Vector3<f32>)> = from
             .par_iter()
@@ -109,11 +126,13 @@ impl<'a> Surfaces<'a> {
             return None;
         }
         // Turns about the middle are best told apart from moves.
-        let middle = partners.iter().map(|(p, ..)| p.coords).sum::<Vector3<f32>>() / partners.len() as f32;
+        let middle =
+            partners.iter().map(|(p, ..)| p.coords).sum::<Vector3<f32>>() / partners.len() as f32;
         let (mut normal_matrix, mut right) = (Matrix6::<f64>::zeros(), Vector6::<f64>::zeros());
         for (p, off_m, normal) in &partners {
             let turn = (p.coords - middle).cross(normal);
-            let row = Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z).cast::<f64>();
+            let row =
+                Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z).cast::<f64>();
             normal_matrix += row * row.transpose();
             right -= row * f64::from(*off_m);
         }
@@ -137,13 +156,21 @@ mod tests {
         for i in 0..80 {
             for j in 0..80 {
                 let (a, b) = (i as f32 * 0.04, j as f32 * 0.04);
-                positions.extend([Point3::new(a, b, 0.0), Point3::new(a, 0.0, b), Point3::new(0.0, a, b)]);
+                positions.extend([
+                    Point3::new(a, b, 0.0),
+                    Point3::new(a, 0.0, b),
+                    Point3::new(0.0, a, b),
+                ]);
             }
         }
         for i in 0..20 {
             for j in 0..20 {
                 let (a, b) = (i as f32 * 0.03, j as f32 * 0.03);
-                positions.extend([Point3::new(1.0 + a, 1.5 + b, 0.6), Point3::new(1.0 + a, 1.5, b), Point3::new(1.0, 1.5 + a, b)]);
+                positions.extend([
+                    Point3::new(1.0 + a, 1.5 + b, 0.6),
+                    Point3::new(1.0 + a, 1.5, b),
+                    Point3::new(1.0, 1.5 + a, b),
+                ]);
             }
         }
         PointCloud { colours: vec![[0; 3]; positions.len()], positions }
@@ -153,12 +180,17 @@ mod tests {
     fn a_scan_from_another_place_is_laid_over_the_first() {
         let room = corner();
         let truth = Isometry3::new(Vector3::new(0.12, -0.2, 0.05), Vector3::new(0.02, -0.01, 0.12));
-        let other = PointCloud { positions: room.positions.iter().map(|p| truth * p).collect(), ..room.clone() };
-        let found = align(&room, &other, &Isometry3::identity(), true, &Progress::silent()).unwrap();
+        let other = PointCloud {
+            positions: room.positions.iter().map(|p| truth * p).collect(),
+            ..room.clone()
+        };
+        let found =
+            align(&room, &other, &Isometry3::identity(), true, &Progress::silent()).unwrap();
         let off = truth.inverse() * found.place;
         assert!(off.translation.vector.norm() < 0.01 && off.rotation.angle() < 0.005, "{off:?}");
         assert!(found.overlap > 0.99 && found.rms_m < 0.005, "{found:?}");
-        let as_guessed = align(&room, &other, &Isometry3::identity(), false, &Progress::silent()).unwrap();
+        let as_guessed =
+            align(&room, &other, &Isometry3::identity(), false, &Progress::silent()).unwrap();
         assert_eq!(as_guessed.place, Isometry3::identity());
         assert!(as_guessed.overlap < 0.7, "{as_guessed:?}");
     }
@@ -166,7 +198,10 @@ mod tests {
     #[test]
     fn scans_of_different_places_do_not_overlap() {
         let room = corner();
-        let far = PointCloud { positions: room.positions.iter().map(|p| p + Vector3::new(50.0, 0.0, 0.0)).collect(), ..room.clone() };
+        let far = PointCloud {
+            positions: room.positions.iter().map(|p| p + Vector3::new(50.0, 0.0, 0.0)).collect(),
+            ..room.clone()
+        };
         let found = align(&room, &far, &Isometry3::identity(), true, &Progress::silent()).unwrap();
         assert_eq!((found.overlap, found.place), (0.0, Isometry3::identity()));
     }

@@ -1,23 +1,39 @@
-//! Ids that outlive a parse: a scene that has grown is cut anew, and what stayed is called by its old number.
+//! Ids that outlive a parse: a scene that has grown is cut anew, and what stayed is called by its
+//! old number.
 
 use crate::scene::{Embeddings, Instance, InstanceId, ParsedScene, Support};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// IoU of boxes from which on a part, a whole or what was found for a question is the same as before.
+/// IoU of boxes from which on a part, a whole or what was found for a question is the same as
+/// before.
 const SAME_BOX: f32 = 0.5;
 
-/// A parse of a scene that has grown, under the ids of before: `same` pairs things of before with those of the parse. What is new is numbered
-/// on. No id is ever another's: what is no more leaves its place behind, marked gone; what was found for questions keeps its own, and so does
+/// A parse of a scene that has grown, under the ids of before: `same` pairs things of before with
+/// those of the parse. What is new is numbered on. No id is ever another's: what is no more leaves
+/// its place behind, marked gone; what was found for questions keeps its own, and so does
 /// what people have merged, gone until it is merged again.
 #[must_use]
-pub fn continued(before: &[Instance], mut parsed: ParsedScene, same: &[(InstanceId, InstanceId)]) -> ParsedScene {
+pub fn continued(
+    before: &[Instance],
+    mut parsed: ParsedScene,
+    same: &[(InstanceId, InstanceId)],
+) -> ParsedScene {
     let same = with_boxes(before, &parsed.instances, same);
-    let old_of: BTreeMap<InstanceId, InstanceId> = same.iter().map(|&(old, new)| (new, old)).collect();
+    let old_of: BTreeMap<InstanceId, InstanceId> =
+        same.iter().map(|&(old, new)| (new, old)).collect();
     let mut next = (before.len() as u32 + 1..).map(InstanceId);
     let number: BTreeMap<InstanceId, InstanceId> = parsed
         .instances
         .iter()
-        .map(|instance| (instance.id, old_of.get(&instance.id).copied().unwrap_or_else(|| next.next().unwrap_or_default())))
+        .map(|instance| {
+            (
+                instance.id,
+                old_of
+                    .get(&instance.id)
+                    .copied()
+                    .unwrap_or_else(|| next.next().unwrap_or_default()),
+            )
+        })
         .collect();
     let renumbered = |id: InstanceId| number.get(&id).copied().unwrap_or_default();
     let mut by_id: BTreeMap<InstanceId, Instance> = BTreeMap::new();
@@ -46,8 +62,13 @@ pub fn continued(before: &[Instance], mut parsed: ParsedScene, same: &[(Instance
     parsed
 }
 
-/// Adds to the pairs of things those of parts, wholes and what was found for questions, of which only boxes are known.
-fn with_boxes(before: &[Instance], after: &[Instance], same: &[(InstanceId, InstanceId)]) -> Vec<(InstanceId, InstanceId)> {
+/// Adds to the pairs of things those of parts, wholes and what was found for questions, of which
+/// only boxes are known.
+fn with_boxes(
+    before: &[Instance],
+    after: &[Instance],
+    same: &[(InstanceId, InstanceId)],
+) -> Vec<(InstanceId, InstanceId)> {
     let mut same = same.to_vec();
     let paired_before: BTreeSet<InstanceId> = same.iter().map(|pair| pair.0).collect();
     let paired_after: BTreeSet<InstanceId> = same.iter().map(|pair| pair.1).collect();
@@ -57,7 +78,8 @@ fn with_boxes(before: &[Instance], after: &[Instance], same: &[(InstanceId, Inst
         .filter(|old| !paired_before.contains(&old.id) && !old.gone && old.merged_from.is_empty())
     {
         for new in after.iter().filter(|new| !paired_after.contains(&new.id)) {
-            let is_kind = old.level == new.level && (old.found_for.is_some() || !old.things.is_empty());
+            let is_kind =
+                old.level == new.level && (old.found_for.is_some() || !old.things.is_empty());
             let iou = if is_kind { old.aabb.iou(&new.aabb) } else { 0.0 };
             if iou >= SAME_BOX {
                 scored.push((iou, old.id, new.id));
@@ -105,21 +127,37 @@ mod tests {
 
     #[test]
     fn what_stays_keeps_its_id_and_no_id_is_given_twice() {
-        let part = |id, of, x| Instance { level: Level::Part, things: vec![InstanceId(of)], ..at(id, x) };
+        let part =
+            |id, of, x| Instance { level: Level::Part, things: vec![InstanceId(of)], ..at(id, x) };
         let found = Instance { found_for: Some("the mug".into()), ..at(4, 9.0) };
-        let before =
-            vec![at(1, 1.0), at(2, 2.0), part(3, 2, 2.0), found.clone(), Instance { merged_from: vec![InstanceId(1)], ..at(5, 1.0) }];
+        let before = vec![
+            at(1, 1.0),
+            at(2, 2.0),
+            part(3, 2, 2.0),
+            found.clone(),
+            Instance { merged_from: vec![InstanceId(1)], ..at(5, 1.0) },
+        ];
         // 2 comes first now, 1 is gone, 3.0 is new; the part is still there.
         let on_two = Instance { support: Support::Instance { id: InstanceId(1) }, ..at(2, 3.0) };
-        let now = continued(&before, parsed(vec![at(1, 2.0), on_two, part(3, 1, 2.0)], &[1, 2, 0]), &[(InstanceId(2), InstanceId(1))]);
+        let now = continued(
+            &before,
+            parsed(vec![at(1, 2.0), on_two, part(3, 1, 2.0)], &[1, 2, 0]),
+            &[(InstanceId(2), InstanceId(1))],
+        );
         assert_eq!(now.instances.iter().map(|i| i.id.0).collect::<Vec<_>>(), [1, 2, 3, 4, 5, 6]);
-        assert_eq!(now.instances.iter().map(|i| i.gone).collect::<Vec<_>>(), [true, false, false, false, true, false]);
+        assert_eq!(
+            now.instances.iter().map(|i| i.gone).collect::<Vec<_>>(),
+            [true, false, false, false, true, false]
+        );
         assert_eq!(now.instances[2].things, [InstanceId(2)]);
         assert_eq!(now.instances[3], found);
         assert_eq!(now.instances[5].support, Support::Instance { id: InstanceId(2) });
         assert_eq!(now.instance_of_point, [InstanceId(2), InstanceId(6), InstanceId(0)]);
         let seen = now.embeddings.unwrap();
-        assert_eq!((0..6).map(|i| seen.is_seen(i)).collect::<Vec<_>>(), [false, true, true, false, false, true]);
+        assert_eq!(
+            (0..6).map(|i| seen.is_seen(i)).collect::<Vec<_>>(),
+            [false, true, true, false, false, true]
+        );
     }
 
     #[test]

@@ -1,7 +1,9 @@
-//! What is different between two looks at a room: which things are the same, which moved, came or went.
+//! What is different between two looks at a room: which things are the same, which moved, came or
+//! went.
 //!
-//! Two parses cut a room into things independently of each other. Things are the same where they share their points; of the others it is
-//! asked what the frames of the other look say of their place: looked through, not looked at, or a surface there as well.
+//! Two parses cut a room into things independently of each other. Things are the same where they
+//! share their points; of the others it is asked what the frames of the other look say of their
+//! place: looked through, not looked at, or a surface there as well.
 
 mod align;
 mod carried;
@@ -28,7 +30,8 @@ pub struct Look<'a> {
     pub owner_of_point: &'a [InstanceId],
     /// In order of id.
     pub instances: &'a [Instance],
-    /// What it was seen by, in the same coordinates; of a scan that has grown those that were added last, or those of before.
+    /// What it was seen by, in the same coordinates; of a scan that has grown those that were
+    /// added last, or those of before.
     pub frames: &'a [FrameRef],
 }
 
@@ -47,12 +50,14 @@ pub enum ChangesError {
 const MOST_FRAMES: usize = 60;
 /// Points of a thing that frames are asked about.
 const MOST_POINTS: usize = 400;
-/// Share of a thing's points with a counterpart from which on its surfaces are in the other look as well.
+/// Share of a thing's points with a counterpart from which on its surfaces are in the other look as
+/// well.
 const STILL_THERE: f32 = 0.5;
 /// Share of a thing's points that the other look's frames must tell about.
 const LOOKED_AT: f32 = 0.25;
 
-/// What is different, given the things that are the same. `place` leads from the coordinates of `before` to those of `after`.
+/// What is different, given the things that are the same. `place` leads from the coordinates of
+/// `before` to those of `after`.
 ///
 /// # Errors
 /// [`ChangesError`].
@@ -68,8 +73,10 @@ pub fn compare(
     let known: BTreeSet<InstanceId> = same.iter().map(|pair| pair.1).collect();
     let is_thing = |instance: &&Instance| instance.is_shown() && instance.structure.is_none();
     let mut changes = Changes::default();
-    let unmatched = before.instances.iter().filter(is_thing).filter(|thing| !stayed.contains(&thing.id));
-    let lost = Places::of(before, unmatched, |point| counterparts.of_before(point).is_some(), place);
+    let unmatched =
+        before.instances.iter().filter(is_thing).filter(|thing| !stayed.contains(&thing.id));
+    let lost =
+        Places::of(before, unmatched, |point| counterparts.of_before(point).is_some(), place);
     for (thing, fate) in lost.seen_by(after.frames, progress)? {
         let list = match fate {
             Fate::Known | Fate::SurfaceThere => &mut changes.regrouped,
@@ -78,8 +85,10 @@ pub fn compare(
         };
         list.push(told(thing));
     }
-    let unmatched = after.instances.iter().filter(is_thing).filter(|thing| !known.contains(&thing.id));
-    let found = Places::of(after, unmatched, |point| counterparts.of_after(point), &place.inverse());
+    let unmatched =
+        after.instances.iter().filter(is_thing).filter(|thing| !known.contains(&thing.id));
+    let found =
+        Places::of(after, unmatched, |point| counterparts.of_after(point), &place.inverse());
     for (thing, fate) in found.seen_by(before.frames, progress)? {
         match fate {
             // A piece of what was one thing before.
@@ -89,7 +98,9 @@ pub fn compare(
         }
     }
     pair_moved(&mut changes, before, after);
-    changes.unchanged = before.instances.iter().filter(is_thing).filter(|thing| stayed.contains(&thing.id)).count() as u32;
+    changes.unchanged =
+        before.instances.iter().filter(is_thing).filter(|thing| stayed.contains(&thing.id)).count()
+            as u32;
     Ok(changes)
 }
 
@@ -129,8 +140,11 @@ impl<'a> Places<'a> {
             }
         }
         let (mut positions, mut places) = (Vec::new(), Vec::new());
-        for (thing, points) in things.into_iter().zip(points).filter(|(_, points)| !points.is_empty()) {
-            let there = points.iter().filter(|&&point| has_counterpart(point)).count() as f32 / points.len() as f32;
+        for (thing, points) in
+            things.into_iter().zip(points).filter(|(_, points)| !points.is_empty())
+        {
+            let there = points.iter().filter(|&&point| has_counterpart(point)).count() as f32
+                / points.len() as f32;
             let first = positions.len();
             let sample = points.iter().step_by(points.len().div_ceil(MOST_POINTS));
             positions.extend(sample.map(|&point| place * look.cloud.positions[point]));
@@ -139,13 +153,21 @@ impl<'a> Places<'a> {
         Self { things: places, positions }
     }
 
-    fn seen_by(self, frames: &[FrameRef], progress: &Progress) -> Result<Vec<(&'a Instance, Fate)>, ChangesError> {
-        let frames: Vec<FrameRef> = frames.iter().step_by(frames.len().div_ceil(MOST_FRAMES).max(1)).cloned().collect();
+    fn seen_by(
+        self,
+        frames: &[FrameRef],
+        progress: &Progress,
+    ) -> Result<Vec<(&'a Instance, Fate)>, ChangesError> {
+        let frames: Vec<FrameRef> =
+            frames.iter().step_by(frames.len().div_ceil(MOST_FRAMES).max(1)).cloned().collect();
         let looks = look_at::<ChangesError>(&self.positions, &frames, |_| Ok(progress.check()?))?;
         let fate = |there: f32, points: std::ops::Range<usize>| {
             let looks = &looks[points];
-            let count = |which: fn(&Looks) -> bool| looks.iter().filter(|looks| which(looks)).count() as f32;
-            let (looked_at, empty) = (count(Looks::is_known), count(|looks| looks.through > looks.hits));
+            let count = |which: fn(&Looks) -> bool| {
+                looks.iter().filter(|looks| which(looks)).count() as f32
+            };
+            let (looked_at, empty) =
+                (count(Looks::is_known), count(|looks| looks.through > looks.hits));
             match there >= STILL_THERE {
                 true => Fate::Known,
                 false if looked_at < LOOKED_AT * looks.len() as f32 => Fate::NotLookedAt,
@@ -153,7 +175,11 @@ impl<'a> Places<'a> {
                 false => Fate::SurfaceThere,
             }
         };
-        Ok(self.things.into_iter().map(|(thing, there, points)| (thing, fate(there, points))).collect())
+        Ok(self
+            .things
+            .into_iter()
+            .map(|(thing, there, points)| (thing, fate(there, points)))
+            .collect())
     }
 }
 
@@ -165,7 +191,8 @@ const SAME_COLOUR: f32 = 0.5;
 
 /// What is gone here and came there, alike, has moved: the most alike pairs first.
 fn pair_moved(changes: &mut Changes, before: &Look, after: &Look) {
-    let came: Vec<ChangedThing> = changes.appeared.iter().chain(&changes.first_seen).cloned().collect();
+    let came: Vec<ChangedThing> =
+        changes.appeared.iter().chain(&changes.first_seen).cloned().collect();
     let thing = |look: &Look<'_>, id: InstanceId| look.instances[id.0 as usize - 1].clone();
     let mut pairs: Vec<(f32, &ChangedThing, &ChangedThing)> = Vec::new();
     for gone in &changes.gone {

@@ -28,7 +28,8 @@ impl Counterparts {
         Self::new(before.iter().map(|p| at.get(&bits(p)).copied()).collect(), after.len())
     }
 
-    /// Those of two scans: the nearest point within so many metres. `place` leads from `before` to `after`.
+    /// Those of two scans: the nearest point within so many metres. `place` leads from `before` to
+    /// `after`.
     ///
     /// # Errors
     /// [`Cancelled`].
@@ -45,7 +46,10 @@ impl Counterparts {
         let placed: Vec<Point3<f32>> = before.iter().map(|p| place * p).collect();
         let (index, back) = (Nearest::new(after, within_m), Nearest::new(&placed, within_m));
         let of_before = placed.par_iter().map(|p| nearest(&index, p)).collect::<Result<_, _>>()?;
-        let of_after = after.par_iter().map(|p| nearest(&back, p).map(|near| near.is_some())).collect::<Result<_, _>>()?;
+        let of_after = after
+            .par_iter()
+            .map(|p| nearest(&back, p).map(|near| near.is_some()))
+            .collect::<Result<_, _>>()?;
         Ok(Self { of_before, of_after })
     }
 
@@ -103,11 +107,17 @@ impl<'a> Nearest<'a> {
     }
 }
 
-/// Things that are the same in both looks, by the owners of their points: each has at most one partner, the best fitting pairs first.
+/// Things that are the same in both looks, by the owners of their points: each has at most one
+/// partner, the best fitting pairs first.
 #[must_use]
-pub fn pairs(before: &[InstanceId], after: &[InstanceId], counterparts: &Counterparts) -> Vec<(InstanceId, InstanceId)> {
+pub fn pairs(
+    before: &[InstanceId],
+    after: &[InstanceId],
+    counterparts: &Counterparts,
+) -> Vec<(InstanceId, InstanceId)> {
     let mut shared: BTreeMap<(InstanceId, InstanceId), u32> = BTreeMap::new();
-    let (mut sizes_before, mut sizes_after, mut whole) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+    let (mut sizes_before, mut sizes_after, mut whole) =
+        (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
     for (point, &old) in before.iter().enumerate() {
         *whole.entry(old).or_insert(0_u32) += 1;
         let Some(counterpart) = counterparts.of_before(point) else { continue };
@@ -118,9 +128,14 @@ pub fn pairs(before: &[InstanceId], after: &[InstanceId], counterparts: &Counter
             *shared.entry((old, new)).or_insert(0) += 1;
         }
     }
-    let iou = |(old, new), both: u32| both as f32 / (sizes_before[&old] + sizes_after[&new] - both) as f32;
-    let mut scored: Vec<(f32, (InstanceId, InstanceId))> = shared.iter().map(|(&pair, &both)| (iou(pair, both), pair)).collect();
-    scored.retain(|(iou, (old, _))| *iou >= SAME_THING && sizes_before[old] as f32 >= LEFT * whole[old] as f32);
+    let iou = |(old, new), both: u32| {
+        both as f32 / (sizes_before[&old] + sizes_after[&new] - both) as f32
+    };
+    let mut scored: Vec<(f32, (InstanceId, InstanceId))> =
+        shared.iter().map(|(&pair, &both)| (iou(pair, both), pair)).collect();
+    scored.retain(|(iou, (old, _))| {
+        *iou >= SAME_THING && sizes_before[old] as f32 >= LEFT * whole[old] as f32
+    });
     scored.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let (mut taken_before, mut taken_after) = (BTreeSet::new(), BTreeSet::new());
     let mut found = Vec::new();
@@ -166,9 +181,16 @@ mod tests {
     #[test]
     fn points_of_two_scans_meet_within_reach() {
         let place = Isometry3::translation(0.0, 1.0, 0.0);
-        let (before, after) =
-            (line([0.0, 1.0]), vec![Point3::new(0.04, 1.0, 0.0), Point3::new(0.01, 1.0, 0.0), Point3::new(1.2, 1.0, 0.0)]);
-        let near = Counterparts::nearest(&before, &after, &place, 0.05, &Progress::silent()).unwrap();
+        let (before, after) = (
+            line([0.0, 1.0]),
+            vec![
+                Point3::new(0.04, 1.0, 0.0),
+                Point3::new(0.01, 1.0, 0.0),
+                Point3::new(1.2, 1.0, 0.0),
+            ],
+        );
+        let near =
+            Counterparts::nearest(&before, &after, &place, 0.05, &Progress::silent()).unwrap();
         assert_eq!((near.of_before(0), near.of_before(1)), (Some(1), None));
         assert_eq!([0, 1, 2].map(|i| near.of_after(i)), [true, true, false]);
     }
@@ -176,11 +198,20 @@ mod tests {
     #[test]
     fn looking_for_counterparts_stops_when_it_is_cancelled() {
         // Of a thousand points in one place each has a thousand near.
-        let (dense, checks) = (vec![Point3::origin(); 1000], std::sync::Arc::new(std::sync::atomic::AtomicUsize::new(0)));
+        let (dense, checks) = (
+            vec![Point3::origin(); 1000],
+            std::sync::Arc::new(std::sync::atomic::AtomicUsize::new(0)),
+        );
         let checked = checks.clone();
-        let progress = Progress::new(|_, _| {}, move || checked.fetch_add(1, std::sync::atomic::Ordering::Relaxed) >= 10);
+        let progress = Progress::new(
+            |_, _| {},
+            move || checked.fetch_add(1, std::sync::atomic::Ordering::Relaxed) >= 10,
+        );
         let found = Counterparts::nearest(&dense, &dense, &Isometry3::identity(), 0.05, &progress);
         assert!(found.is_err());
-        assert!(checks.load(std::sync::atomic::Ordering::Relaxed) < 1000, "every point was looked at");
+        assert!(
+            checks.load(std::sync::atomic::Ordering::Relaxed) < 1000,
+            "every point was looked at"
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! glTF 2.0 in one binary file: a node for each thing, with its points, what is known of it as `extras`, and its box as lines.
+//! glTF 2.0 in one binary file: a node for each thing, with its points, what is known of it as
+//! `extras`, and its box as lines.
 //!
 //! ```text
 //! title                turns Z up into glTF's Y up; everything below is in the frame of the scene
@@ -7,8 +8,9 @@
 //!   …
 //!   rest of the scan   points that belong to nothing
 //! ```
-//! Positions are as they were measured. Colours are light as floats: bytes are too few for what is dark, and readers get shorts wrong.
-//! Materials are unlit: points have no normals, and their colours hold the light of the room already.
+//! Positions are as they were measured. Colours are light as floats: bytes are too few for what is
+//! dark, and readers get shorts wrong. Materials are unlit: points have no normals, and their
+//! colours hold the light of the room already.
 
 use super::{Described, EDGES, Export, REST, light, unit_corners};
 use crate::geometry::Point3;
@@ -17,7 +19,8 @@ use serde::Serialize;
 use std::io::{self, BufWriter, Write};
 
 /// Columns of what takes `(x, y, z)` to `(x, z, -y)`.
-const Z_UP_TO_Y_UP: [f32; 16] = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+const Z_UP_TO_Y_UP: [f32; 16] =
+    [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
 /// Of a box that is drawn, metres: what has no extent can not be turned back.
 const THINNEST_M: f32 = 0.001;
 const UNLIT: &str = "KHR_materials_unlit";
@@ -54,8 +57,10 @@ pub fn write_glb(export: &Export, out: impl Write) -> io::Result<()> {
     let mut json = serde_json::to_vec(&document)?;
     json.resize(json.len().next_multiple_of(4), b' ');
     let blob_bytes = document.buffers[0].byte_length;
-    let in_header =
-        |bytes: usize| u32::try_from(bytes).map_err(|_| io::Error::new(io::ErrorKind::InvalidInput, "too many points for a GLB"));
+    let in_header = |bytes: usize| {
+        u32::try_from(bytes)
+            .map_err(|_| io::Error::new(io::ErrorKind::InvalidInput, "too many points for a GLB"))
+    };
     let mut out = BufWriter::new(out);
     out.write_all(b"glTF")?;
     for word in [2, in_header(12 + 8 + json.len() + 8 + blob_bytes)?, in_header(json.len())?] {
@@ -72,7 +77,8 @@ pub fn write_glb(export: &Export, out: impl Write) -> io::Result<()> {
     for corner in EDGES.as_flattened() {
         out.write_all(&u16::from(*corner).to_le_bytes())?;
     }
-    let points = || things.iter().flat_map(|(_, points)| points).chain(&rest).map(|point| *point as usize);
+    let points =
+        || things.iter().flat_map(|(_, points)| points).chain(&rest).map(|point| *point as usize);
     for number in points().flat_map(|point| <[f32; 3]>::from(export.cloud.positions[point])) {
         out.write_all(&number.to_le_bytes())?;
     }
@@ -233,7 +239,9 @@ impl<'a> Document<'a> {
             materials: vec![Material::of("points".into(), [u8::MAX; 3])],
             accessors: box_accessors(),
             buffer_views: buffer_views(count),
-            buffers: [Buffer { byte_length: CORNERS_BYTES + EDGES_BYTES + count * (POSITION_BYTES + COLOUR_BYTES) }],
+            buffers: [Buffer {
+                byte_length: CORNERS_BYTES + EDGES_BYTES + count * (POSITION_BYTES + COLOUR_BYTES),
+            }],
         };
         let mut before = 0;
         for (thing, points) in things {
@@ -242,7 +250,13 @@ impl<'a> Document<'a> {
             document.thing(thing, mesh);
         }
         if let Some(mesh) = document.points(export, REST, rest, before) {
-            let node = Node { name: REST.into(), mesh: Some(mesh), children: Vec::new(), place: None, extras: None };
+            let node = Node {
+                name: REST.into(),
+                mesh: Some(mesh),
+                children: Vec::new(),
+                place: None,
+                extras: None,
+            };
             let added = document.add(node);
             document.nodes[0].children.push(added);
         }
@@ -250,10 +264,17 @@ impl<'a> Document<'a> {
     }
 
     /// The mesh of points that come after so many others; `None` of none.
-    fn points(&mut self, export: &Export, name: &'a str, points: &[u32], before: usize) -> Option<usize> {
+    fn points(
+        &mut self,
+        export: &Export,
+        name: &'a str,
+        points: &[u32],
+        before: usize,
+    ) -> Option<usize> {
         let positions = points.iter().map(|point| export.cloud.positions[*point as usize]);
-        let (min, max) =
-            positions.fold(None, |around, p| Some(around.map_or((p, p), |(min, max): (Point3<f32>, _)| (min.inf(&p), p.sup(&max)))))?;
+        let (min, max) = positions.fold(None, |around, p| {
+            Some(around.map_or((p, p), |(min, max): (Point3<f32>, _)| (min.inf(&p), p.sup(&max))))
+        })?;
         let (position, colour) = (self.accessors.len(), self.accessors.len() + 1);
         self.accessors.push(Accessor {
             buffer_view: POSITIONS_VIEW,
@@ -274,8 +295,15 @@ impl<'a> Document<'a> {
             max: None,
         });
         let attributes = Attributes { position, colour: Some(colour) };
-        self.meshes
-            .push(Mesh { name, primitives: [Primitive { attributes, indices: None, material: POINT_MATERIAL, mode: POINTS }] });
+        self.meshes.push(Mesh {
+            name,
+            primitives: [Primitive {
+                attributes,
+                indices: None,
+                material: POINT_MATERIAL,
+                mode: POINTS,
+            }],
+        });
         Some(self.meshes.len() - 1)
     }
 
@@ -294,10 +322,21 @@ impl<'a> Document<'a> {
             scale: thing.oriented_box.size.map(|side| side.max(THINNEST_M)).into(),
         };
         let lines = Some(self.meshes.len() - 1);
-        let outline =
-            self.add(Node { name: format!("box of {name}"), mesh: lines, children: Vec::new(), place: Some(place), extras: None });
+        let outline = self.add(Node {
+            name: format!("box of {name}"),
+            mesh: lines,
+            children: Vec::new(),
+            place: Some(place),
+            extras: None,
+        });
         let extras = Some(Described::of(thing));
-        let added = self.add(Node { name: name.to_owned(), mesh, children: vec![outline], place: None, extras });
+        let added = self.add(Node {
+            name: name.to_owned(),
+            mesh,
+            children: vec![outline],
+            place: None,
+            extras,
+        });
         self.nodes[0].children.push(added);
     }
 
@@ -325,17 +364,34 @@ fn box_accessors() -> Vec<Accessor> {
         min: around.map(|side| [-side; 3]),
         max: around.map(|side| [side; 3]),
     };
-    vec![accessor(CORNERS_VIEW, FLOAT, 8, "VEC3", Some(0.5)), accessor(EDGES_VIEW, UNSIGNED_SHORT, 24, "SCALAR", None)]
+    vec![
+        accessor(CORNERS_VIEW, FLOAT, 8, "VEC3", Some(0.5)),
+        accessor(EDGES_VIEW, UNSIGNED_SHORT, 24, "SCALAR", None),
+    ]
 }
 
 fn buffer_views(count: usize) -> Vec<BufferView> {
-    let view = |byte_offset, byte_length, byte_stride, target| BufferView { buffer: 0, byte_offset, byte_length, byte_stride, target };
-    let mut views = vec![view(0, CORNERS_BYTES, Some(POSITION_BYTES), VERTICES), view(CORNERS_BYTES, EDGES_BYTES, None, INDICES)];
+    let view = |byte_offset, byte_length, byte_stride, target| BufferView {
+        buffer: 0,
+        byte_offset,
+        byte_length,
+        byte_stride,
+        target,
+    };
+    let mut views = vec![
+        view(0, CORNERS_BYTES, Some(POSITION_BYTES), VERTICES),
+        view(CORNERS_BYTES, EDGES_BYTES, None, INDICES),
+    ];
     // A view holds at least a byte.
     if count > 0 {
         let positions = CORNERS_BYTES + EDGES_BYTES;
         views.push(view(positions, count * POSITION_BYTES, Some(POSITION_BYTES), VERTICES));
-        views.push(view(positions + count * POSITION_BYTES, count * COLOUR_BYTES, Some(COLOUR_BYTES), VERTICES));
+        views.push(view(
+            positions + count * POSITION_BYTES,
+            count * COLOUR_BYTES,
+            Some(COLOUR_BYTES),
+            VERTICES,
+        ));
     }
     views
 }
@@ -350,15 +406,25 @@ mod tests {
 
     fn written(room: &Room, most: usize) -> Vec<u8> {
         let mut bytes = Vec::new();
-        write_glb(&Export::new("my room", &room.cloud, &room.of_point, &room.instances, most), &mut bytes).unwrap();
+        write_glb(
+            &Export::new("my room", &room.cloud, &room.of_point, &room.instances, most),
+            &mut bytes,
+        )
+        .unwrap();
         bytes
     }
 
     fn document(bytes: &[u8]) -> Value {
         let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
-        assert_eq!((&bytes[..4], word(4), word(8), &bytes[16..20]), (&b"glTF"[..], 2, bytes.len(), &b"JSON"[..]));
+        assert_eq!(
+            (&bytes[..4], word(4), word(8), &bytes[16..20]),
+            (&b"glTF"[..], 2, bytes.len(), &b"JSON"[..])
+        );
         let blob = 20 + word(12);
-        assert_eq!((blob % 4, &bytes[blob + 4..blob + 8], blob + 8 + word(blob)), (0, &b"BIN\0"[..], bytes.len()));
+        assert_eq!(
+            (blob % 4, &bytes[blob + 4..blob + 8], blob + 8 + word(blob)),
+            (0, &b"BIN\0"[..], bytes.len())
+        );
         serde_json::from_slice(&bytes[20..blob]).unwrap()
     }
 
@@ -376,7 +442,8 @@ mod tests {
         let names: Vec<&str> = children.iter().map(|node| node["name"].as_str().unwrap()).collect();
         assert_eq!(names, ["floor", "coffee table", "mug", "rest of the scan"]);
         let points = |node: &Value| {
-            let primitive = &document["meshes"][node["mesh"].as_u64().unwrap() as usize]["primitives"][0];
+            let primitive =
+                &document["meshes"][node["mesh"].as_u64().unwrap() as usize]["primitives"][0];
             assert_eq!(primitive["mode"], 0);
             document["accessors"][primitive["attributes"]["POSITION"].as_u64().unwrap() as usize]["count"]
                 .as_u64()
@@ -391,11 +458,20 @@ mod tests {
         );
         assert_eq!(mug["support"], json!({"on": "instance", "id": 2}));
         assert_eq!(mug["box"]["center"], json!([1.0, 2.0, 0.55]));
-        assert_eq!((&mug["oriented_box"]["yaw_rad"], &mug["confidence"]), (&json!(0.5), &json!(0.75)));
+        assert_eq!(
+            (&mug["oriented_box"]["yaw_rad"], &mug["confidence"]),
+            (&json!(0.5), &json!(0.75))
+        );
         assert_eq!(children[0]["extras"]["structure"], "floor");
         let outline = &nodes[children[2]["children"][0].as_u64().unwrap() as usize];
-        assert_eq!((&outline["translation"], &outline["scale"]), (&json!([1.0, 2.0, 0.55]), &json!([0.1, 0.1, 0.1])));
-        assert_eq!(document["meshes"][outline["mesh"].as_u64().unwrap() as usize]["primitives"][0]["mode"], 1);
+        assert_eq!(
+            (&outline["translation"], &outline["scale"]),
+            (&json!([1.0, 2.0, 0.55]), &json!([0.1, 0.1, 0.1]))
+        );
+        assert_eq!(
+            document["meshes"][outline["mesh"].as_u64().unwrap() as usize]["primitives"][0]["mode"],
+            1
+        );
     }
 
     /// Read by the reader of uploads: up is up, nothing is mirrored, colours are what they were.
@@ -411,7 +487,8 @@ mod tests {
             points
         };
         let turned = |p: &Point3<f32>| [p.x, p.z, -p.y];
-        let expected = room.cloud.positions.iter().map(turned).zip(room.cloud.colours.iter().copied());
+        let expected =
+            room.cloud.positions.iter().map(turned).zip(room.cloud.colours.iter().copied());
         let read = read.positions.iter().map(|p| [p.x, p.y, p.z]).zip(read.colours.iter().copied());
         assert_eq!(sorted(read.collect()), sorted(expected.collect()));
     }

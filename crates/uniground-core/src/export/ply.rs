@@ -1,4 +1,5 @@
-//! PLY, binary little endian: points in their own colours with the id of their thing, and the things' names in the header.
+//! PLY, binary little endian: points in their own colours with the id of their thing, and the
+//! things' names in the header.
 
 use super::Export;
 use crate::scene::{self, Instance, InstanceId};
@@ -6,17 +7,19 @@ use std::io::{self, Write};
 
 /// Longest name in a header, bytes.
 const LONGEST_NAME: usize = 120;
-/// Headers of 64 KiB are read, by this project's own reader too: the names of things that do not fit are left out.
+/// Headers of 64 KiB are read, by this project's own reader too: the names of things that do not
+/// fit are left out.
 const MOST_COMMENT_BYTES: usize = 48 << 10;
 
-/// Writes a scene as PLY: `x y z` (float), `red green blue` (uchar), `instance` (int, 0: none); comments `instance <id> <name>`, in order
-/// of id.
+/// Writes a scene as PLY: `x y z` (float), `red green blue` (uchar), `instance` (int, 0: none);
+/// comments `instance <id> <name>`, in order of id.
 ///
 /// # Errors
 /// Those of `out`.
 pub fn write_ply(export: &Export, out: impl Write) -> io::Result<()> {
     let Export { title, cloud, points, things } = export;
-    let positions: Vec<_> = points.iter().map(|(point, _)| cloud.positions[*point as usize]).collect();
+    let positions: Vec<_> =
+        points.iter().map(|(point, _)| cloud.positions[*point as usize]).collect();
     let of_point = |i: usize| {
         let (point, owner): (u32, InstanceId) = points[i];
         (cloud.colours[point as usize], Some(owner))
@@ -43,7 +46,11 @@ fn comments(title: &str, things: &[&Instance]) -> Vec<String> {
 fn one_line(name: &str) -> String {
     let mut line = String::new();
     for c in name.chars() {
-        let written = if c.is_ascii_graphic() || c == ' ' { c.to_string() } else { c.escape_unicode().to_string() };
+        let written = if c.is_ascii_graphic() || c == ' ' {
+            c.to_string()
+        } else {
+            c.escape_unicode().to_string()
+        };
         if line.len() + written.len() > LONGEST_NAME {
             break;
         }
@@ -74,9 +81,12 @@ mod tests {
         assert_eq!(ingest::read_cloud(&file).unwrap(), cloud);
         let header = String::from_utf8_lossy(&bytes);
         let lines: Vec<&str> = header.lines().take_while(|line| *line != "end_header").collect();
-        for expected in
-            ["comment scene r\\u{f6}om", "comment instance 1 floor", "comment instance 2 caf\\u{e9}\\u{a}table", "property int instance"]
-        {
+        for expected in [
+            "comment scene r\\u{f6}om",
+            "comment instance 1 floor",
+            "comment instance 2 caf\\u{e9}\\u{a}table",
+            "property int instance",
+        ] {
             assert!(lines.contains(&expected), "{expected}: {lines:?}");
         }
         assert!(lines.iter().all(|line| line.is_ascii()));
@@ -87,7 +97,11 @@ mod tests {
         let Room { cloud, of_point, instances } = room();
         let name = Some("\u{1f6cb}".repeat(100));
         let many: Vec<Instance> = (1..=2000)
-            .map(|id| Instance { id: InstanceId(id), given_name: name.clone(), ..instances[0].clone() })
+            .map(|id| Instance {
+                id: InstanceId(id),
+                given_name: name.clone(),
+                ..instances[0].clone()
+            })
             .collect();
         let mut bytes = Vec::new();
         write_ply(&Export::new("", &cloud, &of_point, &many, usize::MAX), &mut bytes).unwrap();

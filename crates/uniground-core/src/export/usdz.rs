@@ -1,4 +1,5 @@
-//! USDZ: one layer of text, `scene.usda`, stored in a zip as the format wants it: uncompressed, its data at a multiple of 64 bytes.
+//! USDZ: one layer of text, `scene.usda`, stored in a zip as the format wants it: uncompressed, its
+//! data at a multiple of 64 bytes.
 //!
 //! ```text
 //! /Scene                 Z up, metres
@@ -47,7 +48,10 @@ pub fn write_usdz(export: &Export, out: impl Write + Seek) -> io::Result<()> {
 fn write_layer(export: &Export, out: &mut impl Write) -> io::Result<()> {
     let (things, rest) = export.groups();
     let light: Vec<String> = (0..=255).map(|channel| format!("{:.4}", light(channel))).collect();
-    writeln!(out, "#usda 1.0\n(\n    defaultPrim = \"Scene\"\n    metersPerUnit = 1\n    upAxis = \"Z\"\n)\n")?;
+    writeln!(
+        out,
+        "#usda 1.0\n(\n    defaultPrim = \"Scene\"\n    metersPerUnit = 1\n    upAxis = \"Z\"\n)\n"
+    )?;
     writeln!(out, "def Xform \"Scene\" (\n    displayName = {}\n)\n{{", Quoted(export.title))?;
     for (thing, points) in &things {
         let name = thing.label();
@@ -68,8 +72,11 @@ fn write_layer(export: &Export, out: &mut impl Write) -> io::Result<()> {
 }
 
 fn write_attributes(of: &Described, out: &mut impl Write) -> io::Result<()> {
-    let Described { id, name, label, confidence, level, structure, aabb, oriented_box, support } = of;
-    let mut attribute = |kind: &str, name: &str, value: &dyn Display| writeln!(out, "        custom {kind} uniground:{name} = {value}");
+    let Described { id, name, label, confidence, level, structure, aabb, oriented_box, support } =
+        of;
+    let mut attribute = |kind: &str, name: &str, value: &dyn Display| {
+        writeln!(out, "        custom {kind} uniground:{name} = {value}")
+    };
     attribute("int", "id", id)?;
     attribute("string", "name", &Quoted(name))?;
     attribute("string", "label", &Quoted(label))?;
@@ -95,7 +102,13 @@ fn write_attributes(of: &Described, out: &mut impl Write) -> io::Result<()> {
     id.map_or(Ok(()), |id| attribute("int", "support:id", id))
 }
 
-fn write_points(export: &Export, name: &str, points: &[u32], light: &[String], out: &mut impl Write) -> io::Result<()> {
+fn write_points(
+    export: &Export,
+    name: &str,
+    points: &[u32],
+    light: &[String],
+    out: &mut impl Write,
+) -> io::Result<()> {
     let position = |point: &u32| export.cloud.positions[*point as usize];
     let positions: Vec<Point3<f32>> = points.iter().map(position).collect();
     let Some(extent) = Aabb::around(&positions) else { return Ok(()) };
@@ -110,7 +123,10 @@ fn write_points(export: &Export, name: &str, points: &[u32], light: &[String], o
 
 fn write_outline(thing: &Instance, light: &[String], out: &mut impl Write) -> io::Result<()> {
     let corners = corners(&thing.oriented_box);
-    writeln!(out, "        def BasisCurves \"outline\"\n        {{\n            uniform token type = \"linear\"")?;
+    writeln!(
+        out,
+        "        def BasisCurves \"outline\"\n        {{\n            uniform token type = \"linear\""
+    )?;
     if let Some(extent) = Aabb::around(&corners) {
         write_extent(&extent, LINE_WIDTH_M, out)?;
     }
@@ -120,30 +136,49 @@ fn write_outline(thing: &Instance, light: &[String], out: &mut impl Write) -> io
         EDGES.as_flattened().iter().map(|corner| Triple(corners[usize::from(*corner)].into())),
         out,
     )?;
-    write_spread("color3f[] primvars:displayColor", [Light(id_colour(thing.id.0), light)], "constant", out)?;
+    write_spread(
+        "color3f[] primvars:displayColor",
+        [Light(id_colour(thing.id.0), light)],
+        "constant",
+        out,
+    )?;
     write_spread("float[] widths", [LINE_WIDTH_M], "constant", out)?;
     writeln!(out, "        }}")
 }
 
 /// Of what is drawn: points and lines have a width.
 fn write_extent(around: &Aabb, width_m: f32, out: &mut impl Write) -> io::Result<()> {
-    let corner = |corner: Point3<f32>, sign: f32| Triple(corner.map(|at| at + sign * width_m / 2.0).into());
+    let corner =
+        |corner: Point3<f32>, sign: f32| Triple(corner.map(|at| at + sign * width_m / 2.0).into());
     write_list("float3[] extent", [corner(around.min(), -1.0), corner(around.max(), 1.0)], out)
 }
 
-fn write_list<T: Display>(name: &str, values: impl IntoIterator<Item = T>, out: &mut impl Write) -> io::Result<()> {
+fn write_list<T: Display>(
+    name: &str,
+    values: impl IntoIterator<Item = T>,
+    out: &mut impl Write,
+) -> io::Result<()> {
     write_values(name, values, out)?;
     writeln!(out)
 }
 
 /// As [`write_list`], of what has a value for each point (`vertex`) or one for all (`constant`).
-fn write_spread<T: Display>(name: &str, values: impl IntoIterator<Item = T>, over: &str, out: &mut impl Write) -> io::Result<()> {
+fn write_spread<T: Display>(
+    name: &str,
+    values: impl IntoIterator<Item = T>,
+    over: &str,
+    out: &mut impl Write,
+) -> io::Result<()> {
     write_values(name, values, out)?;
     // The language wants it on the line of the list.
     writeln!(out, " (\n                interpolation = \"{over}\"\n            )")
 }
 
-fn write_values<T: Display>(name: &str, values: impl IntoIterator<Item = T>, out: &mut impl Write) -> io::Result<()> {
+fn write_values<T: Display>(
+    name: &str,
+    values: impl IntoIterator<Item = T>,
+    out: &mut impl Write,
+) -> io::Result<()> {
     write!(out, "            {name} = [")?;
     for (at, value) in values.into_iter().enumerate() {
         write!(out, "{}{value}", if at == 0 { "" } else { ", " })?;
@@ -154,7 +189,11 @@ fn write_values<T: Display>(name: &str, values: impl IntoIterator<Item = T>, out
 /// A name as the layer's language wants one: letters of English, digits and low lines.
 fn identifier(name: &str) -> String {
     const LONGEST: usize = 60;
-    let mut identifier: String = name.chars().take(LONGEST).map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
+    let mut identifier: String = name
+        .chars()
+        .take(LONGEST)
+        .map(|c| if c.is_ascii_alphanumeric() { c } else { '_' })
+        .collect();
     if !identifier.starts_with(|c: char| c.is_ascii_alphabetic()) {
         identifier.insert(0, '_');
     }
@@ -207,12 +246,21 @@ mod tests {
 
     fn layer(room: &Room) -> String {
         let mut bytes = Cursor::new(Vec::new());
-        write_usdz(&Export::new("my \"room\"", &room.cloud, &room.of_point, &room.instances, usize::MAX), &mut bytes).unwrap();
+        write_usdz(
+            &Export::new("my \"room\"", &room.cloud, &room.of_point, &room.instances, usize::MAX),
+            &mut bytes,
+        )
+        .unwrap();
         let mut archive = ZipArchive::new(bytes).unwrap();
         let mut text = String::new();
         for at in 0..archive.len() {
             let mut file = archive.by_index(at).unwrap();
-            assert_eq!((file.compression(), file.data_start().unwrap() % 64), (CompressionMethod::Stored, 0), "{:?}", file.name());
+            assert_eq!(
+                (file.compression(), file.data_start().unwrap() % 64),
+                (CompressionMethod::Stored, 0),
+                "{:?}",
+                file.name()
+            );
             file.read_to_string(&mut text).unwrap();
         }
         assert_eq!(archive.file_names().map(Result::unwrap).collect::<Vec<_>>(), [LAYER]);
@@ -241,13 +289,22 @@ mod tests {
         ] {
             assert!(text.contains(expected), "{expected}: {text}");
         }
-        assert_eq!((text.matches('{').count(), text.matches("def Points").count()), (text.matches('}').count(), 4));
+        assert_eq!(
+            (text.matches('{').count(), text.matches("def Points").count()),
+            (text.matches('}').count(), 4)
+        );
         assert_eq!(text, layer(&room));
     }
 
     #[test]
     fn identifiers_are_valid_whatever_things_are_called() {
-        for (name, expected) in [("mug", "mug"), ("coffee table", "coffee_table"), ("3D", "_3D"), ("", "_"), ("\u{6905}", "__")] {
+        for (name, expected) in [
+            ("mug", "mug"),
+            ("coffee table", "coffee_table"),
+            ("3D", "_3D"),
+            ("", "_"),
+            ("\u{6905}", "__"),
+        ] {
             assert_eq!(identifier(name), expected);
         }
     }

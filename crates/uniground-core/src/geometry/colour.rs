@@ -26,7 +26,8 @@ static LINEAR: LazyLock<[f32; 256]> = LazyLock::new(|| {
     })
 });
 
-/// CIELAB's compressive curve, read from a table: a scan has millions of pixels and a cube root is slow.
+/// CIELAB's compressive curve, read from a table: a scan has millions of pixels and a cube root is
+/// slow.
 fn lab_curve(t: f32) -> f32 {
     const STEPS: usize = 4096;
     static TABLE: LazyLock<Vec<f32>> = LazyLock::new(|| {
@@ -110,13 +111,15 @@ impl ColourName {
 
     /// The name of a CIELAB colour: by chroma first (grey axis), then hue, then lightness.
     ///
-    /// Thresholds follow the usual centroids of the basic terms: browns are dark oranges, beiges pale ones, pinks pale reds.
+    /// Thresholds follow the usual centroids of the basic terms: browns are dark oranges, beiges
+    /// pale ones, pinks pale reds.
     #[must_use]
     pub fn of(lab: &Lab) -> Self {
         let lightness = lab.x;
         let chroma = lab.y.hypot(lab.z);
         let hue_deg = lab.z.atan2(lab.y).to_degrees().rem_euclid(360.0);
-        // Dark colours carry little chroma before they look black; bright ones need more before they look coloured.
+        // Dark colours carry little chroma before they look black; bright ones need more before
+        // they look coloured.
         if lightness < 20.0 && chroma < 12.0 {
             return Self::Black;
         }
@@ -196,21 +199,32 @@ impl ColourName {
     /// How well this name may stand for `other` when people disagree at the border, in `0..=1`.
     #[must_use]
     pub fn kinship(self, other: Self) -> f32 {
-        use ColourName::{Beige, Black, Blue, Brown, Grey, Orange, Pink, Purple, Red, White, Yellow};
+        use ColourName::{
+            Beige, Black, Blue, Brown, Grey, Orange, Pink, Purple, Red, White, Yellow,
+        };
         if self == other {
             return 1.0;
         }
         let pair = if self < other { (self, other) } else { (other, self) };
         match pair {
-            (Grey | Brown, Beige) | (White, Beige | Grey) | (Black, Grey) | (Orange, Brown) | (Red, Orange) => 0.5,
-            (Red, Pink | Brown) | (Blue, Purple) | (Purple, Pink) | (Orange, Yellow) | (Black, Brown) => 0.4,
+            (Grey | Brown, Beige)
+            | (White, Beige | Grey)
+            | (Black, Grey)
+            | (Orange, Brown)
+            | (Red, Orange) => 0.5,
+            (Red, Pink | Brown)
+            | (Blue, Purple)
+            | (Purple, Pink)
+            | (Orange, Yellow)
+            | (Black, Brown) => 0.4,
             (Yellow | Pink, Beige) | (Grey, Blue) => 0.25,
             _ => 0.0,
         }
     }
 }
 
-/// Share of each colour name among an instance's points, in the order of [`ColourName::ALL`]; sums to 1.
+/// Share of each colour name among an instance's points, in the order of [`ColourName::ALL`]; sums
+/// to 1.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct ColourHistogram(pub [f32; 12]);
 
@@ -242,13 +256,18 @@ impl ColourHistogram {
     /// Names by falling share, those under 10 % left out.
     #[must_use]
     pub fn dominant(&self) -> Vec<(ColourName, f32)> {
-        let mut named: Vec<_> = ColourName::ALL.into_iter().map(|n| (n, self.share(n))).filter(|(_, s)| *s >= 0.1).collect();
+        let mut named: Vec<_> = ColourName::ALL
+            .into_iter()
+            .map(|n| (n, self.share(n)))
+            .filter(|(_, s)| *s >= 0.1)
+            .collect();
         named.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
         named
     }
 
-    /// How well the word `name` describes these points, in `0..=1`: full once 60 % of them carry the name. Kin of it count less:
-    /// a brown desk may be called orange, but not where an orange one stands beside it.
+    /// How well the word `name` describes these points, in `0..=1`: full once 60 % of them carry
+    /// the name. Kin of it count less: a brown desk may be called orange, but not where an
+    /// orange one stands beside it.
     #[must_use]
     pub fn describes(&self, name: ColourName) -> f32 {
         let kin: f32 = ColourName::ALL

@@ -5,8 +5,8 @@ use nalgebra::SymmetricEigen;
 
 /// Smallest eigenvalue of a symmetric positive semi-definite matrix and its unit eigenvector.
 ///
-/// In closed form (Smith 1961), an order of magnitude faster than iterating; degenerate matrices, whose smallest eigenvalue is
-/// not alone, are left to the iteration.
+/// In closed form (Smith 1961), an order of magnitude faster than iterating; degenerate matrices,
+/// whose smallest eigenvalue is not alone, are left to the iteration.
 #[must_use]
 pub fn least_axis(matrix: &Matrix3<f32>) -> (f32, Vector3<f32>) {
     let a = matrix.cast::<f64>();
@@ -15,7 +15,8 @@ pub fn least_axis(matrix: &Matrix3<f32>) -> (f32, Vector3<f32>) {
     let spread = (shifted.norm_squared() / 6.0).sqrt();
     let half_det = (shifted.determinant() / (2.0 * spread.powi(3))).clamp(-1.0, 1.0);
     let least = mean + 2.0 * spread * (half_det.acos() / 3.0 + std::f64::consts::TAU / 3.0).cos();
-    // The eigenvector is orthogonal to every row of A - lambda I: the longest cross product of two rows.
+    // The eigenvector is orthogonal to every row of A - lambda I: the longest cross product of two
+    // rows.
     let rest = a - nalgebra::Matrix3::identity() * least;
     let rows = [rest.row(0).transpose(), rest.row(1).transpose(), rest.row(2).transpose()];
     let crosses = [rows[0].cross(&rows[1]), rows[1].cross(&rows[2]), rows[2].cross(&rows[0])];
@@ -52,7 +53,10 @@ mod tests {
     fn degenerate_spreads_have_an_axis_too() {
         for diagonal in [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 1.0], [2.0, 2.0, 0.0]] {
             let (value, axis) = least_axis(&Matrix3::from_diagonal(&Vector3::from(diagonal)));
-            assert!((axis.norm() - 1.0).abs() < 1e-5 && value <= diagonal[2], "{diagonal:?}: {value} {axis}");
+            assert!(
+                (axis.norm() - 1.0).abs() < 1e-5 && value <= diagonal[2],
+                "{diagonal:?}: {value} {axis}"
+            );
         }
     }
 }

@@ -12,8 +12,8 @@ pub mod statistics;
 pub mod union_find;
 pub mod voxels;
 
-/// Nothing may lie further from the origin than this, metres: single precision and voxel keys end here. Map coordinates (UTM)
-/// need an offset taken off first.
+/// Nothing may lie further from the origin than this, metres: single precision and voxel keys end
+/// here. Map coordinates (UTM) need an offset taken off first.
 pub const MAX_COORDINATE_M: f32 = 10_000.0;
 
 pub use nalgebra::{Isometry3, Matrix3, Matrix4, Point2, Point3, Vector2, Vector3};

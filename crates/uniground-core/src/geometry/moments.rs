@@ -1,4 +1,5 @@
-//! Mean and covariance of many points, summed in double precision: five million single-precision sums lose whole metres.
+//! Mean and covariance of many points, summed in double precision: five million single-precision
+//! sums lose whole metres.
 
 use super::{Matrix3, Point3};
 
@@ -7,7 +8,8 @@ use super::{Matrix3, Point3};
 pub struct Moments {
     /// Average position, metres; the origin when there are no points.
     pub mean: Point3<f32>,
-    /// Of the coordinates, square metres; divided by the number of points, zero when there are none.
+    /// Of the coordinates, square metres; divided by the number of points, zero when there are
+    /// none.
     pub covariance: Matrix3<f32>,
 }
 
@@ -16,7 +18,9 @@ impl Moments {
     #[must_use]
     pub fn of(points: &[Point3<f32>]) -> Self {
         let n = points.len().max(1) as f64;
-        let mean = points.iter().fold(nalgebra::Vector3::zeros(), |sum, p| sum + p.coords.cast::<f64>()) / n;
+        let mean =
+            points.iter().fold(nalgebra::Vector3::zeros(), |sum, p| sum + p.coords.cast::<f64>())
+                / n;
         let scatter = points.iter().fold(nalgebra::Matrix3::zeros(), |sum, p| {
             let d = p.coords.cast::<f64>() - mean;
             sum + d * d.transpose()
@@ -33,10 +37,23 @@ mod tests {
     fn millions_of_points_far_from_the_origin_keep_their_plane() {
         // A level plane at 2.3 m, a kilometre away.
         let points: Vec<_> = (0..3_000_000)
-            .map(|i| Point3::new(1000.0 + (i % 1500) as f32 * 0.003, -800.0 + (i / 1500) as f32 * 0.002, 2.3))
+            .map(|i| {
+                Point3::new(
+                    1000.0 + (i % 1500) as f32 * 0.003,
+                    -800.0 + (i / 1500) as f32 * 0.002,
+                    2.3,
+                )
+            })
             .collect();
         let moments = Moments::of(&points);
-        assert!((moments.mean - Point3::new(1002.25, -798.0, 2.3)).norm() < 0.01, "{}", moments.mean);
-        assert!(moments.covariance[(2, 2)] < 1e-6 && (moments.covariance[(1, 1)] - 4.0_f32.powi(2) / 12.0).abs() < 0.01);
+        assert!(
+            (moments.mean - Point3::new(1002.25, -798.0, 2.3)).norm() < 0.01,
+            "{}",
+            moments.mean
+        );
+        assert!(
+            moments.covariance[(2, 2)] < 1e-6
+                && (moments.covariance[(1, 1)] - 4.0_f32.powi(2) / 12.0).abs() < 0.01
+        );
     }
 }

@@ -9,9 +9,13 @@ use nalgebra::{Rotation3, Translation3, UnitQuaternion};
 pub enum PoseError {
     #[error("pose holds a value that is not finite")]
     NotFinite,
-    #[error("pose is not a rigid transform (determinant {determinant:.3}, deviation from orthonormal {deviation:.3})")]
+    #[error(
+        "pose is not a rigid transform (determinant {determinant:.3}, deviation from orthonormal {deviation:.3})"
+    )]
     NotRigid { determinant: f32, deviation: f32 },
-    #[error("pose lies {kilometres:.0} km from the origin, more than 10: take an offset off the whole scan first")]
+    #[error(
+        "pose lies {kilometres:.0} km from the origin, more than 10: take an offset off the whole scan first"
+    )]
     TooFar { kilometres: f32 },
 }
 
@@ -36,7 +40,8 @@ pub fn rigid(matrix: &Matrix4<f32>) -> Result<Isometry3<f32>, PoseError> {
     if translation.norm() > MAX_COORDINATE_M {
         return Err(PoseError::TooFar { kilometres: translation.norm() / 1000.0 });
     }
-    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
+    let rotation =
+        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
     let rotation = UnitQuaternion::new_normalize(rotation.into_inner());
     Ok(Isometry3::from_parts(Translation3::from(translation), rotation))
 }

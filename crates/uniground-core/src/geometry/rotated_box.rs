@@ -1,4 +1,5 @@
-//! Boxes turned any way (nine degrees of freedom), as `EmbodiedScan` and `ARKitScenes` annotate them, and their exact overlap.
+//! Boxes turned any way (nine degrees of freedom), as `EmbodiedScan` and `ARKitScenes` annotate
+//! them, and their exact overlap.
 
 use super::boxes::{Aabb, OrientedBox};
 use super::{Point3, Vector3};
@@ -17,7 +18,11 @@ pub struct RotatedBox {
 
 impl From<OrientedBox> for RotatedBox {
     fn from(OrientedBox { center, size, yaw_rad }: OrientedBox) -> Self {
-        Self { center, size, rotation: UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad) }
+        Self {
+            center,
+            size,
+            rotation: UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad),
+        }
     }
 }
 
@@ -38,10 +43,12 @@ impl RotatedBox {
         Aabb { center: self.center, size: turn.matrix().abs() * self.size }
     }
 
-    /// Intersection over union with another box, in `0..=1`; 0 for boxes without volume. Exact up to rounding.
+    /// Intersection over union with another box, in `0..=1`; 0 for boxes without volume. Exact up
+    /// to rounding.
     #[must_use]
     pub fn iou(&self, other: &Self) -> f32 {
-        let [own, others] = [self, other].map(|b| f64::from(b.size.x) * f64::from(b.size.y) * f64::from(b.size.z));
+        let [own, others] =
+            [self, other].map(|b| f64::from(b.size.x) * f64::from(b.size.y) * f64::from(b.size.z));
         let shared = self.shared_volume(other).min(own).min(others);
         if shared <= 0.0 { 0.0 } else { (shared / (own + others - shared)) as f32 }
     }
@@ -66,11 +73,13 @@ impl RotatedBox {
     /// The six faces, counter-clockwise from outside, relative to `origin`.
     fn faces(&self, origin: &Point3<f32>) -> Vec<Face> {
         // Corner i has bit 0 for +X, bit 1 for +Y, bit 2 for +Z.
-        const FACES: [[usize; 4]; 6] = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+        const FACES: [[usize; 4]; 6] =
+            [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
         let turn = self.rotation.cast::<f64>();
         let (center, half) = ((self.center - origin).cast::<f64>(), self.size.cast::<f64>() / 2.0);
         let corner = |i: usize| {
-            let sign = Vector3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2 & 1) as f64) * 2.0 - Vector3::repeat(1.0);
+            let sign = Vector3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2 & 1) as f64) * 2.0
+                - Vector3::repeat(1.0);
             Point3::from(center + turn * half.component_mul(&sign))
         };
         FACES.iter().map(|face| face.iter().map(|&i| corner(i)).collect()).collect()
@@ -109,7 +118,8 @@ fn cut(faces: Vec<Face>, normal: &Vector3<f64>, offset: f64) -> Vec<Face> {
 
 /// Points of a convex polygon, counter-clockwise seen against `normal`.
 fn ordered(mut points: Face, normal: &Vector3<f64>) -> Face {
-    let middle = points.iter().fold(Vector3::zeros(), |sum, p| sum + p.coords) / points.len() as f64;
+    let middle =
+        points.iter().fold(Vector3::zeros(), |sum, p| sum + p.coords) / points.len() as f64;
     let u = normal.cross(&Vector3::ith(normal.iamin(), 1.0)).normalize();
     let v = normal.cross(&u);
     let angle = |p: &Point3<f64>| (p.coords - middle).dot(&v).atan2((p.coords - middle).dot(&u));
@@ -145,7 +155,11 @@ mod tests {
         // A square turned by 45 degrees on itself: the octagon has 2 (sqrt 2 - 1) of the area.
         let octagon = 2.0 * (2.0_f32.sqrt() - 1.0);
         let diamond = turned([0.0; 3], [1.0; 3], [0.0, 0.0, FRAC_PI_4]);
-        assert!((cube.iou(&diamond) - octagon / (2.0 - octagon)).abs() < 1e-5, "{}", cube.iou(&diamond));
+        assert!(
+            (cube.iou(&diamond) - octagon / (2.0 - octagon)).abs() < 1e-5,
+            "{}",
+            cube.iou(&diamond)
+        );
         // The same about another axis.
         let tipped = turned([0.0; 3], [1.0; 3], [FRAC_PI_4, 0.0, 0.0]);
         assert!((cube.iou(&tipped) - octagon / (2.0 - octagon)).abs() < 1e-5);

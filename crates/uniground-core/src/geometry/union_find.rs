@@ -1,4 +1,5 @@
-//! Disjoint sets whose representative is always the smallest member, so that results do not depend on union order.
+//! Disjoint sets whose representative is always the smallest member, so that results do not depend
+//! on union order.
 
 /// Disjoint sets over `0..len`.
 #[derive(Debug, Clone)]

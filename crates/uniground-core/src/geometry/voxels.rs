@@ -13,7 +13,8 @@ const BIAS: i64 = 1 << 20;
 const MASK: u64 = (1 << 21) - 1;
 
 impl VoxelKey {
-    /// The voxel of edge `voxel_m` that holds `p`; coordinates beyond ±2^20 voxels are clamped to the rim.
+    /// The voxel of edge `voxel_m` that holds `p`; coordinates beyond ±2^20 voxels are clamped to
+    /// the rim.
     #[must_use]
     pub fn of(p: &Point3<f32>, voxel_m: f32) -> Self {
         Self::pack([p.x, p.y, p.z].map(|c| floor(c / voxel_m)))
@@ -37,7 +38,8 @@ impl VoxelKey {
         (x << 42) + (y << 21) + z
     }
 
-    /// The key a [`step`](Self::step) away. Faster than [`offset`](Self::offset); beyond the rim it is some other key.
+    /// The key a [`step`](Self::step) away. Faster than [`offset`](Self::offset); beyond the rim it
+    /// is some other key.
     #[must_use]
     pub const fn stepped(self, step: i64) -> Self {
         Self((self.0 as i64).wrapping_add(step) as u64)
@@ -46,18 +48,21 @@ impl VoxelKey {
     /// Centre of the voxel, metres.
     #[must_use]
     pub fn center(self, voxel_m: f32) -> Point3<f32> {
-        let at = |shift: u32| ((self.0 >> shift & MASK) as i64 - BIAS) as f32 * voxel_m + voxel_m / 2.0;
+        let at =
+            |shift: u32| ((self.0 >> shift & MASK) as i64 - BIAS) as f32 * voxel_m + voxel_m / 2.0;
         Point3::new(at(42), at(21), at(0))
     }
 }
 
-/// `value.floor() as i64`, without the call into the C library the oldest x86-64 processors need for it.
+/// `value.floor() as i64`, without the call into the C library the oldest x86-64 processors need
+/// for it.
 fn floor(value: f32) -> i64 {
     let towards_zero = value as i64;
     towards_zero.saturating_sub(i64::from((towards_zero as f32) > value))
 }
 
-/// A multiplicative hasher for packed keys: they are already well spread and hostile input costs only time.
+/// A multiplicative hasher for packed keys: they are already well spread and hostile input costs
+/// only time.
 #[derive(Default)]
 pub struct KeyHasher(u64);
 
@@ -79,7 +84,8 @@ impl Hasher for KeyHasher {
 /// Values by voxel; hashing a key takes one multiplication.
 pub type VoxelMap<V> = HashMap<VoxelKey, V, BuildHasherDefault<KeyHasher>>;
 
-/// Points grouped by voxel. Voxels are numbered in key order, so the numbering depends on the points alone.
+/// Points grouped by voxel. Voxels are numbered in key order, so the numbering depends on the
+/// points alone.
 pub struct VoxelGrid {
     /// Occupied voxels, ascending; the place in this list is the voxel's number, from 0.
     pub keys: Vec<VoxelKey>,
@@ -92,7 +98,8 @@ impl VoxelGrid {
     /// Bins points into cubes of edge `voxel_m` metres.
     #[must_use]
     pub fn new(points: &[Point3<f32>], voxel_m: f32) -> Self {
-        let point_keys: Vec<VoxelKey> = points.par_iter().map(|p| VoxelKey::of(p, voxel_m)).collect();
+        let point_keys: Vec<VoxelKey> =
+            points.par_iter().map(|p| VoxelKey::of(p, voxel_m)).collect();
         let keys = distinct(point_keys.clone());
         let index: VoxelMap<u32> = keys.iter().enumerate().map(|(i, &k)| (k, i as u32)).collect();
         let of_point = point_keys.par_iter().map(|k| index[k]).collect();
@@ -141,13 +148,16 @@ impl VoxelGrid {
 
     /// Count per voxel and the neighbours in one list.
     ///
-    /// Along Z neighbours have consecutive keys, and as voxels ascend so do the keys of the nine columns around them: nine
-    /// cursors sweep the sorted keys once, and nothing is looked up.
+    /// Along Z neighbours have consecutive keys, and as voxels ascend so do the keys of the nine
+    /// columns around them: nine cursors sweep the sorted keys once, and nothing is looked up.
     fn neighbours_of(&self, voxels: std::ops::Range<usize>) -> (Vec<u32>, Vec<u32>) {
-        let columns: [i64; 9] = std::array::from_fn(|i| VoxelKey::step([i as i64 / 3 - 1, i as i64 % 3 - 1, -1]));
+        let columns: [i64; 9] =
+            std::array::from_fn(|i| VoxelKey::step([i as i64 / 3 - 1, i as i64 % 3 - 1, -1]));
         let lowest = |voxel: usize, column: i64| self.keys[voxel].stepped(column);
-        let mut cursors = columns.map(|column| self.keys.partition_point(|&k| k < lowest(voxels.start, column)));
-        let (mut counts, mut list) = (Vec::with_capacity(voxels.len()), Vec::with_capacity(voxels.len() * 10));
+        let mut cursors =
+            columns.map(|column| self.keys.partition_point(|&k| k < lowest(voxels.start, column)));
+        let (mut counts, mut list) =
+            (Vec::with_capacity(voxels.len()), Vec::with_capacity(voxels.len() * 10));
         for voxel in voxels {
             let before = list.len();
             for (&column, cursor) in columns.iter().zip(&mut cursors) {
@@ -156,7 +166,9 @@ impl VoxelGrid {
                     *cursor += 1;
                 }
                 let within = self.keys[*cursor..].iter().take(3).take_while(|k| k.0 <= low.0 + 2);
-                list.extend((*cursor..*cursor + within.count()).filter(|&n| n != voxel).map(|n| n as u32));
+                list.extend(
+                    (*cursor..*cursor + within.count()).filter(|&n| n != voxel).map(|n| n as u32),
+                );
             }
             counts.push((list.len() - before) as u32);
         }
@@ -194,7 +206,8 @@ const AREA_CELL_M: f32 = 0.1;
 /// A cell that holds fewer points on average says nothing of the surface: larger ones are tried.
 const POINTS_PER_CELL: usize = 3;
 
-/// Typical distance between neighbouring points on their surface, metres: the side of the square each point stands for.
+/// Typical distance between neighbouring points on their surface, metres: the side of the square
+/// each point stands for.
 #[must_use]
 pub fn typical_spacing_m(points: &[Point3<f32>]) -> f32 {
     const LARGEST_CELL_M: f32 = 1000.0;
@@ -247,7 +260,8 @@ mod tests {
         assert!(grid.len() < points.len());
         let neighbours = grid.neighbours();
         for (v, key) in grid.keys.iter().enumerate() {
-            let looked_up: Vec<u32> = NEIGHBOURS_26.iter().filter_map(|&d| grid.get(key.offset(d))).collect();
+            let looked_up: Vec<u32> =
+                NEIGHBOURS_26.iter().filter_map(|&d| grid.get(key.offset(d))).collect();
             assert_eq!(neighbours.of(v as u32), looked_up);
         }
     }
@@ -255,7 +269,9 @@ mod tests {
     #[test]
     fn spacing_is_that_of_the_surface() {
         let plane: Vec<_> = (0..200)
-            .flat_map(|i| (0..200).map(move |j| Point3::new(i as f32 * 0.02, j as f32 * 0.02, 0.51)))
+            .flat_map(|i| {
+                (0..200).map(move |j| Point3::new(i as f32 * 0.02, j as f32 * 0.02, 0.51))
+            })
             .collect();
         assert!((typical_spacing_m(&plane) - 0.02).abs() < 0.002, "{}", typical_spacing_m(&plane));
         let sparse: Vec<_> = plane.iter().map(|p| p * 100.0).collect();
@@ -264,7 +280,10 @@ mod tests {
 
     #[test]
     fn wild_coordinates_do_not_panic() {
-        let grid = VoxelGrid::new(&[Point3::new(1e30, -1e30, f32::NAN), Point3::new(f32::INFINITY, 0.0, 0.0)], 0.01);
+        let grid = VoxelGrid::new(
+            &[Point3::new(1e30, -1e30, f32::NAN), Point3::new(f32::INFINITY, 0.0, 0.0)],
+            0.01,
+        );
         assert_eq!(grid.of_point.len(), 2);
     }
 }

@@ -1,4 +1,5 @@
-//! A parsed scene in memory as the question pipeline sees it: for evaluation, and for a robot's own process.
+//! A parsed scene in memory as the question pipeline sees it: for evaluation, and for a robot's own
+//! process.
 
 use super::names::NameIndex;
 use super::picture_cache::PictureCache;
@@ -22,11 +23,13 @@ pub struct Album {
     pub render_scene: Arc<RenderScene>,
     /// The encoder that has seen the scene, and what it saw; `None` without an encoder.
     pub seen: Option<(Arc<DualEncoder>, Embeddings)>,
-    /// Name and version of the encoder that has seen the instances, or of the built-in attributes in its place.
+    /// Name and version of the encoder that has seen the instances, or of the built-in attributes
+    /// in its place.
     pub encoder: String,
     /// What frames look like as a whole to that encoder, where it has looked at them.
     pub frame_embeddings: Option<FrameEmbeddings>,
-    /// The scan's frames. Their picture files must stay in place as long as a model may be shown them.
+    /// The scan's frames. Their picture files must stay in place as long as a model may be shown
+    /// them.
     pub frames: Vec<FrameRef>,
     /// Cuts out what a model saw in a photograph; `None`: the built-in masks do.
     pub segmenter: Option<Arc<Segmenter>>,
@@ -43,7 +46,8 @@ pub struct AlbumScene {
 }
 
 impl Album {
-    /// An album without pictures and names yet: questions add them. Arguments are the fields of the same names.
+    /// An album without pictures and names yet: questions add them. Arguments are the fields of the
+    /// same names.
     #[must_use]
     pub fn new(
         extent: Aabb,
@@ -54,7 +58,17 @@ impl Album {
     ) -> Self {
         let render_scene = Arc::new(render_scene);
         let (pictures, names) = (PictureCache::default(), Mutex::default());
-        Self { extent, render_scene, seen, encoder, frame_embeddings: None, frames, segmenter: None, pictures, names }
+        Self {
+            extent,
+            render_scene,
+            seen,
+            encoder,
+            frame_embeddings: None,
+            frames,
+            segmenter: None,
+            pictures,
+            names,
+        }
     }
 
     /// With a segmenter that cuts out what a model saw in a photograph.
@@ -72,7 +86,11 @@ impl Album {
     /// These instances in this album.
     #[must_use]
     pub fn scene(self: &Arc<Self>, instances: Arc<[Instance]>) -> Arc<AlbumScene> {
-        Arc::new(AlbumScene { album: self.clone(), name_index: NameIndex::of(&instances), instances })
+        Arc::new(AlbumScene {
+            album: self.clone(),
+            name_index: NameIndex::of(&instances),
+            instances,
+        })
     }
 }
 
@@ -83,8 +101,10 @@ impl AlbumScene {
         let ParsedScan { scene, frames, models: used, .. } = scan;
         let seen = models.encoder.clone().zip(scene.embeddings);
         let render_scene = RenderScene::of_parsed(scene.cloud, &scene.instances);
-        let album = Album::new(scene.extent, render_scene, seen, used.encoder, frames).with_frame_embeddings(scene.frame_embeddings);
-        Arc::new(album.with_segmenter(models.segmenters.first().cloned())).scene(scene.instances.into())
+        let album = Album::new(scene.extent, render_scene, seen, used.encoder, frames)
+            .with_frame_embeddings(scene.frame_embeddings);
+        Arc::new(album.with_segmenter(models.segmenters.first().cloned()))
+            .scene(scene.instances.into())
     }
 }
 
@@ -141,15 +161,28 @@ impl SceneSource for AlbumScene {
         Ok(())
     }
 
-    fn cut_out(&self, place: Place, is_not: &[InstanceId]) -> Result<Option<Instance>, QuestionError> {
+    fn cut_out(
+        &self,
+        place: Place,
+        is_not: &[InstanceId],
+    ) -> Result<Option<Instance>, QuestionError> {
         let Album { render_scene, frames, segmenter, .. } = &*self.album;
         let settings = ParsingSettings::default();
-        let pointing = Pointing { cloud: &render_scene.cloud, frames, segmenter: segmenter.as_deref(), settings: &settings };
+        let pointing = Pointing {
+            cloud: &render_scene.cloud,
+            frames,
+            segmenter: segmenter.as_deref(),
+            settings: &settings,
+        };
         Ok(pointing.find(place, &self.instances, is_not)?)
     }
 
-    /// For this question only: what one question finds does not change what another is answered in an evaluation.
-    async fn keep_found(self: &Arc<Self>, found: Instance) -> Result<(Arc<Self>, InstanceId), QuestionError> {
+    /// For this question only: what one question finds does not change what another is answered in
+    /// an evaluation.
+    async fn keep_found(
+        self: &Arc<Self>,
+        found: Instance,
+    ) -> Result<(Arc<Self>, InstanceId), QuestionError> {
         let id = found.id;
         let instances: Vec<Instance> = self.instances.iter().cloned().chain([found]).collect();
         Ok((self.album.scene(instances.into()), id))

@@ -4,7 +4,10 @@ use super::query::{Meaning, ParsedQuery, Phrase, Quantity, Superlative};
 use super::reasoner::Verdict;
 use super::shortlist;
 use super::vlm::PromptContext;
-use super::{Alternative, Candidate, NoMatchReason, ParsedQuerySummary, Question, SceneView, Seen, SixFields, Status, Target, Timings};
+use super::{
+    Alternative, Candidate, NoMatchReason, ParsedQuerySummary, Question, SceneView, Seen,
+    SixFields, Status, Target, Timings,
+};
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::geometry::colour::ColourName;
 use crate::scene::{Instance, Level};
@@ -33,7 +36,8 @@ pub struct Grounding {
     /// Why nothing is chosen; `None` unless `no_match`.
     #[serde(default)]
     pub no_match_reason: Option<NoMatchReason>,
-    /// Where a vision-language model sees what no instance is; `None` unless the reason is `not_listed`.
+    /// Where a vision-language model sees what no instance is; `None` unless the reason is
+    /// `not_listed`.
     #[serde(default)]
     pub seen: Option<Seen>,
     /// The paper's six fields (App. B.1).
@@ -43,13 +47,16 @@ pub struct Grounding {
     pub aabb: Option<Aabb>,
     /// Yaw-oriented box of the answer; `null` unless `grounded` or `uncertain`.
     pub oriented_box: Option<OrientedBox>,
-    /// Belief in the answer, `0..=1`; for `no_match`, the belief that nothing fits: 0.5 where it is not known what is asked for.
+    /// Belief in the answer, `0..=1`; for `no_match`, the belief that nothing fits: 0.5 where it
+    /// is not known what is asked for.
     pub confidence: f32,
     /// The best candidates, best first.
     pub candidates: Vec<Candidate>,
-    /// Other instances the question may mean, best first; for `ambiguous`, the tied ones are among them.
+    /// Other instances the question may mean, best first; for `ambiguous`, the tied ones are among
+    /// them.
     pub alternatives: Vec<Alternative>,
-    /// All things the question means, best first: several where it asks for several, else the answer's own or none.
+    /// All things the question means, best first: several where it asks for several, else the
+    /// answer's own or none.
     #[serde(default)]
     pub targets: Vec<Target>,
     /// How many there are, where the question asks for several; for `no_match`, 0.
@@ -57,8 +64,8 @@ pub struct Grounding {
     pub count: Option<u32>,
     /// How the question was read.
     pub parsed_query: ParsedQuerySummary,
-    /// What left, right, front and back go by: `paper`, `viewer`, or `observer` when the request has one. Words of the question that tell
-    /// ("facing the desk") override it.
+    /// What left, right, front and back go by: `paper`, `viewer`, or `observer` when the request
+    /// has one. Words of the question that tell ("facing the desk") override it.
     pub direction_convention: String,
     /// Milliseconds; the time a model takes to review the answer counts as `reason`.
     pub timings_ms: Timings,
@@ -71,15 +78,35 @@ const MAX_ALTERNATIVES: usize = 5;
 /// Alternatives below this share of the belief are not worth telling.
 const MIN_ALTERNATIVE: f32 = 0.05;
 
-pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQuery, verdict: Verdict, timings_ms: Timings) -> Grounding {
-    let Verdict { status, reason, scores, beliefs, several, explanation, anchor, relation_used, target_name_matches } = verdict;
+pub(super) fn assemble(
+    scene: SceneView,
+    question: &Question,
+    parsed: &ParsedQuery,
+    verdict: Verdict,
+    timings_ms: Timings,
+) -> Grounding {
+    let Verdict {
+        status,
+        reason,
+        scores,
+        beliefs,
+        several,
+        explanation,
+        anchor,
+        relation_used,
+        target_name_matches,
+    } = verdict;
     let candidates = shortlist::rank(scene, &scores, question.top_k);
     let chosen = candidates
         .first()
         .filter(|_| status == Status::Grounded)
         .map(|c| &scene.instances[c.id.0 as usize - 1]);
     let confidence = match (status, candidates.first()) {
-        (Status::NoMatch, _) if matches!(reason, Some(NoMatchReason::NotRecognised | NoMatchReason::NotEnglish)) => NOBODY_KNOWS,
+        (Status::NoMatch, _)
+            if matches!(reason, Some(NoMatchReason::NotRecognised | NoMatchReason::NotEnglish)) =>
+        {
+            NOBODY_KNOWS
+        }
         (Status::NoMatch, Some(best)) => 1.0 - best.score,
         (Status::NoMatch, None) => 1.0,
         (_, Some(best)) => beliefs[best.id.0 as usize - 1],
@@ -87,7 +114,9 @@ pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQue
     };
     let asks_for_several = parsed.quantity != Quantity::One;
     let targets = match chosen {
-        Some(_) if asks_for_several => several.iter().map(|&i| target(&scene.instances[i], beliefs[i])).collect(),
+        Some(_) if asks_for_several => {
+            several.iter().map(|&i| target(&scene.instances[i], beliefs[i])).collect()
+        }
         Some(chosen) => vec![target(chosen, confidence)],
         None => Vec::new(),
     };
@@ -106,7 +135,10 @@ pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQue
         answer: SixFields {
             predicted_id: chosen.map(|i| i.id),
             explanation,
-            candidate_names: candidates.iter().map(|c| (c.id.0, described(&scene.instances[c.id.0 as usize - 1]))).collect(),
+            candidate_names: candidates
+                .iter()
+                .map(|c| (c.id.0, described(&scene.instances[c.id.0 as usize - 1])))
+                .collect(),
             target_name_matches: chosen.and(target_name_matches),
             anchor_id: anchor,
             relation_used,
@@ -115,11 +147,19 @@ pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQue
         oriented_box: chosen.map(|i| i.oriented_box),
         confidence,
         candidates,
-        alternatives: rivals.iter().take(MAX_ALTERNATIVES).map(|i| alternative(i, described(i), belief(i))).collect(),
+        alternatives: rivals
+            .iter()
+            .take(MAX_ALTERNATIVES)
+            .map(|i| alternative(i, described(i), belief(i)))
+            .collect(),
         count: asks_for_several.then_some(targets.len() as u32),
         targets,
         parsed_query: summarise(parsed),
-        direction_convention: if question.observer.is_some() { "observer".into() } else { question.convention.name().into() },
+        direction_convention: if question.observer.is_some() {
+            "observer".into()
+        } else {
+            question.convention.name().into()
+        },
         timings_ms,
     }
 }
@@ -128,7 +168,11 @@ impl Grounding {
     /// Takes up as candidates what was found since the others were chosen.
     pub(super) fn offer(&mut self, context: &PromptContext, instances: &[Instance]) {
         for (shown, rank) in context.candidates.iter().zip(1..) {
-            let Some(instance) = instances.get(shown.id.0 as usize - 1).filter(|i| i.found_for.is_some()) else { continue };
+            let Some(instance) =
+                instances.get(shown.id.0 as usize - 1).filter(|i| i.found_for.is_some())
+            else {
+                continue;
+            };
             if self.candidates.iter().all(|c| c.id != shown.id) {
                 self.candidates.push(candidate(instance, rank, shown.score));
                 self.answer.candidate_names.insert(shown.id.0, described(instance));
@@ -140,7 +184,15 @@ impl Grounding {
 /// An instance as a candidate.
 pub(super) fn candidate(instance: &Instance, rank: u32, score: f32) -> Candidate {
     let &Instance { id, aabb, oriented_box, .. } = instance;
-    Candidate { id, rank, score, name: described(instance), aabb, oriented_box: Some(oriented_box), view: None }
+    Candidate {
+        id,
+        rank,
+        score,
+        name: described(instance),
+        aabb,
+        oriented_box: Some(oriented_box),
+        view: None,
+    }
 }
 
 /// An instance as an alternative.
@@ -153,11 +205,20 @@ pub(super) fn alternative(instance: &Instance, name: String, confidence: f32) ->
 pub(super) fn target(instance: &Instance, confidence: f32) -> Target {
     let &Instance { id, aabb, oriented_box, support, level, .. } = instance;
     let parent = instance.things.first().copied().filter(|_| level == Level::Part);
-    Target { id, name: described(instance), confidence, aabb, oriented_box, support: Some(support), parent }
+    Target {
+        id,
+        name: described(instance),
+        confidence,
+        aabb,
+        oriented_box,
+        support: Some(support),
+        parent,
+    }
 }
 
 impl Grounding {
-    /// The same answer for somebody who acts only on a belief of at least `least`: what is less likely is uncertain.
+    /// The same answer for somebody who acts only on a belief of at least `least`: what is less
+    /// likely is uncertain.
     pub(super) fn hold_to(&mut self, least: f32) {
         if self.status == Status::Grounded && self.confidence < least {
             self.status = Status::Uncertain;
@@ -167,7 +228,10 @@ impl Grounding {
 
 /// "red sofa": dominant colour and best name, whatever the question says.
 pub(super) fn described(instance: &Instance) -> String {
-    let says_colour = |name: &String| name.split_whitespace().any(|word| ColourName::ALL.iter().any(|colour| colour.word() == word));
+    let says_colour = |name: &String| {
+        name.split_whitespace()
+            .any(|word| ColourName::ALL.iter().any(|colour| colour.word() == word))
+    };
     if let Some(name) = instance.given_name.as_ref().filter(|name| says_colour(name)) {
         return name.clone();
     }
@@ -189,8 +253,18 @@ fn summarise(parsed: &ParsedQuery) -> ParsedQuerySummary {
     let uses = target.uses.iter().map(|spoken| format!("to {spoken}"));
     let superlative = target.superlative.map(|s| superlative_words(&s));
     let mut summary = ParsedQuerySummary {
-        target: if target.meaning() == Meaning::Anything && target.head.is_empty() { "thing".into() } else { target.head.clone() },
-        attributes: traits.chain(colours).chain(other_than).chain(with).chain(uses).chain(superlative).collect(),
+        target: if target.meaning() == Meaning::Anything && target.head.is_empty() {
+            "thing".into()
+        } else {
+            target.head.clone()
+        },
+        attributes: traits
+            .chain(colours)
+            .chain(other_than)
+            .chain(with)
+            .chain(uses)
+            .chain(superlative)
+            .collect(),
         anchors: Vec::new(),
         relations: Vec::new(),
         not_understood: parsed.not_understood.iter().chain(&parsed.passed_over).cloned().collect(),
@@ -208,12 +282,18 @@ fn summarise(parsed: &ParsedQuery) -> ParsedQuerySummary {
 /// Adds the relations and anchors of a phrase, then those of the phrases within it.
 fn collect_anchors(phrase: &Phrase, summary: &mut ParsedQuerySummary) {
     for relation in &phrase.relations {
-        summary
-            .relations
-            .push(if relation.negated { format!("not {}", relation.text) } else { relation.text.clone() });
+        summary.relations.push(if relation.negated {
+            format!("not {}", relation.text)
+        } else {
+            relation.text.clone()
+        });
         summary.anchors.extend(relation.anchors.iter().map(Phrase::text));
     }
-    let within = phrase.relations.iter().flat_map(|r| &r.anchors).chain(phrase.with.iter().map(|w| &w.phrase));
+    let within = phrase
+        .relations
+        .iter()
+        .flat_map(|r| &r.anchors)
+        .chain(phrase.with.iter().map(|w| &w.phrase));
     within.for_each(|inner| collect_anchors(inner, summary));
 }
 

@@ -1,6 +1,7 @@
 //! The words of one question compared with what every instance looks like.
 //!
-//! All texts are embedded before anything is decided, so a model can fail here but not during the decision.
+//! All texts are embedded before anything is decided, so a model can fail here but not during the
+//! decision.
 
 use super::query::{Meaning, ParsedQuery, Phrase};
 use crate::models::calibration;
@@ -16,8 +17,9 @@ pub struct ShortlistScoring {
     pub from: CandidateSource,
     /// The words whose vector is compared with the instances.
     pub query_text: QueryText,
-    /// Compare the cosine with those of all nouns of the lexicon, so that an instance near every word gains nothing by it (docs/METHOD.md,
-    /// section 2); otherwise the plain cosine counts.
+    /// Compare the cosine with those of all nouns of the lexicon, so that an instance near every
+    /// word gains nothing by it (docs/METHOD.md, section 2); otherwise the plain cosine
+    /// counts.
     pub calibrated: bool,
 }
 
@@ -59,10 +61,15 @@ impl Appearance {
                 of_word.insert(word, embeddings.cosines(&vector));
             }
         }
-        let TextEmbedding { vector, cut } = sentence(query, &parsed.target, encoder, scoring.query_text)?;
+        let TextEmbedding { vector, cut } =
+            sentence(query, &parsed.target, encoder, scoring.query_text)?;
         let (logit_scale, norms) = (encoder.logit_scale(), embeddings.norms().to_vec());
         let calibrated = |cosines: Vec<f32>| match scoring.calibrated {
-            true => cosines.iter().zip(&norms).map(|(cosine, n)| (logit_scale * cosine - n.appearance).exp()).collect(),
+            true => cosines
+                .iter()
+                .zip(&norms)
+                .map(|(cosine, n)| (logit_scale * cosine - n.appearance).exp())
+                .collect(),
             false => cosines,
         };
         let seen: Vec<bool> = (0..embeddings.len()).map(|i| embeddings.is_seen(i)).collect();
@@ -72,15 +79,22 @@ impl Appearance {
         Ok(Self { logit_scale, norms, seen, of_word, shortlist, cut })
     }
 
-    /// Fit of a word to the instance at an index; `None` for an instance without pictures and for a word the tower does not know.
+    /// Fit of a word to the instance at an index; `None` for an instance without pictures and for a
+    /// word the tower does not know.
     pub(super) fn fit(&self, word: &str, index: usize, measured: Option<f32>) -> Option<f32> {
         if !*self.seen.get(index)? {
             return None;
         }
-        Some(calibration::fit(self.of_word.get(word)?[index], self.logit_scale, measured, self.norms[index]))
+        Some(calibration::fit(
+            self.of_word.get(word)?[index],
+            self.logit_scale,
+            measured,
+            self.norms[index],
+        ))
     }
 
-    /// Scores of the shortlist, by index; `None` when the tower knows none of the words, or nothing has been seen.
+    /// Scores of the shortlist, by index; `None` when the tower knows none of the words, or nothing
+    /// has been seen.
     pub(super) fn shortlist(&self) -> Option<&[f32]> {
         self.shortlist.as_deref()
     }
@@ -102,8 +116,14 @@ fn nouns_within(phrase: &Phrase, words: &mut Vec<String>) {
         .for_each(|inner| nouns_within(inner, words));
 }
 
-/// The words the shortlist goes by as one unit vector, and whether the end of the sentence was not read.
-fn sentence(query: &str, target: &Phrase, encoder: &DualEncoder, text: QueryText) -> Result<TextEmbedding, ModelError> {
+/// The words the shortlist goes by as one unit vector, and whether the end of the sentence was not
+/// read.
+fn sentence(
+    query: &str,
+    target: &Phrase,
+    encoder: &DualEncoder,
+    text: QueryText,
+) -> Result<TextEmbedding, ModelError> {
     let full = encoder.embed_text(query)?;
     let target = match text {
         QueryText::Full => None,
@@ -132,8 +152,10 @@ mod tests {
     fn without_a_single_picture_names_decide_the_shortlist() {
         let (encoder, query) = (tiny_encoder(), "the red chair");
         let looked = |rows: &[f32]| {
-            let embeddings = Embeddings::new(encoder.dim(), rows).with_norms(vec![Norms::default(); 2]);
-            Appearance::of(query, &parse(query), &encoder, &embeddings, ShortlistScoring::default()).unwrap()
+            let embeddings =
+                Embeddings::new(encoder.dim(), rows).with_norms(vec![Norms::default(); 2]);
+            Appearance::of(query, &parse(query), &encoder, &embeddings, ShortlistScoring::default())
+                .unwrap()
         };
         let mut rows = vec![0.0; encoder.dim() * 2];
         assert!(looked(&rows).shortlist().is_none());

@@ -1,8 +1,10 @@
-//! How well every instance fits a whole phrase: the thing itself, what it carries, its relations, its place among its like.
+//! How well every instance fits a whole phrase: the thing itself, what it carries, its relations,
+//! its place among its like.
 //!
-//! A phrase is a tree: its anchors are phrases with anchors of their own. The best score of an instance is its own fit times, for
-//! each relation, the best (fit of an anchor) x (geometry of the pair) over **all** other instances, computed from the leaves up:
-//! target and anchors are chosen together, not one after the other.
+//! A phrase is a tree: its anchors are phrases with anchors of their own. The best score of an
+//! instance is its own fit times, for each relation, the best (fit of an anchor) x (geometry of the
+//! pair) over **all** other instances, computed from the leaves up: target and anchors are chosen
+//! together, not one after the other.
 
 mod carried;
 mod places;
@@ -23,9 +25,11 @@ use std::cell::OnceCell;
 
 /// What a contradicted relation leaves of a score: geometry is noisy.
 const CONTRADICTED: f32 = 0.05;
-/// The same for relations that depend on who looks, and on what "between" or "in the corner" means to them.
+/// The same for relations that depend on who looks, and on what "between" or "in the corner" means
+/// to them.
 const LOOSELY_CONTRADICTED: f32 = 0.2;
-/// How many anchors a relation tries, the best ones: this bounds the work in a scene of thousands of instances.
+/// How many anchors a relation tries, the best ones: this bounds the work in a scene of thousands
+/// of instances.
 const MAX_ANCHORS: usize = 64;
 /// The same for each anchor of "between", where pairs are looked at.
 const MAX_ANCHORS_OF_A_PAIR: usize = 16;
@@ -37,10 +41,12 @@ const FOUND: f32 = 0.05;
 const MAY_BE_MEANT: f32 = 0.5;
 /// Below this nothing carries what is asked for.
 const CARRIED: f32 = 0.25;
-/// What is left of a score when the other thing of a relation was not found: it may be there all the same.
+/// What is left of a score when the other thing of a relation was not found: it may be there all
+/// the same.
 const NOT_FOUND: f32 = 0.3;
 
-/// What stands on another or in it to this degree touches it; in an order by distance it comes after all that is apart, metres.
+/// What stands on another or in it to this degree touches it; in an order by distance it comes
+/// after all that is apart, metres.
 const MOSTLY_HELD: f32 = 0.5;
 const HELD_M: f32 = 1e3;
 
@@ -80,7 +86,8 @@ pub struct Assessor<'a> {
     /// Index of what somebody looks at: of things to the left and right, those near it are meant.
     pub looked_at: Option<usize>,
     room: OnceCell<Room>,
-    /// How somebody looks who faces an instance: it takes a look at all walls, and is asked for with every other instance.
+    /// How somebody looks who faces an instance: it takes a look at all walls, and is asked for
+    /// with every other instance.
     faced: Vec<OnceCell<Faced>>,
 }
 
@@ -104,7 +111,8 @@ impl<'a> Assessor<'a> {
             let corners: Vec<Point2<f32>> = self.solids.iter().flat_map(|s| s.corners).collect();
             let extent = self.scene.extent;
             let heights = (extent.min().z, extent.max().z);
-            let outline = OrientedBox::min_area(&corners, heights).map_or_else(|| extent.into(), Solid::from);
+            let outline =
+                OrientedBox::min_area(&corners, heights).map_or_else(|| extent.into(), Solid::from);
             let walls = self
                 .scene
                 .instances
@@ -124,7 +132,8 @@ impl<'a> Assessor<'a> {
         // Comparisons come last: "the closest of those on the table".
         let comparing = |r: &Relation| r.kind.is_comparison();
         let order = (0..phrase.relations.len()).filter(|&i| !comparing(&phrase.relations[i]));
-        let order = order.chain((0..phrase.relations.len()).filter(|&i| comparing(&phrase.relations[i])));
+        let order =
+            order.chain((0..phrase.relations.len()).filter(|&i| comparing(&phrase.relations[i])));
         let mut counted = phrase.count.filter(|count| *count > 1).map(|count| count as usize);
         let compares = phrase.superlative.is_some() || phrase.relations.iter().any(comparing);
         for i in order {
@@ -149,12 +158,15 @@ impl<'a> Assessor<'a> {
         Assessment { nouns, own, bonds, place_seen_by, total }
     }
 
-    /// Fit of every instance to the noun alone, and to noun, colours, traits and carried things together.
+    /// Fit of every instance to the noun alone, and to noun, colours, traits and carried things
+    /// together.
     #[must_use]
     pub fn own_fits(&self, phrase: &Phrase) -> (Vec<f32>, Vec<f32>) {
         let instances = self.scene.instances;
         let nouns = noun_fits(self.scene, phrase);
-        let of_colour = |(i, noun): (usize, &f32)| if *noun > 0.0 { noun * colours_fit(self.scene, phrase, i) } else { 0.0 };
+        let of_colour = |(i, noun): (usize, &f32)| {
+            if *noun > 0.0 { noun * colours_fit(self.scene, phrase, i) } else { 0.0 }
+        };
         let mut own: Vec<f32> = nouns.iter().enumerate().map(of_colour).collect();
         for &asked in &phrase.traits {
             let fits = trait_fits(instances, &self.solids, &nouns, asked);
@@ -162,7 +174,8 @@ impl<'a> Assessor<'a> {
         }
         for head in &phrase.other_things {
             let others = noun_fits(self.scene, &Phrase { head: head.clone(), ..Phrase::default() });
-            // Where all that may be meant is called so as well ("the football, not the basketball", and both are balls), names do not tell.
+            // Where all that may be meant is called so as well ("the football, not the basketball",
+            // and both are balls), names do not tell.
             let likely = most_plausible(&own, usize::MAX);
             let shared = likely.iter().map(|&(i, _)| others[i]).fold(1.0, f32::min);
             own.iter_mut()
@@ -181,8 +194,8 @@ impl<'a> Assessor<'a> {
         self.likely(phrase, 1).first().map(|&(index, _)| index)
     }
 
-    /// Indices of what a phrase may mean, and how well each fits against the best, at most so many, best first: none that fits less than
-    /// half as well.
+    /// Indices of what a phrase may mean, and how well each fits against the best, at most so many,
+    /// best first: none that fits less than half as well.
     #[must_use]
     pub fn likely(&self, phrase: &Phrase, most: usize) -> Vec<(usize, f32)> {
         let total = self.assess(phrase).total;
@@ -196,7 +209,8 @@ impl<'a> Assessor<'a> {
     #[must_use]
     pub fn middle_of(&self, phrase: &Phrase) -> Option<Point3<f32>> {
         let likely = most_plausible(&self.own_fits(phrase).1, MAX_ANCHORS);
-        let sum = likely.iter().fold(Vector3::zeros(), |sum, &(i, _)| sum + self.solids[i].center.coords);
+        let sum =
+            likely.iter().fold(Vector3::zeros(), |sum, &(i, _)| sum + self.solids[i].center.coords);
         (!likely.is_empty()).then(|| Point3::from(sum / likely.len() as f32))
     }
 
@@ -205,7 +219,9 @@ impl<'a> Assessor<'a> {
     }
 
     fn geometry(&self, kind: RelationKind, target: usize, anchors: &[usize]) -> f32 {
-        let score = |anchors: &[&Solid]| relations::score(kind, &self.solids[target], anchors, &self.directions, self.room());
+        let score = |anchors: &[&Solid]| {
+            relations::score(kind, &self.solids[target], anchors, &self.directions, self.room())
+        };
         if let [a, ..] = *anchors
             && kind.is_a_side()
         {
@@ -229,7 +245,11 @@ impl<'a> Assessor<'a> {
 
     /// For every instance as target: its best anchors and how well the relation holds.
     fn bonds(&self, relation: &Relation, fits: &[f32]) -> Vec<Bond> {
-        let most = if relation.kind == RelationKind::Between { MAX_ANCHORS_OF_A_PAIR } else { MAX_ANCHORS };
+        let most = if relation.kind == RelationKind::Between {
+            MAX_ANCHORS_OF_A_PAIR
+        } else {
+            MAX_ANCHORS
+        };
         if let [zone] = &relation.anchors[..]
             && let Some(nouns) = zones::made_of(&zone.head)
         {
@@ -240,16 +260,25 @@ impl<'a> Assessor<'a> {
         {
             // Nobody knows where the one who asks stands, unless the request says so.
             let unknown = || vec![Bond { score: 1.0, anchor: None }; fits.len()];
-            return self.observer.as_ref().map_or_else(unknown, |observer| self.to_observer(relation, observer, fits));
+            return self
+                .observer
+                .as_ref()
+                .map_or_else(unknown, |observer| self.to_observer(relation, observer, fits));
         }
-        let assessed: Vec<Assessment> = relation.anchors.iter().map(|phrase| self.assess(phrase)).collect();
+        let assessed: Vec<Assessment> =
+            relation.anchors.iter().map(|phrase| self.assess(phrase)).collect();
         if let Some(share) = unchecked(&relation.anchors, &assessed, NOT_FOUND) {
             return self.at_a_side(relation, fits, share);
         }
-        let anchors: Vec<Vec<(usize, f32)>> = assessed.iter().map(|found| most_plausible(&found.total, most)).collect();
-        let each = |of: &dyn Fn(usize) -> Bond| (0..fits.len()).map(|t| if fits[t] < IMPOSSIBLE { NO_BOND } else { of(t) }).collect();
+        let anchors: Vec<Vec<(usize, f32)>> =
+            assessed.iter().map(|found| most_plausible(&found.total, most)).collect();
+        let each = |of: &dyn Fn(usize) -> Bond| {
+            (0..fits.len()).map(|t| if fits[t] < IMPOSSIBLE { NO_BOND } else { of(t) }).collect()
+        };
         let bonds: Vec<Bond> = match (relation.kind, &anchors[..]) {
-            (kind, _) if kind.is_of_the_room() => each(&|t| Bond { score: self.geometry(kind, t, &[]), anchor: None }),
+            (kind, _) if kind.is_of_the_room() => {
+                each(&|t| Bond { score: self.geometry(kind, t, &[]), anchor: None })
+            }
             // "near" without an anchor: the parsed query tells of it, the decision leaves it out.
             (_, []) => vec![Bond { score: 1.0, anchor: None }; fits.len()],
             (kind, all) if kind.is_comparison() => self.by_distance(relation, fits, all),
@@ -260,13 +289,17 @@ impl<'a> Assessor<'a> {
                 let mut joint = Bond { score: 1.0, anchor: None };
                 for candidates in all {
                     let bond = self.best_bond(relation, t, candidates);
-                    joint = Bond { score: joint.score * bond.score, anchor: joint.anchor.or(bond.anchor) };
+                    joint = Bond {
+                        score: joint.score * bond.score,
+                        anchor: joint.anchor.or(bond.anchor),
+                    };
                 }
                 joint
             }),
         };
         // "on a stand": where none of those that were found will do, it is another one.
-        let found = bonds.iter().zip(fits).any(|(bond, fit)| bond.score >= CARRIED && *fit >= IMPOSSIBLE);
+        let found =
+            bonds.iter().zip(fits).any(|(bond, fit)| bond.score >= CARRIED && *fit >= IMPOSSIBLE);
         if !found && relation.anchors.iter().any(|anchor| anchor.indefinite) && !relation.negated {
             return vec![Bond { score: NOT_FOUND, anchor: None }; fits.len()];
         }
@@ -276,7 +309,8 @@ impl<'a> Assessor<'a> {
         }
     }
 
-    /// A relation to a thing that is not known or was not found. "Right of the mantel": of its like, the one on the right.
+    /// A relation to a thing that is not known or was not found. "Right of the mantel": of its
+    /// like, the one on the right.
     fn at_a_side(&self, relation: &Relation, fits: &[f32], share: f32) -> Vec<Bond> {
         let side = match relation.kind {
             RelationKind::LeftOf => -self.directions.right,
@@ -284,7 +318,8 @@ impl<'a> Assessor<'a> {
             _ => return vec![Bond { score: share, anchor: None }; fits.len()],
         };
         let along = |t: usize| -self.solids[t].center.coords.dot(&side);
-        let mut order: Vec<(f32, usize)> = most_plausible(fits, usize::MAX).into_iter().map(|(t, _)| (along(t), t)).collect();
+        let mut order: Vec<(f32, usize)> =
+            most_plausible(fits, usize::MAX).into_iter().map(|(t, _)| (along(t), t)).collect();
         let mut bonds = vec![NO_BOND; fits.len()];
         for (t, factor) in ranked(relation, &mut order, fits) {
             bonds[t].score = share * if relation.negated { 1.0 - factor } else { factor };
@@ -292,10 +327,13 @@ impl<'a> Assessor<'a> {
         bonds
     }
 
-    /// How far each instance lies within the zone that things of these nouns make: near one of them. Where there are none, anything may.
+    /// How far each instance lies within the zone that things of these nouns make: near one of
+    /// them. Where there are none, anything may.
     fn within(&self, nouns: &[&str], fits: &[f32], negated: bool) -> Vec<Bond> {
         const REACH_M: f32 = 1.5;
-        let named = |noun: &&str| noun_fits(self.scene, &Phrase { head: (*noun).to_owned(), ..Phrase::default() });
+        let named = |noun: &&str| {
+            noun_fits(self.scene, &Phrase { head: (*noun).to_owned(), ..Phrase::default() })
+        };
         let mut made = vec![0.0_f32; fits.len()];
         for of_noun in nouns.iter().map(named) {
             made.iter_mut().zip(of_noun).for_each(|(best, fit)| *best = best.max(fit));
@@ -308,7 +346,12 @@ impl<'a> Assessor<'a> {
             let to = |&(i, fit): &(usize, f32)| {
                 let reaching = fit * relations::reaching(&self.solids[t], &self.solids[i], REACH_M);
                 // What stands behind the wall is in another room.
-                if reaching > FOUND && self.room().apart_by_a_wall(&self.solids[t], &self.solids[i]) { FOUND * fit } else { reaching }
+                if reaching > FOUND && self.room().apart_by_a_wall(&self.solids[t], &self.solids[i])
+                {
+                    FOUND * fit
+                } else {
+                    reaching
+                }
             };
             things.iter().map(to).fold(0.0, f32::max)
         };
@@ -322,9 +365,13 @@ impl<'a> Assessor<'a> {
 
     fn best_bond(&self, relation: &Relation, target: usize, anchors: &[(usize, f32)]) -> Bond {
         let score = |a: usize| {
-            self.geometry(relation.kind, target, &[a]).max(self.on_its_side(relation, target, a)) * self.hangs(relation.kind, target, a)
+            self.geometry(relation.kind, target, &[a]).max(self.on_its_side(relation, target, a))
+                * self.hangs(relation.kind, target, a)
         };
-        let bond = |&(a, fit): &(usize, f32)| Bond { score: fit.sqrt() * score(a), anchor: Some(self.id(a)) };
+        let bond = |&(a, fit): &(usize, f32)| Bond {
+            score: fit.sqrt() * score(a),
+            anchor: Some(self.id(a)),
+        };
         anchors.iter().filter(|&&(a, _)| a != target).map(bond).fold(NO_BOND, better)
     }
 
@@ -332,7 +379,11 @@ impl<'a> Assessor<'a> {
     fn hangs(&self, kind: RelationKind, target: usize, anchor: usize) -> f32 {
         let of = |i: usize| &self.scene.instances[i];
         let held_below = matches!(of(target).support, Support::Floor | Support::Instance { .. });
-        if kind == RelationKind::On && of(anchor).structure == Some(Structure::Wall) && held_below { AT_THE_WALL } else { 1.0 }
+        if kind == RelationKind::On && of(anchor).structure == Some(Structure::Wall) && held_below {
+            AT_THE_WALL
+        } else {
+            1.0
+        }
     }
 
     /// "On the left side of the desk" may be said of what stands on it, to the left.
@@ -344,7 +395,8 @@ impl<'a> Assessor<'a> {
         };
         let (target, anchor) = (&self.solids[target], &self.solids[anchor]);
         if relation.text.starts_with("on the") {
-            relations::on(target, anchor) * anchor.share_along(&target.center, &(sign * self.directions.right))
+            relations::on(target, anchor)
+                * anchor.share_along(&target.center, &(sign * self.directions.right))
         } else {
             0.0
         }
@@ -355,15 +407,21 @@ impl<'a> Assessor<'a> {
         pairs
             .filter(|(x, y)| x.0 != y.0 && x.0 != target && y.0 != target)
             .map(|(&(i, fit_i), &(j, fit_j))| Bond {
-                score: (fit_i * fit_j).sqrt() * self.geometry(RelationKind::Between, target, &[i, j]),
+                score: (fit_i * fit_j).sqrt()
+                    * self.geometry(RelationKind::Between, target, &[i, j]),
                 anchor: Some(self.id(i)),
             })
             .fold(NO_BOND, better)
     }
 
-    /// "closest to" compares the things the target may be: each place further down the list counts less. Several anchors count by the
-    /// sum of the distances to them.
-    fn by_distance(&self, relation: &Relation, fits: &[f32], anchors: &[Vec<(usize, f32)>]) -> Vec<Bond> {
+    /// "closest to" compares the things the target may be: each place further down the list counts
+    /// less. Several anchors count by the sum of the distances to them.
+    fn by_distance(
+        &self,
+        relation: &Relation,
+        fits: &[f32],
+        anchors: &[Vec<(usize, f32)>],
+    ) -> Vec<Bond> {
         let [first, others @ ..] = anchors else { return vec![NO_BOND; fits.len()] };
         let rivals = most_plausible(fits, usize::MAX);
         let likeliest: Vec<usize> = others
@@ -372,7 +430,9 @@ impl<'a> Assessor<'a> {
             .map(|c| c.0)
             .collect();
         let of_the_building = |a: usize| self.scene.instances[a].structure.is_some();
-        let apart = |t: usize, a: usize| relations::apart(&self.solids[t], &self.solids[a], of_the_building(a), self.room());
+        let apart = |t: usize, a: usize| {
+            relations::apart(&self.solids[t], &self.solids[a], of_the_building(a), self.room())
+        };
         // What the anchor carries touches it: only where all of them do is one of them the closest.
         let held = |t: usize, a: usize| {
             relation.kind == RelationKind::Closest
@@ -385,10 +445,20 @@ impl<'a> Assessor<'a> {
                 .iter()
                 .map(|&(t, _)| t)
                 .filter(|&t| t != a && !likeliest.contains(&t))
-                .map(|t| (if held(t, a) { HELD_M } else { 0.0 } + apart(t, a) + likeliest.iter().map(|&b| apart(t, b)).sum::<f32>(), t))
+                .map(|t| {
+                    (
+                        if held(t, a) { HELD_M } else { 0.0 }
+                            + apart(t, a)
+                            + likeliest.iter().map(|&b| apart(t, b)).sum::<f32>(),
+                        t,
+                    )
+                })
                 .collect();
             for (t, factor) in ranked(relation, &mut order, fits) {
-                bonds[t] = better(bonds[t], Bond { score: anchor_fit.sqrt() * factor, anchor: Some(self.id(a)) });
+                bonds[t] = better(
+                    bonds[t],
+                    Bond { score: anchor_fit.sqrt() * factor, anchor: Some(self.id(a)) },
+                );
             }
         }
         bonds
@@ -399,10 +469,21 @@ impl<'a> Assessor<'a> {
         let mut scores = vec![0.0; fits.len()];
         if relation.kind.is_comparison() {
             let apart = |t: usize| relations::apart(&self.solids[t], observer, false, self.room());
-            let mut order: Vec<(f32, usize)> = most_plausible(fits, usize::MAX).into_iter().map(|(t, _)| (apart(t), t)).collect();
-            ranked(relation, &mut order, fits).into_iter().for_each(|(t, factor)| scores[t] = factor);
+            let mut order: Vec<(f32, usize)> =
+                most_plausible(fits, usize::MAX).into_iter().map(|(t, _)| (apart(t), t)).collect();
+            ranked(relation, &mut order, fits)
+                .into_iter()
+                .for_each(|(t, factor)| scores[t] = factor);
         } else {
-            let score = |t: usize| relations::to_observer(relation.kind, &self.solids[t], observer, &self.directions, self.room());
+            let score = |t: usize| {
+                relations::to_observer(
+                    relation.kind,
+                    &self.solids[t],
+                    observer,
+                    &self.directions,
+                    self.room(),
+                )
+            };
             scores
                 .iter_mut()
                 .enumerate()
@@ -414,7 +495,8 @@ impl<'a> Assessor<'a> {
     }
 }
 
-/// What is left of a score where nothing can be measured: all of it when a word is not known, `share` when no such thing was found.
+/// What is left of a score where nothing can be measured: all of it when a word is not known,
+/// `share` when no such thing was found.
 fn unchecked(phrases: &[Phrase], found: &[Assessment], share: f32) -> Option<f32> {
     let shares = phrases.iter().zip(found).map(|(phrase, found)| {
         let there = found.nouns.iter().any(|fit| *fit >= FOUND);
@@ -427,7 +509,8 @@ fn unchecked(phrases: &[Phrase], found: &[Assessment], share: f32) -> Option<f32
     shares.reduce(f32::min).filter(|share| *share <= 1.0)
 }
 
-/// "The middle one of the three stools": the three that fit best are compared, and what fits as well as the third.
+/// "The middle one of the three stools": the three that fit best are compared, and what fits as
+/// well as the third.
 fn leave_best(count: usize, scores: &mut [f32]) {
     const AS_WELL: f32 = 0.95;
     let mut best = scores.to_vec();

@@ -1,7 +1,9 @@
-//! Which instances a question's candidates are: what a vision-language model is shown and may choose from.
+//! Which instances a question's candidates are: what a vision-language model is shown and may
+//! choose from.
 //!
-//! Three ways ([`CandidateSource`]). The fused one asks everybody who knows something: names somebody gave, the encoder, measures, and the
-//! geometry of relations. What is called the right thing comes before what only stands in the right place; among those, place counts more
+//! Three ways ([`CandidateSource`]). The fused one asks everybody who knows something: names
+//! somebody gave, the encoder, measures, and the geometry of relations. What is called the right
+//! thing comes before what only stands in the right place; among those, place counts more
 //! than colour; what nobody speaks for by name is ordered by rank fusion.
 
 use super::answer::candidate;
@@ -16,16 +18,23 @@ use crate::geometry::statistics::largest;
 const CALLED_SO: f32 = 0.3;
 /// How soon a lower rank counts little (rank fusion: `1 / (RANK + rank)`).
 const RANK: f32 = 5.0;
-/// Weights of the rankings that are fused: the thing and its relations together, the thing itself, its looks beside the whole question,
-/// and its place alone.
+/// Weights of the rankings that are fused: the thing and its relations together, the thing itself,
+/// its looks beside the whole question, and its place alone.
 const WEIGHTS: [f32; 4] = [1.0, 1.0, 1.0, 0.5];
 /// What a colour that is not there leaves of a member's place: colours are the least certain.
 const WITHOUT_COLOUR: f32 = 0.4;
 /// Things with no side of this length are specks, metres.
 const SPECK_M: f32 = 0.04;
 
-/// The `top_k` candidates of a question, best first; `scores` are the built-in reasoner's, by index, and told as the candidates' own.
-pub(super) fn choose(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], from: CandidateSource, top_k: usize) -> Vec<Candidate> {
+/// The `top_k` candidates of a question, best first; `scores` are the built-in reasoner's, by
+/// index, and told as the candidates' own.
+pub(super) fn choose(
+    assessor: &Assessor,
+    parsed: &ParsedQuery,
+    scores: &[f32],
+    from: CandidateSource,
+    top_k: usize,
+) -> Vec<Candidate> {
     let scene = assessor.scene;
     let order = match from {
         CandidateSource::Encoder => best(&looks(assessor, &parsed.target), top_k),
@@ -39,11 +48,13 @@ pub(super) fn choose(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], 
         .collect()
 }
 
-/// How alike an instance's looks and the question's words are, by index, one instance for each place; names and measures where no encoder
-/// has seen the scene.
+/// How alike an instance's looks and the question's words are, by index, one instance for each
+/// place; names and measures where no encoder has seen the scene.
 pub(super) fn looks(assessor: &Assessor, target: &Phrase) -> Vec<f32> {
     let scene = assessor.scene;
-    let Some(looks) = scene.appearance.and_then(Appearance::shortlist) else { return assessor.own_fits(target).1 };
+    let Some(looks) = scene.appearance.and_then(Appearance::shortlist) else {
+        return assessor.own_fits(target).1;
+    };
     let mut looks = looks.to_vec();
     one_per_place(scene.instances, &mut looks);
     looks
@@ -58,7 +69,10 @@ fn best(scores: &[f32], top_k: usize) -> Vec<usize> {
 fn reasoned(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: usize) -> Vec<usize> {
     let mut order = best(scores, top_k);
     let placed = assessor.assess(&unnamed(&parsed.target)).total;
-    let others = best(&placed, placed.len()).into_iter().filter(|i| !order.contains(i)).take(top_k - order.len());
+    let others = best(&placed, placed.len())
+        .into_iter()
+        .filter(|i| !order.contains(i))
+        .take(top_k - order.len());
     order.extend(others.collect::<Vec<_>>());
     order
 }
@@ -77,15 +91,24 @@ fn fused(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: usize
     let asks_for_structure = matches!(meaning, Meaning::Structure(_));
     let may_be = |i: usize| {
         let instance = &scene.instances[i];
-        let is_thing = instance.structure.is_none() && scene.names.get(i).is_none_or(super::GivenName::is_thing);
-        (is_thing || asks_for_structure) && !instance.dismissed && instance.aabb.size.max() >= SPECK_M
+        let is_thing = instance.structure.is_none()
+            && scene.names.get(i).is_none_or(super::GivenName::is_thing);
+        (is_thing || asks_for_structure)
+            && !instance.dismissed
+            && instance.aabb.size.max() >= SPECK_M
     };
     let readings = Readings::of(target);
-    let is_called_so = |i: usize| meaning != Meaning::Anything && scene.names.get(i).is_some_and(|name| readings.called(name) >= CALLED_SO);
+    let is_called_so = |i: usize| {
+        meaning != Meaning::Anything
+            && scene.names.get(i).is_some_and(|name| readings.called(name) >= CALLED_SO)
+    };
     let rankings: [Option<&[f32]>; 4] = [Some(scores), Some(&read.own), looks, Some(&placed)];
     let mut fusion = vec![0.0_f32; scores.len()];
-    for (scores, weight) in rankings.into_iter().zip(WEIGHTS).filter_map(|(scores, weight)| Some((scores?, weight))) {
-        for (i, rank) in best(scores, scores.len()).into_iter().filter(|&i| may_be(i)).zip(0_u16..) {
+    for (scores, weight) in
+        rankings.into_iter().zip(WEIGHTS).filter_map(|(scores, weight)| Some((scores?, weight)))
+    {
+        for (i, rank) in best(scores, scores.len()).into_iter().filter(|&i| may_be(i)).zip(0_u16..)
+        {
             fusion[i] += weight / (RANK + f32::from(rank));
         }
     }
@@ -124,10 +147,20 @@ mod tests {
     fn room(names: &[&str]) -> Vec<Instance> {
         let named = |(i, name): (usize, &&str)| {
             let at = [i as f32, 0.0];
-            Instance { given_name: Some((*name).to_owned()), ..thing(i as u32 + 1, at, [0.5, 0.5, 0.6], 0.0, Support::Floor, [120; 3]) }
+            Instance {
+                given_name: Some((*name).to_owned()),
+                ..thing(i as u32 + 1, at, [0.5, 0.5, 0.6], 0.0, Support::Floor, [120; 3])
+            }
         };
         let mut instances: Vec<Instance> = names.iter().enumerate().map(named).collect();
-        let wall = thing(instances.len() as u32 + 1, [2.0, 2.0], [6.0, 0.1, 2.6], 0.0, Support::Floor, [200; 3]);
+        let wall = thing(
+            instances.len() as u32 + 1,
+            [2.0, 2.0],
+            [6.0, 0.1, 2.6],
+            0.0,
+            Support::Floor,
+            [200; 3],
+        );
         instances.push(Instance { structure: Some(Structure::Wall), ..wall });
         instances.iter_mut().for_each(|i| i.names = name_guesses(i));
         instances
@@ -135,7 +168,8 @@ mod tests {
 
     fn ids(instances: &[Instance], words: &str, top_k: usize) -> Vec<u32> {
         let extent = Aabb { center: Point3::new(2.0, 1.0, 1.3), size: Vector3::new(8.0, 5.0, 2.6) };
-        let scene = SceneView { instances, extent, names: &NameIndex::of(instances), appearance: None };
+        let scene =
+            SceneView { instances, extent, names: &NameIndex::of(instances), appearance: None };
         rank_candidates(scene, &query::parse(words), CandidateSource::Fused, top_k)
             .iter()
             .map(|c| c.id.0)
@@ -144,9 +178,19 @@ mod tests {
 
     #[test]
     fn what_is_called_so_comes_before_what_stands_there() {
-        let names = ["grey trash can", "small wooden stool", "lime green bean bag chair", "white bean bag", "tall floor lamp"];
+        let names = [
+            "grey trash can",
+            "small wooden stool",
+            "lime green bean bag chair",
+            "white bean bag",
+            "tall floor lamp",
+        ];
         let room = room(&names);
-        assert_eq!(ids(&room, "the white beanbag next to the lamp", 2), [4, 3], "colour tells members apart, class comes first");
+        assert_eq!(
+            ids(&room, "the white beanbag next to the lamp", 2),
+            [4, 3],
+            "colour tells members apart, class comes first"
+        );
         assert_eq!(ids(&room, "the beanbag next to the stool", 2), [3, 4], "place before colour");
         let all = ids(&room, "the beanbag", 24);
         assert!(all.len() <= names.len() && !all.contains(&6), "no wall unless asked for: {all:?}");
@@ -157,7 +201,12 @@ mod tests {
     fn the_reasoner_s_candidates_are_those_that_fit_and_then_those_that_stand_there() {
         let instances = room(&["red mug", "blue mug"]);
         let extent = Aabb { center: Point3::new(2.0, 1.0, 1.3), size: Vector3::new(8.0, 5.0, 2.6) };
-        let scene = SceneView { instances: &instances, extent, names: &NameIndex::of(&instances), appearance: None };
+        let scene = SceneView {
+            instances: &instances,
+            extent,
+            names: &NameIndex::of(&instances),
+            appearance: None,
+        };
         let assessor = Assessor::new(scene, DirectionConvention::Paper.into());
         let parsed = query::parse("the mug");
         let chosen = choose(&assessor, &parsed, &[0.9, 0.5, 0.0], CandidateSource::Reasoner, 2);

@@ -1,4 +1,5 @@
-//! Poses against what is drawn from there: in annotated rooms a robot is asked for things, stands where it is told to, and looks.
+//! Poses against what is drawn from there: in annotated rooms a robot is asked for things, stands
+//! where it is told to, and looks.
 
 use super::album::{Album, AlbumScene};
 use super::pipeline::{Ask, answer};
@@ -20,7 +21,8 @@ use std::sync::Arc;
 use uniground_types::approach::{FloorPoint, Robot, StandingPose};
 use uniground_types::settings::ParseSettings;
 
-/// As wide as robots made for homes, and wider: rooms full of furniture fall apart into corners for that one.
+/// As wide as robots made for homes, and wider: rooms full of furniture fall apart into corners for
+/// that one.
 const RADII_M: [f32; 2] = [0.17, 0.25];
 const HEIGHT_M: f32 = 1.3;
 const EYE_HEIGHT_M: f32 = 1.2;
@@ -28,7 +30,8 @@ const EYE_HEIGHT_M: f32 = 1.2;
 const RIGHT_IOU: f32 = 0.25;
 /// Points of the target that are as far as what was drawn there are in sight, metres.
 const DEPTH_SLACK_M: f32 = 0.06;
-/// It is in the picture where so many of its points are in sight; a closed thing hides half of itself.
+/// It is in the picture where so many of its points are in sight; a closed thing hides half of
+/// itself.
 const IN_SIGHT: f32 = 0.1;
 /// A path over cells is exact to half of a cell's diagonal, metres.
 const PATH_SLACK_M: f32 = 0.036;
@@ -57,7 +60,13 @@ struct Tally {
 impl Tally {
     fn with(self, other: Self) -> Self {
         let Self { asked, right, told, seen, hit } = other;
-        Self { asked: self.asked + asked, right: self.right + right, told: self.told + told, seen: self.seen + seen, hit: self.hit + hit }
+        Self {
+            asked: self.asked + asked,
+            right: self.right + right,
+            told: self.told + told,
+            seen: self.seen + seen,
+            hit: self.hit + hit,
+        }
     }
 }
 
@@ -68,13 +77,20 @@ fn robot(radius_m: f32) -> Robot {
 fn room(folder: &Utf8Path, name: &str) -> Asked {
     let unpacked = Unpacked::of(&folder.join(format!("{name}.zip"))).unwrap();
     let (settings, progress) = (ParseSettings::default(), Progress::silent());
-    let scan = parse_scan(&unpacked.path, &settings, &Models::default(), &Checkpoints::none(), &progress).unwrap();
-    let json =
-        |kind: &str| -> Value { serde_json::from_slice(&std::fs::read(folder.join(format!("{name}.{kind}.json"))).unwrap()).unwrap() };
+    let scan =
+        parse_scan(&unpacked.path, &settings, &Models::default(), &Checkpoints::none(), &progress)
+            .unwrap();
+    let json = |kind: &str| -> Value {
+        serde_json::from_slice(&std::fs::read(folder.join(format!("{name}.{kind}.json"))).unwrap())
+            .unwrap()
+    };
     let (annotated, asked) = (json("scene"), json("queries"));
-    let corner = |object: &Value, which: &str| Point3::from([0, 1, 2].map(|axis| object[which][axis].as_f64().unwrap() as f32));
+    let corner = |object: &Value, which: &str| {
+        Point3::from([0, 1, 2].map(|axis| object[which][axis].as_f64().unwrap() as f32))
+    };
     let box_of = |id: &Value| {
-        let object = annotated["objects"].as_array().unwrap().iter().find(|object| &object["id"] == id)?;
+        let object =
+            annotated["objects"].as_array().unwrap().iter().find(|object| &object["id"] == id)?;
         Some(Aabb::from_corners(corner(object, "min"), corner(object, "max")))
     };
     let wanted = asked
@@ -84,17 +100,27 @@ fn room(folder: &Utf8Path, name: &str) -> Asked {
         .filter_map(|q| Some((q["query"].as_str()?.to_owned(), box_of(&q["target_id"])?)));
     let questions = wanted.collect();
     let scene = &scan.scene;
-    let occupancy = Occupancy::of(&scene.cloud.positions, &scene.instance_of_point, &scene.instances);
+    let occupancy =
+        Occupancy::of(&scene.cloud.positions, &scene.instance_of_point, &scene.instances);
     Asked { scan, occupancy, questions }
 }
 
 impl Asked {
-    /// Where a robot sets out. Who held the camera stood in corners that it does not get out of: where most of the room can be reached.
+    /// Where a robot sets out. Who held the camera stood in corners that it does not get out of:
+    /// where most of the room can be reached.
     fn start(&self, radius_m: f32) -> Option<FloorPoint> {
         let frames = self.scan.frames.iter().map(|frame| frame.camera_to_world.translation.vector);
         let reaches = |at: &FloorPoint| {
-            let wish = Wish { robot: robot(radius_m), from: Some(*at), distances_m: [0.0, 20.0], max_poses: 1 };
-            approach(&self.occupancy, &self.scan.scene.instances, InstanceId(1), &wish).unwrap().cells.connected
+            let wish = Wish {
+                robot: robot(radius_m),
+                from: Some(*at),
+                distances_m: [0.0, 20.0],
+                max_poses: 1,
+            };
+            approach(&self.occupancy, &self.scan.scene.instances, InstanceId(1), &wish)
+                .unwrap()
+                .cells
+                .connected
         };
         frames.map(|at| FloorPoint { x: at.x.into(), y: at.y.into(), z: 0.0 }).max_by_key(reaches)
     }
@@ -104,14 +130,20 @@ impl Asked {
 fn points_of(scan: &ParsedScan, id: InstanceId) -> Vec<Point3<f32>> {
     let (scene, instance) = (&scan.scene, &scan.scene.instances[id.0 as usize - 1]);
     let own = scene.instance_of_point.iter().map(|of| *of == id || instance.things.contains(of));
-    let points = scene.cloud.positions.iter().zip(own).filter(|(p, own)| *own && instance.aabb.contains(p));
+    let points =
+        scene.cloud.positions.iter().zip(own).filter(|(p, own)| *own && instance.aabb.contains(p));
     points.map(|(p, _)| *p).collect()
 }
 
 /// Share of the target's points that are in the picture, at the depth that was drawn.
-fn share_in_picture(render_scene: &RenderScene, pose: &StandingPose, points: &[Point3<f32>]) -> f32 {
+fn share_in_picture(
+    render_scene: &RenderScene,
+    pose: &StandingPose,
+    points: &[Point3<f32>],
+) -> f32 {
     let [x, y, z] = pose.position;
-    let (camera, picture, depth_m) = seen_from(render_scene, &Point3::new(x, y, z + EYE_HEIGHT_M), &Point3::from(pose.look_at));
+    let (camera, picture, depth_m) =
+        seen_from(render_scene, &Point3::new(x, y, z + EYE_HEIGHT_M), &Point3::from(pose.look_at));
     let is_seen = |point: &&Point3<f32>| {
         camera.project(point).is_some_and(|pixel| {
             let (column, row) = pixel.cell();
@@ -127,7 +159,8 @@ fn room_around(asked: &Asked, pose: &StandingPose) -> [f32; 2] {
         let height = p.z - asked.occupancy.floor_z_m();
         (0.055..HEIGHT_M - 0.005).contains(&height)
     };
-    let obstacles: Vec<Point2<f32>> = asked.scan.scene.cloud.positions.iter().filter(from_floor).map(Point3::xy).collect();
+    let obstacles: Vec<Point2<f32>> =
+        asked.scan.scene.cloud.positions.iter().filter(from_floor).map(Point3::xy).collect();
     let to_leg = |p: &Point2<f32>, leg: &[[f32; 2]]| {
         let (a, b) = (Point2::from(leg[0]), Point2::from(leg[1]));
         let share = (p - a).dot(&(b - a)) / (b - a).norm_squared().max(1e-9);
@@ -136,7 +169,13 @@ fn room_around(asked: &Asked, pose: &StandingPose) -> [f32; 2] {
     let there = Point2::new(pose.position[0], pose.position[1]);
     let standing = obstacles.iter().map(|p| (p - there).norm()).fold(f32::INFINITY, f32::min);
     let legs = || pose.path.windows(2);
-    [standing, obstacles.iter().flat_map(|p| legs().map(move |leg| to_leg(p, leg))).fold(f32::INFINITY, f32::min)]
+    [
+        standing,
+        obstacles
+            .iter()
+            .flat_map(|p| legs().map(move |leg| to_leg(p, leg)))
+            .fold(f32::INFINITY, f32::min),
+    ]
 }
 
 /// One tally for each radius.
@@ -144,9 +183,16 @@ fn drive(folder: &Utf8Path, name: &str) -> [Tally; 2] {
     let asked = room(folder, name);
     let parsed = &asked.scan.scene;
     let render_scene = RenderScene::of_parsed(parsed.cloud.clone(), &parsed.instances);
-    let album = Arc::new(Album::new(parsed.extent, render_scene, None, asked.scan.models.encoder.clone(), Vec::new()));
+    let album = Arc::new(Album::new(
+        parsed.extent,
+        render_scene,
+        None,
+        asked.scan.models.encoder.clone(),
+        Vec::new(),
+    ));
     let scene = album.scene(parsed.instances.clone().into());
-    let answers: Vec<Option<InstanceId>> = asked.questions.iter().map(|(query, truth)| right_answer(&scene, query, truth)).collect();
+    let answers: Vec<Option<InstanceId>> =
+        asked.questions.iter().map(|(query, truth)| right_answer(&scene, query, truth)).collect();
     RADII_M.map(|radius_m| {
         let from = asked.start(radius_m);
         let mut tally = Tally { asked: answers.len(), right: answers.iter().flatten().count(), ..Tally::default() };
@@ -178,7 +224,8 @@ fn drive(folder: &Utf8Path, name: &str) -> [Tally; 2] {
 
 fn right_answer(scene: &Arc<AlbumScene>, query: &str, truth: &Aabb) -> Option<InstanceId> {
     let grounding = block_on(answer(scene, Ask::of(Question::of(query)))).unwrap().grounding;
-    let is_right = grounding.status == Status::Grounded && grounding.aabb.is_some_and(|found| found.iou(truth) >= RIGHT_IOU);
+    let is_right = grounding.status == Status::Grounded
+        && grounding.aabb.is_some_and(|found| found.iou(truth) >= RIGHT_IOU);
     grounding.answer.predicted_id.filter(|_| is_right)
 }
 
@@ -190,12 +237,16 @@ fn in_the_sample_room_what_is_driven_to_is_seen_and_nothing_is_hit() {
     }
 }
 
-/// Rooms that lie beside the checkout where this project is built; `UNIGROUND_REQUIRE_SHARED=1` makes missing ones a failure.
+/// Rooms that lie beside the checkout where this project is built; `UNIGROUND_REQUIRE_SHARED=1`
+/// makes missing ones a failure.
 #[test]
 fn in_annotated_rooms_what_is_driven_to_is_seen_and_nothing_is_hit() {
     let folder = Utf8PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/scenes"));
     if !folder.join("room1.zip").is_file() {
-        assert!(std::env::var_os("UNIGROUND_REQUIRE_SHARED").is_none(), "{folder}/room1.zip is missing");
+        assert!(
+            std::env::var_os("UNIGROUND_REQUIRE_SHARED").is_none(),
+            "{folder}/room1.zip is missing"
+        );
         println!("left out: annotated rooms are not beside this checkout");
         return;
     }

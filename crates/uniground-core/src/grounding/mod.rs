@@ -1,8 +1,9 @@
-//! Stage 2, Contextual Precision Grounding: instances and a question to six fields and a box (paper, section 3.3; docs/METHOD.md,
-//! sections 2 to 4).
+//! Stage 2, Contextual Precision Grounding: instances and a question to six fields and a box
+//! (paper, section 3.3; docs/METHOD.md, sections 2 to 4).
 //!
-//! [`pipeline`] is the whole way from words to an answer. No model is needed: the built-in reasoner scores names, attributes and
-//! relations by geometry, and a vision-language model, where there is one, reviews what it found. The language never changes the geometry.
+//! [`pipeline`] is the whole way from words to an answer. No model is needed: the built-in reasoner
+//! scores names, attributes and relations by geometry, and a vision-language model, where there is
+//! one, reviews what it found. The language never changes the geometry.
 
 pub mod album;
 mod answer;
@@ -38,7 +39,10 @@ pub use names::{GivenName, NameIndex};
 pub use picture_cache::PictureCache;
 pub use settled::settled;
 use std::time::{Duration, Instant};
-pub use uniground_types::answer::{Alternative, Candidate, NoMatchReason, ParsedQuerySummary, Seen, SixFields, Status, Target, Timings};
+pub use uniground_types::answer::{
+    Alternative, Candidate, NoMatchReason, ParsedQuerySummary, Seen, SixFields, Status, Target,
+    Timings,
+};
 pub use uniground_types::question::{CandidateSource, QueryText};
 
 use crate::geometry::boxes::Aabb;
@@ -53,7 +57,8 @@ pub struct SceneView<'a> {
     pub extent: Aabb,
     /// The names that somebody who has seen them gave the instances, read.
     pub names: &'a NameIndex,
-    /// How the question's words compare with what the instances look like; `None` where no encoder has seen them.
+    /// How the question's words compare with what the instances look like; `None` where no encoder
+    /// has seen them.
     pub appearance: Option<&'a Appearance>,
 }
 
@@ -64,11 +69,13 @@ pub struct Question {
     pub query: String,
     /// How many candidates to keep (paper: 5 for `ScanRefer`, 10 for `EmbodiedScan`).
     pub top_k: usize,
-    /// What left, right, front and back mean, unless there is an observer or the words tell ("facing the desk").
+    /// What left, right, front and back mean, unless there is an observer or the words tell
+    /// ("facing the desk").
     pub convention: DirectionConvention,
     /// Whose left, right, front and back are meant, and who "me" is; overrides `convention`.
     pub observer: Option<Observer>,
-    /// The target's class, where it is given with the question: only in an evaluation done the paper's way.
+    /// The target's class, where it is given with the question: only in an evaluation done the
+    /// paper's way.
     pub target_name: Option<String>,
     /// Who chooses what a vision-language model is shown.
     pub candidates: CandidateSource,
@@ -95,9 +102,15 @@ impl Question {
     }
 }
 
-/// The `top_k` best candidates for a question, without a decision (paper, section 3.2: by the encoder).
+/// The `top_k` best candidates for a question, without a decision (paper, section 3.2: by the
+/// encoder).
 #[must_use]
-pub fn rank_candidates(scene: SceneView, parsed: &query::ParsedQuery, from: CandidateSource, top_k: usize) -> Vec<Candidate> {
+pub fn rank_candidates(
+    scene: SceneView,
+    parsed: &query::ParsedQuery,
+    from: CandidateSource,
+    top_k: usize,
+) -> Vec<Candidate> {
     let mut assessor = Assessor::new(scene, DirectionConvention::Paper.into());
     if from == CandidateSource::Encoder {
         return shortlist::rank(scene, &candidates::looks(&assessor, &parsed.target), top_k);
@@ -116,12 +129,17 @@ pub fn ground(scene: SceneView, question: &Question) -> Grounding {
 
 /// Answers a question that has been read already; `reading` is how long that took.
 #[must_use]
-pub fn ground_read(scene: SceneView, question: &Question, parsed: query::ParsedQuery, reading: Duration) -> Grounding {
+pub fn ground_read(
+    scene: SceneView,
+    question: &Question,
+    parsed: query::ParsedQuery,
+    reading: Duration,
+) -> Grounding {
     decided(scene, question, settled(scene, parsed), reading).1
 }
 
-/// Answers a question, and gathers what a vision-language model is told so that it can decide better. The answer has the `top_k`
-/// candidates that the question's [`CandidateSource`] chooses.
+/// Answers a question, and gathers what a vision-language model is told so that it can decide
+/// better. The answer has the `top_k` candidates that the question's [`CandidateSource`] chooses.
 #[must_use]
 pub fn ground_with_context(
     scene: SceneView,
@@ -131,7 +149,8 @@ pub fn ground_with_context(
 ) -> (Grounding, vlm::PromptContext) {
     let (decided, mut grounding) = decided(scene, question, parsed, reading);
     let Decided { assessor, parsed, scores, beliefs } = decided;
-    grounding.candidates = candidates::choose(&assessor, &parsed, &scores, question.candidates, question.top_k);
+    grounding.candidates =
+        candidates::choose(&assessor, &parsed, &scores, question.candidates, question.top_k);
     for candidate in &grounding.candidates {
         let name = || answer::described(&scene.instances[candidate.id.0 as usize - 1]);
         grounding.answer.candidate_names.entry(candidate.id.0).or_insert_with(name);
@@ -150,16 +169,29 @@ struct Decided<'a> {
     beliefs: Vec<f32>,
 }
 
-fn decided<'a>(scene: SceneView<'a>, question: &Question, mut parsed: query::ParsedQuery, reading: Duration) -> (Decided<'a>, Grounding) {
+fn decided<'a>(
+    scene: SceneView<'a>,
+    question: &Question,
+    mut parsed: query::ParsedQuery,
+    reading: Duration,
+) -> (Decided<'a>, Grounding) {
     let start = Instant::now();
     if let Some(name) = &question.target_name {
         parsed.target.head.clone_from(name);
     }
-    let directions = question.observer.as_ref().map_or_else(|| question.convention.into(), Directions::of_observer);
+    let directions = question
+        .observer
+        .as_ref()
+        .map_or_else(|| question.convention.into(), Directions::of_observer);
     let mut assessor = Assessor::new(scene, directions);
     if let Some(observer) = &question.observer {
-        assessor.observer =
-            Some(Aabb { center: observer.position.map(|v| v as f32).into(), size: crate::geometry::Vector3::zeros() }.into());
+        assessor.observer = Some(
+            Aabb {
+                center: observer.position.map(|v| v as f32).into(),
+                size: crate::geometry::Vector3::zeros(),
+            }
+            .into(),
+        );
         let of_me = parsed.of_me();
         parsed.not_understood.retain(|word| !of_me.contains(word));
     }

@@ -1,5 +1,5 @@
-//! Names that somebody who has seen the instances gave them, as an index: free phrases ("lime green bean bag chair"), read by the grammar
-//! once and compared with what a question asks for.
+//! Names that somebody who has seen the instances gave them, as an index: free phrases ("lime green
+//! bean bag chair"), read by the grammar once and compared with what a question asks for.
 
 use super::kinds::kind_fit;
 use super::query::{self, Meaning, Phrase};
@@ -21,7 +21,12 @@ impl NameIndex {
         if instances.iter().all(|i| i.given_name.is_none()) {
             return Self::default();
         }
-        Self { of: instances.iter().map(|i| i.given_name.as_deref().and_then(GivenName::read)).collect() }
+        Self {
+            of: instances
+                .iter()
+                .map(|i| i.given_name.as_deref().and_then(GivenName::read))
+                .collect(),
+        }
     }
 
     /// The name of the instance at an index.
@@ -55,7 +60,8 @@ pub struct GivenName {
     kind: Kind,
     /// What it names: of a part, the thing it belongs to.
     phrase: Phrase,
-    /// The words that name the thing itself, in the singular, before any that lead elsewhere ("on the desk").
+    /// The words that name the thing itself, in the singular, before any that lead elsewhere ("on
+    /// the desk").
     words: Vec<String>,
 }
 
@@ -67,14 +73,25 @@ const SAME_WORDS: f32 = 0.9;
 const WORDS_BESIDE_ITS_NOUN: f32 = 0.6;
 /// Words after which a name speaks of other things.
 const ELSEWHERE: [&str; 17] = [
-    "with", "under", "on", "in", "near", "next", "behind", "beside", "above", "below", "against", "at", "by", "beneath", "of", "from",
-    "holding",
+    "with", "under", "on", "in", "near", "next", "behind", "beside", "above", "below", "against",
+    "at", "by", "beneath", "of", "from", "holding",
 ];
 /// Words for a stretch of a wall, a floor or a ceiling.
-const STRETCH: [&str; 14] =
-    ["section", "panel", "corner", "area", "surface", "edge", "patch", "piece", "portion", "trim", "segment", "strip", "part", "fragment"];
-const NOTHING: [&str; 7] = ["not a thing", "nothing", "no object", "noise", "artifact", "artefact", "empty"];
-const UNCLEAR: [&str; 7] = ["unclear", "unknown", "unidentified", "unidentifiable", "unrecognizable", "unrecognisable", "n/a"];
+const STRETCH: [&str; 14] = [
+    "section", "panel", "corner", "area", "surface", "edge", "patch", "piece", "portion", "trim",
+    "segment", "strip", "part", "fragment",
+];
+const NOTHING: [&str; 7] =
+    ["not a thing", "nothing", "no object", "noise", "artifact", "artefact", "empty"];
+const UNCLEAR: [&str; 7] = [
+    "unclear",
+    "unknown",
+    "unidentified",
+    "unidentifiable",
+    "unrecognizable",
+    "unrecognisable",
+    "n/a",
+];
 
 impl GivenName {
     /// Reads a name; `None` where it says that its giver could not tell.
@@ -85,7 +102,11 @@ impl GivenName {
             return None;
         }
         if NOTHING.iter().any(|word| text.starts_with(word)) {
-            return Some(Self { kind: Kind::NotAThing, phrase: Phrase::default(), words: Vec::new() });
+            return Some(Self {
+                kind: Kind::NotAThing,
+                phrase: Phrase::default(),
+                words: Vec::new(),
+            });
         }
         let (kind, text) = match text.strip_prefix("part of ") {
             Some(whole) => (Kind::Part, whole.to_owned()),
@@ -103,7 +124,9 @@ impl GivenName {
     #[must_use]
     pub fn fit(&self, asked: &Phrase, meaning: &Meaning) -> f32 {
         match (self.kind, meaning) {
-            (Kind::Structure(own), Meaning::Structure(wanted)) => f32::from(u8::from(own == *wanted)),
+            (Kind::Structure(own), Meaning::Structure(wanted)) => {
+                f32::from(u8::from(own == *wanted))
+            }
             (Kind::NotAThing | Kind::Structure(_), _) | (_, Meaning::Structure(_)) => 0.0,
             (Kind::Part, Meaning::Anything) => PART,
             (Kind::Thing, Meaning::Anything) => 1.0,
@@ -117,9 +140,11 @@ impl GivenName {
         if by_noun > 0.0 { by_noun } else { self.by_words(asked) }
     }
 
-    /// Its noun: the last words that a dictionary knows together, the most of them; what the grammar takes for it where none does.
+    /// Its noun: the last words that a dictionary knows together, the most of them; what the
+    /// grammar takes for it where none does.
     fn noun(&self) -> Option<String> {
-        let known = |words: &String| Lexicon::get().find(words).is_some() || WordNet::get().names(words);
+        let known =
+            |words: &String| Lexicon::get().find(words).is_some() || WordNet::get().names(words);
         let runs = (1..=self.words.len())
             .rev()
             .flat_map(|end| (0..end).map(move |from| self.words[from..end].join(" ")));
@@ -131,17 +156,23 @@ impl GivenName {
     /// By the words alone, where no dictionary helps.
     fn by_words(&self, asked: &Phrase) -> f32 {
         let wanted: Vec<&str> = asked.head.split_whitespace().map(singular).collect();
-        if wanted.is_empty() || !wanted.iter().all(|word| self.words.iter().any(|own| own == word)) {
+        if wanted.is_empty() || !wanted.iter().all(|word| self.words.iter().any(|own| own == word))
+        {
             return 0.0;
         }
-        if self.words.last().map(String::as_str) == wanted.last().copied() { SAME_WORDS } else { WORDS_BESIDE_ITS_NOUN }
+        if self.words.last().map(String::as_str) == wanted.last().copied() {
+            SAME_WORDS
+        } else {
+            WORDS_BESIDE_ITS_NOUN
+        }
     }
 
     /// Whether it says that its bearer carries what is asked for: "candlestick with pink candle".
     #[must_use]
     pub fn carries(&self, asked: &Phrase, meaning: &Meaning) -> bool {
         let carried = self.phrase.with.iter().filter(|with| !with.absent);
-        self.kind == Kind::Thing && carried.into_iter().any(|with| kind_fit(&with.phrase.head, asked, meaning) > 0.0)
+        self.kind == Kind::Thing
+            && carried.into_iter().any(|with| kind_fit(&with.phrase.head, asked, meaning) > 0.0)
     }
 
     /// Whether it is a thing at all, rather than a stretch of a wall or noise.
@@ -175,11 +206,16 @@ fn structure_in(words: &[String]) -> Option<Structure> {
     }
 }
 
-/// Words of a name up to the first that leads to another thing; "and" does, but for one between colours.
+/// Words of a name up to the first that leads to another thing; "and" does, but for one between
+/// colours.
 fn main_words(name: &str) -> impl Iterator<Item = String> {
     let is_colour = |word: &String| ColourName::ALL.iter().any(|colour| colour.word() == word);
     let mut words: Vec<String> = Vec::new();
-    for word in name.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).map(str::to_lowercase) {
+    for word in name
+        .split(|c: char| !c.is_alphanumeric())
+        .filter(|word| !word.is_empty())
+        .map(str::to_lowercase)
+    {
         match word.as_str() {
             "and" if words.last().is_some_and(is_colour) => {}
             "and" => break,
@@ -238,8 +274,11 @@ mod tests {
             assert_eq!(fit(name, query), 0.0, "{name} for {query}");
         }
         let candle = query::parse("the candle").target;
-        let carries = |name: &str| GivenName::read(name).unwrap().carries(&candle, &candle.meaning());
-        assert!(carries("white candlestick with pink candle") && !carries("white shelf with books"));
+        let carries =
+            |name: &str| GivenName::read(name).unwrap().carries(&candle, &candle.meaning());
+        assert!(
+            carries("white candlestick with pink candle") && !carries("white shelf with books")
+        );
         assert_eq!(fit("unclear", "the table"), -1.0);
         assert!((0.1..0.5).contains(&fit("part of wooden bed frame", "the bed")));
     }

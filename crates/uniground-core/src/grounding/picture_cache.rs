@@ -18,7 +18,8 @@ impl PictureCache {
     /// How often a picture was found, and how often not.
     #[must_use]
     pub fn looks(&self) -> (u64, u64) {
-        let ((hits, misses), (more_hits, more_misses)) = (self.globals.looks(), self.collages.looks());
+        let ((hits, misses), (more_hits, more_misses)) =
+            (self.globals.looks(), self.collages.looks());
         (hits + more_hits, misses + more_misses)
     }
 }

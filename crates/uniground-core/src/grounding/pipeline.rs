@@ -1,11 +1,13 @@
-//! One question, from words to an answer: the only way there, for the service, for evaluation and for a robot's own process.
+//! One question, from words to an answer: the only way there, for the service, for evaluation and
+//! for a robot's own process.
 //!
 //! ```text
 //! read -> settle -> appearance -> decide -> evidence -> review -> answer
 //!         \_______ one step of computing _____/   \_ where a vision-language model reviews _/
 //! ```
-//! The pipeline is a future that its caller drives; it needs no runtime of its own. Where a scene's pictures, embeddings and names come
-//! from, and on which threads computing happens, is the business of a [`SceneSource`].
+//! The pipeline is a future that its caller drives; it needs no runtime of its own. Where a scene's
+//! pictures, embeddings and names come from, and on which threads computing happens, is the
+//! business of a [`SceneSource`].
 
 use super::appearance::{Appearance, ShortlistScoring};
 use super::query::{BuiltinParser, FellBack, ParsedQuery, QueryParser, Reading, parse};
@@ -13,9 +15,13 @@ use super::reasoner::builtin;
 pub use super::scene_source::{QuestionError, SceneSource};
 use super::unlisted::{Found, look_up};
 use super::vlm::{
-    self, Conversation, Decision, EvidenceMode, MAX_CALLS, Options, Outcome, PictureSettings, PromptVersion, Undecided, naming,
+    self, Conversation, Decision, EvidenceMode, MAX_CALLS, Options, Outcome, PictureSettings,
+    PromptVersion, Undecided, naming,
 };
-use super::{Candidate, Grounding, Question, SceneView, decided, ground_with_context, rank_candidates, settled};
+use super::{
+    Candidate, Grounding, Question, SceneView, decided, ground_with_context, rank_candidates,
+    settled,
+};
 use crate::models::attributes;
 use crate::models::chat::{Budget, CallRecord, ChatModel, Session};
 use crate::models::neural::DualEncoder;
@@ -41,7 +47,8 @@ pub struct Ask {
     pub parser: Arc<dyn QueryParser>,
     /// What happens when `parser` can not use its model.
     pub without_parser: WithoutModel,
-    /// Where the encoder fails, or is not the one that has seen the scene, names and measures answer; the answer says so.
+    /// Where the encoder fails, or is not the one that has seen the scene, names and measures
+    /// answer; the answer says so.
     pub allow_builtin_encoder: bool,
     /// A vision-language model that reviews what geometry has found.
     pub review: Option<Review>,
@@ -77,16 +84,18 @@ pub struct Answered {
     pub parsed: ParsedQuery,
     /// Name and version of who read the question.
     pub parser: String,
-    /// Name and version of what compared pictures and words: an encoder, or the built-in attributes.
+    /// Name and version of what compared pictures and words: an encoder, or the built-in
+    /// attributes.
     pub encoder: String,
     /// Name and version of who decided: the built-in reasoner, or the model with its prompt.
     pub reasoner: String,
-    /// A built-in part took the place of a model that was counted on and could not be used, or that never chose a candidate; `corrections`
-    /// says why.
+    /// A built-in part took the place of a model that was counted on and could not be used, or
+    /// that never chose a candidate; `corrections` says why.
     pub degraded: bool,
     /// What went wrong on the way, in order.
     pub corrections: Vec<String>,
-    /// Every call of a model, in order: at most [`MAX_CALLS`], and one more where the model saw what was not listed.
+    /// Every call of a model, in order: at most [`MAX_CALLS`], and one more where the model saw
+    /// what was not listed.
     pub calls: Vec<CallRecord>,
 }
 
@@ -117,8 +126,10 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
     let (grounding, context, parsed, used) = source
         .compute(move |source| {
             let parsed = settled(scene_view(source, None), parsed);
-            let scoring = ShortlistScoring { query_text: question.query_text, ..ShortlistScoring::default() };
-            let (appearance, used) = appearance(source, &question.query, &parsed, scoring, allow_builtin_encoder)?;
+            let scoring =
+                ShortlistScoring { query_text: question.query_text, ..ShortlistScoring::default() };
+            let (appearance, used) =
+                appearance(source, &question.query, &parsed, scoring, allow_builtin_encoder)?;
             let scene = scene_view(source, appearance.as_ref());
             if !with_review {
                 return Ok((decided(scene, &question, parsed.clone(), took).1, None, parsed, used));
@@ -141,7 +152,9 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
         corrections,
         calls: Vec::new(),
     };
-    if let Some((review, context)) = review.zip(context).filter(|(_, context)| !context.candidates.is_empty()) {
+    if let Some((review, context)) =
+        review.zip(context).filter(|(_, context)| !context.candidates.is_empty())
+    {
         reviewed(source, &mut answered, review, context, &mut calls, start).await?;
     }
     answered.grounding.hold_to(least);
@@ -162,8 +175,13 @@ async fn reviewed<S: SceneSource>(
     let mut names = if options.uses_names() { source.names().await? } else { BTreeMap::new() };
     names.retain(|id, _| context.is_candidate(*id));
     let known = names.clone();
-    let mut session = Session::new(model.as_ref(), budgets, MAX_CALLS.saturating_sub(calls.len() as u32));
-    let context = if options.prompt == PromptVersion::Paper { context.without_shown_anchors() } else { context };
+    let mut session =
+        Session::new(model.as_ref(), budgets, MAX_CALLS.saturating_sub(calls.len() as u32));
+    let context = if options.prompt == PromptVersion::Paper {
+        context.without_shown_anchors()
+    } else {
+        context
+    };
     let context = match options.evidence {
         EvidenceMode::TwoStep => narrowed(source, context, &mut session).await?,
         _ => context,
@@ -171,7 +189,10 @@ async fn reviewed<S: SceneSource>(
     let (context, evidence, unnamed) = source
         .compute(move |source| {
             let photographs = vlm::offered(source, &context, options)?;
-            let evidence = vlm::VisualEvidence { photographs, ..vlm::collect(source, &context, &PictureSettings::of(options))? };
+            let evidence = vlm::VisualEvidence {
+                photographs,
+                ..vlm::collect(source, &context, &PictureSettings::of(options))?
+            };
             let mut unnamed = context.unnamed(&known, options.evidence);
             unnamed.truncate(naming::PER_SHEET);
             let unnamed = naming::sheet_of(source, 1, &unnamed)?;
@@ -179,7 +200,13 @@ async fn reviewed<S: SceneSource>(
         })
         .await?;
     let evidence_took = start.elapsed().saturating_sub(before);
-    let conversation = Conversation { context: &context, evidence: &evidence, options, names: names.clone(), unnamed };
+    let conversation = Conversation {
+        context: &context,
+        evidence: &evidence,
+        options,
+        names: names.clone(),
+        unnamed,
+    };
     let decision = vlm::decide(&conversation, &mut session).await;
     let (Ok(Decision { new_names, .. }) | Err(Undecided { new_names, .. })) = &decision;
     if !new_names.is_empty() {
@@ -197,13 +224,16 @@ async fn reviewed<S: SceneSource>(
             answered.grounding.offer(&context, source.instances());
             decision.apply(&mut answered.grounding, &context, source.instances());
             // The geometry had to choose, because the model did not.
-            answered.degraded |= matches!(decision.outcome, Outcome::Projected(_) | Outcome::Unknown);
+            answered.degraded |=
+                matches!(decision.outcome, Outcome::Projected(_) | Outcome::Unknown);
             if decision.outcome != Outcome::Unknown {
                 answered.reasoner = vlm::reasoner_name(model.name(), options.prompt);
             }
             answered.corrections.extend(decision.corrections);
         }
-        Err(undecided) if without_model == WithoutModel::Fail => return Err(QuestionError::Review(undecided.error).into()),
+        Err(undecided) if without_model == WithoutModel::Fail => {
+            return Err(QuestionError::Review(undecided.error).into());
+        }
         Err(undecided) => {
             answered.degraded = true;
             answered.corrections.push(format!("the built-in reasoner answered: {undecided}"));
@@ -227,16 +257,30 @@ struct Shown<S> {
 }
 
 impl<S: SceneSource> Shown<S> {
-    /// Where a model saw in a photograph what was not listed: that place as an instance, and the model asked again with it. What was decided
-    /// before stands where nothing comes of that.
-    async fn looked_up(&mut self, decision: Decision, session: &mut Session<'_>) -> Result<Decision, S::Error> {
-        let Some(seen) = decision.seen.clone().filter(|_| decision.outcome == Outcome::NotListed) else { return Ok(decision) };
-        let (context, evidence, settings) = (self.context.clone(), self.evidence.clone(), PictureSettings::of(self.options));
-        let place = format!("the model saw \"{}\" in {}, which is not listed", seen.name, seen.picture);
-        let found = self.source.compute(move |source| look_up(source, &context, &seen, &evidence, &settings)).await?;
+    /// Where a model saw in a photograph what was not listed: that place as an instance, and the
+    /// model asked again with it. What was decided before stands where nothing comes of that.
+    async fn looked_up(
+        &mut self,
+        decision: Decision,
+        session: &mut Session<'_>,
+    ) -> Result<Decision, S::Error> {
+        let Some(seen) = decision.seen.clone().filter(|_| decision.outcome == Outcome::NotListed)
+        else {
+            return Ok(decision);
+        };
+        let (context, evidence, settings) =
+            (self.context.clone(), self.evidence.clone(), PictureSettings::of(self.options));
+        let place =
+            format!("the model saw \"{}\" in {}, which is not listed", seen.name, seen.picture);
+        let found = self
+            .source
+            .compute(move |source| look_up(source, &context, &seen, &evidence, &settings))
+            .await?;
         match found {
             None => Ok(decision),
-            Some(Found::Known(id)) => Ok(decision.found(id, format!("{place}: it is instance {id}"))),
+            Some(Found::Known(id)) => {
+                Ok(decision.found(id, format!("{place}: it is instance {id}")))
+            }
             Some(Found::New(found)) => {
                 let (source, id) = self.source.keep_found(*found).await?;
                 self.source = source;
@@ -246,17 +290,31 @@ impl<S: SceneSource> Shown<S> {
         }
     }
 
-    /// Asks again with an instance that was found; what was decided before stands where the model chooses nothing of the list.
-    async fn asked_again(&mut self, before: Decision, id: InstanceId, session: &mut Session<'_>) -> Result<Decision, S::Error> {
+    /// Asks again with an instance that was found; what was decided before stands where the model
+    /// chooses nothing of the list.
+    async fn asked_again(
+        &mut self,
+        before: Decision,
+        id: InstanceId,
+        session: &mut Session<'_>,
+    ) -> Result<Decision, S::Error> {
         let Some(found) = self.source.instances().get(id.0 as usize - 1) else { return Ok(before) };
-        let (context, settings) = (self.context.clone().with_found(found), PictureSettings::of(self.options));
+        let (context, settings) =
+            (self.context.clone().with_found(found), PictureSettings::of(self.options));
         let (context, evidence) = self
             .source
-            .compute(move |source| vlm::collect(source, &context, &settings).map(|evidence| (context, evidence)))
+            .compute(move |source| {
+                vlm::collect(source, &context, &settings).map(|evidence| (context, evidence))
+            })
             .await?;
         session.allow_one_more();
-        let conversation =
-            Conversation { context: &context, evidence: &evidence, options: self.options, names: self.names.clone(), unnamed: None };
+        let conversation = Conversation {
+            context: &context,
+            evidence: &evidence,
+            options: self.options,
+            names: self.names.clone(),
+            unnamed: None,
+        };
         let again = vlm::decide(&conversation, session).await;
         (self.context, self.evidence) = (context, evidence);
         Ok(match again {
@@ -267,8 +325,9 @@ impl<S: SceneSource> Shown<S> {
     }
 }
 
-/// The first of two steps: the candidates that remain when the model has seen one photograph of each. A call that fails is told by the
-/// next one, which will fail as well; where the model finds none, the best ones remain.
+/// The first of two steps: the candidates that remain when the model has seen one photograph of
+/// each. A call that fails is told by the next one, which will fail as well; where the model finds
+/// none, the best ones remain.
 async fn narrowed<S: SceneSource>(
     source: &Arc<S>,
     context: vlm::PromptContext,
@@ -289,8 +348,16 @@ async fn narrowed<S: SceneSource>(
 }
 
 /// A scene as stage 2 needs it.
-fn scene_view<'a, S: SceneSource>(source: &'a S, appearance: Option<&'a Appearance>) -> SceneView<'a> {
-    SceneView { instances: source.instances(), extent: source.extent(), names: source.name_index(), appearance }
+fn scene_view<'a, S: SceneSource>(
+    source: &'a S,
+    appearance: Option<&'a Appearance>,
+) -> SceneView<'a> {
+    SceneView {
+        instances: source.instances(),
+        extent: source.extent(),
+        names: source.name_index(),
+        appearance,
+    }
 }
 
 /// Who compared pictures and words.
@@ -300,7 +367,8 @@ struct UsedEncoder {
     missing: Option<String>,
 }
 
-/// The question's words beside what the instances look like; nothing where no encoder has seen them.
+/// The question's words beside what the instances look like; nothing where no encoder has seen
+/// them.
 fn appearance<S: SceneSource>(
     source: &S,
     query: &str,
@@ -309,11 +377,16 @@ fn appearance<S: SceneSource>(
     allow_builtin_encoder: bool,
 ) -> Result<(Option<Appearance>, UsedEncoder), S::Error> {
     let seen = source.embeddings().and_then(|seen| {
-        let looks = |(encoder, embeddings): (&DualEncoder, &Embeddings)| Appearance::of(query, parsed, encoder, embeddings, scoring);
+        let looks = |(encoder, embeddings): (&DualEncoder, &Embeddings)| {
+            Appearance::of(query, parsed, encoder, embeddings, scoring)
+        };
         seen.map(looks).transpose().map_err(|error| QuestionError::Encoder(error).into())
     });
     match seen {
-        Err(error) if allow_builtin_encoder => Ok((None, UsedEncoder { name: attributes::NAME.into(), missing: Some(error.to_string()) })),
+        Err(error) if allow_builtin_encoder => Ok((
+            None,
+            UsedEncoder { name: attributes::NAME.into(), missing: Some(error.to_string()) },
+        )),
         seen => Ok((seen?, UsedEncoder { name: source.encoder_name(), missing: None })),
     }
 }
@@ -348,7 +421,8 @@ pub async fn shortlist<S: SceneSource>(
         .await
 }
 
-/// The `top_k` best candidates for a query that has been read already; computed on the calling thread.
+/// The `top_k` best candidates for a query that has been read already; computed on the calling
+/// thread.
 ///
 /// # Errors
 /// As [`shortlist`].
@@ -363,7 +437,11 @@ pub fn shortlist_of<S: SceneSource>(
     let (appearance, used) = appearance(source, query, parsed, scoring, allow_builtin_encoder)?;
     let scene = scene_view(source, appearance.as_ref());
     let cut = appearance.as_ref().is_some_and(|appearance| appearance.cut);
-    Ok(Shortlist { candidates: rank_candidates(scene, parsed, scoring.from, top_k), encoder: used.name, cut })
+    Ok(Shortlist {
+        candidates: rank_candidates(scene, parsed, scoring.from, top_k),
+        encoder: used.name,
+        cut,
+    })
 }
 
 #[cfg(test)]

@@ -1,22 +1,36 @@
-//! One place, one candidate: a thing, its parts and the wholes it belongs to overlap, and a question means one of them.
+//! One place, one candidate: a thing, its parts and the wholes it belongs to overlap, and a
+//! question means one of them.
 
 use crate::scene::{Instance, InstanceId, Level};
 
-/// A part or a whole is what a question means only if it fits clearly better than the things it overlaps.
+/// A part or a whole is what a question means only if it fits clearly better than the things it
+/// overlaps.
 const NOT_A_THING: f32 = 0.9;
 /// Two parts of a thing are beside each other when their boxes share no more than this (IoU).
 const BESIDE: f32 = 0.1;
 
-/// Of everything in one place only the best fit stays; the others fit nothing, nor does what somebody has dismissed. `fits` are by index.
+/// Of everything in one place only the best fit stays; the others fit nothing, nor does what
+/// somebody has dismissed. `fits` are by index.
 pub(super) fn one_per_place(instances: &[Instance], fits: &mut [f32]) {
     // Parts and wholes of nothing but junk are junk.
-    let is_junk = |i: &Instance| i.dismissed || !i.things.is_empty() && i.things.iter().all(|thing| instances[index(*thing)].dismissed);
+    let is_junk = |i: &Instance| {
+        i.dismissed
+            || !i.things.is_empty()
+                && i.things.iter().all(|thing| instances[index(*thing)].dismissed)
+    };
     for (fit, _) in fits.iter_mut().zip(instances).filter(|(_, instance)| is_junk(instance)) {
         *fit = 0.0;
     }
-    let compounds: Vec<usize> = (0..instances.len()).filter(|&i| instances[i].level != Level::Thing).collect();
+    let compounds: Vec<usize> =
+        (0..instances.len()).filter(|&i| instances[i].level != Level::Thing).collect();
     compounds.iter().for_each(|&i| fits[i] *= NOT_A_THING);
-    let thing_ids = |i: usize| if instances[i].level == Level::Thing { vec![instances[i].id] } else { instances[i].things.clone() };
+    let thing_ids = |i: usize| {
+        if instances[i].level == Level::Thing {
+            vec![instances[i].id]
+        } else {
+            instances[i].things.clone()
+        }
+    };
     let mut rivals: Vec<usize> = compounds
         .into_iter()
         .filter(|&i| fits[i] > 0.0)
@@ -52,7 +66,11 @@ mod tests {
 
     fn at(id: u32, x: f32, level: Level, things: &[u32]) -> Instance {
         let things = things.iter().map(|&id| InstanceId(id)).collect();
-        Instance { level, things, ..thing(id, [x, 0.0], [0.5, 0.5, 0.5], 0.0, Support::Floor, [90; 3]) }
+        Instance {
+            level,
+            things,
+            ..thing(id, [x, 0.0], [0.5, 0.5, 0.5], 0.0, Support::Floor, [90; 3])
+        }
     }
 
     #[test]
@@ -72,7 +90,11 @@ mod tests {
         assert_eq!(stays([0.8; 6]), [1, 2, 3], "alike: things");
         assert_eq!(stays([0.3, 0.2, 0.0, 0.9, 0.0, 0.0]), [4], "a bed of blanket and headboard");
         assert_eq!(stays([0.95, 0.2, 0.0, 0.9, 0.0, 0.0]), [1, 2], "a thing on something else");
-        assert_eq!(stays([0.1, 0.1, 0.2, 0.0, 0.9, 0.8]), [1, 2, 5, 6], "two drawers of one dresser");
+        assert_eq!(
+            stays([0.1, 0.1, 0.2, 0.0, 0.9, 0.8]),
+            [1, 2, 5, 6],
+            "two drawers of one dresser"
+        );
         assert_eq!(stays([0.0, 0.0, 0.9, 0.0, 0.0, 0.9]), [3]);
     }
 }

@@ -1,5 +1,6 @@
-//! What a phrase's thing may be called: its noun, and other nouns that a reader who knows the world says for it ("it wakes me every
-//! morning": alarm clock, clock, radio). The scene decides which of them it has.
+//! What a phrase's thing may be called: its noun, and other nouns that a reader who knows the world
+//! says for it ("it wakes me every morning": alarm clock, clock, radio). The scene decides which of
+//! them it has.
 
 use super::GivenName;
 use super::query::{Meaning, Phrase};
@@ -8,7 +9,8 @@ use crate::models::attributes::Noun;
 /// What a noun counts beside the one before it.
 const LATER_NOUN: f32 = 0.95;
 
-/// What a phrase says of the kind of thing it means, under each noun it may be called by, the likeliest first.
+/// What a phrase says of the kind of thing it means, under each noun it may be called by, the
+/// likeliest first.
 pub(super) struct Readings(Vec<Reading>);
 
 /// One of them.
@@ -22,11 +24,21 @@ pub(super) struct Reading {
 
 impl Readings {
     pub fn of(phrase: &Phrase) -> Self {
-        let bare = |head: &str| Phrase { head: head.to_owned(), unchecked: phrase.unchecked.clone(), ..Phrase::default() };
-        let first = Phrase { uses: phrase.uses.clone(), purpose: phrase.purpose.clone(), ..bare(&phrase.head) };
-        let others = phrase.could_be.iter().filter(|noun| **noun != phrase.head).map(|noun| bare(noun));
+        let bare = |head: &str| Phrase {
+            head: head.to_owned(),
+            unchecked: phrase.unchecked.clone(),
+            ..Phrase::default()
+        };
+        let first = Phrase {
+            uses: phrase.uses.clone(),
+            purpose: phrase.purpose.clone(),
+            ..bare(&phrase.head)
+        };
+        let others =
+            phrase.could_be.iter().filter(|noun| **noun != phrase.head).map(|noun| bare(noun));
         let weights = std::iter::successors(Some(1.0), |weight| Some(weight * LATER_NOUN));
-        let reading = |(phrase, weight): (Phrase, f32)| Reading { weight, meaning: phrase.meaning(), phrase };
+        let reading =
+            |(phrase, weight): (Phrase, f32)| Reading { weight, meaning: phrase.meaning(), phrase };
         Self(std::iter::once(first).chain(others).zip(weights).map(reading).collect())
     }
 
@@ -41,7 +53,10 @@ impl Readings {
 
     /// The noun that a given name fits best, the first of equals.
     pub fn best_noun(&self, name: &GivenName) -> &str {
-        let best = self.0.iter().reduce(|best, next| if next.fit(name) > best.fit(name) { next } else { best });
+        let best = self
+            .0
+            .iter()
+            .reduce(|best, next| if next.fit(name) > best.fit(name) { next } else { best });
         best.map_or("", |reading| &reading.phrase.head)
     }
 }
@@ -75,11 +90,18 @@ mod tests {
         let instances: Vec<Instance> = (1..).zip(names).map(named).collect();
         let names = NameIndex::of(&instances);
         let extent = Aabb { center: Point3::origin(), size: Vector3::repeat(9.0) };
-        noun_fits(SceneView { instances: &instances, extent, names: &names, appearance: None }, said)
+        noun_fits(
+            SceneView { instances: &instances, extent, names: &names, appearance: None },
+            said,
+        )
     }
 
     fn said(head: &str, could_be: &[&str]) -> Phrase {
-        Phrase { head: head.into(), could_be: could_be.iter().map(|noun| (*noun).to_owned()).collect(), ..Phrase::default() }
+        Phrase {
+            head: head.into(),
+            could_be: could_be.iter().map(|noun| (*noun).to_owned()).collect(),
+            ..Phrase::default()
+        }
     }
 
     #[test]
@@ -93,6 +115,9 @@ mod tests {
         assert_eq!(fits(&["kettle"], &asked), [0.0]);
         let radio = GivenName::read("old radio").unwrap();
         assert_eq!(Readings::of(&asked).best_noun(&radio), "radio");
-        assert!(Readings::of(&asked).called(&radio) > 0.9 && Readings::of(&said("kettle", &[])).called(&radio) == 0.0);
+        assert!(
+            Readings::of(&asked).called(&radio) > 0.9
+                && Readings::of(&said("kettle", &[])).called(&radio) == 0.0
+        );
     }
 }

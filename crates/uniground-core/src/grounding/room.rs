@@ -1,7 +1,8 @@
-//! The room that a thing stands in: walls around it, corners, the middle, and which way its own front looks.
+//! The room that a thing stands in: walls around it, corners, the middle, and which way its own
+//! front looks.
 //!
-//! A scan may hold several rooms, or one with a recess: what bounds a thing is the next wall on each of its four sides, or the outline of
-//! everything where no wall comes before it.
+//! A scan may hold several rooms, or one with a recess: what bounds a thing is the next wall on
+//! each of its four sides, or the outline of everything where no wall comes before it.
 
 use super::relations::fade;
 use super::solid::Solid;
@@ -23,7 +24,8 @@ pub struct Room {
 pub struct Faced {
     /// Horizontal, away from who looks; `None` right in the middle of a room.
     pub ahead: Option<Vector3<f32>>,
-    /// The thing has its back to a wall. In the open nobody tells from where: people look from the middle of the room.
+    /// The thing has its back to a wall. In the open nobody tells from where: people look from the
+    /// middle of the room.
     pub has_a_front: bool,
 }
 
@@ -33,7 +35,9 @@ impl Room {
     pub fn new(outline: Solid, walls: Vec<Solid>) -> Self {
         const MEET_M: f32 = 0.4;
         const AT_AN_ANGLE: f32 = 0.5;
-        let meet = |a: &Solid, b: &Solid| a.along().perp(&b.along()).abs() > AT_AN_ANGLE && a.horizontal_gap(b) < MEET_M;
+        let meet = |a: &Solid, b: &Solid| {
+            a.along().perp(&b.along()).abs() > AT_AN_ANGLE && a.horizontal_gap(b) < MEET_M
+        };
         let pairs = (0..walls.len()).flat_map(|i| (i + 1..walls.len()).map(move |j| (i, j)));
         let corners = pairs.filter(|&(i, j)| meet(&walls[i], &walls[j])).collect();
         Self { outline, walls, corners }
@@ -73,15 +77,19 @@ impl Room {
         let front = self.own_front(thing);
         let from_the_middle = || {
             let gaps = self.gaps(thing);
-            let aside = |(axis, i): (Vector2<f32>, usize)| axis * ((gaps[2 * i] - gaps[2 * i + 1]) / 2.0);
+            let aside =
+                |(axis, i): (Vector2<f32>, usize)| axis * ((gaps[2 * i] - gaps[2 * i + 1]) / 2.0);
             let ahead: Vector2<f32> = self.axes().into_iter().zip(0..).map(aside).sum();
             Vector3::new(ahead.x, ahead.y, 0.0).try_normalize(1e-4)
         };
-        Faced { ahead: front.map(|front| -front).or_else(from_the_middle), has_a_front: front.is_some() }
+        Faced {
+            ahead: front.map(|front| -front).or_else(from_the_middle),
+            has_a_front: front.is_some(),
+        }
     }
 
-    /// Away from the wall a thing stands against, a side of the room or a wall within; `None` in the open and, unless the thing is long, in
-    /// corners.
+    /// Away from the wall a thing stands against, a side of the room or a wall within; `None` in
+    /// the open and, unless the thing is long, in corners.
     #[must_use]
     pub fn own_front(&self, thing: &Solid) -> Option<Vector3<f32>> {
         const AT_THE_WALL_M: f32 = 0.35;
@@ -106,13 +114,15 @@ impl Room {
         (gap <= AT_THE_WALL_M && clear).then(|| Vector3::new(front.x, front.y, 0.0))
     }
 
-    /// Whether somebody who stands at the one thing has to leave the room for the other: a wall crosses the line between their middles.
+    /// Whether somebody who stands at the one thing has to leave the room for the other: a wall
+    /// crosses the line between their middles.
     #[must_use]
     pub fn apart_by_a_wall(&self, a: &Solid, b: &Solid) -> bool {
         self.walls.iter().any(|wall| crosses(wall, a, b))
     }
 
-    /// How much of the room lies on the side of a thing that `direction` (horizontal, unit) points to, metres: up to the next wall.
+    /// How much of the room lies on the side of a thing that `direction` (horizontal, unit) points
+    /// to, metres: up to the next wall.
     #[must_use]
     pub fn depth(&self, thing: &Solid, direction: &Vector2<f32>) -> f32 {
         let [a, b] = self.axes();
@@ -122,7 +132,8 @@ impl Room {
             .map_or(0.0, |(_, gap)| gap)
     }
 
-    /// How far it is from a thing to what bounds its room, on both sides along each of [`axes`](Self::axes); metres.
+    /// How far it is from a thing to what bounds its room, on both sides along each of
+    /// [`axes`](Self::axes); metres.
     fn gaps(&self, thing: &Solid) -> [f32; 4] {
         let mut gaps = [0.0; 4];
         for (i, axis) in self.axes().into_iter().enumerate() {
@@ -160,10 +171,14 @@ fn crosses(wall: &Solid, a: &Solid, b: &Solid) -> bool {
     /// What is nearer to the middle of a wall is in it, or hangs on it.
     const IN_THE_WALL_M: f32 = 0.15;
     let along = wall.along();
-    let place = |p: Point2<f32>| ((p - wall.center.xy()).dot(&along), (p - wall.center.xy()).dot(&perpendicular(along)));
+    let place = |p: Point2<f32>| {
+        ((p - wall.center.xy()).dot(&along), (p - wall.center.xy()).dot(&perpendicular(along)))
+    };
     let ((along_a, across_a), (along_b, across_b)) = (place(a.center.xy()), place(b.center.xy()));
-    let on_both_sides = across_a * across_b < 0.0 && across_a.abs().min(across_b.abs()) > IN_THE_WALL_M;
-    let high_enough = wall.top > a.center.z.max(b.center.z) && wall.bottom < a.center.z.min(b.center.z);
+    let on_both_sides =
+        across_a * across_b < 0.0 && across_a.abs().min(across_b.abs()) > IN_THE_WALL_M;
+    let high_enough =
+        wall.top > a.center.z.max(b.center.z) && wall.bottom < a.center.z.min(b.center.z);
     let at = || along_a + (along_b - along_a) * across_a / (across_a - across_b);
     on_both_sides && high_enough && at().abs() <= wall.sides().0 / 2.0
 }
@@ -206,13 +221,19 @@ mod tests {
     #[test]
     fn corners_within_the_outline_are_corners() {
         // An L-shaped room: two walls meet at (0, 0.5), in the middle of its outline.
-        let walls = vec![boxed([-1.5, 0.5, 1.3], [3.0, 0.1, 2.6]), boxed([0.0, 1.5, 1.3], [0.1, 2.0, 2.6])];
+        let walls =
+            vec![boxed([-1.5, 0.5, 1.3], [3.0, 0.1, 2.6]), boxed([0.0, 1.5, 1.3], [0.1, 2.0, 2.6])];
         let l_shaped = Room::new(outline(), walls);
-        assert!(l_shaped.in_corner(&cube(0.4, 0.8)) > 0.8 && room().in_corner(&cube(0.4, 0.8)) < 0.1);
+        assert!(
+            l_shaped.in_corner(&cube(0.4, 0.8)) > 0.8 && room().in_corner(&cube(0.4, 0.8)) < 0.1
+        );
         assert!(l_shaped.in_corner(&cube(1.5, 0.5)) < 0.2);
         // A long shelf at the inner wall has its back there.
         let shelf = boxed([-1.5, 0.3, 0.9], [1.2, 0.3, 1.8]);
-        assert!(l_shaped.own_front(&shelf).is_some_and(|front| front.y < -0.9) && room().own_front(&shelf).is_none());
+        assert!(
+            l_shaped.own_front(&shelf).is_some_and(|front| front.y < -0.9)
+                && room().own_front(&shelf).is_none()
+        );
     }
 
     #[test]
@@ -222,7 +243,8 @@ mod tests {
         assert!(two.in_middle(&cube(-1.0, 0.0)) > 0.95 && two.in_middle(&cube(2.0, 0.0)) > 0.95);
         assert!(two.in_middle(&cube(0.6, 0.0)) < 0.3 && two.against_wall(&cube(0.6, 0.0)) > 0.7);
         let chair = cube(-2.0, 0.5);
-        // Who stands in the middle of the chair's room looks along -X and +Y at it; in that of the whole outline too, but less aside.
+        // Who stands in the middle of the chair's room looks along -X and +Y at it; in that of the
+        // whole outline too, but less aside.
         let ahead = two.faced(&chair).ahead.unwrap();
         assert!((ahead - Vector3::new(-1.0, 0.5, 0.0).normalize()).norm() < 0.1, "{ahead}");
     }
@@ -236,12 +258,22 @@ mod tests {
         // What hangs on the wall is in both rooms; past its end and over a low one, one sees.
         assert!(!two.apart_by_a_wall(&boxed([0.94, 0.5, 1.5], [0.02, 0.4, 0.4]), &cube(1.5, 0.5)));
         let lamp = |x: f32| boxed([x, -1.5, 1.6], [0.3; 3]);
-        assert!(!two.apart_by_a_wall(&lamp(0.5), &lamp(1.5)) && two.apart_by_a_wall(&cube(0.5, -1.5), &cube(1.5, -1.5)));
+        assert!(
+            !two.apart_by_a_wall(&lamp(0.5), &lamp(1.5))
+                && two.apart_by_a_wall(&cube(0.5, -1.5), &cube(1.5, -1.5))
+        );
     }
 
     #[test]
     fn what_stands_at_a_wall_has_its_front_to_the_room() {
-        assert!(room().own_front(&boxed([0.0, 2.3, 1.0], [0.8, 0.4, 2.0])).is_some_and(|front| front.y < -0.9));
-        assert!(room().own_front(&cube(0.0, 0.0)).is_none() && room().own_front(&cube(2.7, 2.2)).is_none());
+        assert!(
+            room()
+                .own_front(&boxed([0.0, 2.3, 1.0], [0.8, 0.4, 2.0]))
+                .is_some_and(|front| front.y < -0.9)
+        );
+        assert!(
+            room().own_front(&cube(0.0, 0.0)).is_none()
+                && room().own_front(&cube(2.7, 2.2)).is_none()
+        );
     }
 }

@@ -1,5 +1,6 @@
-//! What a room is known by among many: what its things are called, and their colours. Little enough to be kept of a million rooms, it tells
-//! which of them are worth a look; what is in those, their instances tell.
+//! What a room is known by among many: what its things are called, and their colours. Little enough
+//! to be kept of a million rooms, it tells which of them are worth a look; what is in those, their
+//! instances tell.
 
 use super::names::GivenName;
 use super::query::{ME, Meaning, Phrase, parse};
@@ -38,7 +39,8 @@ pub struct Entry {
     pub weight: f32,
 }
 
-/// What a room's things are known by, in order of name and colour. The building itself is in every room and tells nothing.
+/// What a room's things are known by, in order of name and colour. The building itself is in every
+/// room and tells nothing.
 #[must_use]
 pub fn entries(instances: &[Instance]) -> Vec<Entry> {
     let mut best: BTreeMap<(String, Option<&'static str>), Entry> = BTreeMap::new();
@@ -76,7 +78,8 @@ fn colours_of(instance: &Instance) -> Vec<Option<ColourName>> {
 /// What a question asks a room for: its thing, and what that stands beside.
 pub struct Sought {
     phrases: Vec<SoughtPhrase>,
-    /// The first of them is the thing itself: not where it is called nothing ("what is next to the piano").
+    /// The first of them is the thing itself: not where it is called nothing ("what is next to the
+    /// piano").
     has_target: bool,
     /// The thing in words, for an encoder.
     pub target: String,
@@ -93,9 +96,16 @@ impl Sought {
     pub fn of(query: &str) -> Self {
         let parsed = parse(query);
         let target = &parsed.target;
-        let is_called = |phrase: &&Phrase| matches!(phrase.meaning(), Meaning::Nouns(_) | Meaning::Unknown) && !phrase.head.is_empty();
+        let is_called = |phrase: &&Phrase| {
+            matches!(phrase.meaning(), Meaning::Nouns(_) | Meaning::Unknown)
+                && !phrase.head.is_empty()
+        };
         let has_target = is_called(&target);
-        let anchors = target.relations.iter().filter(|relation| !relation.negated).flat_map(|relation| &relation.anchors);
+        let anchors = target
+            .relations
+            .iter()
+            .filter(|relation| !relation.negated)
+            .flat_map(|relation| &relation.anchors);
         let anchors = anchors.filter(|anchor| anchor.head != ME);
         let phrases = std::iter::once(target).chain(anchors).filter(is_called);
         let phrases = phrases
@@ -134,11 +144,13 @@ impl Sought {
     #[must_use]
     pub fn weigh_entry(&self, at: usize, fit: f32, colour: Option<ColourName>, weight: f32) -> f32 {
         let colours = self.colours(at);
-        let has_colour = colours.is_empty() || colour.is_some_and(|colour| colours.contains(&colour));
+        let has_colour =
+            colours.is_empty() || colour.is_some_and(|colour| colours.contains(&colour));
         fit * weight * if has_colour { 1.0 } else { OTHER_COLOUR }
     }
 
-    /// How likely a room has it, by what its best entries count for each of the things; only to be compared with others.
+    /// How likely a room has it, by what its best entries count for each of the things; only to be
+    /// compared with others.
     #[must_use]
     pub fn weigh_room(&self, entries: &[f32]) -> f32 {
         let of = |(at, found): (usize, &f32)| match at {
@@ -163,14 +175,31 @@ mod tests {
     #[test]
     fn a_room_is_known_by_what_its_things_are_called_and_their_colours() {
         let wall = Instance { structure: Some(Structure::Wall), ..named(4, "wall", [200; 3]) };
-        let room = [named(1, "Mug", [200, 20, 20]), named(2, "mug", [200, 20, 20]), named(3, "desk lamp", [20, 20, 200]), wall];
-        let known: Vec<_> = entries(&room).into_iter().map(|e| (e.name, e.colour.map(ColourName::word), e.weight)).collect();
-        assert_eq!(known, [("desk lamp".into(), Some("blue"), 1.0), ("mug".into(), Some("red"), 1.0)]);
+        let room = [
+            named(1, "Mug", [200, 20, 20]),
+            named(2, "mug", [200, 20, 20]),
+            named(3, "desk lamp", [20, 20, 200]),
+            wall,
+        ];
+        let known: Vec<_> = entries(&room)
+            .into_iter()
+            .map(|e| (e.name, e.colour.map(ColourName::word), e.weight))
+            .collect();
+        assert_eq!(
+            known,
+            [("desk lamp".into(), Some("blue"), 1.0), ("mug".into(), Some("red"), 1.0)]
+        );
         // What only guesses tell is believed as far as they are.
         let guessed = Instance { given_name: None, ..named(1, "", [90; 3]) };
-        let guessed = Instance { names: crate::models::attributes::name_guesses(&guessed), ..guessed };
+        let guessed =
+            Instance { names: crate::models::attributes::name_guesses(&guessed), ..guessed };
         let known = entries(std::slice::from_ref(&guessed));
-        assert!(!known.is_empty() && known.len() <= GUESSES && known.iter().all(|entry| entry.weight < 1.0), "{known:?}");
+        assert!(
+            !known.is_empty()
+                && known.len() <= GUESSES
+                && known.iter().all(|entry| entry.weight < 1.0),
+            "{known:?}"
+        );
     }
 
     #[test]
@@ -178,10 +207,16 @@ mod tests {
         let sought = Sought::of("the red mug next to the printer");
         assert_eq!(sought.len(), 2);
         let fit = |at: usize, name: &str| sought.fit(at, &GivenName::read(name).unwrap());
-        assert!(fit(0, "mug") > 0.9 && fit(0, "coffee cup") > 0.0 && fit(0, "printer") == 0.0 && fit(1, "printer") > 0.9);
+        assert!(
+            fit(0, "mug") > 0.9
+                && fit(0, "coffee cup") > 0.0
+                && fit(0, "printer") == 0.0
+                && fit(1, "printer") > 0.9
+        );
         let mug = |colour| sought.weigh_entry(0, 1.0, Some(colour), 1.0);
         assert!(mug(ColourName::Red) > mug(ColourName::Blue));
-        let rooms = [[1.0, 1.0], [1.0, 0.0], [0.0, 1.0], [0.0, 0.0]].map(|found| sought.weigh_room(&found));
+        let rooms =
+            [[1.0, 1.0], [1.0, 0.0], [0.0, 1.0], [0.0, 0.0]].map(|found| sought.weigh_room(&found));
         assert!(rooms.is_sorted_by(|a, b| a > b), "{rooms:?}");
         // Of what has no name only what it stands beside is sought.
         let nameless = Sought::of("what is next to the piano");

@@ -14,7 +14,8 @@ use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::sync::Arc;
 
-/// Where a question finds its scene: a stored parse of the service, the album of an evaluation, a scene in memory.
+/// Where a question finds its scene: a stored parse of the service, the album of an evaluation, a
+/// scene in memory.
 pub trait SceneSource: Send + Sync + Sized + 'static {
     /// Why there is no answer: the source's own failures, and [`QuestionError`].
     type Error: From<QuestionError> + Display + Send + 'static;
@@ -28,16 +29,19 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
     /// Box of all points, metres, world frame.
     fn extent(&self) -> Aabb;
 
-    /// Name and version of the encoder that has seen the instances, or of the built-in attributes in its place.
+    /// Name and version of the encoder that has seen the instances, or of the built-in attributes
+    /// in its place.
     fn encoder_name(&self) -> String;
 
-    /// What an encoder has seen of the instances, and that encoder; `None` where only measures were taken.
+    /// What an encoder has seen of the instances, and that encoder; `None` where only measures were
+    /// taken.
     ///
     /// # Errors
     /// The encoder that has seen the scene is not at hand.
     fn embeddings(&self) -> Result<Option<(&DualEncoder, &Embeddings)>, Self::Error>;
 
-    /// What frames look like as a whole, to the encoder that has seen the instances; `None` where it has not looked at them.
+    /// What frames look like as a whole, to the encoder that has seen the instances; `None` where
+    /// it has not looked at them.
     fn frame_embeddings(&self) -> Option<&FrameEmbeddings>;
 
     /// A frame's picture as it was taken; `None` where it can not be read.
@@ -49,27 +53,37 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
     /// It can not be read.
     fn render_scene(&self) -> Result<Arc<RenderScene>, Self::Error>;
 
-    /// At most `most` photographs that show an instance, best first. One that can not be read gives its place to the next.
+    /// At most `most` photographs that show an instance, best first. One that can not be read gives
+    /// its place to the next.
     fn photographs(&self, instance: &Instance, most: usize) -> Vec<Shot>;
 
     /// The cache of pictures drawn for earlier questions, and what this scene is called in it.
     fn pictures(&self) -> (&PictureCache, &str);
 
-    /// Names that the reviewing model gave before without having heard a question, by id; "" for what it could not name.
+    /// Names that the reviewing model gave before without having heard a question, by id; "" for
+    /// what it could not name.
     fn names(&self) -> impl Future<Output = Result<BTreeMap<u32, String>, Self::Error>> + Send;
 
     /// Keeps such names; those given before stay.
-    fn keep_names(&self, names: &BTreeMap<u32, String>) -> impl Future<Output = Result<(), Self::Error>> + Send;
+    fn keep_names(
+        &self,
+        names: &BTreeMap<u32, String>,
+    ) -> impl Future<Output = Result<(), Self::Error>> + Send;
 
-    /// What lies at a place of a photograph, cut out as the next of the instances, and is none of these; `None` where nothing can be.
+    /// What lies at a place of a photograph, cut out as the next of the instances, and is none of
+    /// these; `None` where nothing can be.
     ///
     /// # Errors
     /// A photograph can not be read, or a segmenter fails.
-    fn cut_out(&self, place: Place, is_not: &[InstanceId]) -> Result<Option<Instance>, Self::Error>;
+    fn cut_out(&self, place: Place, is_not: &[InstanceId])
+    -> Result<Option<Instance>, Self::Error>;
 
-    /// Keeps an instance that was found for a question: the scene with it, in which it is the last, or the one that was kept for the same
-    /// thing meanwhile; and its id.
-    fn keep_found(self: &Arc<Self>, found: Instance) -> impl Future<Output = Result<(Arc<Self>, InstanceId), Self::Error>> + Send;
+    /// Keeps an instance that was found for a question: the scene with it, in which it is the last,
+    /// or the one that was kept for the same thing meanwhile; and its id.
+    fn keep_found(
+        self: &Arc<Self>,
+        found: Instance,
+    ) -> impl Future<Output = Result<(Arc<Self>, InstanceId), Self::Error>> + Send;
 
     /// Runs a step of computing, on a thread that it may keep busy.
     ///
@@ -85,7 +99,11 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
         let instance = (id.0 as usize).checked_sub(1).and_then(|at| self.instances().get(at));
         let Some(instance) = instance else { return Vec::new() };
         let photographs = self.photographs(instance, most);
-        if photographs.is_empty() && !render_scene.cloud.is_empty() { close_ups(render_scene, &instance.aabb) } else { photographs }
+        if photographs.is_empty() && !render_scene.cloud.is_empty() {
+            close_ups(render_scene, &instance.aabb)
+        } else {
+            photographs
+        }
     }
 }
 

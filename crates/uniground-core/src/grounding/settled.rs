@@ -1,7 +1,8 @@
 //! Which of several readings of a question is meant: the first that the scene bears out.
 //!
-//! "Scrape the plate into the red bin" may ask for a plate or for a bin, and "my back hurts, I'll take the wooden chair" names a back
-//! before the chair. Words alone can not tell; what the room has can.
+//! "Scrape the plate into the red bin" may ask for a plate or for a bin, and "my back hurts, I'll
+//! take the wooden chair" names a back before the chair. Words alone can not tell; what the room
+//! has can.
 
 use super::SceneView;
 use super::assess::Assessor;
@@ -13,14 +14,18 @@ const CALLED: f32 = 0.35;
 /// And is meant when this is left of that by its looks and by where it is.
 const BORNE_OUT: f32 = 0.2;
 
-/// The reading to answer, of a question's likeliest one and its [later](ParsedQuery::later) ones; the likeliest where none is borne out.
+/// The reading to answer, of a question's likeliest one and its [later](ParsedQuery::later) ones;
+/// the likeliest where none is borne out.
 #[must_use]
 pub fn settled(scene: SceneView, parsed: ParsedQuery) -> ParsedQuery {
     if parsed.later.is_empty() || parsed.foreign {
         return parsed;
     }
     // Names and measures decide: an encoder is asked for the words of one reading only.
-    let assessor = Assessor::new(SceneView { appearance: None, ..scene }, DirectionConvention::default().into());
+    let assessor = Assessor::new(
+        SceneView { appearance: None, ..scene },
+        DirectionConvention::default().into(),
+    );
     // Words without any noun fit something everywhere.
     let is_named = !(parsed.target.head.is_empty() && parsed.target.uses.is_empty());
     if is_named && is_borne_out(&assessor, &parsed.target) {
@@ -58,9 +63,12 @@ mod tests {
             let instances: Vec<Instance> = (1..).zip(names.iter().copied()).map(named).collect();
             let extent = Aabb { center: Point3::origin(), size: Vector3::repeat(9.0) };
             let names = NameIndex::of(&instances);
-            settled(SceneView { instances: &instances, extent, names: &names, appearance: None }, parse(query))
-                .target
-                .head
+            settled(
+                SceneView { instances: &instances, extent, names: &names, appearance: None },
+                parse(query),
+            )
+            .target
+            .head
         };
         let put = "put the towel in the basket";
         assert_eq!(head(&["chair", "basket"], put), "basket");
@@ -68,6 +76,10 @@ mod tests {
         assert_eq!(head(&["towel", "basket"], put), "basket");
         // Neither is there: the likeliest reading is denied.
         assert_eq!(head(&["chair", "lamp"], put), "towel");
-        assert_eq!(head(&["chair", "desk"], "fetch the towel off the desk"), "towel", "what it lies on is not asked for");
+        assert_eq!(
+            head(&["chair", "desk"], "fetch the towel off the desk"),
+            "towel",
+            "what it lies on is not asked for"
+        );
     }
 }

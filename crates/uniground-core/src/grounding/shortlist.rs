@@ -4,7 +4,8 @@ use super::answer::candidate;
 use super::{Candidate, SceneView};
 use crate::geometry::statistics::largest;
 
-/// The `top_k` best instances by `scores` (by index); instances that score nothing are no candidates.
+/// The `top_k` best instances by `scores` (by index); instances that score nothing are no
+/// candidates.
 pub(super) fn rank(scene: SceneView, scores: &[f32], top_k: usize) -> Vec<Candidate> {
     largest(scores, top_k)
         .into_iter()

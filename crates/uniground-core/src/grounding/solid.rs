@@ -1,4 +1,5 @@
-//! An instance as relations see it: an upright box with a yaw, and distances that do not depend on how the world is turned.
+//! An instance as relations see it: an upright box with a yaw, and distances that do not depend on
+//! how the world is turned.
 
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::geometry::{Point2, Point3, Vector2, Vector3};
@@ -42,7 +43,12 @@ impl From<OrientedBox> for Solid {
         Self {
             center,
             size: [size.x, size.y, size.z],
-            corners: [middle - along - across, middle + along - across, middle + along + across, middle - along + across],
+            corners: [
+                middle - along - across,
+                middle + along - across,
+                middle + along + across,
+                middle - along + across,
+            ],
             axis,
             bottom: center.z - size.z / 2.0,
             top: center.z + size.z / 2.0,
@@ -78,18 +84,26 @@ impl Solid {
     /// The direction of the longer side, unit length.
     #[must_use]
     pub fn along(&self) -> Vector2<f32> {
-        if self.size[0] >= self.size[1] { self.axis } else { Vector2::new(-self.axis.y, self.axis.x) }
+        if self.size[0] >= self.size[1] {
+            self.axis
+        } else {
+            Vector2::new(-self.axis.y, self.axis.x)
+        }
     }
 
-    /// From where to where the footprint reaches along a horizontal direction (unit), metres from the world's origin.
+    /// From where to where the footprint reaches along a horizontal direction (unit), metres from
+    /// the world's origin.
     #[must_use]
     pub fn span(&self, direction: &Vector2<f32>) -> (f32, f32) {
         let along = self.corners.map(|p| p.coords.dot(direction));
-        (along.iter().copied().fold(f32::INFINITY, f32::min), along.iter().copied().fold(f32::NEG_INFINITY, f32::max))
+        (
+            along.iter().copied().fold(f32::INFINITY, f32::min),
+            along.iter().copied().fold(f32::NEG_INFINITY, f32::max),
+        )
     }
 
-    /// How far a point is from the middle towards the end of the footprint along `direction` (unit): 0 at the middle and beyond on the other
-    /// side, 1 from half the way on.
+    /// How far a point is from the middle towards the end of the footprint along `direction`
+    /// (unit): 0 at the middle and beyond on the other side, 1 from half the way on.
     #[must_use]
     pub fn share_along(&self, point: &Point3<f32>, direction: &Vector3<f32>) -> f32 {
         let along = |p: &Point2<f32>| (p - self.center.xy()).dot(&direction.xy());
@@ -113,7 +127,8 @@ impl Solid {
     #[must_use]
     pub fn horizontal_gap(&self, other: &Self) -> f32 {
         // Far apart, the gap between the circles around the two is exact enough.
-        let circles = (self.center - other.center).xy().norm() - f32::midpoint(self.diagonal(), other.diagonal());
+        let circles = (self.center - other.center).xy().norm()
+            - f32::midpoint(self.diagonal(), other.diagonal());
         if circles > 4.0 * (self.diagonal() + other.diagonal()) {
             return circles;
         }
@@ -134,15 +149,19 @@ impl Solid {
     /// Whether the footprints overlap: no edge of either separates them.
     fn overlaps(&self, other: &Self) -> bool {
         let apart = |a: &Self, b: &Self| {
-            [a.axis, Vector2::new(-a.axis.y, a.axis.x)].into_iter().zip(a.size).any(|(axis, size)| {
-                let along = |p: &Point2<f32>| (p - a.center.xy()).dot(&axis);
-                let (lo, hi) = b
-                    .corners
-                    .iter()
-                    .map(along)
-                    .fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), v| (lo.min(v), hi.max(v)));
-                lo > size / 2.0 || hi < -size / 2.0
-            })
+            [a.axis, Vector2::new(-a.axis.y, a.axis.x)].into_iter().zip(a.size).any(
+                |(axis, size)| {
+                    let along = |p: &Point2<f32>| (p - a.center.xy()).dot(&axis);
+                    let (lo, hi) = b
+                        .corners
+                        .iter()
+                        .map(along)
+                        .fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), v| {
+                            (lo.min(v), hi.max(v))
+                        });
+                    lo > size / 2.0 || hi < -size / 2.0
+                },
+            )
         };
         !apart(self, other) && !apart(other, self)
     }
@@ -173,7 +192,9 @@ impl Solid {
             }
             std::mem::swap(&mut polygon, &mut cut);
         }
-        let doubled: f32 = (0..polygon.len()).map(|i| polygon[i].coords.perp(&polygon[(i + 1) % polygon.len()].coords)).sum();
+        let doubled: f32 = (0..polygon.len())
+            .map(|i| polygon[i].coords.perp(&polygon[(i + 1) % polygon.len()].coords))
+            .sum();
         (doubled.abs() / 2.0 / self.area().max(f32::EPSILON)).min(1.0)
     }
 }
@@ -198,22 +219,39 @@ pub(super) mod tests {
     }
 
     pub fn any_solid() -> impl Strategy<Value = Solid> {
-        (prop::array::uniform3(-3.0_f32..3.0), prop::array::uniform3(0.05_f32..2.0), -0.7_f32..0.7).prop_map(|(center, size, yaw_rad)| {
-            Solid::from(OrientedBox { center: Point3::from(center), size: Vector3::from(size), yaw_rad })
-        })
+        (prop::array::uniform3(-3.0_f32..3.0), prop::array::uniform3(0.05_f32..2.0), -0.7_f32..0.7)
+            .prop_map(|(center, size, yaw_rad)| {
+                Solid::from(OrientedBox {
+                    center: Point3::from(center),
+                    size: Vector3::from(size),
+                    yaw_rad,
+                })
+            })
     }
 
     #[test]
     fn distances_by_hand() {
         let boxed = |x: f32, y: f32, size: f32, yaw_rad: f32| {
-            Solid::from(OrientedBox { center: Point3::new(x, y, 0.5), size: Vector3::new(size, size, 1.0), yaw_rad })
+            Solid::from(OrientedBox {
+                center: Point3::new(x, y, 0.5),
+                size: Vector3::new(size, size, 1.0),
+                yaw_rad,
+            })
         };
         assert!((boxed(0.0, 0.0, 1.0, 0.0).gap(&boxed(3.0, 0.0, 1.0, 0.0)) - 2.0).abs() < 1e-6);
         // A corner towards the other: half a diagonal instead of half a side.
         let corner = boxed(3.0, 0.0, 1.0, std::f32::consts::FRAC_PI_4);
-        assert!((boxed(0.0, 0.0, 1.0, 0.0).gap(&corner) - (2.5 - 0.5 * 2.0_f32.sqrt())).abs() < 1e-5);
-        assert!((boxed(0.0, 0.0, 1.0, 0.0).footprint_overlap(&boxed(0.5, 0.0, 1.0, 0.0)) - 0.5).abs() < 1e-6);
-        assert!((boxed(0.0, 0.0, 1.0, 0.3).footprint_overlap(&boxed(0.0, 0.0, 4.0, 0.0)) - 1.0).abs() < 1e-5);
+        assert!(
+            (boxed(0.0, 0.0, 1.0, 0.0).gap(&corner) - (2.5 - 0.5 * 2.0_f32.sqrt())).abs() < 1e-5
+        );
+        assert!(
+            (boxed(0.0, 0.0, 1.0, 0.0).footprint_overlap(&boxed(0.5, 0.0, 1.0, 0.0)) - 0.5).abs()
+                < 1e-6
+        );
+        assert!(
+            (boxed(0.0, 0.0, 1.0, 0.3).footprint_overlap(&boxed(0.0, 0.0, 4.0, 0.0)) - 1.0).abs()
+                < 1e-5
+        );
         assert_eq!(boxed(0.0, 0.0, 1.0, 0.0).footprint_overlap(&boxed(3.0, 0.0, 1.0, 0.0)), 0.0);
     }
 

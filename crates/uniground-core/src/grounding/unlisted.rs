@@ -1,4 +1,5 @@
-//! What a model sees in a photograph and nobody has listed: the place becomes an instance (docs/METHOD.md, section 4, "Not listed").
+//! What a model sees in a photograph and nobody has listed: the place becomes an instance
+//! (docs/METHOD.md, section 4, "Not listed").
 
 use super::Seen;
 use super::scene_source::SceneSource;
@@ -14,7 +15,8 @@ pub(super) enum Found {
     New(Box<Instance>),
 }
 
-/// Cuts out what a model saw; `None` where it did not point into a photograph, or nothing can be cut out there.
+/// Cuts out what a model saw; `None` where it did not point into a photograph, or nothing can be
+/// cut out there.
 ///
 /// # Errors
 /// Those of the source.
@@ -30,9 +32,14 @@ pub(super) fn look_up<S: SceneSource>(
     let listed: Vec<InstanceId> = context.shown().collect();
     let Some(found) = source.cut_out(place, &listed)? else { return Ok(None) };
     if let Some(known) = known_as(source.instances(), &found) {
-        let may_be = known.structure.is_none() && !known.dismissed && !context.is_candidate(known.id.0);
+        let may_be =
+            known.structure.is_none() && !known.dismissed && !context.is_candidate(known.id.0);
         return Ok(may_be.then_some(Found::Known(known.id)));
     }
     let given_name = Some(seen.name.clone()).filter(|name| !name.is_empty());
-    Ok(Some(Found::New(Box::new(Instance { given_name, found_for: Some(context.query.clone()), ..found }))))
+    Ok(Some(Found::New(Box::new(Instance {
+        given_name,
+        found_for: Some(context.query.clone()),
+        ..found
+    }))))
 }

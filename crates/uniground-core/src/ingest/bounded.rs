@@ -1,4 +1,5 @@
-//! What strangers send is read through these: nothing is held in memory, or read on and on, because a file says so.
+//! What strangers send is read through these: nothing is held in memory, or read on and on, because
+//! a file says so.
 
 use super::IngestError;
 use camino::Utf8Path;
@@ -60,7 +61,11 @@ impl<R: Seek> Seek for Bounded<R> {
 }
 
 /// A text file of at most `most` bytes.
-pub(super) fn read_text(root: &Utf8Path, file: &Utf8Path, most: u64) -> Result<String, IngestError> {
+pub(super) fn read_text(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    most: u64,
+) -> Result<String, IngestError> {
     let mut text = String::new();
     File::open(root.join(file))
         .and_then(|source| source.take(most + 1).read_to_string(&mut text))
@@ -72,7 +77,11 @@ pub(super) fn read_text(root: &Utf8Path, file: &Utf8Path, most: u64) -> Result<S
 }
 
 /// The next line without its end, of at most `most` bytes; `false` at the end of the file.
-pub(super) fn read_line(source: &mut impl BufRead, line: &mut Vec<u8>, most: u64) -> io::Result<bool> {
+pub(super) fn read_line(
+    source: &mut impl BufRead,
+    line: &mut Vec<u8>,
+    most: u64,
+) -> io::Result<bool> {
     line.clear();
     source.take(most + 1).read_until(b'\n', line)?;
     if line.is_empty() {
@@ -95,8 +104,14 @@ mod tests {
     fn what_goes_on_ends_in_an_error() {
         let allowance = Allowance::of(101);
         let mut all = Vec::new();
-        assert!(Bounded::new(&[7_u8; 100][..], &allowance).read_to_end(&mut all).is_ok() && !allowance.is_spent());
-        assert!(Bounded::new(&[7_u8; 100][..], &allowance).read_to_end(&mut all).is_err() && allowance.is_spent());
+        assert!(
+            Bounded::new(&[7_u8; 100][..], &allowance).read_to_end(&mut all).is_ok()
+                && !allowance.is_spent()
+        );
+        assert!(
+            Bounded::new(&[7_u8; 100][..], &allowance).read_to_end(&mut all).is_err()
+                && allowance.is_spent()
+        );
         let mut line = Vec::new();
         let mut text = &b"ab\r\nabcde\n"[..];
         assert!(read_line(&mut text, &mut line, 4).unwrap() && line == b"ab");

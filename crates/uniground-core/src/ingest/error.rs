@@ -1,4 +1,5 @@
-//! What can be wrong with an upload. Messages are for the uploader: the file, frame or field is named.
+//! What can be wrong with an upload. Messages are for the uploader: the file, frame or field is
+//! named.
 
 use crate::geometry::pose::PoseError;
 use crate::progress::Cancelled;
@@ -29,7 +30,9 @@ pub enum IngestError {
     MissingIntrinsics { file: Utf8PathBuf },
     #[error("{file}: intrinsics do not fit the picture: {reason}")]
     BadIntrinsics { file: Utf8PathBuf, reason: String },
-    #[error("the scan has {colour} colour pictures, {depth} depth pictures and {pose} poses; first without a partner: {first}")]
+    #[error(
+        "the scan has {colour} colour pictures, {depth} depth pictures and {pose} poses; first without a partner: {first}"
+    )]
     FrameCountMismatch { colour: usize, depth: usize, pose: usize, first: Utf8PathBuf },
     #[error("frame {frame}: {file}: {source}")]
     BadPose {
@@ -44,11 +47,15 @@ pub enum IngestError {
     EmptyScene,
     #[error("no frame can be used: {reason}")]
     NoUsableFrames { reason: String },
-    #[error("{damaged} of {total} frames are damaged or incomplete, up to a tenth would be left out; the first: {first}")]
+    #[error(
+        "{damaged} of {total} frames are damaged or incomplete, up to a tenth would be left out; the first: {first}"
+    )]
     TooManyDamaged { damaged: usize, total: usize, first: Box<IngestError> },
     #[error("this looks like {looks_like}, but {missing}")]
     IncompleteLayout { looks_like: &'static str, missing: String },
-    #[error("which axis of the cloud points up can not be told ({reason}): say it, for example up=z")]
+    #[error(
+        "which axis of the cloud points up can not be told ({reason}): say it, for example up=z"
+    )]
     UpUnknown { reason: String },
     #[error(transparent)]
     Frame(#[from] FrameError),
@@ -75,7 +82,8 @@ pub enum IngestError {
     Reported { kind: IngestErrorKind, message: String },
 }
 
-/// Kinds of [`IngestError`], without their details: what a stable code is given for. Of many damaged frames the first one's kind stands for all.
+/// Kinds of [`IngestError`], without their details: what a stable code is given for. Of many
+/// damaged frames the first one's kind stands for all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[allow(missing_docs)] // Each is the error of the same name.
 pub enum IngestErrorKind {
@@ -135,13 +143,18 @@ impl IngestError {
 
     /// A file of the archive that could not be read: the uploader's doing unless the disk failed.
     pub(super) fn reading(file: impl Into<Utf8PathBuf>, source: io::Error) -> Self {
-        use io::ErrorKind::{InvalidData, InvalidFilename, InvalidInput, IsADirectory, NotADirectory, NotFound, UnexpectedEof};
+        use io::ErrorKind::{
+            InvalidData, InvalidFilename, InvalidInput, IsADirectory, NotADirectory, NotFound,
+            UnexpectedEof,
+        };
         let file = file.into();
         match source.kind() {
             NotFound => Self::MissingFile { file },
             InvalidData => Self::malformed(file, "not a text file in UTF-8"),
             UnexpectedEof => Self::malformed(file, "it ends too early"),
-            IsADirectory | NotADirectory | InvalidFilename | InvalidInput => Self::malformed(file, "not the name of a file"),
+            IsADirectory | NotADirectory | InvalidFilename | InvalidInput => {
+                Self::malformed(file, "not the name of a file")
+            }
             _ => Self::Io { file, source },
         }
     }

@@ -1,4 +1,5 @@
-//! The unit of length of a cloud that does not say it: rooms are some metres across, so hundreds or thousands are centimetres or millimetres.
+//! The unit of length of a cloud that does not say it: rooms are some metres across, so hundreds or
+//! thousands are centimetres or millimetres.
 
 use crate::geometry::Point3;
 use crate::geometry::statistics::quantile;
@@ -13,7 +14,11 @@ const LARGEST_MM: f32 = 200_000.0;
 /// Metres per unit; a guess that is not metres is said in a warning.
 pub(super) fn guess(positions: &[Point3<f32>], warnings: &mut Vec<String>) -> f64 {
     let extent = |axis: usize| {
-        let mut all: Vec<f32> = positions.iter().step_by(positions.len().div_ceil(100_000).max(1)).map(|p| p[axis]).collect();
+        let mut all: Vec<f32> = positions
+            .iter()
+            .step_by(positions.len().div_ceil(100_000).max(1))
+            .map(|p| p[axis])
+            .collect();
         quantile(&mut all, 0.99).unwrap_or(0.0) - quantile(&mut all, 0.01).unwrap_or(0.0)
     };
     let across = extent(0).max(extent(1)).max(extent(2));
@@ -34,7 +39,13 @@ mod tests {
     fn a_room_is_a_room_in_any_unit() {
         for (scale, expected) in [(1.0, 1.0), (100.0, 0.01), (1000.0, 0.001), (0.3, 1.0)] {
             let room: Vec<_> = (0..1000)
-                .map(|i| Point3::new((i % 10) as f32 * 0.6, (i / 10 % 10) as f32 * 0.5, (i / 100) as f32 * 0.27) * scale)
+                .map(|i| {
+                    Point3::new(
+                        (i % 10) as f32 * 0.6,
+                        (i / 10 % 10) as f32 * 0.5,
+                        (i / 100) as f32 * 0.27,
+                    ) * scale
+                })
                 .collect();
             let mut warnings = Vec::new();
             assert_eq!(guess(&room, &mut warnings), expected);

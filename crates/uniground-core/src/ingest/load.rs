@@ -23,16 +23,27 @@ pub struct Inspected {
     pub report: ImportReport,
 }
 
-/// Reads or fuses the cloud, checks that cloud, poses and depth agree, and turns everything level with Z up.
+/// Reads or fuses the cloud, checks that cloud, poses and depth agree, and turns everything level
+/// with Z up.
 ///
 /// # Errors
 /// Those of [`inspect`]; frames that hold no depth, or too many that can not be decoded.
-pub fn load(scan: &Scan, settings: &ImportSettings, progress: &Progress) -> Result<SceneBundle, IngestError> {
-    let Inspected { mut frames, cloud, mut report } = inspect(scan, settings, &progress.part(0.0, 0.2))?;
+pub fn load(
+    scan: &Scan,
+    settings: &ImportSettings,
+    progress: &Progress,
+) -> Result<SceneBundle, IngestError> {
+    let Inspected { mut frames, cloud, mut report } =
+        inspect(scan, settings, &progress.part(0.0, 0.2))?;
     let cloud = if let Some(cloud) = cloud {
         cloud
     } else {
-        let cloud = fusion::fuse(&mut frames, &settings.fusion, &mut report.warnings, &progress.part(0.2, 1.0))?;
+        let cloud = fusion::fuse(
+            &mut frames,
+            &settings.fusion,
+            &mut report.warnings,
+            &progress.part(0.2, 1.0),
+        )?;
         let undecodable = report.frames - frames.len() as u32;
         report.frames -= undecodable;
         report.frames_skipped += undecodable;
@@ -42,16 +53,21 @@ pub fn load(scan: &Scan, settings: &ImportSettings, progress: &Progress) -> Resu
     Ok(SceneBundle { cloud, frames, report, additions: Vec::new() })
 }
 
-/// Everything but the fusion of a cloud: reads the scan's own, chooses the reading of poses and depth that fits a sample of frames, and turns
-/// all of it level with Z up.
+/// Everything but the fusion of a cloud: reads the scan's own, chooses the reading of poses and
+/// depth that fits a sample of frames, and turns all of it level with Z up.
 ///
 /// # Errors
-/// [`IngestError`]; [`IngestError::NothingFits`] when poses and depth do not belong together however they are read,
-/// [`IngestError::UpUnknown`] for a cloud whose up can not be told.
-pub fn inspect(scan: &Scan, settings: &ImportSettings, progress: &Progress) -> Result<Inspected, IngestError> {
+/// [`IngestError`]; [`IngestError::NothingFits`] when poses and depth do not belong together
+/// however they are read, [`IngestError::UpUnknown`] for a cloud whose up can not be told.
+pub fn inspect(
+    scan: &Scan,
+    settings: &ImportSettings,
+    progress: &Progress,
+) -> Result<Inspected, IngestError> {
     progress.report("import", 0.0)?;
     let mut warnings = scan.warnings.clone();
-    let mut own_cloud = scan.cloud.as_ref().map(|file| read_own_cloud(scan, file, &mut warnings)).transpose()?;
+    let mut own_cloud =
+        scan.cloud.as_ref().map(|file| read_own_cloud(scan, file, &mut warnings)).transpose()?;
     let declared = Reading {
         pose: scan.pose,
         axes: scan.camera_axes,
@@ -63,8 +79,13 @@ pub fn inspect(scan: &Scan, settings: &ImportSettings, progress: &Progress) -> R
     }
     progress.report("check_reprojection", 0.5)?;
     let frames = frame_refs(scan, &declared)?;
-    let Checked { reading, agreement } =
-        reprojection::check(scan, declared, own_cloud.as_ref().map(|own| &own.cloud), &frames, &mut warnings)?;
+    let Checked { reading, agreement } = reprojection::check(
+        scan,
+        declared,
+        own_cloud.as_ref().map(|own| &own.cloud),
+        &frames,
+        &mut warnings,
+    )?;
     let mut frames = if reading == declared { frames } else { frame_refs(scan, &reading)? };
     if let Some(own) = &mut own_cloud {
         rescale(&mut own.cloud, reading.metres_per_unit / declared.metres_per_unit);
@@ -115,23 +136,33 @@ pub fn inspect(scan: &Scan, settings: &ImportSettings, progress: &Progress) -> R
 /// # Errors
 /// [`IngestError`] naming the file.
 pub fn read_cloud(file: &Utf8Path) -> Result<PointCloud, IngestError> {
-    let (root, name) = (file.parent().unwrap_or(file), Utf8Path::new(file.file_name().unwrap_or_default()));
+    let (root, name) =
+        (file.parent().unwrap_or(file), Utf8Path::new(file.file_name().unwrap_or_default()));
     Ok(clouds::read(root, name, &Bounds::OWN, Origin::At([0.0; 3]))?.cloud)
 }
 
 /// The scan's own cloud, in the files' units less the scan's origin.
-fn read_own_cloud(scan: &Scan, file: &Utf8Path, warnings: &mut Vec<String>) -> Result<Loaded, IngestError> {
+fn read_own_cloud(
+    scan: &Scan,
+    file: &Utf8Path,
+    warnings: &mut Vec<String>,
+) -> Result<Loaded, IngestError> {
     let origin = if scan.frames.is_empty() { Origin::Free } else { Origin::At(scan.origin) };
     let loaded = clouds::read(&scan.root, file, &UPLOADED, origin)?;
     let Loaded { dropped, without_colour, has_colour, thinned, .. } = loaded;
     if without_colour > 0 {
-        warnings.push(format!("{file}: the colours of {without_colour} points are not numbers: taken as grey"));
+        warnings.push(format!(
+            "{file}: the colours of {without_colour} points are not numbers: taken as grey"
+        ));
     }
     if dropped > 0 {
-        warnings.push(format!("{file}: {dropped} points dropped, their coordinates are not finite"));
+        warnings
+            .push(format!("{file}: {dropped} points dropped, their coordinates are not finite"));
     }
     if !has_colour {
-        warnings.push(format!("{file}: no colour; points are shown grey and colour words can not be answered"));
+        warnings.push(format!(
+            "{file}: no colour; points are shown grey and colour words can not be answered"
+        ));
     }
     if thinned > 1 {
         warnings.push(format!("{file}: thinned out, one of {thinned} points is kept"));
@@ -144,16 +175,27 @@ fn read_own_cloud(scan: &Scan, file: &Utf8Path, warnings: &mut Vec<String>) -> R
 }
 
 /// Length of the files' unit: as asked, or guessed for a cloud that would be far too large.
-fn metres_per_unit(scan: &Scan, settings: &ImportSettings, own: Option<&Loaded>, warnings: &mut Vec<String>) -> Result<f64, IngestError> {
+fn metres_per_unit(
+    scan: &Scan,
+    settings: &ImportSettings,
+    own: Option<&Loaded>,
+    warnings: &mut Vec<String>,
+) -> Result<f64, IngestError> {
     if let Some(asked) = settings.metres_per_unit {
         return match asked.is_finite() && (1e-6..=1e6).contains(&asked) {
             true => Ok(asked),
-            false => Err(IngestError::malformed("metres_per_unit", format!("{asked} is no length"))),
+            false => {
+                Err(IngestError::malformed("metres_per_unit", format!("{asked} is no length")))
+            }
         };
     }
     if !scan.has_scale {
-        let missing = "it has no scale of its own: say how long its unit is, metres_per_unit".into();
-        return Err(IngestError::IncompleteLayout { looks_like: "a COLMAP reconstruction", missing });
+        let missing =
+            "it has no scale of its own: say how long its unit is, metres_per_unit".into();
+        return Err(IngestError::IncompleteLayout {
+            looks_like: "a COLMAP reconstruction",
+            missing,
+        });
     }
     Ok(match own.filter(|own| scan.frames.is_empty() && !own.kind.is_metric()) {
         Some(own) => lengths::guess(&own.cloud.positions, warnings),
@@ -173,12 +215,16 @@ pub(super) fn frame_refs(scan: &Scan, reading: &Reading) -> Result<Vec<FrameRef>
 }
 
 /// A frame with its pose as it is to be read, still in the file's world.
-fn frame_ref(scan: &Scan, raw: &RawFrame, reading: &Reading, units: &Units) -> Result<FrameRef, IngestError> {
-    let camera_to_world = raw.camera_to_world(reading.pose, reading.axes, units).map_err(|source| IngestError::BadPose {
-        frame: raw.index,
-        file: raw.pose_file.clone(),
-        source,
-    })?;
+fn frame_ref(
+    scan: &Scan,
+    raw: &RawFrame,
+    reading: &Reading,
+    units: &Units,
+) -> Result<FrameRef, IngestError> {
+    let camera_to_world =
+        raw.camera_to_world(reading.pose, reading.axes, units).map_err(|source| {
+            IngestError::BadPose { frame: raw.index, file: raw.pose_file.clone(), source }
+        })?;
     let mut optics = raw.optics.clone();
     if let Some(confidence) = &mut optics.confidence {
         confidence.file = scan.root.join(&confidence.file);
@@ -204,18 +250,26 @@ struct ToScene {
 }
 
 impl ToScene {
-    fn new(scan: &Scan, upright: &Upright, own: Option<&Loaded>, metres_per_unit: f64) -> Result<Self, IngestError> {
+    fn new(
+        scan: &Scan,
+        upright: &Upright,
+        own: Option<&Loaded>,
+        metres_per_unit: f64,
+    ) -> Result<Self, IngestError> {
         let mut turn = upright.turn;
         if let Some(alignment) = &scan.alignment {
             let bad = |source| IngestError::malformed("axisAlignment", source);
             turn *= pose::rigid(&alignment.cast()).map_err(bad)?;
         }
         let offset = own.filter(|_| scan.frames.is_empty()).map_or(scan.origin, |own| own.offset);
-        let exact = |v: f32| if (v - v.round()).abs() < 1e-6 { f64::from(v.round()) } else { f64::from(v) };
+        let exact =
+            |v: f32| if (v - v.round()).abs() < 1e-6 { f64::from(v.round()) } else { f64::from(v) };
         let matrix = turn.rotation.to_rotation_matrix();
-        let rotation: [[f64; 3]; 3] = std::array::from_fn(|row| std::array::from_fn(|column| exact(matrix[(row, column)])));
+        let rotation: [[f64; 3]; 3] =
+            std::array::from_fn(|row| std::array::from_fn(|column| exact(matrix[(row, column)])));
         let translation_m = std::array::from_fn(|row| {
-            f64::from(turn.translation.vector[row]) - (0..3).map(|i| rotation[row][i] * offset[i] * metres_per_unit).sum::<f64>()
+            f64::from(turn.translation.vector[row])
+                - (0..3).map(|i| rotation[row][i] * offset[i] * metres_per_unit).sum::<f64>()
         });
         Ok(Self { turn, source: SourceToScene { rotation, translation_m, metres_per_unit } })
     }

@@ -1,8 +1,9 @@
 //! Bytes to [`SceneBundle`]: unpack an archive, recognise its layout, check it, load it.
 //!
-//! Two moments. [`open`] runs while the caller waits: it reads manifests, poses and picture headers and refuses what can
-//! not become a scene. [`load`] runs in the parse job: it reads or fuses the cloud and checks that cloud, poses and depth
-//! agree. Everything that leaves this module is canonical (metres, Z up, OpenCV cameras, camera-to-world).
+//! Two moments. [`open`] runs while the caller waits: it reads manifests, poses and picture headers
+//! and refuses what can not become a scene. [`load`] runs in the parse job: it reads or fuses the
+//! cloud and checks that cloud, poses and depth agree. Everything that leaves this module is
+//! canonical (metres, Z up, OpenCV cameras, camera-to-world).
 
 pub mod archive;
 mod bounded;
@@ -32,14 +33,16 @@ pub use unpacked::{Packed, Unpacked, head_of, what_it_is};
 
 use camino::Utf8Path;
 
-/// Most points that are kept of an upload's own cloud. A room at a point for every 5 mm has fewer; of more, every so manieth is kept.
+/// Most points that are kept of an upload's own cloud. A room at a point for every 5 mm has fewer;
+/// of more, every so manieth is kept.
 pub const MAX_POINTS: usize = 8_000_000;
 /// Bounds on clouds of uploads.
 const UPLOADED: clouds::Bounds = clouds::Bounds { announced: 200_000_000, kept: MAX_POINTS };
 /// Most frames of an upload: half an hour of video at 30 frames a second.
 pub const MAX_FRAMES: usize = 54_000;
 
-/// Recognises the layout below `folder` and checks everything that can be checked without decoding pictures.
+/// Recognises the layout below `folder` and checks everything that can be checked without decoding
+/// pictures.
 ///
 /// # Errors
 /// [`IngestError`] naming the file, frame or field.

@@ -17,7 +17,8 @@ const FEWEST: usize = 50;
 pub struct Neighbours {
     /// Median difference between measured depths of one place, metres: noise and drift together.
     pub depth_error_m: f32,
-    /// By how much a typical frame lies before or behind its neighbour as a whole, metres: drift alone.
+    /// By how much a typical frame lies before or behind its neighbour as a whole, metres: drift
+    /// alone.
     pub drift_m: f32,
     /// The largest of these.
     pub worst_drift_m: f32,
@@ -29,11 +30,17 @@ pub struct Neighbours {
 #[must_use]
 pub fn neighbours(frames: &[FrameRef]) -> Option<Neighbours> {
     let pairs: Vec<&[FrameRef]> = frames.windows(2).collect();
-    let sample: Vec<&[FrameRef]> = pairs.iter().step_by(pairs.len().div_ceil(PAIRS).max(1)).copied().collect();
+    let sample: Vec<&[FrameRef]> =
+        pairs.iter().step_by(pairs.len().div_ceil(PAIRS).max(1)).copied().collect();
     let told: Vec<(f32, f32, FrameIndex)> = sample
         .into_par_iter()
         .filter_map(|pair| {
-            let (error_m, drift_m) = difference(&pair[0], &pair[0].decode_depth().ok()?, &pair[1], &pair[1].decode_depth().ok()?)?;
+            let (error_m, drift_m) = difference(
+                &pair[0],
+                &pair[0].decode_depth().ok()?,
+                &pair[1],
+                &pair[1].decode_depth().ok()?,
+            )?;
             Some((error_m, drift_m, pair[0].index))
         })
         .collect();
@@ -47,7 +54,12 @@ pub fn neighbours(frames: &[FrameRef]) -> Option<Neighbours> {
 }
 
 /// Median absolute difference of depth, and the size of the median difference.
-fn difference(from: &FrameRef, depth: &DepthImage, to: &FrameRef, other: &DepthImage) -> Option<(f32, f32)> {
+fn difference(
+    from: &FrameRef,
+    depth: &DepthImage,
+    to: &FrameRef,
+    other: &DepthImage,
+) -> Option<(f32, f32)> {
     let (intrinsics, camera) = (from.depth_intrinsics, to.depth_camera());
     let step = (depth.depth_m.len() / POINTS).max(1);
     let differences: Vec<f32> = (0..depth.depth_m.len())
@@ -55,11 +67,13 @@ fn difference(from: &FrameRef, depth: &DepthImage, to: &FrameRef, other: &DepthI
         .filter(|&at| depth.depth_m[at] > 0.0)
         .filter_map(|at| {
             let (column, row) = (at as u32 % depth.width, at as u32 / depth.width);
-            let point = from.camera_to_world * intrinsics.unproject(column as f32, row as f32, depth.depth_m[at]);
+            let point = from.camera_to_world
+                * intrinsics.unproject(column as f32, row as f32, depth.depth_m[at]);
             let pixel = camera.project(&point)?;
             let measured_m = other.at(pixel.cell());
             let difference_m = pixel.z_m - measured_m;
-            (measured_m > 0.0 && difference_m.abs() <= SAME_SURFACE * measured_m).then_some(difference_m)
+            (measured_m > 0.0 && difference_m.abs() <= SAME_SURFACE * measured_m)
+                .then_some(difference_m)
         })
         .collect();
     if differences.len() < FEWEST {
@@ -81,7 +95,8 @@ mod tests {
     fn frame(folder: &Utf8Path, index: u32, at_m: f32, depth_mm: u16) -> FrameRef {
         let depth = folder.join(format!("{index}.png"));
         ImageBuffer::<Luma<u16>, _>::from_pixel(64, 64, Luma([depth_mm])).save(&depth).unwrap();
-        let intrinsics = Intrinsics { width: 64, height: 64, fx: 64.0, fy: 64.0, cx: 31.5, cy: 31.5 };
+        let intrinsics =
+            Intrinsics { width: 64, height: 64, fx: 64.0, fy: 64.0, cx: 31.5, cy: 31.5 };
         FrameRef {
             index: FrameIndex(index),
             colour: depth.clone(),
@@ -99,10 +114,18 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
         // Each ten centimetres nearer; the last says so and has not moved that far.
-        let frames = [frame(folder, 0, 0.0, 2000), frame(folder, 1, 0.1, 1900), frame(folder, 2, 0.2, 1800), frame(folder, 5, 0.3, 1740)];
+        let frames = [
+            frame(folder, 0, 0.0, 2000),
+            frame(folder, 1, 0.1, 1900),
+            frame(folder, 2, 0.2, 1800),
+            frame(folder, 5, 0.3, 1740),
+        ];
         let told = neighbours(&frames).unwrap();
         assert!(told.depth_error_m < 0.001 && told.drift_m < 0.001, "{told:?}");
-        assert!((told.worst_drift_m - 0.04).abs() < 1e-3 && told.worst_after == FrameIndex(2), "{told:?}");
+        assert!(
+            (told.worst_drift_m - 0.04).abs() < 1e-3 && told.worst_after == FrameIndex(2),
+            "{told:?}"
+        );
         assert_eq!(neighbours(&frames[..1]), None);
         let away = frame(folder, 7, 50.0, 2000);
         assert_eq!(neighbours(&[frames[0].clone(), away]), None, "nothing in common");

@@ -1,4 +1,5 @@
-//! A scan that has grown, on the disk: what was uploaded first and the frames that were added since, each in a folder of its own.
+//! A scan that has grown, on the disk: what was uploaded first and the frames that were added
+//! since, each in a folder of its own.
 //!
 //! ```text
 //! grown.json     what came when, and how its poses are told
@@ -31,7 +32,8 @@ pub struct Grown {
 pub struct Part {
     /// SHA-256 of its bytes, hex.
     pub hash: String,
-    /// From its poses to the scene; `None`: told in the same world as the files the scan began with.
+    /// From its poses to the scene; `None`: told in the same world as the files the scan began
+    /// with.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub to_scene: Option<SourceToScene>,
 }
@@ -53,7 +55,8 @@ impl Grown {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(IngestError::reading(GROWN, error)),
         };
-        let grown: Self = serde_json::from_slice(&text).map_err(|error| IngestError::malformed(GROWN, error))?;
+        let grown: Self =
+            serde_json::from_slice(&text).map_err(|error| IngestError::malformed(GROWN, error))?;
         match grown.format == FORMAT && !grown.parts.is_empty() {
             true => Ok(Some(grown)),
             false => Err(IngestError::malformed(GROWN, format!("not of the format {FORMAT}"))),
@@ -78,17 +81,20 @@ pub fn part_folder(content: &Utf8Path, part: usize) -> Utf8PathBuf {
     content.join(PARTS).join(part.to_string())
 }
 
-/// Returns whether a path of an upload, relative to its root and without `.` or `..`, is a name that stored scans use for their own files.
+/// Returns whether a path of an upload, relative to its root and without `.` or `..`, is a name
+/// that stored scans use for their own files.
 ///
-/// [`GROWN`] is reserved in a folder of the root as well, because archives are often made of one folder. Case does not matter: some file
-/// systems ignore it.
+/// [`GROWN`] is reserved in a folder of the root as well, because archives are often made of one
+/// folder. Case does not matter: some file systems ignore it.
 #[must_use]
 pub fn is_reserved(path: &Utf8Path) -> bool {
     let names: Vec<String> = path.iter().map(fold_case).collect();
     match &names[..] {
         [name] => is_name(name, GROWN) || is_name(name, CHECKSUMS),
         [_, name] if is_name(name, GROWN) => true,
-        [folder, part, ..] => is_name(folder, PARTS) && part.bytes().all(|byte| byte.is_ascii_digit()),
+        [folder, part, ..] => {
+            is_name(folder, PARTS) && part.bytes().all(|byte| byte.is_ascii_digit())
+        }
         [] => false,
     }
 }
@@ -97,8 +103,8 @@ fn is_name(folded: &str, name: &str) -> bool {
     folded == fold_case(name)
 }
 
-/// A name as a file system that ignores case compares it. Both conversions are needed: some letters have the same lower case, some the
-/// same upper case.
+/// A name as a file system that ignores case compares it. Both conversions are needed: some letters
+/// have the same lower case, some the same upper case.
 fn fold_case(name: &str) -> String {
     name.to_lowercase().to_uppercase()
 }
@@ -116,9 +122,12 @@ mod tests {
         grown.parts.push(Part { hash: "bb".into(), to_scene: Some(SourceToScene::IDENTITY) });
         grown.write(folder).unwrap();
         assert_eq!(Grown::read(folder).unwrap(), Some(grown));
-        for damaged in
-            ["", "{}", r#"{"format": "uniground-grown/2", "parts": [{"hash": "aa"}]}"#, r#"{"format": "uniground-grown/1", "parts": []}"#]
-        {
+        for damaged in [
+            "",
+            "{}",
+            r#"{"format": "uniground-grown/2", "parts": [{"hash": "aa"}]}"#,
+            r#"{"format": "uniground-grown/1", "parts": []}"#,
+        ] {
             fs::write(folder.join(GROWN), damaged).unwrap();
             assert!(matches!(Grown::read(folder), Err(IngestError::Malformed { .. })), "{damaged}");
         }

@@ -1,4 +1,5 @@
-//! Does the geometry agree with the depth pictures? Wrong pose directions, camera axes and depth scales show here first.
+//! Does the geometry agree with the depth pictures? Wrong pose directions, camera axes and depth
+//! scales show here first.
 
 use super::IngestError;
 use super::scan::{CameraAxes, RawFrame, Scan, Units};
@@ -14,10 +15,12 @@ const MAX_POINTS: usize = 5000;
 const TOLERANCE: f32 = 0.1;
 /// From this agreement on, no other reading is looked at. Right ones give 0.6 to 0.9.
 const CLEARLY_RIGHT: f32 = 0.6;
-/// Another reading is taken for the right one when it agrees this well, and this many times better than the declared one.
+/// Another reading is taken for the right one when it agrees this well, and this many times better
+/// than the declared one.
 const CLEARLY_BETTER: f32 = 0.45;
 const TIMES_BETTER: f32 = 1.5;
-/// Another unit of length is taken only when it agrees better than that: cameras that all stand in one place agree too easily.
+/// Another unit of length is taken only when it agrees better than that: cameras that all stand in
+/// one place agree too easily.
 const TIMES_BETTER_UNITS: f32 = 2.5;
 /// Below this, a scan is odd however it is read.
 const SUSPICIOUS: f32 = 0.15;
@@ -43,14 +46,16 @@ pub(super) struct Reading {
 /// The reading that fits, and how well.
 pub(super) struct Checked {
     pub reading: Reading,
-    /// Share of points in view that agree with the depth there; `None` when there is nothing to compare.
+    /// Share of points in view that agree with the depth there; `None` when there is nothing to
+    /// compare.
     pub agreement: Option<f32>,
 }
 
-/// Compares points in view with the depth there, over a sample of frames, as the scan says it is to be read. When that does not fit and
-/// another reading clearly does, it is taken, with a warning.
+/// Compares points in view with the depth there, over a sample of frames, as the scan says it is to
+/// be read. When that does not fit and another reading clearly does, it is taken, with a warning.
 ///
-/// The points are the archive's own cloud's (as `declared`, metres). Without one, they are each frame's own depth, judged by the other frames.
+/// The points are the archive's own cloud's (as `declared`, metres). Without one, they are each
+/// frame's own depth, judged by the other frames.
 ///
 /// # Errors
 /// [`IngestError::NothingFits`] when hardly anything agrees under any reading.
@@ -79,7 +84,9 @@ pub(super) fn check(
         scan,
         declared,
         frames: sampled,
-        cloud: own_cloud.map(|cloud| cloud.positions.iter().step_by(cloud.len().div_ceil(MAX_POINTS)).copied().collect()),
+        cloud: own_cloud.map(|cloud| {
+            cloud.positions.iter().step_by(cloud.len().div_ceil(MAX_POINTS)).copied().collect()
+        }),
     };
     let agreement = sample.agreement(&declared);
     if agreement.is_some_and(|agreement| agreement >= CLEARLY_RIGHT) {
@@ -87,14 +94,23 @@ pub(super) fn check(
     }
     let fits = agreement.unwrap_or(0.0);
     let best_of = |readings: Vec<Reading>| {
-        let measured: Vec<(f32, Reading)> = readings.into_iter().filter_map(|r| Some((sample.agreement(&r)?, r))).collect();
+        let measured: Vec<(f32, Reading)> =
+            readings.into_iter().filter_map(|r| Some((sample.agreement(&r)?, r))).collect();
         measured.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))
     };
-    let mut best = best_of(Reading::all(declared.metres_per_unit).filter(|r| *r != declared).collect());
+    let mut best =
+        best_of(Reading::all(declared.metres_per_unit).filter(|r| *r != declared).collect());
     let mut wanted = CLEARLY_BETTER.max(fits * TIMES_BETTER);
     if best.is_none_or(|(other, _)| other < wanted) && fits < CLEARLY_BETTER {
-        let other_units = best_of(LENGTHS_M.into_iter().flat_map(|m| Reading::all(declared.metres_per_unit * m)).collect());
-        if other_units.is_some_and(|(other, _)| other >= CLEARLY_RIGHT.max(fits * TIMES_BETTER_UNITS)) {
+        let other_units = best_of(
+            LENGTHS_M
+                .into_iter()
+                .flat_map(|m| Reading::all(declared.metres_per_unit * m))
+                .collect(),
+        );
+        if other_units
+            .is_some_and(|(other, _)| other >= CLEARLY_RIGHT.max(fits * TIMES_BETTER_UNITS))
+        {
             (best, wanted) = (other_units, 0.0);
         }
     }
@@ -127,13 +143,18 @@ pub(super) fn check(
 
 impl Reading {
     fn all(metres_per_unit: f64) -> impl Iterator<Item = Self> {
-        [PoseConvention::CameraToWorld, PoseConvention::WorldToCamera].into_iter().flat_map(move |pose| {
-            [CameraAxes::Opencv, CameraAxes::Opengl].into_iter().flat_map(move |axes| {
-                DEPTH_SCALES_M
-                    .into_iter()
-                    .map(move |depth_scale_m| Self { pose, axes, depth_scale_m, metres_per_unit })
-            })
-        })
+        [PoseConvention::CameraToWorld, PoseConvention::WorldToCamera].into_iter().flat_map(
+            move |pose| {
+                [CameraAxes::Opencv, CameraAxes::Opengl].into_iter().flat_map(move |axes| {
+                    DEPTH_SCALES_M.into_iter().map(move |depth_scale_m| Self {
+                        pose,
+                        axes,
+                        depth_scale_m,
+                        metres_per_unit,
+                    })
+                })
+            },
+        )
     }
 
     fn describe(&self, declared: &Self) -> String {
@@ -153,7 +174,8 @@ impl Reading {
     }
 }
 
-/// What the check looks at: a few frames' depth, and the points of a cloud where the archive has one.
+/// What the check looks at: a few frames' depth, and the points of a cloud where the archive has
+/// one.
 struct Sample<'a> {
     scan: &'a Scan,
     /// How the depth was decoded and the cloud scaled.
@@ -163,13 +185,21 @@ struct Sample<'a> {
 }
 
 impl Sample<'_> {
-    /// Agreement in `0..=1` under one reading; `None` when too few points fall on measured depth to tell.
+    /// Agreement in `0..=1` under one reading; `None` when too few points fall on measured depth to
+    /// tell.
     fn agreement(&self, reading: &Reading) -> Option<f32> {
-        let cameras: Vec<(Camera, Isometry3<f32>)> =
-            self.frames.iter().map(|(raw, frame, _)| self.camera(raw, frame, reading)).collect::<Option<_>>()?;
+        let cameras: Vec<(Camera, Isometry3<f32>)> = self
+            .frames
+            .iter()
+            .map(|(raw, frame, _)| self.camera(raw, frame, reading))
+            .collect::<Option<_>>()?;
         let rescale = reading.depth_scale_m / self.declared.depth_scale_m;
         let relength = (reading.metres_per_unit / self.declared.metres_per_unit) as f32;
-        let measured = self.frames.iter().flat_map(|(_, _, depth)| depth.depth_m.iter().step_by(97)).filter(|z| **z > 0.0);
+        let measured = self
+            .frames
+            .iter()
+            .flat_map(|(_, _, depth)| depth.depth_m.iter().step_by(97))
+            .filter(|z| **z > 0.0);
         let typical_m = median(&mut measured.map(|z| z * rescale).collect::<Vec<_>>())?;
         if !PLAUSIBLE_DEPTH_M.contains(&typical_m) {
             return None;
@@ -185,11 +215,21 @@ impl Sample<'_> {
                 .flat_map(|(i, (_, _, depth))| {
                     let (camera, camera_to_world) = &cameras[i];
                     let step = (depth.depth_m.len() / per_frame).max(1);
-                    let measured = (0..depth.depth_m.len()).step_by(step).filter(|&at| depth.depth_m[at] > 0.0);
+                    let measured = (0..depth.depth_m.len())
+                        .step_by(step)
+                        .filter(|&at| depth.depth_m[at] > 0.0);
                     measured
                         .map(move |at| {
                             let (u, v) = (at as u32 % depth.width, at as u32 / depth.width);
-                            (Some(i), camera_to_world * camera.intrinsics.unproject(u as f32, v as f32, depth.depth_m[at] * rescale))
+                            (
+                                Some(i),
+                                camera_to_world
+                                    * camera.intrinsics.unproject(
+                                        u as f32,
+                                        v as f32,
+                                        depth.depth_m[at] * rescale,
+                                    ),
+                            )
                         })
                         .collect::<Vec<_>>()
                 })
@@ -209,12 +249,18 @@ impl Sample<'_> {
                 }
             }
         }
-        // A wrong reading may leave a handful of lucky points in view: they must be a fair share to count.
+        // A wrong reading may leave a handful of lucky points in view: they must be a fair share to
+        // count.
         (seen * 50 >= points.len()).then(|| agree as f32 / seen.max(1) as f32)
     }
 
     /// The frame's camera under a reading of its pose, in the world of the files.
-    fn camera(&self, raw: &RawFrame, frame: &FrameRef, reading: &Reading) -> Option<(Camera, Isometry3<f32>)> {
+    fn camera(
+        &self,
+        raw: &RawFrame,
+        frame: &FrameRef,
+        reading: &Reading,
+    ) -> Option<(Camera, Isometry3<f32>)> {
         let units = Units { origin: self.scan.origin, metres_per_unit: reading.metres_per_unit };
         let camera_to_world = raw.camera_to_world(reading.pose, reading.axes, &units).ok()?;
         Some((Camera::new(frame.depth_intrinsics, &camera_to_world), camera_to_world))

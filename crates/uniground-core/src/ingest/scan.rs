@@ -3,12 +3,16 @@
 use super::IngestError;
 use crate::geometry::up_axis::UpAxis;
 use crate::geometry::{Isometry3, pose};
-use crate::scene::{FrameIndex, Intrinsics, Optics, PoseConvention, float_picture_size, is_compressed_floats, is_float_picture};
+use crate::scene::{
+    FrameIndex, Intrinsics, Optics, PoseConvention, float_picture_size, is_compressed_floats,
+    is_float_picture,
+};
 use camino::{Utf8Path, Utf8PathBuf};
 use image::ImageReader;
 use nalgebra::Matrix4;
 
-/// A scan as its files describe it: not yet canonical, pictures not yet decoded, paths below `root`.
+/// A scan as its files describe it: not yet canonical, pictures not yet decoded, paths below
+/// `root`.
 #[derive(Debug)]
 pub struct Scan {
     /// Folder that the other paths start from.
@@ -31,11 +35,14 @@ pub struct Scan {
     pub pose: PoseConvention,
     /// Metres per unit of the depth pictures.
     pub depth_scale_m: f32,
-    /// Whether its lengths are metres, or something that can be guessed; photogrammetry alone has no scale.
+    /// Whether its lengths are metres, or something that can be guessed; photogrammetry alone has
+    /// no scale.
     pub has_scale: bool,
-    /// A rigid transform (metres) that the files want applied to poses and cloud, such as ScanNet's axis alignment.
+    /// A rigid transform (metres) that the files want applied to poses and cloud, such as
+    /// ScanNet's axis alignment.
     pub alignment: Option<Matrix4<f64>>,
-    /// What is taken off all positions, in the files' units: poses in map coordinates would lose their decimals.
+    /// What is taken off all positions, in the files' units: poses in map coordinates would lose
+    /// their decimals.
     pub origin: [f64; 3],
     /// Frames left out: pose marked as lost, or damaged.
     pub frames_skipped: u32,
@@ -64,7 +71,9 @@ impl Damage {
     /// The disk's own, names that point outside, and calling off.
     pub fn note(&mut self, error: IngestError) -> Result<(), IngestError> {
         match error {
-            IngestError::Io { .. } | IngestError::UnsafeEntry { .. } | IngestError::Cancelled(_) => Err(error),
+            IngestError::Io { .. }
+            | IngestError::UnsafeEntry { .. }
+            | IngestError::Cancelled(_) => Err(error),
             _ => {
                 self.count += 1;
                 if self.first.len() < MAX_NAMED {
@@ -102,7 +111,8 @@ pub enum CameraAxes {
 }
 
 impl Scan {
-    /// A scan without frames or cloud, as most layouts have it: OpenCV, camera-to-world, millimetres.
+    /// A scan without frames or cloud, as most layouts have it: OpenCV, camera-to-world,
+    /// millimetres.
     pub(super) fn new(root: &Utf8Path, format: &'static str) -> Self {
         Self {
             root: root.to_owned(),
@@ -138,7 +148,8 @@ impl Scan {
 }
 
 impl RawFrame {
-    /// The pose read under a convention, as camera-to-world with OpenCV axes, in the file's world less `origin`, metres.
+    /// The pose read under a convention, as camera-to-world with OpenCV axes, in the file's world
+    /// less `origin`, metres.
     pub(super) fn camera_to_world(
         &self,
         convention: PoseConvention,
@@ -157,7 +168,9 @@ impl RawFrame {
         Ok(match axes {
             CameraAxes::Opencv => camera_to_world,
             // OpenGL's camera is OpenCV's turned by half a turn about its own X.
-            CameraAxes::Opengl => camera_to_world * Isometry3::rotation(nalgebra::Vector3::x() * std::f32::consts::PI),
+            CameraAxes::Opengl => {
+                camera_to_world * Isometry3::rotation(nalgebra::Vector3::x() * std::f32::consts::PI)
+            }
         })
     }
 }
@@ -171,7 +184,10 @@ pub(super) struct Units {
 }
 
 /// Width and height from a picture's header; `None` for depth that does not say.
-pub(super) fn picture_size(root: &Utf8Path, file: &Utf8Path) -> Result<Option<(u32, u32)>, IngestError> {
+pub(super) fn picture_size(
+    root: &Utf8Path,
+    file: &Utf8Path,
+) -> Result<Option<(u32, u32)>, IngestError> {
     let path = root.join(file);
     if !path.is_file() {
         return Err(IngestError::MissingFile { file: file.to_owned() });
@@ -180,7 +196,9 @@ pub(super) fn picture_size(root: &Utf8Path, file: &Utf8Path) -> Result<Option<(u
     if is_compressed_floats(&path).map_err(io)? {
         return Ok(None);
     }
-    let not_readable = |reason: &dyn std::fmt::Display| IngestError::malformed(file, format!("not a readable picture: {reason}"));
+    let not_readable = |reason: &dyn std::fmt::Display| {
+        IngestError::malformed(file, format!("not a readable picture: {reason}"))
+    };
     let size = match float_picture_size(&path) {
         Ok(Some(size)) => size,
         Ok(None) => {
@@ -191,15 +209,25 @@ pub(super) fn picture_size(root: &Utf8Path, file: &Utf8Path) -> Result<Option<(u
     };
     let (width, height) = size;
     if u64::from(width) * u64::from(height) > MAX_PIXELS {
-        return Err(IngestError::malformed(file, format!("{width}x{height} is more than {} megapixels", MAX_PIXELS / 1_000_000)));
+        return Err(IngestError::malformed(
+            file,
+            format!("{width}x{height} is more than {} megapixels", MAX_PIXELS / 1_000_000),
+        ));
     }
     Ok(Some((width, height)))
 }
 
-/// Metres per unit of depth pictures that nobody gave a unit: floats are metres, integers millimetres.
-pub(super) fn usual_depth_scale_m<'a>(root: &Utf8Path, depth: impl IntoIterator<Item = &'a Utf8PathBuf>) -> f32 {
+/// Metres per unit of depth pictures that nobody gave a unit: floats are metres, integers
+/// millimetres.
+pub(super) fn usual_depth_scale_m<'a>(
+    root: &Utf8Path,
+    depth: impl IntoIterator<Item = &'a Utf8PathBuf>,
+) -> f32 {
     // What can not be read is told by who reads on.
-    let is_float = depth.into_iter().next().is_some_and(|first| is_float_picture(&root.join(first)).unwrap_or(false));
+    let is_float = depth
+        .into_iter()
+        .next()
+        .is_some_and(|first| is_float_picture(&root.join(first)).unwrap_or(false));
     if is_float { 1.0 } else { 0.001 }
 }
 

@@ -1,6 +1,8 @@
-//! ScanNet's `.sens`: all frames of a scan in one file, with their poses and both cameras. It is unpacked into pictures and a `scene.json`.
+//! ScanNet's `.sens`: all frames of a scan in one file, with their poses and both cameras. It is
+//! unpacked into pictures and a `scene.json`.
 //!
-//! Little-endian throughout. What the file claims is checked before it is believed; frames are written one at a time.
+//! Little-endian throughout. What the file claims is checked before it is believed; frames are
+//! written one at a time.
 
 use super::IngestError;
 use super::unpacked::head_of;
@@ -26,8 +28,11 @@ const DEPTH_ZLIB: i32 = 1;
 /// Whether a file with this ending begins as one.
 pub(super) fn recognises(head: &[u8], extension: &str) -> bool {
     let version = head.first_chunk::<4>().map(|version| u32::from_le_bytes(*version));
-    let name_bytes = head.get(4..).and_then(<[u8]>::first_chunk::<8>).map(|bytes| u64::from_le_bytes(*bytes));
-    extension == "sens" && version == Some(VERSION) && name_bytes.is_some_and(|bytes| bytes <= MAX_NAME_BYTES)
+    let name_bytes =
+        head.get(4..).and_then(<[u8]>::first_chunk::<8>).map(|bytes| u64::from_le_bytes(*bytes));
+    extension == "sens"
+        && version == Some(VERSION)
+        && name_bytes.is_some_and(|bytes| bytes <= MAX_NAME_BYTES)
 }
 
 /// The only file of a folder (and of the only folder in it) that is one.
@@ -71,24 +76,34 @@ struct Header {
     frames: u64,
 }
 
-/// Unpacks a file into `target`: `color/ depth/ pose/` and `scene.json`. Returns the number of frames.
+/// Unpacks a file into `target`: `color/ depth/ pose/` and `scene.json`. Returns the number of
+/// frames.
 ///
 /// # Errors
 /// [`IngestError`] naming the file; `target` may then hold a part.
-pub(super) fn unpack(file: &Utf8Path, target: &Utf8Path, max_bytes: u64) -> Result<u64, IngestError> {
+pub(super) fn unpack(
+    file: &Utf8Path,
+    target: &Utf8Path,
+    max_bytes: u64,
+) -> Result<u64, IngestError> {
     let name = Utf8Path::new(file.file_name().unwrap_or("scan.sens"));
     let malformed = |reason: String| IngestError::malformed(name, reason);
     let source = File::open(file).map_err(|source| IngestError::reading(name, source))?;
     let bytes = source.metadata().map_or(0, |m| m.len());
     let mut source = BufReader::with_capacity(1 << 20, source);
-    let header = header(&mut source).map_err(|e| malformed(format!("not a .sens file of version {VERSION}: {e}")))?;
+    let header = header(&mut source)
+        .map_err(|e| malformed(format!("not a .sens file of version {VERSION}: {e}")))?;
     // A pose, two times and two sizes at least.
     if header.frames > MAX_FRAMES || header.frames.saturating_mul(96) > bytes {
-        return Err(malformed(format!("it announces {} frames in {bytes} bytes, {MAX_FRAMES} are read at most", header.frames)));
+        return Err(malformed(format!(
+            "it announces {} frames in {bytes} bytes, {MAX_FRAMES} are read at most",
+            header.frames
+        )));
     }
     let mut out = Unpacking { target, written: 0, max_bytes };
     for folder in ["color", "depth", "pose"] {
-        fs::create_dir_all(target.join(folder)).map_err(|source| IngestError::reading(folder, source))?;
+        fs::create_dir_all(target.join(folder))
+            .map_err(|source| IngestError::reading(folder, source))?;
     }
     let ending = if header.colour_codec == COLOUR_PNG { "png" } else { "jpg" };
     let mut frames = Vec::new();
@@ -96,9 +111,13 @@ pub(super) fn unpack(file: &Utf8Path, target: &Utf8Path, max_bytes: u64) -> Resu
         let at = |e: io::Error| malformed(format!("frame {i}: {e}"));
         let pose: [f32; 16] = floats(&mut source).map_err(at)?;
         let _times = [word(&mut source).map_err(at)?, word(&mut source).map_err(at)?];
-        let (colour_bytes, depth_bytes) = (word(&mut source).map_err(at)?, word(&mut source).map_err(at)?);
+        let (colour_bytes, depth_bytes) =
+            (word(&mut source).map_err(at)?, word(&mut source).map_err(at)?);
         if colour_bytes.max(depth_bytes) > MAX_PICTURE_BYTES {
-            return Err(malformed(format!("frame {i}: a picture of {} bytes", colour_bytes.max(depth_bytes))));
+            return Err(malformed(format!(
+                "frame {i}: a picture of {} bytes",
+                colour_bytes.max(depth_bytes)
+            )));
         }
         let (colour, depth) = (format!("color/{i}.{ending}"), format!("depth/{i}.png"));
         let picture = exactly(&mut source, colour_bytes).map_err(at)?;
@@ -132,9 +151,12 @@ impl Unpacking<'_> {
     fn write(&mut self, name: &str, bytes: &[u8]) -> Result<(), IngestError> {
         self.written += bytes.len() as u64;
         if self.written > self.max_bytes {
-            return Err(IngestError::ArchiveTooLarge { limit: format!("{} bytes", self.max_bytes) });
+            return Err(IngestError::ArchiveTooLarge {
+                limit: format!("{} bytes", self.max_bytes),
+            });
         }
-        fs::write(self.target.join(name), bytes).map_err(|source| IngestError::Io { file: name.into(), source })
+        fs::write(self.target.join(name), bytes)
+            .map_err(|source| IngestError::Io { file: name.into(), source })
     }
 }
 
@@ -151,9 +173,12 @@ fn header(source: &mut impl Read) -> io::Result<Header> {
     let name = String::from_utf8_lossy(&exactly(source, name_bytes)?).into_owned();
     let (colour, _colour_extrinsics): ([f32; 16], [f32; 16]) = (floats(source)?, floats(source)?);
     let (depth, _depth_extrinsics): ([f32; 16], [f32; 16]) = (floats(source)?, floats(source)?);
-    let (colour_codec, depth_codec) = (number(source)?.cast_signed(), number(source)?.cast_signed());
+    let (colour_codec, depth_codec) =
+        (number(source)?.cast_signed(), number(source)?.cast_signed());
     if !(colour_codec == COLOUR_PNG || colour_codec == COLOUR_JPEG) || depth_codec != DEPTH_ZLIB {
-        return Err(strange(format!("its pictures are coded as {colour_codec} and {depth_codec}: JPEG or PNG and zlib are read")));
+        return Err(strange(format!(
+            "its pictures are coded as {colour_codec} and {depth_codec}: JPEG or PNG and zlib are read"
+        )));
     }
     let [cw, ch, dw, dh] = [number(source)?, number(source)?, number(source)?, number(source)?];
     if [cw, ch, dw, dh].iter().any(|side| *side == 0 || *side > MAX_SIDE) {
@@ -164,7 +189,16 @@ fn header(source: &mut impl Read) -> io::Result<Header> {
         return Err(strange(format!("a depth shift of {depth_shift}")));
     }
     let frames = word(source)?;
-    Ok(Header { name, colour, depth, colour_codec, colour_size: [cw, ch], depth_size: [dw, dh], depth_shift, frames })
+    Ok(Header {
+        name,
+        colour,
+        depth,
+        colour_codec,
+        colour_size: [cw, ch],
+        depth_size: [dw, dh],
+        depth_shift,
+        frames,
+    })
 }
 
 /// Zlib of 16-bit units, as a grey PNG.
@@ -173,10 +207,14 @@ fn depth_png(packed: &[u8], [width, height]: [u32; 2]) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     ZlibDecoder::new(packed).take(expected + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 != expected {
-        return Err(io::Error::other(format!("its depth unpacks to {} bytes, {width}x{height} has {expected}", bytes.len())));
+        return Err(io::Error::other(format!(
+            "its depth unpacks to {} bytes, {width}x{height} has {expected}",
+            bytes.len()
+        )));
     }
     let units = bytes.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b)).collect();
-    let picture = ImageBuffer::<Luma<u16>, Vec<u16>>::from_raw(width, height, units).unwrap_or_default();
+    let picture =
+        ImageBuffer::<Luma<u16>, Vec<u16>>::from_raw(width, height, units).unwrap_or_default();
     let mut png = BufWriter::new(io::Cursor::new(Vec::new()));
     picture.write_to(&mut png, ImageFormat::Png).map_err(io::Error::other)?;
     png.flush()?;
@@ -224,7 +262,8 @@ mod tests {
         let mut bytes = VERSION.to_le_bytes().to_vec();
         bytes.extend(4_u64.to_le_bytes());
         bytes.extend(b"test");
-        let camera: [f32; 16] = [4.0, 0.0, 1.5, 0.0, 0.0, 4.0, 1.5, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+        let camera: [f32; 16] =
+            [4.0, 0.0, 1.5, 0.0, 0.0, 4.0, 1.5, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
         let eye: [f32; 16] = std::array::from_fn(|i| if i % 5 == 0 { 1.0 } else { 0.0 });
         for matrix in [camera, eye, camera, eye] {
             matrix.iter().for_each(|v| bytes.extend(v.to_le_bytes()));
@@ -239,7 +278,9 @@ mod tests {
         zlib.write_all(&[0xe8, 0x03].repeat(16)).unwrap();
         let (png, zlib) = (png.into_inner(), zlib.finish().unwrap());
         eye.iter().for_each(|v| bytes.extend(v.to_le_bytes()));
-        [7, 7, png.len() as u64, zlib.len() as u64].iter().for_each(|v| bytes.extend(v.to_le_bytes()));
+        [7, 7, png.len() as u64, zlib.len() as u64]
+            .iter()
+            .for_each(|v| bytes.extend(v.to_le_bytes()));
         bytes.extend(png);
         bytes.extend(zlib);
         bytes

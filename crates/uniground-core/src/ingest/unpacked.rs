@@ -18,14 +18,16 @@ pub struct Unpacked {
 }
 
 impl Unpacked {
-    /// A folder as it is; an archive (`.zip`, `.tar`, `.tar.zst`, `.r3d`) or a `.sens` file unpacked; a cloud or a mesh as a scan without
-    /// frames.
+    /// A folder as it is; an archive (`.zip`, `.tar`, `.tar.zst`, `.r3d`) or a `.sens` file
+    /// unpacked; a cloud or a mesh as a scan without frames.
     ///
     /// # Errors
     /// [`IngestError`]: nothing of the kind, or an archive that can not be unpacked.
     pub fn of(scan: &Utf8Path) -> Result<Self, IngestError> {
         if scan.is_dir() {
-            let Some(sens) = sens::lone(scan)? else { return Ok(Self { path: scan.to_owned(), _temporary: None }) };
+            let Some(sens) = sens::lone(scan)? else {
+                return Ok(Self { path: scan.to_owned(), _temporary: None });
+            };
             return Self::of(&sens);
         }
         let reading = |source| IngestError::reading(scan, source);
@@ -33,12 +35,17 @@ impl Unpacked {
         let path = Utf8Path::from_path(temporary.path())
             .ok_or_else(|| reading(std::io::ErrorKind::InvalidFilename.into()))?
             .to_owned();
-        match Packed::of(scan).ok_or_else(|| IngestError::malformed(scan, what_it_is(&head_of(scan))))? {
+        match Packed::of(scan)
+            .ok_or_else(|| IngestError::malformed(scan, what_it_is(&head_of(scan))))?
+        {
             // What a mesh names lies beside it.
             Packed::Cloud("obj" | "gltf") => {
-                copy_beside(scan, scan.parent().unwrap_or(Utf8Path::new(".")), &path).map_err(reading)?;
+                copy_beside(scan, scan.parent().unwrap_or(Utf8Path::new(".")), &path)
+                    .map_err(reading)?;
             }
-            Packed::Cloud(ending) => put(scan, &path.join("cloud").with_extension(ending)).map_err(reading)?,
+            Packed::Cloud(ending) => {
+                put(scan, &path.join("cloud").with_extension(ending)).map_err(reading)?
+            }
             packed => packed.unpack(scan, &path, &UnpackLimits::default())?,
         }
         Ok(Self { path, _temporary: Some(temporary) })
@@ -60,7 +67,8 @@ impl Packed {
     /// Bytes of a file that are enough to tell.
     pub const HEAD_BYTES: usize = 4096;
 
-    /// By a file's first bytes; where those are only numbers, by the ending of its name. `None`: nothing that is read.
+    /// By a file's first bytes; where those are only numbers, by the ending of its name. `None`:
+    /// nothing that is read.
     #[must_use]
     pub fn of_head(head: &[u8], name: &str) -> Option<Self> {
         let extension = Utf8Path::new(name).extension().unwrap_or_default();
@@ -81,7 +89,12 @@ impl Packed {
     ///
     /// # Errors
     /// [`IngestError`]: an archive that can not be unpacked, a file that can not be copied.
-    pub fn unpack(self, file: &Utf8Path, folder: &Utf8Path, limits: &UnpackLimits) -> Result<(), IngestError> {
+    pub fn unpack(
+        self,
+        file: &Utf8Path,
+        folder: &Utf8Path,
+        limits: &UnpackLimits,
+    ) -> Result<(), IngestError> {
         match self {
             Self::Archive(kind) => unpack(file, kind, folder, limits),
             Self::Sens => sens::unpack(file, folder, limits.max_bytes).map(drop),
@@ -98,7 +111,8 @@ impl Packed {
 pub fn head_of(file: &Utf8Path) -> Vec<u8> {
     let mut head = Vec::new();
     // What can not be read is told by who reads on.
-    let _ = fs::File::open(file).and_then(|f| f.take(Packed::HEAD_BYTES as u64).read_to_end(&mut head));
+    let _ =
+        fs::File::open(file).and_then(|f| f.take(Packed::HEAD_BYTES as u64).read_to_end(&mut head));
     head
 }
 
@@ -116,7 +130,10 @@ fn copy_beside(mesh: &Utf8Path, folder: &Utf8Path, target: &Utf8Path) -> std::io
     let folder = if folder.as_str().is_empty() { Utf8Path::new(".") } else { folder };
     for entry in folder.read_dir_utf8()? {
         let entry = entry?;
-        let wanted = entry.path().extension().is_some_and(|e| BESIDE_MESHES.contains(&e.to_ascii_lowercase().as_str()));
+        let wanted = entry
+            .path()
+            .extension()
+            .is_some_and(|e| BESIDE_MESHES.contains(&e.to_ascii_lowercase().as_str()));
         if wanted && entry.file_type()?.is_file() {
             fs::copy(entry.path(), target.join(entry.file_name()))?;
         }
@@ -129,10 +146,20 @@ fn copy_beside(mesh: &Utf8Path, folder: &Utf8Path, target: &Utf8Path) -> std::io
 pub fn what_it_is(head: &[u8]) -> &'static str {
     match head {
         [] => "this is empty",
-        [0xff, 0xd8, ..] | [0x89, b'P', b'N', b'G', ..] => "this is a picture: a scan has many, with depth and poses",
-        [_, _, _, _, b'f', b't', b'y', b'p', ..] => "this is a video: a scan needs its frames as pictures, with depth and poses",
-        [b'#', b'R', b'O', b'S', b'B', b'A', b'G', ..] => "this is a ROS bag: export colour, depth and poses from it first",
-        [b'S', b'Q', b'L', b'i', b't', b'e', ..] => "this is a database: export RTAB-Map's with `rtabmap-export --images --poses_camera`",
-        _ => "this is no scan: expected an archive (.zip, .tar, .tar.zst, .r3d), a .sens file, a cloud or a mesh",
+        [0xff, 0xd8, ..] | [0x89, b'P', b'N', b'G', ..] => {
+            "this is a picture: a scan has many, with depth and poses"
+        }
+        [_, _, _, _, b'f', b't', b'y', b'p', ..] => {
+            "this is a video: a scan needs its frames as pictures, with depth and poses"
+        }
+        [b'#', b'R', b'O', b'S', b'B', b'A', b'G', ..] => {
+            "this is a ROS bag: export colour, depth and poses from it first"
+        }
+        [b'S', b'Q', b'L', b'i', b't', b'e', ..] => {
+            "this is a database: export RTAB-Map's with `rtabmap-export --images --poses_camera`"
+        }
+        _ => {
+            "this is no scan: expected an archive (.zip, .tar, .tar.zst, .r3d), a .sens file, a cloud or a mesh"
+        }
     }
 }

@@ -1,4 +1,5 @@
-//! Checks that need no decoded picture: sizes from headers, intrinsics that fit, poses that are rigid, files that are whole.
+//! Checks that need no decoded picture: sizes from headers, intrinsics that fit, poses that are
+//! rigid, files that are whole.
 
 mod whole;
 
@@ -13,10 +14,11 @@ use rayon::prelude::*;
 /// Up to this share of damaged frames is left out; with more, the scan is refused.
 const MAX_DAMAGED: f32 = 0.1;
 
-/// Checks a scan, and drops the frames whose pose the tracker itself marked as lost and the few that are damaged.
+/// Checks a scan, and drops the frames whose pose the tracker itself marked as lost and the few
+/// that are damaged.
 ///
-/// A pose of infinities only is that mark (ScanNet writes it): the frame is skipped and counted. Any other value that is
-/// not finite is damage.
+/// A pose of infinities only is that mark (ScanNet writes it): the frame is skipped and counted.
+/// Any other value that is not finite is damage.
 pub(super) fn check(scan: &mut Scan) -> Result<(), IngestError> {
     // Frames keep their place in the scan's own list when others are skipped.
     for (frame, i) in scan.frames.iter_mut().zip(0..) {
@@ -26,14 +28,17 @@ pub(super) fn check(scan: &mut Scan) -> Result<(), IngestError> {
     scan.frames.retain(|frame| !frame.pose.iter().all(|v| v.is_infinite()));
     let lost = before - scan.frames.len();
     if lost > 0 {
-        scan.warnings
-            .push(format!("{lost} of {before} frames skipped: their pose is marked as lost (infinite)"));
+        scan.warnings.push(format!(
+            "{lost} of {before} frames skipped: their pose is marked as lost (infinite)"
+        ));
     }
     if before == 0 && scan.cloud.is_none() {
         return Err(scan.damage.first.drain(..).next().unwrap_or(IngestError::EmptyScene));
     }
     if before > 0 && scan.frames.is_empty() {
-        return Err(IngestError::NoUsableFrames { reason: format!("all {before} poses are marked as lost (infinite)") });
+        return Err(IngestError::NoUsableFrames {
+            reason: format!("all {before} poses are marked as lost (infinite)"),
+        });
     }
     if let Some(cloud) = &scan.cloud {
         clouds::check(&scan.root, cloud, &UPLOADED)?;
@@ -58,7 +63,10 @@ pub(super) fn check(scan: &mut Scan) -> Result<(), IngestError> {
 /// Where positions in map coordinates are counted from; zero for everybody else.
 fn origin_of(frames: &[RawFrame]) -> [f64; 3] {
     let at = |frame: &RawFrame| [0, 1, 2].map(|axis| frame.pose[(axis, 3)]);
-    let far = |at: &[f64; 3]| at.iter().all(|c| c.is_finite() && c.abs() < 1e8) && at.iter().any(|c| c.abs() > f64::from(MAX_COORDINATE_M));
+    let far = |at: &[f64; 3]| {
+        at.iter().all(|c| c.is_finite() && c.abs() < 1e8)
+            && at.iter().any(|c| c.abs() > f64::from(MAX_COORDINATE_M))
+    };
     // One stray pose moves nothing.
     let mut all: Vec<[f64; 3]> = frames.iter().map(at).filter(far).collect();
     if all.len() * 2 <= frames.len() {
@@ -83,24 +91,50 @@ fn leave_out_damaged(scan: &mut Scan) -> Result<(), IngestError> {
         });
     }
     let named: Vec<String> = scan.damage.first.iter().map(ToString::to_string).collect();
-    let more = if damaged > named.len() { format!(" and {} more", damaged - named.len()) } else { String::new() };
-    scan.warnings
-        .push(format!("{damaged} of {total} frames skipped, damaged or incomplete: {}{more}", named.join("; ")));
+    let more = if damaged > named.len() {
+        format!(" and {} more", damaged - named.len())
+    } else {
+        String::new()
+    };
+    scan.warnings.push(format!(
+        "{damaged} of {total} frames skipped, damaged or incomplete: {}{more}",
+        named.join("; ")
+    ));
     Ok(())
 }
 
-fn checked(root: &Utf8Path, mut frame: RawFrame, pose: PoseConvention, units: &Units) -> Result<RawFrame, IngestError> {
-    let bad_pose = |source| IngestError::BadPose { frame: frame.index, file: frame.pose_file.clone(), source };
-    frame.camera_to_world(pose, crate::ingest::scan::CameraAxes::Opencv, units).map_err(bad_pose)?;
-    if frame.pose.row(3).iter().zip([0.0, 0.0, 0.0, 1.0]).any(|(v, expected)| (v - expected).abs() > 1e-3) {
-        return Err(IngestError::malformed(frame.pose_file.clone(), "the last row of a pose must be 0 0 0 1"));
+fn checked(
+    root: &Utf8Path,
+    mut frame: RawFrame,
+    pose: PoseConvention,
+    units: &Units,
+) -> Result<RawFrame, IngestError> {
+    let bad_pose =
+        |source| IngestError::BadPose { frame: frame.index, file: frame.pose_file.clone(), source };
+    frame
+        .camera_to_world(pose, crate::ingest::scan::CameraAxes::Opencv, units)
+        .map_err(bad_pose)?;
+    if frame
+        .pose
+        .row(3)
+        .iter()
+        .zip([0.0, 0.0, 0.0, 1.0])
+        .any(|(v, expected)| (v - expected).abs() > 1e-3)
+    {
+        return Err(IngestError::malformed(
+            frame.pose_file.clone(),
+            "the last row of a pose must be 0 0 0 1",
+        ));
     }
     let lens_is_odd = [frame.optics.colour_lens, frame.optics.depth_lens]
         .iter()
         .flatten()
         .any(|lens| !lens.is_plausible());
     if lens_is_odd {
-        return Err(IngestError::BadIntrinsics { file: frame.colour, reason: "the distortion of its lens is no number".into() });
+        return Err(IngestError::BadIntrinsics {
+            file: frame.colour,
+            reason: "the distortion of its lens is no number".into(),
+        });
     }
     frame.colour_intrinsics = fit(root, &frame.colour, frame.colour_intrinsics)?;
     whole::check(root, &frame.colour)?;
@@ -119,27 +153,43 @@ fn checked(root: &Utf8Path, mut frame: RawFrame, pose: PoseConvention, units: &U
     Ok(frame)
 }
 
-/// The intrinsics at the picture's own resolution. A picture of the same shape may be smaller or larger than they say.
-fn fit(root: &Utf8Path, file: &Utf8Path, intrinsics: Intrinsics) -> Result<Intrinsics, IngestError> {
+/// The intrinsics at the picture's own resolution. A picture of the same shape may be smaller or
+/// larger than they say.
+fn fit(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    intrinsics: Intrinsics,
+) -> Result<Intrinsics, IngestError> {
     let bad = |reason: String| IngestError::BadIntrinsics { file: file.to_owned(), reason };
     let Intrinsics { width, height, fx, fy, cx, cy } = intrinsics;
-    if ![fx, fy, cx, cy].iter().all(|v| v.is_finite()) || fx <= 0.0 || fy <= 0.0 || width == 0 || height == 0 {
+    if ![fx, fy, cx, cy].iter().all(|v| v.is_finite())
+        || fx <= 0.0
+        || fy <= 0.0
+        || width == 0
+        || height == 0
+    {
         return Err(bad(format!("fx {fx}, fy {fy}, cx {cx}, cy {cy} at {width}x{height}")));
     }
     let widest = width.max(height) as f32;
     if ![fx, fy].iter().all(|f| (widest * SHORTEST_FOCAL..=widest * LONGEST_FOCAL).contains(f)) {
-        return Err(bad(format!("a focal length of {fx} x {fy} pixels makes no camera of {width}x{height}")));
+        return Err(bad(format!(
+            "a focal length of {fx} x {fy} pixels makes no camera of {width}x{height}"
+        )));
     }
     if !(0.0..=width as f32).contains(&cx) || !(0.0..=height as f32).contains(&cy) {
         return Err(bad(format!("the principal point ({cx}, {cy}) lies outside {width}x{height}")));
     }
-    let Some((found_width, found_height)) = picture_size(root, file)? else { return Ok(intrinsics) };
+    let Some((found_width, found_height)) = picture_size(root, file)? else {
+        return Ok(intrinsics);
+    };
     if (found_width, found_height) == (width, height) {
         return Ok(intrinsics);
     }
     let stretch = (found_width as f32 / width as f32) / (found_height as f32 / height as f32);
     if (stretch - 1.0).abs() > SHAPE_TOLERANCE {
-        return Err(bad(format!("the picture is {found_width}x{found_height}, the intrinsics are for {width}x{height}")));
+        return Err(bad(format!(
+            "the picture is {found_width}x{found_height}, the intrinsics are for {width}x{height}"
+        )));
     }
     Ok(intrinsics.scaled_to(found_width, found_height))
 }
@@ -147,5 +197,6 @@ fn fit(root: &Utf8Path, file: &Utf8Path, intrinsics: Intrinsics) -> Result<Intri
 /// Focal lengths of real cameras, in picture widths: from a 168 degree fisheye to a telescope.
 const SHORTEST_FOCAL: f32 = 0.05;
 const LONGEST_FOCAL: f32 = 50.0;
-/// Relative difference of aspect ratios that still counts as the same camera read out at another size.
+/// Relative difference of aspect ratios that still counts as the same camera read out at another
+/// size.
 const SHAPE_TOLERANCE: f32 = 0.02;

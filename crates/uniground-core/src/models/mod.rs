@@ -1,4 +1,5 @@
-//! What knows words and pictures: the built-in lexicon (`attributes`), neural networks (`neural`), chat models (`chat`).
+//! What knows words and pictures: the built-in lexicon (`attributes`), neural networks (`neural`),
+//! chat models (`chat`).
 
 pub mod attributes;
 pub mod calibration;

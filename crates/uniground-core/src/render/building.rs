@@ -1,8 +1,11 @@
-//! Walls and ceilings as planes: what is left out of a picture so that one can look into a room from outside.
+//! Walls and ceilings as planes: what is left out of a picture so that one can look into a room
+//! from outside.
 //!
-//! Stage 1 says which instances are parts of the building; a plane is fitted to the points in the box of each, so sloped ceilings are as
-//! good as level ones, and a parse of any age will do. A plane faces the room. Where it turns its back on the camera its points are not
-//! drawn, nor are those of what hangs on it; one that stands between the camera and a subject goes too, whichever way it faces.
+//! Stage 1 says which instances are parts of the building; a plane is fitted to the points in the
+//! box of each, so sloped ceilings are as good as level ones, and a parse of any age will do. A
+//! plane faces the room. Where it turns its back on the camera its points are not drawn, nor are
+//! those of what hangs on it; one that stands between the camera and a subject goes too, whichever
+//! way it faces.
 
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::geometry::least_axis::least_axis;
@@ -14,7 +17,8 @@ use nalgebra::Rotation3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Planes of a building told apart; the number of one, from 1, fits a byte. Further ones are drawn as things are.
+/// Planes of a building told apart; the number of one, from 1, fits a byte. Further ones are drawn
+/// as things are.
 const MAX_SHEETS: usize = 120;
 /// Planes fitted to one instance: a ceiling may have two slopes.
 const MAX_PER_INSTANCE: usize = 3;
@@ -32,24 +36,29 @@ const BOX_GROWTH_M: f32 = 0.05;
 /// Largest and smallest `|z|` of the unit normals of walls and ceilings.
 const WALL_MAX_Z: f32 = 0.4;
 const CEILING_MIN_Z: f32 = 0.35;
-/// Points belong to a plane up to this many standard deviations from it, and at least and at most so far, metres.
+/// Points belong to a plane up to this many standard deviations from it, and at least and at most
+/// so far, metres.
 const SLACK_SIGMAS: f32 = 3.0;
 const SLACK_M: [f32; 2] = [0.035, 0.10];
-/// A wall's rectangle leaves out this share of its points on each side, and is grown again to take in its rims, metres.
+/// A wall's rectangle leaves out this share of its points on each side, and is grown again to take
+/// in its rims, metres.
 const STRAY_SHARE: f32 = 0.005;
 const WALL_GROWTH_M: f32 = 0.12;
 /// A ceiling goes on beyond where it was recognised, metres.
 const CEILING_GROWTH_M: f32 = 1.5;
-/// Window frames, reveals and reflections behind a wall, and what is above a ceiling, belong to it, metres.
+/// Window frames, reveals and reflections behind a wall, and what is above a ceiling, belong to it,
+/// metres.
 const BEHIND_WALL_M: f32 = 0.25;
 const BEHIND_CEILING_M: f32 = 0.5;
-/// What is looked at on both sides of a wall to know which one faces the room: metres from the wall, and points of the cloud.
+/// What is looked at on both sides of a wall to know which one faces the room: metres from the
+/// wall, and points of the cloud.
 const ROOM_M: [f32; 2] = [0.15, 4.0];
 const ROOM_SAMPLE: usize = 60_000;
 /// A wall with more than this share of the points on its emptier side is one between two rooms.
 const BOTH_SIDES: f32 = 0.2;
-/// A wall goes on as far as there is a room before it and no more than this share of the points behind it, in steps of so many metres.
-/// It goes on for so many steps at most. What is behind is looked for so deep, metres.
+/// A wall goes on as far as there is a room before it and no more than this share of the points
+/// behind it, in steps of so many metres. It goes on for so many steps at most. What is behind is
+/// looked for so deep, metres.
 const OUTSIDE: f32 = 0.1;
 const STEP_M: f32 = 0.25;
 const LONGEST_STEPS: i32 = 200;
@@ -67,7 +76,8 @@ const FLAT_M: f32 = 0.2;
 pub(super) const RIM_M: f32 = 0.02;
 /// A subject counts as hidden when more than this share of its centre and corners is.
 const HIDDEN_SHARE: f32 = 0.3;
-/// Corners of a subject are drawn in towards its centre by this share: what leans at a wall reaches into it.
+/// Corners of a subject are drawn in towards its centre by this share: what leans at a wall reaches
+/// into it.
 const DRAWN_IN: f32 = 0.2;
 
 /// The planes of a scene and what belongs to each.
@@ -76,7 +86,8 @@ pub(super) struct Building {
     sheets: Vec<Sheet>,
     /// Numbers of each point's planes, from 1: two where they meet; 0 for none.
     of_point: Vec<[u8; 2]>,
-    /// Both boxes of every instance: those of things that lie at a turned wall are thin in one of them only.
+    /// Both boxes of every instance: those of things that lie at a turned wall are thin in one of
+    /// them only.
     boxes: Vec<(Aabb, OrientedBox)>,
 }
 
@@ -133,15 +144,20 @@ impl Building {
             .filter_map(|i| Some((i, i.structure.filter(|s| *s != Structure::Floor)?)))
             .take(MAX_SHEETS)
             .collect();
-        let fitted: Vec<Vec<Sheet>> = parts.par_iter().map(|(instance, structure)| sheets_of(positions, instance, *structure)).collect();
+        let fitted: Vec<Vec<Sheet>> = parts
+            .par_iter()
+            .map(|(instance, structure)| sheets_of(positions, instance, *structure))
+            .collect();
         let mut sheets: Vec<Sheet> = fitted.into_iter().flatten().take(MAX_SHEETS).collect();
         if sheets.is_empty() {
             return None;
         }
-        let sample: Vec<&Point3<f32>> = positions.iter().step_by(positions.len().div_ceil(ROOM_SAMPLE)).collect();
+        let sample: Vec<&Point3<f32>> =
+            positions.iter().step_by(positions.len().div_ceil(ROOM_SAMPLE)).collect();
         turn_to_rooms(&mut sheets, &sample);
         extend(&mut sheets, &sample);
-        let hung: Vec<(usize, OrientedBox)> = instances.iter().filter_map(|i| hung(&sheets, i)).collect();
+        let hung: Vec<(usize, OrientedBox)> =
+            instances.iter().filter_map(|i| hung(&sheets, i)).collect();
         let of_point = positions
             .par_iter()
             .map(|p| {
@@ -150,7 +166,9 @@ impl Building {
                 for (i, sheet) in sheets.iter().enumerate() {
                     let Some(distance_m) = sheet.owns(p) else { continue };
                     let is_wall = |i: usize| sheets[i].structure == Structure::Wall;
-                    let before = |(other, other_m): (usize, f32)| (is_wall(i), distance_m) < (is_wall(other), other_m);
+                    let before = |(other, other_m): (usize, f32)| {
+                        (is_wall(i), distance_m) < (is_wall(other), other_m)
+                    };
                     if nearest[0].is_none_or(before) {
                         nearest = [Some((i, distance_m)), nearest[0]];
                     } else if nearest[1].is_none_or(before) {
@@ -158,7 +176,8 @@ impl Building {
                     }
                 }
                 if nearest[0].is_none() {
-                    nearest[0] = hung.iter().find(|(_, of)| holds(of, RIM_M, p)).map(|(i, _)| (*i, 0.0));
+                    nearest[0] =
+                        hung.iter().find(|(_, of)| holds(of, RIM_M, p)).map(|(i, _)| (*i, 0.0));
                 }
                 nearest.map(|own| own.map_or(0, |(i, _)| i as u8 + 1))
             })
@@ -172,24 +191,36 @@ impl Building {
         self.sheets.iter().any(|sheet| sheet.structure == Structure::Ceiling)
     }
 
-    /// What a camera at `eye` looks through so that it sees the room and the subjects in it. Parts of the building are no subjects:
-    /// drawn, they would hide the room.
+    /// What a camera at `eye` looks through so that it sees the room and the subjects in it. Parts
+    /// of the building are no subjects: drawn, they would hide the room.
     pub fn opening(&self, eye: &Point3<f32>, subjects: &[Aabb]) -> Opening {
         let things = subjects.iter().filter(|s| !self.sheets.iter().any(|sheet| sheet.aabb == **s));
         let shown: Vec<Shown> = things
             .map(|aabb| {
-                let known = self.boxes.iter().find(|(own, _)| own == aabb).map(|(_, turned)| *turned);
-                let within = known.unwrap_or(OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 });
-                Shown { flat: self.sheets.iter().map(|sheet| sheet.is_flat(&within, FLAT_M)).collect(), within }
+                let known =
+                    self.boxes.iter().find(|(own, _)| own == aabb).map(|(_, turned)| *turned);
+                let within = known.unwrap_or(OrientedBox {
+                    center: aabb.center,
+                    size: aabb.size,
+                    yaw_rad: 0.0,
+                });
+                Shown {
+                    flat: self.sheets.iter().map(|sheet| sheet.is_flat(&within, FLAT_M)).collect(),
+                    within,
+                }
             })
             .collect();
-        let open = |sheet: &Sheet| sheet.turns_away(eye) || shown.iter().any(|s| sheet.hides(&s.within, eye));
+        let open = |sheet: &Sheet| {
+            sheet.turns_away(eye) || shown.iter().any(|s| sheet.hides(&s.within, eye))
+        };
         Opening { open: self.sheets.iter().map(open).collect(), shown }
     }
 
-    /// Whether a point is drawn: where a wall that is looked through meets another its rim goes too. Of what is in a subject's box the subject is, not the wall it stands at.
+    /// Whether a point is drawn: where a wall that is looked through meets another its rim goes
+    /// too. Of what is in a subject's box the subject is, not the wall it stands at.
     pub fn draws(&self, point: usize, p: &Point3<f32>, opening: &Opening) -> bool {
-        let own = self.of_point[point].into_iter().filter_map(|number| (number as usize).checked_sub(1));
+        let own =
+            self.of_point[point].into_iter().filter_map(|number| (number as usize).checked_sub(1));
         own.filter(|&i| opening.open[i]).all(|i| {
             let before = self.sheets[i].distance(p) > self.sheets[i].slack_m;
             opening.shown.iter().any(|s| (s.flat[i] || before) && holds(&s.within, RIM_M, p))
@@ -206,7 +237,12 @@ impl Building {
         let mut drawn: Vec<&Sheet> = Vec::new();
         // Stretches of one wall that were recognised apart have one line.
         for (sheet, _) in walls {
-            let on = |other: &&Sheet| sheet.footing().iter().all(|p| other.distance(p).abs() < BEHIND_WALL_M && other.covers(p, STEP_M));
+            let on = |other: &&Sheet| {
+                sheet
+                    .footing()
+                    .iter()
+                    .all(|p| other.distance(p).abs() < BEHIND_WALL_M && other.covers(p, STEP_M))
+            };
             if !drawn.iter().any(on) {
                 drawn.push(sheet);
             }
@@ -244,7 +280,11 @@ impl Sheet {
             up,
             rect: [range(&along), range(&up)],
             slack_m: (SLACK_SIGMAS * variance.sqrt()).clamp(SLACK_M[0], SLACK_M[1]),
-            behind_m: if structure == Structure::Ceiling { BEHIND_CEILING_M } else { BEHIND_WALL_M },
+            behind_m: if structure == Structure::Ceiling {
+                BEHIND_CEILING_M
+            } else {
+                BEHIND_WALL_M
+            },
             faces: Faces::Room,
         }
     }
@@ -278,8 +318,12 @@ impl Sheet {
     /// Distance to the plane of a point that belongs to it, metres.
     fn owns(&self, p: &Point3<f32>) -> Option<f32> {
         let distance = self.distance(p);
-        let growth_m = if self.structure == Structure::Ceiling { CEILING_GROWTH_M } else { WALL_GROWTH_M };
-        (distance <= self.slack_m && distance >= -self.behind_m.max(self.slack_m) && self.covers(p, growth_m)).then_some(distance.abs())
+        let growth_m =
+            if self.structure == Structure::Ceiling { CEILING_GROWTH_M } else { WALL_GROWTH_M };
+        (distance <= self.slack_m
+            && distance >= -self.behind_m.max(self.slack_m)
+            && self.covers(p, growth_m))
+        .then_some(distance.abs())
     }
 
     /// Whether a box lies at the plane as pictures do.
@@ -326,9 +370,11 @@ fn sheets_of(positions: &[Point3<f32>], instance: &Instance, structure: Structur
     sheets
 }
 
-/// Unit normal and offset of the plane through three of the points that most of them lie on, of those that may be a wall or a ceiling.
+/// Unit normal and offset of the plane through three of the points that most of them lie on, of
+/// those that may be a wall or a ceiling.
 fn best_plane(points: &[Point3<f32>], structure: Structure) -> Option<(Vector3<f32>, f32)> {
-    let sample: Vec<Point3<f32>> = points.iter().step_by(points.len().div_ceil(SAMPLE)).copied().collect();
+    let sample: Vec<Point3<f32>> =
+        points.iter().step_by(points.len().div_ceil(SAMPLE)).copied().collect();
     // The same points are tried every time: an answer does not depend on chance.
     let mut state = 1_u32;
     let mut pick = || {
@@ -345,7 +391,8 @@ fn best_plane(points: &[Point3<f32>], structure: Structure) -> Option<(Vector3<f
         };
         if fits {
             let offset = normal.dot(&a.coords);
-            let on = sample.iter().filter(|p| (normal.dot(&p.coords) - offset).abs() <= TRIED_M).count();
+            let on =
+                sample.iter().filter(|p| (normal.dot(&p.coords) - offset).abs() <= TRIED_M).count();
             if best.is_none_or(|(most, ..)| on > most) {
                 best = Some((on, normal, offset));
             }
@@ -354,11 +401,14 @@ fn best_plane(points: &[Point3<f32>], structure: Structure) -> Option<(Vector3<f
     best.map(|(_, normal, offset)| (normal, offset))
 }
 
-/// Ceilings face down. Walls face the side with the room on it; of a wall between two rooms that was scanned from both, each side faces
-/// away from the other.
+/// Ceilings face down. Walls face the side with the room on it; of a wall between two rooms that
+/// was scanned from both, each side faces away from the other.
 fn turn_to_rooms(sheets: &mut [Sheet], sample: &[&Point3<f32>]) {
     let flipped = |sheet: &mut Sheet| sheet.normal = -sheet.normal;
-    for sheet in sheets.iter_mut().filter(|sheet| sheet.structure == Structure::Ceiling && sheet.normal.z > 0.0) {
+    for sheet in sheets
+        .iter_mut()
+        .filter(|sheet| sheet.structure == Structure::Ceiling && sheet.normal.z > 0.0)
+    {
         flipped(sheet);
     }
     let shares: Vec<f32> = sheets
@@ -373,11 +423,16 @@ fn turn_to_rooms(sheets: &mut [Sheet], sample: &[&Point3<f32>]) {
         })
         .collect();
     let all = sheets.to_vec();
-    for (sheet, in_front) in sheets.iter_mut().zip(shares).filter(|(sheet, _)| sheet.structure == Structure::Wall) {
+    for (sheet, in_front) in
+        sheets.iter_mut().zip(shares).filter(|(sheet, _)| sheet.structure == Structure::Wall)
+    {
         if in_front < BOTH_SIDES {
             flipped(sheet);
         } else if in_front <= 1.0 - BOTH_SIDES {
-            let other = all.iter().filter_map(|other| sheet.other_side(other)).min_by(|a, b| a.abs().total_cmp(&b.abs()));
+            let other = all
+                .iter()
+                .filter_map(|other| sheet.other_side(other))
+                .min_by(|a, b| a.abs().total_cmp(&b.abs()));
             if let Some(distance) = other {
                 if distance > 0.0 {
                     flipped(sheet);
@@ -390,15 +445,21 @@ fn turn_to_rooms(sheets: &mut [Sheet], sample: &[&Point3<f32>]) {
     }
 }
 
-/// Walls go from floor to ceiling, and on along the room where stage 1 recognised a stretch of them only.
+/// Walls go from floor to ceiling, and on along the room where stage 1 recognised a stretch of them
+/// only.
 fn extend(sheets: &mut [Sheet], sample: &[&Point3<f32>]) {
     let mut heights: Vec<f32> = sample.iter().map(|p| p.z).collect();
-    let [low_z, high_z] = [STRAY_SHARE, 1.0 - STRAY_SHARE].map(|q| quantile(&mut heights, q).unwrap_or(0.0));
-    let outer = |sheet: &&mut Sheet| sheet.structure == Structure::Wall && sheet.faces == Faces::Room;
+    let [low_z, high_z] =
+        [STRAY_SHARE, 1.0 - STRAY_SHARE].map(|q| quantile(&mut heights, q).unwrap_or(0.0));
+    let outer =
+        |sheet: &&mut Sheet| sheet.structure == Structure::Wall && sheet.faces == Faces::Room;
     sheets.par_iter_mut().filter(outer).for_each(|sheet| {
         let rises = sheet.up.z.max(1e-3);
         let [low, high] = &mut sheet.rect[1];
-        (*low, *high) = (low.min((low_z - sheet.middle.z) / rises), high.max((high_z - sheet.middle.z) / rises));
+        (*low, *high) = (
+            low.min((low_z - sheet.middle.z) / rises),
+            high.max((high_z - sheet.middle.z) / rises),
+        );
         // Points before and behind, by steps along the wall.
         let mut steps: BTreeMap<i32, [f32; 2]> = BTreeMap::new();
         let mut room: Vec<f32> = Vec::new();
@@ -414,8 +475,11 @@ fn extend(sheets: &mut [Sheet], sample: &[&Point3<f32>]) {
                 room.extend((side == 0).then_some(at));
             }
         }
-        let [room_from, room_to] = [STRAY_SHARE, 1.0 - STRAY_SHARE].map(|q| quantile(&mut room, q).unwrap_or(0.0));
-        let goes_on = |step: &i32| steps.get(step).is_some_and(|[before, behind]| *behind <= OUTSIDE * before);
+        let [room_from, room_to] =
+            [STRAY_SHARE, 1.0 - STRAY_SHARE].map(|q| quantile(&mut room, q).unwrap_or(0.0));
+        let goes_on = |step: &i32| {
+            steps.get(step).is_some_and(|[before, behind]| *behind <= OUTSIDE * before)
+        };
         let [from, to] = sheet.rect[0].map(|at| (at / STEP_M).floor() as i32);
         let first = (0..=LONGEST_STEPS).map(|k| from - k).take_while(goes_on).last();
         let last = (0..=LONGEST_STEPS).map(|k| to + k).take_while(goes_on).last();
@@ -429,22 +493,29 @@ impl Sheet {
     /// Where the other side of the same wall is, metres along the normal.
     fn other_side(&self, other: &Self) -> Option<f32> {
         let distance = self.distance(&other.middle);
-        let parallel = other.structure == Structure::Wall && self.normal.dot(&other.normal).abs() > PARALLEL;
+        let parallel =
+            other.structure == Structure::Wall && self.normal.dot(&other.normal).abs() > PARALLEL;
         let apart = (self.slack_m..THICKEST_WALL_M).contains(&distance.abs());
         (parallel && apart && self.covers(&other.middle, 0.0)).then_some(distance)
     }
 }
 
-/// The plane of the wall that a thing goes with, and its box: the wall it hangs on, and for windows, doors and curtains, which reach high
-/// and lie flat, the one they are in.
+/// The plane of the wall that a thing goes with, and its box: the wall it hangs on, and for
+/// windows, doors and curtains, which reach high and lie flat, the one they are in.
 fn hung(sheets: &[Sheet], instance: &Instance) -> Option<(usize, OrientedBox)> {
     let of = instance.oriented_box;
     let hangs = |sheet: &Sheet| match instance.support {
         Support::Wall { id } => sheet.instance == id && sheet.is_flat(&of, HANGS_M),
-        _ => sheet.is_flat(&of, FLAT_M) && sheet.covers(&of.center, 0.0) && of.center.z + of.size.z / 2.0 > sheet.foot_z() + HIGH_M,
+        _ => {
+            sheet.is_flat(&of, FLAT_M)
+                && sheet.covers(&of.center, 0.0)
+                && of.center.z + of.size.z / 2.0 > sheet.foot_z() + HIGH_M
+        }
     };
     let is_wall = |sheet: &Sheet| sheet.structure == Structure::Wall && sheet.faces == Faces::Room;
-    let wall = sheets.iter().position(|sheet| instance.structure.is_none() && is_wall(sheet) && hangs(sheet))?;
+    let wall = sheets
+        .iter()
+        .position(|sheet| instance.structure.is_none() && is_wall(sheet) && hangs(sheet))?;
     Some((wall, of))
 }
 

@@ -1,4 +1,5 @@
-//! Cameras that look at a scene from outside (paper: camera orbit of the spatial relationship prompt, visibility-aware calibration).
+//! Cameras that look at a scene from outside (paper: camera orbit of the spatial relationship
+//! prompt, visibility-aware calibration).
 
 use crate::geometry::boxes::Aabb;
 use crate::geometry::{Isometry3, Matrix3, Point3, Vector3};
@@ -27,7 +28,8 @@ impl Orbit {
     /// The camera that shows the whole extent. OpenCV axes, world frame Z up.
     #[must_use]
     pub fn camera(&self, extent: &Aabb) -> Camera {
-        let eye = extent.center + direction(self.azimuth_deg, self.tilt_deg) * (extent.size.norm().max(0.1) * 1.5);
+        let eye = extent.center
+            + direction(self.azimuth_deg, self.tilt_deg) * (extent.size.norm().max(0.1) * 1.5);
         let pose = look_at(&eye, &extent.center, self.azimuth_deg.to_radians());
         let camera = Camera::new(uncalibrated(self.width, self.height), &pose);
         Camera::new(calibrated(&camera, &extent.corners(), MARGIN, f32::INFINITY), &pose)
@@ -45,13 +47,24 @@ pub(super) struct Distance {
     pub min_height_m: f32,
 }
 
-/// `e = c + D d` with `d = R_azim R_tilt (0, 0, 1)` and `D = alpha max(extent)` (paper). Radius and height are `D sin` and `D cos` of the
-/// tilt, each at least its bound.
-pub(super) fn eye(target: &Point3<f32>, extent: &Aabb, azimuth_deg: f32, tilt_deg: f32, distance: Distance) -> Point3<f32> {
+/// `e = c + D d` with `d = R_azim R_tilt (0, 0, 1)` and `D = alpha max(extent)` (paper). Radius and
+/// height are `D sin` and `D cos` of the tilt, each at least its bound.
+pub(super) fn eye(
+    target: &Point3<f32>,
+    extent: &Aabb,
+    azimuth_deg: f32,
+    tilt_deg: f32,
+    distance: Distance,
+) -> Point3<f32> {
     let offset = direction(azimuth_deg, tilt_deg) * (distance.alpha * extent.size.max());
     let radius = offset.xy().norm().max(distance.min_radius_m);
     let azimuth = azimuth_deg.to_radians();
-    target + Vector3::new(azimuth.cos() * radius, azimuth.sin() * radius, offset.z.max(distance.min_height_m))
+    target
+        + Vector3::new(
+            azimuth.cos() * radius,
+            azimuth.sin() * radius,
+            offset.z.max(distance.min_height_m),
+        )
 }
 
 /// `R_azim R_tilt (0, 0, 1)`: from straight above, tilted towards +X, turned about +Z.
@@ -62,11 +75,19 @@ fn direction(azimuth_deg: f32, tilt_deg: f32) -> Vector3<f32> {
 
 pub(super) fn uncalibrated(width: u32, height: u32) -> Intrinsics {
     let focal = height as f32 / 2.0 / (FIELD_OF_VIEW_DEG.to_radians() / 2.0).tan();
-    Intrinsics { width, height, fx: focal, fy: focal, cx: (width as f32 - 1.0) / 2.0, cy: (height as f32 - 1.0) / 2.0 }
+    Intrinsics {
+        width,
+        height,
+        fx: focal,
+        fy: focal,
+        cx: (width as f32 - 1.0) / 2.0,
+        cy: (height as f32 - 1.0) / 2.0,
+    }
 }
 
-/// Camera-to-world pose at `eye` looking at `target`, OpenCV axes: `z = (c - e) / |c - e|`, `x = z x up` normalised, `y = z x x`. The
-/// paper's rows are those of a library with x to the left and y up: `x = up x z` there is `-x` here, the same picture.
+/// Camera-to-world pose at `eye` looking at `target`, OpenCV axes: `z = (c - e) / |c - e|`, `x = z
+/// x up` normalised, `y = z x x`. The paper's rows are those of a library with x to the left and y
+/// up: `x = up x z` there is `-x` here, the same picture.
 ///
 /// Straight down, image-up is the direction away from the azimuth, so nothing is undefined.
 pub(super) fn look_at(eye: &Point3<f32>, target: &Point3<f32>, azimuth_rad: f32) -> Isometry3<f32> {
@@ -75,12 +96,21 @@ pub(super) fn look_at(eye: &Point3<f32>, target: &Point3<f32>, azimuth_rad: f32)
     let right = forward.cross(&Vector3::z()).try_normalize(1e-4).unwrap_or(-fallback);
     let down = forward.cross(&right);
     let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[right, down, forward]));
-    Isometry3::from_parts(Translation3::from(eye.coords), UnitQuaternion::from_rotation_matrix(&rotation))
+    Isometry3::from_parts(
+        Translation3::from(eye.coords),
+        UnitQuaternion::from_rotation_matrix(&rotation),
+    )
 }
 
-/// Zooms and shifts the intrinsics so that all points fill the picture up to `margin` on every side (paper: `s = 2 / max(p_max - p_min)`,
-/// `f' = s f`, `c' = s c - s m`, Eq. 10 and 11); no zoom is larger than `max_zoom`. The pose stays.
-pub(super) fn calibrated(camera: &Camera, points: &[Point3<f32>], margin: f32, max_zoom: f32) -> Intrinsics {
+/// Zooms and shifts the intrinsics so that all points fill the picture up to `margin` on every side
+/// (paper: `s = 2 / max(p_max - p_min)`, `f' = s f`, `c' = s c - s m`, Eq. 10 and 11); no zoom is
+/// larger than `max_zoom`. The pose stays.
+pub(super) fn calibrated(
+    camera: &Camera,
+    points: &[Point3<f32>],
+    margin: f32,
+    max_zoom: f32,
+) -> Intrinsics {
     /// Nearer to the camera than this nothing is shown, metres.
     const NEAR_M: f32 = 0.05;
     let wide = camera.intrinsics;
@@ -100,7 +130,9 @@ pub(super) fn calibrated(camera: &Camera, points: &[Point3<f32>], margin: f32, m
     let focal = (wide.width as f32 * room / spread(0))
         .min(wide.height as f32 * room / spread(1))
         .min(wide.fx * max_zoom);
-    let shift = |size: u32, axis: usize| (size as f32 - 1.0) / 2.0 - focal * f32::midpoint(low[axis], high[axis]);
+    let shift = |size: u32, axis: usize| {
+        (size as f32 - 1.0) / 2.0 - focal * f32::midpoint(low[axis], high[axis])
+    };
     Intrinsics { fx: focal, fy: focal, cx: shift(wide.width, 0), cy: shift(wide.height, 1), ..wide }
 }
 
@@ -108,7 +140,8 @@ pub(super) fn calibrated(camera: &Camera, points: &[Point3<f32>], margin: f32, m
 mod tests {
     use super::*;
 
-    const ROOM: Aabb = Aabb { center: Point3::new(1.0, -2.0, 1.2), size: Vector3::new(6.0, 4.0, 2.4) };
+    const ROOM: Aabb =
+        Aabb { center: Point3::new(1.0, -2.0, 1.2), size: Vector3::new(6.0, 4.0, 2.4) };
 
     #[test]
     fn every_corner_is_in_the_picture_from_everywhere() {
@@ -116,7 +149,10 @@ mod tests {
             for tilt_deg in [0.0, 15.0, 60.0] {
                 let camera = Orbit { width: 680, height: 480, azimuth_deg, tilt_deg }.camera(&ROOM);
                 for corner in ROOM.corners() {
-                    assert!(camera.project(&corner).is_some(), "azimuth {azimuth_deg} tilt {tilt_deg} loses {corner}");
+                    assert!(
+                        camera.project(&corner).is_some(),
+                        "azimuth {azimuth_deg} tilt {tilt_deg} loses {corner}"
+                    );
                 }
             }
         }
@@ -124,17 +160,23 @@ mod tests {
 
     #[test]
     fn from_the_south_east_is_right_and_up_is_up() {
-        let camera = Orbit { width: 400, height: 400, azimuth_deg: -90.0, tilt_deg: 45.0 }.camera(&ROOM);
+        let camera =
+            Orbit { width: 400, height: 400, azimuth_deg: -90.0, tilt_deg: 45.0 }.camera(&ROOM);
         let at = |p: Point3<f32>| camera.project(&p).unwrap();
         let center = at(ROOM.center);
         assert!(at(ROOM.center + Vector3::x()).u > center.u);
         assert!(at(ROOM.center + Vector3::z() * 0.5).v < center.v);
-        assert!(at(ROOM.center + Vector3::y()).v < center.v, "further away is higher in the picture");
+        assert!(
+            at(ROOM.center + Vector3::y()).v < center.v,
+            "further away is higher in the picture"
+        );
     }
 
     #[test]
     fn straight_down_keeps_the_same_sides() {
-        let from = |tilt_deg| Orbit { width: 400, height: 400, azimuth_deg: -90.0, tilt_deg }.camera(&ROOM);
+        let from = |tilt_deg| {
+            Orbit { width: 400, height: 400, azimuth_deg: -90.0, tilt_deg }.camera(&ROOM)
+        };
         let (down, tilted) = (from(0.0), from(20.0));
         for camera in [down, tilted] {
             let at = |p: Point3<f32>| camera.project(&p).unwrap();
@@ -143,7 +185,8 @@ mod tests {
         }
     }
 
-    /// Reckoned by hand: a scene 6 m long at alpha 1.5 is seen from 9 m; at 15 degrees that is 2.3294 m out and 8.6933 m up.
+    /// Reckoned by hand: a scene 6 m long at alpha 1.5 is seen from 9 m; at 15 degrees that is
+    /// 2.3294 m out and 8.6933 m up.
     #[test]
     fn the_eye_is_where_the_paper_puts_it_and_never_too_near() {
         let far = Distance { alpha: 1.5, min_radius_m: 0.5, min_height_m: 1.0 };
@@ -155,20 +198,30 @@ mod tests {
         assert!((at(240.0, near) - Vector3::new(-0.25, -0.4330, 1.0)).norm() < 1e-3);
     }
 
-    /// By hand: 4 m straight above, a square of 2 m spans tangents of +-.25. A picture of 100 px with a margin of 10 % shows it on 80 px:
-    /// f = 160. Its middle, .5 m off the axis, moves to the picture's middle.
+    /// By hand: 4 m straight above, a square of 2 m spans tangents of +-.25. A picture of 100 px
+    /// with a margin of 10 % shows it on 80 px: f = 160. Its middle, .5 m off the axis, moves
+    /// to the picture's middle.
     #[test]
     fn calibration_fills_the_picture_and_leaves_the_pose() {
-        let pose = look_at(&Point3::new(0.0, 0.0, 4.0), &Point3::origin(), -std::f32::consts::FRAC_PI_2);
+        let pose =
+            look_at(&Point3::new(0.0, 0.0, 4.0), &Point3::origin(), -std::f32::consts::FRAC_PI_2);
         let camera = Camera::new(uncalibrated(100, 100), &pose);
-        let square = |x: f32| [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(dx, dy)| Point3::new(x + dx, dy, 0.0));
+        let square = |x: f32| {
+            [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
+                .map(|(dx, dy)| Point3::new(x + dx, dy, 0.0))
+        };
         let fitted = calibrated(&camera, &square(0.5), 0.1, 10.0);
         assert!((fitted.fx - 160.0).abs() < 1e-2, "{fitted:?}");
         let shown = Camera::new(fitted, &pose);
         let at = |x: f32, y: f32| shown.project(&Point3::new(x, y, 0.0)).unwrap();
-        assert!((at(0.5, 0.0).u - 49.5).abs() < 1e-2 && (at(-0.5, 0.0).u - 9.5).abs() < 1e-2 && (at(0.5, 1.0).v - 9.5).abs() < 1e-2);
+        assert!(
+            (at(0.5, 0.0).u - 49.5).abs() < 1e-2
+                && (at(-0.5, 0.0).u - 9.5).abs() < 1e-2
+                && (at(0.5, 1.0).v - 9.5).abs() < 1e-2
+        );
         // Never closer than the cap: the uncalibrated focal length is 120.7.
-        let capped = calibrated(&camera, &square(0.5).map(|p| Point3::from(p.coords * 0.01)), 0.1, 2.0);
+        let capped =
+            calibrated(&camera, &square(0.5).map(|p| Point3::from(p.coords * 0.01)), 0.1, 2.0);
         assert!((capped.fx - 241.42).abs() < 0.1, "{capped:?}");
         // Nothing to show leaves the camera as it is.
         assert_eq!(calibrated(&camera, &[Point3::new(0.0, 0.0, 9.0)], 0.1, 2.0), camera.intrinsics);
@@ -177,7 +230,9 @@ mod tests {
     /// The world-to-camera rows of the paper, by its own formulas, in its axes (x left, y up).
     #[test]
     fn look_at_is_the_paper_s_matrix_in_other_axes() {
-        for (eye, target) in [([3.0, 1.0, 4.0], [0.5, -0.5, 0.7]), ([0.0, -2.0, 1.0], [0.0, 2.0, 1.5])] {
+        for (eye, target) in
+            [([3.0, 1.0, 4.0], [0.5, -0.5, 0.7]), ([0.0, -2.0, 1.0], [0.0, 2.0, 1.5])]
+        {
             let (e, c) = (Point3::from(eye), Point3::from(target));
             let z = (c - e).normalize();
             let x = Vector3::z().cross(&z).normalize();
@@ -191,6 +246,11 @@ mod tests {
         }
         let above = look_at(&Point3::new(1.0, 1.0, 5.0), &Point3::new(1.0, 1.0, 0.0), 0.0);
         assert!(above.to_matrix().iter().all(|v| v.is_finite()));
-        assert!(look_at(&Point3::origin(), &Point3::origin(), 0.0).to_matrix().iter().all(|v| v.is_finite()));
+        assert!(
+            look_at(&Point3::origin(), &Point3::origin(), 0.0)
+                .to_matrix()
+                .iter()
+                .all(|v| v.is_finite())
+        );
     }
 }

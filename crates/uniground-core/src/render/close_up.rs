@@ -25,14 +25,25 @@ pub fn close_ups(render_scene: &RenderScene, aabb: &Aabb) -> Vec<Shot> {
         .par_iter()
         .map(|&azimuth_deg| {
             let distance = Distance { alpha: 1.5, min_radius_m: 0.5, min_height_m: 0.5 };
-            let pose = look_at(&eye(&aabb.center, &surroundings, azimuth_deg, TILT_DEG, distance), &aabb.center, azimuth_deg.to_radians());
+            let pose = look_at(
+                &eye(&aabb.center, &surroundings, azimuth_deg, TILT_DEG, distance),
+                &aabb.center,
+                azimuth_deg.to_radians(),
+            );
             let wide = Camera::new(uncalibrated(SIDE_PX, SIDE_PX), &pose);
-            let showing = |subject: &Aabb| Camera::new(calibrated(&wide, &subject.corners(), MARGIN, f32::INFINITY), &pose);
+            let showing = |subject: &Aabb| {
+                Camera::new(calibrated(&wide, &subject.corners(), MARGIN, f32::INFINITY), &pose)
+            };
             let (near, far) = (showing(aabb), showing(&surroundings));
-            let seen: Vec<_> = aabb.corners().iter().filter_map(|corner| far.project(corner)).collect();
+            let seen: Vec<_> =
+                aabb.corners().iter().filter_map(|corner| far.project(corner)).collect();
             let share = |at: f32| (at / SIDE_PX as f32).clamp(0.0, 1.0);
-            let low = |axis: fn(&crate::scene::Pixel) -> f32| share(seen.iter().map(axis).fold(f32::INFINITY, f32::min));
-            let high = |axis: fn(&crate::scene::Pixel) -> f32| share(seen.iter().map(axis).fold(0.0, f32::max));
+            let low = |axis: fn(&crate::scene::Pixel) -> f32| {
+                share(seen.iter().map(axis).fold(f32::INFINITY, f32::min))
+            };
+            let high = |axis: fn(&crate::scene::Pixel) -> f32| {
+                share(seen.iter().map(axis).fold(0.0, f32::max))
+            };
             Shot {
                 crop: drawn(render_scene, &near, aabb),
                 frame: drawn(render_scene, &far, aabb),
@@ -65,7 +76,11 @@ mod tests {
             }
         }
         for i in 0..400 {
-            cloud.positions.push(Point3::new(1.5 + (i % 20) as f32 * 0.01, 1.5 + (i / 20) as f32 * 0.01, 2.4));
+            cloud.positions.push(Point3::new(
+                1.5 + (i % 20) as f32 * 0.01,
+                1.5 + (i / 20) as f32 * 0.01,
+                2.4,
+            ));
             cloud.colours.push([250, 0, 0]);
         }
         let lamp = Aabb { center: Point3::new(1.6, 1.6, 2.35), size: Vector3::new(0.2, 0.2, 0.1) };
@@ -78,9 +93,17 @@ mod tests {
         let mut cloud = PointCloud::default();
         for i in 0..60 {
             for j in 0..60 {
-                cloud.positions.push(Point3::new(i as f32 * 0.05 - 1.5, j as f32 * 0.05 - 1.5, 0.0));
+                cloud.positions.push(Point3::new(
+                    i as f32 * 0.05 - 1.5,
+                    j as f32 * 0.05 - 1.5,
+                    0.0,
+                ));
                 cloud.colours.push([120; 3]);
-                cloud.positions.push(Point3::new(i as f32 * 0.01 - 0.3, j as f32 * 0.01 - 0.3, 0.4));
+                cloud.positions.push(Point3::new(
+                    i as f32 * 0.01 - 0.3,
+                    j as f32 * 0.01 - 0.3,
+                    0.4,
+                ));
                 cloud.colours.push([250, 0, 0]);
             }
         }
@@ -89,12 +112,18 @@ mod tests {
         assert_eq!(shots.len(), 3);
         for Shot { crop, frame, place, .. } in shots {
             let red = |picture: &RgbImage| picture.pixels().filter(|p| p.0 == [250, 0, 0]).count();
-            assert!(red(&crop) > 2 * red(&frame) && red(&frame) > 500, "{} {}", red(&crop), red(&frame));
+            assert!(
+                red(&crop) > 2 * red(&frame) && red(&frame) > 500,
+                "{} {}",
+                red(&crop),
+                red(&frame)
+            );
             let [l, t, r, b] = place.map(|share| (share * SIDE_PX as f32) as u32);
-            let inside = frame
-                .enumerate_pixels()
-                .filter(|(_, _, p)| p.0 == [250, 0, 0])
-                .all(|(x, y, _)| (l.saturating_sub(3)..=r + 3).contains(&x) && (t.saturating_sub(3)..=b + 3).contains(&y));
+            let inside =
+                frame.enumerate_pixels().filter(|(_, _, p)| p.0 == [250, 0, 0]).all(|(x, y, _)| {
+                    (l.saturating_sub(3)..=r + 3).contains(&x)
+                        && (t.saturating_sub(3)..=b + 3).contains(&y)
+                });
             assert!(inside && r < SIDE_PX && place.iter().all(|v| *v > 0.0));
         }
     }

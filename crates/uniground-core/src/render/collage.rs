@@ -1,5 +1,6 @@
-//! What one candidate looks like: up to three close crops with the whole photographs beneath, and a tag with its id (paper: candidate
-//! visual evidence). Outlines are drawn after shrinking: lines of a large photograph would be thinner than a pixel.
+//! What one candidate looks like: up to three close crops with the whole photographs beneath, and a
+//! tag with its id (paper: candidate visual evidence). Outlines are drawn after shrinking: lines of
+//! a large photograph would be thinner than a pixel.
 
 use super::outline::{Around, draw_outline, outline_reach};
 use super::shot::Shot;
@@ -47,7 +48,8 @@ pub struct Tile {
 type Area = (u32, u32, u32, u32);
 
 impl Tile {
-    /// Column and row of the frame's colour picture at a position of the whole picture; `None` beside the tile.
+    /// Column and row of the frame's colour picture at a position of the whole picture; `None`
+    /// beside the tile.
     #[must_use]
     pub fn place(&self, (x, y): (f32, f32)) -> Option<(f32, f32)> {
         let (left, top, width, height) = self.area;
@@ -78,7 +80,11 @@ impl Collage {
         let crop_height = ((height - tag_height) as f32 * CROP_SHARE) as u32;
         let top = tag_height + crop_height;
         let areas = |(shot, x): (&Shot, u32)| {
-            let crop = fitted(shot.crop.dimensions(), (x, tag_height), (cell - GAP_PX, crop_height - GAP_PX));
+            let crop = fitted(
+                shot.crop.dimensions(),
+                (x, tag_height),
+                (cell - GAP_PX, crop_height - GAP_PX),
+            );
             [crop, fitted(shot.frame.dimensions(), (x, top), (cell - GAP_PX, height - top))]
         };
         let areas = shots.iter().zip((0..).map(|i| i * cell)).map(areas).collect();
@@ -95,7 +101,12 @@ impl Collage {
         let shots = self.shown(shots);
         let tiles = |(shot, [crop, whole]): (&Shot, [Area; 2])| {
             let (width, height) = shot.frame.dimensions();
-            let both = |(frame, shows)| [Tile { area: crop, frame, shows }, Tile { area: whole, frame, shows: [0, 0, width, height] }];
+            let both = |(frame, shows)| {
+                [
+                    Tile { area: crop, frame, shows },
+                    Tile { area: whole, frame, shows: [0, 0, width, height] },
+                ]
+            };
             shot.taken.map(both)
         };
         shots.iter().zip(self.layout(shots).areas).filter_map(tiles).flatten().collect()
@@ -107,7 +118,11 @@ impl Collage {
         let shots = self.shown(shots);
         let Layout { size, tag_height, areas } = self.layout(shots);
         let mut sheet = RgbImage::from_pixel(size.0, size.1, SHEET);
-        let tag = if shots.is_empty() { format!("ID {id}: no photograph shows it") } else { format!("ID {id}") };
+        let tag = if shots.is_empty() {
+            format!("ID {id}: no photograph shows it")
+        } else {
+            format!("ID {id}")
+        };
         self::tag(&mut sheet, (0, 0), tag_height, &tag);
         for (shot, [crop, area]) in shots.iter().zip(areas) {
             put_crop(&mut sheet, shot, crop);
@@ -121,7 +136,9 @@ impl Collage {
                 draw_outline(&mut sheet, area, mask, shot.place, Around::Kept);
                 room = outline_reach(width, height) as f32;
             }
-            let corner = |x: f32, y: f32, room: f32| (left as f32 + at(x, width) + room, upper as f32 + at(y, height) + room);
+            let corner = |x: f32, y: f32, room: f32| {
+                (left as f32 + at(x, width) + room, upper as f32 + at(y, height) + room)
+            };
             red_box(&mut sheet, area, corner(l, t, -room), corner(r, b, room));
         }
         sheet
@@ -158,7 +175,11 @@ fn corners(columns: u32, tile_px: u32) -> impl Iterator<Item = (u32, u32)> {
 
 fn mosaic_area(shot: &Shot, (x, y): (u32, u32), tile_px: u32) -> Area {
     let tag_height = (tile_px / 7).max(14);
-    fitted(shot.crop.dimensions(), (x, y + tag_height), (tile_px - GAP_PX, tile_px - tag_height - GAP_PX))
+    fitted(
+        shot.crop.dimensions(),
+        (x, y + tag_height),
+        (tile_px - GAP_PX, tile_px - tag_height - GAP_PX),
+    )
 }
 
 /// White letters on dark, left aligned.
@@ -168,7 +189,14 @@ fn tag(sheet: &mut RgbImage, (x, y): (u32, u32), height: u32, words: &str) {
     for (u, v) in (x..x + width).flat_map(|u| (y..y + height).map(move |v| (u, v))) {
         sheet.put_pixel(u, v, TAG);
     }
-    text::draw(sheet, words, x as f32 + 6.0, y as f32 + height as f32 * 0.04, size_px, Rgb([255; 3]));
+    text::draw(
+        sheet,
+        words,
+        x as f32 + 6.0,
+        y as f32 + height as f32 * 0.04,
+        size_px,
+        Rgb([255; 3]),
+    );
 }
 
 /// Puts the crop of a shot into an area, its object outlined and the surroundings dimmed.
@@ -187,7 +215,8 @@ fn put(sheet: &mut RgbImage, picture: &RgbImage, (left, top, width, height): Are
 fn fitted(picture: (u32, u32), (x, y): (u32, u32), (width, height): (u32, u32)) -> Area {
     /// Tiny crops are not blown up beyond this: there is nothing more to see.
     const MAX_ENLARGED: f32 = 4.0;
-    let scale = (width as f32 / picture.0 as f32).min(height as f32 / picture.1 as f32).min(MAX_ENLARGED);
+    let scale =
+        (width as f32 / picture.0 as f32).min(height as f32 / picture.1 as f32).min(MAX_ENLARGED);
     let side = |length: u32, room: u32| ((length as f32 * scale).round() as u32).clamp(1, room);
     let size = (side(picture.0, width), side(picture.1, height));
     (x + (width - size.0) / 2, y + (height - size.1) / 2, size.0, size.1)
@@ -197,19 +226,34 @@ fn resized(picture: &RgbImage, (width, height): (u32, u32)) -> RgbImage {
     if picture.dimensions() == (width, height) {
         return picture.clone();
     }
-    let source = Image::from_vec_u8(picture.width(), picture.height(), picture.as_raw().clone(), PixelType::U8x3);
+    let source = Image::from_vec_u8(
+        picture.width(),
+        picture.height(),
+        picture.as_raw().clone(),
+        PixelType::U8x3,
+    );
     let mut target = Image::new(width, height, PixelType::U8x3);
     let options = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Bilinear));
-    let done = source.ok().and_then(|source| Resizer::new().resize(&source, &mut target, &options).ok());
+    let done =
+        source.ok().and_then(|source| Resizer::new().resize(&source, &mut target, &options).ok());
     done.and_then(|()| RgbImage::from_raw(width, height, target.into_vec()))
         .unwrap_or_else(|| imageops::resize(picture, width, height, imageops::FilterType::Triangle))
 }
 
 /// A red outline just outside of a box, three pixels wide, clipped to the picture it belongs to.
-fn red_box(sheet: &mut RgbImage, (left, top, width, height): (u32, u32, u32, u32), low: (f32, f32), high: (f32, f32)) {
+fn red_box(
+    sheet: &mut RgbImage,
+    (left, top, width, height): (u32, u32, u32, u32),
+    low: (f32, f32),
+    high: (f32, f32),
+) {
     const WIDTH_PX: i64 = 3;
-    let inside_x = |x: f32| (x.round() as i64).clamp(i64::from(left) + WIDTH_PX, i64::from(left + width) - WIDTH_PX);
-    let inside_y = |y: f32| (y.round() as i64).clamp(i64::from(top) + WIDTH_PX, i64::from(top + height) - WIDTH_PX);
+    let inside_x = |x: f32| {
+        (x.round() as i64).clamp(i64::from(left) + WIDTH_PX, i64::from(left + width) - WIDTH_PX)
+    };
+    let inside_y = |y: f32| {
+        (y.round() as i64).clamp(i64::from(top) + WIDTH_PX, i64::from(top + height) - WIDTH_PX)
+    };
     let (l, t, r, b) = (inside_x(low.0), inside_y(low.1), inside_x(high.0), inside_y(high.1));
     let mut put = |x: i64, y: i64| {
         if let (Ok(x), Ok(y)) = (u32::try_from(x), u32::try_from(y))
@@ -264,27 +308,42 @@ mod tests {
                 assert_eq!(collage.dimensions(), (width, 512));
             }
         }
-        let small = Collage { max_pixels: 200_000, ..Collage::default() }.draw(22, &vec![shot(640, 480); 5]);
+        let small = Collage { max_pixels: 200_000, ..Collage::default() }
+            .draw(22, &vec![shot(640, 480); 5]);
         assert!(small.width() * small.height() <= 200_000, "{:?}", small.dimensions());
-        let single = Collage { max_shots: 1, ..Collage::default() }.draw(22, &vec![shot(640, 480); 3]);
+        let single =
+            Collage { max_shots: 1, ..Collage::default() }.draw(22, &vec![shot(640, 480); 3]);
         assert_eq!(single.dimensions(), (512, 512));
     }
 
-    /// What the model gets: letters at least 16 pixels tall with a contrast of at least 7 : 1 (WCAG AAA), and a red outline where the
-    /// object is, also on a photograph four times as large.
+    /// What the model gets: letters at least 16 pixels tall with a contrast of at least 7 : 1 (WCAG
+    /// AAA), and a red outline where the object is, also on a photograph four times as large.
     #[test]
     fn the_label_is_readable_and_the_box_is_there() {
         for frame in [(640, 480), (2560, 1920)] {
             let collage = Collage::default().draw(22, &vec![shot(frame.0, frame.1); 3]);
-            let rows: Vec<u32> = (0..32).filter(|&y| (0..90).any(|x| luminance(collage.get_pixel(x, y)) > 0.8)).collect();
+            let rows: Vec<u32> = (0..32)
+                .filter(|&y| (0..90).any(|x| luminance(collage.get_pixel(x, y)) > 0.8))
+                .collect();
             let tall = rows.last().unwrap() - rows.first().unwrap() + 1;
             let ground = luminance(collage.get_pixel(1, 1));
             assert!(tall >= 16 && (1.05) / (ground + 0.05) >= 7.0, "{tall} {ground}");
-            let red: Vec<(u32, u32)> = collage.enumerate_pixels().filter(|(_, _, p)| **p == RED).map(|(x, y, _)| (x, y)).collect();
+            let red: Vec<(u32, u32)> = collage
+                .enumerate_pixels()
+                .filter(|(_, _, p)| **p == RED)
+                .map(|(x, y, _)| (x, y))
+                .collect();
             let of_first: Vec<_> = red.iter().filter(|(x, _)| *x < 341).collect();
-            let (low, high) = (of_first.iter().map(|p| p.0).min().unwrap(), of_first.iter().map(|p| p.0).max().unwrap());
+            let (low, high) = (
+                of_first.iter().map(|p| p.0).min().unwrap(),
+                of_first.iter().map(|p| p.0).max().unwrap(),
+            );
             // The frame is 320 x 240 in the cell: a quarter to a half of it, plus the line.
-            assert!((high - low).abs_diff(85) <= 10 && red.len() > 1000, "{low} {high} {}", red.len());
+            assert!(
+                (high - low).abs_diff(85) <= 10 && red.len() > 1000,
+                "{low} {high} {}",
+                red.len()
+            );
         }
     }
 
@@ -294,40 +353,57 @@ mod tests {
         let tiles: Vec<(u32, &Shot)> = (1..=7).map(|id| (id, &red)).collect();
         let sheet = mosaic(&tiles, 4, 170);
         assert_eq!(sheet.dimensions(), (680, 340));
-        let red = |i: u32| *sheet.get_pixel(i % 4 * 170 + 85, i / 4 * 170 + 95) == Rgb([200, 40, 40]);
+        let red =
+            |i: u32| *sheet.get_pixel(i % 4 * 170 + 85, i / 4 * 170 + 95) == Rgb([200, 40, 40]);
         assert!((0..7).all(red) && !red(7));
     }
 
-    /// The crop has the outline where the mask is and dimmed surroundings, the photograph the outline beside its box and no dimming.
+    /// The crop has the outline where the mask is and dimmed surroundings, the photograph the
+    /// outline beside its box and no dimming.
     #[test]
     fn an_object_whose_mask_is_known_stands_out() {
         let mask = CellMask::of(4, 4, |column, _| column < 2);
         let shot = Shot { mask: Some((mask, [0.25, 0.25, 0.75, 0.75])), ..shot(640, 480) };
-        let collage = Collage { max_shots: 1, ..Collage::default() }.draw(22, std::slice::from_ref(&shot));
-        let plain = Collage { max_shots: 1, ..Collage::default() }.draw(22, &[Shot { mask: None, ..shot }]);
+        let collage =
+            Collage { max_shots: 1, ..Collage::default() }.draw(22, std::slice::from_ref(&shot));
+        let plain =
+            Collage { max_shots: 1, ..Collage::default() }.draw(22, &[Shot { mask: None, ..shot }]);
         let changed = |rows: std::ops::Range<u32>, is: fn(&Rgb<u8>) -> bool| {
             let pixels = rows.flat_map(|y| (0..collage.width()).map(move |x| (x, y)));
             pixels
-                .filter(|&(x, y)| collage.get_pixel(x, y) != plain.get_pixel(x, y) && is(collage.get_pixel(x, y)))
+                .filter(|&(x, y)| {
+                    collage.get_pixel(x, y) != plain.get_pixel(x, y) && is(collage.get_pixel(x, y))
+                })
                 .count()
         };
         let (crop, frame, dim) = (32..270, 275..512, |p: &Rgb<u8>| p.0 == [59, 92, 59]);
-        assert!(changed(crop.clone(), dim) > 10_000 && changed(crop, |p| p.0[0] > 200 && p.0[2] < 90) > 200);
+        assert!(
+            changed(crop.clone(), dim) > 10_000
+                && changed(crop, |p| p.0[0] > 200 && p.0[2] < 90) > 200
+        );
         assert!(changed(frame.clone(), |p| p.0[0] > 200 && p.0[1] > 200 && p.0[2] < 90) > 200);
         assert!(
-            frame.flat_map(|y| (0..512).map(move |x| (x, y))).all(|(x, y)| collage.get_pixel(x, y).0 != [79; 3]),
+            frame
+                .flat_map(|y| (0..512).map(move |x| (x, y)))
+                .all(|(x, y)| collage.get_pixel(x, y).0 != [79; 3]),
             "nothing is dimmed"
         );
     }
 
-    /// A mark in a photograph is found again from where it is on the collage and on the sheet, in the crop and in the whole.
+    /// A mark in a photograph is found again from where it is on the collage and on the sheet, in
+    /// the crop and in the whole.
     #[test]
     fn a_place_on_a_collage_is_a_place_in_a_photograph() {
         let mut photograph = RgbImage::from_pixel(640, 480, Rgb([120; 3]));
         for (x, y) in (310..330).flat_map(|x| (210..230).map(move |y| (x, y))) {
             photograph.put_pixel(x, y, Rgb([20, 220, 30]));
         }
-        let view = View { frame: FrameIndex(7), visible_points: 9, box_px: [250, 180, 400, 300], mask: None };
+        let view = View {
+            frame: FrameIndex(7),
+            visible_points: 9,
+            box_px: [250, 180, 400, 300],
+            mask: None,
+        };
         let shots = vec![Shot { taken: None, ..shot(640, 480) }, Shot::of_view(photograph, &view)];
         let collage = Collage::default();
         let marks = |picture: &RgbImage, tiles: &[Tile]| {
@@ -336,15 +412,24 @@ mod tests {
                 .enumerate_pixels()
                 .filter(|(_, _, p)| green(p))
                 .map(|(x, y, _)| (x as f32 + 0.5, y as f32 + 0.5));
-            let found: Vec<(f32, f32)> = marked.filter_map(|at| tiles.iter().find_map(|tile| tile.place(at))).collect();
-            assert!(found.iter().all(|(x, y)| (x - 320.0).abs() < 16.0 && (y - 220.0).abs() < 16.0), "{found:?}");
+            let found: Vec<(f32, f32)> =
+                marked.filter_map(|at| tiles.iter().find_map(|tile| tile.place(at))).collect();
+            assert!(
+                found.iter().all(|(x, y)| (x - 320.0).abs() < 16.0 && (y - 220.0).abs() < 16.0),
+                "{found:?}"
+            );
             found.len()
         };
         let tiles = collage.tiles(&shots);
         assert!(tiles.len() == 2 && tiles.iter().all(|tile| tile.frame.0 == 7));
         assert!(marks(&collage.draw(3, &shots), &tiles) > 500);
         let [first, second] = &shots[..] else { panic!("two shots") };
-        assert!(marks(&mosaic(&[(1, first), (2, second)], 1, 170), &mosaic_tiles(&[first, second], 1, 170)) > 100);
+        assert!(
+            marks(
+                &mosaic(&[(1, first), (2, second)], 1, 170),
+                &mosaic_tiles(&[first, second], 1, 170)
+            ) > 100
+        );
     }
 
     #[test]

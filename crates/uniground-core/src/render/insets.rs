@@ -31,14 +31,21 @@ pub(super) struct Inset {
     pub boxes: Vec<usize>,
 }
 
-/// Insets for boxes that measure less than `min_px` along their longer side, where a place is free: not over `taken`, and over no box.
-/// Boxes near each other share one.
-pub(super) fn placed(camera: &Camera, boxes: &[LabelledBox], min_px: f32, taken: &[Rect]) -> Vec<Inset> {
-    let size = |camera: &Camera, i: usize| longer_side(camera, &boxes[i].aabb).unwrap_or(f32::INFINITY);
+/// Insets for boxes that measure less than `min_px` along their longer side, where a place is free:
+/// not over `taken`, and over no box. Boxes near each other share one.
+pub(super) fn placed(
+    camera: &Camera,
+    boxes: &[LabelledBox],
+    min_px: f32,
+    taken: &[Rect],
+) -> Vec<Inset> {
+    let size =
+        |camera: &Camera, i: usize| longer_side(camera, &boxes[i].aabb).unwrap_or(f32::INFINITY);
     let mut small: Vec<usize> = (0..boxes.len()).filter(|&i| size(camera, i) < min_px).collect();
     // The most important ones come last in the list and first here.
     small.reverse();
-    let mut taken: Vec<Rect> = taken.iter().copied().chain(boxes.iter().filter_map(|b| bounds(camera, &b.aabb))).collect();
+    let mut taken: Vec<Rect> =
+        taken.iter().copied().chain(boxes.iter().filter_map(|b| bounds(camera, &b.aabb))).collect();
     let mut insets = Vec::new();
     while !small.is_empty() && insets.len() < MOST {
         let found = SIDE_SHARES.iter().find_map(|share| {
@@ -58,7 +65,11 @@ pub(super) fn placed(camera: &Camera, boxes: &[LabelledBox], min_px: f32, taken:
         // As in the view: later ones lie on top.
         group.sort_unstable();
         taken.push(rect);
-        insets.push(Inset { rect, camera: zoomed(camera, boxes, &group, side as u32), boxes: group });
+        insets.push(Inset {
+            rect,
+            camera: zoomed(camera, boxes, &group, side as u32),
+            boxes: group,
+        });
     }
     insets
 }
@@ -68,10 +79,19 @@ fn zoomed(camera: &Camera, boxes: &[LabelledBox], which: &[usize], side: u32) ->
     let pose: Isometry3<f32> = camera.world_to_camera().inverse();
     let corners: Vec<Point3<f32>> = which.iter().flat_map(|&i| boxes[i].aabb.corners()).collect();
     let square = Camera::new(Intrinsics { width: side, height: side, ..camera.intrinsics }, &pose);
-    Camera::new(calibrated(&square, &corners, if which.len() > 1 { GROUP_MARGIN } else { MARGIN }, f32::INFINITY), &pose)
+    Camera::new(
+        calibrated(
+            &square,
+            &corners,
+            if which.len() > 1 { GROUP_MARGIN } else { MARGIN },
+            f32::INFINITY,
+        ),
+        &pose,
+    )
 }
 
-/// A free square in a corner or in the middle of a side; the right side first, as titles and axes stand on the left.
+/// A free square in a corner or in the middle of a side; the right side first, as titles and axes
+/// stand on the left.
 fn corner(of: Intrinsics, side: f32, taken: &[Rect]) -> Option<Rect> {
     let (right, bottom) = (of.width as f32 - side - GAP_PX, of.height as f32 - side - GAP_PX);
     let (middle_x, middle_y) = ((of.width as f32 - side) / 2.0, (of.height as f32 - side) / 2.0);
@@ -85,7 +105,8 @@ fn corner(of: Intrinsics, side: f32, taken: &[Rect]) -> Option<Rect> {
         (middle_x, bottom),
         (middle_x, GAP_PX),
     ];
-    let mut squares = places.into_iter().filter_map(|(x, y)| Rect::from_xywh(x.round(), y.round(), side, side));
+    let mut squares =
+        places.into_iter().filter_map(|(x, y)| Rect::from_xywh(x.round(), y.round(), side, side));
     squares.find(|square| taken.iter().all(|other| !overlap(square, other)))
 }
 
@@ -93,7 +114,8 @@ impl Inset {
     /// Puts the close picture into its place, with a rim.
     pub fn put(&self, view: &mut RgbImage, close: &RgbImage) {
         let (x, y) = (self.rect.left() as i64, self.rect.top() as i64);
-        let rim = RgbImage::from_pixel(close.width() + 2 * RIM_PX, close.height() + 2 * RIM_PX, RIM);
+        let rim =
+            RgbImage::from_pixel(close.width() + 2 * RIM_PX, close.height() + 2 * RIM_PX, RIM);
         imageops::replace(view, &rim, x - i64::from(RIM_PX), y - i64::from(RIM_PX));
         imageops::replace(view, close, x, y);
     }
@@ -115,7 +137,9 @@ mod tests {
             style: BoxStyle::Candidate,
         };
         let boxes: Vec<LabelledBox> = at.iter().enumerate().map(small).collect();
-        let target = Point3::from(boxes.iter().map(|b| b.aabb.center.coords).sum::<Vector3<f32>>() / boxes.len() as f32);
+        let target = Point3::from(
+            boxes.iter().map(|b| b.aabb.center.coords).sum::<Vector3<f32>>() / boxes.len() as f32,
+        );
         Subjects { boxes, words: Vec::new(), target }
     }
 
@@ -130,17 +154,39 @@ mod tests {
                 let view = GlobalView { view_px, ..GlobalView::default() };
                 let camera = view.camera(&hall, &near, azimuth_deg);
                 assert!(longer_side(&camera, &near.boxes[0].aabb).unwrap() >= MIN_PX - 0.1);
-                assert!(placed(&camera, &near.boxes, MIN_PX - 0.1, &[]).is_empty(), "the view itself is close enough");
+                assert!(
+                    placed(&camera, &near.boxes, MIN_PX - 0.1, &[]).is_empty(),
+                    "the view itself is close enough"
+                );
 
                 let camera = view.camera(&hall, &apart, azimuth_deg);
                 let insets = placed(&camera, &apart.boxes, MIN_PX, &[]);
-                assert_eq!(insets.iter().map(|inset| inset.boxes.len()).collect::<Vec<_>>(), [2, 1], "neighbours share one");
+                assert_eq!(
+                    insets.iter().map(|inset| inset.boxes.len()).collect::<Vec<_>>(),
+                    [2, 1],
+                    "neighbours share one"
+                );
                 let all = Rect::from_xywh(0.0, 0.0, view_px as f32, view_px as f32).unwrap();
                 for (k, inset) in insets.iter().enumerate() {
-                    assert!(inset.boxes.iter().all(|&i| longer_side(&inset.camera, &apart.boxes[i].aabb).unwrap() >= MIN_PX));
-                    assert!(all.intersect(&inset.rect) == Some(inset.rect), "it is within the view");
+                    assert!(
+                        inset.boxes.iter().all(|&i| longer_side(
+                            &inset.camera,
+                            &apart.boxes[i].aabb
+                        )
+                        .unwrap()
+                            >= MIN_PX)
+                    );
+                    assert!(
+                        all.intersect(&inset.rect) == Some(inset.rect),
+                        "it is within the view"
+                    );
                     assert!(insets[..k].iter().all(|other| !overlap(&other.rect, &inset.rect)));
-                    assert!(apart.boxes.iter().all(|b| !overlap(&inset.rect, &bounds(&camera, &b.aabb).unwrap())));
+                    assert!(
+                        apart
+                            .boxes
+                            .iter()
+                            .all(|b| !overlap(&inset.rect, &bounds(&camera, &b.aabb).unwrap()))
+                    );
                 }
             }
         }

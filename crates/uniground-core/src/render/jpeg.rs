@@ -9,11 +9,18 @@ const QUALITY: u8 = 85;
 #[must_use]
 pub fn jpeg(image: &RgbImage) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let (Ok(width), Ok(height)) = (u16::try_from(image.width()), u16::try_from(image.height())) else {
-        tracing::warn!(width = image.width(), height = image.height(), "a picture is too large for JPEG");
+    let (Ok(width), Ok(height)) = (u16::try_from(image.width()), u16::try_from(image.height()))
+    else {
+        tracing::warn!(
+            width = image.width(),
+            height = image.height(),
+            "a picture is too large for JPEG"
+        );
         return bytes;
     };
-    if let Err(error) = Encoder::new(&mut bytes, QUALITY).encode(image.as_raw(), width, height, ColorType::Rgb) {
+    if let Err(error) =
+        Encoder::new(&mut bytes, QUALITY).encode(image.as_raw(), width, height, ColorType::Rgb)
+    {
         tracing::warn!(%error, width, height, "a picture could not be encoded");
         bytes.clear();
     }

@@ -37,18 +37,30 @@ pub const ROOM_VIEW: Orbit = Orbit { width: 1024, height: 768, azimuth_deg: -90.
 #[must_use]
 pub fn frame_overlay(frame: &RgbImage, camera: &Camera, render_scene: &RenderScene) -> RgbImage {
     let mut picture = frame.clone();
-    for (under, over) in picture.pixels_mut().zip(render_scene.drawn_with_ceiling(camera).picture.pixels()) {
+    for (under, over) in
+        picture.pixels_mut().zip(render_scene.drawn_with_ceiling(camera).picture.pixels())
+    {
         let [r, g, b, alpha] = over.0;
         if alpha > 0 {
-            under.0 = [u8::midpoint(under.0[0], r), u8::midpoint(under.0[1], g), u8::midpoint(under.0[2], b)];
+            under.0 = [
+                u8::midpoint(under.0[0], r),
+                u8::midpoint(under.0[1], g),
+                u8::midpoint(under.0[2], b),
+            ];
         }
     }
     picture
 }
 
-/// Draws the scene from an orbit camera with boxes on top. One looks into it: see [`Cutaway::Building`].
+/// Draws the scene from an orbit camera with boxes on top. One looks into it: see
+/// [`Cutaway::Building`].
 #[must_use]
-pub fn scene_picture(render_scene: &RenderScene, extent: &Aabb, orbit: &Orbit, boxes: &[LabelledBox]) -> RgbImage {
+pub fn scene_picture(
+    render_scene: &RenderScene,
+    extent: &Aabb,
+    orbit: &Orbit,
+    boxes: &[LabelledBox],
+) -> RgbImage {
     let camera = orbit.camera(extent);
     let subjects: Vec<Aabb> = boxes.iter().map(|b| b.aabb).collect();
     let drawn = render_scene.drawn(&camera, Cutaway::Building, &subjects);
@@ -59,8 +71,11 @@ pub fn scene_picture(render_scene: &RenderScene, extent: &Aabb, orbit: &Orbit, b
 
 /// What was drawn, with the background where nothing was.
 fn on_paper(drawn: &Splats) -> RgbImage {
-    let mut picture = RgbImage::from_pixel(drawn.picture.width(), drawn.picture.height(), BACKGROUND);
-    for (under, over) in picture.pixels_mut().zip(drawn.picture.pixels()).filter(|(_, over)| over.0[3] > 0) {
+    let mut picture =
+        RgbImage::from_pixel(drawn.picture.width(), drawn.picture.height(), BACKGROUND);
+    for (under, over) in
+        picture.pixels_mut().zip(drawn.picture.pixels()).filter(|(_, over)| over.0[3] > 0)
+    {
         *under = over.to_rgb();
     }
     picture
@@ -71,8 +86,13 @@ pub(crate) mod tests {
     use super::*;
     use crate::geometry::Point3;
 
-    /// What somebody sees who looks from one point at another: the camera, and the depth of each pixel of 640 x 480 in metres.
-    pub fn seen_from(scene: &RenderScene, eye: &Point3<f32>, at: &Point3<f32>) -> (Camera, image::RgbaImage, Vec<f32>) {
+    /// What somebody sees who looks from one point at another: the camera, and the depth of each
+    /// pixel of 640 x 480 in metres.
+    pub fn seen_from(
+        scene: &RenderScene,
+        eye: &Point3<f32>,
+        at: &Point3<f32>,
+    ) -> (Camera, image::RgbaImage, Vec<f32>) {
         let camera = Camera::new(camera::uncalibrated(640, 480), &camera::look_at(eye, at, 0.0));
         let Splats { picture, depth_m, .. } = scene.drawn_with_ceiling(&camera);
         (camera, picture, depth_m)

@@ -33,8 +33,9 @@ pub enum Around {
     Dimmed,
 }
 
-/// Draws the outline of a mask into the part of a picture at `area` (left, top, width, height, pixels); `place` is where the mask's box is,
-/// as shares of that part: left, top, right, bottom. Nothing outside of `area` is touched.
+/// Draws the outline of a mask into the part of a picture at `area` (left, top, width, height,
+/// pixels); `place` is where the mask's box is, as shares of that part: left, top, right, bottom.
+/// Nothing outside of `area` is touched.
 pub fn draw_outline(
     picture: &mut RgbImage,
     (left, top, width, height): (u32, u32, u32, u32),
@@ -43,13 +44,17 @@ pub fn draw_outline(
     around: Around,
 ) {
     let [l, t, r, b] = place;
-    let share = |at: u32, length: u32, low: f32, high: f32| ((at as f32 + 0.5) / length as f32 - low) / (high - low).max(f32::EPSILON);
+    let share = |at: u32, length: u32, low: f32, high: f32| {
+        ((at as f32 + 0.5) / length as f32 - low) / (high - low).max(f32::EPSILON)
+    };
     let inside: Vec<bool> = (0..height)
         .flat_map(|y| (0..width).map(move |x| (x, y)))
         .map(|(x, y)| mask.covers((share(x, width, l, r), share(y, height, t, b))))
         .collect();
     let is_inside = |x: i64, y: i64| {
-        (0..i64::from(width)).contains(&x) && (0..i64::from(height)).contains(&y) && inside[(y * i64::from(width) + x) as usize]
+        (0..i64::from(width)).contains(&x)
+            && (0..i64::from(height)).contains(&y)
+            && inside[(y * i64::from(width) + x) as usize]
     };
     if around == Around::Dimmed {
         for y in 0..height {
@@ -68,13 +73,17 @@ pub fn draw_outline(
     // How near each pixel outside is to the mask; only pixels at its rim have neighbours to tell.
     let mut nearest = vec![f32::INFINITY; inside.len()];
     for (x, y) in (0..i64::from(height)).flat_map(|y| (0..i64::from(width)).map(move |x| (x, y))) {
-        let at_rim = [(1, 0), (-1, 0), (0, 1), (0, -1)].iter().any(|(dx, dy)| !is_inside(x + dx, y + dy));
+        let at_rim =
+            [(1, 0), (-1, 0), (0, 1), (0, -1)].iter().any(|(dx, dy)| !is_inside(x + dx, y + dy));
         if !is_inside(x, y) || !at_rim {
             continue;
         }
         for (dx, dy, distance) in &disc {
             let (u, v) = (x + dx, y + dy);
-            if (0..i64::from(width)).contains(&u) && (0..i64::from(height)).contains(&v) && !is_inside(u, v) {
+            if (0..i64::from(width)).contains(&u)
+                && (0..i64::from(height)).contains(&v)
+                && !is_inside(u, v)
+            {
                 let known = &mut nearest[(v * i64::from(width) + u) as usize];
                 *known = known.min(*distance);
             }
@@ -93,7 +102,13 @@ mod tests {
     /// A mask over the middle half of a picture of one colour.
     fn drawn(ground: [u8; 3], around: Around) -> RgbImage {
         let mut picture = RgbImage::from_pixel(120, 100, Rgb(ground));
-        draw_outline(&mut picture, (10, 0, 100, 100), &CellMask::of(8, 8, |_, _| true), [0.25, 0.25, 0.75, 0.75], around);
+        draw_outline(
+            &mut picture,
+            (10, 0, 100, 100),
+            &CellMask::of(8, 8, |_, _| true),
+            [0.25, 0.25, 0.75, 0.75],
+            around,
+        );
         picture
     }
 
@@ -101,28 +116,55 @@ mod tests {
     fn a_line_runs_around_the_mask_on_any_ground() {
         for ground in [[0; 3], [255; 3], [255, 240, 40], [128; 3]] {
             let picture = drawn(ground, Around::Kept);
-            let differs = |x: u32, y: u32| picture.get_pixel(x, y).0.iter().zip(ground).any(|(a, b)| a.abs_diff(b) > 100);
+            let differs = |x: u32, y: u32| {
+                picture.get_pixel(x, y).0.iter().zip(ground).any(|(a, b)| a.abs_diff(b) > 100)
+            };
             for along in 40..80 {
-                assert!((30..36).any(|x| differs(x, along - 10)) && (84..90).any(|x| differs(x, along - 10)), "{ground:?} row {along}");
-                assert!((20..26).any(|y| differs(along, y)) && (74..80).any(|y| differs(along, y)), "{ground:?} column {along}");
+                assert!(
+                    (30..36).any(|x| differs(x, along - 10))
+                        && (84..90).any(|x| differs(x, along - 10)),
+                    "{ground:?} row {along}"
+                );
+                assert!(
+                    (20..26).any(|y| differs(along, y)) && (74..80).any(|y| differs(along, y)),
+                    "{ground:?} column {along}"
+                );
             }
-            assert_eq!((picture.get_pixel(60, 50).0, picture.get_pixel(12, 3).0), (ground, ground), "neither within nor far away");
+            assert_eq!(
+                (picture.get_pixel(60, 50).0, picture.get_pixel(12, 3).0),
+                (ground, ground),
+                "neither within nor far away"
+            );
         }
     }
 
     #[test]
     fn surroundings_are_dimmed_within_the_area_alone() {
         let picture = drawn([200; 3], Around::Dimmed);
-        assert_eq!([(60, 50), (12, 3), (5, 50), (115, 50)].map(|(x, y)| picture.get_pixel(x, y).0[0]), [200, 132, 200, 200]);
+        assert_eq!(
+            [(60, 50), (12, 3), (5, 50), (115, 50)].map(|(x, y)| picture.get_pixel(x, y).0[0]),
+            [200, 132, 200, 200]
+        );
     }
 
     #[test]
     fn a_mask_beyond_the_area_is_cut() {
         let mut picture = RgbImage::from_pixel(60, 60, Rgb([90; 3]));
-        draw_outline(&mut picture, (20, 20, 20, 20), &CellMask::of(4, 4, |_, _| true), [0.5, 0.5, 1.5, 1.5], Around::Kept);
-        let touched: Vec<_> = picture.enumerate_pixels().filter(|(_, _, p)| p.0 != [90; 3]).map(|(x, y, _)| (x, y)).collect();
+        draw_outline(
+            &mut picture,
+            (20, 20, 20, 20),
+            &CellMask::of(4, 4, |_, _| true),
+            [0.5, 0.5, 1.5, 1.5],
+            Around::Kept,
+        );
+        let touched: Vec<_> = picture
+            .enumerate_pixels()
+            .filter(|(_, _, p)| p.0 != [90; 3])
+            .map(|(x, y, _)| (x, y))
+            .collect();
         assert!(
-            !touched.is_empty() && touched.iter().all(|(x, y)| (20..40).contains(x) && (20..40).contains(y)),
+            !touched.is_empty()
+                && touched.iter().all(|(x, y)| (20..40).contains(x) && (20..40).contains(y)),
             "{touched:?}"
         );
     }

@@ -1,4 +1,5 @@
-//! Boxes and labels over a picture: edges behind other things dashed, labels that never cover each other.
+//! Boxes and labels over a picture: edges behind other things dashed, labels that never cover each
+//! other.
 
 use super::render_scene::Splats;
 use super::text;
@@ -6,7 +7,9 @@ use crate::geometry::boxes::Aabb;
 use crate::geometry::{Point2, Point3};
 use crate::scene::Camera;
 use image::{Rgb, RgbImage};
-use tiny_skia::{Color, LineCap, Paint, Path, PathBuilder, Pixmap, Rect, Stroke, StrokeDash, Transform};
+use tiny_skia::{
+    Color, LineCap, Paint, Path, PathBuilder, Pixmap, Rect, Stroke, StrokeDash, Transform,
+};
 
 /// How a box is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -59,26 +62,46 @@ const HIDDEN_BY_SHARE: f32 = 0.01;
 /// Nearer to the camera than this nothing is drawn, metres.
 const NEAR_M: f32 = 0.05;
 
-/// Draws the boxes in order, later ones on top, then the labels. `taken` are places that hold something already.
-pub(super) fn draw(picture: &mut RgbImage, drawn: &Splats, camera: &Camera, boxes: &[LabelledBox], taken: Vec<Rect>) {
+/// Draws the boxes in order, later ones on top, then the labels. `taken` are places that hold
+/// something already.
+pub(super) fn draw(
+    picture: &mut RgbImage,
+    drawn: &Splats,
+    camera: &Camera,
+    boxes: &[LabelledBox],
+    taken: Vec<Rect>,
+) {
     let Some(mut layer) = Pixmap::new(picture.width(), picture.height()) else { return };
     draw_footings(&mut layer, drawn, camera);
     for labelled in boxes {
         draw_edges(&mut layer, drawn, camera, labelled);
     }
     let places = label_places(picture.dimensions(), camera, boxes, taken);
-    for (labelled, LabelSpot { rect, home, .. }) in boxes.iter().zip(&places).filter_map(|(b, place)| Some((b, place.as_ref()?))) {
+    for (labelled, LabelSpot { rect, home, .. }) in
+        boxes.iter().zip(&places).filter_map(|(b, place)| Some((b, place.as_ref()?)))
+    {
         draw_leader(&mut layer, labelled.style, rect, *home);
     }
-    for (labelled, LabelSpot { rect, .. }) in boxes.iter().zip(&places).filter_map(|(b, place)| Some((b, place.as_ref()?))) {
+    for (labelled, LabelSpot { rect, .. }) in
+        boxes.iter().zip(&places).filter_map(|(b, place)| Some((b, place.as_ref()?)))
+    {
         let mut paint = Paint::default();
         let [r, g, b] = labelled.style.colour();
         paint.set_color_rgba8(r, g, b, 255);
         layer.fill_rect(*rect, &paint, Transform::identity(), None);
     }
     blend(picture, &layer);
-    for (labelled, LabelSpot { rect, size_px, .. }) in boxes.iter().zip(&places).filter_map(|(b, place)| Some((b, place.as_ref()?))) {
-        text::draw(picture, &labelled.label, rect.left() + PADDING_PX, rect.top() + PADDING_PX, *size_px, Rgb([255; 3]));
+    for (labelled, LabelSpot { rect, size_px, .. }) in
+        boxes.iter().zip(&places).filter_map(|(b, place)| Some((b, place.as_ref()?)))
+    {
+        text::draw(
+            picture,
+            &labelled.label,
+            rect.left() + PADDING_PX,
+            rect.top() + PADDING_PX,
+            *size_px,
+            Rgb([255; 3]),
+        );
     }
 }
 
@@ -99,7 +122,13 @@ fn draw_footings(layer: &mut Pixmap, drawn: &Splats, camera: &Camera) {
     let mut paint = Paint { anti_alias: true, ..Paint::default() };
     let [r, g, b] = FOOTING;
     paint.set_color_rgba8(r, g, b, 255);
-    layer.stroke_path(&path, &paint, &Stroke { width: FOOTING_PX, ..Stroke::default() }, Transform::identity(), None);
+    layer.stroke_path(
+        &path,
+        &paint,
+        &Stroke { width: FOOTING_PX, ..Stroke::default() },
+        Transform::identity(),
+        None,
+    );
 }
 
 fn draw_edges(layer: &mut Pixmap, drawn: &Splats, camera: &Camera, labelled: &LabelledBox) {
@@ -120,7 +149,12 @@ fn draw_edges(layer: &mut Pixmap, drawn: &Splats, camera: &Camera, labelled: &La
         layer.stroke_path(path, &paint, &stroke, Transform::identity(), None);
     };
     if let Some(path) = hidden.finish() {
-        line(&path, Color::from_rgba8(r, g, b, 190), width * 0.75, StrokeDash::new(vec![5.0, 4.0], 0.0));
+        line(
+            &path,
+            Color::from_rgba8(r, g, b, 190),
+            width * 0.75,
+            StrokeDash::new(vec![5.0, 4.0], 0.0),
+        );
     }
     if let Some(path) = seen.finish() {
         // A pale rim keeps the line readable on any background.
@@ -129,17 +163,32 @@ fn draw_edges(layer: &mut Pixmap, drawn: &Splats, camera: &Camera, labelled: &La
     }
 }
 
-/// Adds the stretches of an edge that are seen to one path and those behind other things to another.
-fn edge(drawn: &Splats, camera: &Camera, (a, b): (&Point3<f32>, &Point3<f32>), seen: &mut PathBuilder, hidden: &mut PathBuilder) {
+/// Adds the stretches of an edge that are seen to one path and those behind other things to
+/// another.
+fn edge(
+    drawn: &Splats,
+    camera: &Camera,
+    (a, b): (&Point3<f32>, &Point3<f32>),
+    seen: &mut PathBuilder,
+    hidden: &mut PathBuilder,
+) {
     const MAX_STEPS: usize = 200;
-    let (Some((from, _)), Some((to, _))) = (position(camera, a), position(camera, b)) else { return };
+    let (Some((from, _)), Some((to, _))) = (position(camera, a), position(camera, b)) else {
+        return;
+    };
     let steps = (((to - from).norm() / 3.0).ceil() as usize).clamp(1, MAX_STEPS);
     let is_hidden = |share: f32| {
-        position(camera, &nalgebra::Point3::from(a.coords.lerp(&b.coords, share)))
-            .is_some_and(|(at, z_m)| drawn.depth_at(at.x, at.y) < z_m - HIDDEN_BY_M - HIDDEN_BY_SHARE * z_m)
+        position(camera, &nalgebra::Point3::from(a.coords.lerp(&b.coords, share))).is_some_and(
+            |(at, z_m)| drawn.depth_at(at.x, at.y) < z_m - HIDDEN_BY_M - HIDDEN_BY_SHARE * z_m,
+        )
     };
-    let at =
-        |step: usize| position(camera, &nalgebra::Point3::from(a.coords.lerp(&b.coords, step as f32 / steps as f32))).map(|(at, _)| at);
+    let at = |step: usize| {
+        position(
+            camera,
+            &nalgebra::Point3::from(a.coords.lerp(&b.coords, step as f32 / steps as f32)),
+        )
+        .map(|(at, _)| at)
+    };
     let mut begun: Option<(bool, usize)> = None;
     for step in 0..=steps {
         let state = (step < steps).then(|| is_hidden((step as f32 + 0.5) / steps as f32));
@@ -161,7 +210,10 @@ fn edge(drawn: &Splats, camera: &Camera, (a, b): (&Point3<f32>, &Point3<f32>), s
 /// A line from a label that found no room at its box to the box.
 fn draw_leader(layer: &mut Pixmap, style: BoxStyle, rect: &Rect, home: Point2<f32>) {
     const TOUCHING_PX: f32 = 14.0;
-    let nearest = Point2::new(home.x.clamp(rect.left(), rect.right()), home.y.clamp(rect.top(), rect.bottom()));
+    let nearest = Point2::new(
+        home.x.clamp(rect.left(), rect.right()),
+        home.y.clamp(rect.top(), rect.bottom()),
+    );
     let mut path = PathBuilder::new();
     path.move_to(nearest.x, nearest.y);
     path.line_to(home.x, home.y);
@@ -172,7 +224,13 @@ fn draw_leader(layer: &mut Pixmap, style: BoxStyle, rect: &Rect, home: Point2<f3
     let mut paint = Paint { anti_alias: true, ..Paint::default() };
     let [r, g, b] = style.colour();
     paint.set_color_rgba8(r, g, b, 220);
-    layer.stroke_path(&path, &paint, &Stroke { width: 1.5, ..Stroke::default() }, Transform::identity(), None);
+    layer.stroke_path(
+        &path,
+        &paint,
+        &Stroke { width: 1.5, ..Stroke::default() },
+        Transform::identity(),
+        None,
+    );
 }
 
 /// Where a label stands.
@@ -184,16 +242,28 @@ pub(super) struct LabelSpot {
     home: Point2<f32>,
 }
 
-/// A place for every label that has a box in the picture: as near to the box as there is room, never over another label, and not over the
-/// middle of another box while there is a choice. The last boxes are the most important, so they choose first.
-pub(super) fn label_places(picture: (u32, u32), camera: &Camera, boxes: &[LabelledBox], mut taken: Vec<Rect>) -> Vec<Option<LabelSpot>> {
-    let middles: Vec<Option<Point2<f32>>> = boxes.iter().map(|b| position(camera, &b.aabb.center).map(|(at, _)| at)).collect();
+/// A place for every label that has a box in the picture: as near to the box as there is room,
+/// never over another label, and not over the middle of another box while there is a choice. The
+/// last boxes are the most important, so they choose first.
+pub(super) fn label_places(
+    picture: (u32, u32),
+    camera: &Camera,
+    boxes: &[LabelledBox],
+    mut taken: Vec<Rect>,
+) -> Vec<Option<LabelSpot>> {
+    let middles: Vec<Option<Point2<f32>>> =
+        boxes.iter().map(|b| position(camera, &b.aabb.center).map(|(at, _)| at)).collect();
     let mut places = vec![None; boxes.len()];
     for (i, labelled) in boxes.iter().enumerate().rev() {
         let Some(home) = home(picture, camera, &labelled.aabb) else { continue };
-        let others = || middles.iter().enumerate().filter(|(j, _)| *j != i).filter_map(|(_, middle)| *middle);
+        let others = || {
+            middles.iter().enumerate().filter(|(j, _)| *j != i).filter_map(|(_, middle)| *middle)
+        };
         let found = LABEL_PX.iter().find_map(|&size_px| {
-            let size = (text::width(&labelled.label, size_px) + 2.0 * PADDING_PX, size_px + 2.0 * PADDING_PX);
+            let size = (
+                text::width(&labelled.label, size_px) + 2.0 * PADDING_PX,
+                size_px + 2.0 * PADDING_PX,
+            );
             let free = |place: &Rect| taken.iter().all(|other| !overlap(place, other));
             let covers_none = |place: &Rect| others().all(|middle| !holds(place, middle));
             let rect = spots(picture, home, size)
@@ -216,17 +286,25 @@ pub(super) fn bounds(camera: &Camera, aabb: &Aabb) -> Option<Rect> {
     Rect::from_ltrb(low.x, low.y, high.x, high.y)
 }
 
-/// The middle of a box's upper rim, moved into the picture; `None` when the box is behind the camera.
+/// The middle of a box's upper rim, moved into the picture; `None` when the box is behind the
+/// camera.
 fn home((width, height): (u32, u32), camera: &Camera, aabb: &Aabb) -> Option<Point2<f32>> {
-    let corners: Vec<Point2<f32>> = aabb.corners().iter().filter_map(|c| position(camera, c)).map(|(at, _)| at).collect();
+    let corners: Vec<Point2<f32>> =
+        aabb.corners().iter().filter_map(|c| position(camera, c)).map(|(at, _)| at).collect();
     let count = corners.len() as f32;
     let top = corners.iter().map(|p| p.y).fold(f32::INFINITY, f32::min);
     let middle = corners.iter().map(|p| p.x).sum::<f32>() / count;
-    (!corners.is_empty()).then(|| Point2::new(middle.clamp(0.0, width as f32 - 1.0), top.clamp(0.0, height as f32 - 1.0)))
+    (!corners.is_empty()).then(|| {
+        Point2::new(middle.clamp(0.0, width as f32 - 1.0), top.clamp(0.0, height as f32 - 1.0))
+    })
 }
 
 /// Places for a label: above its box, then in rings around that, all within the picture.
-fn spots((width, height): (u32, u32), home: Point2<f32>, (w, h): (f32, f32)) -> impl Iterator<Item = Rect> {
+fn spots(
+    (width, height): (u32, u32),
+    home: Point2<f32>,
+    (w, h): (f32, f32),
+) -> impl Iterator<Item = Rect> {
     const PER_RING: usize = 12;
     let (width, height) = (width as f32, height as f32);
     let rings = (width.max(height) / h).ceil() as usize;
@@ -236,7 +314,10 @@ fn spots((width, height): (u32, u32), home: Point2<f32>, (w, h): (f32, f32)) -> 
         let turn = i % PER_RING;
         let side = if turn.is_multiple_of(2) { 1.0 } else { -1.0 };
         let angle = side * turn.div_ceil(2) as f32 * std::f32::consts::TAU / PER_RING as f32;
-        let (x, y) = (home.x - w / 2.0 + ring * (w * 0.6) * angle.sin(), home.y - h - 3.0 - ring * h * angle.cos());
+        let (x, y) = (
+            home.x - w / 2.0 + ring * (w * 0.6) * angle.sin(),
+            home.y - h - 3.0 - ring * h * angle.cos(),
+        );
         (x >= 0.0 && y >= 0.0 && x + w <= width && y + h <= height)
             .then(|| Rect::from_xywh(x, y, w, h))
             .flatten()
@@ -253,7 +334,9 @@ pub(super) fn overlap(a: &Rect, b: &Rect) -> bool {
 
 /// Puts a premultiplied layer over the picture.
 pub(super) fn blend(picture: &mut RgbImage, layer: &Pixmap) {
-    for (below, above) in picture.pixels_mut().zip(layer.pixels()).filter(|(_, above)| above.alpha() > 0) {
+    for (below, above) in
+        picture.pixels_mut().zip(layer.pixels()).filter(|(_, above)| above.alpha() > 0)
+    {
         let through = 255 - u16::from(above.alpha());
         for (channel, over) in below.0.iter_mut().zip([above.red(), above.green(), above.blue()]) {
             *channel = (u16::from(over) + u16::from(*channel) * through / 255).min(255) as u8;
@@ -269,7 +352,8 @@ mod tests {
     use crate::render::render_scene::RenderScene;
     use crate::scene::PointCloud;
 
-    const ROOM: Aabb = Aabb { center: Point3::new(0.0, 0.0, 0.0), size: Vector3::new(6.0, 5.0, 2.5) };
+    const ROOM: Aabb =
+        Aabb { center: Point3::new(0.0, 0.0, 0.0), size: Vector3::new(6.0, 5.0, 2.5) };
 
     fn camera() -> Camera {
         Orbit { width: 680, height: 680, azimuth_deg: -90.0, tilt_deg: 30.0 }.camera(&ROOM)
@@ -293,7 +377,9 @@ mod tests {
             let rects: Vec<Rect> = places.iter().flatten().map(|p| p.rect).collect();
             assert_eq!(rects.len(), count, "{spread_m}");
             for (i, a) in rects.iter().enumerate() {
-                assert!(a.left() >= 0.0 && a.top() >= 0.0 && a.right() <= 680.0 && a.bottom() <= 680.0);
+                assert!(
+                    a.left() >= 0.0 && a.top() >= 0.0 && a.right() <= 680.0 && a.bottom() <= 680.0
+                );
                 assert!(rects[i + 1..].iter().all(|b| !overlap(a, b)), "{count} {spread_m}");
             }
         }
@@ -306,12 +392,14 @@ mod tests {
         let places = label_places((680, 680), &camera, &boxes, Vec::new());
         for (i, place) in places.iter().enumerate() {
             let rect = place.as_ref().unwrap().rect;
-            let hides = |j: usize| holds(&rect, position(&camera, &boxes[j].aabb.center).unwrap().0);
+            let hides =
+                |j: usize| holds(&rect, position(&camera, &boxes[j].aabb.center).unwrap().0);
             assert!((0..5).filter(|j| *j != i).all(|j| !hides(j)));
         }
     }
 
-    /// A wall in front of the far half of a box: along its upper edge the line is whole where it is seen and broken behind the wall.
+    /// A wall in front of the far half of a box: along its upper edge the line is whole where it is
+    /// seen and broken behind the wall.
     #[test]
     fn edges_behind_things_are_dashed() {
         let mut cloud = PointCloud::default();
@@ -321,7 +409,8 @@ mod tests {
                 cloud.colours.push([255; 3]);
             }
         }
-        let camera = Orbit { width: 400, height: 400, azimuth_deg: -90.0, tilt_deg: 80.0 }.camera(&ROOM);
+        let camera =
+            Orbit { width: 400, height: 400, azimuth_deg: -90.0, tilt_deg: 80.0 }.camera(&ROOM);
         let drawn = RenderScene::of(cloud).drawn_with_ceiling(&camera);
         let aabb = Aabb { center: Point3::origin(), size: Vector3::new(3.6, 0.2, 1.0) };
         let mut picture = RgbImage::from_pixel(400, 400, Rgb([255; 3]));
@@ -335,7 +424,11 @@ mod tests {
         let (a, b) = (Point3::new(-1.8, -0.1, -0.5), Point3::new(1.8, -0.1, -0.5));
         let inked = |from: f32, to: f32| {
             let dark = |i: i32| {
-                let (at, _) = position(&camera, &Point3::from(a.coords.lerp(&b.coords, from + (to - from) * i as f32 / 60.0))).unwrap();
+                let (at, _) = position(
+                    &camera,
+                    &Point3::from(a.coords.lerp(&b.coords, from + (to - from) * i as f32 / 60.0)),
+                )
+                .unwrap();
                 picture.get_pixel(at.x.round() as u32, at.y.round() as u32).0[0] < 160
             };
             (0..60).filter(|&i| dark(i)).count()

@@ -10,10 +10,12 @@ use image::{Rgba, RgbaImage};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// A splat is this much wider than the spacing of the points: seen at a slant, surfaces would tear otherwise.
+/// A splat is this much wider than the spacing of the points: seen at a slant, surfaces would tear
+/// otherwise.
 const OVERLAP: f32 = 1.6;
 const MAX_SPLAT_PX: f32 = 24.0;
-/// Points above this height percentile are left out, so that a ceiling does not hide the room (paper: 95th).
+/// Points above this height percentile are left out, so that a ceiling does not hide the room
+/// (paper: 95th).
 const CEILING_PERCENTILE: f32 = 0.95;
 /// Only a scene taller than this has a ceiling to leave out, metres.
 const CEILING_FROM_M: f32 = 2.0;
@@ -21,8 +23,9 @@ const CEILING_FROM_M: f32 = 2.0;
 /// What is left out of a picture so that one can look into a room from outside.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Cutaway {
-    /// Walls and ceilings that turn their backs on the camera or hide a subject, with what hangs on them. Subjects themselves are
-    /// always drawn. Where no ceiling is known the highest points are left out as well.
+    /// Walls and ceilings that turn their backs on the camera or hide a subject, with what hangs on
+    /// them. Subjects themselves are always drawn. Where no ceiling is known the highest points
+    /// are left out as well.
     #[default]
     Building,
     /// Paper: points above the 95th height percentile, whatever they are.
@@ -48,12 +51,15 @@ impl RenderScene {
         Self::of_parsed(cloud, &[])
     }
 
-    /// Measures a cloud whose walls and ceilings are known: some passes over its points. Two bytes a point are kept beside the cloud.
+    /// Measures a cloud whose walls and ceilings are known: some passes over its points. Two bytes
+    /// a point are kept beside the cloud.
     #[must_use]
     pub fn of_parsed(cloud: impl Into<Arc<PointCloud>>, instances: &[Instance]) -> Self {
         let cloud = cloud.into();
         let mut heights: Vec<f32> = cloud.positions.iter().map(|p| p.z).collect();
-        let (low, high) = heights.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), z| (lo.min(*z), hi.max(*z)));
+        let (low, high) = heights
+            .iter()
+            .fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), z| (lo.min(*z), hi.max(*z)));
         let ceiling_m = match high - low > CEILING_FROM_M {
             true => quantile(&mut heights, CEILING_PERCENTILE).unwrap_or(f32::INFINITY),
             false => f32::INFINITY,
@@ -75,7 +81,8 @@ impl RenderScene {
         let Some(building) = &self.building else {
             let of = |s: &Aabb| OrientedBox { center: s.center, size: s.size, yaw_rad: 0.0 };
             let kept: Vec<OrientedBox> = subjects.iter().map(of).collect();
-            return self.draw(camera, |_, p| p.z <= highest_m || kept.iter().any(|b| holds(b, RIM_M, p)));
+            return self
+                .draw(camera, |_, p| p.z <= highest_m || kept.iter().any(|b| holds(b, RIM_M, p)));
         };
         let opening = building.opening(&camera.center(), subjects);
         let draws = |i: usize, p: &Point3<f32>| match p.z <= highest_m {
@@ -96,7 +103,8 @@ impl RenderScene {
     }
 }
 
-/// What was drawn: colours, and the depth along the optical axis in metres. Where nothing was drawn they are transparent and infinite.
+/// What was drawn: colours, and the depth along the optical axis in metres. Where nothing was drawn
+/// they are transparent and infinite.
 pub(super) struct Splats {
     pub picture: RgbaImage,
     pub depth_m: Vec<f32>,
@@ -109,11 +117,15 @@ impl Splats {
     pub fn depth_at(&self, u: f32, v: f32) -> f32 {
         let (width, height) = self.picture.dimensions();
         let inside = u > -0.5 && v > -0.5 && u < width as f32 - 0.5 && v < height as f32 - 0.5;
-        if inside { self.depth_m[(v + 0.5) as usize * width as usize + (u + 0.5) as usize] } else { f32::INFINITY }
+        if inside {
+            self.depth_m[(v + 0.5) as usize * width as usize + (u + 0.5) as usize]
+        } else {
+            f32::INFINITY
+        }
     }
 
-    /// Darkens surfaces that turn away from the camera, by up to `strength`: normals come from the drawn depth, so that a grey chair
-    /// stands out from a grey floor.
+    /// Darkens surfaces that turn away from the camera, by up to `strength`: normals come from the
+    /// drawn depth, so that a grey chair stands out from a grey floor.
     pub fn shade(&mut self, camera: &Camera, strength: f32) {
         let (width, height) = (self.picture.width() as usize, self.picture.height() as usize);
         let intrinsics = camera.intrinsics;
@@ -121,7 +133,8 @@ impl Splats {
             let z_m = self.depth_m[row * width + column];
             z_m.is_finite().then(|| intrinsics.unproject(column as f32, row as f32, z_m))
         };
-        // Steps of several pixels: splats are small squares that face the camera, and within one of them there is no slope.
+        // Steps of several pixels: splats are small squares that face the camera, and within one of
+        // them there is no slope.
         const STEP: usize = 3;
         let mut light = vec![1.0_f32; width * height];
         light.par_chunks_mut(width).enumerate().for_each(|(row, of_row)| {
@@ -147,7 +160,12 @@ impl Splats {
     }
 }
 
-fn draw(cloud: &PointCloud, spacing_m: f32, camera: &Camera, keep: impl Fn(usize, &Point3<f32>) -> bool + Sync) -> Splats {
+fn draw(
+    cloud: &PointCloud,
+    spacing_m: f32,
+    camera: &Camera,
+    keep: impl Fn(usize, &Point3<f32>) -> bool + Sync,
+) -> Splats {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let size_m = spacing_m * OVERLAP;
     let splats: Vec<(f32, f32, f32, [u8; 3])> = cloud
@@ -156,13 +174,17 @@ fn draw(cloud: &PointCloud, spacing_m: f32, camera: &Camera, keep: impl Fn(usize
         .zip(&cloud.colours)
         .enumerate()
         .filter(|(i, (p, _))| keep(*i, p))
-        .filter_map(|(_, (p, &colour))| camera.project(p).map(|pixel| (pixel.u, pixel.v, pixel.z_m, colour)))
+        .filter_map(|(_, (p, &colour))| {
+            camera.project(p).map(|pixel| (pixel.u, pixel.v, pixel.z_m, colour))
+        })
         .collect();
     let mut picture = RgbaImage::new(width, height);
     let mut depth_m = vec![f32::INFINITY; (width * height) as usize];
     for (u, v, z_m, colour) in splats {
         let half = (camera.intrinsics.fx * size_m / z_m / 2.0).clamp(0.5, MAX_SPLAT_PX / 2.0);
-        let span = |at: f32, len: u32| ((at - half + 0.5).max(0.0) as u32)..((at + half + 0.5).max(0.0) as u32).clamp(1, len);
+        let span = |at: f32, len: u32| {
+            ((at - half + 0.5).max(0.0) as u32)..((at + half + 0.5).max(0.0) as u32).clamp(1, len)
+        };
         for row in span(v, height) {
             for column in span(u, width) {
                 let nearest = &mut depth_m[(row * width + column) as usize];
@@ -183,7 +205,8 @@ mod tests {
     use crate::geometry::{Isometry3, Vector3};
     use crate::scene::Intrinsics;
 
-    const VIEW: Intrinsics = Intrinsics { width: 200, height: 200, fx: 200.0, fy: 200.0, cx: 99.5, cy: 99.5 };
+    const VIEW: Intrinsics =
+        Intrinsics { width: 200, height: 200, fx: 200.0, fy: 200.0, cx: 99.5, cy: 99.5 };
 
     fn grid(at: impl Fn(f32, f32) -> (Point3<f32>, [u8; 3])) -> PointCloud {
         let mut cloud = PointCloud::default();
@@ -203,10 +226,17 @@ mod tests {
         let front = grid(|x, y| (Point3::new(x, y, 2.0), [255, 0, 0]));
         cloud.positions.extend(front.positions);
         cloud.colours.extend(front.colours);
-        let drawn = RenderScene::of(cloud).drawn_with_ceiling(&Camera::new(VIEW, &Isometry3::from(Vector3::zeros())));
-        let window = drawn.picture.enumerate_pixels().filter(|(x, y, _)| (10..190).contains(x) && (10..190).contains(y));
+        let drawn = RenderScene::of(cloud)
+            .drawn_with_ceiling(&Camera::new(VIEW, &Isometry3::from(Vector3::zeros())));
+        let window = drawn
+            .picture
+            .enumerate_pixels()
+            .filter(|(x, y, _)| (10..190).contains(x) && (10..190).contains(y));
         assert!(window.into_iter().all(|(_, _, p)| *p == Rgba([255, 0, 0, 255])));
-        assert!((drawn.depth_at(100.0, 100.0) - 2.0).abs() < 1e-5 && drawn.depth_at(300.0, 0.0).is_infinite());
+        assert!(
+            (drawn.depth_at(100.0, 100.0) - 2.0).abs() < 1e-5
+                && drawn.depth_at(300.0, 0.0).is_infinite()
+        );
     }
 
     #[test]
@@ -219,7 +249,12 @@ mod tests {
             drawn.picture.get_pixel(100, 100).0[0]
         };
         // 45 degrees: half of 1 - cos 45 is .15.
-        assert!(brightness(0.0) >= 198 && (160..182).contains(&brightness(1.0)), "{} {}", brightness(0.0), brightness(1.0));
+        assert!(
+            brightness(0.0) >= 198 && (160..182).contains(&brightness(1.0)),
+            "{} {}",
+            brightness(0.0),
+            brightness(1.0)
+        );
     }
 
     #[test]

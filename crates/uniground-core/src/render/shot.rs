@@ -1,4 +1,5 @@
-//! A photograph as evidence: the whole of it, a crop of what it is about, and what of both shows that.
+//! A photograph as evidence: the whole of it, a crop of what it is about, and what of both shows
+//! that.
 
 use crate::scene::{CellMask, FrameIndex, View};
 use image::{RgbImage, imageops};
@@ -10,21 +11,27 @@ pub struct Shot {
     pub crop: RgbImage,
     /// The photograph as it was taken, or with its box drawn already.
     pub frame: RgbImage,
-    /// Where the candidate is in `frame`: left, top, right, bottom as shares of its width and height.
+    /// Where the candidate is in `frame`: left, top, right, bottom as shares of its width and
+    /// height.
     pub place: [f32; 4],
-    /// What of the candidate's place shows it, and that place in `crop`; `None` where it is not known, or drawn already.
+    /// What of the candidate's place shows it, and that place in `crop`; `None` where it is not
+    /// known, or drawn already.
     pub mask: Option<(CellMask, [f32; 4])>,
-    /// The frame the photograph was taken with, and what of it `crop` shows (left, top, right, bottom, pixels); `None` for other pictures.
+    /// The frame the photograph was taken with, and what of it `crop` shows (left, top, right,
+    /// bottom, pixels); `None` for other pictures.
     pub taken: Option<(FrameIndex, [u32; 4])>,
 }
 
-/// A crop grows the tight box by this share of its width and height per side, so that the object is not cut at its rim.
+/// A crop grows the tight box by this share of its width and height per side, so that the object is
+/// not cut at its rim.
 const CROP_MARGIN: f32 = 0.1;
-/// A crop has at least so many pixels of the photograph each way, where the photograph has them: what is small is known by what is around it.
+/// A crop has at least so many pixels of the photograph each way, where the photograph has them:
+/// what is small is known by what is around it.
 const LEAST_CROP_PX: u32 = 224;
 
 impl Shot {
-    /// Pictures made before: a crop, and the photograph with its box at `box_px` (left, top, right, bottom, pixels).
+    /// Pictures made before: a crop, and the photograph with its box at `box_px` (left, top, right,
+    /// bottom, pixels).
     #[must_use]
     pub fn new(crop: RgbImage, frame: RgbImage, box_px: [u32; 4]) -> Self {
         let place = shares(box_px, [0, 0, frame.width(), frame.height()]);
@@ -36,7 +43,11 @@ impl Shot {
     pub fn of_view(photograph: RgbImage, view: &View) -> Self {
         let area = crop_area(view.box_px, photograph.dimensions());
         let crop = cut(&photograph, area);
-        let mask = view.mask.as_ref().and_then(CellMask::unpacked).map(|mask| (mask, shares(view.box_px, area)));
+        let mask = view
+            .mask
+            .as_ref()
+            .and_then(CellMask::unpacked)
+            .map(|mask| (mask, shares(view.box_px, area)));
         Self { mask, taken: Some((view.frame, area)), ..Self::new(crop, photograph, view.box_px) }
     }
 
@@ -45,16 +56,22 @@ impl Shot {
     pub fn covered_px(&self) -> f32 {
         let [left, top, right, bottom] = self.place;
         let share = self.mask.as_ref().map_or(1.0, |(mask, _)| mask.share());
-        (right - left) * self.frame.width() as f32 * (bottom - top) * self.frame.height() as f32 * share
+        (right - left)
+            * self.frame.width() as f32
+            * (bottom - top)
+            * self.frame.height() as f32
+            * share
     }
 }
 
-/// What to cut out of a photograph to show a box (left, top, right, bottom, pixels): with a margin, and enough of it to be known by.
+/// What to cut out of a photograph to show a box (left, top, right, bottom, pixels): with a margin,
+/// and enough of it to be known by.
 #[must_use]
 pub fn crop_area([left, top, right, bottom]: [u32; 4], (width, height): (u32, u32)) -> [u32; 4] {
     let along = |low: u32, high: u32, length: u32| {
         let margin = (high.saturating_sub(low) as f32 * CROP_MARGIN) as u32;
-        let (low, high) = (low.min(length.saturating_sub(1)).saturating_sub(margin), (high + margin).min(length));
+        let (low, high) =
+            (low.min(length.saturating_sub(1)).saturating_sub(margin), (high + margin).min(length));
         let least = LEAST_CROP_PX.min(length);
         let missing = least.saturating_sub(high.saturating_sub(low));
         if missing == 0 {
@@ -71,7 +88,8 @@ pub fn crop_area([left, top, right, bottom]: [u32; 4], (width, height): (u32, u3
 /// An area of a photograph (left, top, right, bottom, pixels) as a picture of its own.
 #[must_use]
 pub fn cut(photograph: &RgbImage, [left, top, right, bottom]: [u32; 4]) -> RgbImage {
-    imageops::crop_imm(photograph, left, top, (right - left).max(1), (bottom - top).max(1)).to_image()
+    imageops::crop_imm(photograph, left, top, (right - left).max(1), (bottom - top).max(1))
+        .to_image()
 }
 
 /// A box in shares of an area, both in pixels of one picture.
@@ -111,13 +129,22 @@ mod tests {
     fn a_large_thing_has_a_tenth_around_it_and_a_small_one_224_pixels() {
         assert_eq!(crop_area([100, 100, 400, 340], (640, 480)), [70, 76, 430, 364]);
         assert_eq!(crop_area([300, 200, 320, 230], (640, 480)), [198, 103, 422, 327]);
-        assert_eq!(crop_area([0, 460, 20, 480], (640, 480)), [0, 256, 224, 480], "at the rim, the other side gives");
+        assert_eq!(
+            crop_area([0, 460, 20, 480], (640, 480)),
+            [0, 256, 224, 480],
+            "at the rim, the other side gives"
+        );
     }
 
     #[test]
     fn a_shot_knows_where_its_thing_is_in_both_pictures() {
         let mask = CellMask::of(10, 10, |column, _| column < 5);
-        let view = View { frame: FrameIndex(0), visible_points: 9, box_px: [300, 200, 320, 230], mask: Some(mask.packed()) };
+        let view = View {
+            frame: FrameIndex(0),
+            visible_points: 9,
+            box_px: [300, 200, 320, 230],
+            mask: Some(mask.packed()),
+        };
         let shot = Shot::of_view(RgbImage::new(640, 480), &view);
         assert_eq!((shot.crop.dimensions(), shot.frame.dimensions()), ((224, 224), (640, 480)));
         let (unpacked, [left, top, right, bottom]) = shot.mask.clone().unwrap();

@@ -4,8 +4,9 @@ use ab_glyph::{Font, FontRef, Glyph, PxScale, ScaleFont, point};
 use image::{Rgb, RgbImage};
 use std::sync::LazyLock;
 
-static FONT: LazyLock<Option<FontRef<'static>>> =
-    LazyLock::new(|| FontRef::try_from_slice(include_bytes!("../../assets/fonts/NotoSans-Bold-latin.ttf")).ok());
+static FONT: LazyLock<Option<FontRef<'static>>> = LazyLock::new(|| {
+    FontRef::try_from_slice(include_bytes!("../../assets/fonts/NotoSans-Bold-latin.ttf")).ok()
+});
 
 /// Width of a line of text at a size in pixels.
 pub(super) fn width(text: &str, size_px: f32) -> f32 {
@@ -13,19 +14,32 @@ pub(super) fn width(text: &str, size_px: f32) -> f32 {
 }
 
 /// Draws a line of text with its top left corner at `(x, y)`.
-pub(super) fn draw(picture: &mut RgbImage, text: &str, x: f32, y: f32, size_px: f32, colour: Rgb<u8>) {
+pub(super) fn draw(
+    picture: &mut RgbImage,
+    text: &str,
+    x: f32,
+    y: f32,
+    size_px: f32,
+    colour: Rgb<u8>,
+) {
     let Some(font) = FONT.as_ref() else { return };
     for mut glyph in layout(text, size_px).0 {
         glyph.position += point(x, y);
         let Some(outline) = font.outline_glyph(glyph) else { continue };
         let bounds = outline.px_bounds();
         outline.draw(|column, row, coverage| {
-            let (u, v) = (bounds.min.x as i64 + i64::from(column), bounds.min.y as i64 + i64::from(row));
-            let inside = u >= 0 && v >= 0 && u < i64::from(picture.width()) && v < i64::from(picture.height());
+            let (u, v) =
+                (bounds.min.x as i64 + i64::from(column), bounds.min.y as i64 + i64::from(row));
+            let inside = u >= 0
+                && v >= 0
+                && u < i64::from(picture.width())
+                && v < i64::from(picture.height());
             if inside {
                 let below = picture.get_pixel_mut(u as u32, v as u32);
                 for (channel, ink) in below.0.iter_mut().zip(colour.0) {
-                    *channel = (f32::from(*channel) + (f32::from(ink) - f32::from(*channel)) * coverage.min(1.0)).round() as u8;
+                    *channel = (f32::from(*channel)
+                        + (f32::from(ink) - f32::from(*channel)) * coverage.min(1.0))
+                    .round() as u8;
                 }
             }
         });
@@ -41,7 +55,8 @@ fn layout(text: &str, size_px: f32) -> (Vec<Glyph>, f32) {
         .chars()
         .map(|c| {
             let id = font.glyph_id(c);
-            let glyph = id.with_scale_and_position(PxScale::from(size_px), point(advance, scaled.ascent()));
+            let glyph =
+                id.with_scale_and_position(PxScale::from(size_px), point(advance, scaled.ascent()));
             advance += scaled.h_advance(id);
             glyph
         })

@@ -4,7 +4,8 @@ use super::{FrameRef, ImportReport, PointCloud};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Serialize};
 
-/// A scan in canonical form. The cloud is in memory; frames are decoded one at a time by whoever needs them.
+/// A scan in canonical form. The cloud is in memory; frames are decoded one at a time by whoever
+/// needs them.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct SceneBundle {
     /// The scan's own, or fused from its frames.
@@ -13,7 +14,8 @@ pub struct SceneBundle {
     pub frames: Vec<FrameRef>,
     /// What the import found.
     pub report: ImportReport,
-    /// What was added to the scan since, in order; none of it is in the fields above. Kept apart: what came first is imported once.
+    /// What was added to the scan since, in order; none of it is in the fields above. Kept apart:
+    /// what came first is imported once.
     #[serde(skip)]
     pub additions: Vec<Addition>,
 }
@@ -29,7 +31,8 @@ pub struct Addition {
     pub kept: Vec<u32>,
     /// Points that were not there before.
     pub new: PointCloud,
-    /// What is nearer to a known point is no new one, metres: as wide is the gap between a surface and its continuation.
+    /// What is nearer to a known point is no new one, metres: as wide is the gap between a surface
+    /// and its continuation.
     pub apart_m: f32,
     /// How many frames could not be used.
     pub frames_skipped: u32,
@@ -42,8 +45,12 @@ impl Addition {
     #[must_use]
     pub fn applied_to(&self, before: &PointCloud) -> PointCloud {
         let kept = self.kept.iter().map(|&point| point as usize);
-        let positions = kept.clone().map(|point| before.positions[point]).chain(self.new.positions.iter().copied());
-        let colours = kept.map(|point| before.colours[point]).chain(self.new.colours.iter().copied());
+        let positions = kept
+            .clone()
+            .map(|point| before.positions[point])
+            .chain(self.new.positions.iter().copied());
+        let colours =
+            kept.map(|point| before.colours[point]).chain(self.new.colours.iter().copied());
         PointCloud { positions: positions.collect(), colours: colours.collect() }
     }
 

@@ -26,20 +26,33 @@ impl Intrinsics {
     #[must_use]
     pub fn scaled_to(&self, width: u32, height: u32) -> Self {
         let (sx, sy) = (width as f32 / self.width as f32, height as f32 / self.height as f32);
-        // Pixel centres, not corners, carry the coordinates: shift by half a pixel around the scaling.
+        // Pixel centres, not corners, carry the coordinates: shift by half a pixel around the
+        // scaling.
         let center = |c: f32, s: f32| (c + 0.5) * s - 0.5;
-        Self { width, height, fx: self.fx * sx, fy: self.fy * sy, cx: center(self.cx, sx), cy: center(self.cy, sy) }
+        Self {
+            width,
+            height,
+            fx: self.fx * sx,
+            fy: self.fy * sy,
+            cx: center(self.cx, sx),
+            cy: center(self.cy, sy),
+        }
     }
 
-    /// Pixel coordinates of a point in camera axes (metres); `None` behind the camera or outside the image.
+    /// Pixel coordinates of a point in camera axes (metres); `None` behind the camera or outside
+    /// the image.
     #[must_use]
     #[inline]
     pub fn project(&self, p: &Point3<f32>) -> Option<Pixel> {
         if p.z <= 0.0 || p.z.is_nan() {
             return None;
         }
-        let pixel = Pixel { u: self.fx * p.x / p.z + self.cx, v: self.fy * p.y / p.z + self.cy, z_m: p.z };
-        let inside = pixel.u > -0.5 && pixel.v > -0.5 && pixel.u < self.width as f32 - 0.5 && pixel.v < self.height as f32 - 0.5;
+        let pixel =
+            Pixel { u: self.fx * p.x / p.z + self.cx, v: self.fy * p.y / p.z + self.cy, z_m: p.z };
+        let inside = pixel.u > -0.5
+            && pixel.v > -0.5
+            && pixel.u < self.width as f32 - 0.5
+            && pixel.v < self.height as f32 - 0.5;
         inside.then_some(pixel)
     }
 
@@ -83,20 +96,25 @@ impl Camera {
     /// `camera_to_world` is the pose: OpenCV camera axes to the world frame (Z up), metres.
     #[must_use]
     pub fn new(intrinsics: Intrinsics, camera_to_world: &Isometry3<f32>) -> Self {
-        Self { intrinsics, world_to_own: camera_to_world.inverse(), center: Point3::from(camera_to_world.translation.vector) }
+        Self {
+            intrinsics,
+            world_to_own: camera_to_world.inverse(),
+            center: Point3::from(camera_to_world.translation.vector),
+        }
     }
 
     /// Projects a world point into pixel coordinates of this camera.
     ///
-    /// `p` is in metres, world frame (Z up). Returns `None` behind the camera (`z <= 0`) or outside the image;
-    /// depth is not looked at here.
+    /// `p` is in metres, world frame (Z up). Returns `None` behind the camera (`z <= 0`) or outside
+    /// the image; depth is not looked at here.
     #[must_use]
     #[inline]
     pub fn project(&self, p: &Point3<f32>) -> Option<Pixel> {
         self.intrinsics.project(&(self.world_to_own * p))
     }
 
-    /// Whether some of a ball may [`project`](Self::project) into the image: `false` only if no point of it does.
+    /// Whether some of a ball may [`project`](Self::project) into the image: `false` only if no
+    /// point of it does.
     ///
     /// `center` and `radius_m` are in metres, world frame (Z up).
     #[must_use]
@@ -105,8 +123,10 @@ impl Camera {
         let c = self.world_to_own * center;
         // Room for rounding, which grows with the distance.
         let radius = radius_m + 1e-3 + 1e-5 * c.coords.norm();
-        // Signed distance to a side of the viewing pyramid: `along` pixels from the optical axis, at focal length `f`.
-        let inside = |f: f32, across: f32, along: f32| f * across + along * c.z > -radius * f.hypot(along);
+        // Signed distance to a side of the viewing pyramid: `along` pixels from the optical axis,
+        // at focal length `f`.
+        let inside =
+            |f: f32, across: f32, along: f32| f * across + along * c.z > -radius * f.hypot(along);
         c.z > -radius
             && inside(fx, c.x, cx + 0.5)
             && inside(fx, -c.x, width as f32 - 0.5 - cx)
@@ -133,24 +153,34 @@ mod tests {
     use crate::geometry::Vector3;
     use proptest::prelude::*;
 
-    const VGA: Intrinsics = Intrinsics { width: 640, height: 480, fx: 577.87, fy: 577.87, cx: 319.5, cy: 239.5 };
+    const VGA: Intrinsics =
+        Intrinsics { width: 640, height: 480, fx: 577.87, fy: 577.87, cx: 319.5, cy: 239.5 };
 
     #[test]
     fn a_point_to_the_right_and_below_lands_right_and_below_the_centre() {
         let pixel = VGA.project(&Point3::new(0.5, 0.25, 2.0)).unwrap();
-        assert!((pixel.u - (319.5 + 144.4675)).abs() < 1e-3 && (pixel.v - (239.5 + 72.23375)).abs() < 1e-3);
+        assert!(
+            (pixel.u - (319.5 + 144.4675)).abs() < 1e-3
+                && (pixel.v - (239.5 + 72.23375)).abs() < 1e-3
+        );
         assert_eq!(VGA.project(&Point3::new(0.0, 0.0, -1.0)), None);
         assert_eq!(VGA.project(&Point3::new(9.0, 0.0, 1.0)), None);
     }
 
     #[test]
     fn a_camera_that_looks_along_world_y_sees_world_up_as_image_up() {
-        // Columns of camera-to-world: image right = world +X, image down = world -Z, forward = world +Y.
-        let matrix = nalgebra::Matrix4::new(1., 0., 0., 1., 0., 0., 1., -2., 0., -1., 0., 1.5, 0., 0., 0., 1.);
+        // Columns of camera-to-world: image right = world +X, image down = world -Z, forward =
+        // world +Y.
+        let matrix = nalgebra::Matrix4::new(
+            1., 0., 0., 1., 0., 0., 1., -2., 0., -1., 0., 1.5, 0., 0., 0., 1.,
+        );
         let camera = Camera::new(VGA, &crate::geometry::pose::rigid(&matrix).unwrap());
         assert!((camera.world_to_camera().inverse() * Vector3::z() - Vector3::y()).norm() < 1e-5);
         let above = camera.project(&Point3::new(1.0, 1.0, 2.0)).unwrap();
-        assert!((above.z_m - 3.0).abs() < 1e-5 && (above.u - VGA.cx).abs() < 1e-2 && above.v < VGA.cy, "{above:?}");
+        assert!(
+            (above.z_m - 3.0).abs() < 1e-5 && (above.u - VGA.cx).abs() < 1e-2 && above.v < VGA.cy,
+            "{above:?}"
+        );
     }
 
     proptest! {

@@ -2,7 +2,8 @@
 
 use super::ViewMask;
 
-/// Which cells of a box belong to something: a grid of at most [`CellMask::MAX_CELLS`] cells each way.
+/// Which cells of a box belong to something: a grid of at most [`CellMask::MAX_CELLS`] cells each
+/// way.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CellMask {
     columns: u32,
@@ -26,7 +27,9 @@ impl CellMask {
     pub fn of(columns: u32, rows: u32, inside: impl Fn(u32, u32) -> bool) -> Self {
         let mut mask = Self::empty(columns, rows);
         for (row, bits) in (0..).zip(&mut mask.rows) {
-            *bits = (0..mask.columns).filter(|&column| inside(column, row)).fold(0, |bits, column| bits | 1 << column);
+            *bits = (0..mask.columns)
+                .filter(|&column| inside(column, row))
+                .fold(0, |bits, column| bits | 1 << column);
         }
         mask
     }
@@ -47,7 +50,8 @@ impl CellMask {
     /// Whether a cell belongs to it.
     #[must_use]
     pub fn has(&self, column: u32, row: u32) -> bool {
-        column < self.columns && self.rows.get(row as usize).is_some_and(|bits| bits >> column & 1 == 1)
+        column < self.columns
+            && self.rows.get(row as usize).is_some_and(|bits| bits >> column & 1 == 1)
     }
 
     /// How many cells belong to it.
@@ -65,10 +69,14 @@ impl CellMask {
     /// The cells of both; `other` has the same size.
     #[must_use]
     pub fn joined(&self, other: &Self) -> Self {
-        Self { columns: self.columns, rows: self.rows.iter().zip(&other.rows).map(|(a, b)| a | b).collect() }
+        Self {
+            columns: self.columns,
+            rows: self.rows.iter().zip(&other.rows).map(|(a, b)| a | b).collect(),
+        }
     }
 
-    /// Whether a position, given as shares of the box, belongs to it: by the mean of the nearest cells, so that its rim has no steps.
+    /// Whether a position, given as shares of the box, belongs to it: by the mean of the nearest
+    /// cells, so that its rim has no steps.
     #[must_use]
     pub fn covers(&self, (x, y): (f32, f32)) -> bool {
         let (columns, rows) = self.size();
@@ -80,7 +88,8 @@ impl CellMask {
             f32::from(u8::from(known))
         };
         let upper = at(left, top) * (1.0 - right_share) + at(left + 1.0, top) * right_share;
-        let lower = at(left, top + 1.0) * (1.0 - right_share) + at(left + 1.0, top + 1.0) * right_share;
+        let lower =
+            at(left, top + 1.0) * (1.0 - right_share) + at(left + 1.0, top + 1.0) * right_share;
         upper * (1.0 - low_share) + lower * low_share >= 0.5
     }
 
@@ -91,7 +100,11 @@ impl CellMask {
         let grown = Self { columns: self.columns, rows: grow(&self.rows, all) };
         // Nothing shrinks at the rim of the box.
         let outside: Vec<u64> = grown.rows.iter().map(|bits| !bits & all).collect();
-        let rows = grow(&outside, all).iter().zip(&self.rows).map(|(bits, own)| !bits & all | own).collect();
+        let rows = grow(&outside, all)
+            .iter()
+            .zip(&self.rows)
+            .map(|(bits, own)| !bits & all | own)
+            .collect();
         Self { columns: self.columns, rows }
     }
 
@@ -101,8 +114,10 @@ impl CellMask {
         let all = self.all();
         let free: Vec<u64> = self.rows.iter().map(|bits| !bits & all).collect();
         let last = self.rows.len() - 1;
-        let rim = |row: usize| if row == 0 || row == last { all } else { 1 | 1 << (self.columns - 1) };
-        let reached = flood(free.iter().enumerate().map(|(row, bits)| bits & rim(row)).collect(), &free);
+        let rim =
+            |row: usize| if row == 0 || row == last { all } else { 1 | 1 << (self.columns - 1) };
+        let reached =
+            flood(free.iter().enumerate().map(|(row, bits)| bits & rim(row)).collect(), &free);
         Self { columns: self.columns, rows: reached.iter().map(|bits| !bits & all).collect() }
     }
 
@@ -130,8 +145,11 @@ impl CellMask {
     pub fn packed(&self) -> ViewMask {
         let (columns, rows) = self.size();
         // Runs go down the columns and begin with what lies outside.
-        let cells: Vec<bool> = (0..columns).flat_map(|column| (0..rows).map(move |row| self.has(column, row))).collect();
-        let mut runs: Vec<i32> = cells.chunk_by(|a, b| a == b).map(|run| run.len() as i32).collect();
+        let cells: Vec<bool> = (0..columns)
+            .flat_map(|column| (0..rows).map(move |row| self.has(column, row)))
+            .collect();
+        let mut runs: Vec<i32> =
+            cells.chunk_by(|a, b| a == b).map(|run| run.len() as i32).collect();
         if cells[0] {
             runs.insert(0, 0);
         }
@@ -191,7 +209,8 @@ impl CellMask {
     }
 }
 
-// The letters that COCO's tools write runs with: five bits each, differences to the run before the last, and a sixth bit for more to come.
+// The letters that COCO's tools write runs with: five bits each, differences to the run before the
+// last, and a sixth bit for more to come.
 const FIRST_CHAR: u8 = b'0';
 const DIGIT_BITS: u32 = 5;
 const DIGIT: i32 = 0x1f;
@@ -216,7 +235,8 @@ fn flood(mut reached: Vec<u64>, within: &[u64]) -> Vec<u64> {
         // Down and up again, so that most shapes take a round or two.
         for row in (0..reached.len()).chain((0..reached.len()).rev()) {
             let above = row.checked_sub(1).map_or(0, |above| reached[above]);
-            let mut bits = (reached[row] | above | reached.get(row + 1).copied().unwrap_or(0)) & within[row];
+            let mut bits =
+                (reached[row] | above | reached.get(row + 1).copied().unwrap_or(0)) & within[row];
             loop {
                 let wider = (bits | bits << 1 | bits >> 1) & within[row];
                 if wider == bits {
@@ -239,7 +259,9 @@ mod tests {
     use proptest::prelude::*;
 
     fn drawn(rows: &[&str]) -> CellMask {
-        CellMask::of(rows[0].len() as u32, rows.len() as u32, |column, row| rows[row as usize].as_bytes()[column as usize] == b'#')
+        CellMask::of(rows[0].len() as u32, rows.len() as u32, |column, row| {
+            rows[row as usize].as_bytes()[column as usize] == b'#'
+        })
     }
 
     fn any_mask() -> impl Strategy<Value = CellMask> {
@@ -289,13 +311,22 @@ mod tests {
             drawn(&["#####", "#...#", "#...#", "#...#", "#####"])
         );
         assert_eq!(drawn(&["#####", "#...#", "#...#", "#####"]).filled(), drawn(&["#####"; 4]));
-        assert_eq!(drawn(&["###", "#.#", "#.#"]).filled(), drawn(&["###", "#.#", "#.#"]), "open below");
+        assert_eq!(
+            drawn(&["###", "#.#", "#.#"]).filled(),
+            drawn(&["###", "#.#", "#.#"]),
+            "open below"
+        );
         assert_eq!(drawn(&["###..", "###.#"]).without_crumbs(0.2), drawn(&["###..", "###.."]));
     }
 
     #[test]
     fn the_rim_runs_through_the_middle_between_cells() {
         let mask = drawn(&["##..", "##.."]);
-        assert!(mask.covers((0.01, 0.5)) && mask.covers((0.49, 0.5)) && !mask.covers((0.51, 0.5)) && !mask.covers((-0.1, 0.5)));
+        assert!(
+            mask.covers((0.01, 0.5))
+                && mask.covers((0.49, 0.5))
+                && !mask.covers((0.51, 0.5))
+                && !mask.covers((-0.1, 0.5))
+        );
     }
 }

@@ -1,11 +1,12 @@
-//! Instances as people have corrected them. What stage 1 has found stays as it is: corrections are laid over it, in the order they were
-//! made, and can be taken back.
+//! Instances as people have corrected them. What stage 1 has found stays as it is: corrections are
+//! laid over it, in the order they were made, and can be taken back.
 
 use super::{Instance, InstanceId, Level, View};
 use std::collections::BTreeMap;
 use uniground_types::corrections::{Change, Correction};
 
-/// Lays corrections over the instances of a parse, in order of id; those that a merge has made are among them.
+/// Lays corrections over the instances of a parse, in order of id; those that a merge has made are
+/// among them.
 pub fn correct(instances: &mut [Instance], corrections: &[Correction]) {
     for Correction { change, made, undone_at, .. } in corrections {
         if undone_at.is_some() {
@@ -14,12 +15,20 @@ pub fn correct(instances: &mut [Instance], corrections: &[Correction]) {
             continue;
         }
         match change {
-            Change::Rename { instance_id, name } => with(instances, [instance_id], |instance| instance.given_name = Some(name.clone())),
-            Change::Dismiss { instance_ids } => with(instances, instance_ids, |instance| instance.dismissed = true),
+            Change::Rename { instance_id, name } => {
+                with(instances, [instance_id], |instance| instance.given_name = Some(name.clone()))
+            }
+            Change::Dismiss { instance_ids } => {
+                with(instances, instance_ids, |instance| instance.dismissed = true)
+            }
             Change::Merge { instance_ids, name } => {
                 // What was made since the instances were read is not among them yet.
-                let Some(made) = made.filter(|made| made.0 as usize <= instances.len()) else { continue };
-                with(instances, [&made], |instance| instance.given_name = name.clone().or(instance.given_name.take()));
+                let Some(made) = made.filter(|made| made.0 as usize <= instances.len()) else {
+                    continue;
+                };
+                with(instances, [&made], |instance| {
+                    instance.given_name = name.clone().or(instance.given_name.take())
+                });
                 belong_to(instances, instance_ids, &[made]);
                 with(instances, instance_ids, |instance| {
                     instance.level = Level::Part;
@@ -46,7 +55,8 @@ pub fn parts_of(instances: &[Instance], thing: InstanceId) -> Vec<InstanceId> {
     instances.iter().filter(is_part).map(|i| i.id).collect()
 }
 
-/// The best views of several instances together: a frame that shows more than one of them once, best first.
+/// The best views of several instances together: a frame that shows more than one of them once,
+/// best first.
 #[must_use]
 pub fn views_of_all(instances: &[&Instance], most: usize) -> Vec<View> {
     let mut by_frame: BTreeMap<_, View> = BTreeMap::new();
@@ -72,7 +82,11 @@ pub fn views_of_all(instances: &[&Instance], most: usize) -> Vec<View> {
 }
 
 /// Changes instances by their ids.
-fn with<'a>(instances: &mut [Instance], ids: impl IntoIterator<Item = &'a InstanceId>, mut change: impl FnMut(&mut Instance)) {
+fn with<'a>(
+    instances: &mut [Instance],
+    ids: impl IntoIterator<Item = &'a InstanceId>,
+    mut change: impl FnMut(&mut Instance),
+) {
     for id in ids {
         if let Some(instance) = instances.get_mut((id.0 as usize).wrapping_sub(1)) {
             change(instance);
@@ -82,7 +96,9 @@ fn with<'a>(instances: &mut [Instance], ids: impl IntoIterator<Item = &'a Instan
 
 /// Parts and wholes of `before` are those of `now`.
 fn belong_to(instances: &mut [Instance], before: &[InstanceId], now: &[InstanceId]) {
-    for compound in instances.iter_mut().filter(|i| i.things.iter().any(|thing| before.contains(thing))) {
+    for compound in
+        instances.iter_mut().filter(|i| i.things.iter().any(|thing| before.contains(thing)))
+    {
         compound.things.retain(|thing| !before.contains(thing));
         compound.things.extend_from_slice(now);
         compound.things.sort_unstable();
@@ -97,15 +113,23 @@ mod tests {
     use crate::scene::{FrameIndex, Support};
 
     fn room() -> Vec<Instance> {
-        let at = |id: u32, x: f32| thing(id, [x, 0.0], [0.5, 0.5, 0.5], 0.0, Support::Floor, [90; 3]);
+        let at =
+            |id: u32, x: f32| thing(id, [x, 0.0], [0.5, 0.5, 0.5], 0.0, Support::Floor, [90; 3]);
         let mut instances: Vec<Instance> = (1..=5).map(|id| at(id, id as f32)).collect();
         // 4 is a part of 1; 5 a whole of 1 and 2.
         instances[3] = Instance { level: Level::Part, things: vec![InstanceId(1)], ..at(4, 1.0) };
-        instances[4] = Instance { level: Level::Whole, things: vec![InstanceId(1), InstanceId(2)], ..at(5, 1.5) };
+        instances[4] = Instance {
+            level: Level::Whole,
+            things: vec![InstanceId(1), InstanceId(2)],
+            ..at(5, 1.5)
+        };
         instances
     }
 
-    fn corrected(mut instances: Vec<Instance>, changes: &[(Change, Option<u32>, bool)]) -> Vec<Instance> {
+    fn corrected(
+        mut instances: Vec<Instance>,
+        changes: &[(Change, Option<u32>, bool)],
+    ) -> Vec<Instance> {
         let corrections: Vec<Correction> = changes
             .iter()
             .map(|(change, made, undone)| Correction {
@@ -129,7 +153,8 @@ mod tests {
     fn names_and_junk_are_laid_over_and_taken_back() {
         let rename = Change::Rename { instance_id: InstanceId(2), name: "red mug".into() };
         let junk = Change::Dismiss { instance_ids: ids([3, 99]) };
-        let instances = corrected(room(), &[(rename.clone(), None, false), (junk.clone(), None, false)]);
+        let instances =
+            corrected(room(), &[(rename.clone(), None, false), (junk.clone(), None, false)]);
         assert_eq!((instances[1].label(), instances[2].dismissed), ("red mug", true));
         assert_eq!(corrected(room(), &[(rename, None, true), (junk, None, true)]), room());
     }
@@ -141,7 +166,11 @@ mod tests {
         let merge = Change::Merge { instance_ids: ids([1, 2]), name: Some("sofa".into()) };
         let instances = corrected(scene.clone(), &[(merge.clone(), Some(6), false)]);
         assert_eq!(instances[5].label(), "sofa");
-        assert!([0, 1, 3].iter().all(|&i| instances[i].level == Level::Part && instances[i].things == ids([6])));
+        assert!(
+            [0, 1, 3]
+                .iter()
+                .all(|&i| instances[i].level == Level::Part && instances[i].things == ids([6]))
+        );
         assert_eq!(instances[4].things, ids([6]), "the whole is of what they are now");
         let undone = corrected(scene.clone(), &[(merge, Some(6), true)]);
         assert!(undone[5].dismissed);
@@ -159,7 +188,12 @@ mod tests {
 
     #[test]
     fn a_frame_that_shows_two_of_them_shows_both() {
-        let seen = |frame, visible_points, box_px| View { frame: FrameIndex(frame), visible_points, box_px, mask: None };
+        let seen = |frame, visible_points, box_px| View {
+            frame: FrameIndex(frame),
+            visible_points,
+            box_px,
+            mask: None,
+        };
         let (mut a, mut b) = (room().remove(0), room().remove(1));
         a.views = vec![seen(7, 100, [10, 10, 20, 20]), seen(3, 50, [0, 0, 5, 5])];
         b.views = vec![seen(7, 30, [30, 5, 40, 15])];

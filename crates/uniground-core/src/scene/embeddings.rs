@@ -7,7 +7,8 @@ use multiversion::multiversion;
 use rayon::prelude::*;
 use std::io::{self, Write};
 
-/// One row per instance, in order of id; stored as half floats, which changes a cosine by less than a thousandth.
+/// One row per instance, in order of id; stored as half floats, which changes a cosine by less than
+/// a thousandth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Embeddings {
     dim: usize,
@@ -55,17 +56,21 @@ impl Embeddings {
     /// One row for each of these: the one at an index, or that of an instance nobody has seen.
     #[must_use]
     pub fn rearranged(&self, rows: impl Iterator<Item = Option<usize>>) -> Self {
-        let (mut rearranged, unseen) = (Self { dim: self.dim, rows: Vec::new(), norms: Vec::new() }, vec![f16::ZERO; self.dim]);
+        let (mut rearranged, unseen) = (
+            Self { dim: self.dim, rows: Vec::new(), norms: Vec::new() },
+            vec![f16::ZERO; self.dim],
+        );
         for row in rows {
-            rearranged
-                .rows
-                .extend_from_slice(row.map_or(&unseen[..], |at| &self.rows[at * self.dim..(at + 1) * self.dim]));
+            rearranged.rows.extend_from_slice(
+                row.map_or(&unseen[..], |at| &self.rows[at * self.dim..(at + 1) * self.dim]),
+            );
             rearranged.norms.push(row.map_or_else(Norms::default, |at| self.norms[at]));
         }
         rearranged
     }
 
-    /// With the mean of other rows in one of them: what several instances look like together, at the index of what they are.
+    /// With the mean of other rows in one of them: what several instances look like together, at
+    /// the index of what they are.
     #[must_use]
     pub fn with_mean(mut self, of: impl IntoIterator<Item = usize>, at: usize) -> Self {
         let (mut sum, mut norms, mut seen) = (vec![0.0; self.dim], Norms::default(), 0.0);
@@ -80,7 +85,8 @@ impl Embeddings {
         if length > 0.0 {
             sum.iter_mut().for_each(|value| *value /= length);
             self.rows[at * self.dim..(at + 1) * self.dim].convert_from_f32_slice(&sum);
-            self.norms[at] = Norms { appearance: norms.appearance / seen, joint: norms.joint / seen };
+            self.norms[at] =
+                Norms { appearance: norms.appearance / seen, joint: norms.joint / seen };
         }
         self
     }
@@ -147,16 +153,26 @@ impl Embeddings {
         let ([count, dim], rows) = npy::read(rows, "<f2")?;
         let ([normed, two], norms) = npy::read(norms, "<f4")?;
         if two != 2 || normed != count || dim == 0 {
-            return Err(io::Error::new(io::ErrorKind::InvalidData, "embeddings and their norms do not belong together"));
+            return Err(io::Error::new(
+                io::ErrorKind::InvalidData,
+                "embeddings and their norms do not belong together",
+            ));
         }
-        let values: Vec<f32> = norms.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
-        let norms = values.as_chunks::<2>().0.iter().map(|&[appearance, joint]| Norms { appearance, joint }).collect();
+        let values: Vec<f32> =
+            norms.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
+        let norms = values
+            .as_chunks::<2>()
+            .0
+            .iter()
+            .map(|&[appearance, joint]| Norms { appearance, joint })
+            .collect();
         Ok(Self { norms, ..Self::of_halves(dim, rows) })
     }
 
     /// Rows as bytes of half floats, little-endian.
     pub(super) fn of_halves(dim: usize, rows: &[u8]) -> Self {
-        let rows: Vec<f16> = rows.as_chunks::<2>().0.iter().map(|b| f16::from_le_bytes(*b)).collect();
+        let rows: Vec<f16> =
+            rows.as_chunks::<2>().0.iter().map(|b| f16::from_le_bytes(*b)).collect();
         Self { dim, norms: vec![Norms::default(); rows.len() / dim], rows }
     }
 
@@ -169,14 +185,15 @@ impl Embeddings {
         assert_eq!(query.len(), self.dim);
         let rows: &[u16] = self.rows.reinterpret_cast();
         let mut cosines = vec![0.0; self.len()];
-        let tasks = cosines.par_chunks_mut(ROWS_PER_TASK).zip(rows.par_chunks(ROWS_PER_TASK * self.dim));
+        let tasks =
+            cosines.par_chunks_mut(ROWS_PER_TASK).zip(rows.par_chunks(ROWS_PER_TASK * self.dim));
         tasks.for_each(|(cosines, rows)| dots(rows, query, cosines));
         cosines
     }
 }
 
-/// Dot products of rows with a query. Lanes are added in one order whatever the machine's vectors are, and nothing is contracted: same bits
-/// everywhere.
+/// Dot products of rows with a query. Lanes are added in one order whatever the machine's vectors
+/// are, and nothing is contracted: same bits everywhere.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "aarch64+neon"))]
 fn dots(rows: &[u16], query: &[f32], sums: &mut [f32]) {
     const LANES: usize = 64;
@@ -189,11 +206,13 @@ fn dots(rows: &[u16], query: &[f32], sums: &mut [f32]) {
                 lanes[i] += widened(a[i]) * b[i];
             }
         }
-        *sum = lanes.iter().sum::<f32>() + row_rest.iter().zip(query_rest).map(|(a, b)| widened(*a) * b).sum::<f32>();
+        *sum = lanes.iter().sum::<f32>()
+            + row_rest.iter().zip(query_rest).map(|(a, b)| widened(*a) * b).sum::<f32>();
     }
 }
 
-/// A finite half float as a float, in arithmetic that vectorises: the exponent is shifted into place and rebased.
+/// A finite half float as a float, in arithmetic that vectorises: the exponent is shifted into
+/// place and rebased.
 #[inline]
 fn widened(bits: u16) -> f32 {
     const REBASE: f32 = f32::from_bits(0x7780_0000);
@@ -206,8 +225,11 @@ mod tests {
     use proptest::prelude::*;
 
     fn some(count: usize, dim: usize) -> Embeddings {
-        let rows: Vec<f32> = (0..count * dim).map(|i| ((i * 37 % 101) as f32 / 50.0 - 1.0) / (dim as f32).sqrt()).collect();
-        let norms = (0..count).map(|i| Norms { appearance: i as f32, joint: -0.5 * i as f32 }).collect();
+        let rows: Vec<f32> = (0..count * dim)
+            .map(|i| ((i * 37 % 101) as f32 / 50.0 - 1.0) / (dim as f32).sqrt())
+            .collect();
+        let norms =
+            (0..count).map(|i| Norms { appearance: i as f32, joint: -0.5 * i as f32 }).collect();
         Embeddings::new(dim, &rows).with_norms(norms)
     }
 
@@ -229,7 +251,8 @@ mod tests {
         let query: Vec<f32> = (0..130).map(|i| (i % 13) as f32 / 40.0).collect();
         for (i, cosine) in embeddings.cosines(&query).into_iter().enumerate() {
             let row = &embeddings.rows[i * 130..(i + 1) * 130];
-            let expected: f64 = row.iter().zip(&query).map(|(a, b)| f64::from(a.to_f32()) * f64::from(*b)).sum();
+            let expected: f64 =
+                row.iter().zip(&query).map(|(a, b)| f64::from(a.to_f32()) * f64::from(*b)).sum();
             assert!((f64::from(cosine) - expected).abs() < 1e-5, "{i}");
         }
         assert!(embeddings.is_seen(0) && !Embeddings::new(3, &[0.0; 6]).is_seen(1));

@@ -1,4 +1,5 @@
-//! The cloud for whoever looks at it over a network: twelve bytes a point, in an order of which every beginning is an even sample.
+//! The cloud for whoever looks at it over a network: twelve bytes a point, in an order of which
+//! every beginning is an even sample.
 //!
 //! ```text
 //!  0  4 bytes  "UGP1"
@@ -9,7 +10,8 @@
 //! 28  f32      step, metres
 //! 32  points   3 u16: position = origin + step * (x, y, z); 3 u8: red, green, blue; u24: id of the thing it belongs to, 0 for none
 //! ```
-//! Little endian, world frame (Z up). The step is the longest side of the cloud's box over 65,535: a seventh of a millimetre in a room.
+//! Little endian, world frame (Z up). The step is the longest side of the cloud's box over 65,535:
+//! a seventh of a millimetre in a room.
 
 use super::{InstanceId, PointCloud};
 use crate::geometry::Point3;
@@ -27,7 +29,11 @@ const SMALLEST_STEP_M: f32 = 1e-6;
 ///
 /// # Errors
 /// Those of `out`.
-pub fn write_even_points(cloud: &PointCloud, instance_of_point: &[InstanceId], out: impl Write) -> io::Result<()> {
+pub fn write_even_points(
+    cloud: &PointCloud,
+    instance_of_point: &[InstanceId],
+    out: impl Write,
+) -> io::Result<()> {
     let steps = Steps::over(&cloud.positions);
     let Steps { origin, step } = steps;
     let mut out = io::BufWriter::new(out);
@@ -48,10 +54,12 @@ pub fn write_even_points(cloud: &PointCloud, instance_of_point: &[InstanceId], o
     out.flush()
 }
 
-/// All points by index, in an order of which every beginning is an even sample of the whole; always the same.
+/// All points by index, in an order of which every beginning is an even sample of the whole; always
+/// the same.
 pub fn evenly(positions: &[Point3<f32>]) -> impl Iterator<Item = usize> {
     let steps = Steps::over(positions);
-    let mut along_curve: Vec<(u64, u32)> = positions.par_iter().map(|p| morton(steps.to(p))).zip(0..positions.len() as u32).collect();
+    let mut along_curve: Vec<(u64, u32)> =
+        positions.par_iter().map(|p| morton(steps.to(p))).zip(0..positions.len() as u32).collect();
     along_curve.par_sort_unstable();
     every_nth_first(positions.len()).map(move |place| along_curve[place].1 as usize)
 }
@@ -65,20 +73,25 @@ struct Steps {
 
 impl Steps {
     fn over(positions: &[Point3<f32>]) -> Self {
-        let extent = Aabb::around(positions).unwrap_or(Aabb { center: Point3::origin(), size: crate::geometry::Vector3::zeros() });
+        let extent = Aabb::around(positions)
+            .unwrap_or(Aabb { center: Point3::origin(), size: crate::geometry::Vector3::zeros() });
         Self { origin: extent.min(), step: (extent.size.max() / STEPS).max(SMALLEST_STEP_M) }
     }
 
     fn to(&self, p: &Point3<f32>) -> [u16; 3] {
-        <[f32; 3]>::from((p - self.origin) / self.step).map(|steps| steps.round().clamp(0.0, STEPS) as u16)
+        <[f32; 3]>::from((p - self.origin) / self.step)
+            .map(|steps| steps.round().clamp(0.0, STEPS) as u16)
     }
 }
 
-/// Place along a space-filling curve: neighbours on it are neighbours in space. Bits of the three numbers in turns.
+/// Place along a space-filling curve: neighbours on it are neighbours in space. Bits of the three
+/// numbers in turns.
 fn morton(steps: [u16; 3]) -> u64 {
     let spread = |number: u16| {
         let mut bits = u64::from(number);
-        for (shift, mask) in [(16, 0xff00_00ff), (8, 0x00f0_0f00_f00f), (4, 0x0c30_c30c_30c3), (2, 0x2492_4924_9249)] {
+        for (shift, mask) in
+            [(16, 0xff00_00ff), (8, 0x00f0_0f00_f00f), (4, 0x0c30_c30c_30c3), (2, 0x2492_4924_9249)]
+        {
             bits = (bits | bits << shift) & mask;
         }
         bits
@@ -87,10 +100,13 @@ fn morton(steps: [u16; 3]) -> u64 {
     x | y << 1 | z << 2
 }
 
-/// `0..count` in an order of which every beginning is spread evenly over the whole: bits of a counter, last one first.
+/// `0..count` in an order of which every beginning is spread evenly over the whole: bits of a
+/// counter, last one first.
 fn every_nth_first(count: usize) -> impl Iterator<Item = usize> {
     let bits = usize::BITS - count.saturating_sub(1).leading_zeros();
-    let reversed = move |counter: usize| if bits == 0 { 0 } else { counter.reverse_bits() >> (usize::BITS - bits) };
+    let reversed = move |counter: usize| {
+        if bits == 0 { 0 } else { counter.reverse_bits() >> (usize::BITS - bits) }
+    };
     (0..1_usize << bits).map(reversed).filter(move |&place| place < count)
 }
 
@@ -109,7 +125,9 @@ mod tests {
         let points: Vec<_> = bytes[32..].chunks_exact(12).collect();
         assert_eq!(points.len(), word(4) as usize);
         let read = |p: &&[u8]| {
-            let steps: [f32; 3] = std::array::from_fn(|axis| f32::from(u16::from_le_bytes([p[axis * 2], p[axis * 2 + 1]])));
+            let steps: [f32; 3] = std::array::from_fn(|axis| {
+                f32::from(u16::from_le_bytes([p[axis * 2], p[axis * 2 + 1]]))
+            });
             let id = u32::from_le_bytes([p[9], p[10], p[11], 0]);
             (Point3::from(origin + Vector3::from(steps) * step), [p[6], p[7], p[8]], id)
         };
@@ -125,7 +143,8 @@ mod tests {
     #[test]
     fn every_beginning_covers_the_whole_evenly() {
         // A floor of 64 x 64 points, listed row by row.
-        let positions: Vec<Point3<f32>> = (0..4096).map(|i| Point3::new((i % 64) as f32, (i / 64) as f32, 0.0)).collect();
+        let positions: Vec<Point3<f32>> =
+            (0..4096).map(|i| Point3::new((i % 64) as f32, (i / 64) as f32, 0.0)).collect();
         let cloud = PointCloud { colours: vec![[1, 2, 3]; positions.len()], positions };
         let ids: Vec<InstanceId> = (0..4096).map(InstanceId).collect();
         let points = read(&written(&cloud, &ids));
@@ -135,18 +154,30 @@ mod tests {
                 squares[p.x.round() as usize / 16 + p.y.round() as usize / 16 * 4] += 1;
             }
             let even = beginning as f32 / 16.0;
-            assert!(squares.iter().all(|&n| (n as f32) > even * 0.6 && (n as f32) < even * 1.5), "{beginning}: {squares:?}");
+            assert!(
+                squares.iter().all(|&n| (n as f32) > even * 0.6 && (n as f32) < even * 1.5),
+                "{beginning}: {squares:?}"
+            );
         }
         // Ids go with their points.
-        assert!(points.iter().all(|(p, _, id)| (p.x.round() as u32 + 64 * p.y.round() as u32) == *id));
+        assert!(
+            points.iter().all(|(p, _, id)| (p.x.round() as u32 + 64 * p.y.round() as u32) == *id)
+        );
     }
 
     #[test]
     fn nothing_and_one_point_are_files_too() {
         assert_eq!(read(&written(&PointCloud::default(), &[])), []);
-        let one = PointCloud { positions: vec![Point3::new(1.0, 2.0, 3.0); 3], colours: vec![[9, 8, 7]; 3] };
+        let one = PointCloud {
+            positions: vec![Point3::new(1.0, 2.0, 3.0); 3],
+            colours: vec![[9, 8, 7]; 3],
+        };
         let points = read(&written(&one, &[InstanceId(0), InstanceId(70_000), InstanceId(2)]));
-        assert!(points.iter().all(|(p, rgb, _)| (p - one.positions[0]).norm() < 1e-5 && *rgb == [9, 8, 7]));
+        assert!(
+            points
+                .iter()
+                .all(|(p, rgb, _)| (p - one.positions[0]).norm() < 1e-5 && *rgb == [9, 8, 7])
+        );
         assert_eq!(points.iter().map(|(.., id)| id).max(), Some(&70_000));
     }
 

@@ -25,7 +25,8 @@ pub fn write_instances_ply(scene: &ParsedScene, out: impl Write) -> io::Result<(
     )
 }
 
-/// Writes points with a line of the header for each comment, which are short and ASCII: programs read it as such.
+/// Writes points with a line of the header for each comment, which are short and ASCII: programs
+/// read it as such.
 pub(crate) fn write<'a>(
     comments: &[String],
     positions: impl IntoIterator<Item = &'a Point3<f32>, IntoIter: ExactSizeIterator>,
@@ -78,7 +79,10 @@ pub fn read_instance_of_point(mut file: impl BufRead) -> io::Result<Vec<Instance
     if !rest.is_empty() || Some(points.len()) != count {
         return Err(malformed());
     }
-    Ok(points.iter().map(|&[.., a, b, c, d]| InstanceId(u32::from_le_bytes([a, b, c, d]))).collect())
+    Ok(points
+        .iter()
+        .map(|&[.., a, b, c, d]| InstanceId(u32::from_le_bytes([a, b, c, d])))
+        .collect())
 }
 
 /// Of a header.
@@ -86,7 +90,8 @@ const LONGEST_LINE: u64 = 200;
 /// Three coordinates, three colours, an id.
 const LABELLED_BYTES: usize = 19;
 
-/// A colour per id: steps of the golden angle around the hue circle, so that neighbours in number differ.
+/// A colour per id: steps of the golden angle around the hue circle, so that neighbours in number
+/// differ.
 #[must_use]
 pub fn id_colour(id: u32) -> [u8; 3] {
     let hue = (id as f32 * 0.618_034).fract() * 6.0;
@@ -109,6 +114,9 @@ mod tests {
         let mut bytes = Vec::new();
         write(&[], &positions, |i| (id_colour(ids[i].0), Some(ids[i])), &mut bytes).unwrap();
         assert_eq!(read_instance_of_point(&*bytes).unwrap(), ids);
-        assert!(read_instance_of_point(&bytes[..bytes.len() - 1]).is_err() && read_instance_of_point(&b"ply\n"[..]).is_err());
+        assert!(
+            read_instance_of_point(&bytes[..bytes.len() - 1]).is_err()
+                && read_instance_of_point(&b"ply\n"[..]).is_err()
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! Depth pictures that hold what was measured: `OpenEXR`, and TIFF of one channel. Sizes are looked at before room is made for them.
+//! Depth pictures that hold what was measured: `OpenEXR`, and TIFF of one channel. Sizes are looked
+//! at before room is made for them.
 
 use camino::Utf8Path;
 use exr::block::reader::Reader;
@@ -12,7 +13,8 @@ use tiff::tags::Tag;
 
 const EXR_MAGIC: &[u8; 4] = b"\x76\x2f\x31\x01";
 const TIFF_MAGICS: [&[u8; 4]; 4] = [b"II\x2a\0", b"MM\0\x2a", b"II\x2b\0", b"MM\0\x2b"];
-/// What distance goes by among the channels of an EXR, the best first; of three that are alike, red.
+/// What distance goes by among the channels of an EXR, the best first; of three that are alike,
+/// red.
 const CHANNELS: [&str; 5] = ["z", "depth", "y", "v", "r"];
 /// Memory that a picture's own numbers may take.
 const MAX_BYTES: u64 = 256 << 20;
@@ -45,12 +47,15 @@ enum Kind {
 pub fn float_picture_size(file: &Utf8Path) -> io::Result<Option<(u32, u32)>> {
     Ok(match kind(file)? {
         None => None,
-        Some(Kind::Exr) => Some(exr_size(&MetaData::read_from_buffered(buffered(file)?, false).map_err(damaged)?.headers)?),
+        Some(Kind::Exr) => Some(exr_size(
+            &MetaData::read_from_buffered(buffered(file)?, false).map_err(damaged)?.headers,
+        )?),
         Some(Kind::Tiff) => Some(tiff(file)?.dimensions().map_err(damaged)?),
     })
 }
 
-/// Whether a file is an EXR, or a TIFF of floats: those are metres by habit, integers are millimetres.
+/// Whether a file is an EXR, or a TIFF of floats: those are metres by habit, integers are
+/// millimetres.
 ///
 /// # Errors
 /// Those of the file system; a header that can not be read.
@@ -59,7 +64,8 @@ pub fn is_float_picture(file: &Utf8Path) -> io::Result<bool> {
         None => false,
         Some(Kind::Exr) => true,
         Some(Kind::Tiff) => {
-            let formats = tiff(file)?.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).map_err(damaged)?;
+            let formats =
+                tiff(file)?.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).map_err(damaged)?;
             formats.is_some_and(|formats| formats.first() == Some(&IEEE_FLOATS))
         }
     })
@@ -67,7 +73,9 @@ pub fn is_float_picture(file: &Utf8Path) -> io::Result<bool> {
 
 /// The picture; `None`: the file is neither EXR nor TIFF.
 pub(super) fn read_grey(file: &Utf8Path) -> io::Result<Option<Grey>> {
-    kind(file)?.map(|kind| if kind == Kind::Exr { read_exr(file) } else { read_tiff(file) }).transpose()
+    kind(file)?
+        .map(|kind| if kind == Kind::Exr { read_exr(file) } else { read_tiff(file) })
+        .transpose()
 }
 
 fn kind(file: &Utf8Path) -> io::Result<Option<Kind>> {
@@ -107,7 +115,9 @@ fn read_exr(file: &Utf8Path) -> io::Result<Grey> {
     };
     let bytes = reader.headers().iter().map(bytes).fold(0, u64::saturating_add);
     if bytes > MAX_BYTES {
-        return Err(damaged(format!("it announces {bytes} bytes of pixels, {MAX_BYTES} are read at most")));
+        return Err(damaged(format!(
+            "it announces {bytes} bytes of pixels, {MAX_BYTES} are read at most"
+        )));
     }
     let size = exr_size(reader.headers())?;
     let image = read()
@@ -119,8 +129,11 @@ fn read_exr(file: &Utf8Path) -> io::Result<Grey> {
         .non_parallel();
     let mut channels = image.from_chunks(reader).map_err(damaged)?.layer_data.channel_data.list;
     // "scene.Z" is the Z of a layer.
-    let name = |at: usize| channels[at].name.to_string().rsplit('.').next().unwrap_or_default().to_ascii_lowercase();
-    let found = CHANNELS.iter().find_map(|wanted| (0..channels.len()).find(|at| name(*at) == *wanted));
+    let name = |at: usize| {
+        channels[at].name.to_string().rsplit('.').next().unwrap_or_default().to_ascii_lowercase()
+    };
+    let found =
+        CHANNELS.iter().find_map(|wanted| (0..channels.len()).find(|at| name(*at) == *wanted));
     let Some(at) = found.or((channels.len() == 1).then_some(0)) else {
         return Err(damaged("none of its channels is called Z, depth, Y, V or R"));
     };
@@ -143,14 +156,22 @@ fn tiff(file: &Utf8Path) -> io::Result<Decoder<BufReader<File>>> {
 fn read_tiff(file: &Utf8Path) -> io::Result<Grey> {
     let mut tiff = tiff(file)?;
     let (size, colours) = (tiff.dimensions().map_err(damaged)?, tiff.colortype().map_err(damaged)?);
-    let not_depth = || damaged(format!("it is no depth picture: it must be grey, floats or 16 bits, this is {colours:?}"));
+    let not_depth = || {
+        damaged(format!(
+            "it is no depth picture: it must be grey, floats or 16 bits, this is {colours:?}"
+        ))
+    };
     if !matches!(colours, tiff::ColorType::Gray(_)) {
         return Err(not_depth());
     }
     let (count, numbers) = match tiff.read_image().map_err(damaged)? {
         DecodingResult::F32(floats) => (floats.len(), Numbers::Floats(floats)),
-        DecodingResult::F64(floats) => (floats.len(), Numbers::Floats(floats.into_iter().map(|z| z as f32).collect())),
-        DecodingResult::F16(halves) => (halves.len(), Numbers::Floats(halves.into_iter().map(half::f16::to_f32).collect())),
+        DecodingResult::F64(floats) => {
+            (floats.len(), Numbers::Floats(floats.into_iter().map(|z| z as f32).collect()))
+        }
+        DecodingResult::F16(halves) => {
+            (halves.len(), Numbers::Floats(halves.into_iter().map(half::f16::to_f32).collect()))
+        }
         DecodingResult::U16(words) => (words.len(), Numbers::Words(words)),
         DecodingResult::U8(bytes) => (bytes.len(), Numbers::Bytes(bytes)),
         _ => return Err(not_depth()),

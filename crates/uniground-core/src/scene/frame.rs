@@ -19,7 +19,8 @@ pub struct FrameRef {
     pub depth: Utf8PathBuf,
     /// At the resolution of the colour picture.
     pub colour_intrinsics: Intrinsics,
-    /// At the resolution of the depth picture; where the depth camera stands beside the colour camera, that of the picture made of it.
+    /// At the resolution of the depth picture; where the depth camera stands beside the colour
+    /// camera, that of the picture made of it.
     pub depth_intrinsics: Intrinsics,
     /// Metres per unit of the depth image.
     pub depth_scale_m: f32,
@@ -51,8 +52,17 @@ pub enum FrameError {
         "frame {frame}: {file} is no depth picture: it must be 16-bit grey, floats (EXR, TIFF), or 8-bit grey with a `depth_scale_m` of 0.004 or more; this is {found}"
     )]
     NotDepth { frame: FrameIndex, file: Utf8PathBuf, found: String },
-    #[error("frame {frame}: {file} is {found_width}x{found_height}, its intrinsics say {width}x{height}")]
-    WrongSize { frame: FrameIndex, file: Utf8PathBuf, found_width: u32, found_height: u32, width: u32, height: u32 },
+    #[error(
+        "frame {frame}: {file} is {found_width}x{found_height}, its intrinsics say {width}x{height}"
+    )]
+    WrongSize {
+        frame: FrameIndex,
+        file: Utf8PathBuf,
+        found_width: u32,
+        found_height: u32,
+        width: u32,
+        height: u32,
+    },
 }
 
 /// Depth along the optical axis, metres; 0 = no measurement. Row-major.
@@ -74,7 +84,8 @@ impl DepthImage {
     }
 }
 
-/// A decoded frame. Colour and depth may have different resolutions; both are seen from the same pose.
+/// A decoded frame. Colour and depth may have different resolutions; both are seen from the same
+/// pose.
 #[derive(Debug, Clone)]
 pub struct Frame {
     /// Position in the scan's own list, from 0; skipped frames leave gaps.
@@ -140,7 +151,8 @@ impl FrameRef {
         })
     }
 
-    /// The depth picture, rectified and seen from the colour camera; what is not sure enough is left out.
+    /// The depth picture, rectified and seen from the colour camera; what is not sure enough is
+    /// left out.
     ///
     /// # Errors
     /// [`FrameError`] naming the frame and the file.
@@ -161,11 +173,19 @@ impl FrameRef {
         })
     }
 
-    fn leave_out_unsure(&self, depth: &mut DepthImage, file: &Utf8Path, at_least: u8) -> Result<(), FrameError> {
-        let unreadable = |source| FrameError::Unreadable { frame: self.index, file: in_scene(file), source };
+    fn leave_out_unsure(
+        &self,
+        depth: &mut DepthImage,
+        file: &Utf8Path,
+        at_least: u8,
+    ) -> Result<(), FrameError> {
+        let unreadable =
+            |source| FrameError::Unreadable { frame: self.index, file: in_scene(file), source };
         let sure = if depth_file::is_compressed_floats(file).map_err(unreadable)? {
             // Of the depth picture's own size.
-            let bytes = depth_file::read_compressed(file, u64::from(depth.width) * u64::from(depth.height)).map_err(unreadable)?;
+            let bytes =
+                depth_file::read_compressed(file, u64::from(depth.width) * u64::from(depth.height))
+                    .map_err(unreadable)?;
             GrayImage::from_raw(depth.width, depth.height, bytes).unwrap_or_default()
         } else {
             self.read_picture(file)?.into_luma8()
@@ -176,8 +196,12 @@ impl FrameRef {
         }
         for (i, z) in depth.depth_m.iter_mut().enumerate() {
             let (u, v) = (i as u32 % depth.width, i as u32 / depth.width);
-            let scaled = |at: u32, from: u32, to: u32| (u64::from(at) * u64::from(to) / u64::from(from)) as u32;
-            if sure.get_pixel(scaled(u, depth.width, width), scaled(v, depth.height, height)).0[0] < at_least {
+            let scaled = |at: u32, from: u32, to: u32| {
+                (u64::from(at) * u64::from(to) / u64::from(from)) as u32
+            };
+            if sure.get_pixel(scaled(u, depth.width, width), scaled(v, depth.height, height)).0[0]
+                < at_least
+            {
                 *z = 0.0;
             }
         }
@@ -185,22 +209,40 @@ impl FrameRef {
     }
 
     pub(super) fn read_picture(&self, file: &Utf8Path) -> Result<DynamicImage, FrameError> {
-        let unreadable = |source| FrameError::Unreadable { frame: self.index, file: in_scene(file), source };
-        let mut reader = ImageReader::open(file).map_err(unreadable)?.with_guessed_format().map_err(unreadable)?;
+        let unreadable =
+            |source| FrameError::Unreadable { frame: self.index, file: in_scene(file), source };
+        let mut reader = ImageReader::open(file)
+            .map_err(unreadable)?
+            .with_guessed_format()
+            .map_err(unreadable)?;
         let mut limits = Limits::default();
         limits.max_alloc = Some(MAX_PICTURE_BYTES);
         reader.limits(limits);
-        reader
-            .decode()
-            .map_err(|source| FrameError::Undecodable { frame: self.index, file: in_scene(file), source })
+        reader.decode().map_err(|source| FrameError::Undecodable {
+            frame: self.index,
+            file: in_scene(file),
+            source,
+        })
     }
 
-    fn expect_size(&self, file: &Utf8Path, (found_width, found_height): (u32, u32), expected: &Intrinsics) -> Result<(), FrameError> {
+    fn expect_size(
+        &self,
+        file: &Utf8Path,
+        (found_width, found_height): (u32, u32),
+        expected: &Intrinsics,
+    ) -> Result<(), FrameError> {
         let &Intrinsics { width, height, .. } = expected;
         if (found_width, found_height) == (width, height) {
             return Ok(());
         }
-        Err(FrameError::WrongSize { frame: self.index, file: in_scene(file), found_width, found_height, width, height })
+        Err(FrameError::WrongSize {
+            frame: self.index,
+            file: in_scene(file),
+            found_width,
+            found_height,
+            width,
+            height,
+        })
     }
 }
 
@@ -215,17 +257,22 @@ pub(super) fn in_scene(file: &Utf8Path) -> Utf8PathBuf {
 }
 
 impl Frame {
-    /// Where the ray through a depth pixel (column, row) meets the colour picture, pixels; it may lie outside.
+    /// Where the ray through a depth pixel (column, row) meets the colour picture, pixels; it may
+    /// lie outside.
     #[must_use]
     pub fn colour_position(&self, u: f32, v: f32) -> (f32, f32) {
         let (depth, colour) = (&self.depth_camera.intrinsics, &self.colour_camera.intrinsics);
         if depth == colour {
             return (u, v);
         }
-        ((u - depth.cx) / depth.fx * colour.fx + colour.cx, (v - depth.cy) / depth.fy * colour.fy + colour.cy)
+        (
+            (u - depth.cx) / depth.fx * colour.fx + colour.cx,
+            (v - depth.cy) / depth.fy * colour.fy + colour.cy,
+        )
     }
 
-    /// Colour of each depth pixel, row-major: the colour image resampled (nearest) onto the depth grid.
+    /// Colour of each depth pixel, row-major: the colour image resampled (nearest) onto the depth
+    /// grid.
     #[must_use]
     pub fn colour_on_depth_grid(&self) -> Vec<[u8; 3]> {
         let (depth, colour) = (&self.depth_camera.intrinsics, &self.colour_camera.intrinsics);
@@ -233,7 +280,9 @@ impl Frame {
             return self.colour.pixels().map(|p| p.0).collect();
         }
         let clamp = |at: f32, len: u32| (at + 0.5).clamp(0.0, len as f32 - 1.0) as u32;
-        let columns: Vec<u32> = (0..depth.width).map(|u| clamp(self.colour_position(u as f32, 0.0).0, colour.width)).collect();
+        let columns: Vec<u32> = (0..depth.width)
+            .map(|u| clamp(self.colour_position(u as f32, 0.0).0, colour.width))
+            .collect();
         (0..depth.height)
             .flat_map(|v| {
                 let row = clamp(self.colour_position(0.0, v as f32).1, colour.height);
@@ -245,7 +294,8 @@ impl Frame {
 
 /// Works on frames in parallel, a few at a time, and folds the results in frame order.
 ///
-/// At most as many frames as there are threads are in memory, and what `fold` sees does not depend on that number.
+/// At most as many frames as there are threads are in memory, and what `fold` sees does not depend
+/// on that number.
 ///
 /// # Errors
 /// The first error of `work` or `fold`, in frame order.

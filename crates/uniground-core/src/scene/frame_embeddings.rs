@@ -1,4 +1,5 @@
-//! What frames look like as a whole, as vectors beside which words can be laid: for what is in no instance.
+//! What frames look like as a whole, as vectors beside which words can be laid: for what is in no
+//! instance.
 
 use super::{Embeddings, FrameIndex, npy};
 use std::collections::BTreeMap;
@@ -19,8 +20,8 @@ impl FrameEmbeddings {
         Self { of_row, rows: Embeddings::new(dim, rows) }
     }
 
-    /// The frames of which a crop is nearest to a unit vector, the nearest first. Of frames that follow each other only the better one: they
-    /// show the same.
+    /// The frames of which a crop is nearest to a unit vector, the nearest first. Of frames that
+    /// follow each other only the better one: they show the same.
     ///
     /// # Panics
     /// When `query` has another dimension.
@@ -68,7 +69,12 @@ impl FrameEmbeddings {
     /// # Errors
     /// Those of `out`.
     pub fn write_frames(&self, out: impl Write) -> io::Result<()> {
-        npy::write(out, "<u4", [self.of_row.len(), 1], self.of_row.iter().flat_map(|frame| frame.0.to_le_bytes()))
+        npy::write(
+            out,
+            "<u4",
+            [self.of_row.len(), 1],
+            self.of_row.iter().flat_map(|frame| frame.0.to_le_bytes()),
+        )
     }
 
     /// Reads back what was written.
@@ -79,9 +85,17 @@ impl FrameEmbeddings {
         let ([count, dim], rows) = npy::read(rows, "<f2")?;
         let ([of, one], frames) = npy::read(frames, "<u4")?;
         if one != 1 || of != count || dim == 0 {
-            return Err(io::Error::new(io::ErrorKind::InvalidData, "embeddings of frames and their frames do not belong together"));
+            return Err(io::Error::new(
+                io::ErrorKind::InvalidData,
+                "embeddings of frames and their frames do not belong together",
+            ));
         }
-        let of_row = frames.as_chunks::<4>().0.iter().map(|bytes| FrameIndex(u32::from_le_bytes(*bytes))).collect();
+        let of_row = frames
+            .as_chunks::<4>()
+            .0
+            .iter()
+            .map(|bytes| FrameIndex(u32::from_le_bytes(*bytes)))
+            .collect();
         Ok(Self { of_row, rows: Embeddings::of_halves(dim, rows) })
     }
 }
@@ -90,7 +104,8 @@ impl FrameEmbeddings {
 mod tests {
     use super::*;
 
-    /// Frames 0, 10, 20, 30, each with two crops; the second crop of frame 20 is nearest to x, then those of 30, 0 and 10.
+    /// Frames 0, 10, 20, 30, each with two crops; the second crop of frame 20 is nearest to x, then
+    /// those of 30, 0 and 10.
     fn some() -> FrameEmbeddings {
         let of_row = [0, 0, 10, 10, 20, 20, 30, 30].map(FrameIndex).to_vec();
         let x = [0.5, 0.1, 0.0, 0.2, -1.0, 0.9, 0.8, 0.8];
@@ -100,7 +115,9 @@ mod tests {
 
     #[test]
     fn the_nearest_crop_counts_and_neighbours_are_passed_over() {
-        let nearest = |most| some().nearest(&[1.0, 0.0], most).into_iter().map(|frame| frame.0).collect::<Vec<_>>();
+        let nearest = |most| {
+            some().nearest(&[1.0, 0.0], most).into_iter().map(|frame| frame.0).collect::<Vec<_>>()
+        };
         assert_eq!((nearest(1), nearest(2), nearest(9)), (vec![20], vec![20, 0], vec![20, 0]));
     }
 

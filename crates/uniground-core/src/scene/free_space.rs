@@ -4,15 +4,16 @@ use super::{DepthImage, FrameError, FrameRef, stream_frames};
 use crate::geometry::Point3;
 use rayon::prelude::*;
 
-/// A point counts as measured, or as looked through, from this far before or behind it on, metres, and this share of the depth: poses drift
-/// by centimetres, and noise grows with the distance.
+/// A point counts as measured, or as looked through, from this far before or behind it on, metres,
+/// and this share of the depth: poses drift by centimetres, and noise grows with the distance.
 const MARGIN_M: f32 = 0.05;
 const MARGIN: f32 = 0.025;
-/// Nothing in this many pixels around may be near the point, in pictures of this width; more in larger ones. Silhouettes smear and poses
-/// are off by a pixel or two.
+/// Nothing in this many pixels around may be near the point, in pictures of this width; more in
+/// larger ones. Silhouettes smear and poses are off by a pixel or two.
 const AROUND_PX: u32 = 2;
 const AT_WIDTH_PX: u32 = 640;
-/// Share of the pixels around that must be measured: what is shiny or black leaves holes, and must not be taken for gone.
+/// Share of the pixels around that must be measured: what is shiny or black leaves holes, and must
+/// not be taken for gone.
 const MEASURED: f32 = 0.75;
 
 /// How many frames measured something at a point, and how many looked through it.
@@ -25,7 +26,8 @@ pub struct Looks {
 }
 
 impl Looks {
-    /// Whether nothing is there any more: `enough` frames looked through, and many more than found something.
+    /// Whether nothing is there any more: `enough` frames looked through, and many more than found
+    /// something.
     #[must_use]
     pub fn is_gone(&self, enough: u32) -> bool {
         self.through >= enough && self.through > 2 * self.hits
@@ -38,10 +40,12 @@ impl Looks {
     }
 }
 
-/// What frames say of points (metres, world frame, Z up); one answer a point. Points behind what was measured are hidden: nothing is said.
+/// What frames say of points (metres, world frame, Z up); one answer a point. Points behind what
+/// was measured are hidden: nothing is said.
 ///
 /// # Errors
-/// [`FrameError`] for a depth picture that can not be read, and those of `check`, which is called once a frame.
+/// [`FrameError`] for a depth picture that can not be read, and those of `check`, which is called
+/// once a frame.
 pub fn look_at<E: From<FrameError> + Send>(
     positions: &[Point3<f32>],
     frames: &[FrameRef],
@@ -67,7 +71,8 @@ pub fn look_at<E: From<FrameError> + Send>(
     Ok(looks)
 }
 
-/// `true`: a surface was measured there; `false`: it was looked through; `None`: hidden or not measured.
+/// `true`: a surface was measured there; `false`: it was looked through; `None`: hidden or not
+/// measured.
 fn sight(depth: &DepthImage, (column, row): (u32, u32), z_m: f32) -> Option<bool> {
     let measured_m = depth.at((column, row));
     if measured_m <= 0.0 {

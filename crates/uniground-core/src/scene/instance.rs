@@ -43,16 +43,19 @@ pub struct Instance {
     /// What somebody who has seen it calls it; trumps what the encoder makes of its measures.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub given_name: Option<String>,
-    /// The question it was found for, when somebody saw it in a photograph; `None` for what stage 1 has found.
+    /// The question it was found for, when somebody saw it in a photograph; `None` for what stage
+    /// 1 has found.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub found_for: Option<String>,
-    /// The instances that somebody has said are one thing, this one; empty for what stage 1 has found.
+    /// The instances that somebody has said are one thing, this one; empty for what stage 1 has
+    /// found.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub merged_from: Vec<InstanceId>,
     /// Somebody has said that it is no thing, or not one: it fits nothing.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub dismissed: bool,
-    /// Of a scene that has grown: it was there once. Kept, dismissed, so that its id is never another's.
+    /// Of a scene that has grown: it was there once. Kept, dismissed, so that its id is never
+    /// another's.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub gone: bool,
 }
@@ -70,7 +73,8 @@ impl Instance {
         self.level == Level::Thing && !self.dismissed
     }
 
-    /// What to call it when talking to people: its given name, its structure, its best name, or just "object".
+    /// What to call it when talking to people: its given name, its structure, its best name, or
+    /// just "object".
     #[must_use]
     pub fn label(&self) -> &str {
         match (&self.given_name, self.structure, self.names.first()) {

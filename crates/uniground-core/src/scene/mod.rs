@@ -1,7 +1,9 @@
-//! The vocabulary of a scan: clouds, cameras, frames, instances. Everything above speaks in these types.
+//! The vocabulary of a scan: clouds, cameras, frames, instances. Everything above speaks in these
+//! types.
 //!
-//! Canonical inside: metres, right-handed world with Z up, OpenCV cameras (x right, y down, z forward),
-//! poses are camera-to-world. [`ingest`](crate::ingest) converts once; nobody swaps axes again.
+//! Canonical inside: metres, right-handed world with Z up, OpenCV cameras (x right, y down, z
+//! forward), poses are camera-to-world. [`ingest`](crate::ingest) converts once; nobody swaps axes
+//! again.
 
 mod bundle;
 mod camera;
@@ -41,6 +43,6 @@ pub use optics::{Confidence, DepthSensor, Lens, Optics};
 pub use owners::Owners;
 pub use parsed::ParsedScene;
 pub use uniground_types::scene::{
-    FrameIndex, ImportReport, InstanceId, Level, Levelling, NameGuess, ParseReport, PoseConvention, SourceToScene, StageReport, Structure,
-    Support, View, ViewMask,
+    FrameIndex, ImportReport, InstanceId, Level, Levelling, NameGuess, ParseReport, PoseConvention,
+    SourceToScene, StageReport, Structure, Support, View, ViewMask,
 };

@@ -5,9 +5,15 @@ use std::io::{self, BufWriter, Write};
 const MAGIC: &[u8] = b"\x93NUMPY\x01\x00";
 
 /// Writes little-endian values of the type `descr`, row after row.
-pub(super) fn write(out: impl Write, descr: &str, [rows, columns]: [usize; 2], bytes: impl Iterator<Item = u8>) -> io::Result<()> {
+pub(super) fn write(
+    out: impl Write,
+    descr: &str,
+    [rows, columns]: [usize; 2],
+    bytes: impl Iterator<Item = u8>,
+) -> io::Result<()> {
     let mut out = BufWriter::new(out);
-    let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({rows}, {columns}), }}");
+    let header =
+        format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({rows}, {columns}), }}");
     // Data begin at a multiple of 64 bytes; the header ends with a line break.
     let length = (MAGIC.len() + 2 + header.len() + 1).next_multiple_of(64) - MAGIC.len() - 2;
     out.write_all(MAGIC)?;
@@ -30,8 +36,11 @@ pub(super) fn read<'a>(bytes: &'a [u8], descr: &str) -> io::Result<([usize; 2], 
         let (rows, columns) = shape.split_once(", ")?;
         let shape = [rows.parse().ok()?, columns.parse().ok()?];
         let size: usize = descr[2..].parse().ok()?;
-        let whole = header.contains(&format!("'{descr}'")) && values.len() == shape[0] * shape[1] * size;
+        let whole =
+            header.contains(&format!("'{descr}'")) && values.len() == shape[0] * shape[1] * size;
         whole.then_some((shape, values))
     };
-    parse().ok_or_else(|| io::Error::new(io::ErrorKind::InvalidData, format!("no whole array of {descr}")))
+    parse().ok_or_else(|| {
+        io::Error::new(io::ErrorKind::InvalidData, format!("no whole array of {descr}"))
+    })
 }

@@ -1,5 +1,6 @@
-//! What stands between the picture files of a frame and pinhole pictures seen from one place: lenses, depth cameras beside the colour
-//! camera, confidence. Applied once, when a frame is decoded; nobody after that knows of them.
+//! What stands between the picture files of a frame and pinhole pictures seen from one place:
+//! lenses, depth cameras beside the colour camera, confidence. Applied once, when a frame is
+//! decoded; nobody after that knows of them.
 
 use super::{DepthImage, Intrinsics};
 use crate::geometry::{Isometry3, Point3};
@@ -20,8 +21,8 @@ pub struct Optics {
     pub confidence: Option<Confidence>,
 }
 
-/// Distortion of a lens, as OpenCV writes it: radial `(1 + k1 r2 + k2 r4 + k3 r6) / (1 + k4 r2 + k5 r4 + k6 r6)` and tangential `p1`, `p2`,
-/// in coordinates on the plane at depth 1.
+/// Distortion of a lens, as OpenCV writes it: radial `(1 + k1 r2 + k2 r4 + k3 r6) / (1 + k4 r2 + k5
+/// r4 + k6 r6)` and tangential `p1`, `p2`, in coordinates on the plane at depth 1.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 #[allow(missing_docs)]
@@ -73,7 +74,8 @@ impl Lens {
     pub fn distort(&self, x: f32, y: f32) -> (f32, f32) {
         let Self { k1, k2, p1, p2, k3, k4, k5, k6 } = *self;
         let r2 = x * x + y * y;
-        let radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
+        let radial =
+            (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
         (
             x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
             y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
@@ -82,7 +84,8 @@ impl Lens {
 
     /// Pixel of the distorted picture that shows what the pinhole picture shows at `(u, v)`.
     fn source(&self, camera: &Intrinsics, u: u32, v: u32) -> (f32, f32) {
-        let (x, y) = self.distort((u as f32 - camera.cx) / camera.fx, (v as f32 - camera.cy) / camera.fy);
+        let (x, y) =
+            self.distort((u as f32 - camera.cx) / camera.fx, (v as f32 - camera.cy) / camera.fy);
         (x * camera.fx + camera.cx, y * camera.fy + camera.cy)
     }
 
@@ -103,7 +106,10 @@ impl Lens {
         let depth_m = pixels
             .map(|(u, v)| {
                 let (x, y) = self.source(camera, u, v);
-                let inside = x > -0.5 && y > -0.5 && x < depth.width as f32 - 0.5 && y < depth.height as f32 - 0.5;
+                let inside = x > -0.5
+                    && y > -0.5
+                    && x < depth.width as f32 - 0.5
+                    && y < depth.height as f32 - 0.5;
                 if inside { depth.at(((x + 0.5) as u32, (y + 0.5) as u32)) } else { 0.0 }
             })
             .collect();
@@ -112,7 +118,8 @@ impl Lens {
 }
 
 impl DepthSensor {
-    /// Intrinsics of a depth picture seen from the colour camera: no finer than the sensor, so that measurements leave no holes.
+    /// Intrinsics of a depth picture seen from the colour camera: no finer than the sensor, so that
+    /// measurements leave no holes.
     #[must_use]
     pub fn registered_intrinsics(&self, colour: &Intrinsics) -> Intrinsics {
         let scale = (self.intrinsics.fx / colour.fx).clamp(1e-3, 1.0);
@@ -120,17 +127,23 @@ impl DepthSensor {
         colour.scaled_to(size(colour.width), size(colour.height))
     }
 
-    /// The depth picture as the colour camera would have seen it; of several surfaces in a pixel the nearest.
+    /// The depth picture as the colour camera would have seen it; of several surfaces in a pixel
+    /// the nearest.
     #[must_use]
     pub fn registered(&self, depth: &DepthImage, target: &Intrinsics) -> DepthImage {
         let mut depth_m = vec![0.0_f32; (target.width * target.height) as usize];
         for (i, &z_m) in depth.depth_m.iter().enumerate().filter(|(_, z)| **z > 0.0) {
             let (u, v) = (i as u32 % depth.width, i as u32 / depth.width);
-            let p: Point3<f32> = self.depth_to_colour * self.intrinsics.unproject(u as f32, v as f32, z_m);
+            let p: Point3<f32> =
+                self.depth_to_colour * self.intrinsics.unproject(u as f32, v as f32, z_m);
             let Some(pixel) = target.project(&p) else { continue };
             // To the pixels on either side: resampling alone would leave gaps.
-            for (column, row) in [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(a, b)| (pixel.u.floor() as i64 + a, pixel.v.floor() as i64 + b)) {
-                if (0..i64::from(target.width)).contains(&column) && (0..i64::from(target.height)).contains(&row) {
+            for (column, row) in [(0, 0), (1, 0), (0, 1), (1, 1)]
+                .map(|(a, b)| (pixel.u.floor() as i64 + a, pixel.v.floor() as i64 + b))
+            {
+                if (0..i64::from(target.width)).contains(&column)
+                    && (0..i64::from(target.height)).contains(&row)
+                {
                     let cell = &mut depth_m[(row * i64::from(target.width) + column) as usize];
                     if *cell == 0.0 || pixel.z_m < *cell {
                         *cell = pixel.z_m;
@@ -147,7 +160,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const CAMERA: Intrinsics = Intrinsics { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 31.5, cy: 23.5 };
+    const CAMERA: Intrinsics =
+        Intrinsics { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 31.5, cy: 23.5 };
 
     #[test]
     fn a_lens_is_taken_off_a_picture() {
@@ -172,15 +186,22 @@ mod tests {
         let rectified = lens.rectified(&bent, &CAMERA);
         for (u, v) in [(10, 10), (31, 23), (50, 40), (20, 35)] {
             let (found, expected) = (rectified.get_pixel(u, v).0, straight.get_pixel(u, v).0);
-            assert!(found.iter().zip(expected).all(|(f, e)| f.abs_diff(e) <= 2), "({u}, {v}): {found:?} instead of {expected:?}");
+            assert!(
+                found.iter().zip(expected).all(|(f, e)| f.abs_diff(e) <= 2),
+                "({u}, {v}): {found:?} instead of {expected:?}"
+            );
         }
     }
 
     #[test]
     fn a_wall_seen_from_beside_stays_a_wall() {
-        let sensor = DepthSensor { intrinsics: CAMERA, depth_to_colour: Isometry3::translation(0.05, 0.0, 0.1) };
+        let sensor = DepthSensor {
+            intrinsics: CAMERA,
+            depth_to_colour: Isometry3::translation(0.05, 0.0, 0.1),
+        };
         let depth = DepthImage { width: 64, height: 48, depth_m: vec![2.0; 64 * 48] };
-        let colour = Intrinsics { width: 128, height: 96, fx: 120.0, fy: 120.0, cx: 63.5, cy: 47.5 };
+        let colour =
+            Intrinsics { width: 128, height: 96, fx: 120.0, fy: 120.0, cx: 63.5, cy: 47.5 };
         let target = sensor.registered_intrinsics(&colour);
         assert_eq!((target.width, target.height), (64, 48));
         let seen = sensor.registered(&depth, &target);

@@ -3,7 +3,8 @@
 use super::{Embeddings, FrameEmbeddings, Instance, InstanceId, ParseReport, PointCloud};
 use crate::geometry::boxes::Aabb;
 
-/// A parsed scene: every point belongs to one thing, or to none; parts and wholes overlap the things.
+/// A parsed scene: every point belongs to one thing, or to none; parts and wholes overlap the
+/// things.
 #[derive(Debug, Clone)]
 pub struct ParsedScene {
     /// The points of the import, in its order.

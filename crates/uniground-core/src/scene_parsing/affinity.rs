@@ -1,12 +1,13 @@
 //! Affinity between neighbouring superpoints (paper, Eq. 1).
 //!
-//! Two superpoints belong together when the cameras that see both also put them in the same 2D masks.
-//! Input: the visibility tables of [`lifting`](super::lifting). Output: one weight per edge of the superpoint graph,
-//! in 0..=1, which [`merging`](super::merging) grows regions along.
+//! Two superpoints belong together when the cameras that see both also put them in the same 2D
+//! masks. Input: the visibility tables of [`lifting`](super::lifting). Output: one weight per edge
+//! of the superpoint graph, in 0..=1, which [`merging`](super::merging) grows regions along.
 //!
-//! The printed equation averages `visibility * consistency` and so never exceeds the mean visibility;
-//! [`Normalisation::Normalised`] divides by the summed visibility instead and is the default.
-//! Where no camera sees both, geometry alone decides: neighbours of one colour on one even surface belong together.
+//! The printed equation averages `visibility * consistency` and so never exceeds the mean
+//! visibility; [`Normalisation::Normalised`] divides by the summed visibility instead and is the
+//! default. Where no camera sees both, geometry alone decides: neighbours of one colour on one even
+//! surface belong together.
 
 use super::lifting::{FrameVisibility, VisibleSuperpoint};
 use super::superpoints::Patch;
@@ -29,15 +30,21 @@ pub struct Edge {
     pub affinity: f32,
 }
 
-/// A way from one superpoint to another does not pass through one with more neighbours than this: over the floor everything would be
-/// near everything.
+/// A way from one superpoint to another does not pass through one with more neighbours than this:
+/// over the floor everything would be near everything.
 const HUB: usize = 64;
 
-/// The edges `(a, b, hop)` of a graph over `0..count`: all pairs up to `max_hop` borders apart, `a < b`, sorted.
+/// The edges `(a, b, hop)` of a graph over `0..count`: all pairs up to `max_hop` borders apart, `a
+/// < b`, sorted.
 ///
 /// # Errors
 /// [`Cancelled`].
-pub fn pairs_within(adjacent: &[(u32, u32)], count: usize, max_hop: u32, progress: &Progress) -> Result<Vec<(u32, u32, u32)>, Cancelled> {
+pub fn pairs_within(
+    adjacent: &[(u32, u32)],
+    count: usize,
+    max_hop: u32,
+    progress: &Progress,
+) -> Result<Vec<(u32, u32, u32)>, Cancelled> {
     let mut neighbours = vec![Vec::new(); count];
     for &(a, b) in adjacent {
         neighbours[a as usize].push(b);
@@ -50,8 +57,10 @@ pub fn pairs_within(adjacent: &[(u32, u32)], count: usize, max_hop: u32, progres
             let mut hops: BTreeMap<u32, u32> = BTreeMap::from([(start, 0)]);
             let mut ring = vec![start];
             for hop in 1..=max_hop {
-                let ways = ring.iter().filter(|&&n| n == start || neighbours[n as usize].len() <= HUB);
-                let reached: Vec<u32> = ways.flat_map(|&n| neighbours[n as usize].iter().copied()).collect();
+                let ways =
+                    ring.iter().filter(|&&n| n == start || neighbours[n as usize].len() <= HUB);
+                let reached: Vec<u32> =
+                    ways.flat_map(|&n| neighbours[n as usize].iter().copied()).collect();
                 ring.clear();
                 for n in reached {
                     if let Entry::Vacant(slot) = hops.entry(n) {
@@ -60,7 +69,11 @@ pub fn pairs_within(adjacent: &[(u32, u32)], count: usize, max_hop: u32, progres
                     }
                 }
             }
-            Ok(hops.into_iter().filter(|&(n, _)| n > start).map(|(n, hop)| (start, n, hop)).collect())
+            Ok(hops
+                .into_iter()
+                .filter(|&(n, _)| n > start)
+                .map(|(n, hop)| (start, n, hop))
+                .collect())
         })
         .collect::<Result<_, Cancelled>>()?;
     Ok(around.concat())
@@ -101,7 +114,9 @@ pub fn compute(
                 }
                 let (row_a, row_b) = (&table.rows[row_a as usize], &table.rows[row_b as usize]);
                 let Some(similarity) = cosine(row_a, row_b) else { continue };
-                let share = |row: &VisibleSuperpoint, of: u32| row.visible as f32 / patches[of as usize].points as f32;
+                let share = |row: &VisibleSuperpoint, of: u32| {
+                    row.visible as f32 / patches[of as usize].points as f32
+                };
                 let joint = share(row_a, a) * share(row_b, b);
                 consistent += joint * similarity;
                 weight += joint;
@@ -119,7 +134,9 @@ pub fn compute(
 
 /// Cosine of two mask histograms; `None` when one of them has no masked point, which says nothing.
 fn cosine(a: &VisibleSuperpoint, b: &VisibleSuperpoint) -> Option<f32> {
-    let norm = |row: &VisibleSuperpoint| row.masks.iter().map(|&(_, n)| (n as f32).powi(2)).sum::<f32>().sqrt();
+    let norm = |row: &VisibleSuperpoint| {
+        row.masks.iter().map(|&(_, n)| (n as f32).powi(2)).sum::<f32>().sqrt()
+    };
     let norms = norm(a) * norm(b);
     if norms == 0.0 {
         return None;
@@ -139,7 +156,8 @@ fn cosine(a: &VisibleSuperpoint, b: &VisibleSuperpoint) -> Option<f32> {
     Some((dot / norms).min(1.0))
 }
 
-/// CIELAB distance and angle at which geometry alone is half sure that two patches are different things.
+/// CIELAB distance and angle at which geometry alone is half sure that two patches are different
+/// things.
 const HALF_COLOUR: f32 = 18.0;
 const HALF_ANGLE_RAD: f32 = 0.6;
 
@@ -166,27 +184,57 @@ mod tests {
     fn table(rows: &[Row]) -> FrameVisibility {
         let rows = rows
             .iter()
-            .map(|&(superpoint, visible, masks)| VisibleSuperpoint { superpoint, visible, masks: masks.to_vec() })
+            .map(|&(superpoint, visible, masks)| VisibleSuperpoint {
+                superpoint,
+                visible,
+                masks: masks.to_vec(),
+            })
             .collect();
         FrameVisibility { frame: FrameIndex(0), layer: 0, masks: 2, rows }
     }
 
     #[test]
     fn equation_one_by_hand() {
-        // Frame 1 sees half of 0 and all of 1, in one mask; frame 2 sees all of both, in different masks.
-        let tables = [table(&[(0, 5, &[(1, 5)]), (1, 10, &[(1, 10)])]), table(&[(0, 10, &[(1, 10)]), (1, 10, &[(2, 10)])])];
+        // Frame 1 sees half of 0 and all of 1, in one mask; frame 2 sees all of both, in different
+        // masks.
+        let tables = [
+            table(&[(0, 5, &[(1, 5)]), (1, 10, &[(1, 10)])]),
+            table(&[(0, 10, &[(1, 10)]), (1, 10, &[(2, 10)])]),
+        ];
         let patches = [patch(10), patch(10)];
-        let normalised = compute(&[(0, 1, 1)], &patches, &tables, Normalisation::Normalised, &Progress::silent()).unwrap()[0].affinity;
-        let literal = compute(&[(0, 1, 1)], &patches, &tables, Normalisation::Literal, &Progress::silent()).unwrap()[0].affinity;
+        let normalised = compute(
+            &[(0, 1, 1)],
+            &patches,
+            &tables,
+            Normalisation::Normalised,
+            &Progress::silent(),
+        )
+        .unwrap()[0]
+            .affinity;
+        let literal =
+            compute(&[(0, 1, 1)], &patches, &tables, Normalisation::Literal, &Progress::silent())
+                .unwrap()[0]
+                .affinity;
         assert!((normalised - 0.5 / 1.5).abs() < 1e-6, "{normalised}");
         assert!((literal - 0.5 / 2.0).abs() < 1e-6, "{literal}");
     }
 
     #[test]
     fn frames_without_masks_say_nothing() {
-        let tables = [table(&[(0, 10, &[(1, 10)]), (1, 10, &[(1, 10)])]), table(&[(0, 10, &[]), (1, 10, &[(2, 10)])])];
+        let tables = [
+            table(&[(0, 10, &[(1, 10)]), (1, 10, &[(1, 10)])]),
+            table(&[(0, 10, &[]), (1, 10, &[(2, 10)])]),
+        ];
         assert_eq!(
-            compute(&[(0, 1, 1)], &[patch(10), patch(10)], &tables, Normalisation::Normalised, &Progress::silent()).unwrap()[0].affinity,
+            compute(
+                &[(0, 1, 1)],
+                &[patch(10), patch(10)],
+                &tables,
+                Normalisation::Normalised,
+                &Progress::silent()
+            )
+            .unwrap()[0]
+                .affinity,
             1.0
         );
     }
@@ -195,8 +243,13 @@ mod tests {
     fn no_way_leads_through_a_hub() {
         let star = |spokes: u32| (1..=spokes).map(|i| (0, i)).collect::<Vec<_>>();
         let two_hops = |spokes: u32| {
-            let pairs = pairs_within(&star(spokes), spokes as usize + 1, 2, &Progress::silent()).unwrap();
-            assert_eq!(pairs.iter().filter(|p| p.2 == 1).count(), spokes as usize, "the hub keeps its own neighbours");
+            let pairs =
+                pairs_within(&star(spokes), spokes as usize + 1, 2, &Progress::silent()).unwrap();
+            assert_eq!(
+                pairs.iter().filter(|p| p.2 == 1).count(),
+                spokes as usize,
+                "the hub keeps its own neighbours"
+            );
             pairs.iter().filter(|p| p.2 == 2).count()
         };
         assert_eq!((two_hops(64), two_hops(65)), (64 * 63 / 2, 0));

@@ -1,4 +1,5 @@
-//! Appearance: each instance as one vector, the mean over crops of several views (paper: multi-scale crops, 5 levels, 10 views).
+//! Appearance: each instance as one vector, the mean over crops of several views (paper:
+//! multi-scale crops, 5 levels, 10 views).
 
 use super::ParseError;
 use super::correction::{Corrector, KnownMasks, Projection};
@@ -15,9 +16,14 @@ use uniground_types::settings::AppearanceSettings;
 /// Tight boxes in colour pictures, by frame and instance: left, top, right, bottom, pixels.
 pub type Boxes = BTreeMap<FrameIndex, BTreeMap<InstanceId, [u32; 4]>>;
 
-/// The frames each instance is looked at in, with its projected box there: parts and wholes in half as many as things, which they overlap.
+/// The frames each instance is looked at in, with its projected box there: parts and wholes in half
+/// as many as things, which they overlap.
 #[must_use]
-pub fn choose(instances: &[Instance], sightings: &[Sighting], settings: &AppearanceSettings) -> Boxes {
+pub fn choose(
+    instances: &[Instance],
+    sightings: &[Sighting],
+    settings: &AppearanceSettings,
+) -> Boxes {
     let mut of_instance: Vec<Vec<&Sighting>> = vec![Vec::new(); instances.len()];
     for sighting in sightings {
         of_instance[sighting.instance.0 as usize - 1].push(sighting);
@@ -26,8 +32,13 @@ pub fn choose(instances: &[Instance], sightings: &[Sighting], settings: &Appeara
     for (instance, mut seen) in instances.iter().zip(of_instance) {
         seen.sort_by_key(|s| (std::cmp::Reverse(s.view.visible_points), s.view.frame));
         let least = settings.min_visible * instance.point_count as f32;
-        let enough = |(rank, s): &(usize, &Sighting)| *rank == 0 || s.view.visible_points as f32 > least;
-        let views = if instance.level == Level::Thing { settings.views } else { (settings.views / 2).max(1) };
+        let enough =
+            |(rank, s): &(usize, &Sighting)| *rank == 0 || s.view.visible_points as f32 > least;
+        let views = if instance.level == Level::Thing {
+            settings.views
+        } else {
+            (settings.views / 2).max(1)
+        };
         for (_, sighting) in seen.into_iter().enumerate().filter(enough).take(views as usize) {
             boxes.entry(sighting.view.frame).or_default().insert(instance.id, sighting.view.box_px);
         }
@@ -47,7 +58,8 @@ pub struct Correction<'a> {
 /// What a segmenter found of instances in pictures, by frame and instance.
 pub type Outlines = BTreeMap<FrameIndex, BTreeMap<InstanceId, Outline>>;
 
-/// One vector per instance, row after row (none without an encoder), and what a segmenter corrected. An encoder looks at corrected boxes.
+/// One vector per instance, row after row (none without an encoder), and what a segmenter
+/// corrected. An encoder looks at corrected boxes.
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, a model that fails, cancellation.
@@ -60,7 +72,8 @@ pub fn look(
     settings: &AppearanceSettings,
     progress: &Progress,
 ) -> Result<(Vec<f32>, Outlines), ParseError> {
-    let wanted: Vec<FrameRef> = frames.iter().filter(|frame| boxes.contains_key(&frame.index)).cloned().collect();
+    let wanted: Vec<FrameRef> =
+        frames.iter().filter(|frame| boxes.contains_key(&frame.index)).cloned().collect();
     let dim = encoder.map_or(0, DualEncoder::dim);
     let mut sums = vec![0.0_f64; instances.len() * dim];
     let mut outlines = Outlines::new();
@@ -71,7 +84,9 @@ pub fn look(
             let mut seen = boxes[&frame.index].clone();
             let picture = frame.decode_colour()?;
             let corrected = match correction {
-                Some(correction) => correct(frame, &picture, labelled, correction, &seen, progress)?,
+                Some(correction) => {
+                    correct(frame, &picture, labelled, correction, &seen, progress)?
+                }
                 None => BTreeMap::new(),
             };
             seen.extend(corrected.iter().map(|(instance, outline)| (*instance, outline.box_px)));
@@ -93,7 +108,8 @@ pub fn look(
     Ok((if dim > 0 { finish(&sums, dim) } else { Vec::new() }, outlines))
 }
 
-/// One vector per instance, row after row, for instances whose points are known already; projected boxes are not corrected.
+/// One vector per instance, row after row, for instances whose points are known already; projected
+/// boxes are not corrected.
 ///
 /// # Errors
 /// As [`look`].
@@ -120,7 +136,12 @@ fn correct(
     progress: &Progress,
 ) -> Result<BTreeMap<InstanceId, Outline>, ParseError> {
     let depth = frame.decode_depth()?;
-    let known: Vec<KnownMasks> = known.get(&frame.index).into_iter().flatten().map(|masks| KnownMasks::of(masks, frame)).collect();
+    let known: Vec<KnownMasks> = known
+        .get(&frame.index)
+        .into_iter()
+        .flatten()
+        .map(|masks| KnownMasks::of(masks, frame))
+        .collect();
     let (mut encoded, mut outlines) = (None, BTreeMap::new());
     let pixels = visible_pixels(labelled, frame, &depth);
     for of_instance in pixels.chunk_by(|a, b| a.instance == b.instance) {
@@ -134,7 +155,8 @@ fn correct(
         pixels.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
         let projection = Projection { instance, frame: frame.index, pixels: &pixels };
         let size = picture.dimensions();
-        let mut corrected = known.iter().find_map(|known| corrector.known_outline(known, &projection, size));
+        let mut corrected =
+            known.iter().find_map(|known| corrector.known_outline(known, &projection, size));
         if corrected.is_none() {
             let encoded = match &encoded {
                 Some(encoded) => encoded,
@@ -157,7 +179,8 @@ fn embed(
     progress: &Progress,
 ) -> Result<Vec<(InstanceId, Vec<f32>)>, ParseError> {
     let levels = settings.levels as usize;
-    let crops: Vec<RgbImage> = boxes.values().flat_map(|tight| crops(picture, *tight, settings)).collect();
+    let crops: Vec<RgbImage> =
+        boxes.values().flat_map(|tight| crops(picture, *tight, settings)).collect();
     let mut vectors = Vec::with_capacity(crops.len());
     for batch in crops.chunks(encoder.batch()) {
         progress.check()?;
@@ -165,16 +188,23 @@ fn embed(
     }
     let summed = |vectors: &[Vec<f32>]| {
         let mut sum = vec![0.0; encoder.dim()];
-        vectors.iter().for_each(|vector| sum.iter_mut().zip(vector).for_each(|(total, v)| *total += v));
+        vectors
+            .iter()
+            .for_each(|vector| sum.iter_mut().zip(vector).for_each(|(total, v)| *total += v));
         sum
     };
     Ok(boxes.keys().copied().zip(vectors.chunks(levels).map(summed)).collect())
 }
 
 /// The box and its surroundings, level by level, clipped to the picture.
-fn crops(picture: &RgbImage, [left, top, right, bottom]: [u32; 4], settings: &AppearanceSettings) -> impl Iterator<Item = RgbImage> {
+fn crops(
+    picture: &RgbImage,
+    [left, top, right, bottom]: [u32; 4],
+    settings: &AppearanceSettings,
+) -> impl Iterator<Item = RgbImage> {
     (0..settings.levels).map(move |level| {
-        let grown = |length: u32| (length as f32 * settings.level_step * level as f32).round() as u32;
+        let grown =
+            |length: u32| (length as f32 * settings.level_step * level as f32).round() as u32;
         let (mx, my) = (grown(right - left), grown(bottom - top));
         let (x, y) = (left.saturating_sub(mx), top.saturating_sub(my));
         let (x2, y2) = ((right + mx).min(picture.width()), (bottom + my).min(picture.height()));
@@ -202,7 +232,12 @@ mod tests {
     fn sighting(instance: u32, frame: u32, visible_points: u32) -> Sighting {
         Sighting {
             instance: InstanceId(instance),
-            view: View { frame: FrameIndex(frame), visible_points, box_px: [frame, 0, frame + 9, 9], mask: None },
+            view: View {
+                frame: FrameIndex(frame),
+                visible_points,
+                box_px: [frame, 0, frame + 9, 9],
+                mask: None,
+            },
             whole: 1.0,
             covered_px: 81.0,
             agreement: 0.0,
@@ -211,12 +246,25 @@ mod tests {
 
     #[test]
     fn views_that_show_enough_are_looked_at_and_the_best_always() {
-        let instances: Vec<Instance> = (1..=2).map(|id| thing(id, [0.0, 0.0], [1.0, 1.0, 1.0], 0.0, Support::Floor, [90; 3])).collect();
-        let seen =
-            [sighting(1, 0, 900), sighting(1, 1, 100), sighting(1, 2, 400), sighting(1, 3, 500), sighting(2, 1, 7), sighting(2, 2, 5)];
+        let instances: Vec<Instance> = (1..=2)
+            .map(|id| thing(id, [0.0, 0.0], [1.0, 1.0, 1.0], 0.0, Support::Floor, [90; 3]))
+            .collect();
+        let seen = [
+            sighting(1, 0, 900),
+            sighting(1, 1, 100),
+            sighting(1, 2, 400),
+            sighting(1, 3, 500),
+            sighting(2, 1, 7),
+            sighting(2, 2, 5),
+        ];
         let settings = AppearanceSettings { views: 2, ..AppearanceSettings::default() };
-        let frames_of =
-            |boxes: &Boxes, id| boxes.iter().filter(|(_, b)| b.contains_key(&InstanceId(id))).map(|(f, _)| f.0).collect::<Vec<_>>();
+        let frames_of = |boxes: &Boxes, id| {
+            boxes
+                .iter()
+                .filter(|(_, b)| b.contains_key(&InstanceId(id)))
+                .map(|(f, _)| f.0)
+                .collect::<Vec<_>>()
+        };
         let chosen = choose(&instances, &seen, &settings);
         assert_eq!((frames_of(&chosen, 1), frames_of(&chosen, 2)), (vec![0, 3], vec![1]));
         assert_eq!(chosen[&FrameIndex(3)][&InstanceId(1)], [3, 0, 12, 9]);
@@ -226,22 +274,35 @@ mod tests {
     fn crops_grow_level_by_level_and_stay_inside() {
         let picture = RgbImage::new(100, 80);
         let settings = AppearanceSettings { levels: 3, ..AppearanceSettings::default() };
-        let sizes: Vec<_> = crops(&picture, [10, 20, 50, 40], &settings).map(|c| c.dimensions()).collect();
+        let sizes: Vec<_> =
+            crops(&picture, [10, 20, 50, 40], &settings).map(|c| c.dimensions()).collect();
         assert_eq!(sizes, [(40, 20), (48, 24), (56, 28)]);
-        assert_eq!(crops(&picture, [0, 0, 100, 80], &settings).last().unwrap().dimensions(), (100, 80));
+        assert_eq!(
+            crops(&picture, [0, 0, 100, 80], &settings).last().unwrap().dimensions(),
+            (100, 80)
+        );
     }
 
     #[test]
     fn an_embedding_is_the_mean_of_its_crops() {
         let encoder = tiny_encoder();
-        let picture = RgbImage::from_fn(90, 60, |x, y| image::Rgb([(x * 2) as u8, (y * 3) as u8, 70]));
-        let boxes = BTreeMap::from([(InstanceId(1), [5, 5, 40, 40]), (InstanceId(2), [30, 10, 80, 50])]);
+        let picture =
+            RgbImage::from_fn(90, 60, |x, y| image::Rgb([(x * 2) as u8, (y * 3) as u8, 70]));
+        let boxes =
+            BTreeMap::from([(InstanceId(1), [5, 5, 40, 40]), (InstanceId(2), [30, 10, 80, 50])]);
         let settings = AppearanceSettings::default();
         let both = embed(&picture, &boxes, &encoder, &settings, &Progress::silent()).unwrap();
-        let alone =
-            embed(&picture, &BTreeMap::from([(InstanceId(2), [30, 10, 80, 50])]), &encoder, &settings, &Progress::silent()).unwrap();
+        let alone = embed(
+            &picture,
+            &BTreeMap::from([(InstanceId(2), [30, 10, 80, 50])]),
+            &encoder,
+            &settings,
+            &Progress::silent(),
+        )
+        .unwrap();
         assert!(both[1].1.iter().zip(&alone[0].1).all(|(a, b)| (a - b).abs() < 1e-4));
-        let stopped = embed(&picture, &boxes, &encoder, &settings, &Progress::new(|_, _| {}, || true));
+        let stopped =
+            embed(&picture, &boxes, &encoder, &settings, &Progress::new(|_, _| {}, || true));
         assert!(matches!(stopped, Err(ParseError::Cancelled(_))));
         let sums: Vec<f64> = both
             .iter()
@@ -249,7 +310,8 @@ mod tests {
             .chain(vec![0.0; encoder.dim()])
             .collect();
         let rows = finish(&sums, encoder.dim());
-        let norms: Vec<f32> = rows.chunks(encoder.dim()).map(|row| row.iter().map(|v| v * v).sum::<f32>()).collect();
+        let norms: Vec<f32> =
+            rows.chunks(encoder.dim()).map(|row| row.iter().map(|v| v * v).sum::<f32>()).collect();
         assert!((norms[0] - 1.0).abs() < 1e-5 && (norms[1] - 1.0).abs() < 1e-5 && norms[2] == 0.0);
     }
 }

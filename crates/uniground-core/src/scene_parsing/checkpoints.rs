@@ -1,8 +1,9 @@
 //! Work of a parse that is done, kept so that the next attempt does not repeat it.
 //!
-//! One append-only log per stage, named by a hash of everything the stage depends on: a parse that was cancelled goes on where
-//! it stopped, and one with other merging settings starts from the lifted masks. Losing a log costs time, never a result:
-//! whatever can not be read is computed again, and whatever can not be written is a line in the server's log.
+//! One append-only log per stage, named by a hash of everything the stage depends on: a parse that
+//! was cancelled goes on where it stopped, and one with other merging settings starts from the
+//! lifted masks. Losing a log costs time, never a result: whatever can not be read is computed
+//! again, and whatever can not be written is a line in the server's log.
 
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Serialize;
@@ -32,7 +33,8 @@ impl Checkpoints {
         Self::default()
     }
 
-    /// Logs in `folder`, which exists; valid for this `origin` only. Once the folder is gone nothing more is kept.
+    /// Logs in `folder`, which exists; valid for this `origin` only. Once the folder is gone
+    /// nothing more is kept.
     #[must_use]
     pub fn kept_in(folder: &Utf8Path, origin: &str) -> Self {
         Self { location: Some(Location { folder: folder.to_owned(), origin: origin.to_owned() }) }
@@ -48,11 +50,21 @@ impl Checkpoints {
     #[must_use]
     pub fn depending_on(&self, more: &str) -> Self {
         let location = self.location.as_ref();
-        Self { location: location.map(|at| Location { folder: at.folder.clone(), origin: format!("{}{more}", at.origin) }) }
+        Self {
+            location: location.map(|at| Location {
+                folder: at.folder.clone(),
+                origin: format!("{}{more}", at.origin),
+            }),
+        }
     }
 
-    /// The log of a stage that depends on these settings. Logs of the stage under other settings are removed.
-    pub fn log<T: Serialize + DeserializeOwned>(&self, stage: &str, depends_on: &impl Serialize) -> Log<T> {
+    /// The log of a stage that depends on these settings. Logs of the stage under other settings
+    /// are removed.
+    pub fn log<T: Serialize + DeserializeOwned>(
+        &self,
+        stage: &str,
+        depends_on: &impl Serialize,
+    ) -> Log<T> {
         let Some(Location { folder, origin }) = &self.location else { return Log::nowhere() };
         let opened = key(origin, depends_on).and_then(|key| Log::open(folder, stage, &key));
         opened.unwrap_or_else(|error| {
@@ -61,7 +73,8 @@ impl Checkpoints {
         })
     }
 
-    /// The result of a stage: kept from before, or computed and kept. The flag tells which: `true` = kept.
+    /// The result of a stage: kept from before, or computed and kept. The flag tells which: `true`
+    /// = kept.
     ///
     /// # Errors
     /// Those of `compute`.
@@ -110,7 +123,8 @@ impl<T: Serialize + DeserializeOwned> Log<T> {
                 fs::remove_file(entry.path())?;
             }
         }
-        let file = OpenOptions::new().read(true).append(true).create(true).open(folder.join(name))?;
+        let file =
+            OpenOptions::new().read(true).append(true).create(true).open(folder.join(name))?;
         let (kept, ends) = read_records(&file);
         // What a crash left half written is cut off.
         file.set_len(ends.last().copied().unwrap_or(0))?;
@@ -135,7 +149,8 @@ impl<T: Serialize + DeserializeOwned> Log<T> {
         }
     }
 
-    /// Adds a finished record to the file. When that fails, a warning is logged and nothing more is kept.
+    /// Adds a finished record to the file. When that fails, a warning is logged and nothing more is
+    /// kept.
     pub fn append(&mut self, record: &T) {
         let Some(file) = &mut self.file else { return };
         let written = postcard::to_stdvec(record).map_err(io::Error::other).and_then(|bytes| {
@@ -214,7 +229,9 @@ mod tests {
         log.append(&vec![8; 100]);
         let file = path.read_dir_utf8().unwrap().next().unwrap().unwrap().into_path();
         let whole = fs::read(&file).unwrap();
-        for damaged in [whole[..whole.len() - 1].to_vec(), [&whole[..whole.len() - 50], &[0; 50]].concat()] {
+        for damaged in
+            [whole[..whole.len() - 1].to_vec(), [&whole[..whole.len() - 50], &[0; 50]].concat()]
+        {
             fs::write(&file, damaged).unwrap();
             let mut log = checkpoints.log::<Vec<u32>>("stage", &0);
             assert_eq!(log.kept(), [vec![7; 100]]);
@@ -227,6 +244,9 @@ mod tests {
     fn a_place_that_can_not_be_written_costs_only_time() {
         let checkpoints = Checkpoints::kept_in(Utf8Path::new("/proc/no/such/place"), "scan");
         let first = checkpoints.once("stage", &0, || Ok::<_, ()>(1));
-        assert_eq!((first, checkpoints.once("stage", &0, || Ok::<_, ()>(2))), (Ok((1, false)), Ok((2, false))));
+        assert_eq!(
+            (first, checkpoints.once("stage", &0, || Ok::<_, ()>(2))),
+            (Ok((1, false)), Ok((2, false)))
+        );
     }
 }

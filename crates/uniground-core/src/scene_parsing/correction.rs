@@ -1,6 +1,7 @@
-//! Defect correction: an instance's projection into a picture may miss parts of it and take in parts of others; a promptable segmenter
-//! finds its true outline (paper: 10 rounds of 5 random visible pixels). Where the frame has a mask that agrees well with the projection
-//! already, that is its outline.
+//! Defect correction: an instance's projection into a picture may miss parts of it and take in
+//! parts of others; a promptable segmenter finds its true outline (paper: 10 rounds of 5 random
+//! visible pixels). Where the frame has a mask that agrees well with the projection already, that
+//! is its outline.
 
 use super::masks::IdRuns;
 use super::masks::sam::EncodedFrames;
@@ -35,9 +36,15 @@ pub struct Projection<'a> {
 impl Corrector<'_> {
     /// A mask the frame has already, where one agrees well enough.
     #[must_use]
-    pub fn known_outline(&self, known: &KnownMasks, projection: &Projection, (width, height): (u32, u32)) -> Option<Outline> {
+    pub fn known_outline(
+        &self,
+        known: &KnownMasks,
+        projection: &Projection,
+        (width, height): (u32, u32),
+    ) -> Option<Outline> {
         let least = self.settings.known_agreement.filter(|_| !projection.pixels.is_empty())?;
-        let scale = (KnownMasks::SIZE as f32 / width as f32, KnownMasks::SIZE as f32 / height as f32);
+        let scale =
+            (KnownMasks::SIZE as f32 / width as f32, KnownMasks::SIZE as f32 / height as f32);
         let covered = Covered::by(projection.pixels, scale, KnownMasks::SIZE);
         let id = known.commonest(&covered.hit)?;
         let inside = |cell: usize| known.ids[cell] == id;
@@ -64,7 +71,9 @@ impl Corrector<'_> {
         }
         let mut draw = Draw::of(projection);
         let prompts: Vec<Prompt> = (0..self.settings.rounds)
-            .map(|_| Prompt::inside((0..self.settings.points).map(|_| pixels[draw.below(pixels.len())])))
+            .map(|_| {
+                Prompt::inside((0..self.settings.points).map(|_| pixels[draw.below(pixels.len())]))
+            })
             .collect();
         let covered = Covered::by(pixels, scale, size);
         let masks = segmenter.decode(encoded, &prompts)?;
@@ -72,11 +81,14 @@ impl Corrector<'_> {
             let agreement = covered.agreement(|cell| mask.logits[cell] > segmenter.threshold());
             (agreement, mask)
         });
-        // The model alone often picks the wrong one of its masks, so the projection has a say in it.
+        // The model alone often picks the wrong one of its masks, so the projection has a say in
+        // it.
         let best = judged
             .filter(|(agreement, _)| *agreement >= self.settings.min_agreement)
             .max_by(|(a, x), (b, y)| (a * x.predicted_iou).total_cmp(&(b * y.predicted_iou)));
-        Ok(best.and_then(|(_, mask)| outlined(|cell| mask.logits[cell] > segmenter.threshold(), size, scale, (width, height))))
+        Ok(best.and_then(|(_, mask)| {
+            outlined(|cell| mask.logits[cell] > segmenter.threshold(), size, scale, (width, height))
+        }))
     }
 }
 
@@ -95,7 +107,10 @@ impl KnownMasks {
     pub fn of(masks: &IdRuns, frame: &FrameRef) -> Self {
         let masks = masks.unpacked();
         let (depth, colour) = (frame.depth_camera().intrinsics, frame.colour_camera().intrinsics);
-        let cells = |length: u32, [colour_c, colour_f, depth_c, depth_f]: [f32; 4], depth_length: u32| -> Vec<Option<u32>> {
+        let cells = |length: u32,
+                     [colour_c, colour_f, depth_c, depth_f]: [f32; 4],
+                     depth_length: u32|
+         -> Vec<Option<u32>> {
             let pixel = |cell: usize| (cell as f32 + 0.5) * length as f32 / Self::SIZE as f32 - 0.5;
             let at = |cell| ((pixel(cell) - colour_c) / colour_f * depth_f + depth_c + 0.5).floor();
             (0..Self::SIZE)
@@ -106,14 +121,17 @@ impl KnownMasks {
         let rows = cells(colour.height, [colour.cy, colour.fy, depth.cy, depth.fy], masks.height);
         let ids = rows
             .iter()
-            .flat_map(|row| columns.iter().map(|column| column.zip(*row).map_or(0, |at| masks.at(at))))
+            .flat_map(|row| {
+                columns.iter().map(|column| column.zip(*row).map_or(0, |at| masks.at(at)))
+            })
             .collect();
         Self { ids }
     }
 
     /// The mask most of these cells lie in.
     fn commonest(&self, cells: &[usize]) -> Option<u16> {
-        let mut ids: Vec<u16> = cells.iter().map(|cell| self.ids[*cell]).filter(|id| *id != 0).collect();
+        let mut ids: Vec<u16> =
+            cells.iter().map(|cell| self.ids[*cell]).filter(|id| *id != 0).collect();
         ids.sort_unstable();
         ids.chunk_by(|a, b| a == b).max_by_key(|same| same.len()).map(|same| same[0])
     }
@@ -144,9 +162,11 @@ impl Covered {
         Self { hit, near }
     }
 
-    /// F-score of a mask: the share of the projection it holds, and the share of it that lies at the projection.
+    /// F-score of a mask: the share of the projection it holds, and the share of it that lies at
+    /// the projection.
     fn agreement(&self, inside: impl Fn(usize) -> bool) -> f32 {
-        let held = self.hit.iter().filter(|cell| inside(**cell)).count() as f32 / self.hit.len() as f32;
+        let held =
+            self.hit.iter().filter(|cell| inside(**cell)).count() as f32 / self.hit.len() as f32;
         let (mut all, mut at) = (0_u32, 0_u32);
         for (_, near) in self.near.iter().enumerate().filter(|(cell, _)| inside(*cell)) {
             all += 1;
@@ -158,14 +178,25 @@ impl Covered {
 }
 
 /// A mask with its tight box in the picture, whose cells are `scale` to a pixel.
-fn outlined(inside: impl Fn(usize) -> bool, size: usize, scale: (f32, f32), picture: (u32, u32)) -> Option<Outline> {
+fn outlined(
+    inside: impl Fn(usize) -> bool,
+    size: usize,
+    scale: (f32, f32),
+    picture: (u32, u32),
+) -> Option<Outline> {
     let box_px = bounds(&inside, size, scale, picture)?;
     let cell = |at: f32, scale: f32| ((at * scale) as usize).min(size - 1);
     Some(Outline::of_picture(box_px, |(x, y)| inside(cell(y, scale.1) * size + cell(x, scale.0))))
 }
 
-/// The tight box of a mask in the picture. The outermost 0.5 % of its area on each side are crumbs and left out.
-fn bounds(inside: impl Fn(usize) -> bool, size: usize, scale: (f32, f32), (width, height): (u32, u32)) -> Option<[u32; 4]> {
+/// The tight box of a mask in the picture. The outermost 0.5 % of its area on each side are crumbs
+/// and left out.
+fn bounds(
+    inside: impl Fn(usize) -> bool,
+    size: usize,
+    scale: (f32, f32),
+    (width, height): (u32, u32),
+) -> Option<[u32; 4]> {
     const CRUMBS: f32 = 0.005;
     let (mut columns, mut rows) = (vec![0_u32; size], vec![0_u32; size]);
     for i in (0..size * size).filter(|i| inside(*i)) {
@@ -195,7 +226,8 @@ fn bounds(inside: impl Fn(usize) -> bool, size: usize, scale: (f32, f32), (width
     Some([left, top, right, bottom])
 }
 
-/// Random numbers that depend on instance and frame alone (splitmix64): the same whatever else is looked at.
+/// Random numbers that depend on instance and frame alone (splitmix64): the same whatever else is
+/// looked at.
 struct Draw(u64);
 
 impl Draw {
@@ -230,7 +262,9 @@ mod tests {
 
     #[test]
     fn a_mask_agrees_when_it_holds_the_projection_and_not_much_else() {
-        let pixels: Vec<(f32, f32)> = (20..40).flat_map(|x| (10..30).map(move |y| (x as f32 * 10.0, y as f32 * 10.0))).collect();
+        let pixels: Vec<(f32, f32)> = (20..40)
+            .flat_map(|x| (10..30).map(move |y| (x as f32 * 10.0, y as f32 * 10.0)))
+            .collect();
         let covered = Covered::by(&pixels, (0.1, 0.1), SIZE);
         let same = covered.agreement(mask(|u, v| (20..40).contains(&u) && (10..30).contains(&v)));
         let half = covered.agreement(mask(|u, v| (20..30).contains(&u) && (10..30).contains(&v)));
@@ -241,12 +275,14 @@ mod tests {
 
     #[test]
     fn the_box_is_tight_and_crumbs_are_left_out() {
-        let crumbed = mask(|u, v| (16..32).contains(&u) && (8..40).contains(&v) || (u, v) == (63, 63));
+        let crumbed =
+            mask(|u, v| (16..32).contains(&u) && (8..40).contains(&v) || (u, v) == (63, 63));
         assert_eq!(bounds(crumbed, SIZE, (0.1, 0.2), (640, 320)), Some([160, 40, 320, 200]));
         assert_eq!(bounds(mask(|_, _| false), SIZE, (0.1, 0.2), (640, 320)), None);
     }
 
-    /// A mask from before over columns 20 to 60 and rows 10 to 40 of a picture twice as large as its depth image.
+    /// A mask from before over columns 20 to 60 and rows 10 to 40 of a picture twice as large as
+    /// its depth image.
     #[test]
     fn a_mask_from_before_is_believed_where_it_agrees() {
         let frames = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 0).unwrap();
@@ -276,8 +312,14 @@ mod tests {
             let projection = Projection { instance: InstanceId(4), frame: FrameIndex(3), pixels };
             believing(least).known_outline(&known, &projection, (128, 96))
         };
-        let Outline { box_px: [left, top, right, bottom], mask } = found(&seen(42..78), Some(0.8)).unwrap();
-        assert!(left.abs_diff(40) <= 1 && right.abs_diff(80) <= 1 && top.abs_diff(20) <= 1 && bottom.abs_diff(60) <= 1);
+        let Outline { box_px: [left, top, right, bottom], mask } =
+            found(&seen(42..78), Some(0.8)).unwrap();
+        assert!(
+            left.abs_diff(40) <= 1
+                && right.abs_diff(80) <= 1
+                && top.abs_diff(20) <= 1
+                && bottom.abs_diff(60) <= 1
+        );
         assert!(mask.share() > 0.95, "it fills its box: {mask:?}");
         assert_eq!(found(&seen(42..128), Some(0.8)), None, "half of it lies elsewhere");
         assert_eq!(found(&seen(42..78), None), None, "always asked");
@@ -287,15 +329,22 @@ mod tests {
     #[test]
     fn the_same_projection_gives_the_same_box() {
         let frames = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 0).unwrap();
-        let settings = CorrectionSettings { rounds: 3, min_agreement: 0.0, ..CorrectionSettings::default() };
+        let settings =
+            CorrectionSettings { rounds: 3, min_agreement: 0.0, ..CorrectionSettings::default() };
         let corrector = Corrector { frames: &frames, settings };
-        let picture = RgbImage::from_fn(90, 60, |x, y| image::Rgb([(x * 2) as u8, (y * 3) as u8, 70]));
+        let picture =
+            RgbImage::from_fn(90, 60, |x, y| image::Rgb([(x * 2) as u8, (y * 3) as u8, 70]));
         let encoded = frames.of(FrameIndex(3), &picture).unwrap();
-        let pixels: Vec<(f32, f32)> = (30..50).flat_map(|x| (20..40).map(move |y| (x as f32, y as f32))).collect();
-        let projection = Projection { instance: InstanceId(4), frame: FrameIndex(3), pixels: &pixels };
+        let pixels: Vec<(f32, f32)> =
+            (30..50).flat_map(|x| (20..40).map(move |y| (x as f32, y as f32))).collect();
+        let projection =
+            Projection { instance: InstanceId(4), frame: FrameIndex(3), pixels: &pixels };
         let found = corrector.asked_outline(&encoded, &projection, (90, 60)).unwrap();
         assert_eq!(found, corrector.asked_outline(&encoded, &projection, (90, 60)).unwrap());
-        let picky = Corrector { frames: &frames, settings: CorrectionSettings { min_agreement: 1.1, ..settings } };
+        let picky = Corrector {
+            frames: &frames,
+            settings: CorrectionSettings { min_agreement: 1.1, ..settings },
+        };
         assert_eq!(picky.asked_outline(&encoded, &projection, (90, 60)).unwrap(), None);
     }
 }

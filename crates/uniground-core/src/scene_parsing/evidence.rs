@@ -1,6 +1,7 @@
-//! Evidence pictures for people: of every view a crop and the full frame with a red box, the instance outlined in both (paper: candidate
-//! visual evidence). Nobody looks at all of them, so each is drawn when somebody does. Models get collages, whose outlines are
-//! drawn at their own size: [`crate::render::Shot::of_view`].
+//! Evidence pictures for people: of every view a crop and the full frame with a red box, the
+//! instance outlined in both (paper: candidate visual evidence). Nobody looks at all of them, so
+//! each is drawn when somebody does. Models get collages, whose outlines are drawn at their own
+//! size: [`crate::render::Shot::of_view`].
 
 use crate::render::{Around, crop_area, cut, draw_outline, jpeg, outline_reach, shares};
 use crate::scene::{CellMask, View};
@@ -34,7 +35,12 @@ pub fn picture(colour: &RgbImage, seen: &View, picture: Picture) -> Vec<u8> {
         // The box leaves room for the outline.
         let room = if mask.is_some() { outline_reach(whole.2, whole.3) } else { 0 };
         let [left, top, right, bottom] = seen.box_px;
-        let boxed = [left.saturating_sub(room), top.saturating_sub(room), (right + room).min(whole.2), (bottom + room).min(whole.3)];
+        let boxed = [
+            left.saturating_sub(room),
+            top.saturating_sub(room),
+            (right + room).min(whole.2),
+            (bottom + room).min(whole.3),
+        ];
         draw_box(&mut drawn, boxed);
     }
     jpeg(&drawn)
@@ -72,14 +78,27 @@ mod tests {
     fn the_frame_has_a_red_box_around_the_object_and_the_crop_an_outline() {
         let colour = RgbImage::from_pixel(400, 300, Rgb([90, 90, 90]));
         let mask = CellMask::of(8, 8, |column, row| column + row < 8).packed();
-        let seen = View { frame: FrameIndex(0), visible_points: 9, box_px: [100, 100, 180, 180], mask: Some(mask) };
-        let decoded = |of| image::load_from_memory(&picture(&colour, &seen, of)).unwrap().into_rgb8();
+        let seen = View {
+            frame: FrameIndex(0),
+            visible_points: 9,
+            box_px: [100, 100, 180, 180],
+            mask: Some(mask),
+        };
+        let decoded =
+            |of| image::load_from_memory(&picture(&colour, &seen, of)).unwrap().into_rgb8();
         let (crop, frame) = (decoded(Picture::Crop), decoded(Picture::Frame));
         assert_eq!((crop.dimensions(), frame.dimensions()), ((224, 224), (400, 300)));
         let reddish = |p: &Rgb<u8>| p.0[0] > 150 && p.0[1] < 110;
         let yellowish = |p: &&Rgb<u8>| p.0[0] > 150 && p.0[1] > 150 && p.0[2] < 130;
-        assert!(reddish(frame.get_pixel(94, 140)) && reddish(frame.get_pixel(140, 94)) && !reddish(frame.get_pixel(120, 120)));
-        assert!(frame.pixels().filter(yellowish).count() > 80 && crop.pixels().filter(yellowish).count() > 80);
+        assert!(
+            reddish(frame.get_pixel(94, 140))
+                && reddish(frame.get_pixel(140, 94))
+                && !reddish(frame.get_pixel(120, 120))
+        );
+        assert!(
+            frame.pixels().filter(yellowish).count() > 80
+                && crop.pixels().filter(yellowish).count() > 80
+        );
         assert!(crop.pixels().all(|p| !reddish(p)) && crop.get_pixel(2, 2).0[0] < 70, "dimmed");
     }
 

@@ -14,7 +14,8 @@ pub fn sample(frames: &[FrameRef], settings: &FrameSamplingSettings) -> Vec<Fram
     }
 }
 
-/// `budget` frames at equal steps of the distance travelled, so that a camera that stands still does not eat the budget.
+/// `budget` frames at equal steps of the distance travelled, so that a camera that stands still
+/// does not eat the budget.
 fn spread_along_path(frames: &[FrameRef], budget: usize) -> Vec<FrameRef> {
     let mut travelled = vec![0.0_f32];
     for pair in frames.windows(2) {
@@ -68,7 +69,11 @@ mod tests {
     fn the_paper_s_stride() {
         let settings = FrameSamplingSettings { max_frames: None, ..Default::default() };
         for (frames, used) in [(1, 1), (999, 999), (1999, 1999), (2000, 1000), (3500, 1167)] {
-            assert_eq!(sample(&path((0..frames).map(|i| i as f32)), &settings).len(), used, "{frames} frames");
+            assert_eq!(
+                sample(&path((0..frames).map(|i| i as f32)), &settings).len(),
+                used,
+                "{frames} frames"
+            );
         }
     }
 
@@ -76,7 +81,8 @@ mod tests {
     fn a_camera_that_stands_still_does_not_eat_the_budget() {
         // 90 frames at the start, then ten steps of a metre.
         let frames = path((0..90).map(|_| 0.0).chain((1..=10).map(|i| i as f32)));
-        let chosen = sample(&frames, &FrameSamplingSettings { stride_frames: 1000, max_frames: Some(11) });
+        let chosen =
+            sample(&frames, &FrameSamplingSettings { stride_frames: 1000, max_frames: Some(11) });
         let moving = chosen.iter().filter(|f| f.camera_to_world.translation.x > 0.0).count();
         assert!(chosen.len() <= 11 && moving == 10, "{moving} of {}", chosen.len());
         assert!(chosen.windows(2).all(|w| w[0].index < w[1].index));

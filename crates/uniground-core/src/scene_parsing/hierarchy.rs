@@ -1,8 +1,9 @@
 //! Parts and wholes: what masks show besides the things that a scene is cut into. Not in the paper.
 //!
-//! No single cut suits every question: a bed may have been found as blanket and headboard, a dresser without its drawers. What merging had
-//! on its way are parts; things that one mask holds, and neighbours two by two, are wholes. Those that masks show best are offered beside
-//! the things, by the same measure that tells things from leftovers.
+//! No single cut suits every question: a bed may have been found as blanket and headboard, a
+//! dresser without its drawers. What merging had on its way are parts; things that one mask holds,
+//! and neighbours two by two, are wholes. Those that masks show best are offered beside the things,
+//! by the same measure that tells things from leftovers.
 
 use super::lifting::{FrameVisibility, coarsen};
 use super::merging::Regions;
@@ -23,20 +24,22 @@ pub struct Proposal {
     pub superpoints: Vec<u32>,
     /// The region a part lies in; those a whole is made of, ascending.
     pub regions: Vec<u32>,
-    /// How well masks show it: IoU of its visible points and those of the best mask, mean over frames by visible points, `0..=1`.
+    /// How well masks show it: IoU of its visible points and those of the best mask, mean over
+    /// frames by visible points, `0..=1`.
     pub agreement: f32,
 }
 
 /// Two that share this much of their points (IoU) are one.
 const SAME: f32 = 0.85;
-/// A mask holds a region when this share of the region's visible points lies in it; it is filled by regions when this share of its own
-/// points lies in those it holds.
+/// A mask holds a region when this share of the region's visible points lies in it; it is filled by
+/// regions when this share of its own points lies in those it holds.
 const HELD: f32 = 0.7;
 /// A mask that holds more regions than this shows a corner of the room.
 const MOST_REGIONS: usize = 12;
 
-/// Parts and wholes, best shown first: at most as many for each region as the settings allow. `levels` are the steps of merging that led to
-/// `region_of` (both by superpoint), `tables` what the frames see of the superpoints.
+/// Parts and wholes, best shown first: at most as many for each region as the settings allow.
+/// `levels` are the steps of merging that led to `region_of` (both by superpoint), `tables` what
+/// the frames see of the superpoints.
 ///
 /// # Errors
 /// [`Cancelled`].
@@ -58,14 +61,18 @@ pub fn propose(
     let mut proposals = parts(levels, region_of, tables);
     progress.check()?;
     proposals.extend(wholes(superpoints, region_of, &members, tables));
-    let size = |set: &[u32]| set.iter().map(|&s| superpoints.patches[s as usize].points as f32).sum::<f32>();
+    let size = |set: &[u32]| {
+        set.iter().map(|&s| superpoints.patches[s as usize].points as f32).sum::<f32>()
+    };
     let planar = |set: &[u32]| set.iter().any(|&s| planes.of_superpoint[s as usize].is_some());
     proposals.retain(|p| {
         p.agreement >= settings.instances.min_agreement
             && size(&p.superpoints) >= settings.merging.min_points as f32
             && !planar(&p.superpoints)
     });
-    proposals.sort_by(|a, b| b.agreement.total_cmp(&a.agreement).then_with(|| a.superpoints.cmp(&b.superpoints)));
+    proposals.sort_by(|a, b| {
+        b.agreement.total_cmp(&a.agreement).then_with(|| a.superpoints.cmp(&b.superpoints))
+    });
     let same = |a: &[u32], b: &[u32]| {
         let both = size(&shared(a, b));
         both >= SAME * (size(a) + size(b) - both)
@@ -88,7 +95,9 @@ pub fn propose(
 /// Superpoints of each region, ascending.
 fn members(region_of: &[u32]) -> Vec<Vec<u32>> {
     let mut members = vec![Vec::new(); region_of.iter().max().map_or(0, |&r| r as usize + 1)];
-    (0..).zip(region_of).for_each(|(superpoint, &region)| members[region as usize].push(superpoint));
+    (0..)
+        .zip(region_of)
+        .for_each(|(superpoint, &region)| members[region as usize].push(superpoint));
     members
 }
 
@@ -97,11 +106,13 @@ fn shared(a: &[u32], b: &[u32]) -> Vec<u32> {
     a.iter().copied().filter(|s| b.binary_search(s).is_ok()).collect()
 }
 
-/// Regions on the way to those of `region_of` that lie in one of them: what stood in a table was set free of it since.
+/// Regions on the way to those of `region_of` that lie in one of them: what stood in a table was
+/// set free of it since.
 fn parts(levels: &Regions, region_of: &[u32], tables: &[FrameVisibility]) -> Vec<Proposal> {
     let mut found: BTreeMap<Vec<u32>, f32> = BTreeMap::new();
     for level in &levels.levels {
-        let coarse: Vec<FrameVisibility> = tables.par_iter().map(|table| coarsen(table, level)).collect();
+        let coarse: Vec<FrameVisibility> =
+            tables.par_iter().map(|table| coarsen(table, level)).collect();
         let members = members(level);
         let alone = (0..members.len() as u32).map(|region| vec![region]).collect::<Vec<_>>();
         let agreements = agreements(&coarse, &alone);
@@ -116,15 +127,24 @@ fn parts(levels: &Regions, region_of: &[u32], tables: &[FrameVisibility]) -> Vec
 }
 
 /// Regions that one mask holds and that fill it, and neighbours two by two.
-fn wholes(superpoints: &Superpoints, region_of: &[u32], members: &[Vec<u32>], tables: &[FrameVisibility]) -> Vec<Proposal> {
-    let coarse: Vec<FrameVisibility> = tables.par_iter().map(|table| coarsen(table, region_of)).collect();
-    let mut unions: BTreeSet<Vec<u32>> = coarse.par_iter().map(held_together).flatten_iter().collect();
-    let neighbours = superpoints.adjacent.iter().map(|&(a, b)| (region_of[a as usize], region_of[b as usize]));
+fn wholes(
+    superpoints: &Superpoints,
+    region_of: &[u32],
+    members: &[Vec<u32>],
+    tables: &[FrameVisibility],
+) -> Vec<Proposal> {
+    let coarse: Vec<FrameVisibility> =
+        tables.par_iter().map(|table| coarsen(table, region_of)).collect();
+    let mut unions: BTreeSet<Vec<u32>> =
+        coarse.par_iter().map(held_together).flatten_iter().collect();
+    let neighbours =
+        superpoints.adjacent.iter().map(|&(a, b)| (region_of[a as usize], region_of[b as usize]));
     unions.extend(neighbours.filter(|(a, b)| a != b).map(|(a, b)| vec![a.min(b), a.max(b)]));
     let unions: Vec<Vec<u32>> = unions.into_iter().collect();
     let agreements = agreements(&coarse, &unions);
     let whole = |(regions, agreement): (Vec<u32>, f32)| {
-        let mut superpoints: Vec<u32> = regions.iter().flat_map(|&r| members[r as usize].iter().copied()).collect();
+        let mut superpoints: Vec<u32> =
+            regions.iter().flat_map(|&r| members[r as usize].iter().copied()).collect();
         superpoints.sort_unstable();
         Proposal { level: Level::Whole, superpoints, regions, agreement }
     };
@@ -145,7 +165,8 @@ fn held_together(table: &FrameVisibility) -> Vec<Vec<u32>> {
             }
         }
     }
-    let filled = of_mask.into_values().filter(|(all, filled, _)| *filled as f32 >= HELD * *all as f32);
+    let filled =
+        of_mask.into_values().filter(|(all, filled, _)| *filled as f32 >= HELD * *all as f32);
     filled
         .map(|(_, _, regions)| regions)
         .filter(|regions| (2..=MOST_REGIONS).contains(&regions.len()))
@@ -154,10 +175,12 @@ fn held_together(table: &FrameVisibility) -> Vec<Vec<u32>> {
 
 /// How well masks show each union of rows of the tables.
 fn agreements(tables: &[FrameVisibility], unions: &[Vec<u32>]) -> Vec<f32> {
-    let frames: Vec<FrameMasks> = tables.chunk_by(|a, b| a.frame == b.frame).map(FrameMasks::of).collect();
+    let frames: Vec<FrameMasks> =
+        tables.chunk_by(|a, b| a.frame == b.frame).map(FrameMasks::of).collect();
     let agreement = |union: &Vec<u32>| {
         let seen = frames.iter().map(|frame| frame.agreement(union));
-        let (sum, weight) = seen.fold((0.0, 0.0), |(sum, weight), (iou, n)| (sum + iou * n, weight + n));
+        let (sum, weight) =
+            seen.fold((0.0, 0.0), |(sum, weight), (iou, n)| (sum + iou * n, weight + n));
         if weight > 0.0 { sum / weight } else { 0.0 }
     };
     unions.par_iter().map(agreement).collect()
@@ -182,18 +205,25 @@ impl<'a> FrameMasks<'a> {
         Self { images, points: images.iter().map(points).collect() }
     }
 
-    /// IoU of the visible points of a union and those of the mask that fits them best, and how many points are visible.
+    /// IoU of the visible points of a union and those of the mask that fits them best, and how many
+    /// points are visible.
     fn agreement(&self, union: &[u32]) -> (f32, f32) {
         let (mut best, mut visible) = (0.0_f32, 0);
         for (table, points) in self.images.iter().zip(&self.points) {
             let mut shared: BTreeMap<u16, u32> = BTreeMap::new();
             visible = 0;
             for part in union {
-                let Ok(row) = table.rows.binary_search_by_key(part, |row| row.superpoint) else { continue };
+                let Ok(row) = table.rows.binary_search_by_key(part, |row| row.superpoint) else {
+                    continue;
+                };
                 visible += table.rows[row].visible;
-                table.rows[row].masks.iter().for_each(|&(mask, n)| *shared.entry(mask).or_insert(0) += n);
+                table.rows[row]
+                    .masks
+                    .iter()
+                    .for_each(|&(mask, n)| *shared.entry(mask).or_insert(0) += n);
             }
-            let iou = |(mask, both): (u16, u32)| both as f32 / (visible + points[&mask] - both) as f32;
+            let iou =
+                |(mask, both): (u16, u32)| both as f32 / (visible + points[&mask] - both) as f32;
             best = shared.into_iter().map(iou).fold(best, f32::max);
         }
         (best, visible as f32)
@@ -209,12 +239,22 @@ mod tests {
     use crate::scene_parsing::superpoints::Patch;
     use uniground_types::settings::InstanceSettings;
 
-    /// A chest of two superpoints and a lamp on it; one mask shows the drawer, superpoint 1, another chest and lamp together.
+    /// A chest of two superpoints and a lamp on it; one mask shows the drawer, superpoint 1,
+    /// another chest and lamp together.
     #[test]
     fn what_masks_show_beside_the_cut_is_proposed() {
-        let patch = Patch { points: 100, center: Point3::origin(), normal: Vector3::z(), lab: Vector3::zeros() };
-        let superpoints =
-            Superpoints { of_point: Vec::new(), patches: vec![patch; 3], adjacent: vec![(0, 1), (0, 2)], roughness_m: vec![0.0; 3] };
+        let patch = Patch {
+            points: 100,
+            center: Point3::origin(),
+            normal: Vector3::z(),
+            lab: Vector3::zeros(),
+        };
+        let superpoints = Superpoints {
+            of_point: Vec::new(),
+            patches: vec![patch; 3],
+            adjacent: vec![(0, 1), (0, 2)],
+            roughness_m: vec![0.0; 3],
+        };
         let planes = Planes { planes: Vec::new(), of_superpoint: vec![None; 3] };
         let region_of = [0, 0, 1];
         let levels = Regions { levels: vec![vec![0, 1, 2], region_of.to_vec()] };
@@ -224,14 +264,30 @@ mod tests {
             masks: 2,
             rows: (0..)
                 .zip(masks)
-                .map(|(superpoint, masks)| VisibleSuperpoint { superpoint, visible: 100, masks: masks.to_vec() })
+                .map(|(superpoint, masks)| VisibleSuperpoint {
+                    superpoint,
+                    visible: 100,
+                    masks: masks.to_vec(),
+                })
                 .collect(),
         };
-        let tables = [table(0, [&[(1, 10)], &[(2, 90)], &[]]), table(1, [&[(7, 95)], &[(7, 100)], &[(7, 80)]])];
+        let tables = [
+            table(0, [&[(1, 10)], &[(2, 90)], &[]]),
+            table(1, [&[(7, 95)], &[(7, 100)], &[(7, 80)]]),
+        ];
         let proposed = |parts_and_wholes| {
             let instances = InstanceSettings { parts_and_wholes, ..InstanceSettings::default() };
             let settings = ParsingSettings { instances, ..ParsingSettings::default() };
-            propose(&superpoints, &planes, &levels, &region_of, &tables, &settings, &Progress::silent()).unwrap()
+            propose(
+                &superpoints,
+                &planes,
+                &levels,
+                &region_of,
+                &tables,
+                &settings,
+                &Progress::silent(),
+            )
+            .unwrap()
         };
         let told: Vec<_> = proposed(1.5)
             .into_iter()

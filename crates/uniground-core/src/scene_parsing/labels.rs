@@ -12,7 +12,8 @@ pub struct Compound {
     pub level: Level,
     /// The thing a part lies in; the things a whole is made of. Ascending.
     pub things: Vec<InstanceId>,
-    /// Superpoints a part is made of, ascending; its points are those that belong to its thing. None for a whole: it has all points of its things.
+    /// Superpoints a part is made of, ascending; its points are those that belong to its thing.
+    /// None for a whole: it has all points of its things.
     pub superpoints: Vec<u32>,
 }
 
@@ -39,10 +40,19 @@ impl<'a> Labels<'a> {
         Self::new(Cow::Borrowed(thing_of_point), &[], Vec::new())
     }
 
-    fn new(thing_of_point: Cow<'a, [InstanceId]>, superpoint_of_point: &'a [u32], compounds: Vec<Compound>) -> Self {
+    fn new(
+        thing_of_point: Cow<'a, [InstanceId]>,
+        superpoint_of_point: &'a [u32],
+        compounds: Vec<Compound>,
+    ) -> Self {
         let things = thing_of_point.iter().max().map_or(0, |id| id.0);
-        let superpoints = compounds.iter().filter_map(|c| c.superpoints.last()).max().map_or(0, |&s| s as usize + 1);
-        let (mut parts_at, mut wholes_of) = (vec![Vec::new(); superpoints], vec![Vec::new(); things as usize + 1]);
+        let superpoints = compounds
+            .iter()
+            .filter_map(|c| c.superpoints.last())
+            .max()
+            .map_or(0, |&s| s as usize + 1);
+        let (mut parts_at, mut wholes_of) =
+            (vec![Vec::new(); superpoints], vec![Vec::new(); things as usize + 1]);
         for (compound, id) in compounds.iter().zip(things + 1..) {
             match compound.level {
                 Level::Thing => {}
@@ -51,16 +61,23 @@ impl<'a> Labels<'a> {
                         parts_at[superpoint as usize].push((compound.things[0], InstanceId(id)));
                     }
                 }
-                Level::Whole => compound.things.iter().for_each(|thing| wholes_of[thing.0 as usize].push(InstanceId(id))),
+                Level::Whole => compound
+                    .things
+                    .iter()
+                    .for_each(|thing| wholes_of[thing.0 as usize].push(InstanceId(id))),
             }
         }
         Self { thing_of_point, compounds, things, superpoint_of_point, parts_at, wholes_of }
     }
 
-    /// Regions as numbered things-to-be, with parts and wholes of them: ids count from 1 in falling order of points; ties by the region's
-    /// first point.
+    /// Regions as numbered things-to-be, with parts and wholes of them: ids count from 1 in falling
+    /// order of points; ties by the region's first point.
     #[must_use]
-    pub fn of_regions(region_of: &[u32], superpoints: &'a Superpoints, proposals: Vec<Proposal>) -> Self {
+    pub fn of_regions(
+        region_of: &[u32],
+        superpoints: &'a Superpoints,
+        proposals: Vec<Proposal>,
+    ) -> Self {
         let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
         // Points of each region, and the first.
         let mut sizes = vec![(0_u32, 0_u32); count];
@@ -81,7 +98,11 @@ impl<'a> Labels<'a> {
             Some(Compound { level, things, superpoints })
         };
         let compounds = proposals.into_iter().filter_map(compound).collect();
-        Self::new(region_of.iter().map(|&region| ids[region as usize]).collect(), &superpoints.of_point, compounds)
+        Self::new(
+            region_of.iter().map(|&region| ids[region as usize]).collect(),
+            &superpoints.of_point,
+            compounds,
+        )
     }
 
     /// The instances a point belongs to: its thing, the wholes of that, its parts there.
@@ -116,13 +137,20 @@ impl<'a> Labels<'a> {
         self.len() == 0
     }
 
-    /// The same with new ids, by old one; 0: dropped. Those that stay keep their order; a compound stays only with all its things.
+    /// The same with new ids, by old one; 0: dropped. Those that stay keep their order; a compound
+    /// stays only with all its things.
     #[must_use]
     pub fn renumbered(self, new_id: &[InstanceId]) -> Self {
         let renamed = |id: &InstanceId| new_id[id.0 as usize];
         let thing_of_point = self.thing_of_point.iter().map(renamed).collect();
-        let kept = self.compounds.into_iter().zip(&new_id[self.things as usize + 1..]).filter(|(_, id)| id.0 != 0);
-        let compounds = kept.map(|(c, _)| Compound { things: c.things.iter().map(renamed).collect(), ..c }).collect();
+        let kept = self
+            .compounds
+            .into_iter()
+            .zip(&new_id[self.things as usize + 1..])
+            .filter(|(_, id)| id.0 != 0);
+        let compounds = kept
+            .map(|(c, _)| Compound { things: c.things.iter().map(renamed).collect(), ..c })
+            .collect();
         Self::new(thing_of_point, self.superpoint_of_point, compounds)
     }
 }
@@ -133,23 +161,39 @@ mod tests {
 
     #[test]
     fn regions_are_numbered_by_points_and_ties_by_their_first() {
-        let superpoints = Superpoints { of_point: vec![0; 7], patches: Vec::new(), adjacent: Vec::new(), roughness_m: Vec::new() };
+        let superpoints = Superpoints {
+            of_point: vec![0; 7],
+            patches: Vec::new(),
+            adjacent: Vec::new(),
+            roughness_m: Vec::new(),
+        };
         let labels = Labels::of_regions(&[7, 2, 2, 0, 2, 0, 5], &superpoints, Vec::new());
-        assert_eq!(labels.thing_of_point.iter().map(|id| id.0).collect::<Vec<_>>(), [3, 1, 1, 2, 1, 2, 4]);
+        assert_eq!(
+            labels.thing_of_point.iter().map(|id| id.0).collect::<Vec<_>>(),
+            [3, 1, 1, 2, 1, 2, 4]
+        );
         assert_eq!((labels.things, labels.len()), (4, 4));
     }
 
-    /// Three regions over four superpoints; a whole of the first two, a part of the last, and one of a region that is gone.
+    /// Three regions over four superpoints; a whole of the first two, a part of the last, and one
+    /// of a region that is gone.
     #[test]
     fn a_point_belongs_to_its_thing_the_wholes_of_that_and_its_parts() {
-        let superpoints =
-            Superpoints { of_point: vec![0, 0, 0, 1, 1, 2, 3], patches: Vec::new(), adjacent: Vec::new(), roughness_m: Vec::new() };
+        let superpoints = Superpoints {
+            of_point: vec![0, 0, 0, 1, 1, 2, 3],
+            patches: Vec::new(),
+            adjacent: Vec::new(),
+            roughness_m: Vec::new(),
+        };
         let proposal = |level, regions: &[u32], superpoints: &[u32]| {
             let (regions, superpoints) = (regions.to_vec(), superpoints.to_vec());
             Proposal { level, regions, superpoints, agreement: 0.5 }
         };
-        let proposals =
-            vec![proposal(Level::Whole, &[0, 1], &[0, 1]), proposal(Level::Part, &[2], &[3]), proposal(Level::Whole, &[0, 9], &[0, 7])];
+        let proposals = vec![
+            proposal(Level::Whole, &[0, 1], &[0, 1]),
+            proposal(Level::Part, &[2], &[3]),
+            proposal(Level::Whole, &[0, 9], &[0, 7]),
+        ];
         // The last point of superpoint 1 went over to region 2 when borders were refined.
         let labels = Labels::of_regions(&[0, 0, 0, 1, 2, 2, 2], &superpoints, proposals);
         let of = |labels: &Labels, point| labels.of(point).map(|id| id.0).collect::<Vec<_>>();
@@ -159,6 +203,9 @@ mod tests {
             [vec![1, 4], vec![3, 4], vec![2], vec![2, 5]]
         );
         let renamed = labels.renumbered(&[0, 1, 2, 0, 0, 3].map(InstanceId));
-        assert_eq!([of(&renamed, 0), of(&renamed, 3), of(&renamed, 6)], [vec![1], vec![], vec![2, 3]]);
+        assert_eq!(
+            [of(&renamed, 0), of(&renamed, 3), of(&renamed, 6)],
+            [vec![1], vec![], vec![2, 3]]
+        );
     }
 }

@@ -1,7 +1,7 @@
 //! Lifting: what each frame sees of each superpoint, and in which masks.
 //!
-//! Frames arrive one at a time and leave a sparse table behind: memory is (superpoints seen) x (masks they touch) per frame,
-//! never points x frames.
+//! Frames arrive one at a time and leave a sparse table behind: memory is (superpoints seen) x
+//! (masks they touch) per frame, never points x frames.
 
 use super::ParseError;
 use super::checkpoints::Log;
@@ -67,13 +67,15 @@ impl Lifted {
     /// The tables of all frames, and the masks and the sharpness of each.
     #[must_use]
     pub fn apart(lifted: Vec<Self>) -> (Vec<FrameVisibility>, MasksOfFrames, SharpnessOfFrames) {
-        let sharpness = lifted.iter().map(|lifted| (lifted.frame, lifted.sharpness.clone())).collect();
+        let sharpness =
+            lifted.iter().map(|lifted| (lifted.frame, lifted.sharpness.clone())).collect();
         let (tables, masks): (Vec<_>, MasksOfFrames) =
             lifted.into_iter().map(|lifted| (lifted.tables, (lifted.frame, lifted.masks))).unzip();
         (tables.concat(), masks, sharpness)
     }
 
-    /// The same with new numbers of superpoints, by old one; `None`: gone. Those that stay keep their order.
+    /// The same with new numbers of superpoints, by old one; `None`: gone. Those that stay keep
+    /// their order.
     pub fn renumber(&mut self, number: &[Option<u32>]) {
         for table in &mut self.tables {
             table.rows.retain_mut(|row| {
@@ -86,13 +88,23 @@ impl Lifted {
 }
 
 impl Lifting<'_> {
-    /// All frames, in order. Frames kept in `log` are not looked at again; the flag tells whether that was all.
+    /// All frames, in order. Frames kept in `log` are not looked at again; the flag tells whether
+    /// that was all.
     ///
     /// # Errors
     /// [`ParseError`]: an unreadable frame, or cancellation.
-    pub fn all(&self, frames: &[FrameRef], mut log: Log<Lifted>, progress: &Progress) -> Result<(Vec<Lifted>, bool), ParseError> {
+    pub fn all(
+        &self,
+        frames: &[FrameRef],
+        mut log: Log<Lifted>,
+        progress: &Progress,
+    ) -> Result<(Vec<Lifted>, bool), ParseError> {
         let mut lifted = log.kept();
-        let kept = lifted.iter().zip(frames).take_while(|(lifted, frame)| lifted.frame == frame.index).count();
+        let kept = lifted
+            .iter()
+            .zip(frames)
+            .take_while(|(lifted, frame)| lifted.frame == frame.index)
+            .count();
         lifted.truncate(kept);
         log.forget_after(kept);
         stream_frames(
@@ -102,13 +114,15 @@ impl Lifting<'_> {
                 let frame = frame.decode()?;
                 let images = self.masks.masks(&frame, progress)?;
                 let tables = lift(self.visibility, self.superpoint_of_point, &frame, &images);
-                let (masks, sharpness) = (images.iter().map(IdRuns::of).collect(), Sharpness::of(&frame.colour));
+                let (masks, sharpness) =
+                    (images.iter().map(IdRuns::of).collect(), Sharpness::of(&frame.colour));
                 Ok::<_, ParseError>(Lifted { frame: frame.index, tables, masks, sharpness })
             },
             |i, frame| {
                 log.append(&frame);
                 lifted.push(frame);
-                Ok(progress.report("masks_and_lifting", (kept + i + 1) as f32 / frames.len() as f32)?)
+                Ok(progress
+                    .report("masks_and_lifting", (kept + i + 1) as f32 / frames.len() as f32)?)
             },
         )?;
         Ok((lifted, kept > 0 && kept == frames.len()))
@@ -117,15 +131,23 @@ impl Lifting<'_> {
 
 /// Looks up every point in one frame and its id images; `visibility` goes by superpoint.
 #[must_use]
-pub fn lift(visibility: &Visibility, superpoint_of_point: &[u32], frame: &Frame, images: &[IdImage]) -> Vec<FrameVisibility> {
+pub fn lift(
+    visibility: &Visibility,
+    superpoint_of_point: &[u32],
+    frame: &Frame,
+    images: &[IdImage],
+) -> Vec<FrameVisibility> {
     let seen = visibility.in_frame(&frame.depth_camera, &frame.depth);
     (0..)
         .zip(images)
         .map(|(layer, masks)| {
             let rows = seen
-                .chunk_by(|a, b| superpoint_of_point[a.point as usize] == superpoint_of_point[b.point as usize])
+                .chunk_by(|a, b| {
+                    superpoint_of_point[a.point as usize] == superpoint_of_point[b.point as usize]
+                })
                 .map(|of_superpoint| {
-                    let mut ids: Vec<u16> = of_superpoint.iter().map(|seen| masks.at(seen.cell)).collect();
+                    let mut ids: Vec<u16> =
+                        of_superpoint.iter().map(|seen| masks.at(seen.cell)).collect();
                     ids.sort_unstable();
                     VisibleSuperpoint {
                         superpoint: superpoint_of_point[of_superpoint[0].point as usize],
@@ -149,18 +171,25 @@ pub fn coarsen(table: &FrameVisibility, region_of: &[u32]) -> FrameVisibility {
     let mut rows: Vec<VisibleSuperpoint> = table
         .rows
         .iter()
-        .map(|row| VisibleSuperpoint { superpoint: region_of[row.superpoint as usize], ..row.clone() })
+        .map(|row| VisibleSuperpoint {
+            superpoint: region_of[row.superpoint as usize],
+            ..row.clone()
+        })
         .collect();
     rows.sort_by_key(|row| row.superpoint);
     let rows = rows
         .chunk_by(|a, b| a.superpoint == b.superpoint)
         .map(|parts| {
-            let mut masks: Vec<(u16, u32)> = parts.iter().flat_map(|p| p.masks.iter().copied()).collect();
+            let mut masks: Vec<(u16, u32)> =
+                parts.iter().flat_map(|p| p.masks.iter().copied()).collect();
             masks.sort_unstable();
             VisibleSuperpoint {
                 superpoint: parts[0].superpoint,
                 visible: parts.iter().map(|p| p.visible).sum(),
-                masks: masks.chunk_by(|a, b| a.0 == b.0).map(|same| (same[0].0, same.iter().map(|m| m.1).sum())).collect(),
+                masks: masks
+                    .chunk_by(|a, b| a.0 == b.0)
+                    .map(|same| (same[0].0, same.iter().map(|m| m.1).sum()))
+                    .collect(),
             }
         })
         .collect();
@@ -173,7 +202,8 @@ mod tests {
     use crate::geometry::{Isometry3, Point3};
     use crate::scene::{Camera, DepthImage, Intrinsics, PointCloud};
 
-    /// A 4x4 camera at the origin looking along +Z at a wall two metres away, with a hole in the last row.
+    /// A 4x4 camera at the origin looking along +Z at a wall two metres away, with a hole in the
+    /// last row.
     fn frame() -> Frame {
         let intrinsics = Intrinsics { width: 4, height: 4, fx: 4.0, fy: 4.0, cx: 1.5, cy: 1.5 };
         let camera = Camera::new(intrinsics, &Isometry3::identity());
@@ -202,16 +232,28 @@ mod tests {
             ],
             colours: vec![[0; 3]; 6],
         };
-        let masks = IdImage { width: 4, height: 4, ids: (0..16).map(|i| u16::from(i != 1) * 7).collect() };
+        let masks =
+            IdImage { width: 4, height: 4, ids: (0..16).map(|i| u16::from(i != 1) * 7).collect() };
         let whole = IdImage { ids: vec![3; 16], ..masks.clone() };
-        let tables = lift(&Visibility::new(&cloud, &[5; 6], 0.05), &[5; 6], &frame, &[masks, whole]);
-        assert_eq!(tables[0].rows, [VisibleSuperpoint { superpoint: 5, visible: 2, masks: vec![(7, 1)] }]);
-        assert_eq!(tables[1].rows, [VisibleSuperpoint { superpoint: 5, visible: 2, masks: vec![(3, 2)] }]);
+        let tables =
+            lift(&Visibility::new(&cloud, &[5; 6], 0.05), &[5; 6], &frame, &[masks, whole]);
+        assert_eq!(
+            tables[0].rows,
+            [VisibleSuperpoint { superpoint: 5, visible: 2, masks: vec![(7, 1)] }]
+        );
+        assert_eq!(
+            tables[1].rows,
+            [VisibleSuperpoint { superpoint: 5, visible: 2, masks: vec![(3, 2)] }]
+        );
     }
 
     #[test]
     fn coarsening_adds_up() {
-        let row = |superpoint, visible, masks: &[(u16, u32)]| VisibleSuperpoint { superpoint, visible, masks: masks.to_vec() };
+        let row = |superpoint, visible, masks: &[(u16, u32)]| VisibleSuperpoint {
+            superpoint,
+            visible,
+            masks: masks.to_vec(),
+        };
         let table = FrameVisibility {
             frame: FrameIndex(0),
             layer: 0,

@@ -1,4 +1,5 @@
-//! Progressive merging: regions grow along affinities while the threshold is relaxed (paper: 0.9 to 0.5 in five stages).
+//! Progressive merging: regions grow along affinities while the threshold is relaxed (paper: 0.9 to
+//! 0.5 in five stages).
 
 use super::affinity::{self, Edge};
 use super::lifting::{FrameVisibility, coarsen};
@@ -14,7 +15,8 @@ use uniground_types::settings::MergeSettings;
 /// Regions of superpoints, level by level, each made of whole regions of the one before.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Regions {
-    /// Region `0..n` of each superpoint: after every stage, and at last with the small ones absorbed.
+    /// Region `0..n` of each superpoint: after every stage, and at last with the small ones
+    /// absorbed.
     pub levels: Vec<Vec<u32>>,
 }
 
@@ -40,8 +42,12 @@ pub fn merge(
     let mut region_of: Vec<u32> = (0..superpoints.patches.len() as u32).collect();
     let mut levels = Vec::new();
     let plane_of = planes.of_superpoint.clone();
-    let mut graph =
-        Graph { patches: superpoints.patches.clone(), adjacent: superpoints.adjacent.clone(), plane_of, tables: tables.to_vec() };
+    let mut graph = Graph {
+        patches: superpoints.patches.clone(),
+        adjacent: superpoints.adjacent.clone(),
+        plane_of,
+        tables: tables.to_vec(),
+    };
     for (stage, &threshold) in settings.thresholds.iter().enumerate() {
         progress.report("merge", stage as f32 / settings.thresholds.len() as f32)?;
         let mut edges = graph.edges(settings, progress)?;
@@ -59,7 +65,8 @@ pub fn merge(
         graph = graph.coarsened(&patched);
         region_of = whole;
     }
-    let absorbed = absorb_small(&graph.patches, &graph.edges(settings, progress)?, settings.min_points);
+    let absorbed =
+        absorb_small(&graph.patches, &graph.edges(settings, progress)?, settings.min_points);
     region_of.iter_mut().for_each(|r| *r = absorbed[*r as usize]);
     levels.push(region_of);
     Ok(Regions { levels })
@@ -82,7 +89,8 @@ struct Graph {
 
 impl Graph {
     fn edges(&self, settings: &MergeSettings, progress: &Progress) -> Result<Vec<Edge>, Cancelled> {
-        let pairs = affinity::pairs_within(&self.adjacent, self.patches.len(), settings.max_hop, progress)?;
+        let pairs =
+            affinity::pairs_within(&self.adjacent, self.patches.len(), settings.max_hop, progress)?;
         affinity::compute(&pairs, &self.patches, &self.tables, settings.normalisation, progress)
     }
 
@@ -94,7 +102,10 @@ impl Graph {
             adjacent: relabelled(&self.adjacent, region_of),
             plane_of: {
                 let mut plane_of = vec![None; count];
-                region_of.iter().zip(&self.plane_of).for_each(|(&region, plane)| plane_of[region as usize] = *plane);
+                region_of
+                    .iter()
+                    .zip(&self.plane_of)
+                    .for_each(|(&region, plane)| plane_of[region as usize] = *plane);
                 plane_of
             },
             tables: self.tables.par_iter().map(|table| coarsen(table, region_of)).collect(),
@@ -102,9 +113,16 @@ impl Graph {
     }
 }
 
-/// One stage: regions grow from the largest primitives and take a neighbour whose point-weighted mean affinity to the
-/// members within reach passes the threshold. Returns regions numbered in order of their seeds.
-fn grow(patches: &[Patch], edges: &[Edge], threshold: f32, hop_decay: f32, progress: &Progress) -> Result<Vec<u32>, Cancelled> {
+/// One stage: regions grow from the largest primitives and take a neighbour whose point-weighted
+/// mean affinity to the members within reach passes the threshold. Returns regions numbered in
+/// order of their seeds.
+fn grow(
+    patches: &[Patch],
+    edges: &[Edge],
+    threshold: f32,
+    hop_decay: f32,
+    progress: &Progress,
+) -> Result<Vec<u32>, Cancelled> {
     const NONE: u32 = u32::MAX;
     let neighbours = neighbour_lists(patches.len(), edges);
     let mut order: Vec<u32> = (0..patches.len() as u32).collect();
@@ -127,7 +145,8 @@ fn grow(patches: &[Patch], edges: &[Edge], threshold: f32, hop_decay: f32, progr
                 if region[other as usize] != NONE {
                     continue;
                 }
-                let weight = patches[member as usize].points as f32 * hop_decay.powi(hop as i32 - 1);
+                let weight =
+                    patches[member as usize].points as f32 * hop_decay.powi(hop as i32 - 1);
                 let sum = bond.entry(other).or_default();
                 sum.0 += weight * affinity;
                 sum.1 += weight;
@@ -157,12 +176,14 @@ fn neighbour_lists(count: usize, edges: &[Edge]) -> Vec<Vec<(u32, u32, f32)>> {
     neighbours
 }
 
-/// Regions below `min_points` join their most affine adjacent neighbour, smallest first; returns labels `0..n`.
+/// Regions below `min_points` join their most affine adjacent neighbour, smallest first; returns
+/// labels `0..n`.
 fn absorb_small(patches: &[Patch], edges: &[Edge], min_points: u32) -> Vec<u32> {
     let neighbours = neighbour_lists(patches.len(), edges);
     let mut sets = UnionFind::new(patches.len());
     let mut points: Vec<u32> = patches.iter().map(|p| p.points).collect();
-    let mut small: Vec<u32> = (0..patches.len() as u32).filter(|&i| points[i as usize] < min_points).collect();
+    let mut small: Vec<u32> =
+        (0..patches.len() as u32).filter(|&i| points[i as usize] < min_points).collect();
     small.sort_by_key(|&i| (points[i as usize], i));
     for i in small {
         let own = sets.find(i);
@@ -193,7 +214,12 @@ mod tests {
     fn patches(points: &[u32]) -> Vec<Patch> {
         points
             .iter()
-            .map(|&points| Patch { points, center: Point3::origin(), normal: Vector3::z(), lab: Lab::zeros() })
+            .map(|&points| Patch {
+                points,
+                center: Point3::origin(),
+                normal: Vector3::z(),
+                lab: Lab::zeros(),
+            })
             .collect()
     }
 
@@ -215,14 +241,22 @@ mod tests {
 
     #[test]
     fn a_neighbour_must_suit_the_whole_region() {
-        // 2 is close to 1 but a stranger to the far larger 0: 0 and 1 merge first and then outvote 1.
+        // 2 is close to 1 but a stranger to the far larger 0: 0 and 1 merge first and then outvote
+        // 1.
         let edges = [edge(0, 1, 0.95), edge(0, 2, 0.1), edge(1, 2, 0.95)];
-        assert_eq!(grow(&patches(&[1000, 50, 60]), &edges, 0.9, 0.5, &Progress::silent()), Ok(vec![0, 0, 1]));
+        assert_eq!(
+            grow(&patches(&[1000, 50, 60]), &edges, 0.9, 0.5, &Progress::silent()),
+            Ok(vec![0, 0, 1])
+        );
     }
 
     #[test]
     fn crumbs_join_their_most_affine_neighbour() {
-        let labels = absorb_small(&patches(&[500, 500, 10, 3]), &[edge(0, 2, 0.2), edge(1, 2, 0.4), edge(2, 3, 0.1)], 50);
+        let labels = absorb_small(
+            &patches(&[500, 500, 10, 3]),
+            &[edge(0, 2, 0.2), edge(1, 2, 0.4), edge(2, 3, 0.1)],
+            50,
+        );
         assert_eq!(labels, [0, 1, 1, 1]);
         assert_eq!(absorb_small(&patches(&[500, 3]), &[], 50), [0, 1]);
     }

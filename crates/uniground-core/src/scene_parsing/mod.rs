@@ -1,11 +1,13 @@
-//! Stage 1, Global Candidate Filtering: a [`SceneBundle`] to a [`ParsedScene`] (paper, section 3.2; docs/METHOD.md, section 1).
+//! Stage 1, Global Candidate Filtering: a [`SceneBundle`] to a [`ParsedScene`] (paper, section 3.2;
+//! docs/METHOD.md, section 1).
 //!
 //! ```text
 //! cloud  -> superpoints -> planes ─┐
 //! frames -> masks -> lifting -> affinity -> merging -> part merging -> refinement -> views -> instances -> appearance -> names
 //! ```
-//! Frames pass four times, decoded a few at a time: for masks and lifting, and their depth for gaps, for refinement and for the views; where
-//! networks take part, the chosen views pass once more. Same input and settings give the same instances, whatever the number of threads.
+//! Frames pass four times, decoded a few at a time: for masks and lifting, and their depth for
+//! gaps, for refinement and for the views; where networks take part, the chosen views pass once
+//! more. Same input and settings give the same instances, whatever the number of threads.
 
 pub mod affinity;
 pub mod appearance;
@@ -41,7 +43,9 @@ use crate::geometry::boxes::Aabb;
 use crate::models::neural::{DualEncoder, ModelError};
 use crate::models::{attributes, calibration};
 use crate::progress::{Cancelled, Progress};
-use crate::scene::{FrameEmbeddings, FrameError, FrameRef, ParseReport, ParsedScene, PointCloud, SceneBundle};
+use crate::scene::{
+    FrameEmbeddings, FrameError, FrameRef, ParseReport, ParsedScene, PointCloud, SceneBundle,
+};
 use appearance::Correction;
 use checkpoints::Checkpoints;
 use correction::Corrector;
@@ -102,8 +106,9 @@ impl<'a> Perception<'a> {
         superpoints / masks
     }
 
-    /// Where stages end, as shares of the whole: superpoints, masks, planes, merging, part merging, refinement, views, instances; appearance
-    /// comes last and ends at 1. Where networks take part they take nearly all of the time. The time left is estimated from these.
+    /// Where stages end, as shares of the whole: superpoints, masks, planes, merging, part merging,
+    /// refinement, views, instances; appearance comes last and ends at 1. Where networks take
+    /// part they take nearly all of the time. The time left is estimated from these.
     fn ends(&self) -> [f32; 8] {
         match (self.corrector.is_some(), self.encoder.is_some()) {
             (false, false) => [0.3, 0.67, 0.72, 0.79, 0.81, 0.88, 0.98, 1.0],
@@ -139,30 +144,63 @@ pub fn parse(
     let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
     let visibility = Visibility::new(&cloud, &superpoints.of_point, settings.depth_tolerance);
     let (tables, masks_of, sharpness_of) = Lifted::apart(lifted);
-    let blind: Vec<String> = tables.iter().filter(|t| t.layer == 0 && t.rows.is_empty()).map(|t| t.frame.to_string()).collect();
+    let blind: Vec<String> = tables
+        .iter()
+        .filter(|t| t.layer == 0 && t.rows.is_empty())
+        .map(|t| t.frame.to_string())
+        .collect();
     if settings.merging.split_at_depth_edges {
         superpoints.adjacent = watch.time("gaps", |outcome| {
             let voxel_m = superpoints::voxel_m(&cloud, &settings.superpoints);
-            let kept = gaps::without_depth_edges(&cloud, &superpoints, voxel_m, &frames, settings.depth_tolerance, progress)?;
+            let kept = gaps::without_depth_edges(
+                &cloud,
+                &superpoints,
+                voxel_m,
+                &frames,
+                settings.depth_tolerance,
+                progress,
+            )?;
             outcome.produced = superpoints.adjacent.len() - kept.len();
             Ok::<_, ParseError>(kept)
         })?;
     }
-    let seen =
-        Seen { cloud: &cloud, frames: &frames, superpoints: &superpoints, visibility: &visibility, tables: &tables, masks_of: &masks_of };
-    let Grouped { planes, region_of, proposals } = group(seen, perception, settings, &checkpoints, progress, &mut watch)?;
+    let seen = Seen {
+        cloud: &cloud,
+        frames: &frames,
+        superpoints: &superpoints,
+        visibility: &visibility,
+        tables: &tables,
+        masks_of: &masks_of,
+    };
+    let Grouped { planes, region_of, proposals } =
+        group(seen, perception, settings, &checkpoints, progress, &mut watch)?;
     let labels = Labels::of_regions(&region_of, &superpoints, proposals);
     let sighted = watch.time("views", |outcome| {
         let viewing = progress.part(ends[5], ends[6]);
         let labelled = Labelled { labels: &labels, visibility: &visibility };
-        let flats = Flats::of(&cloud, &superpoints, &planes, &labels, &centers(&frames), &settings.instances);
+        let flats = Flats::of(
+            &cloud,
+            &superpoints,
+            &planes,
+            &labels,
+            &centers(&frames),
+            &settings.instances,
+        );
         let sighted = views::all_sighted(labelled, Some(&flats), &frames, &masks_of, &viewing)?;
         outcome.produced = sighted.sightings.len();
         Ok::<_, ParseError>(sighted)
     })?;
     let built = watch.time("instances", |outcome| {
         let building = progress.part(ends[6], ends[7]);
-        let built = instances::build(&cloud, &superpoints, &planes, labels, sighted, &settings.instances, &building)?;
+        let built = instances::build(
+            &cloud,
+            &superpoints,
+            &planes,
+            labels,
+            sighted,
+            &settings.instances,
+            &building,
+        )?;
         outcome.produced = built.instances.len();
         Ok::<_, ParseError>(built)
     })?;
@@ -179,7 +217,13 @@ pub fn parse(
                 &instances,
                 &looked_at,
                 labelled,
-                (perception.corrector.as_ref().map(|corrector| Correction { corrector, known: &masks_of }), perception.encoder),
+                (
+                    perception
+                        .corrector
+                        .as_ref()
+                        .map(|corrector| Correction { corrector, known: &masks_of }),
+                    perception.encoder,
+                ),
                 &settings.appearance,
                 &looking,
             )?;
@@ -197,7 +241,12 @@ pub fn parse(
     let frame_embeddings = match perception.encoder {
         None => None,
         Some(encoder) => watch.time("frame_appearance", |outcome| {
-            let seen = frame_appearance::look(&frames, encoder, &settings.appearance, &progress.part(FRAMES_LOOKED_AT, 1.0))?;
+            let seen = frame_appearance::look(
+                &frames,
+                encoder,
+                &settings.appearance,
+                &progress.part(FRAMES_LOOKED_AT, 1.0),
+            )?;
             outcome.produced = seen.as_ref().map_or(0, FrameEmbeddings::len);
             Ok::<_, ParseError>(seen)
         })?,
@@ -217,7 +266,16 @@ pub fn parse(
     };
     let instance_of_point = labels.thing_of_point.into_owned();
     let superpoint_of_point = superpoints.of_point;
-    Ok(ParsedScene { cloud, instance_of_point, superpoint_of_point, instances, embeddings, frame_embeddings, extent, report })
+    Ok(ParsedScene {
+        cloud,
+        instance_of_point,
+        superpoint_of_point,
+        instances,
+        embeddings,
+        frame_embeddings,
+        extent,
+        report,
+    })
 }
 
 /// A scan in superpoints, and what its frames show of them.
@@ -252,29 +310,61 @@ fn group(
     let Seen { cloud, frames, superpoints, visibility, tables, masks_of } = seen;
     let ends = perception.ends();
     let planes = watch.time("planes", |outcome| {
-        let planes = planes::find(cloud, superpoints, &centers(frames), &progress.part(ends[1], ends[2]))?;
+        let planes =
+            planes::find(cloud, superpoints, &centers(frames), &progress.part(ends[1], ends[2]))?;
         outcome.produced = planes.planes.len();
         Ok::<_, ParseError>(planes)
     })?;
     let lifted_with = perceived::lifted_with(perception.masks, settings);
     let regions = watch.time("merging", |outcome| {
-        let compute = || merging::merge(superpoints, &planes, tables, &settings.merging, &progress.part(ends[2], ends[3]));
-        let (regions, reused) = checkpoints.once("merging", &(lifted_with, &settings.merging), compute)?;
+        let compute = || {
+            merging::merge(
+                superpoints,
+                &planes,
+                tables,
+                &settings.merging,
+                &progress.part(ends[2], ends[3]),
+            )
+        };
+        let (regions, reused) =
+            checkpoints.once("merging", &(lifted_with, &settings.merging), compute)?;
         *outcome = StageOutcome { produced: count(regions.last()), reused };
         Ok::<_, ParseError>(regions)
     })?;
     let region_of = watch.time("part_merging", |outcome| {
         let freed = match settings.part_merging.enabled {
             false => regions.last().to_vec(),
-            true => standing::set_free(cloud, superpoints, &planes, regions.last().to_vec(), settings.merging.min_points, progress)?,
+            true => standing::set_free(
+                cloud,
+                superpoints,
+                &planes,
+                regions.last().to_vec(),
+                settings.merging.min_points,
+                progress,
+            )?,
         };
-        let joined = part_merging::join(cloud, superpoints, &planes, freed, &settings.part_merging, &progress.part(ends[3], ends[4]))?;
+        let joined = part_merging::join(
+            cloud,
+            superpoints,
+            &planes,
+            freed,
+            &settings.part_merging,
+            &progress.part(ends[3], ends[4]),
+        )?;
         outcome.produced = count(&joined);
         Ok::<_, ParseError>(joined)
     })?;
     let proposals = watch.time("hierarchy", |outcome| {
         let proposing = progress.part(ends[4], ends[4]);
-        let proposals = hierarchy::propose(superpoints, &planes, &regions, &region_of, tables, settings, &proposing)?;
+        let proposals = hierarchy::propose(
+            superpoints,
+            &planes,
+            &regions,
+            &region_of,
+            tables,
+            settings,
+            &proposing,
+        )?;
         outcome.produced = proposals.len();
         Ok::<_, ParseError>(proposals)
     })?;
@@ -283,7 +373,8 @@ fn group(
         false => region_of,
         true => watch.time("refinement", |outcome| {
             let refining = progress.part(ends[4], ends[5]);
-            let refined = refinement::refine(cloud, visibility, region_of, frames, masks_of, &refining)?;
+            let refined =
+                refinement::refine(cloud, visibility, region_of, frames, masks_of, &refining)?;
             outcome.produced = count(&refined);
             Ok::<_, ParseError>(refined)
         })?,
@@ -303,7 +394,11 @@ fn warnings(frames: usize, blind: &[String]) -> Vec<String> {
         warnings.push("the scan has no frames: instances come from geometry and point colour alone and have no pictures".into());
     }
     if !blind.is_empty() {
-        warnings.push(format!("{} of {frames} frames see no point of the cloud: {}", blind.len(), shortened(blind)));
+        warnings.push(format!(
+            "{} of {frames} frames see no point of the cloud: {}",
+            blind.len(),
+            shortened(blind)
+        ));
     }
     warnings
 }

@@ -1,4 +1,5 @@
-//! What of a picture shows an instance: its projected points closed and filled, or a mask that a segmenter found.
+//! What of a picture shows an instance: its projected points closed and filled, or a mask that a
+//! segmenter found.
 
 use crate::scene::CellMask;
 
@@ -21,7 +22,8 @@ const ROUNDS: usize = 3;
 const CRUMB_SHARE: f32 = 0.03;
 
 impl Outline {
-    /// A mask from points: they are sparser than pixels, so cells are as large as points are apart, and gaps are closed.
+    /// A mask from points: they are sparser than pixels, so cells are as large as points are apart,
+    /// and gaps are closed.
     #[must_use]
     pub fn of_points(pixels: &[(f32, f32)], box_px: [u32; 4]) -> Self {
         let mask = cells(pixels, box_px, ROUNDS).closed().filled().without_crumbs(CRUMB_SHARE);
@@ -32,10 +34,15 @@ impl Outline {
     #[must_use]
     pub fn of_picture(box_px: [u32; 4], inside: impl Fn((f32, f32)) -> bool) -> Self {
         let [left, top, right, bottom] = box_px;
-        let (width, height) = (right.saturating_sub(left).max(1), bottom.saturating_sub(top).max(1));
+        let (width, height) =
+            (right.saturating_sub(left).max(1), bottom.saturating_sub(top).max(1));
         let (columns, rows) = (width.min(CellMask::MAX_CELLS), height.min(CellMask::MAX_CELLS));
-        let at = |low: u32, length: u32, cell: u32, cells: u32| low as f32 + (cell as f32 + 0.5) * length as f32 / cells as f32;
-        let mask = CellMask::of(columns, rows, |column, row| inside((at(left, width, column, columns), at(top, height, row, rows))));
+        let at = |low: u32, length: u32, cell: u32, cells: u32| {
+            low as f32 + (cell as f32 + 0.5) * length as f32 / cells as f32
+        };
+        let mask = CellMask::of(columns, rows, |column, row| {
+            inside((at(left, width, column, columns), at(top, height, row, rows)))
+        });
         Self { box_px, mask: mask.closed().filled().without_crumbs(CRUMB_SHARE) }
     }
 
@@ -51,7 +58,9 @@ impl Outline {
 fn cells(pixels: &[(f32, f32)], [left, top, right, bottom]: [u32; 4], rounds: usize) -> CellMask {
     let (width, height) = ((right - left).max(1) as f32, (bottom - top).max(1) as f32);
     let finest = (width.max(height) / CellMask::MAX_CELLS as f32).max(1.0);
-    let inside = |&&(x, y): &&(f32, f32)| (left as f32..=right as f32).contains(&x) && (top as f32..=bottom as f32).contains(&y);
+    let inside = |&&(x, y): &&(f32, f32)| {
+        (left as f32..=right as f32).contains(&x) && (top as f32..=bottom as f32).contains(&y)
+    };
     let points: Vec<(f32, f32)> = pixels
         .iter()
         .step_by(pixels.len().div_ceil(MAX_POINTS).max(1))
@@ -60,7 +69,9 @@ fn cells(pixels: &[(f32, f32)], [left, top, right, bottom]: [u32; 4], rounds: us
         .collect();
     let (mut covered, mut mask) = (1.0, CellMask::empty(1, 1));
     for _ in 0..rounds {
-        let side = (width * height * covered * POINTS_PER_CELL / points.len().max(1) as f32).sqrt().max(finest);
+        let side = (width * height * covered * POINTS_PER_CELL / points.len().max(1) as f32)
+            .sqrt()
+            .max(finest);
         mask = CellMask::empty((width / side).ceil() as u32, (height / side).ceil() as u32);
         points.iter().for_each(|point| mask.add(*point));
         covered = mask.share();
@@ -71,9 +82,11 @@ fn cells(pixels: &[(f32, f32)], [left, top, right, bottom]: [u32; 4], rounds: us
     mask
 }
 
-/// Share of an instance's silhouette that nothing hides, `0..=1`: of the cells that hold its points, those that show some.
+/// Share of an instance's silhouette that nothing hides, `0..=1`: of the cells that hold its
+/// points, those that show some.
 ///
-/// Points at its own far side lie behind what is seen of it and count for nothing. Positions are pixels of one picture.
+/// Points at its own far side lie behind what is seen of it and count for nothing. Positions are
+/// pixels of one picture.
 #[must_use]
 pub fn unoccluded(visible: &[(f32, f32)], hidden: &[(f32, f32)]) -> f32 {
     if hidden.is_empty() || visible.is_empty() {
@@ -81,7 +94,8 @@ pub fn unoccluded(visible: &[(f32, f32)], hidden: &[(f32, f32)]) -> f32 {
     }
     let reach = |of: fn(&(f32, f32)) -> f32| {
         let all = visible.iter().chain(hidden).map(of);
-        let (low, high) = all.fold((f32::INFINITY, 0.0_f32), |(low, high), v| (low.min(v), high.max(v)));
+        let (low, high) =
+            all.fold((f32::INFINITY, 0.0_f32), |(low, high), v| (low.min(v), high.max(v)));
         (low.floor().max(0.0) as u32, high.floor() as u32 + 1)
     };
     let ((left, right), (top, bottom)) = (reach(|p| p.0), reach(|p| p.1));
@@ -91,7 +105,10 @@ pub fn unoccluded(visible: &[(f32, f32)], hidden: &[(f32, f32)]) -> f32 {
     let (columns, rows) = whole.size();
     let mut own = CellMask::empty(columns, rows);
     for (x, y) in visible {
-        own.add(((x - left as f32) / (right - left) as f32, (y - top as f32) / (bottom - top) as f32));
+        own.add((
+            (x - left as f32) / (right - left) as f32,
+            (y - top as f32) / (bottom - top) as f32,
+        ));
     }
     let own = own.closed();
     own.count() as f32 / own.joined(&whole).count().max(1) as f32
@@ -103,7 +120,11 @@ mod tests {
     use proptest::prelude::*;
 
     /// Points every so many pixels over columns and rows.
-    fn grid(columns: std::ops::Range<u16>, rows: std::ops::Range<u16>, step: usize) -> Vec<(f32, f32)> {
+    fn grid(
+        columns: std::ops::Range<u16>,
+        rows: std::ops::Range<u16>,
+        step: usize,
+    ) -> Vec<(f32, f32)> {
         columns
             .step_by(step)
             .flat_map(|x| rows.clone().step_by(step).map(move |y| (f32::from(x), f32::from(y))))

@@ -1,10 +1,11 @@
 //! Part merging: what furniture is made of joins again.
 //!
-//! Masks cut a chair where its seat and back meet in a valley, a bookcase at its boards and a table off its legs. Four things hold in any room
-//! and need no model: what touches above and below within the same outline is one stack, be it a bookcase or a
-//! refrigerator; what is slender and carries something is a leg or a pole of it; a plate that stands on the rim of something
-//! as wide as itself is its back; what ends close under something larger and does not stick out is its foot. Leaves make a plant, with the pot
-//! they grow out of.
+//! Masks cut a chair where its seat and back meet in a valley, a bookcase at its boards and a table
+//! off its legs. Four things hold in any room and need no model: what touches above and below
+//! within the same outline is one stack, be it a bookcase or a refrigerator; what is slender and
+//! carries something is a leg or a pole of it; a plate that stands on the rim of something
+//! as wide as itself is its back; what ends close under something larger and does not stick out is
+//! its foot. Leaves make a plant, with the pot they grow out of.
 
 mod foliage;
 
@@ -83,9 +84,15 @@ struct Joining<'a> {
 }
 
 impl Joining<'_> {
-    /// `rule(part, whole)` says which neighbours a region is a part of; it joins the one of them with which it shares most border. Answers
-    /// the new regions, and what is known of those that are as they were.
-    fn join_by(&self, region_of: Vec<u32>, parts: &[Part], rule: &Rule) -> (Vec<u32>, Vec<Option<Part>>) {
+    /// `rule(part, whole)` says which neighbours a region is a part of; it joins the one of them
+    /// with which it shares most border. Answers the new regions, and what is known of those
+    /// that are as they were.
+    fn join_by(
+        &self,
+        region_of: Vec<u32>,
+        parts: &[Part],
+        rule: &Rule,
+    ) -> (Vec<u32>, Vec<Option<Part>>) {
         let mut contacts: BTreeMap<(u32, u32), u32> = BTreeMap::new();
         for &(a, b) in &self.superpoints.adjacent {
             let (a, b) = (region_of[a as usize], region_of[b as usize]);
@@ -124,10 +131,11 @@ impl Joining<'_> {
                 members[region].push(*p);
             }
         }
-        let part = |(known, (positions, &is_structural)): (Option<Part>, (&Vec<Point3<f32>>, &bool))| {
-            self.progress.check()?;
-            Ok(known.unwrap_or_else(|| Part { is_structural, ..Part::of(positions) }))
-        };
+        let part =
+            |(known, (positions, &is_structural)): (Option<Part>, (&Vec<Point3<f32>>, &bool))| {
+                self.progress.check()?;
+                Ok(known.unwrap_or_else(|| Part { is_structural, ..Part::of(positions) }))
+            };
         known.into_par_iter().zip(members.par_iter().zip(&structural)).map(part).collect()
     }
 }
@@ -138,14 +146,17 @@ fn united(sets: UnionFind, region_of: Vec<u32>, parts: &[Part]) -> (Vec<u32>, Ve
     let mut joined = vec![0; count];
     labels.iter().for_each(|&label| joined[label as usize] += 1);
     let mut known = vec![None; count];
-    for (part, &label) in parts.iter().zip(&labels).filter(|(_, label)| joined[**label as usize] == 1) {
+    for (part, &label) in
+        parts.iter().zip(&labels).filter(|(_, label)| joined[**label as usize] == 1)
+    {
         known[label as usize] = Some(part.clone());
     }
     (region_of.into_iter().map(|r| labels[r as usize]).collect(), known)
 }
 
-/// Above or below the other, of the same outline, and neither is far from it nor reaches far into it. The smaller joins the larger. What leaves
-/// a rim free all around stands there as a thing of its own.
+/// Above or below the other, of the same outline, and neither is far from it nor reaches far into
+/// it. The smaller joins the larger. What leaves a rim free all around stands there as a thing of
+/// its own.
 fn is_storey(settings: &PartMergingSettings, part: &Part, whole: &Part) -> bool {
     /// Share of both outlines together that both have, along each axis of the larger.
     const SAME_OUTLINE: f32 = 0.75;
@@ -156,16 +167,20 @@ fn is_storey(settings: &PartMergingSettings, part: &Part, whole: &Part) -> bool 
     if part.is_structural || whole.is_structural || part.points > whole.points {
         return false;
     }
-    let (low, high) = (part.aabb.min().z.min(whole.aabb.min().z), part.aabb.max().z.max(whole.aabb.max().z));
+    let (low, high) =
+        (part.aabb.min().z.min(whole.aabb.min().z), part.aabb.max().z.max(whole.aabb.max().z));
     let off = (part.aabb.size.z + whole.aabb.size.z - (high - low)).abs();
     if high - low > settings.longest_m || off > APART * (high - low) {
         return false;
     }
-    let (upper, lower) = if part.aabb.center.z > whole.aabb.center.z { (part, whole) } else { (whole, part) };
+    let (upper, lower) =
+        if part.aabb.center.z > whole.aabb.center.z { (part, whole) } else { (whole, part) };
     let [upper, lower] = [upper, lower].map(|part| part.outline(whole.footprint.yaw_rad));
     let along = || upper.iter().zip(&lower);
-    let is_same = along().all(|(a, b)| a.1.min(b.1) - a.0.max(b.0) >= SAME_OUTLINE * (a.1.max(b.1) - a.0.min(b.0)));
-    let leaves_rim = along().all(|(upper, lower)| upper.0 - lower.0 >= RIM_M && lower.1 - upper.1 >= RIM_M);
+    let is_same = along()
+        .all(|(a, b)| a.1.min(b.1) - a.0.max(b.0) >= SAME_OUTLINE * (a.1.max(b.1) - a.0.min(b.0)));
+    let leaves_rim =
+        along().all(|(upper, lower)| upper.0 - lower.0 >= RIM_M && lower.1 - upper.1 >= RIM_M);
     is_same && !leaves_rim
 }
 
@@ -181,19 +196,25 @@ fn is_back(settings: &PartMergingSettings, part: &Part, seat: &Part) -> bool {
     /// How far from upright a plate may lean: 35 degrees.
     const UPRIGHT: f32 = 0.57;
     let stands_on = (part.aabb.min().z - seat.aabb.max().z).abs() <= 1.5 * CONTACT_M;
-    if part.extents[2] > settings.plate_thickness_m || part.normal.z.abs() > UPRIGHT || part.aabb.size.z > TALLEST_M || !stands_on {
+    if part.extents[2] > settings.plate_thickness_m
+        || part.normal.z.abs() > UPRIGHT
+        || part.aabb.size.z > TALLEST_M
+        || !stands_on
+    {
         return false;
     }
     let Some(across) = part.normal.xy().try_normalize(1e-6) else { return false };
     let along = nalgebra::Vector2::new(-across.y, across.x);
     let ratio = part.width(&along) / seat.width(&along).max(1e-3);
     let offset = (part.aabb.center - seat.aabb.center).xy().dot(&across).abs();
-    (settings.back_width..=1.0 / settings.back_width).contains(&ratio) && offset >= 0.25 * seat.width(&across)
+    (settings.back_width..=1.0 / settings.back_width).contains(&ratio)
+        && offset >= 0.25 * seat.width(&across)
 }
 
 /// The other begins where this one ends.
 fn carries(part: &Part, other: &Part) -> bool {
-    other.aabb.center.z > part.aabb.center.z && (other.aabb.min().z - part.aabb.max().z).abs() <= 1.5 * CONTACT_M
+    other.aabb.center.z > part.aabb.center.z
+        && (other.aabb.min().z - part.aabb.max().z).abs() <= 1.5 * CONTACT_M
 }
 
 /// Smaller, below, and not sticking out.
@@ -213,7 +234,10 @@ impl Part {
         let axes = SymmetricEigen::new(Moments::of(positions).covariance).eigenvectors;
         let range = |of: &dyn Fn(&Point3<f32>) -> f32| {
             let mut values: Vec<f32> = positions.iter().map(of).collect();
-            (quantile(&mut values, TRIM).unwrap_or(0.0), quantile(&mut values, 1.0 - TRIM).unwrap_or(0.0))
+            (
+                quantile(&mut values, TRIM).unwrap_or(0.0),
+                quantile(&mut values, 1.0 - TRIM).unwrap_or(0.0),
+            )
         };
         let mut extents: [(f32, usize); 3] = std::array::from_fn(|i| {
             let (lo, hi) = range(&|p| p.coords.dot(&axes.column(i)));
@@ -221,7 +245,10 @@ impl Part {
         });
         extents.sort_by(|a, b| b.0.total_cmp(&a.0));
         let bounds: [(f32, f32); 3] = std::array::from_fn(|axis| range(&|p| p[axis]));
-        let aabb = Aabb::from_corners(Point3::from(bounds.map(|b| b.0)), Point3::from(bounds.map(|b| b.1)));
+        let aabb = Aabb::from_corners(
+            Point3::from(bounds.map(|b| b.0)),
+            Point3::from(bounds.map(|b| b.1)),
+        );
         let ground: Vec<_> = positions.iter().map(Point3::xy).collect();
         let flat = OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 };
         let footprint = OrientedBox::min_area(&ground, bounds[2]).unwrap_or(flat);
@@ -235,7 +262,8 @@ impl Part {
         }
     }
 
-    /// From where to where the footprint reaches along the two axes of a world turned by `yaw_rad` about Z, metres.
+    /// From where to where the footprint reaches along the two axes of a world turned by `yaw_rad`
+    /// about Z, metres.
     fn outline(&self, yaw_rad: f32) -> [(f32, f32); 2] {
         let OrientedBox { center, size, yaw_rad: own_rad } = self.footprint;
         let (sin, cos) = yaw_rad.sin_cos();
@@ -280,9 +308,14 @@ mod tests {
                 }
             }
         }
-        let patch = Patch { points: 1, center: Point3::origin(), normal: Vector3::z(), lab: Lab::zeros() };
-        let superpoints =
-            Superpoints { of_point, patches: vec![patch; blocks.len()], adjacent: adjacent.to_vec(), roughness_m: vec![0.0; blocks.len()] };
+        let patch =
+            Patch { points: 1, center: Point3::origin(), normal: Vector3::z(), lab: Lab::zeros() };
+        let superpoints = Superpoints {
+            of_point,
+            patches: vec![patch; blocks.len()],
+            adjacent: adjacent.to_vec(),
+            roughness_m: vec![0.0; blocks.len()],
+        };
         let planes = Planes { planes: Vec::new(), of_superpoint: vec![None; blocks.len()] };
         join(
             &cloud,
@@ -318,7 +351,11 @@ mod tests {
     #[test]
     fn storeys_of_one_outline_are_one_thing() {
         let storey = |z: f32| ([0.0, 0.0, z], [0.9, 0.36, z + 0.4]);
-        assert_eq!(joined(&[storey(0.0), storey(0.42), storey(0.84)], &[(0, 1), (1, 2)]), [0, 0, 0], "a bookcase");
+        assert_eq!(
+            joined(&[storey(0.0), storey(0.42), storey(0.84)], &[(0, 1), (1, 2)]),
+            [0, 0, 0],
+            "a bookcase"
+        );
         let beside = ([0.92, 0.0, 0.0], [1.82, 0.36, 0.4]);
         assert_eq!(joined(&[storey(0.0), beside], &[(0, 1)]), [0, 1], "two of a kind side by side");
         let before = ([0.0, 0.38, 0.0], [0.9, 0.7, 0.4]);
@@ -336,7 +373,11 @@ mod tests {
         let block = |low: f32, yaw: f32| {
             let at = |i: u32, j: u32, k: u32| {
                 let (x, y) = (i as f32 * 0.02, j as f32 * 0.02);
-                Point3::new(x * yaw.cos() - y * yaw.sin(), x * yaw.sin() + y * yaw.cos(), low + k as f32 * 0.02)
+                Point3::new(
+                    x * yaw.cos() - y * yaw.sin(),
+                    x * yaw.sin() + y * yaw.cos(),
+                    low + k as f32 * 0.02,
+                )
             };
             let points: Vec<_> = (0..50)
                 .flat_map(|i| (0..16).flat_map(move |j| (0..20).map(move |k| (i, j, k))))
@@ -347,7 +388,11 @@ mod tests {
         let settings = PartMergingSettings::default();
         assert!(is_storey(&settings, &block(0.0, 0.6), &block(0.4, 0.6)));
         assert!(!is_storey(&settings, &block(0.0, 0.6), &block(0.4, 1.4)), "askew");
-        assert!(!is_storey(&settings, &block(0.0, 0.6), &Part { is_structural: true, ..block(0.4, 0.6) }));
+        assert!(!is_storey(
+            &settings,
+            &block(0.0, 0.6),
+            &Part { is_structural: true, ..block(0.4, 0.6) }
+        ));
     }
 
     #[test]
@@ -364,7 +409,8 @@ mod tests {
         let desk = ([0.0, 0.0, 0.7], [1.4, 0.7, 0.74]);
         let wall = ([0.0, 0.7, 0.74], [1.4, 0.74, 2.4]);
         assert_eq!(joined(&[desk, wall], &[(0, 1)]), [0, 1]);
-        let (cabinet, printer) = (([0.0, 0.0, 0.0], [0.5, 0.5, 0.6]), ([0.05, 0.05, 0.6], [0.45, 0.45, 0.8]));
+        let (cabinet, printer) =
+            (([0.0, 0.0, 0.0], [0.5, 0.5, 0.6]), ([0.05, 0.05, 0.6], [0.45, 0.45, 0.8]));
         assert_eq!(joined(&[cabinet, printer], &[(0, 1)]), [0, 1]);
     }
 }

@@ -1,5 +1,6 @@
-//! What is looked at once: the cloud in superpoints, and the masks of every frame lifted to them. A scan that has grown is taken part by part,
-//! each frame lifted to the cloud of its time, so that what was done for the parts before is there already.
+//! What is looked at once: the cloud in superpoints, and the masks of every frame lifted to them. A
+//! scan that has grown is taken part by part, each frame lifted to the cloud of its time, so that
+//! what was done for the parts before is there already.
 
 use super::checkpoints::Checkpoints;
 use super::frame_sampling;
@@ -10,7 +11,9 @@ use super::visibility::Visibility;
 use super::{ParseError, Perception, StageOutcome, Stopwatch};
 use crate::progress::Progress;
 use crate::scene::{FrameRef, PointCloud, SceneBundle};
-use uniground_types::settings::{FrameSamplingSettings, ParsingSettings, RgbdSettings, SamSettings, SuperpointSettings};
+use uniground_types::settings::{
+    FrameSamplingSettings, ParsingSettings, RgbdSettings, SamSettings, SuperpointSettings,
+};
 
 /// A scan in superpoints, and what its frames show of them.
 pub(super) struct Perceived {
@@ -26,12 +29,20 @@ pub(super) struct Perceived {
 }
 
 /// What lifted masks depend on.
-pub(super) fn lifted_with<'a>(masks: &'a dyn MaskSource, settings: &'a ParsingSettings) -> LiftedWith<'a> {
+pub(super) fn lifted_with<'a>(
+    masks: &'a dyn MaskSource,
+    settings: &'a ParsingSettings,
+) -> LiftedWith<'a> {
     let mask_settings = (masks.name(), &settings.rgbd_masks, &settings.sam_masks);
     (&settings.superpoints, &settings.frame_sampling, mask_settings, settings.depth_tolerance)
 }
 
-type LiftedWith<'a> = (&'a SuperpointSettings, &'a FrameSamplingSettings, (&'a str, &'a RgbdSettings, &'a SamSettings), f32);
+type LiftedWith<'a> = (
+    &'a SuperpointSettings,
+    &'a FrameSamplingSettings,
+    (&'a str, &'a RgbdSettings, &'a SamSettings),
+    f32,
+);
 
 /// Superpoints of a scan's cloud, and the masks of its frames lifted to them.
 ///
@@ -48,8 +59,15 @@ pub(super) fn perceive(
     let SceneBundle { mut cloud, frames, additions, report: _ } = bundle;
     let superpoints_end = perception.superpoints_end();
     let mut superpoints = watch.time("superpoints", |outcome| {
-        let compute = || superpoints::compute(&cloud, &settings.superpoints, &progress.part(0.0, superpoints_end));
-        let (superpoints, reused) = checkpoints.once("superpoints", &settings.superpoints, compute)?;
+        let compute = || {
+            superpoints::compute(
+                &cloud,
+                &settings.superpoints,
+                &progress.part(0.0, superpoints_end),
+            )
+        };
+        let (superpoints, reused) =
+            checkpoints.once("superpoints", &settings.superpoints, compute)?;
         *outcome = StageOutcome { produced: superpoints.patches.len(), reused };
         Ok::<_, ParseError>(superpoints)
     })?;
@@ -60,15 +78,26 @@ pub(super) fn perceive(
                       frames: &[FrameRef],
                       progress: &Progress| {
         let visibility = Visibility::new(cloud, &superpoints.of_point, settings.depth_tolerance);
-        let lifting = Lifting { visibility: &visibility, superpoint_of_point: &superpoints.of_point, masks: perception.masks };
-        lifting.all(frames, checkpoints.log(stage, &lifted_with(perception.masks, settings)), progress)
+        let lifting = Lifting {
+            visibility: &visibility,
+            superpoint_of_point: &superpoints.of_point,
+            masks: perception.masks,
+        };
+        lifting.all(
+            frames,
+            checkpoints.log(stage, &lifted_with(perception.masks, settings)),
+            progress,
+        )
     };
     let mut frames = frame_sampling::sample(&frames, &settings.frame_sampling);
-    let all_frames = (frames.len() + additions.iter().map(|addition| addition.frames.len()).sum::<usize>()).max(1) as f32;
+    let all_frames = (frames.len()
+        + additions.iter().map(|addition| addition.frames.len()).sum::<usize>())
+    .max(1) as f32;
     let lifting_progress = progress.part(superpoints_end, 1.0);
     let mut lifted = watch.time("masks_and_lifting", |outcome| {
         let looking = lifting_progress.part(0.0, frames.len() as f32 / all_frames);
-        let (lifted, reused) = lifting_of(&cloud, &superpoints, "lifting", checkpoints, &frames, &looking)?;
+        let (lifted, reused) =
+            lifting_of(&cloud, &superpoints, "lifting", checkpoints, &frames, &looking)?;
         *outcome = StageOutcome { produced: masks_in(&lifted), reused };
         Ok::<_, ParseError>(lifted)
     })?;
@@ -80,11 +109,24 @@ pub(super) fn perceive(
             let looking = lifting_progress.part(before, before + new.len() as f32 / all_frames);
             checkpoints = checkpoints.depending_on(&addition.made_of);
             cloud = addition.applied_to(&cloud);
-            let compute = || superpoints::grown(&superpoints, addition, &cloud, &settings.superpoints, &looking);
-            let ((grown, renumbered), _) = checkpoints.once(&format!("superpoints{number}"), &settings.superpoints, compute)?;
+            let compute = || {
+                superpoints::grown(&superpoints, addition, &cloud, &settings.superpoints, &looking)
+            };
+            let ((grown, renumbered), _) = checkpoints.once(
+                &format!("superpoints{number}"),
+                &settings.superpoints,
+                compute,
+            )?;
             superpoints = grown;
             lifted.iter_mut().for_each(|lifted: &mut Lifted| lifted.renumber(&renumbered));
-            let (more, reused) = lifting_of(&cloud, &superpoints, &format!("lifting{number}"), &checkpoints, &new, &looking)?;
+            let (more, reused) = lifting_of(
+                &cloud,
+                &superpoints,
+                &format!("lifting{number}"),
+                &checkpoints,
+                &new,
+                &looking,
+            )?;
             *outcome = StageOutcome { produced: masks_in(&more), reused };
             lifted.extend(more);
             frames.extend(new);

@@ -1,7 +1,9 @@
-//! What somebody points at in a photograph, as an instance: for things that stage 1 has not cut out by themselves.
+//! What somebody points at in a photograph, as an instance: for things that stage 1 has not cut out
+//! by themselves.
 //!
-//! The place may mean several masks: those of a promptable segmenter, or the built-in ones from whole things down to even patches. Each takes the
-//! points of the cloud that its frame shows under it. Frames that see these are asked at their middle, and the mask on which they agree best is
+//! The place may mean several masks: those of a promptable segmenter, or the built-in ones from
+//! whole things down to even patches. Each takes the points of the cloud that its frame shows under
+//! it. Frames that see these are asked at their middle, and the mask on which they agree best is
 //! meant. Then points vote, and what hangs together around the place is the thing.
 
 use super::masks::IdImage;
@@ -13,7 +15,9 @@ use crate::geometry::boxes::Aabb;
 use crate::geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap, typical_spacing_m};
 use crate::geometry::{Point3, Vector3};
 use crate::models::neural::{Encoded, LowMask, Prompt, Segmenter};
-use crate::scene::{Frame, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, View, stream_frames};
+use crate::scene::{
+    Frame, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, View, stream_frames,
+};
 use std::collections::HashSet;
 use uniground_types::settings::ParsingSettings;
 
@@ -55,7 +59,8 @@ const GAP_SPACINGS: f32 = 3.0;
 const LEAST_GAP_M: f32 = 0.03;
 /// Pixels around a place in which a mask is looked for where the place itself has none.
 const AROUND_PX: i32 = 6;
-/// A mask shows an instance when so much of what its frame sees under it, or in the instance's box, is both (IoU).
+/// A mask shows an instance when so much of what its frame sees under it, or in the instance's box,
+/// is both (IoU).
 const SHOWN: f32 = 0.6;
 /// Boxes that overlap by this much are one thing.
 const SAME_THING: f32 = 0.5;
@@ -71,16 +76,26 @@ pub fn known_as<'a>(known: &'a [Instance], found: &Instance) -> Option<&'a Insta
 }
 
 impl Pointing<'_> {
-    /// The thing at a place: one of the instances that are known, where a mask shows just that, else as the next of them; not one of those
-    /// it is known not to be, and no part of the building. `None` where nothing else can be cut out there.
+    /// The thing at a place: one of the instances that are known, where a mask shows just that,
+    /// else as the next of them; not one of those it is known not to be, and no part of the
+    /// building. `None` where nothing else can be cut out there.
     ///
     /// # Errors
     /// [`ParseError`]: an unreadable frame, or a segmenter that fails.
-    pub fn find(&self, place: Place, known: &[Instance], is_not: &[InstanceId]) -> Result<Option<Instance>, ParseError> {
-        let Some(first) = self.frames.iter().find(|frame| frame.index == place.frame) else { return Ok(None) };
-        let visibility = Visibility::new(self.cloud, &vec![0; self.cloud.len()], self.settings.depth_tolerance);
+    pub fn find(
+        &self,
+        place: Place,
+        known: &[Instance],
+        is_not: &[InstanceId],
+    ) -> Result<Option<Instance>, ParseError> {
+        let Some(first) = self.frames.iter().find(|frame| frame.index == place.frame) else {
+            return Ok(None);
+        };
+        let visibility =
+            Visibility::new(self.cloud, &vec![0; self.cloud.len()], self.settings.depth_tolerance);
         let first = self.look(first, &visibility)?;
-        let is_other = |i: &Instance| i.structure.is_some() || i.dismissed || is_not.contains(&i.id);
+        let is_other =
+            |i: &Instance| i.structure.is_some() || i.dismissed || is_not.contains(&i.id);
         let mut options = Vec::new();
         for (mask, quality) in self.masks_at(&first, place.at)? {
             let seed = first.under(&mask);
@@ -95,13 +110,17 @@ impl Pointing<'_> {
         if let Some(shown) = self.shown(&first, &options, known.iter().filter(|i| !is_other(i))) {
             return Ok(Some(shown.clone()));
         }
-        let Some(least) = options.iter().map(|option| &option.seed).min_by_key(|seed| seed.len()) else { return Ok(None) };
+        let Some(least) = options.iter().map(|option| &option.seed).min_by_key(|seed| seed.len())
+        else {
+            return Ok(None);
+        };
         // As many as stage 1 looked at: somebody waits.
         let frames = frame_sampling::sample(self.frames, &self.settings.frame_sampling);
         let further = self.further(&frames, least, place.frame, &visibility)?;
         let mut best: Option<(f32, Votes, &Meant)> = None;
         for option in &options {
-            let mut votes = Votes { seen: vec![0; self.cloud.len()], inside: vec![0; self.cloud.len()] };
+            let mut votes =
+                Votes { seen: vec![0; self.cloud.len()], inside: vec![0; self.cloud.len()] };
             votes.count(&first, &option.mask);
             let worth = option.quality * self.agreement(&option.seed, &further, &mut votes)?;
             if best.as_ref().is_none_or(|(so_far, ..)| worth > *so_far) {
@@ -117,14 +136,25 @@ impl Pointing<'_> {
             return Ok(None);
         }
         let views = self.views_of(&frames, &points)?;
-        Ok(Some(Instance { views, ..instances::of_points(self.cloud, &points, known, &self.settings.instances) }))
+        Ok(Some(Instance {
+            views,
+            ..instances::of_points(self.cloud, &points, known, &self.settings.instances)
+        }))
     }
 
-    /// The instance that a mask shows best, if one does: what the frame sees of its box is what it sees under the mask.
-    fn shown<'i>(&self, looked: &Looked, options: &[Meant], known: impl Iterator<Item = &'i Instance>) -> Option<&'i Instance> {
+    /// The instance that a mask shows best, if one does: what the frame sees of its box is what it
+    /// sees under the mask.
+    fn shown<'i>(
+        &self,
+        looked: &Looked,
+        options: &[Meant],
+        known: impl Iterator<Item = &'i Instance>,
+    ) -> Option<&'i Instance> {
         let under: Vec<Vec<bool>> = options
             .iter()
-            .map(|option| looked.seen.iter().map(|point| option.mask.holds(looked, point)).collect())
+            .map(|option| {
+                looked.seen.iter().map(|point| option.mask.holds(looked, point)).collect()
+            })
             .collect();
         let share = |instance: &Instance| {
             let in_box: Vec<bool> = looked
@@ -133,13 +163,18 @@ impl Pointing<'_> {
                 .map(|p| instance.aabb.contains(&self.cloud.positions[p.point as usize]))
                 .collect();
             let iou = |under: &Vec<bool>| {
-                let count = |both: fn((&bool, &bool)) -> bool| under.iter().zip(&in_box).filter(|(a, b)| both((a, b))).count();
+                let count = |both: fn((&bool, &bool)) -> bool| {
+                    under.iter().zip(&in_box).filter(|(a, b)| both((a, b))).count()
+                };
                 count(|(a, b)| *a && *b) as f32 / count(|(a, b)| *a || *b).max(1) as f32
             };
             under.iter().map(iou).fold(0.0, f32::max)
         };
-        let shares = known.map(|instance| (share(instance), instance)).filter(|(share, _)| *share >= SHOWN);
-        shares.max_by(|(a, i), (b, j)| a.total_cmp(b).then(j.id.cmp(&i.id))).map(|(_, instance)| instance)
+        let shares =
+            known.map(|instance| (share(instance), instance)).filter(|(share, _)| *share >= SHOWN);
+        shares
+            .max_by(|(a, i), (b, j)| a.total_cmp(b).then(j.id.cmp(&i.id)))
+            .map(|(_, instance)| instance)
     }
 
     fn look(&self, frame: &FrameRef, visibility: &Visibility) -> Result<Looked, ParseError> {
@@ -147,27 +182,30 @@ impl Pointing<'_> {
         let seen = visibility.in_frame(&frame.depth_camera, &frame.depth);
         let cut = match self.segmenter {
             Some(segmenter) => Cut::Encoded(segmenter.encode(&frame.colour)?),
-            None => Cut::Images(RgbdMasks { settings: self.settings.rgbd_masks }.levels(&frame, &UNEVEN)),
+            None => Cut::Images(
+                RgbdMasks { settings: self.settings.rgbd_masks }.levels(&frame, &UNEVEN),
+            ),
         };
         Ok(Looked { frame, seen, cut })
     }
 
-    /// The masks that a place of a frame's colour picture may mean, each with what its maker thinks of it, `0..=1`.
+    /// The masks that a place of a frame's colour picture may mean, each with what its maker thinks
+    /// of it, `0..=1`.
     fn masks_at(&self, looked: &Looked, at: (f32, f32)) -> Result<Vec<(Mask, f32)>, ParseError> {
         match (&looked.cut, self.segmenter) {
             (Cut::Encoded(encoded), Some(segmenter)) => {
                 let (scale, threshold) = (segmenter.low_scale(encoded), segmenter.threshold());
-                let masks = segmenter.decode(encoded, &[Prompt::inside([at])])?.into_iter().flatten();
+                let masks =
+                    segmenter.decode(encoded, &[Prompt::inside([at])])?.into_iter().flatten();
                 Ok(masks
                     .map(|mask| (mask.predicted_iou.clamp(0.0, 1.0), mask))
                     .map(|(q, mask)| (Mask::Decoded { mask, scale, threshold }, q))
                     .collect())
             }
             (Cut::Images(images), _) => {
-                let masks = images
-                    .iter()
-                    .enumerate()
-                    .filter_map(|(level, ids)| Some(Mask::Cut { level, id: nearest_mask(ids, &looked.frame, at)? }));
+                let masks = images.iter().enumerate().filter_map(|(level, ids)| {
+                    Some(Mask::Cut { level, id: nearest_mask(ids, &looked.frame, at)? })
+                });
                 Ok(masks.map(|mask| (mask, 1.0)).collect())
             }
             (Cut::Encoded(_), None) => Ok(Vec::new()),
@@ -175,13 +213,25 @@ impl Pointing<'_> {
     }
 
     /// The frames that see most of these points, but for the one they were found in, best first.
-    fn further(&self, frames: &[FrameRef], seed: &[u32], but: FrameIndex, visibility: &Visibility) -> Result<Vec<Looked>, ParseError> {
+    fn further(
+        &self,
+        frames: &[FrameRef],
+        seed: &[u32],
+        but: FrameIndex,
+        visibility: &Visibility,
+    ) -> Result<Vec<Looked>, ParseError> {
         let of_seed = Subset::of(self.cloud, seed);
-        let others: Vec<FrameRef> = frames.iter().filter(|frame| frame.index != but && of_seed.may_be_in(frame)).cloned().collect();
+        let others: Vec<FrameRef> = frames
+            .iter()
+            .filter(|frame| frame.index != but && of_seed.may_be_in(frame))
+            .cloned()
+            .collect();
         let mut seeing = Vec::new();
         stream_frames(
             &others,
-            |frame| Ok::<_, ParseError>(of_seed.visible_in(frame, self.settings.depth_tolerance)?.len()),
+            |frame| {
+                Ok::<_, ParseError>(of_seed.visible_in(frame, self.settings.depth_tolerance)?.len())
+            },
             |i, visible| {
                 seeing.push((visible, others[i].index));
                 Ok(())
@@ -190,36 +240,53 @@ impl Pointing<'_> {
         seeing.sort_by_key(|&(visible, index)| (std::cmp::Reverse(visible), index));
         let enough = (seed.len() / 4).max(LEAST_POINTS / 2);
         let best = seeing.into_iter().filter(|(visible, _)| *visible >= enough).take(MORE_FRAMES);
-        best.map(|(_, index)| self.look(&others[others.partition_point(|frame| frame.index < index)], visibility))
-            .collect()
+        best.map(|(_, index)| {
+            self.look(&others[others.partition_point(|frame| frame.index < index)], visibility)
+        })
+        .collect()
     }
 
-    /// Where the rest of a thing may be of which a frame sees these points: as far again as half its largest side.
+    /// Where the rest of a thing may be of which a frame sees these points: as far again as half
+    /// its largest side.
     fn reach(&self, seed: &[u32]) -> Aabb {
         let around = Aabb::around(seed.iter().map(|&point| &self.cloud.positions[point as usize]));
         let around = around.unwrap_or(Aabb { center: Point3::origin(), size: Vector3::zeros() });
         Aabb { size: around.size.add_scalar(around.size.max()), ..around }
     }
 
-    /// Mean IoU of the best masks that further frames have at the middle of a seed with what they see of it; those that agree vote.
-    fn agreement(&self, seed: &[u32], further: &[Looked], votes: &mut Votes) -> Result<f32, ParseError> {
+    /// Mean IoU of the best masks that further frames have at the middle of a seed with what they
+    /// see of it; those that agree vote.
+    fn agreement(
+        &self,
+        seed: &[u32],
+        further: &[Looked],
+        votes: &mut Votes,
+    ) -> Result<f32, ParseError> {
         let of_seed: HashSet<u32> = seed.iter().copied().collect();
-        // What the first frame sees outside of its mask is something else, and so is what lies far from that.
+        // What the first frame sees outside of its mask is something else, and so is what lies far
+        // from that.
         let first_seen = votes.seen.clone();
         let reach = self.reach(seed);
         let is_other = |point: &FramePoint| {
-            let seen_apart = first_seen[point.point as usize] > 0 && !of_seed.contains(&point.point);
+            let seen_apart =
+                first_seen[point.point as usize] > 0 && !of_seed.contains(&point.point);
             seen_apart || !reach.contains(&point.position)
         };
         let (mut sum, mut count) = (0.0, 0_u32);
         for looked in further {
-            let own: Vec<&FramePoint> = looked.seen.iter().filter(|point| of_seed.contains(&point.point)).collect();
-            let pixels: Vec<(f32, f32)> = own.iter().filter_map(|point| colour_pixel(&looked.frame, point)).collect();
+            let own: Vec<&FramePoint> =
+                looked.seen.iter().filter(|point| of_seed.contains(&point.point)).collect();
+            let pixels: Vec<(f32, f32)> =
+                own.iter().filter_map(|point| colour_pixel(&looked.frame, point)).collect();
             let Some(middle) = medoid(&pixels) else { continue };
             let mut best: Option<(f32, Mask)> = None;
             for (mask, _) in self.masks_at(looked, middle)? {
                 let held = own.iter().filter(|point| mask.holds(looked, point)).count();
-                let wrong = looked.seen.iter().filter(|point| is_other(point) && mask.holds(looked, point)).count();
+                let wrong = looked
+                    .seen
+                    .iter()
+                    .filter(|point| is_other(point) && mask.holds(looked, point))
+                    .count();
                 let iou = held as f32 / (own.len() + wrong).max(1) as f32;
                 if best.as_ref().is_none_or(|(so_far, _)| iou > *so_far) {
                     best = Some((iou, mask));
@@ -267,15 +334,18 @@ impl Pointing<'_> {
     /// The frames that show most of these points.
     fn views_of(&self, frames: &[FrameRef], points: &[u32]) -> Result<Vec<View>, ParseError> {
         let of_thing = Subset::of(self.cloud, points);
-        let frames: Vec<FrameRef> = frames.iter().filter(|frame| of_thing.may_be_in(frame)).cloned().collect();
+        let frames: Vec<FrameRef> =
+            frames.iter().filter(|frame| of_thing.may_be_in(frame)).cloned().collect();
         let mut views = Vec::new();
         stream_frames(
             &frames,
             |frame| {
                 let camera = frame.colour_camera();
                 let seen = of_thing.visible_in(frame, self.settings.depth_tolerance)?;
-                let pixels: Vec<(f32, f32)> =
-                    seen.iter().filter_map(|p| camera.project(&p.position).map(|pixel| (pixel.u, pixel.v))).collect();
+                let pixels: Vec<(f32, f32)> = seen
+                    .iter()
+                    .filter_map(|p| camera.project(&p.position).map(|pixel| (pixel.u, pixel.v)))
+                    .collect();
                 Ok::<_, ParseError>(view(frame, &pixels))
             },
             |_, view| {
@@ -332,9 +402,8 @@ impl Mask {
         match (self, &looked.cut) {
             (Self::Cut { level, id }, Cut::Images(images)) => images[*level].at(point.cell) == *id,
             (Self::Cut { .. }, Cut::Encoded(_)) => false,
-            (Self::Decoded { mask, scale, threshold }, _) => {
-                colour_pixel(&looked.frame, point).is_some_and(|at| mask.at(at, *scale) > *threshold)
-            }
+            (Self::Decoded { mask, scale, threshold }, _) => colour_pixel(&looked.frame, point)
+                .is_some_and(|at| mask.at(at, *scale) > *threshold),
         }
     }
 }
@@ -372,19 +441,32 @@ struct Subset {
 
 impl Subset {
     fn of(cloud: &PointCloud, points: &[u32]) -> Self {
-        let positions: Vec<Point3<f32>> = points.iter().map(|&point| cloud.positions[point as usize]).collect();
-        let middle = Point3::from(positions.iter().map(|p| p.coords).sum::<Vector3<f32>>() / positions.len().max(1) as f32);
+        let positions: Vec<Point3<f32>> =
+            points.iter().map(|&point| cloud.positions[point as usize]).collect();
+        let middle = Point3::from(
+            positions.iter().map(|p| p.coords).sum::<Vector3<f32>>()
+                / positions.len().max(1) as f32,
+        );
         let radius_m = positions.iter().map(|p| (p - middle).norm()).fold(0.0, f32::max);
-        Self { points: PointCloud { colours: vec![[0; 3]; positions.len()], positions }, middle, radius_m }
+        Self {
+            points: PointCloud { colours: vec![[0; 3]; positions.len()], positions },
+            middle,
+            radius_m,
+        }
     }
 
     fn may_be_in(&self, frame: &FrameRef) -> bool {
         frame.depth_camera().may_show(&self.middle, self.radius_m)
     }
 
-    fn visible_in(&self, frame: &FrameRef, depth_tolerance: f32) -> Result<Vec<FramePoint>, ParseError> {
+    fn visible_in(
+        &self,
+        frame: &FrameRef,
+        depth_tolerance: f32,
+    ) -> Result<Vec<FramePoint>, ParseError> {
         let depth = frame.decode_depth()?;
-        Ok(Visibility::new(&self.points, &vec![0; self.points.len()], depth_tolerance).in_frame(&frame.depth_camera(), &depth))
+        Ok(Visibility::new(&self.points, &vec![0; self.points.len()], depth_tolerance)
+            .in_frame(&frame.depth_camera(), &depth))
     }
 }
 
@@ -398,7 +480,8 @@ fn nearest_mask(ids: &IdImage, frame: &Frame, (x, y): (f32, f32)) -> Option<u16>
     let (depth, colour) = (&frame.depth_camera.intrinsics, &frame.colour_camera.intrinsics);
     let column = ((x - colour.cx) / colour.fx * depth.fx + depth.cx).round() as i32;
     let row = ((y - colour.cy) / colour.fy * depth.fy + depth.cy).round() as i32;
-    let around = |reach: i32| (-reach..=reach).flat_map(move |dy| (-reach..=reach).map(move |dx| (dx, dy)));
+    let around =
+        |reach: i32| (-reach..=reach).flat_map(move |dy| (-reach..=reach).map(move |dx| (dx, dy)));
     let mut near: Vec<(i32, i32)> = around(AROUND_PX).collect();
     near.sort_by_key(|(dx, dy)| dx * dx + dy * dy);
     let id = |(dx, dy): (i32, i32)| {

@@ -1,8 +1,9 @@
 //! Refinement: points at the border of a region go where the masks put them.
 //!
-//! A superpoint is a few centimetres wide and belongs to one region as a whole: the rim of wall around a picture comes along with it, and a
-//! box is only as good as its outermost points. Masks end where things end, to a pixel. Every frame that tells a region from its
-//! surroundings votes on the region's points.
+//! A superpoint is a few centimetres wide and belongs to one region as a whole: the rim of wall
+//! around a picture comes along with it, and a box is only as good as its outermost points. Masks
+//! end where things end, to a pixel. Every frame that tells a region from its surroundings votes on
+//! the region's points.
 
 use super::ParseError;
 use super::lifting::MasksOfFrames;
@@ -58,7 +59,8 @@ pub fn refine(
             let seen = visibility.in_frame(&frame.depth_camera(), &frame.decode_depth()?);
             let by_image = masks[&frame.index].iter().flat_map(|masks| {
                 let ids = masks.unpacked();
-                let hits: Vec<(u32, u16)> = seen.iter().map(|seen| (seen.point, ids.at(seen.cell))).collect();
+                let hits: Vec<(u32, u16)> =
+                    seen.iter().map(|seen| (seen.point, ids.at(seen.cell))).collect();
                 told(&hits, &region_of)
             });
             Ok::<_, ParseError>(by_image.collect::<Vec<_>>())
@@ -95,7 +97,8 @@ pub fn refine(
     Ok(region_of)
 }
 
-/// The region each visible point belongs to by the masks of one frame, for points of regions that this frame tells from others.
+/// The region each visible point belongs to by the masks of one frame, for points of regions that
+/// this frame tells from others.
 fn told(hits: &[(u32, u16)], region_of: &[u32]) -> Vec<(u32, u32)> {
     let region = |&(point, _): &(u32, u16)| region_of[point as usize];
     // Neighbours mostly agree: what is alike in a row is looked up once.
@@ -104,7 +107,8 @@ fn told(hits: &[(u32, u16)], region_of: &[u32]) -> Vec<(u32, u32)> {
     for run in runs() {
         *shared.entry((run[0].1, region(&run[0]))).or_default() += run.len() as u32;
     }
-    // Mask: points in all, and the region with most of them. Region: the mask with most of its points, no mask included.
+    // Mask: points in all, and the region with most of them. Region: the mask with most of its
+    // points, no mask included.
     let mut masks: BTreeMap<u16, (u32, u32, u32)> = BTreeMap::new();
     let mut regions: BTreeMap<u32, (u32, u16)> = BTreeMap::new();
     for (&(mask, region), &n) in &shared {
@@ -118,7 +122,12 @@ fn told(hits: &[(u32, u16)], region_of: &[u32]) -> Vec<(u32, u32)> {
             *of_region = (n, mask);
         }
     }
-    let owner = |mask: u16| masks.get(&mask).filter(|(all, most, _)| mask != 0 && 2 * most > *all).map(|&(_, _, region)| region);
+    let owner = |mask: u16| {
+        masks
+            .get(&mask)
+            .filter(|(all, most, _)| mask != 0 && 2 * most > *all)
+            .map(|&(_, _, region)| region)
+    };
     let told = |run: &[(u32, u16)]| {
         let own = region(&run[0]);
         let told_apart = owner(regions[&own].1) == Some(own);
@@ -136,11 +145,18 @@ mod tests {
 
     #[test]
     fn the_rim_that_came_along_goes_back() {
-        // A picture (points 0 to 5) took two points of its wall (4, 5) along: masks 1 and 2 end where the picture ends.
+        // A picture (points 0 to 5) took two points of its wall (4, 5) along: masks 1 and 2 end
+        // where the picture ends.
         let region_of = [0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1];
         let hits: Vec<(u32, u16)> = (0..11).map(|i| (i, if i < 4 { 1 } else { 2 })).collect();
         let told = told(&hits, &region_of);
-        assert_eq!(told.iter().filter(|(_, region)| *region == 0).map(|(point, _)| *point).collect::<Vec<_>>(), [0, 1, 2, 3]);
+        assert_eq!(
+            told.iter()
+                .filter(|(_, region)| *region == 0)
+                .map(|(point, _)| *point)
+                .collect::<Vec<_>>(),
+            [0, 1, 2, 3]
+        );
         let mut votes = Votes::default();
         told.iter().filter(|(point, _)| *point == 4).for_each(|&(_, region)| votes.cast(0, region));
         assert_eq!((votes.own, votes.other, votes.lead), (0, 1, 1));

@@ -1,8 +1,11 @@
-//! Relief: how far what lies flat on a plane of the building stands out from it, measured frame by frame.
+//! Relief: how far what lies flat on a plane of the building stands out from it, measured frame by
+//! frame.
 //!
-//! A picture is a few centimetres thick, a rug one. Noise blurs that, and where poses drift the cloud holds a wall twice: the points of a
-//! picture then fill ten times its thickness. But within one frame thing and wall are off by the same. Heights over the plane as the same
-//! frame sees it around the thing, gathered from all frames in cells along the plane, are free of drift, and of noise once they are many.
+//! A picture is a few centimetres thick, a rug one. Noise blurs that, and where poses drift the
+//! cloud holds a wall twice: the points of a picture then fill ten times its thickness. But within
+//! one frame thing and wall are off by the same. Heights over the plane as the same frame sees it
+//! around the thing, gathered from all frames in cells along the plane, are free of drift, and of
+//! noise once they are many.
 
 use super::labels::Labels;
 use super::planes::Planes;
@@ -27,16 +30,20 @@ pub struct Relief {
 }
 
 impl Relief {
-    /// These points without what noise and drift did to them along the normal: each as a pair, where the thing begins and where it ends.
+    /// These points without what noise and drift did to them along the normal: each as a pair,
+    /// where the thing begins and where it ends.
     #[must_use]
     pub fn flattened(&self, positions: &[Point3<f32>]) -> Vec<Point3<f32>> {
-        let at = |p: &Point3<f32>, height: f32| p + self.normal * (height - (p - self.base).dot(&self.normal));
+        let at = |p: &Point3<f32>, height: f32| {
+            p + self.normal * (height - (p - self.base).dot(&self.normal))
+        };
         let (from, to) = self.span_m;
         positions.iter().flat_map(|p| [at(p, from), at(p, to)]).collect()
     }
 }
 
-/// How far behind its plane and before it the points of a flat thing may lie in a cloud that drifts, metres,
+/// How far behind its plane and before it the points of a flat thing may lie in a cloud that
+/// drifts, metres,
 const IN_CLOUD_M: std::ops::Range<f32> = -0.08..0.12;
 /// and what share of them does.
 const FLAT: f32 = 0.9;
@@ -56,7 +63,8 @@ const MIN_CELLS: usize = 4;
 const TRIM: f32 = 0.1;
 /// What does not stand out by more is the plane itself, or let into it like a door, metres.
 const LEAST_M: f32 = 0.003;
-/// What nowhere comes nearer to its wall hangs before it, like a curtain; the rest is as thick as it is high, metres.
+/// What nowhere comes nearer to its wall hangs before it, like a curtain; the rest is as thick as
+/// it is high, metres.
 const HANGS_M: f32 = 0.065;
 
 /// A thing that may lie flat on a plane.
@@ -98,8 +106,8 @@ pub struct Flats<'a> {
 type Cells = BTreeMap<(u32, [i32; 2]), (f32, u32)>;
 
 impl<'a> Flats<'a> {
-    /// What has its points close to a plane, and points of the plane around them; nothing where the settings have nothing thin. `cameras` are
-    /// centres of cameras, metres.
+    /// What has its points close to a plane, and points of the plane around them; nothing where the
+    /// settings have nothing thin. `cameras` are centres of cameras, metres.
     #[must_use]
     pub fn of(
         cloud: &PointCloud,
@@ -113,27 +121,38 @@ impl<'a> Flats<'a> {
         if settings.thin_sigmas == 0.0 {
             return Self { superpoints, planes, labels, things: Vec::new(), of_id };
         }
-        let (mut members, mut on_plane) = (vec![Vec::new(); labels.len()], vec![Vec::new(); planes.planes.len()]);
+        let (mut members, mut on_plane) =
+            (vec![Vec::new(); labels.len()], vec![Vec::new(); planes.planes.len()]);
         for point in (0..cloud.len() as u32).filter(|&point| is_sampled(point)) {
             labels.of(point as usize).for_each(|id| members[id.0 as usize - 1].push(point));
-            if let Some(plane) = planes.of_superpoint[superpoints.of_point[point as usize] as usize] {
+            if let Some(plane) = planes.of_superpoint[superpoints.of_point[point as usize] as usize]
+            {
                 on_plane[plane as usize].push(point);
             }
         }
         // Floor and walls themselves: most of what frames see.
         let whose = |points: &Vec<u32>| {
-            let mut things: Vec<InstanceId> = points.iter().map(|&point| labels.thing_of_point[point as usize]).collect();
+            let mut things: Vec<InstanceId> =
+                points.iter().map(|&point| labels.thing_of_point[point as usize]).collect();
             things.sort_unstable();
-            things.chunk_by(|a, b| a == b).max_by_key(|same| (same.len(), same[0])).map(|same| same[0])
+            things
+                .chunk_by(|a, b| a == b)
+                .max_by_key(|same| (same.len(), same[0]))
+                .map(|same| same[0])
         };
         let whose: Vec<Option<InstanceId>> = on_plane.iter().map(whose).collect();
         let axes: Vec<[Vector3<f32>; 3]> = planes
             .planes
             .iter()
             .map(|plane| {
-                let before = cameras.iter().filter(|camera| (*camera - plane.middle).dot(&plane.normal) > 0.0).count();
+                let before = cameras
+                    .iter()
+                    .filter(|camera| (*camera - plane.middle).dot(&plane.normal) > 0.0)
+                    .count();
                 let normal = if 2 * before >= cameras.len() { plane.normal } else { -plane.normal };
-                let across = normal.cross(&if normal.z.abs() < 0.7 { Vector3::z() } else { Vector3::x() }).normalize();
+                let across = normal
+                    .cross(&if normal.z.abs() < 0.7 { Vector3::z() } else { Vector3::x() })
+                    .normalize();
                 [normal, across, normal.cross(&across)]
             })
             .collect();
@@ -147,14 +166,23 @@ impl<'a> Flats<'a> {
             if (share as f32) < FLAT * points.len() as f32 || whose[plane] == Some(id) {
                 return None;
             }
-            let mut flat =
-                Flat { id, plane: plane as u32, axes: axes[plane], base: planes.planes[plane].middle, low: [0.0; 2], high: [0.0; 2] };
+            let mut flat = Flat {
+                id,
+                plane: plane as u32,
+                axes: axes[plane],
+                base: planes.planes[plane].middle,
+                low: [0.0; 2],
+                high: [0.0; 2],
+            };
             for i in 0..2 {
                 let mut along: Vec<f32> = points.iter().map(|p| flat.place(at(p)).1[i]).collect();
-                (flat.low[i], flat.high[i]) = (quantile(&mut along, 0.02)?, quantile(&mut along, 0.98)?);
+                (flat.low[i], flat.high[i]) =
+                    (quantile(&mut along, 0.02)?, quantile(&mut along, 0.98)?);
             }
-            let around = on_plane[plane].iter().filter(|p| labels.of(**p as usize).all(|other| other != id));
-            let around = around.map(|p| flat.place(at(p))).filter(|(_, along)| flat.is_around(*along));
+            let around =
+                on_plane[plane].iter().filter(|p| labels.of(**p as usize).all(|other| other != id));
+            let around =
+                around.map(|p| flat.place(at(p))).filter(|(_, along)| flat.is_around(*along));
             let mut around: Vec<f32> = around.map(|(height, _)| height).collect();
             if around.len() < MIN_POINTS {
                 return None;
@@ -178,23 +206,30 @@ impl<'a> Flats<'a> {
             return Heights::default();
         }
         let to_world = camera.world_to_camera().inverse();
-        // By flat thing: heights of the plane around; place along the plane and height of its own points.
+        // By flat thing: heights of the plane around; place along the plane and height of its own
+        // points.
         let mut around: Vec<Vec<f32>> = vec![Vec::new(); self.things.len()];
         let mut own: Vec<Vec<([i32; 2], f32)>> = vec![Vec::new(); self.things.len()];
         for seen in points.iter().filter(|seen| seen.sight == Sight::Visible) {
             let (u, v) = seen.cell;
-            let measured = || to_world * camera.intrinsics.unproject(u as f32, v as f32, depth.at(seen.cell));
+            let measured =
+                || to_world * camera.intrinsics.unproject(u as f32, v as f32, depth.at(seen.cell));
             let is_of = |flat: &Flat| self.labels.of(seen.point as usize).any(|id| id == flat.id);
-            for flat in self.labels.of(seen.point as usize).filter_map(|id| self.of_id[id.0 as usize]) {
+            for flat in
+                self.labels.of(seen.point as usize).filter_map(|id| self.of_id[id.0 as usize])
+            {
                 let (_, along) = self.things[flat as usize].place(&seen.position);
                 let (height, _) = self.things[flat as usize].place(&measured());
                 own[flat as usize].push((along.map(|at| (at / CELL_M).floor() as i32), height));
             }
-            let plane = self.planes.of_superpoint[self.superpoints.of_point[seen.point as usize] as usize];
+            let plane =
+                self.planes.of_superpoint[self.superpoints.of_point[seen.point as usize] as usize];
             if plane.is_none() || !is_sampled(seen.point) {
                 continue;
             }
-            for (i, flat) in self.things.iter().enumerate().filter(|(_, flat)| Some(flat.plane) == plane) {
+            for (i, flat) in
+                self.things.iter().enumerate().filter(|(_, flat)| Some(flat.plane) == plane)
+            {
                 if flat.is_around(flat.place(&seen.position).1) && !is_of(flat) {
                     around[i].push(flat.place(&measured()).0);
                 }
@@ -217,7 +252,9 @@ impl<'a> Flats<'a> {
     #[must_use]
     pub fn reliefs(&self, heights: Heights) -> BTreeMap<InstanceId, Relief> {
         let mut of_flat: Vec<Vec<f32>> = vec![Vec::new(); self.things.len()];
-        for ((flat, _), (sum, count)) in heights.0.into_iter().filter(|(_, (_, count))| *count >= MIN_HEIGHTS) {
+        for ((flat, _), (sum, count)) in
+            heights.0.into_iter().filter(|(_, (_, count))| *count >= MIN_HEIGHTS)
+        {
             of_flat[flat as usize].push(sum / count as f32);
         }
         let relief = |(flat, mut heights): (&Flat, Vec<f32>)| {
@@ -227,9 +264,11 @@ impl<'a> Flats<'a> {
             let (from, to) = (quantile(&mut heights, TRIM)?, quantile(&mut heights, 1.0 - TRIM)?);
             let extent = (0..2).map(|i| flat.high[i] - flat.low[i]).fold(f32::INFINITY, f32::min);
             // Nothing floats over a floor.
-            let hangs = from > HANGS_M && self.planes.planes[flat.plane as usize].structure != Structure::Floor;
+            let hangs = from > HANGS_M
+                && self.planes.planes[flat.plane as usize].structure != Structure::Floor;
             let span_m = (if hangs { from } else { 0.0 }, to);
-            (span_m.1 - span_m.0 < THIN * extent).then(|| (flat.id, Relief { normal: flat.axes[0], base: flat.base, span_m }))
+            (span_m.1 - span_m.0 < THIN * extent)
+                .then(|| (flat.id, Relief { normal: flat.axes[0], base: flat.base, span_m }))
         };
         self.things.iter().zip(of_flat).filter_map(relief).collect()
     }
@@ -260,22 +299,34 @@ mod tests {
     use crate::scene_parsing::planes::Plane;
     use crate::scene_parsing::visibility::Visibility;
 
-    const CAMERA: Intrinsics = Intrinsics { width: 64, height: 48, fx: 40.0, fy: 40.0, cx: 31.5, cy: 23.5 };
+    const CAMERA: Intrinsics =
+        Intrinsics { width: 64, height: 48, fx: 40.0, fy: 40.0, cx: 31.5, cy: 23.5 };
     const WALL_Z: f32 = 2.0;
 
-    /// What is found of a square thing so high over a plane two metres before a camera, so wide, in a cloud of five noisy frames that drift to
-    /// and fro by `drift_m`; and the box of the thing's points in the cloud.
-    fn found(height_m: f32, width_m: f32, structure: Structure, drift_m: f32) -> (Option<Relief>, Aabb) {
+    /// What is found of a square thing so high over a plane two metres before a camera, so wide, in
+    /// a cloud of five noisy frames that drift to and fro by `drift_m`; and the box of the
+    /// thing's points in the cloud.
+    fn found(
+        height_m: f32,
+        width_m: f32,
+        structure: Structure,
+        drift_m: f32,
+    ) -> (Option<Relief>, Aabb) {
         let camera = Camera::new(CAMERA, &Isometry3::identity());
-        let (mut cloud, mut region_of, mut depths) = (PointCloud::default(), Vec::new(), Vec::new());
+        let (mut cloud, mut region_of, mut depths) =
+            (PointCloud::default(), Vec::new(), Vec::new());
         for step in -2..=2_i32 {
-            let mut depth = DepthImage { width: CAMERA.width, height: CAMERA.height, depth_m: Vec::new() };
+            let mut depth =
+                DepthImage { width: CAMERA.width, height: CAMERA.height, depth_m: Vec::new() };
             for i in 0..CAMERA.width * CAMERA.height {
                 let (u, v) = ((i % CAMERA.width) as f32, (i / CAMERA.width) as f32);
                 let at = CAMERA.unproject(u, v, WALL_Z);
                 let on_thing = at.x.abs().max(at.y.abs()) < width_m / 2.0;
-                let noise = ((i as i32 * 7919 + step * 331).rem_euclid(1000) as f32 / 1000.0 - 0.5) * 0.02;
-                let z = WALL_Z - if on_thing { height_m } else { 0.0 } + step as f32 / 2.0 * drift_m + noise;
+                let noise =
+                    ((i as i32 * 7919 + step * 331).rem_euclid(1000) as f32 / 1000.0 - 0.5) * 0.02;
+                let z = WALL_Z - if on_thing { height_m } else { 0.0 }
+                    + step as f32 / 2.0 * drift_m
+                    + noise;
                 depth.depth_m.push(z);
                 cloud.positions.push(CAMERA.unproject(u, v, z));
                 region_of.push(u32::from(on_thing));
@@ -283,18 +334,39 @@ mod tests {
             depths.push(depth);
         }
         cloud.colours = vec![[0; 3]; cloud.positions.len()];
-        let superpoints =
-            Superpoints { of_point: region_of.clone(), patches: Vec::new(), adjacent: Vec::new(), roughness_m: vec![0.005; 2] };
-        let plane = Plane { structure, normal: Vector3::z(), middle: Point3::new(0.0, 0.0, WALL_Z), area_m2: 7.0 };
+        let superpoints = Superpoints {
+            of_point: region_of.clone(),
+            patches: Vec::new(),
+            adjacent: Vec::new(),
+            roughness_m: vec![0.005; 2],
+        };
+        let plane = Plane {
+            structure,
+            normal: Vector3::z(),
+            middle: Point3::new(0.0, 0.0, WALL_Z),
+            area_m2: 7.0,
+        };
         let planes = Planes { planes: vec![plane], of_superpoint: vec![Some(0), None] };
         let labels = Labels::of_regions(&region_of, &superpoints, Vec::new());
         let visibility = Visibility::new(&cloud, &region_of, 0.1);
-        let flats = Flats::of(&cloud, &superpoints, &planes, &labels, &[Point3::origin()], &InstanceSettings::default());
+        let flats = Flats::of(
+            &cloud,
+            &superpoints,
+            &planes,
+            &labels,
+            &[Point3::origin()],
+            &InstanceSettings::default(),
+        );
         let mut heights = Heights::default();
-        depths
+        depths.iter().for_each(|depth| {
+            heights.gather(flats.heights(&camera, depth, &visibility.around_frame(&camera, depth)))
+        });
+        let thing = cloud
+            .positions
             .iter()
-            .for_each(|depth| heights.gather(flats.heights(&camera, depth, &visibility.around_frame(&camera, depth))));
-        let thing = cloud.positions.iter().zip(&region_of).filter(|(_, region)| **region == 1).map(|(p, _)| p);
+            .zip(&region_of)
+            .filter(|(_, region)| **region == 1)
+            .map(|(p, _)| p);
         // The wall has more points and so the first id.
         (flats.reliefs(heights).get(&InstanceId(2)).copied(), Aabb::around(thing).unwrap())
     }
@@ -308,7 +380,10 @@ mod tests {
         assert!((relief.base.z - WALL_Z).abs() < 0.005 && relief.normal.z == -1.0, "{relief:?}");
         let flattened = Aabb::around(&relief.flattened(&[in_cloud.min(), in_cloud.max()])).unwrap();
         assert!((flattened.size.z - relief.span_m.1).abs() < 1e-4, "{flattened:?}");
-        assert!((flattened.size.xy() - in_cloud.size.xy()).norm() < 1e-4, "as wide as before: {flattened:?}");
+        assert!(
+            (flattened.size.xy() - in_cloud.size.xy()).norm() < 1e-4,
+            "as wide as before: {flattened:?}"
+        );
     }
 
     #[test]

@@ -1,11 +1,13 @@
-//! Pictures of a parse, so that a person can see what went wrong: the cloud by superpoint and by instance, and instances over
-//! a few frames.
+//! Pictures of a parse, so that a person can see what went wrong: the cloud by superpoint and by
+//! instance, and instances over a few frames.
 
 use super::ParseError;
 use crate::geometry::boxes::Aabb;
 use crate::progress::Progress;
 use crate::render::{Orbit, ROOM_VIEW, RenderScene, frame_overlay, jpeg, scene_picture};
-use crate::scene::{FrameError, FrameRef, Instance, InstanceId, ParsedScene, PointCloud, id_colour};
+use crate::scene::{
+    FrameError, FrameRef, Instance, InstanceId, ParsedScene, PointCloud, id_colour,
+};
 use rayon::prelude::*;
 
 /// One picture of a report.
@@ -28,10 +30,19 @@ const DROPPED_GREY: [u8; 3] = [90, 90, 90];
 ///
 /// # Errors
 /// [`ParseError`] for unreadable frames and cancellation.
-pub fn render(scene: &ParsedScene, frames: &[FrameRef], progress: &Progress) -> Result<Vec<ReportPicture>, ParseError> {
-    let by_superpoint = RenderScene::of_parsed(recoloured(scene, |i| id_colour(scene.superpoint_of_point[i])), &scene.instances);
-    let by_instance =
-        RenderScene::of_parsed(recoloured(scene, |i| instance_colour(&scene.instances, scene.instance_of_point[i])), &scene.instances);
+pub fn render(
+    scene: &ParsedScene,
+    frames: &[FrameRef],
+    progress: &Progress,
+) -> Result<Vec<ReportPicture>, ParseError> {
+    let by_superpoint = RenderScene::of_parsed(
+        recoloured(scene, |i| id_colour(scene.superpoint_of_point[i])),
+        &scene.instances,
+    );
+    let by_instance = RenderScene::of_parsed(
+        recoloured(scene, |i| instance_colour(&scene.instances, scene.instance_of_point[i])),
+        &scene.instances,
+    );
     let count = FRAMES.min(frames.len());
     let shown = (0..count).map(|k| &frames[frames.len() * (2 * k + 1) / (2 * count)]);
     let structural = scene.report.structural;
@@ -43,7 +54,10 @@ pub fn render(scene: &ParsedScene, frames: &[FrameRef], progress: &Progress) -> 
         ),
         (
             "instances".into(),
-            format!("The cloud by instance ({}, {structural} of them structural and grey)", scene.report.instances),
+            format!(
+                "The cloud by instance ({}, {structural} of them structural and grey)",
+                scene.report.instances
+            ),
             Subject::Cloud(&by_instance),
         ),
     ];
@@ -56,7 +70,9 @@ pub fn render(scene: &ParsedScene, frames: &[FrameRef], progress: &Progress) -> 
             progress.check()?;
             let picture = match subject {
                 Subject::Cloud(cloud) => scene_picture(cloud, &scene.extent, &ROOM_VIEW, &[]),
-                Subject::Frame(frame) => frame_overlay(&frame.decode_colour()?, &frame.colour_camera(), &by_instance),
+                Subject::Frame(frame) => {
+                    frame_overlay(&frame.decode_colour()?, &frame.colour_camera(), &by_instance)
+                }
             };
             Ok(ReportPicture { name, title, jpeg: jpeg(&picture) })
         })
@@ -70,8 +86,8 @@ pub fn thumbnail(render_scene: &RenderScene, extent: &Aabb) -> Vec<u8> {
     jpeg(&scene_picture(render_scene, extent, &small, &[]))
 }
 
-/// A photograph with the instances it shows in their colours, half transparent; parts of the building are grey. `shown_as` tells of each
-/// point's thing which one it is to be shown as.
+/// A photograph with the instances it shows in their colours, half transparent; parts of the
+/// building are grey. `shown_as` tells of each point's thing which one it is to be shown as.
 ///
 /// # Errors
 /// An unreadable photograph.
@@ -81,7 +97,10 @@ pub fn photograph_with_instances(
     instances: &[Instance],
     shown_as: impl Fn(usize) -> InstanceId + Sync + Send,
 ) -> Result<Vec<u8>, FrameError> {
-    let colours = (0..cloud.len()).into_par_iter().map(|point| instance_colour(instances, shown_as(point))).collect();
+    let colours = (0..cloud.len())
+        .into_par_iter()
+        .map(|point| instance_colour(instances, shown_as(point)))
+        .collect();
     let coloured = RenderScene::of(PointCloud { positions: cloud.positions.clone(), colours });
     Ok(jpeg(&frame_overlay(&frame.decode_colour()?, &frame.colour_camera(), &coloured)))
 }

@@ -1,7 +1,8 @@
 //! Standing: what masks leave in the table it stands on is set free.
 //!
-//! A lamp on a desk of its own colour is hardly told from it in any mask, so the last and loosest stages of merging take it in. But a table top
-//! is level, and what stands on it is above it, hangs together without it, and is much smaller: that can be told from the points alone.
+//! A lamp on a desk of its own colour is hardly told from it in any mask, so the last and loosest
+//! stages of merging take it in. But a table top is level, and what stands on it is above it, hangs
+//! together without it, and is much smaller: that can be told from the points alone.
 
 use super::planes::Planes;
 use super::superpoints::{Patch, Superpoints};
@@ -30,11 +31,13 @@ const CONTACT_M: f32 = 0.08;
 const MAX_COVERED: f32 = 0.4;
 /// Share of its own footprint that lies over that rectangle at least.
 const OVER_TOP: f32 = 0.7;
-/// Share of the region's points that it has at most: what most of a thing stands on is its foot, as a screen's is.
+/// Share of the region's points that it has at most: what most of a thing stands on is its foot, as
+/// a screen's is.
 const MAX_OF_REGION: f32 = 0.5;
 
-/// Gives what stands on a level part of a region a region of its own, if it has `min_points`; returns the region `0..n` of each superpoint.
-/// What lies on planes of the building is left as it is.
+/// Gives what stands on a level part of a region a region of its own, if it has `min_points`;
+/// returns the region `0..n` of each superpoint. What lies on planes of the building is left as it
+/// is.
 ///
 /// # Errors
 /// [`Cancelled`].
@@ -60,20 +63,31 @@ pub fn set_free(
         neighbours[a as usize].push(b);
         neighbours[b as usize].push(a);
     }
-    let mut members: Vec<Vec<u32>> = vec![Vec::new(); region_of.iter().max().map_or(0, |&region| region as usize + 1)];
-    (0..).zip(&region_of).for_each(|(superpoint, &region)| members[region as usize].push(superpoint));
+    let mut members: Vec<Vec<u32>> =
+        vec![Vec::new(); region_of.iter().max().map_or(0, |&region| region as usize + 1)];
+    (0..)
+        .zip(&region_of)
+        .for_each(|(superpoint, &region)| members[region as usize].push(superpoint));
     let mut regions = members.len() as u32;
-    for members in members.iter().filter(|members| members.iter().all(|&s| planes.of_superpoint[s as usize].is_none())) {
+    for members in members
+        .iter()
+        .filter(|members| members.iter().all(|&s| planes.of_superpoint[s as usize].is_none()))
+    {
         progress.check()?;
         let mut left: BTreeSet<u32> = members.iter().copied().collect();
         let most = (MAX_OF_REGION * points_of(members, &pieces) as f32) as u32;
         for top in tops(&pieces, members) {
             let above = |s: &u32| {
                 let piece = &pieces[*s as usize];
-                piece.middle_z > top.z + OVER_M && piece.low_z > top.z - CONTACT_M && !top.members.contains(s)
+                piece.middle_z > top.z + OVER_M
+                    && piece.low_z > top.z - CONTACT_M
+                    && !top.members.contains(s)
             };
-            for thing in hanging_together(left.iter().copied().filter(above).collect(), &neighbours) {
-                if (min_points..=most).contains(&points_of(&thing, &pieces)) && top.carries(&thing, &pieces) {
+            for thing in hanging_together(left.iter().copied().filter(above).collect(), &neighbours)
+            {
+                if (min_points..=most).contains(&points_of(&thing, &pieces))
+                    && top.carries(&thing, &pieces)
+                {
                     thing.iter().for_each(|s| {
                         left.remove(s);
                         region_of[*s as usize] = regions;
@@ -107,7 +121,10 @@ impl Piece {
             middle_z: height(0.5),
             high_z: height(0.95),
             is_level: patch.normal.z.abs() > LEVEL,
-            footprint: points.iter().map(|p| ((p.x / CELL_M).floor() as i32, (p.y / CELL_M).floor() as i32)).collect(),
+            footprint: points
+                .iter()
+                .map(|p| ((p.x / CELL_M).floor() as i32, (p.y / CELL_M).floor() as i32))
+                .collect(),
         }
     }
 }
@@ -118,7 +135,9 @@ struct Rectangle([i32; 4]);
 
 impl Rectangle {
     fn around(cells: &BTreeSet<(i32, i32)>) -> Self {
-        let grown = |[left, near, right, far]: [i32; 4], &(x, y): &(i32, i32)| [left.min(x), near.min(y), right.max(x), far.max(y)];
+        let grown = |[left, near, right, far]: [i32; 4], &(x, y): &(i32, i32)| {
+            [left.min(x), near.min(y), right.max(x), far.max(y)]
+        };
         Self(cells.iter().fold([i32::MAX, i32::MAX, i32::MIN, i32::MIN], grown))
     }
 
@@ -168,16 +187,23 @@ fn footprint(members: &[u32], pieces: &[Piece]) -> BTreeSet<(i32, i32)> {
 /// The tops of a region, largest first.
 fn tops(pieces: &[Piece], members: &[u32]) -> Vec<Top> {
     let height = |&s: &u32| pieces[s as usize].middle_z;
-    let mut level: Vec<u32> = members.iter().copied().filter(|&s| pieces[s as usize].is_level).collect();
+    let mut level: Vec<u32> =
+        members.iter().copied().filter(|&s| pieces[s as usize].is_level).collect();
     level.sort_by(|a, b| height(a).total_cmp(&height(b)).then(a.cmp(b)));
     let top = |members: &[u32]| {
         let cells = footprint(members, pieces);
         let area_m2 = cells.len() as f32 * CELL_M * CELL_M;
         let mut heights: Vec<f32> = members.iter().map(height).collect();
         let z = quantile(&mut heights, 0.5).unwrap_or(0.0);
-        Top { z, members: members.iter().copied().collect(), area_m2, around: Rectangle::around(&cells) }
+        Top {
+            z,
+            members: members.iter().copied().collect(),
+            area_m2,
+            around: Rectangle::around(&cells),
+        }
     };
-    let mut tops: Vec<Top> = level.chunk_by(|a, b| height(b) - height(a) <= TOP_STEP_M).map(top).collect();
+    let mut tops: Vec<Top> =
+        level.chunk_by(|a, b| height(b) - height(a) <= TOP_STEP_M).map(top).collect();
     tops.retain(|top| top.area_m2 >= MIN_TOP_M2);
     tops.sort_by(|a, b| b.area_m2.total_cmp(&a.area_m2));
     tops
@@ -208,19 +234,32 @@ mod tests {
 
     /// The regions that one region of these blocks becomes, of which these pairs touch.
     fn freed(blocks: &[Block], adjacent: &[(u32, u32)], plane: Option<u32>) -> Vec<u32> {
-        let (mut cloud, mut of_point, mut patches) = (PointCloud::default(), Vec::new(), Vec::new());
+        let (mut cloud, mut of_point, mut patches) =
+            (PointCloud::default(), Vec::new(), Vec::new());
         for (i, (low, high, normal)) in (0..).zip(blocks) {
             let steps = |axis: usize| 0..=((high[axis] - low[axis]) / 0.02).round() as u32;
             let before = of_point.len();
-            for (x, y, z) in steps(0).flat_map(|x| steps(1).flat_map(move |y| steps(2).map(move |z| (x, y, z)))) {
+            for (x, y, z) in
+                steps(0).flat_map(|x| steps(1).flat_map(move |y| steps(2).map(move |z| (x, y, z))))
+            {
                 let at = |axis: usize, k: u32| low[axis] + k as f32 * 0.02;
                 cloud.positions.push(Point3::new(at(0, x), at(1, y), at(2, z)));
                 of_point.push(i);
             }
-            patches.push(Patch { points: (of_point.len() - before) as u32, center: Point3::origin(), normal: *normal, lab: Lab::zeros() });
+            patches.push(Patch {
+                points: (of_point.len() - before) as u32,
+                center: Point3::origin(),
+                normal: *normal,
+                lab: Lab::zeros(),
+            });
         }
         let count = blocks.len();
-        let superpoints = Superpoints { of_point, patches, adjacent: adjacent.to_vec(), roughness_m: vec![0.0; count] };
+        let superpoints = Superpoints {
+            of_point,
+            patches,
+            adjacent: adjacent.to_vec(),
+            roughness_m: vec![0.0; count],
+        };
         let planes = Planes { planes: Vec::new(), of_superpoint: vec![plane; count] };
         set_free(&cloud, &superpoints, &planes, vec![0; count], 50, &Progress::silent()).unwrap()
     }
@@ -237,7 +276,11 @@ mod tests {
         let leg = ([0.0, 0.0, 0.0], [0.06, 0.06, 0.7], Vector3::x());
         let adjacent = [(0, 1), (1, 2), (0, 3), (0, 4)];
         assert_eq!(freed(&[top(), foot, shade, box_, leg], &adjacent, None), [0, 1, 1, 2, 0]);
-        assert_eq!(freed(&[top(), foot, shade, box_, leg], &adjacent, Some(0)), [0; 5], "a plane of the building");
+        assert_eq!(
+            freed(&[top(), foot, shade, box_, leg], &adjacent, Some(0)),
+            [0; 5],
+            "a plane of the building"
+        );
     }
 
     #[test]
@@ -255,7 +298,11 @@ mod tests {
     fn a_screen_stays_on_its_foot() {
         let foot = ([0.0, 0.0, 0.74], [0.6, 0.4, 0.74], Vector3::z());
         let low = ([0.1, 0.1, 0.76], [0.4, 0.2, 0.86], Vector3::y());
-        assert_eq!(freed(&[foot, low], &[(0, 1)], None), [0, 1], "as much of it as a thing on a tray");
+        assert_eq!(
+            freed(&[foot, low], &[(0, 1)], None),
+            [0, 1],
+            "as much of it as a thing on a tray"
+        );
         let high = ([0.1, 0.1, 0.76], [0.4, 0.2, 1.2], Vector3::y());
         assert_eq!(freed(&[foot, high], &[(0, 1)], None), [0, 0]);
     }

@@ -25,7 +25,11 @@ impl Stopwatch {
     ///
     /// # Errors
     /// Those of `work`.
-    pub fn time<T, E>(&mut self, stage: &str, work: impl FnOnce(&mut StageOutcome) -> Result<T, E>) -> Result<T, E> {
+    pub fn time<T, E>(
+        &mut self,
+        stage: &str,
+        work: impl FnOnce(&mut StageOutcome) -> Result<T, E>,
+    ) -> Result<T, E> {
         forget_peak_memory();
         let start = Instant::now();
         let mut outcome = StageOutcome::default();
@@ -41,13 +45,14 @@ impl Stopwatch {
     }
 }
 
-/// Makes the kernel count the peak memory from here on; others who read `VmHWM` of this process see the same. Where the kernel does not
-/// allow it, the peak is that since the process began.
+/// Makes the kernel count the peak memory from here on; others who read `VmHWM` of this process see
+/// the same. Where the kernel does not allow it, the peak is that since the process began.
 fn forget_peak_memory() {
     let _ = fs::write("/proc/self/clear_refs", "5");
 }
 
-/// Largest resident memory of the process since it was last forgotten, MB; `None` where the system does not tell.
+/// Largest resident memory of the process since it was last forgotten, MB; `None` where the system
+/// does not tell.
 fn peak_memory_mb() -> Option<u32> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;

@@ -1,6 +1,8 @@
-//! Which points of the cloud a frame shows (paper: visible when it projects inside, in front, and fits the measured depth).
+//! Which points of the cloud a frame shows (paper: visible when it projects inside, in front, and
+//! fits the measured depth).
 //!
-//! A frame shows a small share of a room. Points are kept in clusters of a fixed size, so that most are passed over at one look.
+//! A frame shows a small share of a room. Points are kept in clusters of a fixed size, so that most
+//! are passed over at one look.
 
 use crate::geometry::Point3;
 use crate::geometry::boxes::Aabb;
@@ -51,20 +53,23 @@ pub struct FramePoint {
     pub sight: Sight,
 }
 
-/// Of points that are not visible, one in so many is looked up: they only tell how much of a thing is covered.
+/// Of points that are not visible, one in so many is looked up: they only tell how much of a thing
+/// is covered.
 pub const SAMPLED: u32 = 4;
 
-/// Whether a point is among those of which [`Visibility::around_frame`] also tells that they are not visible.
+/// Whether a point is among those of which [`Visibility::around_frame`] also tells that they are
+/// not visible.
 #[must_use]
 pub fn is_sampled(point: u32) -> bool {
     point.is_multiple_of(SAMPLED)
 }
 
 impl Visibility {
-    /// `group_of` has a number for each point, by which [`in_frame`](Self::in_frame) sorts what is visible: its superpoint, say.
+    /// `group_of` has a number for each point, by which [`in_frame`](Self::in_frame) sorts what is
+    /// visible: its superpoint, say.
     ///
-    /// `depth_tolerance` is relative: a point at depth `z` is visible when `|z - d| <= tolerance * d`. A hole in the depth is unknown,
-    /// hence nothing is visible there.
+    /// `depth_tolerance` is relative: a point at depth `z` is visible when `|z - d| <= tolerance *
+    /// d`. A hole in the depth is unknown, hence nothing is visible there.
     #[must_use]
     pub fn new(cloud: &PointCloud, group_of: &[u32], depth_tolerance: f32) -> Self {
         let positions = &cloud.positions;
@@ -74,7 +79,8 @@ impl Visibility {
             .map(|((point, p), &group)| (group, VoxelKey::of(p, CLUSTER_M), point))
             .collect();
         order.par_sort_unstable();
-        let points: Vec<(Point3<f32>, u32)> = order.iter().map(|&(_, _, point)| (positions[point as usize], point)).collect();
+        let points: Vec<(Point3<f32>, u32)> =
+            order.iter().map(|&(_, _, point)| (positions[point as usize], point)).collect();
         let mut start = 0;
         let clusters = order
             .chunk_by(|a, b| (a.0, a.1) == (b.0, b.1))
@@ -82,25 +88,36 @@ impl Visibility {
                 let range = start..start + of_cluster.len();
                 start = range.end;
                 let around = Aabb::around(points[range.clone()].iter().map(|(p, _)| p))?;
-                Some(Cluster { center: around.center, radius_m: around.size.norm() / 2.0, points: range })
+                Some(Cluster {
+                    center: around.center,
+                    radius_m: around.size.norm() / 2.0,
+                    points: range,
+                })
             })
             .collect();
         Self { depth_tolerance, points, clusters }
     }
 
-    /// The points that a frame shows, by group, with those of a group in no particular, but always the same order.
+    /// The points that a frame shows, by group, with those of a group in no particular, but always
+    /// the same order.
     #[must_use]
     pub fn in_frame(&self, camera: &Camera, depth: &DepthImage) -> Vec<FramePoint> {
         self.look(camera, depth, |_, sight| sight == Sight::Visible)
     }
 
-    /// As [`in_frame`](Self::in_frame), and with them a sample of those that lie within the picture unseen; see [`is_sampled`].
+    /// As [`in_frame`](Self::in_frame), and with them a sample of those that lie within the picture
+    /// unseen; see [`is_sampled`].
     #[must_use]
     pub fn around_frame(&self, camera: &Camera, depth: &DepthImage) -> Vec<FramePoint> {
         self.look(camera, depth, |point, sight| sight == Sight::Visible || is_sampled(point))
     }
 
-    fn look(&self, camera: &Camera, depth: &DepthImage, keep: impl Fn(u32, Sight) -> bool + Sync) -> Vec<FramePoint> {
+    fn look(
+        &self,
+        camera: &Camera,
+        depth: &DepthImage,
+        keep: impl Fn(u32, Sight) -> bool + Sync,
+    ) -> Vec<FramePoint> {
         self.clusters
             .par_iter()
             .with_min_len(64)
@@ -129,11 +146,15 @@ mod tests {
     use crate::scene::Intrinsics;
     use proptest::prelude::*;
 
-    /// A camera at the origin looking along +Z at a wall two metres away, with a hole in its last row.
+    /// A camera at the origin looking along +Z at a wall two metres away, with a hole in its last
+    /// row.
     fn look() -> (Camera, DepthImage) {
         let intrinsics = Intrinsics { width: 4, height: 4, fx: 4.0, fy: 4.0, cx: 1.5, cy: 1.5 };
         let depth_m = (0..16).map(|i| if i < 12 { 2.0 } else { 0.0 }).collect();
-        (Camera::new(intrinsics, &Isometry3::identity()), DepthImage { width: 4, height: 4, depth_m })
+        (
+            Camera::new(intrinsics, &Isometry3::identity()),
+            DepthImage { width: 4, height: 4, depth_m },
+        )
     }
 
     #[test]
@@ -141,21 +162,46 @@ mod tests {
         let (camera, depth) = look();
         let at = |u: f32, v: f32, z: f32| camera.intrinsics.unproject(u, v, z);
         let outside = [Point3::new(9.0, 0.0, 2.0), Point3::new(0.0, 0.0, -2.0)];
-        let positions = vec![at(0.0, 0.0, 2.0), at(1.0, 0.0, 2.05), at(2.0, 0.0, 3.0), at(3.0, 3.0, 2.0), outside[0], outside[1]];
+        let positions = vec![
+            at(0.0, 0.0, 2.0),
+            at(1.0, 0.0, 2.05),
+            at(2.0, 0.0, 3.0),
+            at(3.0, 3.0, 2.0),
+            outside[0],
+            outside[1],
+        ];
         let cloud = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
         let seen = Visibility::new(&cloud, &[0; 6], 0.05).in_frame(&camera, &depth);
-        assert_eq!(seen.iter().map(|seen| (seen.point, seen.cell)).collect::<Vec<_>>(), [(0, (0, 0)), (1, (1, 0))]);
+        assert_eq!(
+            seen.iter().map(|seen| (seen.point, seen.cell)).collect::<Vec<_>>(),
+            [(0, (0, 0)), (1, (1, 0))]
+        );
     }
 
     #[test]
     fn of_points_that_are_not_visible_a_sample_is_told() {
         let (camera, depth) = look();
         let at = |u: f32, v: f32, z: f32| camera.intrinsics.unproject(u, v, z);
-        let positions = [[at(0.0, 0.0, 2.0); 8], [at(1.0, 0.0, 3.0); 8], [at(2.0, 0.0, 1.0); 8], [at(3.0, 3.0, 2.0); 8]].concat();
+        let positions = [
+            [at(0.0, 0.0, 2.0); 8],
+            [at(1.0, 0.0, 3.0); 8],
+            [at(2.0, 0.0, 1.0); 8],
+            [at(3.0, 3.0, 2.0); 8],
+        ]
+        .concat();
         let cloud = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
         let seen = Visibility::new(&cloud, &[0; 32], 0.05).around_frame(&camera, &depth);
-        let count = |sight, points: std::ops::Range<u32>| seen.iter().filter(|p| p.sight == sight && points.contains(&p.point)).count();
-        assert_eq!((count(Sight::Visible, 0..8), count(Sight::Hidden, 8..16), count(Sight::Unknown, 16..32)), (8, 2, 4));
+        let count = |sight, points: std::ops::Range<u32>| {
+            seen.iter().filter(|p| p.sight == sight && points.contains(&p.point)).count()
+        };
+        assert_eq!(
+            (
+                count(Sight::Visible, 0..8),
+                count(Sight::Hidden, 8..16),
+                count(Sight::Unknown, 16..32)
+            ),
+            (8, 2, 4)
+        );
         assert_eq!(seen.len(), 14);
     }
 

@@ -9,9 +9,9 @@ use uniground_core::ingest::Inspected;
 
 fn xyz(points: &Points) -> Vec<u8> {
     let mut text = String::new();
-    points
-        .iter()
-        .for_each(|(p, [r, g, b])| writeln!(text, "{:.4} {:.4} {:.4} {r} {g} {b}", p.x, p.y, p.z).unwrap());
+    points.iter().for_each(|(p, [r, g, b])| {
+        writeln!(text, "{:.4} {:.4} {:.4} {r} {g} {b}", p.x, p.y, p.z).unwrap()
+    });
     text.into_bytes()
 }
 
@@ -64,12 +64,20 @@ fn las(points: &Points, compressed: bool) -> Vec<u8> {
     builder.point_format.is_compressed = compressed;
     let at = |offset: f64| las::Transform { scale: 0.0001, offset };
     let first = points[0].0;
-    builder.transforms = las::Vector { x: at(first.x.round()), y: at(first.y.round()), z: at(first.z.round()) };
-    let mut writer = las::Writer::new(std::io::Cursor::new(Vec::new()), builder.into_header().unwrap()).unwrap();
+    builder.transforms =
+        las::Vector { x: at(first.x.round()), y: at(first.y.round()), z: at(first.z.round()) };
+    let mut writer =
+        las::Writer::new(std::io::Cursor::new(Vec::new()), builder.into_header().unwrap()).unwrap();
     for (p, c) in points {
         let [red, green, blue] = c.map(|c| u16::from(c) * 257);
         writer
-            .write_point(las::Point { x: p.x, y: p.y, z: p.z, color: Some(las::Color { red, green, blue }), ..las::Point::default() })
+            .write_point(las::Point {
+                x: p.x,
+                y: p.y,
+                z: p.z,
+                color: Some(las::Color { red, green, blue }),
+                ..las::Point::default()
+            })
             .unwrap();
     }
     writer.into_inner().unwrap().into_inner()
@@ -103,7 +111,10 @@ fn moved(points: &Points, by: impl Fn(&Point3<f64>) -> Point3<f64>) -> Points {
 }
 
 fn read(name: &str, bytes: &[u8]) -> Inspected {
-    crate::imported(|out: &Out| out.put(name, bytes), |found| found.unwrap_or_else(|e| panic!("{name}: {e}")))
+    crate::imported(
+        |out: &Out| out.put(name, bytes),
+        |found| found.unwrap_or_else(|e| panic!("{name}: {e}")),
+    )
 }
 
 /// The room's box, to a centimetre: sampling and rounding aside it is the same cloud.
@@ -116,8 +127,16 @@ fn check(what: &str, found: &Inspected) {
     let reds = cloud.colours.iter().filter(|c| c[0].abs_diff(190) < 3 && c[1] < 40).count();
     assert!(reds > 500, "{what}: {reds} red points");
     // The floor is below.
-    let low = cloud.positions.iter().filter(|p| p.z < extent.center.z - extent.size.z / 2.0 + 0.02).count();
-    let high = cloud.positions.iter().filter(|p| p.z > extent.center.z + extent.size.z / 2.0 - 0.02).count();
+    let low = cloud
+        .positions
+        .iter()
+        .filter(|p| p.z < extent.center.z - extent.size.z / 2.0 + 0.02)
+        .count();
+    let high = cloud
+        .positions
+        .iter()
+        .filter(|p| p.z > extent.center.z + extent.size.z / 2.0 - 0.02)
+        .count();
     assert!(low > 5 * high, "{what}: {low} points below, {high} above: {:?}", found.report);
 }
 
@@ -144,14 +163,28 @@ fn every_format_is_the_same_cloud() {
 fn meshes_of_few_corners_are_the_same_cloud() {
     let (corners, squares) = mesh();
     let mut in_obj = obj(&corners);
-    let mut in_ply = String::from_utf8_lossy(&ply(&corners)).split("end_header").next().unwrap().to_owned().into_bytes();
-    in_ply.extend(format!("element face {}\nproperty list uchar uint vertex_indices\nend_header\n", squares.len()).bytes());
+    let mut in_ply = String::from_utf8_lossy(&ply(&corners))
+        .split("end_header")
+        .next()
+        .unwrap()
+        .to_owned()
+        .into_bytes();
+    in_ply.extend(
+        format!(
+            "element face {}\nproperty list uchar uint vertex_indices\nend_header\n",
+            squares.len()
+        )
+        .bytes(),
+    );
     for (p, c) in &corners {
         [p.x, p.y, p.z].iter().for_each(|v| in_ply.extend(v.to_le_bytes()));
         in_ply.extend(c);
     }
     for square in &squares {
-        in_obj.extend(format!("f {} {} {} {}\n", square[0] + 1, square[1] + 1, square[2] + 1, square[3] + 1).bytes());
+        in_obj.extend(
+            format!("f {} {} {} {}\n", square[0] + 1, square[1] + 1, square[2] + 1, square[3] + 1)
+                .bytes(),
+        );
         in_ply.push(4);
         square.iter().for_each(|i| in_ply.extend((*i as u32).to_le_bytes()));
     }
@@ -163,7 +196,8 @@ fn meshes_of_few_corners_are_the_same_cloud() {
             found
         })
         .collect();
-    let points = sampled.iter().map(|found| found.cloud.as_ref().unwrap().len()).collect::<Vec<_>>();
+    let points =
+        sampled.iter().map(|found| found.cloud.as_ref().unwrap().len()).collect::<Vec<_>>();
     assert!(points[0].abs_diff(points[1]) < 2 && points[0] > 500_000, "{points:?}");
 }
 
@@ -174,7 +208,11 @@ fn clouds_that_lie_otherwise_are_set_upright_and_measured_in_metres() {
     // What a camera that looks down at an angle would see: x right, y down, z forward.
     let camera = crate::pose(2).inverse().to_homogeneous();
     let with = |m: Matrix4<f64>| moved(&points, |p| m.transform_point(p));
-    for (what, turned) in [("Y up", with(y_up)), ("seen from a camera", with(camera)), ("millimetres", moved(&points, |p| p * 1000.0))] {
+    for (what, turned) in [
+        ("Y up", with(y_up)),
+        ("seen from a camera", with(camera)),
+        ("millimetres", moved(&points, |p| p * 1000.0)),
+    ] {
         let found = read("room.ply", &ply(&turned));
         let cloud = found.cloud.as_ref().unwrap();
         let height = Aabb::around(&cloud.positions).unwrap().size.z;
@@ -185,7 +223,10 @@ fn clouds_that_lie_otherwise_are_set_upright_and_measured_in_metres() {
         let way = found.report.source_to_scene.unwrap();
         for (source, p) in turned.iter().zip(&cloud.positions).step_by(997) {
             let scene = way.apply([source.0.x, source.0.y, source.0.z]);
-            assert!((0..3).all(|i| (scene[i] - f64::from(p[i])).abs() < 1e-3), "{what}: {scene:?} {p}");
+            assert!(
+                (0..3).all(|i| (scene[i] - f64::from(p[i])).abs() < 1e-3),
+                "{what}: {scene:?} {p}"
+            );
         }
     }
 }
@@ -194,14 +235,19 @@ fn clouds_that_lie_otherwise_are_set_upright_and_measured_in_metres() {
 fn map_coordinates_lead_back_to_the_millimetre() {
     let points = cloud();
     let there = moved(&points, |p| p + nalgebra::Vector3::new(412_345.678, 5_654_321.123, 87.5));
-    for (name, bytes) in [("site.las", las(&there, false)), ("site.ply", ply(&there)), ("site.xyz", xyz(&there))] {
+    for (name, bytes) in
+        [("site.las", las(&there, false)), ("site.ply", ply(&there)), ("site.xyz", xyz(&there))]
+    {
         let found = read(name, &bytes);
         check(name, &found);
         let way = found.report.source_to_scene.unwrap();
         let p = found.cloud.as_ref().unwrap().positions[1234];
         let back = way.invert([p.x, p.y, p.z].map(f64::from));
         let expected = there[1234].0;
-        assert!((0..3).all(|i| (back[i] - expected[i]).abs() < 1e-3), "{name}: {back:?} instead of {expected}");
+        assert!(
+            (0..3).all(|i| (back[i] - expected[i]).abs() < 1e-3),
+            "{name}: {back:?} instead of {expected}"
+        );
     }
 }
 
@@ -222,10 +268,14 @@ fn a_piece_of_something_is_refused_asking_for_up() {
     );
 }
 
-/// What has no walls is believed to have Z up when things stand on it that way; lying on its side it is asked for.
+/// What has no walls is believed to have Z up when things stand on it that way; lying on its side
+/// it is asked for.
 #[test]
 fn a_floor_with_things_on_it_is_taken_as_most_files_are() {
-    let floor: Points = cloud().into_iter().filter(|(p, _)| p.z < 0.9 && p.x.abs() < 2.5 && p.y.abs() < 2.0).collect();
+    let floor: Points = cloud()
+        .into_iter()
+        .filter(|(p, _)| p.z < 0.9 && p.x.abs() < 2.5 && p.y.abs() < 2.0)
+        .collect();
     let found = read("floor.ply", &ply(&floor));
     assert_eq!(found.report.up.name(), "z", "{:?}", found.report);
     let side = moved(&floor, |p| Point3::new(p.z, p.x, p.y));

@@ -23,7 +23,11 @@ fn imported<T>(write: impl Fn(&Out), look: impl FnOnce(Result<Inspected, IngestE
     let folder = tempfile::tempdir().unwrap();
     let root = Utf8Path::from_path(folder.path()).unwrap();
     write(&Out(root));
-    look(ingest::open(root).and_then(|scan| ingest::inspect(&scan, &ImportSettings::default(), &Progress::silent())))
+    look(
+        ingest::open(root).and_then(|scan| {
+            ingest::inspect(&scan, &ImportSettings::default(), &Progress::silent())
+        }),
+    )
 }
 
 fn apart(a: &Isometry3<f64>, b: &Isometry3<f64>) -> (f64, f64) {
@@ -39,7 +43,12 @@ fn camera_to_world(frame: &FrameRef) -> Isometry3<f64> {
 fn check_depth(what: &str, i: usize, frame: &FrameRef) {
     let depth = frame.decode_depth().unwrap();
     let expected = room::depth_m(&frame.depth_intrinsics, &pose(i));
-    let off = depth.depth_m.iter().zip(&expected).filter(|(found, there)| (*found - *there).abs() > 0.002).count();
+    let off = depth
+        .depth_m
+        .iter()
+        .zip(&expected)
+        .filter(|(found, there)| (*found - *there).abs() > 0.002)
+        .count();
     // Where a silhouette falls between two pixels either may be right.
     assert!(off * 50 < expected.len(), "{what}, frame {i}: {off} of {} pixels", expected.len());
     assert!(frame.decode_colour().is_ok(), "{what}, frame {i}");
@@ -74,18 +83,26 @@ fn every_layout_is_the_same_scene() {
     for (what, write, format) in LAYOUTS {
         imported(write, |found| {
             let Inspected { frames, report, .. } = found.unwrap_or_else(|e| panic!("{what}: {e}"));
-            assert_eq!((report.format.as_str(), frames.len()), (format, FRAMES), "{what}: {report:?}");
+            assert_eq!(
+                (report.format.as_str(), frames.len()),
+                (format, FRAMES),
+                "{what}: {report:?}"
+            );
             assert!(report.reprojection_agreement.unwrap() > 0.8, "{what}: {report:?}");
             for (i, frame) in frames.iter().enumerate() {
                 let (metres, degrees) = apart(&camera_to_world(frame), &pose(i));
-                assert!(metres < 1e-3 && degrees < 0.1, "{what}, frame {i}: {metres} m and {degrees} degrees off: {report:?}");
+                assert!(
+                    metres < 1e-3 && degrees < 0.1,
+                    "{what}, frame {i}: {metres} m and {degrees} degrees off: {report:?}"
+                );
                 check_depth(what, i, frame);
             }
         });
     }
 }
 
-/// Eight bits are coarse, but a depth all the same where their unit is said. Without one they are a picture to look at.
+/// Eight bits are coarse, but a depth all the same where their unit is said. Without one they are a
+/// picture to look at.
 #[test]
 fn depth_of_eight_bits_wants_a_unit() {
     let write = |unit_m: Option<f32>| {
@@ -93,12 +110,19 @@ fn depth_of_eight_bits_wants_a_unit() {
             writers::plain(out);
             let mut frames = Vec::new();
             for i in 0..FRAMES {
-                let bytes = room::depth_m(&CAMERA, &pose(i)).into_iter().map(|z| (z / 0.02).round() as u8).collect();
+                let bytes = room::depth_m(&CAMERA, &pose(i))
+                    .into_iter()
+                    .map(|z| (z / 0.02).round() as u8)
+                    .collect();
                 let grey = image::GrayImage::from_raw(CAMERA.width, CAMERA.height, bytes).unwrap();
-                out.put(&format!("depth/{i}.png"), room::encoded(&grey.into(), image::ImageFormat::Png));
+                out.put(
+                    &format!("depth/{i}.png"),
+                    room::encoded(&grey.into(), image::ImageFormat::Png),
+                );
                 frames.push(json!({"color": format!("color/{i}.jpg"), "depth": format!("depth/{i}.png"), "pose": format!("pose/{i}.txt")}));
             }
-            let mut manifest = json!({"format": "uniground-scene/1", "intrinsics": CAMERA, "frames": frames});
+            let mut manifest =
+                json!({"format": "uniground-scene/1", "intrinsics": CAMERA, "frames": frames});
             if let Some(unit_m) = unit_m {
                 manifest["depth_scale_m"] = json!(unit_m);
             }
@@ -109,7 +133,9 @@ fn depth_of_eight_bits_wants_a_unit() {
         let Inspected { frames, report, .. } = found.unwrap();
         assert!(report.reprojection_agreement.unwrap() > 0.8, "{report:?}");
         let (found, there) = (frames[0].decode_depth().unwrap(), room::depth_m(&CAMERA, &pose(0)));
-        assert!(found.depth_m.iter().zip(&there).all(|(found, there)| (found - there).abs() < 0.011));
+        assert!(
+            found.depth_m.iter().zip(&there).all(|(found, there)| (found - there).abs() < 0.011)
+        );
     });
     imported(write(None), |found| {
         let message = found.unwrap().frames[0].decode_depth().unwrap_err().to_string();
@@ -130,10 +156,15 @@ fn floats_that_lie_are_refused_by_their_headers() {
         }
     };
     // The last column of the data window: its attribute's name and type, the size, three numbers.
-    let window: fn(&[u8]) -> usize = |bytes| bytes.windows(10).position(|w| w == b"dataWindow").unwrap() + 10 + 1 + 6 + 4 + 8;
+    let window: fn(&[u8]) -> usize =
+        |bytes| bytes.windows(10).position(|w| w == b"dataWindow").unwrap() + 10 + 1 + 6 + 4 + 8;
     // The value of the first tag, which is the width.
-    let width: fn(&[u8]) -> usize = |bytes| bytes.windows(4).position(|w| w == [0, 1, 4, 0]).unwrap() + 8;
-    for (write, name, at) in [(writers::plain_exr as Write, "depth/0.exr", window), (writers::plain_tiff, "depth/0.tiff", width)] {
+    let width: fn(&[u8]) -> usize =
+        |bytes| bytes.windows(4).position(|w| w == [0, 1, 4, 0]).unwrap() + 8;
+    for (write, name, at) in [
+        (writers::plain_exr as Write, "depth/0.exr", window),
+        (writers::plain_tiff, "depth/0.tiff", width),
+    ] {
         imported(broken(write, name, at, &[0xff, 0xff, 0xff, 0x3f]), |found| {
             let message = found.unwrap_err().to_string();
             assert!(message.contains("frames") && message.contains("depth/"), "{message}");
@@ -141,7 +172,8 @@ fn floats_that_lie_are_refused_by_their_headers() {
     }
 }
 
-/// Its world is that of its first camera: level afterwards, and the frames stand to each other as they did.
+/// Its world is that of its first camera: level afterwards, and the frames stand to each other as
+/// they did.
 #[test]
 fn a_recording_without_gravity_is_levelled() {
     imported(writers::record3d, |found| {
@@ -154,7 +186,10 @@ fn a_recording_without_gravity_is_levelled() {
         assert!(tilt < 1.0, "{tilt} degrees off: {report:?}");
         for (i, frame) in frames.iter().enumerate() {
             let (metres, degrees) = apart(&(turn * camera_to_world(frame)), &pose(i));
-            assert!(metres < 1e-3 && degrees < 0.1, "frame {i}: {metres} m and {degrees} degrees off");
+            assert!(
+                metres < 1e-3 && degrees < 0.1,
+                "frame {i}: {metres} m and {degrees} degrees off"
+            );
             check_depth("Record3D", i, frame);
         }
         // From the files' own axes to the scene's: the first camera stands at the files' origin.
@@ -196,7 +231,10 @@ fn the_reading_that_fits_is_taken() {
             assert!(report.warnings.iter().any(|w| w.contains(words)), "{what}: {report:?}");
             for (i, frame) in frames.iter().enumerate() {
                 let (metres, degrees) = apart(&camera_to_world(frame), &pose(i));
-                assert!(metres < 1e-3 && degrees < 0.1, "{what}, frame {i}: {metres} m and {degrees} degrees off");
+                assert!(
+                    metres < 1e-3 && degrees < 0.1,
+                    "{what}, frame {i}: {metres} m and {degrees} degrees off"
+                );
             }
         });
     }
@@ -218,20 +256,27 @@ fn a_tilted_world_is_levelled_and_a_level_one_is_not_touched() {
         assert!(!report.levelling.unwrap().turned);
         assert_eq!(report.source_to_scene.unwrap(), uniground_core::scene::SourceToScene::IDENTITY);
         // As in the file, to the last bit.
-        let written: Vec<f64> = room::rows(&pose(3).to_homogeneous()).split_whitespace().map(|w| w.parse().unwrap()).collect();
+        let written: Vec<f64> = room::rows(&pose(3).to_homogeneous())
+            .split_whitespace()
+            .map(|w| w.parse().unwrap())
+            .collect();
         let t = frames[3].camera_to_world.translation.vector;
         assert_eq!([t.x, t.y, t.z], [written[3] as f32, written[7] as f32, written[11] as f32]);
     });
 }
 
-/// One frame in twelve is a tenth at most only by rounding down: here it is too much, so the scan is made longer.
+/// One frame in twelve is a tenth at most only by rounding down: here it is too much, so the scan
+/// is made longer.
 #[test]
 fn a_damaged_frame_in_ten_is_left_out_and_named() {
     let longer = |out: &Out| {
         writers::plain(out);
         for i in FRAMES..2 * FRAMES {
             for (folder, ending) in [("color", "jpg"), ("depth", "png"), ("pose", "txt")] {
-                out.put(&format!("{folder}/{i}.{ending}"), fs::read(out.0.join(format!("{folder}/{}.{ending}", i - FRAMES))).unwrap());
+                out.put(
+                    &format!("{folder}/{i}.{ending}"),
+                    fs::read(out.0.join(format!("{folder}/{}.{ending}", i - FRAMES))).unwrap(),
+                );
             }
         }
     };
@@ -263,13 +308,21 @@ fn what_lacks_something_is_told_what_it_looks_like() {
         move |out: &Out| {
             write(out);
             let path = out.0.join(gone);
-            if path.is_dir() { fs::remove_dir_all(path).unwrap() } else { fs::remove_file(path).unwrap() }
+            if path.is_dir() {
+                fs::remove_dir_all(path).unwrap()
+            } else {
+                fs::remove_file(path).unwrap()
+            }
         }
     };
     let cases: [(Write, &str, &[&str]); 9] = [
         (writers::tum, "groundtruth.txt", &["TUM RGB-D", "groundtruth.txt"]),
         (writers::tum, "rgb.txt", &["TUM RGB-D", "rgb.txt"]),
-        (writers::arkit_scenes, "41069021_frames/lowres_wide.traj", &["ARKitScenes", "lowres_wide.traj"]),
+        (
+            writers::arkit_scenes,
+            "41069021_frames/lowres_wide.traj",
+            &["ARKitScenes", "lowres_wide.traj"],
+        ),
         (writers::replica, "room0/traj.txt", &["Replica", "traj.txt"]),
         (writers::stray_scanner, "rgb", &["Stray Scanner", "ffmpeg"]),
         (writers::polycam, "keyframes/depth", &["Polycam", "LiDAR"]),
@@ -283,10 +336,21 @@ fn what_lacks_something_is_told_what_it_looks_like() {
             assert!(words.iter().all(|word| message.contains(word)), "without {gone}: {message}");
         });
     }
-    let pictures_alone =
-        |out: &Out| out.put("transforms.json", r#"{"fl_x": 100, "frames": [{"file_path": "a.png", "transform_matrix": []}]}"#);
-    imported(pictures_alone, |found| assert!(found.unwrap_err().to_string().contains("no depth_file_path")));
-    let fisheye = |out: &Out| out.put("transforms.json", r#"{"camera_model": "OPENCV_FISHEYE", "fl_x": 100, "frames": []}"#);
+    let pictures_alone = |out: &Out| {
+        out.put(
+            "transforms.json",
+            r#"{"fl_x": 100, "frames": [{"file_path": "a.png", "transform_matrix": []}]}"#,
+        )
+    };
+    imported(pictures_alone, |found| {
+        assert!(found.unwrap_err().to_string().contains("no depth_file_path"))
+    });
+    let fisheye = |out: &Out| {
+        out.put(
+            "transforms.json",
+            r#"{"camera_model": "OPENCV_FISHEYE", "fl_x": 100, "frames": []}"#,
+        )
+    };
     imported(fisheye, |found| assert!(found.unwrap_err().to_string().contains("OPENCV_FISHEYE")));
     let colmap = |out: &Out| out.put("sparse/0/cameras.bin", [0; 8]);
     imported(colmap, |found| assert!(found.unwrap_err().to_string().contains("COLMAP")));

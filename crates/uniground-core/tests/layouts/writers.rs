@@ -33,7 +33,10 @@ impl Out<'_> {
             _ => Png,
         };
         self.put(colour_name, encoded(&colour(camera, &pose(frame)), kind(colour_name)));
-        self.put(depth_name, encoded(&depth(depth_camera, &pose(frame), scale_m), kind(depth_name)));
+        self.put(
+            depth_name,
+            encoded(&depth(depth_camera, &pose(frame), scale_m), kind(depth_name)),
+        );
     }
 }
 
@@ -59,7 +62,13 @@ fn seven(m: &Matrix4<f64>) -> [f64; 7] {
 pub fn plain(out: &Out) {
     out.put("intrinsic.txt", camera_matrix(&CAMERA));
     for i in 0..FRAMES {
-        out.pictures(i, (&format!("color/{i}.jpg"), &format!("depth/{i}.png")), &CAMERA, &CAMERA, 0.001);
+        out.pictures(
+            i,
+            (&format!("color/{i}.jpg"), &format!("depth/{i}.png")),
+            &CAMERA,
+            &CAMERA,
+            0.001,
+        );
         out.put(&format!("pose/{i}.txt"), rows(&matrix(&pose(i))));
     }
 }
@@ -69,7 +78,13 @@ pub fn plain_paired(out: &Out) {
     out.put("intrinsics.txt", camera_matrix(&CAMERA));
     let mut list = String::new();
     for i in 0..FRAMES {
-        out.pictures(i, (&format!("rgb/frame_{i:05}.png"), &format!("depth/depth_{i}.png")), &CAMERA, &half(), 0.001);
+        out.pictures(
+            i,
+            (&format!("rgb/frame_{i:05}.png"), &format!("depth/depth_{i}.png")),
+            &CAMERA,
+            &half(),
+            0.001,
+        );
         let _ = writeln!(list, "{}", rows(&matrix(&pose(i))).replace('\n', " "));
     }
     out.put("poses.txt", list);
@@ -90,7 +105,10 @@ pub fn plain_exr(out: &Out) {
         (depth[0], depth[1], depth[2]) = (f32::INFINITY, 1e10, f32::NAN);
         exr_of(
             camera,
-            [("B", exr::image::FlatSamples::F16(vec![half::f16::ONE; depth.len()])), ("View.Z", exr::image::FlatSamples::F32(depth))],
+            [
+                ("B", exr::image::FlatSamples::F16(vec![half::f16::ONE; depth.len()])),
+                ("View.Z", exr::image::FlatSamples::F32(depth)),
+            ],
         )
     });
 }
@@ -102,17 +120,26 @@ pub fn plain_exr_halves(out: &Out) {
     });
 }
 
-fn exr_of<const N: usize>(camera: &Intrinsics, channels: [(&'static str, exr::image::FlatSamples); N]) -> Vec<u8> {
+fn exr_of<const N: usize>(
+    camera: &Intrinsics,
+    channels: [(&'static str, exr::image::FlatSamples); N],
+) -> Vec<u8> {
     use exr::prelude::{AnyChannel, AnyChannels, Image, WritableImage};
-    let channels = channels.into_iter().map(|(name, samples)| AnyChannel::new(name, samples)).collect();
-    let image = Image::from_channels((camera.width as usize, camera.height as usize), AnyChannels::sort(channels));
+    let channels =
+        channels.into_iter().map(|(name, samples)| AnyChannel::new(name, samples)).collect();
+    let image = Image::from_channels(
+        (camera.width as usize, camera.height as usize),
+        AnyChannels::sort(channels),
+    );
     let mut bytes = std::io::Cursor::new(Vec::new());
     image.write().non_parallel().to_buffered(&mut bytes).unwrap();
     bytes.into_inner()
 }
 
 pub fn plain_tiff(out: &Out) {
-    plain_with_depth(out, "tiff", |camera, depth| tiff_of::<tiff::encoder::colortype::Gray32Float>(camera, &depth));
+    plain_with_depth(out, "tiff", |camera, depth| {
+        tiff_of::<tiff::encoder::colortype::Gray32Float>(camera, &depth)
+    });
 }
 
 pub fn plain_tiff_millimetres(out: &Out) {
@@ -122,7 +149,10 @@ pub fn plain_tiff_millimetres(out: &Out) {
     });
 }
 
-fn tiff_of<C: tiff::encoder::colortype::ColorType>(camera: &Intrinsics, numbers: &[C::Inner]) -> Vec<u8>
+fn tiff_of<C: tiff::encoder::colortype::ColorType>(
+    camera: &Intrinsics,
+    numbers: &[C::Inner],
+) -> Vec<u8>
 where
     [C::Inner]: tiff::encoder::TiffValue,
 {
@@ -142,24 +172,39 @@ pub fn scannet(out: &Out) {
     out.put("scene0000_00.txt", format!("axisAlignment = {text}\ncolorHeight = 968\n"));
     let back = alignment.try_inverse().unwrap();
     for i in 0..FRAMES {
-        out.pictures(i, (&format!("color/{}.jpg", i * 20), &format!("depth/{}.png", i * 20)), &CAMERA, &half(), 0.001);
+        out.pictures(
+            i,
+            (&format!("color/{}.jpg", i * 20), &format!("depth/{}.png", i * 20)),
+            &CAMERA,
+            &half(),
+            0.001,
+        );
         out.put(&format!("pose/{}.txt", i * 20), rows(&(back * matrix(&pose(i)))));
     }
 }
 
 pub fn tum(out: &Out) {
     // The benchmark's third Kinect, at a quarter of its size.
-    let camera = Intrinsics { width: 640, height: 480, fx: 535.4, fy: 539.2, cx: 320.1, cy: 247.6 }.scaled_to(160, 120);
-    let (mut rgb, mut deep, mut truth) = (String::new(), String::new(), String::from("# timestamp tx ty tz qx qy qz qw\n"));
-    rgb.push_str("# color images\n# file: 'rgbd_dataset_freiburg3_room.bag'\n# timestamp filename\n");
+    let camera = Intrinsics { width: 640, height: 480, fx: 535.4, fy: 539.2, cx: 320.1, cy: 247.6 }
+        .scaled_to(160, 120);
+    let (mut rgb, mut deep, mut truth) =
+        (String::new(), String::new(), String::from("# timestamp tx ty tz qx qy qz qw\n"));
+    rgb.push_str(
+        "# color images\n# file: 'rgbd_dataset_freiburg3_room.bag'\n# timestamp filename\n",
+    );
     for i in 0..FRAMES {
         let time = 1_305_031_102.175_304 + i as f64 * 0.033;
-        let (colour, depth) = (format!("rgb/{time:.6}.png"), format!("depth/{:.6}.png", time + 0.006));
+        let (colour, depth) =
+            (format!("rgb/{time:.6}.png"), format!("depth/{:.6}.png", time + 0.006));
         out.pictures(i, (&colour, &depth), &camera, &camera, 1.0 / 5000.0);
         let _ = writeln!(rgb, "{time:.6} {colour}");
         let _ = writeln!(deep, "{:.6} {depth}", time + 0.006);
         let [x, y, z, qx, qy, qz, qw] = seven(&matrix(&pose(i)));
-        let _ = writeln!(truth, "{:.4} {x:.7} {y:.7} {z:.7} {qx:.8} {qy:.8} {qz:.8} {qw:.8}", time + 0.003);
+        let _ = writeln!(
+            truth,
+            "{:.4} {x:.7} {y:.7} {z:.7} {qx:.8} {qy:.8} {qz:.8} {qw:.8}",
+            time + 0.003
+        );
     }
     [("rgb.txt", rgb), ("depth.txt", deep), ("groundtruth.txt", truth)]
         .into_iter()
@@ -167,10 +212,17 @@ pub fn tum(out: &Out) {
 }
 
 pub fn seven_scenes(out: &Out) {
-    let camera = Intrinsics { width: 640, height: 480, fx: 585.0, fy: 585.0, cx: 320.0, cy: 240.0 }.scaled_to(160, 120);
+    let camera = Intrinsics { width: 640, height: 480, fx: 585.0, fy: 585.0, cx: 320.0, cy: 240.0 }
+        .scaled_to(160, 120);
     for i in 0..FRAMES {
         let name = format!("seq-01/frame-{i:06}");
-        out.pictures(i, (&format!("{name}.color.png"), &format!("{name}.depth.png")), &camera, &camera, 0.001);
+        out.pictures(
+            i,
+            (&format!("{name}.color.png"), &format!("{name}.depth.png")),
+            &camera,
+            &camera,
+            0.001,
+        );
         out.put(&format!("{name}.pose.txt"), rows(&matrix(&pose(i))));
     }
 }
@@ -188,7 +240,13 @@ pub fn three_rscan(out: &Out) {
     );
     for i in 0..FRAMES {
         let name = format!("sequence/frame-{i:06}");
-        out.pictures(i, (&format!("{name}.color.jpg"), &format!("{name}.depth.pgm")), &CAMERA, &half(), 0.001);
+        out.pictures(
+            i,
+            (&format!("{name}.color.jpg"), &format!("{name}.depth.pgm")),
+            &CAMERA,
+            &half(),
+            0.001,
+        );
         out.put(&format!("{name}.pose.txt"), rows(&matrix(&pose(i))));
     }
 }
@@ -200,13 +258,27 @@ pub fn arkit_scenes(out: &Out) {
         let stem = format!("41069021_{time:.3}");
         let at = |folder: &str| format!("41069021_frames/{folder}/{stem}.png");
         out.pictures(i, (&at("lowres_wide"), &at("lowres_depth")), &CAMERA, &CAMERA, 0.001);
-        out.put(&at("confidence"), encoded(&image::GrayImage::from_pixel(160, 120, image::Luma([2])).into(), Png));
+        out.put(
+            &at("confidence"),
+            encoded(&image::GrayImage::from_pixel(160, 120, image::Luma([2])).into(), Png),
+        );
         let c = CAMERA;
-        let later = format!("41069021_frames/lowres_wide_intrinsics/41069021_{:.3}.pincam", time + 0.001);
+        let later =
+            format!("41069021_frames/lowres_wide_intrinsics/41069021_{:.3}.pincam", time + 0.001);
         out.put(&later, format!("160 120 {} {} {} {}", c.fx, c.fy, c.cx, c.cy));
         let w2c = pose(i).inverse();
         let (axis, t) = (w2c.rotation.scaled_axis(), w2c.translation.vector);
-        let _ = writeln!(list, "{:.4} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9}", time + 0.002, axis.x, axis.y, axis.z, t.x, t.y, t.z);
+        let _ = writeln!(
+            list,
+            "{:.4} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9}",
+            time + 0.002,
+            axis.x,
+            axis.y,
+            axis.z,
+            t.x,
+            t.y,
+            t.z
+        );
     }
     out.put("41069021_frames/lowres_wide.traj", list);
 }
@@ -245,12 +317,22 @@ pub fn nerfstudio(out: &Out) {
 
 pub fn polycam(out: &Out) {
     for i in 0..FRAMES {
-        let at = |folder: &str, ending: &str| format!("keyframes/{folder}/{}.{ending}", 18_000_000_000_u64 + i as u64 * 333_333);
-        out.pictures(i, (&at("corrected_images", "jpg"), &at("depth", "png")), &CAMERA, &half(), 0.001);
-        out.put(&at("confidence", "png"), encoded(&image::GrayImage::from_pixel(80, 60, image::Luma([255])).into(), Png));
+        let at = |folder: &str, ending: &str| {
+            format!("keyframes/{folder}/{}.{ending}", 18_000_000_000_u64 + i as u64 * 333_333)
+        };
+        out.pictures(
+            i,
+            (&at("corrected_images", "jpg"), &at("depth", "png")),
+            &CAMERA,
+            &half(),
+            0.001,
+        );
+        out.put(
+            &at("confidence", "png"),
+            encoded(&image::GrayImage::from_pixel(80, 60, image::Luma([255])).into(), Png),
+        );
         let m = y_up() * matrix(&pose(i)) * opengl();
-        let mut camera =
-            json!({"width": 160, "height": 120, "fx": CAMERA.fx, "fy": CAMERA.fy, "cx": CAMERA.cx, "cy": CAMERA.cy, "blur_score": 90.0});
+        let mut camera = json!({"width": 160, "height": 120, "fx": CAMERA.fx, "fy": CAMERA.fy, "cx": CAMERA.cx, "cy": CAMERA.cy, "blur_score": 90.0});
         for (r, c) in (0..3).flat_map(|r| (0..4).map(move |c| (r, c))) {
             camera[format!("t_{r}{c}")] = json!(m[(r, c)]);
         }
@@ -264,7 +346,8 @@ pub fn record3d(out: &Out) {
     let mut poses = Vec::new();
     for i in 0..FRAMES {
         out.put(&format!("rgbd/{i}.jpg"), encoded(&colour(&CAMERA, &pose(i)), Jpeg));
-        let floats: Vec<u8> = depth_m(&half(), &pose(i)).iter().flat_map(|z| z.to_le_bytes()).collect();
+        let floats: Vec<u8> =
+            depth_m(&half(), &pose(i)).iter().flat_map(|z| z.to_le_bytes()).collect();
         let (mut depth, mut sure) = (Vec::new(), Vec::new());
         lzfse_rust::encode_bytes(&floats, &mut depth).unwrap();
         lzfse_rust::encode_bytes(&[2; 80 * 60], &mut sure).unwrap();
@@ -275,23 +358,46 @@ pub fn record3d(out: &Out) {
     }
     let c = CAMERA;
     let k = [c.fx, 0.0, 0.0, 0.0, c.fy, 0.0, c.cx, c.cy, 1.0];
-    out.put("metadata", json!({"w": 160, "h": 120, "dw": 80, "dh": 60, "K": k, "fps": 30, "poses": poses}).to_string());
+    out.put(
+        "metadata",
+        json!({"w": 160, "h": 120, "dw": 80, "dh": 60, "K": k, "fps": 30, "poses": poses})
+            .to_string(),
+    );
 }
 
 pub fn stray_scanner(out: &Out) {
-    out.put("camera_matrix.csv", format!("{}, 0, {}\n0, {}, {}\n0, 0, 1\n", CAMERA.fx, CAMERA.cx, CAMERA.fy, CAMERA.cy));
+    out.put(
+        "camera_matrix.csv",
+        format!("{}, 0, {}\n0, {}, {}\n0, 0, 1\n", CAMERA.fx, CAMERA.cx, CAMERA.fy, CAMERA.cy),
+    );
     let mut odometry = String::from("timestamp, frame, x, y, z, qx, qy, qz, qw\n");
     for i in 0..FRAMES {
-        out.pictures(i, (&format!("rgb/{i:06}.jpg"), &format!("depth/{i:06}.png")), &CAMERA, &half(), 0.001);
+        out.pictures(
+            i,
+            (&format!("rgb/{i:06}.jpg"), &format!("depth/{i:06}.png")),
+            &CAMERA,
+            &half(),
+            0.001,
+        );
         let [x, y, z, qx, qy, qz, qw] = seven(&(y_up() * matrix(&pose(i))));
-        let _ = writeln!(odometry, "{}, {i:06}, {x:.9}, {y:.9}, {z:.9}, {qx:.9}, {qy:.9}, {qz:.9}, {qw:.9}", 100.0 + i as f64 / 60.0);
+        let _ = writeln!(
+            odometry,
+            "{}, {i:06}, {x:.9}, {y:.9}, {z:.9}, {qx:.9}, {qy:.9}, {qz:.9}, {qw:.9}",
+            100.0 + i as f64 / 60.0
+        );
     }
     out.put("odometry.csv", odometry);
 }
 
 pub fn scanner_app(out: &Out) {
     for i in 0..FRAMES {
-        out.pictures(i, (&format!("frame_{i:05}.jpg"), &format!("depth_{i:05}.png")), &CAMERA, &half(), 0.001);
+        out.pictures(
+            i,
+            (&format!("frame_{i:05}.jpg"), &format!("depth_{i:05}.png")),
+            &CAMERA,
+            &half(),
+            0.001,
+        );
         let m = y_up() * matrix(&pose(i)) * opengl();
         let flat: Vec<f64> = m.transpose().iter().copied().collect();
         let c = CAMERA;
@@ -302,10 +408,17 @@ pub fn scanner_app(out: &Out) {
 }
 
 pub fn open3d(out: &Out) {
-    let camera = Intrinsics { width: 640, height: 480, fx: 525.0, fy: 525.0, cx: 319.5, cy: 239.5 }.scaled_to(160, 120);
+    let camera = Intrinsics { width: 640, height: 480, fx: 525.0, fy: 525.0, cx: 319.5, cy: 239.5 }
+        .scaled_to(160, 120);
     let mut log = String::new();
     for i in 0..FRAMES {
-        out.pictures(i, (&format!("color/{i:05}.jpg"), &format!("depth/{i:05}.png")), &camera, &camera, 0.001);
+        out.pictures(
+            i,
+            (&format!("color/{i:05}.jpg"), &format!("depth/{i:05}.png")),
+            &camera,
+            &camera,
+            0.001,
+        );
         let _ = write!(log, "{i} {i} {}\n{}", i + 1, rows(&matrix(&pose(i))));
     }
     out.put("trajectory.log", log);
@@ -316,7 +429,13 @@ pub fn rtabmap(out: &Out) {
     let mut poses = String::from("#timestamp x y z qx qy qz qw\n");
     for i in 0..FRAMES {
         let time = 1_600_000_000.25 + i as f64;
-        out.pictures(i, (&format!("scan_rgb/{time:.6}.jpg"), &format!("scan_depth/{time:.6}.png")), &CAMERA, &half(), 0.001);
+        out.pictures(
+            i,
+            (&format!("scan_rgb/{time:.6}.jpg"), &format!("scan_depth/{time:.6}.png")),
+            &CAMERA,
+            &half(),
+            0.001,
+        );
         let [x, y, z, qx, qy, qz, qw] = seven(&matrix(&pose(i)));
         let _ = writeln!(poses, "{time:.6} {x:.9} {y:.9} {z:.9} {qx:.9} {qy:.9} {qz:.9} {qw:.9}");
     }

@@ -112,7 +112,8 @@ impl Aabb {
         if gap.x >= 0.0 || gap.y >= 0.0 {
             return 0.0;
         }
-        let shared = (-gap.x).min(self.size.x).min(other.size.x) * (-gap.y).min(self.size.y).min(other.size.y);
+        let shared = (-gap.x).min(self.size.x).min(other.size.x)
+            * (-gap.y).min(self.size.y).min(other.size.y);
         shared / (self.size.x * self.size.y).max(f32::EPSILON)
     }
 }
@@ -134,7 +135,8 @@ pub struct OrientedBox {
 impl OrientedBox {
     /// The minimum-area rectangle of the XY points, extruded over `z_range` (metres).
     ///
-    /// Rotating calipers over the convex hull: the best rectangle shares an edge with the hull. `None` without points.
+    /// Rotating calipers over the convex hull: the best rectangle shares an edge with the hull.
+    /// `None` without points.
     #[must_use]
     #[inline]
     pub fn min_area(footprint: &[Point2<f32>], z_range: (f32, f32)) -> Option<Self> {
@@ -151,7 +153,10 @@ impl OrientedBox {
             let yaw = edge.y.atan2(edge.x);
             let yaw = yaw - (yaw / quarter).round() * quarter;
             let (sin, cos) = yaw.sin_cos();
-            let (mut lo, mut hi) = (Point2::new(f32::INFINITY, f32::INFINITY), Point2::new(f32::NEG_INFINITY, f32::NEG_INFINITY));
+            let (mut lo, mut hi) = (
+                Point2::new(f32::INFINITY, f32::INFINITY),
+                Point2::new(f32::NEG_INFINITY, f32::NEG_INFINITY),
+            );
             for p in &hull {
                 let turned = Point2::new(cos * p.x + sin * p.y, cos * p.y - sin * p.x);
                 lo = lo.inf(&turned);
@@ -161,7 +166,12 @@ impl OrientedBox {
             let area = extent.x * extent.y;
             if area < best.0 - 1e-6 {
                 let mid = nalgebra::center(&lo, &hi);
-                best = (area, yaw, Point2::new(cos * mid.x - sin * mid.y, sin * mid.x + cos * mid.y), extent);
+                best = (
+                    area,
+                    yaw,
+                    Point2::new(cos * mid.x - sin * mid.y, sin * mid.x + cos * mid.y),
+                    extent,
+                );
             }
         }
         let (_, yaw_rad, center, extent) = best;
@@ -173,7 +183,8 @@ impl OrientedBox {
     }
 }
 
-/// Convex hull in counter-clockwise order (Andrew's monotone chain), without repeated or collinear points.
+/// Convex hull in counter-clockwise order (Andrew's monotone chain), without repeated or collinear
+/// points.
 fn convex_hull(points: &[Point2<f32>]) -> Vec<Point2<f32>> {
     let mut sorted = points.to_vec();
     sorted.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
@@ -237,7 +248,9 @@ mod tests {
         assert!(OrientedBox::min_area(&[], (0.0, 1.0)).is_none());
         let one = OrientedBox::min_area(&[Point2::new(1.0, 2.0)], (0.0, 1.0)).unwrap();
         assert_eq!(one.size, Vector3::new(0.0, 0.0, 1.0));
-        let line = OrientedBox::min_area(&[Point2::new(0.0, 0.0), Point2::new(1.0, 1.0)], (0.0, 1.0)).unwrap();
+        let line =
+            OrientedBox::min_area(&[Point2::new(0.0, 0.0), Point2::new(1.0, 1.0)], (0.0, 1.0))
+                .unwrap();
         assert!((line.size.x.max(line.size.y) - 2.0_f32.sqrt()).abs() < 1e-4, "{line:?}");
     }
 

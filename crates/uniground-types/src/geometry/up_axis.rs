@@ -60,7 +60,8 @@ impl UpAxis {
 
     /// Rotation from the file's world to the Z-up world: a signed permutation of the axes.
     ///
-    /// The two Y-up maps are the ones the paper names: `y`: (x,y,z) -> (x,-z,y); `-y`: (x,y,z) -> (x,z,-y).
+    /// The two Y-up maps are the ones the paper names: `y`: (x,y,z) -> (x,-z,y); `-y`: (x,y,z) ->
+    /// (x,z,-y).
     #[must_use]
     pub fn to_z_up(self) -> Isometry3<f32> {
         let m = match self {
@@ -84,11 +85,13 @@ impl UpAxis {
         Self::ALL.into_iter().max_by(|a, b| along(a).total_cmp(&along(b))).unwrap_or(Self::Z)
     }
 
-    /// The axis most cameras hold upwards: people carry a camera roughly level, so image "up" (-Y of an OpenCV camera),
-    /// averaged over the path, points away from the ground. `None` when no axis clearly wins.
+    /// The axis most cameras hold upwards: people carry a camera roughly level, so image "up" (-Y
+    /// of an OpenCV camera), averaged over the path, points away from the ground. `None` when
+    /// no axis clearly wins.
     #[must_use]
     pub fn from_cameras(camera_to_world: &[Isometry3<f32>]) -> Option<Self> {
-        let mean: Vector3<f32> = camera_to_world.iter().map(|pose| pose.rotation * -Vector3::y()).sum::<Vector3<f32>>();
+        let mean: Vector3<f32> =
+            camera_to_world.iter().map(|pose| pose.rotation * -Vector3::y()).sum::<Vector3<f32>>();
         let mean = mean.try_normalize(1e-3 * camera_to_world.len() as f32)?;
         Self::ALL.into_iter().find(|axis| axis.direction().dot(&mean) > CLEARLY_UP)
     }
@@ -108,8 +111,12 @@ mod tests {
             assert!((turned - Vector3::z()).norm() < 1e-6, "{axis:?} became {turned:?}");
         }
         let p = super::super::Point3::new(1.0, 2.0, 3.0);
-        assert!((UpAxis::Y.to_z_up() * p - super::super::Point3::new(1.0, -3.0, 2.0)).norm() < 1e-5);
-        assert!((UpAxis::NegY.to_z_up() * p - super::super::Point3::new(1.0, 3.0, -2.0)).norm() < 1e-5);
+        assert!(
+            (UpAxis::Y.to_z_up() * p - super::super::Point3::new(1.0, -3.0, 2.0)).norm() < 1e-5
+        );
+        assert!(
+            (UpAxis::NegY.to_z_up() * p - super::super::Point3::new(1.0, 3.0, -2.0)).norm() < 1e-5
+        );
     }
 
     #[test]

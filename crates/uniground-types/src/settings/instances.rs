@@ -19,14 +19,16 @@ impl Default for FrameSamplingSettings {
     }
 }
 
-/// Which regions become instances, and how stray points and the sensor's noise are kept out of their boxes.
+/// Which regions become instances, and how stray points and the sensor's noise are kept out of
+/// their boxes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct InstanceSettings {
     /// Share of the points at either end of each axis that bounds never rest on.
     pub stray_share: f32,
-    /// An extent up to this many standard deviations of the sensor's noise is thin. The noise is measured on the scan itself.
+    /// An extent up to this many standard deviations of the sensor's noise is thin. The noise is
+    /// measured on the scan itself.
     pub thin_sigmas: f32,
     /// Bounds of thin extents move inwards by this many standard deviations,
     pub noise_sigmas: f32,
@@ -36,11 +38,14 @@ pub struct InstanceSettings {
     pub stray_neighbours: u32,
     /// Edge of the voxels stray points are looked for in, metres.
     pub stray_voxel_m: f32,
-    /// Regions with which no mask agrees better (IoU over their visible points, mean over frames) are no instances. Not in the paper.
+    /// Regions with which no mask agrees better (IoU over their visible points, mean over frames)
+    /// are no instances. Not in the paper.
     pub min_agreement: f32,
-    /// Regions of fewer points than this that no frame shows on 16 x 16 pixels are specks and no instances; 0: none are. Not in the paper.
+    /// Regions of fewer points than this that no frame shows on 16 x 16 pixels are specks and no
+    /// instances; 0: none are. Not in the paper.
     pub min_points: u32,
-    /// At most this many parts and wholes for each thing are offered beside the things; 0: none. Not in the paper.
+    /// At most this many parts and wholes for each thing are offered beside the things; 0: none.
+    /// Not in the paper.
     pub parts_and_wholes: f32,
 }
 

@@ -11,7 +11,8 @@ pub struct RgbdSettings {
     pub stride: u32,
     /// CIELAB difference between neighbouring pixels that counts as one unit of edge.
     pub colour_edge: f32,
-    /// Angle between neighbouring normals that counts as one unit of edge where the surface is concave, degrees.
+    /// Angle between neighbouring normals that counts as one unit of edge where the surface is
+    /// concave, degrees.
     pub concave_edge_deg: f32,
     /// The same where it is convex: objects are allowed to bulge.
     pub convex_edge_deg: f32,
@@ -64,8 +65,8 @@ pub enum MaskOrder {
 pub enum SamPrompts {
     /// At every point of a grid, as its authors do.
     Grid,
-    /// In the middle of each built-in mask that no sure mask of about its size covers yet, then at the points of the grid that no sure mask
-    /// covers at all: a fraction of the questions.
+    /// In the middle of each built-in mask that no sure mask of about its size covers yet, then at
+    /// the points of the grid that no sure mask covers at all: a fraction of the questions.
     Segments,
 }
 
@@ -78,11 +79,13 @@ pub struct SamSettings {
     pub prompts: SamPrompts,
     /// Points per side of the grid.
     pub points_per_side: u32,
-    /// Also asks four overlapping quarters of each picture, each with half the points per side: small things, at five times the encoding.
+    /// Also asks four overlapping quarters of each picture, each with half the points per side:
+    /// small things, at five times the encoding.
     pub quarters: bool,
     /// Masks the model is less sure of are left out.
     pub min_predicted_iou: f32,
-    /// Least overlap of a mask with itself when its threshold moves by `stability_margin` both ways.
+    /// Least overlap of a mask with itself when its threshold moves by `stability_margin` both
+    /// ways.
     pub min_stability: f32,
     /// In logits.
     pub stability_margin: f32,
@@ -96,9 +99,11 @@ pub struct SamSettings {
     pub max_masks: u32,
     /// Which masks are painted last, over the others.
     pub order: MaskOrder,
-    /// Whether a second id image has a vote, in which wholes cover their parts: masks up to a quarter of the picture, the largest last.
+    /// Whether a second id image has a vote, in which wholes cover their parts: masks up to a
+    /// quarter of the picture, the largest last.
     pub wholes: bool,
-    /// Encoded pictures are kept on disk until the parse is done, for the prompts of defect correction; at most so many megabytes.
+    /// Encoded pictures are kept on disk until the parse is done, for the prompts of defect
+    /// correction; at most so many megabytes.
     pub cache_mb: u32,
 }
 

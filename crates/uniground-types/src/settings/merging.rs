@@ -28,10 +28,11 @@ pub struct MergeSettings {
     pub min_points: u32,
     /// How Eq. (1) averages over frames.
     pub normalisation: Normalisation,
-    /// Superpoints on different planes of the building, or on one and before it, are never joined, and small patches of a plane return to
-    /// it. Not in the paper.
+    /// Superpoints on different planes of the building, or on one and before it, are never joined,
+    /// and small patches of a plane return to it. Not in the paper.
     pub keep_planes_apart: bool,
-    /// Superpoints with a small gap between them are no neighbours where frames see through it. Not in the paper.
+    /// Superpoints with a small gap between them are no neighbours where frames see through it.
+    /// Not in the paper.
     pub split_at_depth_edges: bool,
 }
 
@@ -68,6 +69,12 @@ pub struct PartMergingSettings {
 
 impl Default for PartMergingSettings {
     fn default() -> Self {
-        Self { enabled: true, leg_thickness_m: 0.08, plate_thickness_m: 0.15, back_width: 0.6, longest_m: 3.0 }
+        Self {
+            enabled: true,
+            leg_thickness_m: 0.08,
+            plate_thickness_m: 0.15,
+            back_width: 0.6,
+            longest_m: 3.0,
+        }
     }
 }

@@ -1,6 +1,8 @@
-//! Everything a parse depends on, beside the content of the scan: settings and the choice of models.
+//! Everything a parse depends on, beside the content of the scan: settings and the choice of
+//! models.
 //!
-//! Every number of stage 1 is a field here, with its default, the paper's value where the paper has one, and its unit.
+//! Every number of stage 1 is a field here, with its default, the paper's value where the paper has
+//! one, and its unit.
 
 mod import;
 mod instances;
@@ -43,7 +45,8 @@ pub struct ModelChoice {
     pub masks: PartChoice,
     /// Who compares pictures and words.
     pub encoder: PartChoice,
-    /// Where a model fails the built-in parts do the work instead, and the report says so. Otherwise the parse fails.
+    /// Where a model fails the built-in parts do the work instead, and the report says so.
+    /// Otherwise the parse fails.
     pub allow_builtin: bool,
 }
 
@@ -75,9 +78,11 @@ pub enum ParsePreset {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ParseModels {
-    /// Cut pictures into masks: a model as `name@fingerprint`, or the built-in part, like `rgbd-2`.
+    /// Cut pictures into masks: a model as `name@fingerprint`, or the built-in part, like
+    /// `rgbd-2`.
     pub masks: String,
-    /// Looked at instances: a model as `name@fingerprint`, or built-in names and measures, like `attributes-2`.
+    /// Looked at instances: a model as `name@fingerprint`, or built-in names and measures, like
+    /// `attributes-2`.
     pub encoder: String,
 }
 
@@ -86,7 +91,10 @@ impl ParseSettings {
     ///
     /// # Errors
     /// A [`FieldError`] with a JSON pointer below `/settings`.
-    pub fn from_request(preset: ParsePreset, overrides: Option<serde_json::Value>) -> Result<Self, FieldError> {
+    pub fn from_request(
+        preset: ParsePreset,
+        overrides: Option<serde_json::Value>,
+    ) -> Result<Self, FieldError> {
         let base = match preset {
             ParsePreset::Default => Self::default(),
             ParsePreset::Paper => Self { parsing: ParsingSettings::paper(), ..Self::default() },
@@ -119,13 +127,16 @@ impl ParseSettings {
             ),
         ] {
             if !fine {
-                return Err(FieldError::new(format!("/settings/import/fusion{pointer}"), format!("must be {expected}")));
+                return Err(FieldError::new(
+                    format!("/settings/import/fusion{pointer}"),
+                    format!("must be {expected}"),
+                ));
             }
         }
         check_metres_per_unit("/settings/import/metres_per_unit", self.import.metres_per_unit)?;
-        self.parsing
-            .check()
-            .map_err(|(pointer, expected)| FieldError::new(format!("/settings/parsing{pointer}"), format!("must be {expected}")))
+        self.parsing.check().map_err(|(pointer, expected)| {
+            FieldError::new(format!("/settings/parsing{pointer}"), format!("must be {expected}"))
+        })
     }
 }
 
@@ -135,15 +146,23 @@ const RENAMED: [(&str, &str, &str); 1] = [("/parsing", "wholes", "part_merging")
 /// Gives settings, whole or in part, the names they have today.
 pub fn with_names_of_today(settings: &mut serde_json::Value) {
     for (place, old, new) in RENAMED {
-        let Some(object) = settings.pointer_mut(place).and_then(serde_json::Value::as_object_mut) else { continue };
+        let Some(object) = settings.pointer_mut(place).and_then(serde_json::Value::as_object_mut)
+        else {
+            continue;
+        };
         if let Some(value) = object.remove(old) {
             object.entry(new).or_insert(value);
         }
     }
 }
 
-/// Replaces values in `base` by those of `over`, object by object. A list is no object, though serde would take it for one.
-fn merge(base: &mut serde_json::Value, over: serde_json::Value, pointer: &str) -> Result<(), FieldError> {
+/// Replaces values in `base` by those of `over`, object by object. A list is no object, though
+/// serde would take it for one.
+fn merge(
+    base: &mut serde_json::Value,
+    over: serde_json::Value,
+    pointer: &str,
+) -> Result<(), FieldError> {
     match (base, over) {
         (serde_json::Value::Object(base), serde_json::Value::Object(over)) => {
             for (key, value) in over {
@@ -151,7 +170,9 @@ fn merge(base: &mut serde_json::Value, over: serde_json::Value, pointer: &str) -
                 merge(base.entry(key).or_insert(serde_json::Value::Null), value, &pointer)?;
             }
         }
-        (serde_json::Value::Object(_), _) => return Err(FieldError::new(pointer, "must be an object")),
+        (serde_json::Value::Object(_), _) => {
+            return Err(FieldError::new(pointer, "must be an object"));
+        }
         (base, over) => *base = over,
     }
     Ok(())
@@ -164,26 +185,44 @@ mod tests {
 
     #[test]
     fn single_values_replace_those_of_the_preset() {
-        let settings = ParseSettings::from_request(ParsePreset::Paper, Some(json!({"parsing": {"superpoints": {"seed_m": 0.5}}}))).unwrap();
-        assert_eq!((settings.parsing.superpoints.seed_m, settings.parsing.superpoints.voxel_m), (0.5, 0.05));
+        let settings = ParseSettings::from_request(
+            ParsePreset::Paper,
+            Some(json!({"parsing": {"superpoints": {"seed_m": 0.5}}})),
+        )
+        .unwrap();
+        assert_eq!(
+            (settings.parsing.superpoints.seed_m, settings.parsing.superpoints.voxel_m),
+            (0.5, 0.05)
+        );
         assert_eq!(settings.parsing.depth_tolerance, 0.15);
     }
 
     #[test]
     fn wrong_settings_are_named_by_pointer() {
         for (overrides, expected) in [
-            (json!({"parsing": {"superpoints": {"voxel_m": -1}}}), "/settings/parsing/superpoints/voxel_m"),
-            (json!({"parsing": {"superpoints": {"voxel_m": "wide"}}}), "/settings/parsing/superpoints/voxel_m"),
+            (
+                json!({"parsing": {"superpoints": {"voxel_m": -1}}}),
+                "/settings/parsing/superpoints/voxel_m",
+            ),
+            (
+                json!({"parsing": {"superpoints": {"voxel_m": "wide"}}}),
+                "/settings/parsing/superpoints/voxel_m",
+            ),
             (json!({"parsing": {"superpoint": {}}}), "/settings/parsing"),
             (json!({"import": {"fusion": {"voxel_m": 0}}}), "/settings/import/fusion/voxel_m"),
             (json!({"import": {"metres_per_unit": 0}}), "/settings/import/metres_per_unit"),
             // Infinite as an f32.
-            (json!({"parsing": {"superpoints": {"normal_weight": 1e300}}}), "/settings/parsing/superpoints/normal_weight"),
+            (
+                json!({"parsing": {"superpoints": {"normal_weight": 1e300}}}),
+                "/settings/parsing/superpoints/normal_weight",
+            ),
             (json!(7), "/settings"),
             (json!([]), "/settings"),
             (json!({"parsing": {"superpoints": [0.05, 0.3]}}), "/settings/parsing/superpoints"),
         ] {
-            let Err(FieldError { pointer, .. }) = ParseSettings::from_request(ParsePreset::Default, Some(overrides.clone())) else {
+            let Err(FieldError { pointer, .. }) =
+                ParseSettings::from_request(ParsePreset::Default, Some(overrides.clone()))
+            else {
                 panic!("{overrides} was accepted")
             };
             assert!(pointer.starts_with(expected), "{overrides}: {pointer}");
@@ -192,7 +231,11 @@ mod tests {
 
     #[test]
     fn a_setting_of_yesterday_is_read_under_its_new_name() {
-        let settings = ParseSettings::from_request(ParsePreset::Default, Some(json!({"parsing": {"wholes": {"enabled": false}}}))).unwrap();
+        let settings = ParseSettings::from_request(
+            ParsePreset::Default,
+            Some(json!({"parsing": {"wholes": {"enabled": false}}})),
+        )
+        .unwrap();
         assert!(!settings.parsing.part_merging.enabled);
     }
 }

@@ -11,9 +11,11 @@ pub struct CorrectionSettings {
     pub rounds: u32,
     /// Random visible pixels per prompt. Paper: 5.
     pub points: u32,
-    /// A mask agrees with the projection from this F-score on: it holds its pixels and not much else.
+    /// A mask agrees with the projection from this F-score on: it holds its pixels and not much
+    /// else.
     pub min_agreement: f32,
-    /// From this F-score on a mask that was found in the frame anyway is believed, and the segmenter not asked again. `null`: always ask.
+    /// From this F-score on a mask that was found in the frame anyway is believed, and the
+    /// segmenter not asked again. `null`: always ask.
     pub known_agreement: Option<f32>,
 }
 
@@ -42,7 +44,8 @@ pub struct AppearanceSettings {
     pub min_visible: f32,
     /// Crops per view. Paper: 5.
     pub levels: u32,
-    /// Level `l` grows the tight box by `l` times this share of its width and height, per side. Paper: 0.1.
+    /// Level `l` grows the tight box by `l` times this share of its width and height, per side.
+    /// Paper: 0.1.
     pub level_step: f32,
     /// Frames looked at as a whole, spread over the scan: for what is in no instance. Paper: none.
     pub frames: u32,

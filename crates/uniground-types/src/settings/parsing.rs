@@ -1,8 +1,9 @@
-//! Every number stage 1 depends on. Two presets: `default` (what measures best) and `paper` (every value the paper states).
+//! Every number stage 1 depends on. Two presets: `default` (what measures best) and `paper` (every
+//! value the paper states).
 
 use super::{
-    AppearanceSettings, CorrectionSettings, FrameSamplingSettings, InstanceSettings, MergeSettings, PartMergingSettings, RgbdSettings,
-    SamSettings, SuperpointSettings, ViewSettings,
+    AppearanceSettings, CorrectionSettings, FrameSamplingSettings, InstanceSettings, MergeSettings,
+    PartMergingSettings, RgbdSettings, SamSettings, SuperpointSettings, ViewSettings,
 };
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +20,8 @@ pub struct ParsingSettings {
     pub rgbd_masks: RgbdSettings,
     /// Masks of a segmentation model, where the server has one.
     pub sam_masks: SamSettings,
-    /// A point fits the measured depth when `|z - d| <= this * d`. Paper: 0.15, which is loose; 0.02 measures better.
+    /// A point fits the measured depth when `|z - d| <= this * d`. Paper: 0.15, which is loose;
+    /// 0.02 measures better.
     pub depth_tolerance: f32,
     /// How superpoints are merged into regions.
     pub merging: MergeSettings,
@@ -57,14 +59,26 @@ impl Default for ParsingSettings {
 }
 
 impl ParsingSettings {
-    /// Every value and step the paper states and none that it does not; where a step needs a value the paper leaves out, the default.
+    /// Every value and step the paper states and none that it does not; where a step needs a value
+    /// the paper leaves out, the default.
     #[must_use]
     pub fn paper() -> Self {
         Self {
-            frame_sampling: FrameSamplingSettings { max_frames: None, ..FrameSamplingSettings::default() },
-            superpoints: SuperpointSettings { voxel_m: 0.05, seed_m: 0.2, ..SuperpointSettings::default() },
+            frame_sampling: FrameSamplingSettings {
+                max_frames: None,
+                ..FrameSamplingSettings::default()
+            },
+            superpoints: SuperpointSettings {
+                voxel_m: 0.05,
+                seed_m: 0.2,
+                ..SuperpointSettings::default()
+            },
             depth_tolerance: 0.15,
-            merging: MergeSettings { keep_planes_apart: false, split_at_depth_edges: false, ..MergeSettings::default() },
+            merging: MergeSettings {
+                keep_planes_apart: false,
+                split_at_depth_edges: false,
+                ..MergeSettings::default()
+            },
             part_merging: PartMergingSettings { enabled: false, ..PartMergingSettings::default() },
             refine_borders: false,
             instances: InstanceSettings {
@@ -107,18 +121,34 @@ impl ParsingSettings {
         let weight = |v: f32| v.is_finite() && v >= 0.0;
         let rules: [(&str, bool, &str); 54] = [
             ("/frame_sampling/stride_frames", frame_sampling.stride_frames > 0, "at least 1"),
-            ("/frame_sampling/max_frames", frame_sampling.max_frames != Some(0), "at least 1, or null"),
-            ("/superpoints/voxel_m", (0.001..=10.0).contains(&superpoints.voxel_m), "0.001 to 10 metres"),
+            (
+                "/frame_sampling/max_frames",
+                frame_sampling.max_frames != Some(0),
+                "at least 1, or null",
+            ),
+            (
+                "/superpoints/voxel_m",
+                (0.001..=10.0).contains(&superpoints.voxel_m),
+                "0.001 to 10 metres",
+            ),
             (
                 "/superpoints/seed_m",
                 superpoints.seed_m.is_finite() && superpoints.seed_m >= superpoints.voxel_m,
                 "at least voxel_m",
             ),
-            ("/superpoints/seed_m", superpoints.seed_m <= 100.0 * superpoints.voxel_m, "at most 100 voxels"),
+            (
+                "/superpoints/seed_m",
+                superpoints.seed_m <= 100.0 * superpoints.voxel_m,
+                "at most 100 voxels",
+            ),
             ("/superpoints/spatial_weight", weight(superpoints.spatial_weight), "0 or more"),
             ("/superpoints/normal_weight", weight(superpoints.normal_weight), "0 or more"),
             ("/superpoints/colour_weight", weight(superpoints.colour_weight), "0 or more"),
-            ("/superpoints/smoothness_deg", (0.0..=90.0).contains(&superpoints.smoothness_deg), "0 to 90 degrees"),
+            (
+                "/superpoints/smoothness_deg",
+                (0.0..=90.0).contains(&superpoints.smoothness_deg),
+                "0 to 90 degrees",
+            ),
             ("/superpoints/curvature", weight(superpoints.curvature), "0 or more"),
             ("/superpoints/colour_tolerance", weight(superpoints.colour_tolerance), "0 or more"),
             ("/rgbd_masks/stride", (1..=16).contains(&rgbd_masks.stride), "1 to 16 pixels"),
@@ -130,7 +160,11 @@ impl ParsingSettings {
             ("/rgbd_masks/join_colour", positive(rgbd_masks.join_colour), "above 0"),
             ("/rgbd_masks/join_concave_deg", positive(rgbd_masks.join_concave_deg), "above 0"),
             ("/rgbd_masks/plane_area_m2", weight(rgbd_masks.plane_area_m2), "0 or more"),
-            ("/sam_masks/points_per_side", (1..=128).contains(&sam_masks.points_per_side), "1 to 128"),
+            (
+                "/sam_masks/points_per_side",
+                (1..=128).contains(&sam_masks.points_per_side),
+                "1 to 128",
+            ),
             ("/sam_masks/min_predicted_iou", sam_masks.min_predicted_iou.is_finite(), "a number"),
             ("/sam_masks/min_stability", share(sam_masks.min_stability), "0 to 1"),
             ("/sam_masks/stability_margin", weight(sam_masks.stability_margin), "0 or more"),
@@ -146,9 +180,17 @@ impl ParsingSettings {
             ),
             ("/merging/thresholds", merging.thresholds.len() <= 20, "at most 20 stages"),
             ("/merging/max_hop", (1..=4).contains(&merging.max_hop), "1 to 4"),
-            ("/merging/hop_decay", share(merging.hop_decay) && merging.hop_decay > 0.0, "above 0, at most 1"),
+            (
+                "/merging/hop_decay",
+                share(merging.hop_decay) && merging.hop_decay > 0.0,
+                "above 0, at most 1",
+            ),
             ("/part_merging/leg_thickness_m", weight(part_merging.leg_thickness_m), "0 or more"),
-            ("/part_merging/plate_thickness_m", weight(part_merging.plate_thickness_m), "0 or more"),
+            (
+                "/part_merging/plate_thickness_m",
+                weight(part_merging.plate_thickness_m),
+                "0 or more",
+            ),
             (
                 "/part_merging/back_width",
                 share(part_merging.back_width) && part_merging.back_width > 0.0,
@@ -159,15 +201,27 @@ impl ParsingSettings {
             ("/instances/thin_sigmas", weight(instances.thin_sigmas), "0 or more"),
             ("/instances/noise_sigmas", weight(instances.noise_sigmas), "0 or more"),
             ("/instances/trim", (0.0..0.5).contains(&instances.trim), "0 to 0.5"),
-            ("/instances/stray_voxel_m", (0.001..=10.0).contains(&instances.stray_voxel_m), "0.001 to 10 metres"),
+            (
+                "/instances/stray_voxel_m",
+                (0.001..=10.0).contains(&instances.stray_voxel_m),
+                "0.001 to 10 metres",
+            ),
             ("/instances/min_agreement", share(instances.min_agreement), "0 to 1"),
-            ("/instances/parts_and_wholes", (0.0..=10.0).contains(&instances.parts_and_wholes), "0 to 10"),
+            (
+                "/instances/parts_and_wholes",
+                (0.0..=10.0).contains(&instances.parts_and_wholes),
+                "0 to 10",
+            ),
             ("/views/min_share_of_best", share(views.min_share_of_best), "0 to 1"),
             ("/views/count", (1..=16).contains(&views.count), "1 to 16"),
             ("/correction/rounds", correction.rounds <= 100, "at most 100"),
             ("/correction/points", (1..=100).contains(&correction.points), "1 to 100"),
             ("/correction/min_agreement", share(correction.min_agreement), "0 to 1"),
-            ("/correction/known_agreement", correction.known_agreement.is_none_or(share), "0 to 1, or null"),
+            (
+                "/correction/known_agreement",
+                correction.known_agreement.is_none_or(share),
+                "0 to 1, or null",
+            ),
             ("/appearance/views", (1..=100).contains(&appearance.views), "1 to 100"),
             ("/appearance/min_visible", share(appearance.min_visible), "0 to 1"),
             (
@@ -195,7 +249,9 @@ mod tests {
             let json = serde_json::to_string(&settings).unwrap();
             assert_eq!(serde_json::from_str::<ParsingSettings>(&json).unwrap(), settings);
         }
-        assert!(serde_json::from_str::<ParsingSettings>(r#"{"superpoints":{"voxels":1}}"#).is_err());
+        assert!(
+            serde_json::from_str::<ParsingSettings>(r#"{"superpoints":{"voxels":1}}"#).is_err()
+        );
     }
 
     #[test]

@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct SuperpointSettings {
-    /// Edge of a voxel, metres. Paper: 0.05. Finer follows object borders better; sparse clouds are cut coarser.
+    /// Edge of a voxel, metres. Paper: 0.05. Finer follows object borders better; sparse clouds
+    /// are cut coarser.
     pub voxel_m: f32,
     /// Distance between seeds, metres.
     pub seed_m: f32,
@@ -19,7 +20,8 @@ pub struct SuperpointSettings {
     pub colour_weight: f32,
     /// Region growing joins patches whose normals differ by less than this, degrees.
     pub smoothness_deg: f32,
-    /// Region growing does not cross patches rougher than this (surface variation, 0 flat to 1/3 isotropic).
+    /// Region growing does not cross patches rougher than this (surface variation, 0 flat to 1/3
+    /// isotropic).
     pub curvature: f32,
     /// Region growing joins patches whose mean CIELAB colours differ by less than this.
     pub colour_tolerance: f32,

@@ -43,8 +43,15 @@ impl FromStr for Bucket {
         let may_be = |c: char| c.is_ascii_alphanumeric() || "-._".contains(c);
         let is_name = name.len() >= 3 && name.chars().all(may_be);
         let prefix = prefix.trim_matches('/');
-        let is_prefix = prefix.is_empty() || prefix.split('/').all(|part| !part.trim_matches('.').is_empty() && part.chars().all(may_be));
-        if is_name && is_prefix { Ok(Self { name: name.to_owned(), prefix: prefix.to_owned() }) } else { Err(WANTED) }
+        let is_prefix = prefix.is_empty()
+            || prefix
+                .split('/')
+                .all(|part| !part.trim_matches('.').is_empty() && part.chars().all(may_be));
+        if is_name && is_prefix {
+            Ok(Self { name: name.to_owned(), prefix: prefix.to_owned() })
+        } else {
+            Err(WANTED)
+        }
     }
 }
 
@@ -68,19 +75,29 @@ const CONNECTING: Duration = Duration::from_secs(2);
 const SILENCE: Duration = Duration::from_secs(10);
 
 impl Bucket {
-    /// The objects in it. Address, region and keys are those of the variables that other programs read too (`AWS_ENDPOINT_URL`,
-    /// `AWS_REGION`, `AWS_ACCESS_KEY_ID`, …), or of the machine's role; without TLS only where the address says so.
+    /// The objects in it. Address, region and keys are those of the variables that other programs
+    /// read too (`AWS_ENDPOINT_URL`, `AWS_REGION`, `AWS_ACCESS_KEY_ID`, …), or of the machine's
+    /// role; without TLS only where the address says so.
     ///
     /// # Errors
     /// What can not be understood of them.
-    pub fn objects(&self, keys: Option<&AccessKeys>, links: Links, grace: Duration) -> io::Result<Objects> {
+    pub fn objects(
+        &self,
+        keys: Option<&AccessKeys>,
+        links: Links,
+        grace: Duration,
+    ) -> io::Result<Objects> {
         choose_cryptography();
         let options = ClientOptions::new()
             .with_timeout_disabled()
             .with_connect_timeout(CONNECTING)
             .with_read_timeout(SILENCE);
         let retry = RetryConfig {
-            backoff: BackoffConfig { init_backoff: Duration::from_millis(100), max_backoff: Duration::from_secs(1), base: 2.0 },
+            backoff: BackoffConfig {
+                init_backoff: Duration::from_millis(100),
+                max_backoff: Duration::from_secs(1),
+                base: 2.0,
+            },
             max_retries: 3,
             retry_timeout: Duration::from_secs(10),
         };
@@ -91,7 +108,8 @@ impl Bucket {
         let endpoint = builder
             .get_config_value(&AmazonS3ConfigKey::Endpoint)
             .or_else(|| builder.get_config_value(&AmazonS3ConfigKey::S3Endpoint));
-        builder = builder.with_allow_http(endpoint.is_some_and(|address| address.starts_with("http://")));
+        builder =
+            builder.with_allow_http(endpoint.is_some_and(|address| address.starts_with("http://")));
         if let Some(AccessKeys { id, secret, session }) = keys {
             builder = builder.with_access_key_id(id).with_secret_access_key(secret);
             if let Some(session) = session {
@@ -116,7 +134,15 @@ mod tests {
         let told = |text: &str| text.parse::<Bucket>().map(|bucket| bucket.to_string());
         assert_eq!(told("s3://rooms/a/b/"), Ok("s3://rooms/a/b".into()));
         assert_eq!(told("s3://rooms"), Ok("s3://rooms/".into()));
-        for wrong in ["rooms", "s3://", "s3://r", "s3://ro oms", "s3://rooms/../other", "s3://user:pass@rooms/x", "gs://rooms/x"] {
+        for wrong in [
+            "rooms",
+            "s3://",
+            "s3://r",
+            "s3://ro oms",
+            "s3://rooms/../other",
+            "s3://user:pass@rooms/x",
+            "gs://rooms/x",
+        ] {
             assert!(told(wrong).is_err(), "{wrong}");
         }
     }

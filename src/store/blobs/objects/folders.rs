@@ -40,7 +40,8 @@ pub enum Sealed {
     Theirs(Seal),
 }
 
-/// Objects that nobody refers to: they go, in the background, when this does. What a process that ends leaves of them the sweep finds.
+/// Objects that nobody refers to: they go, in the background, when this does. What a process that
+/// ends leaves of them the sweep finds.
 #[derive(Debug)]
 pub struct Unclaimed {
     objects: Objects,
@@ -115,7 +116,8 @@ impl Objects {
 
     /// Where a file of an edition lies.
     fn file(&self, folder: &FolderName, edition: &str, file: &Utf8Path) -> Path {
-        file.components().fold(self.edition(folder, edition), |place, part| place.join(part.as_str()))
+        file.components()
+            .fold(self.edition(folder, edition), |place, part| place.join(part.as_str()))
     }
 
     /// The seal of a folder; nothing where there is no folder.
@@ -130,11 +132,13 @@ impl Objects {
             Ok((got.bytes().await?, made))
         });
         let Some((bytes, made)) = if_there(got.await)? else { return Ok(None) };
-        let text = String::from_utf8(bytes.to_vec()).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))?;
+        let text = String::from_utf8(bytes.to_vec())
+            .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))?;
         Ok(Some(Seal { text, made }))
     }
 
-    /// Puts files of a local folder into a new edition of one here. Until they are sealed they are nobody's.
+    /// Puts files of a local folder into a new edition of one here. Until they are sealed they are
+    /// nobody's.
     ///
     /// # Errors
     /// Those of the file system; [`Away`](super::Away).
@@ -160,12 +164,14 @@ impl Objects {
     /// [`Away`](super::Away).
     pub async fn put_seal(&self, folder: &FolderName, text: &str) -> io::Result<Sealed> {
         match self.create(&self.folder(folder).join(SEAL), text.into()).await {
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => match self.seal(folder).await? {
-                // Put the second time, where the first one's answer was lost.
-                Some(seal) if seal.text == text => Ok(Sealed::Ours),
-                Some(theirs) => Ok(Sealed::Theirs(theirs)),
-                None => Err(error),
-            },
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
+                match self.seal(folder).await? {
+                    // Put the second time, where the first one's answer was lost.
+                    Some(seal) if seal.text == text => Ok(Sealed::Ours),
+                    Some(theirs) => Ok(Sealed::Theirs(theirs)),
+                    None => Err(error),
+                }
+            }
             put => put.map(|()| Sealed::Ours),
         }
     }
@@ -175,7 +181,9 @@ impl Objects {
     /// # Errors
     /// [`Away`](super::Away).
     pub async fn replace_seal(&self, folder: &FolderName, text: &str) -> io::Result<()> {
-        briefly(self.store.put(&self.folder(folder).join(SEAL), text.to_owned().into())).await.map(drop)
+        briefly(self.store.put(&self.folder(folder).join(SEAL), text.to_owned().into()))
+            .await
+            .map(drop)
     }
 
     /// Takes a folder away: from here on it is not there. Its files go when what is returned does.
@@ -207,12 +215,19 @@ impl Objects {
     ///
     /// # Errors
     /// Not found where one is missing; [`Away`](super::Away); those of the file system.
-    pub async fn get_files(&self, folder: &FolderName, edition: &str, files: &[Utf8PathBuf], to: &Utf8Path) -> io::Result<u64> {
+    pub async fn get_files(
+        &self,
+        folder: &FolderName,
+        edition: &str,
+        files: &[Utf8PathBuf],
+        to: &Utf8Path,
+    ) -> io::Result<u64> {
         let files = files.iter().enumerate().map(|(number, file)| {
             let (from, to) = (self.file(folder, edition, file), to.join(number.to_string()));
             async move { self.get_file(&from, &to).await }
         });
-        let sizes: Vec<u64> = stream::iter(files).buffer_unordered(FILES_AT_ONCE).try_collect().await?;
+        let sizes: Vec<u64> =
+            stream::iter(files).buffer_unordered(FILES_AT_ONCE).try_collect().await?;
         Ok(sizes.into_iter().sum())
     }
 
@@ -225,7 +240,12 @@ impl Objects {
     ///
     /// # Errors
     /// [`Away`](super::Away).
-    pub async fn link(&self, folder: &FolderName, edition: &str, file: &Utf8Path) -> io::Result<Option<String>> {
+    pub async fn link(
+        &self,
+        folder: &FolderName,
+        edition: &str,
+        file: &Utf8Path,
+    ) -> io::Result<Option<String>> {
         let Some(signer) = &self.signer else { return Ok(None) };
         let place = self.file(folder, edition, file);
         let signed = briefly(signer.signed_url(reqwest::Method::GET, &place, LINKS_LIVE)).await?;
@@ -239,12 +259,18 @@ impl Objects {
     pub async fn look(&self, folder: &FolderName) -> io::Result<Vec<Damage>> {
         let missing = |file: Utf8PathBuf| Damage { file, what: "missing".into() };
         let seal = self.seal(folder).await?;
-        let Some((seal, edition)) = seal.as_ref().and_then(|seal| Some((seal, edition_of(&seal.text)?))) else {
+        let Some((seal, edition)) =
+            seal.as_ref().and_then(|seal| Some((seal, edition_of(&seal.text)?)))
+        else {
             return Ok(vec![missing(Utf8PathBuf::new())]);
         };
         let listed = self.store.list(Some(&self.edition(folder, edition)));
-        let there: HashSet<Path> = listed.map_ok(|object| object.location).try_collect().await.map_err(told)?;
+        let there: HashSet<Path> =
+            listed.map_ok(|object| object.location).try_collect().await.map_err(told)?;
         let files = sums_of_seal(&seal.text).into_keys();
-        Ok(files.filter(|file| !there.contains(&self.file(folder, edition, file))).map(missing).collect())
+        Ok(files
+            .filter(|file| !there.contains(&self.file(folder, edition, file)))
+            .map(missing)
+            .collect())
     }
 }

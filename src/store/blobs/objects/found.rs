@@ -49,10 +49,11 @@ impl Objects {
             let Some(mut parts) = object.location.prefix_match(&above) else { continue };
             let (Some(name), Some(within)) = (parts.next(), parts.next()) else { continue };
             let put = SystemTime::from(object.last_modified);
-            let folder =
-                found
-                    .entry(name.as_ref().to_owned())
-                    .or_insert_with(|| Found { sealed: None, editions: BTreeMap::new(), bytes: 0 });
+            let folder = found.entry(name.as_ref().to_owned()).or_insert_with(|| Found {
+                sealed: None,
+                editions: BTreeMap::new(),
+                bytes: 0,
+            });
             folder.bytes += object.size;
             if within.as_ref() == SEAL {
                 folder.sealed = Some(put);

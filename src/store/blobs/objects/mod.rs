@@ -1,4 +1,5 @@
-//! Published folders in an object store that speaks S3, for several machines to share: what lies in the data folder is a cache of it then.
+//! Published folders in an object store that speaks S3, for several machines to share: what lies in
+//! the data folder is a cache of it then.
 //!
 //! ```text
 //! <prefix>/uniground-data.json               whose objects these are
@@ -6,8 +7,9 @@
 //! <prefix>/<kind>/<name>/<edition>/<file>    for `contents`, `parses` and `answers`
 //! <prefix>/checkpoints/<sha256>/<log>        finished stages of a parse, advice only: they grow, and are overwritten
 //! ```
-//! A folder is there exactly if its seal is, which is put last and taken away first. Whoever puts a folder there has an edition of its own
-//! for the files: so whoever removes what another has left never touches what somebody is writing, however slow either is.
+//! A folder is there exactly if its seal is, which is put last and taken away first. Whoever puts a
+//! folder there has an edition of its own for the files: so whoever removes what another has left
+//! never touches what somebody is writing, however slow either is.
 
 mod client;
 mod folders;
@@ -73,12 +75,17 @@ impl Away {
 fn told(error: object_store::Error) -> io::Error {
     use object_store::Error;
     match error {
-        // Only the store itself knows that something is not there: a proxy, or a bucket that is gone, says 404 too.
+        // Only the store itself knows that something is not there: a proxy, or a bucket that is
+        // gone, says 404 too.
         Error::NotFound { ref source, .. } => match source.to_string() {
-            text if text.contains("status code") && !text.contains("NoSuchKey") => Away::because(error),
+            text if text.contains("status code") && !text.contains("NoSuchKey") => {
+                Away::because(error)
+            }
             _ => io::Error::new(io::ErrorKind::NotFound, error),
         },
-        Error::AlreadyExists { .. } | Error::Precondition { .. } => io::Error::new(io::ErrorKind::AlreadyExists, error),
+        Error::AlreadyExists { .. } | Error::Precondition { .. } => {
+            io::Error::new(io::ErrorKind::AlreadyExists, error)
+        }
         _ => Away::because(error),
     }
 }
@@ -102,7 +109,14 @@ impl Objects {
     /// Objects of a store; work is done on the runtime this is called on.
     pub fn new(store: Arc<dyn ObjectStore>, prefix: &str, grace: Duration) -> Self {
         let pieces = Arc::new(Semaphore::new(PIECES));
-        Self { store, prefix: Path::from(prefix), runtime: Handle::current(), pieces, signer: None, grace }
+        Self {
+            store,
+            prefix: Path::from(prefix),
+            runtime: Handle::current(),
+            pieces,
+            signer: None,
+            grace,
+        }
     }
 
     /// Links to objects may be given out, which this signs.
@@ -130,7 +144,8 @@ impl Objects {
         if let Some(known) = if_there(self.read(&place).await)? {
             return Ok(serde_json::from_slice::<Marker>(&known)?.id);
         }
-        let marker = serde_json::to_vec_pretty(&Marker { format: 1, id: Uuid::new_v4().to_string() })?;
+        let marker =
+            serde_json::to_vec_pretty(&Marker { format: 1, id: Uuid::new_v4().to_string() })?;
         match self.create(&place, marker).await {
             // Somebody was faster.
             Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
@@ -152,14 +167,16 @@ impl Objects {
         briefly(async { Ok(self.store.get(place).await?.bytes().await?.to_vec()) }).await
     }
 
-    /// Puts a small object where none is; where the store does not know conditions, the last one counts.
+    /// Puts a small object where none is; where the store does not know conditions, the last one
+    /// counts.
     async fn create(&self, place: &Path, bytes: Vec<u8>) -> io::Result<()> {
         let created = briefly(async {
             let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
             match self.store.put_opts(place, bytes.clone().into(), options).await {
-                Err(object_store::Error::NotImplemented { .. } | object_store::Error::NotSupported { .. }) => {
-                    self.store.put(place, bytes.into()).await
-                }
+                Err(
+                    object_store::Error::NotImplemented { .. }
+                    | object_store::Error::NotSupported { .. },
+                ) => self.store.put(place, bytes.into()).await,
                 put => put,
             }
         });
@@ -169,7 +186,12 @@ impl Objects {
     /// Removes everything below a place.
     async fn remove_below(&self, place: &Path) -> io::Result<()> {
         let store = self.store.clone();
-        let all: Vec<Path> = store.list(Some(place)).map_ok(|object| object.location).try_collect().await.map_err(told)?;
+        let all: Vec<Path> = store
+            .list(Some(place))
+            .map_ok(|object| object.location)
+            .try_collect()
+            .await
+            .map_err(told)?;
         let found = futures::stream::iter(all.into_iter().map(Ok));
         store.delete_stream(Box::pin(found)).try_for_each(|_| async { Ok(()) }).await.map_err(told)
     }

@@ -34,7 +34,10 @@ impl Objects {
             Err(error) => {
                 // What is left of it takes room until the bucket's own rules remove it.
                 if let Err(left) = upload.abort().await {
-                    tracing::debug!(error = &left as &dyn std::error::Error, "an upload that failed is left in the object store");
+                    tracing::debug!(
+                        error = &left as &dyn std::error::Error,
+                        "an upload that failed is left in the object store"
+                    );
                 }
                 Err(error)
             }

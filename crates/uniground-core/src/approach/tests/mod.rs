@@ -28,7 +28,8 @@ fn a_table_is_an_obstacle_for_who_does_not_fit_under_it() {
     assert_eq!(rim, Cell::Unknown, "nothing was seen behind the walls");
 }
 
-/// The picture's first row is the greatest y, its first column the least x; shades are those of `map_server`.
+/// The picture's first row is the greatest y, its first column the least x; shades are those of
+/// `map_server`.
 #[test]
 fn the_map_is_the_room_seen_from_above() {
     let mut room = Room::empty(4.0, 3.0);
@@ -36,10 +37,14 @@ fn the_map_is_the_room_seen_from_above() {
     room.add([3.4, 0.1, 0.0], [3.9, 0.6, 0.5], ON_FLOOR);
     let (map, picture) = Floor::of(&room.occupancy(), 1.2).map();
     let shade = |x: f32, y: f32| {
-        let [column, row] = [x - map.origin[0], y - map.origin[1]].map(|c| (c / map.resolution) as u32);
+        let [column, row] =
+            [x - map.origin[0], y - map.origin[1]].map(|c| (c / map.resolution) as u32);
         picture.get_pixel(column, map.height - 1 - row).0[0]
     };
-    assert_eq!((shade(3.65, 0.35), shade(0.35, 0.35), shade(3.65, 2.65), shade(0.35, 2.65)), (0, 254, 254, 254));
+    assert_eq!(
+        (shade(3.65, 0.35), shade(0.35, 0.35), shade(3.65, 2.65), shade(0.35, 2.65)),
+        (0, 254, 254, 254)
+    );
     assert_eq!(picture.get_pixel(picture.width() - 1, picture.height() - 1).0[0], 205);
     let right_lower: u32 = (picture.height() / 2..picture.height())
         .flat_map(|y| (picture.width() / 2..picture.width()).map(move |x| (x, y)))
@@ -71,7 +76,8 @@ fn for_a_mug_on_a_table_one_stands_at_the_table() {
     assert!(best.why.contains("on the object"), "{}", best.why);
     for (i, one) in poses.iter().enumerate() {
         for other in &poses[..i] {
-            let away = (one.position[0] - other.position[0]).hypot(one.position[1] - other.position[1]);
+            let away =
+                (one.position[0] - other.position[0]).hypot(one.position[1] - other.position[1]);
             assert!(away >= 0.6, "{away}: {one:?} {other:?}");
         }
     }
@@ -100,14 +106,20 @@ fn a_wall_between_hides_and_is_driven_around() {
         assert!(pose.position[0] > 3.0, "behind the wall it is not in sight: {pose:?}");
         let path = &pose.path;
         assert!(path.len() >= 3 && pose.path_m.unwrap() > 5.0, "{pose:?}");
-        assert!(path.iter().any(|at| at[1] > 3.0 && (2.5..3.6).contains(&at[0])), "through the gap: {path:?}");
+        assert!(
+            path.iter().any(|at| at[1] > 3.0 && (2.5..3.6).contains(&at[0])),
+            "through the gap: {path:?}"
+        );
         assert_eq!(path.last().unwrap(), &[pose.position[0], pose.position[1]]);
         assert!(pose.why.contains("m to drive"), "{}", pose.why);
     }
     // Wider than the gap.
     let wide = super::Wish { robot: Robot { radius_m: 0.6, ..ROBOT }, ..wish };
     assert_eq!(room.places(chest, &wide).poses, Err(FailedCondition::NotReachable));
-    let near_the_start = super::Wish { from: Some(uniground_types::approach::FloorPoint { x: 5.0, y: 2.0, z: 0.0 }), ..wide };
+    let near_the_start = super::Wish {
+        from: Some(uniground_types::approach::FloorPoint { x: 5.0, y: 2.0, z: 0.0 }),
+        ..wide
+    };
     assert!(room.places(chest, &near_the_start).poses.is_ok());
 }
 
@@ -172,10 +184,14 @@ fn a_start_that_is_not_free_is_moved_a_little_or_refused() {
     assert!(!start.was_free && (0.2..0.5).contains(&start.moved_m), "{start:?}");
     let within = room.places(block, &wish(ROBOT, Some((3.0, 2.0))));
     assert_eq!((within.poses, within.start), (Err(FailedCondition::StartNotFree), None));
-    assert_eq!(room.places(block, &wish(ROBOT, Some((50.0, -70.0)))).poses, Err(FailedCondition::StartNotFree));
+    assert_eq!(
+        room.places(block, &wish(ROBOT, Some((50.0, -70.0)))).poses,
+        Err(FailedCondition::StartNotFree)
+    );
 }
 
-/// What people have merged is one thing, what they have split is its parts, and of a part only its box is known.
+/// What people have merged is one thing, what they have split is its parts, and of a part only its
+/// box is known.
 #[test]
 fn corrections_and_parts_are_looked_at_as_they_are() {
     let mut room = Room::empty(5.0, 4.0);
@@ -185,7 +201,8 @@ fn corrections_and_parts_are_looked_at_as_they_are() {
     let mut merged = room.instances[left.0 as usize - 1].clone();
     let (a, b) = (merged.aabb, room.instances[right.0 as usize - 1].aabb);
     merged.id = InstanceId(room.instances.len() as u32 + 1);
-    merged.aabb = crate::geometry::boxes::Aabb::around(a.corners().iter().chain(&b.corners())).unwrap();
+    merged.aabb =
+        crate::geometry::boxes::Aabb::around(a.corners().iter().chain(&b.corners())).unwrap();
     merged.merged_from = vec![left, right];
     let mut part = room.instances[right.0 as usize - 1].clone();
     part.id = InstanceId(merged.id.0 + 1);
@@ -199,9 +216,17 @@ fn corrections_and_parts_are_looked_at_as_they_are() {
     both.sort_unstable();
     assert_eq!(voxels(ids.0), both);
     let of_part = voxels(ids.1);
-    assert!(!of_part.is_empty() && of_part.len() < voxels(right).len() && of_part.iter().all(|&v| occupancy.center(v).z > 0.35));
-    assert!(super::approach(&occupancy, &room.instances, InstanceId(99), &wish(ROBOT, None)).is_none());
-    assert!(super::approach(&occupancy, &room.instances, InstanceId(0), &wish(ROBOT, None)).is_none());
+    assert!(
+        !of_part.is_empty()
+            && of_part.len() < voxels(right).len()
+            && of_part.iter().all(|&v| occupancy.center(v).z > 0.35)
+    );
+    assert!(
+        super::approach(&occupancy, &room.instances, InstanceId(99), &wish(ROBOT, None)).is_none()
+    );
+    assert!(
+        super::approach(&occupancy, &room.instances, InstanceId(0), &wish(ROBOT, None)).is_none()
+    );
 }
 
 #[test]
@@ -210,7 +235,11 @@ fn odd_clouds_do_no_harm() {
     let none = Occupancy::of(&[], &[], &[]);
     assert!(Floor::of(&none, 1.0).map().1.pixels().all(|pixel| pixel.0[0] == 205));
     let mut room = Room::empty(3.0, 3.0);
-    for stray in [Point3::new(9000.0, -9000.0, 3.0), Point3::new(f32::NAN, 0.0, 0.0), Point3::new(-8000.0, 100.0, -50.0)] {
+    for stray in [
+        Point3::new(9000.0, -9000.0, 3.0),
+        Point3::new(f32::NAN, 0.0, 0.0),
+        Point3::new(-8000.0, 100.0, -50.0),
+    ] {
         room.positions.push(stray);
         room.of_point.push(InstanceId(0));
     }

@@ -25,9 +25,12 @@ impl Room {
         let mut room = Self::default();
         room.add([0.0, 0.0, 0.0], [width, depth, 0.0], Support::Floor);
         room.instances[0].structure = Some(Structure::Floor);
-        for (low, high) in
-            [([0.0, 0.0], [width, 0.0]), ([0.0, depth], [width, depth]), ([0.0, 0.0], [0.0, depth]), ([width, 0.0], [width, depth])]
-        {
+        for (low, high) in [
+            ([0.0, 0.0], [width, 0.0]),
+            ([0.0, depth], [width, depth]),
+            ([0.0, 0.0], [0.0, depth]),
+            ([width, 0.0], [width, depth]),
+        ] {
             room.add([low[0], low[1], 0.0], [high[0], high[1], 2.4], Support::Floor);
         }
         room
@@ -41,30 +44,43 @@ impl Room {
         for x in 0..=steps.x {
             for y in 0..=steps.y {
                 for z in 0..=steps.z {
-                    let inside = [(x, steps.x), (y, steps.y), (z, steps.z)].iter().all(|(at, last)| (1..*last).contains(at));
+                    let inside = [(x, steps.x), (y, steps.y), (z, steps.z)]
+                        .iter()
+                        .all(|(at, last)| (1..*last).contains(at));
                     if !inside {
-                        self.positions.push(low + Vector3::new(x as f32, y as f32, z as f32) * SPACING_M);
+                        self.positions
+                            .push(low + Vector3::new(x as f32, y as f32, z as f32) * SPACING_M);
                         self.of_point.push(id);
                     }
                 }
             }
         }
         let aabb = Aabb::from_corners(low, high);
-        let known = thing(id.0, [aabb.center.x, aabb.center.y], aabb.size.into(), low.z, support, [90; 3]);
+        let known =
+            thing(id.0, [aabb.center.x, aabb.center.y], aabb.size.into(), low.z, support, [90; 3]);
         self.instances.push(known);
         id
     }
 
     /// A top of 5 cm on four legs.
     pub fn add_table(&mut self, low: [f32; 2], high: [f32; 2], height: f32) -> InstanceId {
-        let id = self.add([low[0], low[1], height - 0.05], [high[0], high[1], height], Support::Floor);
-        let legs = [(low[0], low[1]), (high[0] - 0.04, low[1]), (low[0], high[1] - 0.04), (high[0] - 0.04, high[1] - 0.04)];
+        let id =
+            self.add([low[0], low[1], height - 0.05], [high[0], high[1], height], Support::Floor);
+        let legs = [
+            (low[0], low[1]),
+            (high[0] - 0.04, low[1]),
+            (low[0], high[1] - 0.04),
+            (high[0] - 0.04, high[1] - 0.04),
+        ];
         for (x, y) in legs {
             let leg = self.add([x, y, 0.0], [x + 0.04, y + 0.04, height - 0.05], Support::Floor);
             self.of_point.iter_mut().filter(|of| **of == leg).for_each(|of| *of = id);
             self.instances.pop();
         }
-        let aabb = Aabb::from_corners(Point3::new(low[0], low[1], 0.0), Point3::new(high[0], high[1], height));
+        let aabb = Aabb::from_corners(
+            Point3::new(low[0], low[1], 0.0),
+            Point3::new(high[0], high[1], height),
+        );
         let table = &mut self.instances[id.0 as usize - 1];
         (table.aabb, table.raw_box) = (aabb, aabb);
         id
@@ -84,5 +100,10 @@ impl Room {
 }
 
 pub fn wish(robot: Robot, from: Option<(f32, f32)>) -> Wish {
-    Wish { robot, from: from.map(|(x, y)| FloorPoint { x: x.into(), y: y.into(), z: 0.0 }), distances_m: [0.0, 2.5], max_poses: 4 }
+    Wish {
+        robot,
+        from: from.map(|(x, y)| FloorPoint { x: x.into(), y: y.into(), z: 0.0 }),
+        distances_m: [0.0, 2.5],
+        max_poses: 4,
+    }
 }

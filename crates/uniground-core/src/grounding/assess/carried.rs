@@ -1,4 +1,5 @@
-//! What a thing carries, lacks or has as a part: "with the book on it", "without books", "with the orange seat".
+//! What a thing carries, lacks or has as a part: "with the book on it", "without books", "with the
+//! orange seat".
 
 use super::{Assessor, CARRIED, MAX_ANCHORS, unchecked};
 use crate::grounding::fit::{colours_fit, most_plausible};
@@ -10,7 +11,8 @@ const NOT_CARRIED: f32 = 0.1;
 /// The same for what a thing should carry or have: small things and parts are seldom found.
 const SMALL_NOT_FOUND: f32 = 0.6;
 
-/// Parts of things ("the stool with the orange seat" speaks of the stool's own colour), each with the nouns known for it; none: any thing.
+/// Parts of things ("the stool with the orange seat" speaks of the stool's own colour), each with
+/// the nouns known for it; none: any thing.
 const PARTS: &[(&str, &[&str])] = &[
     ("seat", &[]),
     ("back", &[]),
@@ -55,11 +57,13 @@ const PART_OF_OTHER_COLOUR: f32 = 0.25;
 impl Assessor<'_> {
     /// "with the book on it", "with four chairs", "without books", "with the orange seat".
     pub(super) fn apply_with(&self, With { phrase, absent }: &With, scores: &mut [f32]) {
-        let singular = |part: &str| phrase.head == part || phrase.head.strip_suffix('s') == Some(part);
+        let singular =
+            |part: &str| phrase.head == part || phrase.head.strip_suffix('s') == Some(part);
         if let Some((_, of)) = PARTS.iter().find(|(part, _)| singular(part)) {
             let known = |i: usize| of.is_empty() || of.iter().any(|noun| self.is_named(i, noun));
             for (i, score) in scores.iter_mut().enumerate().filter(|(_, s)| **s > 0.0) {
-                let fit = colours_fit(self.scene, phrase, i).max(PART_OF_OTHER_COLOUR) * if known(i) { 1.0 } else { ODD_PART };
+                let fit = colours_fit(self.scene, phrase, i).max(PART_OF_OTHER_COLOUR)
+                    * if known(i) { 1.0 } else { ODD_PART };
                 *score *= match *absent {
                     true if !of.is_empty() && known(i) => ODD_PART,
                     true => 1.0,
@@ -69,7 +73,9 @@ impl Assessor<'_> {
             return;
         }
         let found = self.assess(phrase);
-        if let Some(share) = unchecked(std::slice::from_ref(phrase), std::slice::from_ref(&found), SMALL_NOT_FOUND) {
+        if let Some(share) =
+            unchecked(std::slice::from_ref(phrase), std::slice::from_ref(&found), SMALL_NOT_FOUND)
+        {
             if !absent {
                 scores.iter_mut().for_each(|score| *score *= share);
             }
@@ -88,18 +94,26 @@ impl Assessor<'_> {
                 None => others().map(|t| t.1 * carried(t)).fold(0.0, f32::max),
                 // What stands around counts when it stands close.
                 Some(count) => {
-                    let found: f32 = others().map(|t| t.1 / best * ((carried(t) - 0.3) / 0.2).clamp(0.0, 1.0)).sum();
+                    let found: f32 = others()
+                        .map(|t| t.1 / best * ((carried(t) - 0.3) / 0.2).clamp(0.0, 1.0))
+                        .sum();
                     best.min(1.0) / (1.0 + ((found - count as f32) / 0.6).powi(2))
                 }
             }
         };
-        let fits: Vec<(usize, f32)> = most_plausible(scores, usize::MAX).into_iter().map(|(i, _)| (i, fit_of(i))).collect();
-        // Where none carries such a thing, it was missed: books on a shelf are seldom found one by one.
+        let fits: Vec<(usize, f32)> =
+            most_plausible(scores, usize::MAX).into_iter().map(|(i, _)| (i, fit_of(i))).collect();
+        // Where none carries such a thing, it was missed: books on a shelf are seldom found one by
+        // one.
         let missed = !absent && fits.iter().all(|(_, fit)| *fit < CARRIED);
         let mut shares = vec![NOT_CARRIED; scores.len()];
         for (i, fit) in fits {
             let fit = NOT_CARRIED + (1.0 - NOT_CARRIED) * fit;
-            shares[i] = if *absent { 1.0 + NOT_CARRIED - fit } else { fit.max(if missed { SMALL_NOT_FOUND } else { 0.0 }) };
+            shares[i] = if *absent {
+                1.0 + NOT_CARRIED - fit
+            } else {
+                fit.max(if missed { SMALL_NOT_FOUND } else { 0.0 })
+            };
         }
         scores.iter_mut().zip(shares).for_each(|(score, share)| *score *= share);
     }
@@ -121,7 +135,10 @@ mod tests {
     #[test]
     fn things_with_parts_are_names_of_the_lexicon() {
         for noun in PARTS.iter().flat_map(|(_, of)| *of) {
-            assert!(attributes::Lexicon::get().nouns().iter().any(|known| known.name == *noun), "{noun}");
+            assert!(
+                attributes::Lexicon::get().nouns().iter().any(|known| known.name == *noun),
+                "{noun}"
+            );
         }
     }
 }

@@ -1,7 +1,8 @@
 //! The scene graph: what stands how to what, by the same geometry that answers questions.
 //!
-//! Support and parts are what the parse says; `inside`, `above` and `next_to` are the reasoner's scores ([`relations`]) held against a
-//! threshold. Relations that depend on who looks (left of, behind) are no part of it.
+//! Support and parts are what the parse says; `inside`, `above` and `next_to` are the reasoner's
+//! scores ([`relations`]) held against a threshold. Relations that depend on who looks (left of,
+//! behind) are no part of it.
 
 mod written;
 mod zones;
@@ -25,8 +26,9 @@ const MOSTLY: f32 = 0.7;
 const HOLDER_VOLUME: f32 = 2.0;
 /// What is higher than another by more than this is not beside it, metres.
 const STEP_M: f32 = 0.1;
-/// Two things are told as neighbours where each is among so many nearest of the other, and the nearest always: in a full shelf everything is
-/// near everything, and near a wardrobe stands the whole room.
+/// Two things are told as neighbours where each is among so many nearest of the other, and the
+/// nearest always: in a full shelf everything is near everything, and near a wardrobe stands the
+/// whole room.
 const NEIGHBOURS: usize = 4;
 
 /// Where names come from that nobody has given.
@@ -34,7 +36,8 @@ const NEIGHBOURS: usize = 4;
 pub enum Guessed {
     /// An encoder has seen the things.
     ByLooks,
-    /// By sizes and places alone: good enough to choose among what fits a question, not to say what a room is.
+    /// By sizes and places alone: good enough to choose among what fits a question, not to say what
+    /// a room is.
     ByMeasures,
 }
 
@@ -48,20 +51,31 @@ pub struct Graph {
 }
 
 impl Graph {
-    /// The graph of a scene: of its things and what the building is made of, with [`Levels::All`] of parts and wholes as well. What was
-    /// dismissed is left out.
+    /// The graph of a scene: of its things and what the building is made of, with [`Levels::All`]
+    /// of parts and wholes as well. What was dismissed is left out.
     #[must_use]
     pub fn of(scene: SceneView, levels: Levels, guessed: Guessed) -> Self {
-        let is_listed = |i: &&Instance| !i.dismissed && (levels == Levels::All || i.level == Level::Thing || levels.lists(i.level, false));
+        let is_listed = |i: &&Instance| {
+            !i.dismissed
+                && (levels == Levels::All
+                    || i.level == Level::Thing
+                    || levels.lists(i.level, false))
+        };
         let listed: Vec<&Instance> = scene.instances.iter().filter(is_listed).collect();
         let known: BTreeSet<InstanceId> = listed.iter().map(|i| i.id).collect();
-        let solids: BTreeMap<InstanceId, Solid> = listed.iter().map(|i| (i.id, Solid::from(*i))).collect();
-        let things: Vec<&Instance> = listed.iter().copied().filter(|i| i.level == Level::Thing && i.structure.is_none()).collect();
+        let solids: BTreeMap<InstanceId, Solid> =
+            listed.iter().map(|i| (i.id, Solid::from(*i))).collect();
+        let things: Vec<&Instance> = listed
+            .iter()
+            .copied()
+            .filter(|i| i.level == Level::Thing && i.structure.is_none())
+            .collect();
         let zones = zones::of(scene, &things, &solids, guessed);
 
         let relating = Relating { scene, known, solids };
         let mut edges = relating.told(&listed);
-        let carried: BTreeSet<(InstanceId, InstanceId)> = edges.iter().map(|edge| (edge.from, edge.to)).collect();
+        let carried: BTreeSet<(InstanceId, InstanceId)> =
+            edges.iter().map(|edge| (edge.from, edge.to)).collect();
         edges.extend(relating.measured(&things, &carried));
         let by_nodes = |edge: &Edge| (edge.from, edge.to, edge.relation);
         edges.sort_by_key(by_nodes);
@@ -73,13 +87,15 @@ impl Graph {
         Self { nodes, edges }
     }
 
-    /// An instance and what it stands in a relation to, alone; `None` where it is none of the graph's.
+    /// An instance and what it stands in a relation to, alone; `None` where it is none of the
+    /// graph's.
     #[must_use]
     pub fn around(mut self, id: InstanceId) -> Option<Self> {
         let middle = node_id(id);
         self.nodes.iter().find(|node| node.id == middle)?;
         self.edges.retain(|edge| edge.from == middle || edge.to == middle);
-        let kept: BTreeSet<&str> = self.edges.iter().flat_map(|edge| [&*edge.from, &*edge.to]).chain([&*middle]).collect();
+        let kept: BTreeSet<&str> =
+            self.edges.iter().flat_map(|edge| [&*edge.from, &*edge.to]).chain([&*middle]).collect();
         self.nodes.retain(|node| kept.contains(&*node.id));
         Some(self)
     }
@@ -142,9 +158,18 @@ impl Relating<'_> {
         let mut edges = Vec::new();
         for instance in listed {
             match instance.level {
-                Level::Part => edges.extend(instance.things.iter().map(|&thing| self.edge(instance.id, thing, GraphRelation::PartOf, 1.0))),
+                Level::Part => edges.extend(
+                    instance
+                        .things
+                        .iter()
+                        .map(|&thing| self.edge(instance.id, thing, GraphRelation::PartOf, 1.0)),
+                ),
                 Level::Whole => {
-                    edges.extend(instance.things.iter().map(|&thing| self.edge(thing, instance.id, GraphRelation::PartOf, 1.0)));
+                    edges.extend(
+                        instance.things.iter().map(|&thing| {
+                            self.edge(thing, instance.id, GraphRelation::PartOf, 1.0)
+                        }),
+                    );
                 }
                 Level::Thing if instance.structure.is_none() => {
                     let (carrier, relation) = match instance.support {
@@ -153,7 +178,9 @@ impl Relating<'_> {
                         Support::Floor => (self.floor_below(instance), GraphRelation::On),
                         Support::Nothing => (None, GraphRelation::On),
                     };
-                    edges.extend(carrier.map(|carrier| self.edge(instance.id, carrier, relation, 1.0)));
+                    edges.extend(
+                        carrier.map(|carrier| self.edge(instance.id, carrier, relation, 1.0)),
+                    );
                 }
                 Level::Thing => {}
             }
@@ -162,7 +189,11 @@ impl Relating<'_> {
     }
 
     /// What is measured between things neither of which carries the other.
-    fn measured(&self, things: &[&Instance], carried: &BTreeSet<(InstanceId, InstanceId)>) -> Vec<Edge> {
+    fn measured(
+        &self,
+        things: &[&Instance],
+        carried: &BTreeSet<(InstanceId, InstanceId)>,
+    ) -> Vec<Edge> {
         let mut edges = Vec::new();
         // By thing, what it is above and what it is next to.
         let mut below: BTreeMap<InstanceId, Vec<(f32, InstanceId)>> = BTreeMap::new();
@@ -173,8 +204,12 @@ impl Relating<'_> {
                     continue;
                 }
                 match measure(&self.solids[&a], &self.solids[&b]) {
-                    Some(Measured::Inside(score)) => edges.push(self.edge(a, b, GraphRelation::Inside, score)),
-                    Some(Measured::Around(score)) => edges.push(self.edge(b, a, GraphRelation::Inside, score)),
+                    Some(Measured::Inside(score)) => {
+                        edges.push(self.edge(a, b, GraphRelation::Inside, score))
+                    }
+                    Some(Measured::Around(score)) => {
+                        edges.push(self.edge(b, a, GraphRelation::Inside, score))
+                    }
                     Some(Measured::Above(score)) => below.entry(a).or_default().push((score, b)),
                     Some(Measured::Below(score)) => below.entry(b).or_default().push((score, a)),
                     Some(Measured::Beside(score)) => {
@@ -186,17 +221,28 @@ impl Relating<'_> {
             }
         }
         for (from, others) in below {
-            edges.extend(best(others, 1).map(|(score, to)| self.edge(from, to, GraphRelation::Above, score)));
+            edges.extend(
+                best(others, 1).map(|(score, to)| self.edge(from, to, GraphRelation::Above, score)),
+            );
         }
-        let places =
-            |others: Vec<(f32, InstanceId)>| best(others, NEIGHBOURS).zip(0..).map(|((score, to), place)| (to, (place, score))).collect();
+        let places = |others: Vec<(f32, InstanceId)>| {
+            best(others, NEIGHBOURS)
+                .zip(0..)
+                .map(|((score, to), place)| (to, (place, score)))
+                .collect()
+        };
         let nearest: BTreeMap<InstanceId, BTreeMap<InstanceId, (usize, f32)>> =
             beside.into_iter().map(|(from, others)| (from, places(others))).collect();
         for (from, others) in &nearest {
             for (to, (place, score)) in others {
                 let is_mutual = nearest[to].contains_key(from);
                 if *place == 0 || is_mutual {
-                    edges.push(self.edge(*from.min(to), *from.max(to), GraphRelation::NextTo, *score));
+                    edges.push(self.edge(
+                        *from.min(to),
+                        *from.max(to),
+                        GraphRelation::NextTo,
+                        *score,
+                    ));
                 }
             }
         }
@@ -216,7 +262,13 @@ impl Relating<'_> {
     }
 
     /// An edge between two that are both known.
-    fn edge(&self, from: InstanceId, to: InstanceId, relation: GraphRelation, score: f32) -> Option<Edge> {
+    fn edge(
+        &self,
+        from: InstanceId,
+        to: InstanceId,
+        relation: GraphRelation,
+        score: f32,
+    ) -> Option<Edge> {
         let (a, b) = (self.solids.get(&from)?, self.solids.get(&to)?);
         Some(Edge { from, to, relation, score, distance_m: a.gap(b) })
     }
@@ -238,9 +290,15 @@ fn measure(a: &Solid, b: &Solid) -> Option<Measured> {
     if (a.center - b.center).xy().norm() > reach_m {
         return None;
     }
-    let inside =
-        |held: &Solid, holder: &Solid| if holder.volume() > HOLDER_VOLUME * held.volume() { relations::inside(held, holder) } else { 0.0 };
-    // What is beside something shares some of its height, or nearly: a lamp at the ceiling is next to no chair.
+    let inside = |held: &Solid, holder: &Solid| {
+        if holder.volume() > HOLDER_VOLUME * held.volume() {
+            relations::inside(held, holder)
+        } else {
+            0.0
+        }
+    };
+    // What is beside something shares some of its height, or nearly: a lamp at the ceiling is next
+    // to no chair.
     if a.vertical_gap(b) <= STEP_M {
         return match (inside(a, b), inside(b, a), relations::near(a, b)) {
             (score, _, _) if score >= MOSTLY => Some(Measured::Inside(score)),
@@ -256,7 +314,10 @@ fn measure(a: &Solid, b: &Solid) -> Option<Measured> {
 }
 
 /// The best of others, in falling order.
-fn best(mut others: Vec<(f32, InstanceId)>, most: usize) -> impl Iterator<Item = (f32, InstanceId)> {
+fn best(
+    mut others: Vec<(f32, InstanceId)>,
+    most: usize,
+) -> impl Iterator<Item = (f32, InstanceId)> {
     others.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     others.into_iter().take(most)
 }

@@ -21,8 +21,28 @@ fn room() -> Vec<Instance> {
         Instance { structure: Some(Structure::Floor), ..floor },
         Instance { structure: Some(Structure::Wall), ..wall },
         named("table", thing(3, [-2.0, 2.5], [1.2, 0.8, 0.75], 0.0, Support::Floor, GREY)),
-        named("mug", thing(4, [-2.0, 2.5], [0.08, 0.08, 0.1], 0.75, Support::Instance { id: InstanceId(3) }, GREY)),
-        named("picture", thing(5, [-2.0, 2.95], [0.6, 0.03, 0.5], 1.5, Support::Wall { id: InstanceId(2) }, GREY)),
+        named(
+            "mug",
+            thing(
+                4,
+                [-2.0, 2.5],
+                [0.08, 0.08, 0.1],
+                0.75,
+                Support::Instance { id: InstanceId(3) },
+                GREY,
+            ),
+        ),
+        named(
+            "picture",
+            thing(
+                5,
+                [-2.0, 2.95],
+                [0.6, 0.03, 0.5],
+                1.5,
+                Support::Wall { id: InstanceId(2) },
+                GREY,
+            ),
+        ),
         named("stove", thing(6, [-0.6, 2.6], [0.6, 0.6, 0.9], 0.0, Support::Floor, GREY)),
         named("refrigerator", thing(7, [0.2, 2.6], [0.7, 0.7, 1.8], 0.0, Support::Floor, GREY)),
         named("chair", thing(8, [2.5, -2.5], [0.5, 0.5, 0.9], 0.0, Support::Floor, GREY)),
@@ -57,16 +77,32 @@ fn a_mug_on_a_table_in_a_kitchen_is_told_as_such() {
     let room = room();
     let graph = graph(&room, Levels::All);
     let told = triples(&graph);
-    for wanted in
-        ["i3 on i1", "i4 on i3", "i5 on_wall i2", "i9 inside i7", "i10 part_of i7", "i6 next_to i7", "i3 next_to i6", "i5 above i3"]
-    {
+    for wanted in [
+        "i3 on i1",
+        "i4 on i3",
+        "i5 on_wall i2",
+        "i9 inside i7",
+        "i10 part_of i7",
+        "i6 next_to i7",
+        "i3 next_to i6",
+        "i5 above i3",
+    ] {
         assert!(told.contains(&wanted.to_owned()), "{wanted} is missing: {told:#?}");
     }
     assert!(!told.iter().any(|edge| edge.contains("next_to") && edge.contains("i8")), "{told:#?}");
-    assert!(!told.contains(&"i3 next_to i4".to_owned()), "what carries something is not next to it: {told:#?}");
+    assert!(
+        !told.contains(&"i3 next_to i4".to_owned()),
+        "what carries something is not next to it: {told:#?}"
+    );
     let zone = graph.nodes.last().unwrap();
-    assert_eq!((zone.kind, zone.name.as_str(), zone.id.as_str()), (NodeKind::Zone, "kitchen", "z1"));
-    assert!(told.contains(&"i6 in_zone z1".to_owned()) && told.contains(&"i4 in_zone z1".to_owned()), "{told:#?}");
+    assert_eq!(
+        (zone.kind, zone.name.as_str(), zone.id.as_str()),
+        (NodeKind::Zone, "kitchen", "z1")
+    );
+    assert!(
+        told.contains(&"i6 in_zone z1".to_owned()) && told.contains(&"i4 in_zone z1".to_owned()),
+        "{told:#?}"
+    );
     assert!(!told.contains(&"i8 in_zone z1".to_owned()));
 }
 
@@ -76,7 +112,10 @@ fn parts_are_told_where_they_are_asked_for_and_what_was_dismissed_never() {
     assert!(graph(&room, Levels::Things).nodes.iter().all(|node| node.kind != NodeKind::Part));
     room[3].dismissed = true;
     let graph = graph(&room, Levels::All);
-    assert!(graph.nodes.iter().all(|node| node.id != "i4") && !triples(&graph).iter().any(|edge| edge.contains("i4 ")));
+    assert!(
+        graph.nodes.iter().all(|node| node.id != "i4")
+            && !triples(&graph).iter().any(|edge| edge.contains("i4 "))
+    );
 }
 
 #[test]
@@ -86,7 +125,10 @@ fn around_a_thing_there_is_what_it_stands_to() {
     assert!(around.edges.iter().all(|edge| edge.from == "i4" || edge.to == "i4"));
     let nodes: Vec<&str> = around.nodes.iter().map(|node| &*node.id).collect();
     assert_eq!(nodes, ["i3", "i4", "z1"]);
-    assert!(graph(&room, Levels::Things).around(InstanceId(10)).is_none(), "a part is none of the things");
+    assert!(
+        graph(&room, Levels::Things).around(InstanceId(10)).is_none(),
+        "a part is none of the things"
+    );
 }
 
 #[test]
@@ -111,7 +153,8 @@ fn guesses_by_measures_make_no_zone() {
     }
     let extent = Aabb { center: Point3::new(0.0, 0.0, 1.25), size: Vector3::new(6.0, 6.0, 2.5) };
     let zones = |guessed| {
-        let scene = SceneView { instances: &room, extent, names: &NameIndex::of(&room), appearance: None };
+        let scene =
+            SceneView { instances: &room, extent, names: &NameIndex::of(&room), appearance: None };
         Graph::of(scene, Levels::Things, guessed)
             .nodes
             .iter()
@@ -121,12 +164,21 @@ fn guesses_by_measures_make_no_zone() {
     assert_eq!((zones(Guessed::ByMeasures), zones(Guessed::ByLooks)), (0, 1));
 }
 
-/// A wardrobe with a row of boxes along it: it is next to some of them, and each is next to something.
+/// A wardrobe with a row of boxes along it: it is next to some of them, and each is next to
+/// something.
 #[test]
 fn near_something_large_not_everything_is_told() {
     let mut things = vec![thing(1, [0.0, 0.0], [6.0, 0.6, 2.0], 0.0, Support::Floor, GREY)];
-    things
-        .extend((0..12_u8).map(|i| thing(u32::from(i) + 2, [f32::from(i) * 0.45 - 2.5, 0.45], [0.3, 0.3, 0.3], 0.0, Support::Floor, GREY)));
+    things.extend((0..12_u8).map(|i| {
+        thing(
+            u32::from(i) + 2,
+            [f32::from(i) * 0.45 - 2.5, 0.45],
+            [0.3, 0.3, 0.3],
+            0.0,
+            Support::Floor,
+            GREY,
+        )
+    }));
     let graph = graph(&things, Levels::Things);
     let of = |id: &str| graph.edges.iter().filter(|edge| edge.from == id || edge.to == id).count();
     assert!((2..=13).all(|id| (1..=6).contains(&of(&format!("i{id}")))), "{:#?}", triples(&graph));

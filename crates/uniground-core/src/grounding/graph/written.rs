@@ -5,7 +5,8 @@ use std::fmt::Write;
 use uniground_types::geometry::boxes::Aabb;
 use uniground_types::graph::{GraphEdge, GraphNode, GraphRelation, NodeKind, SceneGraph};
 
-/// `GraphML` (graphml.graphdrawing.org): nodes with kind, name, centre and size, edges with relation, score and distance.
+/// `GraphML` (graphml.graphdrawing.org): nodes with kind, name, centre and size, edges with
+/// relation, score and distance.
 #[must_use]
 pub fn graphml(graph: &SceneGraph) -> String {
     let mut xml = String::from(
@@ -15,9 +16,13 @@ pub fn graphml(graph: &SceneGraph) -> String {
     let strings = [("node", "kind"), ("node", "name"), ("edge", "relation")];
     let numbers = ["x", "y", "z", "size_x", "size_y", "size_z"].map(|name| ("node", name));
     let numbers = numbers.into_iter().chain([("edge", "score"), ("edge", "distance_m")]);
-    let keys = strings.into_iter().map(|key| (key, "string")).chain(numbers.map(|key| (key, "double")));
+    let keys =
+        strings.into_iter().map(|key| (key, "string")).chain(numbers.map(|key| (key, "double")));
     for ((of, name), kind) in keys {
-        let _ = writeln!(xml, "  <key id=\"{name}\" for=\"{of}\" attr.name=\"{name}\" attr.type=\"{kind}\"/>");
+        let _ = writeln!(
+            xml,
+            "  <key id=\"{name}\" for=\"{of}\" attr.name=\"{name}\" attr.type=\"{kind}\"/>"
+        );
     }
     let _ = writeln!(xml, "  <graph id=\"{}\" edgedefault=\"directed\">", escaped(&graph.scene_id));
     for GraphNode { id, kind, name, aabb: Aabb { center, size }, .. } in &graph.nodes {
@@ -27,7 +32,14 @@ pub fn graphml(graph: &SceneGraph) -> String {
             kind.word(),
             escaped(name)
         );
-        let values = [("x", center.x), ("y", center.y), ("z", center.z), ("size_x", size.x), ("size_y", size.y), ("size_z", size.z)];
+        let values = [
+            ("x", center.x),
+            ("y", center.y),
+            ("z", center.z),
+            ("size_x", size.x),
+            ("size_y", size.y),
+            ("size_z", size.z),
+        ];
         for (key, value) in values {
             let _ = write!(xml, "<data key=\"{key}\">{value}</data>");
         }
@@ -55,18 +67,22 @@ fn escaped(text: &str) -> String {
             '>' => safe.push_str("&gt;"),
             '&' => safe.push_str("&amp;"),
             '"' => safe.push_str("&quot;"),
-            '\t' | '\n' | '\r' | ' '..='\u{d7ff}' | '\u{e000}'..='\u{fffd}' | '\u{10000}'.. => safe.push(c),
+            '\t' | '\n' | '\r' | ' '..='\u{d7ff}' | '\u{e000}'..='\u{fffd}' | '\u{10000}'.. => {
+                safe.push(c)
+            }
             _ => {}
         }
     }
     safe
 }
 
-/// A line for each node, with what it stands in a relation to; each relation is said once, where it begins.
+/// A line for each node, with what it stands in a relation to; each relation is said once, where it
+/// begins.
 #[must_use]
 pub fn text(graph: &SceneGraph) -> String {
     let mut lines = String::from("metres, z up; [id] name (middle; size): relations\n");
-    let names: BTreeMap<&str, &str> = graph.nodes.iter().map(|node| (&*node.id, &*node.name)).collect();
+    let names: BTreeMap<&str, &str> =
+        graph.nodes.iter().map(|node| (&*node.id, &*node.name)).collect();
     let mut related: BTreeMap<&str, Vec<&GraphEdge>> = BTreeMap::new();
     graph.edges.iter().for_each(|edge| related.entry(&edge.from).or_default().push(edge));
     for node in &graph.nodes {
@@ -113,7 +129,8 @@ pub fn text(graph: &SceneGraph) -> String {
     lines
 }
 
-/// Names that people give may hold anything; a line is a line, and what stands in brackets is an id.
+/// Names that people give may hold anything; a line is a line, and what stands in brackets is an
+/// id.
 fn one_line(name: &str) -> String {
     let words: Vec<&str> = name.split_whitespace().collect();
     words.join(" ").replace('[', "(").replace(']', ")")

@@ -36,7 +36,14 @@ struct Member {
 
 impl Zone {
     pub fn node(&self, id: String) -> GraphNode {
-        GraphNode { id, kind: NodeKind::Zone, name: self.name.to_owned(), instance_id: None, aabb: self.aabb, oriented_box: None }
+        GraphNode {
+            id,
+            kind: NodeKind::Zone,
+            name: self.name.to_owned(),
+            instance_id: None,
+            aabb: self.aabb,
+            oriented_box: None,
+        }
     }
 
     pub fn edges(&self, id: &str) -> Vec<GraphEdge> {
@@ -54,18 +61,27 @@ impl Zone {
     fn holding(&self, id: InstanceId, solids: &BTreeMap<InstanceId, Solid>) -> Member {
         let own = &solids[&id];
         let makers = || self.makers.iter().map(|maker| &solids[maker]);
-        let distance_m = makers().map(|maker| own.horizontal_gap(maker)).fold(f32::INFINITY, f32::min);
-        let near = || makers().map(|maker| relations::reaching(own, maker, REACH_M)).fold(0.0, f32::max);
+        let distance_m =
+            makers().map(|maker| own.horizontal_gap(maker)).fold(f32::INFINITY, f32::min);
+        let near =
+            || makers().map(|maker| relations::reaching(own, maker, REACH_M)).fold(0.0, f32::max);
         Member { id, score: if self.makers.contains(&id) { 1.0 } else { near() }, distance_m }
     }
 }
 
-/// The zones of a scene: where two kinds of things that make one stand together. Every thing is in one at most: the one it makes, else the
-/// nearest.
-pub(super) fn of(scene: SceneView, things: &[&Instance], solids: &BTreeMap<InstanceId, Solid>, guessed: Guessed) -> Vec<Zone> {
+/// The zones of a scene: where two kinds of things that make one stand together. Every thing is in
+/// one at most: the one it makes, else the nearest.
+pub(super) fn of(
+    scene: SceneView,
+    things: &[&Instance],
+    solids: &BTreeMap<InstanceId, Solid>,
+    guessed: Guessed,
+) -> Vec<Zone> {
     let mut zones: Vec<Zone> = Vec::new();
     for (name, nouns) in zones::all() {
-        let maker = |thing: &&Instance| Some((thing.id, nouns.iter().position(|noun| is_called(scene, thing, noun, guessed))?));
+        let maker = |thing: &&Instance| {
+            Some((thing.id, nouns.iter().position(|noun| is_called(scene, thing, noun, guessed))?))
+        };
         for cluster in clusters(&things.iter().filter_map(maker).collect::<Vec<_>>(), solids) {
             let kinds: BTreeSet<usize> = cluster.iter().map(|(_, noun)| *noun).collect();
             let makers: Vec<InstanceId> = cluster.into_iter().map(|(id, _)| id).collect();
@@ -75,15 +91,19 @@ pub(super) fn of(scene: SceneView, things: &[&Instance], solids: &BTreeMap<Insta
                 .flat_map(|thing| thing.aabb.corners())
                 .collect();
             // One desk is no study, nor a door a hallway; a dining table alone tells.
-            let Some(aabb) = Aabb::around(&corners).filter(|_| kinds.len() > 1 || nouns.len() == 1) else { continue };
+            let Some(aabb) = Aabb::around(&corners).filter(|_| kinds.len() > 1 || nouns.len() == 1)
+            else {
+                continue;
+            };
             zones.push(Zone { name, makers, aabb, members: Vec::new() });
         }
     }
     for thing in things {
         let held = zones.iter().map(|zone| zone.holding(thing.id, solids)).enumerate();
-        let nearest = held
-            .filter(|(_, member)| member.distance_m <= REACH_M)
-            .min_by(|(_, a), (_, b)| b.score.total_cmp(&a.score).then(a.distance_m.total_cmp(&b.distance_m)));
+        let nearest =
+            held.filter(|(_, member)| member.distance_m <= REACH_M).min_by(|(_, a), (_, b)| {
+                b.score.total_cmp(&a.score).then(a.distance_m.total_cmp(&b.distance_m))
+            });
         if let Some((at, member)) = nearest {
             zones[at].members.push(member);
         }
@@ -91,23 +111,33 @@ pub(super) fn of(scene: SceneView, things: &[&Instance], solids: &BTreeMap<Insta
     zones
 }
 
-/// Whether a thing is called by a noun: by the name it was given, else by its best one where it was seen.
+/// Whether a thing is called by a noun: by the name it was given, else by its best one where it was
+/// seen.
 fn is_called(scene: SceneView, thing: &Instance, noun: &str, guessed: Guessed) -> bool {
     match scene.names.get(thing.id.0 as usize - 1) {
         Some(name) => {
             let phrase = Phrase { head: noun.to_owned(), ..Phrase::default() };
             name.is_thing() && name.fit(&phrase, &phrase.meaning()) >= SAYS
         }
-        None => guessed == Guessed::ByLooks && thing.given_name.is_none() && thing.names.first().is_some_and(|guess| guess.name == noun),
+        None => {
+            guessed == Guessed::ByLooks
+                && thing.given_name.is_none()
+                && thing.names.first().is_some_and(|guess| guess.name == noun)
+        }
     }
 }
 
 /// What stands together: each within reach of another.
-fn clusters(makers: &[(InstanceId, usize)], solids: &BTreeMap<InstanceId, Solid>) -> Vec<Vec<(InstanceId, usize)>> {
+fn clusters(
+    makers: &[(InstanceId, usize)],
+    solids: &BTreeMap<InstanceId, Solid>,
+) -> Vec<Vec<(InstanceId, usize)>> {
     let mut clusters: Vec<Vec<(InstanceId, usize)>> = Vec::new();
     for &maker in makers {
         let near = |cluster: &Vec<(InstanceId, usize)>| {
-            cluster.iter().any(|(other, _)| solids[&maker.0].horizontal_gap(&solids[other]) <= REACH_M)
+            cluster
+                .iter()
+                .any(|(other, _)| solids[&maker.0].horizontal_gap(&solids[other]) <= REACH_M)
         };
         let (mut joined, apart): (Vec<_>, Vec<_>) = clusters.into_iter().partition(near);
         let mut own: Vec<(InstanceId, usize)> = joined.drain(..).flatten().collect();

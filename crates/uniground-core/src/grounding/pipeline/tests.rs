@@ -1,4 +1,5 @@
-//! The pipeline from end to end over a few things in memory, with a model that says what it is told to.
+//! The pipeline from end to end over a few things in memory, with a model that says what it is told
+//! to.
 
 use super::*;
 use crate::geometry::boxes::Aabb;
@@ -10,7 +11,9 @@ use crate::models::attributes::tests::thing;
 use crate::models::chat::{ChatError, ChatFailure, ChatReply, ChatRequest, Part, Prices};
 use crate::models::neural::tests::tiny_encoder;
 use crate::render::RenderScene;
-use crate::scene::{FrameEmbeddings, FrameIndex, FrameRef, Instance, InstanceId, Intrinsics, PointCloud, Support};
+use crate::scene::{
+    FrameEmbeddings, FrameIndex, FrameRef, Instance, InstanceId, Intrinsics, PointCloud, Support,
+};
 use camino::Utf8Path;
 use futures::FutureExt;
 use futures::executor::block_on;
@@ -28,7 +31,11 @@ struct Scripted {
 
 impl Scripted {
     fn new(replies: &[Option<&'static str>]) -> Arc<Self> {
-        Arc::new(Self { replies: Mutex::new(replies.to_vec()), asked: Mutex::new(0), shown: Mutex::default() })
+        Arc::new(Self {
+            replies: Mutex::new(replies.to_vec()),
+            asked: Mutex::new(0),
+            shown: Mutex::default(),
+        })
     }
 
     fn asked(&self) -> u32 {
@@ -45,7 +52,10 @@ impl ChatModel for Scripted {
         Prices::default()
     }
 
-    fn ask<'a>(&'a self, request: &'a ChatRequest) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
+    fn ask<'a>(
+        &'a self,
+        request: &'a ChatRequest,
+    ) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
         async move {
             *self.asked.lock().unwrap() += 1;
             self.shown.lock().unwrap().extend(request.user.iter().filter_map(|part| match part {
@@ -54,9 +64,20 @@ impl ChatModel for Scripted {
             }));
             let mut replies = self.replies.lock().unwrap();
             let reply = if replies.len() > 1 { replies.remove(0) } else { replies[0] };
-            let down = || ChatFailure { error: ChatError::Transport("down".into()), attempts: 1, lost: 0, latency_ms: 0.0 };
-            let said =
-                |text: &str| ChatReply { text: text.into(), prompt_tokens: 1, completion_tokens: 1, attempts: 1, lost: 0, latency_ms: 0.0 };
+            let down = || ChatFailure {
+                error: ChatError::Transport("down".into()),
+                attempts: 1,
+                lost: 0,
+                latency_ms: 0.0,
+            };
+            let said = |text: &str| ChatReply {
+                text: text.into(),
+                prompt_tokens: 1,
+                completion_tokens: 1,
+                attempts: 1,
+                lost: 0,
+                latency_ms: 0.0,
+            };
             reply.map(said).ok_or_else(down)
         }
         .boxed()
@@ -66,7 +87,14 @@ impl ChatModel for Scripted {
 /// Two red chairs of which one stands by the table.
 fn room() -> Arc<AlbumScene> {
     let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
-    Arc::new(Album::new(extent, RenderScene::of(PointCloud::default()), None, "attributes".into(), Vec::new())).scene(things().into())
+    Arc::new(Album::new(
+        extent,
+        RenderScene::of(PointCloud::default()),
+        None,
+        "attributes".into(),
+        Vec::new(),
+    ))
+    .scene(things().into())
 }
 
 fn things() -> Vec<Instance> {
@@ -82,14 +110,22 @@ const CHOOSES_THREE: &str = "Predicted ID: 3\nExplanation: it is red\nCandidate 
                              Anchor ID: 1\nRelation used: next to";
 
 fn asked_of(model: &Arc<Scripted>, without_model: WithoutModel) -> Ask {
-    let review = Review { model: model.clone(), budgets: Vec::new(), options: Options::default(), without_model };
+    let review = Review {
+        model: model.clone(),
+        budgets: Vec::new(),
+        options: Options::default(),
+        without_model,
+    };
     Ask { review: Some(review), ..Ask::of(Question::of(QUERY)) }
 }
 
 #[test]
 fn grammar_and_geometry_answer_where_nobody_reviews() {
     let answered = block_on(answer(&room(), Ask::of(Question::of(QUERY)))).unwrap();
-    assert_eq!((answered.grounding.status, answered.grounding.answer.predicted_id), (Status::Grounded, Some(InstanceId(2))));
+    assert_eq!(
+        (answered.grounding.status, answered.grounding.answer.predicted_id),
+        (Status::Grounded, Some(InstanceId(2)))
+    );
     assert!(!answered.degraded && answered.calls.is_empty() && answered.reasoner == builtin::NAME);
 }
 
@@ -101,19 +137,31 @@ fn the_model_has_the_last_word() {
     assert!(answered.reasoner.starts_with("scripted") && !answered.degraded, "{answered:?}");
 }
 
-/// Reading the question counts: whoever reads with the model and hears only nonsense afterwards has asked three times, not four.
+/// Reading the question counts: whoever reads with the model and hears only nonsense afterwards has
+/// asked three times, not four.
 #[test]
 fn three_calls_are_made_at_most_reading_included() {
-    for (with_parser, replies) in [(true, [Some("no JSON"), Some("hm"), Some("hm")]), (false, [Some("hm"), Some("hm"), Some("hm")])] {
+    for (with_parser, replies) in [
+        (true, [Some("no JSON"), Some("hm"), Some("hm")]),
+        (false, [Some("hm"), Some("hm"), Some("hm")]),
+    ] {
         let model = Scripted::new(&replies);
         let mut ask = asked_of(&model, WithoutModel::BuiltIn);
         if with_parser {
             ask.parser = Arc::new(VlmParser { model: model.clone(), budgets: Vec::new() });
         }
         let answered = block_on(answer(&room(), ask)).unwrap();
-        assert_eq!((model.asked(), answered.calls.len()), (MAX_CALLS, MAX_CALLS as usize), "{:?}", answered.corrections);
+        assert_eq!(
+            (model.asked(), answered.calls.len()),
+            (MAX_CALLS, MAX_CALLS as usize),
+            "{:?}",
+            answered.corrections
+        );
         // What geometry has found stands.
-        assert_eq!((answered.grounding.answer.predicted_id, answered.degraded), (Some(InstanceId(2)), true));
+        assert_eq!(
+            (answered.grounding.answer.predicted_id, answered.degraded),
+            (Some(InstanceId(2)), true)
+        );
     }
 }
 
@@ -121,8 +169,15 @@ fn three_calls_are_made_at_most_reading_included() {
 fn a_model_that_can_not_be_asked_is_replaced_or_told() {
     let model = Scripted::new(&[None]);
     let answered = block_on(answer(&room(), asked_of(&model, WithoutModel::BuiltIn))).unwrap();
-    assert_eq!((answered.grounding.answer.predicted_id, answered.degraded), (Some(InstanceId(2)), true));
-    assert!(answered.corrections[0].contains("the built-in reasoner answered"), "{:?}", answered.corrections);
+    assert_eq!(
+        (answered.grounding.answer.predicted_id, answered.degraded),
+        (Some(InstanceId(2)), true)
+    );
+    assert!(
+        answered.corrections[0].contains("the built-in reasoner answered"),
+        "{:?}",
+        answered.corrections
+    );
     let failed = block_on(answer(&room(), asked_of(&model, WithoutModel::Fail)));
     assert!(matches!(failed, Err(QuestionError::Review(_))), "{failed:?}");
     let parser = Arc::new(VlmParser { model: model.clone(), budgets: Vec::new() });
@@ -131,14 +186,15 @@ fn a_model_that_can_not_be_asked_is_replaced_or_told() {
     // What it said can not be used, but it was asked: the grammar reads.
     let model = Scripted::new(&[Some("no JSON")]);
     let parser = Arc::new(VlmParser { model, budgets: Vec::new() });
-    let misread = Ask { parser, without_parser: WithoutModel::Fail, ..Ask::of(Question::of(QUERY)) };
+    let misread =
+        Ask { parser, without_parser: WithoutModel::Fail, ..Ask::of(Question::of(QUERY)) };
     assert!(block_on(answer(&room(), misread)).unwrap().degraded);
 }
 
-const READS_A_CHAIR: &str =
-    r#"{"target": {"noun": "chair", "relations": [{"kind": "near", "words": "by", "anchors": [{"noun": "table"}]}]}}"#;
+const READS_A_CHAIR: &str = r#"{"target": {"noun": "chair", "relations": [{"kind": "near", "words": "by", "anchors": [{"noun": "table"}]}]}}"#;
 
-/// "perched" means nothing to the grammar: whoever reads by themselves where they can wants help with it.
+/// "perched" means nothing to the grammar: whoever reads by themselves where they can wants help
+/// with it.
 #[test]
 fn a_model_reads_what_the_grammar_is_in_doubt_about() {
     let asked = |query: &str, replies: &[Option<&'static str>], without_parser| {
@@ -153,7 +209,10 @@ fn a_model_reads_what_the_grammar_is_in_doubt_about() {
     let doubtful = "the chair perched by the table";
     let (read, calls) = asked(doubtful, &[Some(READS_A_CHAIR)], WithoutModel::BuiltIn);
     let read = read.unwrap();
-    assert!(calls == 1 && read.parser.starts_with("scripted") && read.parsed.not_understood.is_empty(), "{read:?}");
+    assert!(
+        calls == 1 && read.parser.starts_with("scripted") && read.parsed.not_understood.is_empty(),
+        "{read:?}"
+    );
     assert!(read.corrections.is_empty() && !read.degraded, "{read:?}");
 
     // Nobody was promised a model: what the grammar read stands, and that is told.
@@ -161,10 +220,18 @@ fn a_model_reads_what_the_grammar_is_in_doubt_about() {
         let (stood, calls) = asked(doubtful, &[reply], WithoutModel::BuiltIn);
         let stood = stood.unwrap();
         assert!(calls == 1 && stood.parser == "builtin-3" && !stood.degraded, "{stood:?}");
-        assert!(stood.corrections.len() == 1 && stood.corrections[0].contains("not understood: perched"), "{stood:?}");
+        assert!(
+            stood.corrections.len() == 1
+                && stood.corrections[0].contains("not understood: perched"),
+            "{stood:?}"
+        );
     }
     // How many are asked for is no part of what a model says.
-    let (counted, _) = asked("how many chairs are perched by the table", &[Some(READS_A_CHAIR)], WithoutModel::BuiltIn);
+    let (counted, _) = asked(
+        "how many chairs are perched by the table",
+        &[Some(READS_A_CHAIR)],
+        WithoutModel::BuiltIn,
+    );
     assert_eq!(counted.unwrap().grounding.count, Some(1));
     // A measurement wants to know.
     let (failed, _) = asked(doubtful, &[None], WithoutModel::Fail);
@@ -175,7 +242,8 @@ fn a_model_reads_what_the_grammar_is_in_doubt_about() {
 fn photographed(folder: &Utf8Path) -> Arc<AlbumScene> {
     let colour = folder.join("0.png");
     RgbImage::from_pixel(1600, 1200, image::Rgb([10, 200, 30])).save(&colour).unwrap();
-    let intrinsics = Intrinsics { width: 1600, height: 1200, fx: 800.0, fy: 800.0, cx: 800.0, cy: 600.0 };
+    let intrinsics =
+        Intrinsics { width: 1600, height: 1200, fx: 800.0, fy: 800.0, cx: 800.0, cy: 600.0 };
     let frame = FrameRef {
         index: FrameIndex(7),
         depth: colour.clone(),
@@ -193,8 +261,19 @@ fn photographed(folder: &Utf8Path) -> Arc<AlbumScene> {
     of_frame[0] = 1.0;
     let seen = Some((encoder, unseen));
     let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
-    let album = Album::new(extent, RenderScene::of(PointCloud::default()), seen, "tiny".into(), vec![frame]);
-    Arc::new(album.with_frame_embeddings(Some(FrameEmbeddings::new(dim, vec![FrameIndex(7)], &of_frame)))).scene(things.into())
+    let album = Album::new(
+        extent,
+        RenderScene::of(PointCloud::default()),
+        seen,
+        "tiny".into(),
+        vec![frame],
+    );
+    Arc::new(album.with_frame_embeddings(Some(FrameEmbeddings::new(
+        dim,
+        vec![FrameIndex(7)],
+        &of_frame,
+    ))))
+    .scene(things.into())
 }
 
 #[test]
@@ -203,15 +282,30 @@ fn photographs_are_offered_where_no_candidate_fits_and_the_model_may_say_what_is
     let scene = photographed(Utf8Path::from_path(folder.path()).unwrap());
     let shown = |query: &str, options: Options| {
         let model = Scripted::new(&[Some("Predicted ID: none\nExplanation: there is none")]);
-        let review = Review { model: model.clone(), budgets: Vec::new(), options, without_model: WithoutModel::Fail };
-        block_on(answer(&scene, Ask { review: Some(review), ..Ask::of(Question::of(query)) })).unwrap();
+        let review = Review {
+            model: model.clone(),
+            budgets: Vec::new(),
+            options,
+            without_model: WithoutModel::Fail,
+        };
+        block_on(answer(&scene, Ask { review: Some(review), ..Ask::of(Question::of(query)) }))
+            .unwrap();
         let shown = model.shown.lock().unwrap();
         shown.iter().filter(|name| name.starts_with("photograph-")).count()
     };
     assert_eq!(shown("the accordion", Options::default()), 1, "nothing in the room fits");
     assert_eq!(shown("the red chair", Options::default()), 0, "two things do");
-    assert_eq!(shown("the accordion", Options { prompt: PromptVersion::Paper, ..Options::default() }), 0);
-    assert_eq!(shown("the accordion", Options { ablation: vlm::Ablation::SimplePrompt, ..Options::default() }), 0);
+    assert_eq!(
+        shown("the accordion", Options { prompt: PromptVersion::Paper, ..Options::default() }),
+        0
+    );
+    assert_eq!(
+        shown(
+            "the accordion",
+            Options { ablation: vlm::Ablation::SimplePrompt, ..Options::default() }
+        ),
+        0
+    );
 }
 
 #[test]
@@ -219,15 +313,25 @@ fn a_place_in_an_offered_photograph_is_one_in_its_frame() {
     let folder = tempfile::tempdir().unwrap();
     let scene = photographed(Utf8Path::from_path(folder.path()).unwrap());
     let context = scene_view(&*scene, None);
-    let (_, context) = ground_with_context(context, &Question::of("the accordion"), parse("the accordion"), Duration::ZERO);
+    let (_, context) = ground_with_context(
+        context,
+        &Question::of("the accordion"),
+        parse("the accordion"),
+        Duration::ZERO,
+    );
     let photographs = vlm::offered(&*scene, &context, Options::default()).unwrap();
     let offered = &photographs[0];
     assert_eq!(
         (offered.frame, offered.taken_px, offered.picture.width, offered.picture.height),
         (FrameIndex(7), (1600, 1200), 768, 576)
     );
-    let seen = crate::grounding::Seen { picture: "photograph-1".into(), at: [0.25, 0.5], name: "accordion".into() };
+    let seen = crate::grounding::Seen {
+        picture: "photograph-1".into(),
+        at: [0.25, 0.5],
+        name: "accordion".into(),
+    };
     let evidence = vlm::VisualEvidence { photographs, ..vlm::VisualEvidence::default() };
-    let place = evidence.place(&*scene, &seen, &PictureSettings::of(Options::default())).unwrap().unwrap();
+    let place =
+        evidence.place(&*scene, &seen, &PictureSettings::of(Options::default())).unwrap().unwrap();
     assert_eq!((place.frame, place.at), (FrameIndex(7), (400.0, 600.0)));
 }

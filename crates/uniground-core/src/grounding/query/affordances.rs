@@ -1,4 +1,5 @@
-//! Things named by what they are for: "something to sit on", "what you would grab to put out a fire".
+//! Things named by what they are for: "something to sit on", "what you would grab to put out a
+//! fire".
 //!
 //! The uses are those of the lexicon; `uses.tsv` has the other words people say for them.
 
@@ -89,7 +90,10 @@ const OPENERS: &[&str] = &[
 const CIRCUMSTANCES: [&str; 4] = ["while", "when", "whilst", "without"];
 
 /// Small words: they decide between uses ("write on", "write with") but are no use by themselves.
-const PARTICLES: [&str; 16] = ["on", "in", "at", "by", "from", "with", "to", "for", "into", "out", "away", "up", "off", "the", "a", "of"];
+const PARTICLES: [&str; 16] = [
+    "on", "in", "at", "by", "from", "with", "to", "for", "into", "out", "away", "up", "off", "the",
+    "a", "of",
+];
 
 /// One way to say a use: the stems that must be there, and the particles that speak for it.
 struct Wording {
@@ -116,11 +120,16 @@ static WORDINGS: LazyLock<HashMap<&'static str, Vec<Wording>>> = LazyLock::new(|
 
 impl Wording {
     fn of(text: &str) -> Self {
-        let (particles, needed): (Vec<&str>, Vec<&str>) = text.split(' ').partition(|word| PARTICLES.contains(word));
-        Self { needed: needed.into_iter().map(stem).collect(), particles: particles.into_iter().map(str::to_owned).collect() }
+        let (particles, needed): (Vec<&str>, Vec<&str>) =
+            text.split(' ').partition(|word| PARTICLES.contains(word));
+        Self {
+            needed: needed.into_iter().map(stem).collect(),
+            particles: particles.into_iter().map(str::to_owned).collect(),
+        }
     }
 
-    /// How well the words say it: by the needed words and the particles that are said, "drink from" as well as "drink water"; `None` when a needed word is missing.
+    /// How well the words say it: by the needed words and the particles that are said, "drink from"
+    /// as well as "drink water"; `None` when a needed word is missing.
     fn fit(&self, words: &BTreeSet<&str>, stems: &BTreeSet<String>) -> Option<usize> {
         cost::count();
         let said = !self.needed.is_empty() && self.needed.iter().all(|stem| stems.contains(stem));
@@ -130,15 +139,17 @@ impl Wording {
 
     /// Whether its particle says more than its verb: "get out", but not "get some fruit".
     fn is_light(&self) -> bool {
-        matches!(&self.needed[..], [only] if matches!(only.as_str(), "get" | "go")) && !self.particles.is_empty()
+        matches!(&self.needed[..], [only] if matches!(only.as_str(), "get" | "go"))
+            && !self.particles.is_empty()
     }
 }
 
-/// Clauses that begin like a purpose and turn out to be none, before the search ends: nobody says more.
+/// Clauses that begin like a purpose and turn out to be none, before the search ends: nobody says
+/// more.
 const MAX_ATTEMPTS: usize = 8;
 
-/// Finds the clause at the start of a query, or after clauses that name nothing: "it's getting dark, is there anything to read by".
-/// Takes time linear in the number of words.
+/// Finds the clause at the start of a query, or after clauses that name nothing: "it's getting
+/// dark, is there anything to read by". Takes time linear in the number of words.
 pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
     let words: Vec<&str> = tokens.iter().map(String::as_str).collect();
     let named = words.iter().position(|word| Lexicon::get().knows(word)).unwrap_or(words.len());
@@ -166,13 +177,17 @@ pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
     None
 }
 
-/// The words that begin the clause at or after `start`, where only words without content may stand between; else the index of the word at
-/// which there is no such clause.
+/// The words that begin the clause at or after `start`, where only words without content may stand
+/// between; else the index of the word at which there is no such clause.
 fn opener(words: &[&str], mut start: usize) -> Result<std::ops::Range<usize>, usize> {
     loop {
         let rest = &words[start.min(words.len())..];
         if let Some(length) = opener_at(rest) {
-            return if names_a_purpose(rest, length) { Ok(start..start + length) } else { Err(start) };
+            return if names_a_purpose(rest, length) {
+                Ok(start..start + length)
+            } else {
+                Err(start)
+            };
         }
         // "please bring me", "find": before the opener only words without content may stand.
         match words::longest(rest) {
@@ -183,60 +198,89 @@ fn opener(words: &[&str], mut start: usize) -> Result<std::ops::Range<usize>, us
     }
 }
 
-/// What the clause from `begin` on, behind its opening words, says the target is for; `None` where that is no use of the lexicon.
+/// What the clause from `begin` on, behind its opening words, says the target is for; `None` where
+/// that is no use of the lexicon.
 fn clause_of(words: &[&str], begin: usize) -> Option<Affordance> {
     let purpose = (begin..words.len())
         .find(|&i| is_purpose(words[i]))
         .filter(|_| is_thing(words[begin - 1]))
         .unwrap_or(begin);
     let describes = |word: &&str| {
-        matches!(words::longest(&[word]), Some((Meaning::Colour(_) | Meaning::Trait(_) | Meaning::And, _))) || !Lexicon::get().knows(word)
+        matches!(
+            words::longest(&[word]),
+            Some((Meaning::Colour(_) | Meaning::Trait(_) | Meaning::And, _))
+        ) || !Lexicon::get().knows(word)
     };
-    let described = begin..if words[begin..purpose].iter().all(describes) { purpose } else { begin };
+    let described =
+        begin..if words[begin..purpose].iter().all(describes) { purpose } else { begin };
     let begin = described.end;
     let end = (begin..words.len()).find(|&i| ends_clause(words, i)).unwrap_or(words.len());
     let clause: BTreeSet<&str> = words[begin..end].iter().copied().collect();
     let stems: BTreeSet<String> = clause.iter().map(|word| stem(word)).collect();
     let mut found: Vec<(usize, &str)> = WORDINGS
         .iter()
-        .filter_map(|(spoken, wordings)| Some((wordings.iter().filter_map(|w| w.fit(&clause, &stems)).max()?, *spoken)))
+        .filter_map(|(spoken, wordings)| {
+            Some((wordings.iter().filter_map(|w| w.fit(&clause, &stems)).max()?, *spoken))
+        })
         .collect();
     if found.is_empty() {
         found = of_the_same_verb(&words[begin..end]);
     }
     found.sort_unstable_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(b.1)));
     let best = found.first()?.0;
-    let uses = found.into_iter().take_while(|(fit, _)| *fit == best).map(|(_, spoken)| spoken.to_owned()).collect();
-    let words = clause.iter().filter(|word| !PARTICLES.contains(word)).map(|word| (*word).to_owned()).collect();
+    let uses = found
+        .into_iter()
+        .take_while(|(fit, _)| *fit == best)
+        .map(|(_, spoken)| spoken.to_owned())
+        .collect();
+    let words = clause
+        .iter()
+        .filter(|word| !PARTICLES.contains(word))
+        .map(|word| (*word).to_owned())
+        .collect();
     Some(Affordance { uses, words, described, taken: end })
 }
 
-/// Uses that begin with the verb of a clause, where none is said as the clause says it: "heat up my soup".
+/// Uses that begin with the verb of a clause, where none is said as the clause says it: "heat up my
+/// soup".
 fn of_the_same_verb(clause: &[&str]) -> Vec<(usize, &'static str)> {
     /// Verbs of anything.
-    const LIGHT: [&str; 16] =
-        ["get", "go", "put", "take", "have", "make", "keep", "do", "see", "know", "look", "check", "use", "hold", "find", "be"];
+    const LIGHT: [&str; 16] = [
+        "get", "go", "put", "take", "have", "make", "keep", "do", "see", "know", "look", "check",
+        "use", "hold", "find", "be",
+    ];
     let verb = clause
         .iter()
         .find(|word| !PARTICLES.contains(word) && !words::is_known(word))
         .map(|word| stem(word));
     let Some(verb) = verb.filter(|verb| !LIGHT.contains(&verb.as_str())) else { return Vec::new() };
-    let begins = |wordings: &Vec<Wording>| wordings.iter().any(|wording| wording.needed.len() > 1 && wording.needed[0] == verb);
-    WORDINGS.iter().filter(|(_, wordings)| begins(wordings)).map(|(spoken, _)| (1, *spoken)).collect()
+    let begins = |wordings: &Vec<Wording>| {
+        wordings.iter().any(|wording| wording.needed.len() > 1 && wording.needed[0] == verb)
+    };
+    WORDINGS
+        .iter()
+        .filter(|(_, wordings)| begins(wordings))
+        .map(|(spoken, _)| (1, *spoken))
+        .collect()
 }
 
-/// Whether a thing is followed by what it is for, soon: "something soft to sit on", not "the thing on the table".
+/// Whether a thing is followed by what it is for, soon: "something soft to sit on", not "the thing
+/// on the table".
 fn names_a_purpose(words: &[&str], opener: usize) -> bool {
     const SOON: usize = 5;
     // "the object is a chair with ...": it is told what it is.
     let told = words.get(opener) == Some(&"is");
-    !is_thing(words[opener - 1]) || !told && words[opener..].iter().take(SOON).any(|word| is_purpose(word))
+    !is_thing(words[opener - 1])
+        || !told && words[opener..].iter().take(SOON).any(|word| is_purpose(word))
 }
 
-/// The words of a purpose that none of the uses found for it is said with: of "put a toddler for lunch", "put on" says the first only.
+/// The words of a purpose that none of the uses found for it is said with: of "put a toddler for
+/// lunch", "put on" says the first only.
 pub(super) fn unsaid<'a>(uses: &[String], purpose: &'a [String]) -> Vec<&'a String> {
     let wordings = || uses.iter().filter_map(|spoken| WORDINGS.get(spoken.as_str())).flatten();
-    let is_said = |word: &&String| words::is_known(word) || wordings().any(|wording| wording.needed.contains(&stem(word)));
+    let is_said = |word: &&String| {
+        words::is_known(word) || wordings().any(|wording| wording.needed.contains(&stem(word)))
+    };
     purpose.iter().filter(|word| !is_said(word)).collect()
 }
 
@@ -284,18 +328,30 @@ fn ends_clause(words: &[&str], i: usize) -> bool {
         return true;
     }
     let Some((meaning, length)) = words::longest(&words[i..]) else { return false };
-    if !matches!(meaning, Meaning::Relation(_) | Meaning::With { .. } | Meaning::Superlative(_) | Meaning::View(_)) {
+    if !matches!(
+        meaning,
+        Meaning::Relation(_) | Meaning::With { .. } | Meaning::Superlative(_) | Meaning::View(_)
+    ) {
         return false;
     }
-    // "sit on", "read by": a particle of the verb unless a thing follows. "Work on my laptop": that one need not be here.
+    // "sit on", "read by": a particle of the verb unless a thing follows. "Work on my laptop": that
+    // one need not be here.
     let next = words.get(i + length).copied().unwrap_or(BREAK);
-    if matches!(words[i], "on" | "in" | "with") && length == 1 && matches!(next, "my" | "your" | "our" | "his" | "her" | "their") {
+    if matches!(words[i], "on" | "in" | "with")
+        && length == 1
+        && matches!(next, "my" | "your" | "our" | "his" | "her" | "their")
+    {
         return false;
     }
     match words::longest(&words[(i + length).min(words.len())..]) {
         _ if meaning == Meaning::Relation(super::RelationKind::InCorner) => true,
         Some((
-            Meaning::Determiner | Meaning::Number(_) | Meaning::Colour(_) | Meaning::Trait(_) | Meaning::Same | Meaning::Ordinal(_),
+            Meaning::Determiner
+            | Meaning::Number(_)
+            | Meaning::Colour(_)
+            | Meaning::Trait(_)
+            | Meaning::Same
+            | Meaning::Ordinal(_),
             _,
         )) => true,
         _ => next != BREAK && Lexicon::get().knows(next),
@@ -310,9 +366,17 @@ mod tests {
     #[test]
     fn purposes_are_found_and_the_rest_is_left() {
         for (query, spoken, rest) in [
-            ("something to sit on while working on the laptop", "sit on", "while working on the laptop"),
+            (
+                "something to sit on while working on the laptop",
+                "sit on",
+                "while working on the laptop",
+            ),
             ("bring me something to write with", "write with", ""),
-            ("somewhere to throw away scrap paper while working at the desk", "throw away", "while working at the desk"),
+            (
+                "somewhere to throw away scrap paper while working at the desk",
+                "throw away",
+                "while working at the desk",
+            ),
             ("where can i wash my hands?", "wash hands", ","),
             ("something that tells me the time", "tell time", ""),
             ("something to read by next to the sofa", "read by", "next to the sofa"),
@@ -322,28 +386,42 @@ mod tests {
         ] {
             let tokens = tokens(query);
             let found = find(&tokens).unwrap_or_else(|| panic!("{query}"));
-            assert_eq!((found.uses.join("|").as_str(), tokens[found.taken..].join(" ").as_str()), (spoken, rest), "{query}");
+            assert_eq!(
+                (found.uses.join("|").as_str(), tokens[found.taken..].join(" ").as_str()),
+                (spoken, rest),
+                "{query}"
+            );
         }
     }
 
     #[test]
     fn a_purpose_may_be_said_in_part() {
-        for (query, left) in
-            [("something to sit on", ""), ("what you would drink water from", ""), ("something to sit on for walruses", "walruses")]
-        {
+        for (query, left) in [
+            ("something to sit on", ""),
+            ("what you would drink water from", ""),
+            ("something to sit on for walruses", "walruses"),
+        ] {
             let found = find(&tokens(query)).unwrap();
-            let unsaid: Vec<&str> = unsaid(&found.uses, &found.words).into_iter().map(String::as_str).collect();
+            let unsaid: Vec<&str> =
+                unsaid(&found.uses, &found.words).into_iter().map(String::as_str).collect();
             assert_eq!(unsaid.join(" "), left, "{query}");
         }
     }
 
     #[test]
     fn every_line_of_the_table_is_a_use_of_the_lexicon() {
-        let known: BTreeSet<&str> = Lexicon::get().nouns().iter().flat_map(|noun| noun.uses.iter().map(String::as_str)).collect();
+        let known: BTreeSet<&str> = Lexicon::get()
+            .nouns()
+            .iter()
+            .flat_map(|noun| noun.uses.iter().map(String::as_str))
+            .collect();
         for line in include_str!("uses.tsv").lines().filter(|line| !line.starts_with('#')) {
             let (spoken, others) = line.split_once('\t').unwrap_or_else(|| panic!("{line}"));
             assert!(known.contains(spoken), "{spoken} is no use of the lexicon");
-            assert!(others.split(',').all(|other| !Wording::of(other.trim()).needed.is_empty()), "{line}");
+            assert!(
+                others.split(',').all(|other| !Wording::of(other.trim()).needed.is_empty()),
+                "{line}"
+            );
         }
     }
 

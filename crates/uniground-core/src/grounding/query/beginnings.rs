@@ -1,5 +1,6 @@
-//! Where in a sentence the thing asked for may be named. People say what they do before they name a thing ("pop two slices in the toaster"),
-//! and why ("my back hurts, I'll take the old wooden chair"): later beginnings are read as well, and the scene tells which of them it bears
+//! Where in a sentence the thing asked for may be named. People say what they do before they name a
+//! thing ("pop two slices in the toaster"), and why ("my back hurts, I'll take the old wooden
+//! chair"): later beginnings are read as well, and the scene tells which of them it bears
 //! out ([`settled`](crate::grounding::settled)).
 
 use super::pieces::longest_noun;
@@ -11,18 +12,24 @@ use crate::models::attributes::WordNet;
 /// So many beginnings are read: each costs a reading.
 const MOST_READINGS: usize = 6;
 
-/// What is done with one thing to another: "chuck the peel in the bin" asks for the bin unless a peel is in it already.
+/// What is done with one thing to another: "chuck the peel in the bin" asks for the bin unless a
+/// peel is in it already.
 const DESTINED: [&str; 40] = [
-    "put", "pop", "place", "stick", "chuck", "throw", "toss", "drop", "dump", "scrape", "pour", "tip", "hang", "lay", "set", "leave",
-    "store", "pack", "load", "shove", "slide", "stow", "empty", "plug", "pin", "wipe", "spread", "press", "stack", "sort", "lock", "write",
-    "draw", "sit", "lie", "climb", "go", "goes", "belongs", "lives",
+    "put", "pop", "place", "stick", "chuck", "throw", "toss", "drop", "dump", "scrape", "pour",
+    "tip", "hang", "lay", "set", "leave", "store", "pack", "load", "shove", "slide", "stow",
+    "empty", "plug", "pin", "wipe", "spread", "press", "stack", "sort", "lock", "write", "draw",
+    "sit", "lie", "climb", "go", "goes", "belongs", "lives",
 ];
 
 /// Where that other thing is told.
-const DESTINATIONS: [&str; 10] = ["in", "into", "inside", "on", "onto", "to", "over", "off", "under", "at"];
+const DESTINATIONS: [&str; 10] =
+    ["in", "into", "inside", "on", "onto", "to", "over", "off", "under", "at"];
 
 /// The likeliest reading of a sentence, and what it says if the thing is named later, in order.
-pub(super) fn readings(tokens: &[String], read: impl Fn(&[String]) -> ParsedQuery) -> (ParsedQuery, Vec<ParsedQuery>) {
+pub(super) fn readings(
+    tokens: &[String],
+    read: impl Fn(&[String]) -> ParsedQuery,
+) -> (ParsedQuery, Vec<ParsedQuery>) {
     let first = read(tokens);
     // Of food and drink, what holds it may be meant: "the milk is in the larger fridge".
     let is_held = ["food", "beverage", "foodstuff", "nutriment"]
@@ -30,9 +37,12 @@ pub(super) fn readings(tokens: &[String], read: impl Fn(&[String]) -> ParsedQuer
         .any(|kind| WordNet::get().is_a(&first.target.head, kind));
     let Beginnings { at_once, objects, others } = Beginnings::of(tokens, is_held);
     let starts = objects.iter().chain(&others).take(MOST_READINGS);
-    let mut later: Vec<ParsedQuery> = starts.map(|&start| from(tokens, start, &read)).filter(tells_a_thing).collect();
+    let mut later: Vec<ParsedQuery> =
+        starts.map(|&start| from(tokens, start, &read)).filter(tells_a_thing).collect();
     // "finished with today's newspaper": what was taken for a thing is what somebody does.
-    if let (Meaning::Unknown, [With { phrase, .. }]) = (first.target.meaning(), &first.target.with[..]) {
+    if let (Meaning::Unknown, [With { phrase, .. }]) =
+        (first.target.meaning(), &first.target.with[..])
+    {
         later.push(ParsedQuery { target: phrase.clone(), ..ParsedQuery::default() });
     }
     later.retain(|reading| reading.target != first.target);
@@ -45,20 +55,28 @@ pub(super) fn readings(tokens: &[String], read: impl Fn(&[String]) -> ParsedQuer
     (likeliest, later)
 }
 
-/// What a sentence says from a word on. How somebody stands and looks was told before: that holds for what follows. What was passed over is
-/// told.
+/// What a sentence says from a word on. How somebody stands and looks was told before: that holds
+/// for what follows. What was passed over is told.
 fn from(tokens: &[String], start: usize, read: impl Fn(&[String]) -> ParsedQuery) -> ParsedQuery {
-    let is_kept = |clause: &&[String]| clause.ends_with(&[BREAK.to_owned()]) && tells_a_view(clause);
-    let (looks, passed): (Vec<&[String]>, Vec<&[String]>) = tokens[..start].split_inclusive(|token| token == BREAK).partition(is_kept);
+    let is_kept =
+        |clause: &&[String]| clause.ends_with(&[BREAK.to_owned()]) && tells_a_view(clause);
+    let (looks, passed): (Vec<&[String]>, Vec<&[String]>) =
+        tokens[..start].split_inclusive(|token| token == BREAK).partition(is_kept);
     let carries_nothing = |word: &&String| *word == BREAK || words::longest(&[word]).is_some();
-    let passed_over = passed.into_iter().flatten().filter(|word| !carries_nothing(word)).cloned().collect();
+    let passed_over =
+        passed.into_iter().flatten().filter(|word| !carries_nothing(word)).cloned().collect();
     let rest: Vec<String> = looks.into_iter().flatten().chain(&tokens[start..]).cloned().collect();
     ParsedQuery { passed_over, ..read(&rest) }
 }
 
 fn tells_a_view(clause: &[String]) -> bool {
     let words: Vec<&str> = clause.iter().map(String::as_str).collect();
-    (0..words.len()).any(|i| matches!(words::longest(&words[i..]), Some((Word::View(_) | Word::Seated | Word::Entering, _))))
+    (0..words.len()).any(|i| {
+        matches!(
+            words::longest(&words[i..]),
+            Some((Word::View(_) | Word::Seated | Word::Entering, _))
+        )
+    })
 }
 
 /// Words with which the thing asked for may begin, by index.
@@ -76,7 +94,8 @@ impl Beginnings {
         let words: Vec<&str> = tokens.iter().map(String::as_str).collect();
         let mut found = Self { at_once: true, objects: Vec::new(), others: Vec::new() };
         let mut at = affordances::find(tokens).map_or(0, |affordance| affordance.taken);
-        let (mut clause, mut sentence) = (Clause { destined: is_held, ..Clause::default() }, at > 0);
+        let (mut clause, mut sentence) =
+            (Clause { destined: is_held, ..Clause::default() }, at > 0);
         let mut end = 0;
         while at < words.len() {
             if at >= end {
@@ -106,25 +125,43 @@ impl Beginnings {
                 _ => (None, 1),
             };
             match meaning {
-                // "vacuum the rug": a noun right before an article is what somebody does, as is a word that nobody knows.
+                // "vacuum the rug": a noun right before an article is what somebody does, as is a
+                // word that nobody knows.
                 None => {
-                    let is_thing = noun.is_some() && run.get(length).is_none_or(|next| !is_article(next));
+                    let is_thing =
+                        noun.is_some() && run.get(length).is_none_or(|next| !is_article(next));
                     found.at_once &= sentence || is_thing;
                     clause.named |= is_thing || clause.determined;
                     (clause.said, clause.led) = (true, false);
                 }
-                Some(Word::Determiner) if clause.to_another && !clause.looks => found.others.push(at),
-                // "wait by the door", "careful with the pot": no thing was named that could be there.
-                Some(Word::Determiner) if clause.said && !(clause.led && clause.named) && !clause.looks => found.objects.push(at),
-                // "it's on the table", "it won't go through the door" speak of what was named before.
+                Some(Word::Determiner) if clause.to_another && !clause.looks => {
+                    found.others.push(at)
+                }
+                // "wait by the door", "careful with the pot": no thing was named that could be
+                // there.
+                Some(Word::Determiner)
+                    if clause.said && !(clause.led && clause.named) && !clause.looks =>
+                {
+                    found.objects.push(at)
+                }
+                // "it's on the table", "it won't go through the door" speak of what was named
+                // before.
                 Some(Word::OfTarget | Word::Pronoun)
-                    if !clause.said || run.get(length).is_some_and(|next| matches!(*next, "is" | "was")) =>
+                    if !clause.said
+                        || run.get(length).is_some_and(|next| matches!(*next, "is" | "was")) =>
                 {
                     clause.looks = true;
                 }
                 Some(Word::ThereIs) => clause.named = true,
                 Some(Word::View(_) | Word::Seated | Word::Entering) => clause.looks = true,
-                Some(Word::Relation(_) | Word::With { .. } | Word::Of | Word::And | Word::Not | Word::As) => clause.led = true,
+                Some(
+                    Word::Relation(_)
+                    | Word::With { .. }
+                    | Word::Of
+                    | Word::And
+                    | Word::Not
+                    | Word::As,
+                ) => clause.led = true,
                 Some(_) => {}
             }
             clause.at_noun = meaning.is_none();
@@ -156,7 +193,8 @@ struct Clause {
     destined: bool,
     /// The word before is the way there.
     to_another: bool,
-    /// It tells how somebody stands and looks, or more of what was named before: it names nothing itself.
+    /// It tells how somebody stands and looks, or more of what was named before: it names nothing
+    /// itself.
     looks: bool,
 }
 
@@ -164,17 +202,26 @@ fn is_article(word: &str) -> bool {
     matches!(words::longest(&[word]), Some((Word::Determiner, 1)))
 }
 
-/// Whether a clause begins as one that names a thing, and tells nothing more of what was named before.
+/// Whether a clause begins as one that names a thing, and tells nothing more of what was named
+/// before.
 fn names_something(clause: &[&str]) -> bool {
     // "it's the pot with the lid": named once more.
-    let once_more = usize::from(clause.len() > 1 && matches!(clause[0], "it's" | "that's") && is_article(clause[1]));
-    let first = (once_more..clause.len()).find(|&i| !matches!(words::longest(&clause[i..]), Some((Word::Filler, _))));
+    let once_more = usize::from(
+        clause.len() > 1 && matches!(clause[0], "it's" | "that's") && is_article(clause[1]),
+    );
+    let first = (once_more..clause.len())
+        .find(|&i| !matches!(words::longest(&clause[i..]), Some((Word::Filler, _))));
     first.is_some_and(|first| {
         clause[first] != BREAK
             && matches!(
                 words::longest(&clause[first..]),
                 None | Some((
-                    Word::Determiner | Word::Colour(_) | Word::Trait(_) | Word::Number(_) | Word::Ordinal(_) | Word::Superlative(_),
+                    Word::Determiner
+                        | Word::Colour(_)
+                        | Word::Trait(_)
+                        | Word::Number(_)
+                        | Word::Ordinal(_)
+                        | Word::Superlative(_),
                     _
                 ))
             )
@@ -187,10 +234,13 @@ fn tells_a_thing(query: &ParsedQuery) -> bool {
     match target.meaning() {
         // "the one on the left" says more of what was named before.
         Meaning::Anything if matches!(target.head.as_str(), "one" | "ones") => false,
-        Meaning::Anything => !target.colours.is_empty() || !target.with.is_empty() || !target.relations.is_empty(),
+        Meaning::Anything => {
+            !target.colours.is_empty() || !target.with.is_empty() || !target.relations.is_empty()
+        }
         Meaning::Nouns(_) | Meaning::Structure(_) => true,
         Meaning::Unknown => {
-            let is_thing = !WordNet::get().kinds_of(&target.head).is_empty() && zones::made_of(&target.head).is_none();
+            let is_thing = !WordNet::get().kinds_of(&target.head).is_empty()
+                && zones::made_of(&target.head).is_none();
             is_thing || !target.could_be.is_empty()
         }
     }
@@ -203,7 +253,10 @@ mod tests {
     /// Heads of the likeliest reading and of the others.
     fn heads(query: &str) -> Vec<String> {
         let read = parse(query);
-        std::iter::once(&read).chain(&read.later).map(|reading| reading.target.head.clone()).collect()
+        std::iter::once(&read)
+            .chain(&read.later)
+            .map(|reading| reading.target.head.clone())
+            .collect()
     }
 
     #[test]
@@ -221,7 +274,12 @@ mod tests {
             assert_eq!(heads(query)[0], first, "{query}: {:?}", heads(query));
         }
         let read = parse("if you stand facing the window, draw the curtain on the right");
-        assert!(read.viewpoint.is_some() && read.not_understood.is_empty() && read.passed_over == ["draw"], "{read:?}");
+        assert!(
+            read.viewpoint.is_some()
+                && read.not_understood.is_empty()
+                && read.passed_over == ["draw"],
+            "{read:?}"
+        );
     }
 
     #[test]
@@ -229,13 +287,20 @@ mod tests {
         for (query, also) in [
             ("pop two slices in the toaster", "toaster"),
             ("chuck this peel away, in the bin next to the desk", "bin"),
-            ("I've got a peel in my hand and two kids screaming, where's the bin by the desk?", "bin"),
+            (
+                "I've got a peel in my hand and two kids screaming, where's the bin by the desk?",
+                "bin",
+            ),
             ("put the milk in the taller of the two fridges", "fridges"),
         ] {
             assert!(heads(query).iter().any(|head| head == also), "{query}: {:?}", heads(query));
         }
         // What a thing is next to is not what is asked for.
-        for query in ["fetch the red mug off the desk", "the theremin next to the sofa", "pass me the remote, it's on the table"] {
+        for query in [
+            "fetch the red mug off the desk",
+            "the theremin next to the sofa",
+            "pass me the remote, it's on the table",
+        ] {
             assert_eq!(heads(query).len(), 1, "{query}: {:?}", heads(query));
         }
     }

@@ -22,16 +22,22 @@ const TAKEN_BACK: [&[&str]; 14] = [
     &["no"],
 ];
 
-/// What is left of a query when all is taken back that was corrected. "The green one" after "the red chair, sorry" is the green chair.
+/// What is left of a query when all is taken back that was corrected. "The green one" after "the
+/// red chair, sorry" is the green chair.
 pub(super) fn rewritten(tokens: Vec<String>) -> Vec<String> {
-    let Some((at, length)) = (1..tokens.len()).rev().find_map(|at| taken_back(&tokens, at).map(|length| (at, length))) else {
+    let Some((at, length)) =
+        (1..tokens.len()).rev().find_map(|at| taken_back(&tokens, at).map(|length| (at, length)))
+    else {
         return tokens;
     };
     let noun = (0..at).find_map(|i| named(&tokens[i..at]));
     let (Some(noun), after) = (noun, &tokens[at + length..]) else { return tokens };
     let mut meant: Vec<String> = Vec::with_capacity(after.len() + noun.len());
     // "no, next to the door": the same thing elsewhere.
-    let of_the_same = matches!(words::longest(&run(after)), Some((Meaning::Relation(_) | Meaning::With { .. }, _)));
+    let of_the_same = matches!(
+        words::longest(&run(after)),
+        Some((Meaning::Relation(_) | Meaning::With { .. }, _))
+    );
     if of_the_same {
         meant.extend(noun.iter().cloned());
     }
@@ -59,10 +65,13 @@ fn taken_back(tokens: &[String], at: usize) -> Option<usize> {
         }
         Some(i)
     };
-    let (words, mut end) = TAKEN_BACK.iter().find_map(|words| matched(&words).map(|end| (words, end)))?;
+    let (words, mut end) =
+        TAKEN_BACK.iter().find_map(|words| matched(&words).map(|end| (words, end)))?;
     // "no" and "sorry" alone: only between what was said and what is meant.
     let alone = words.len() == 1;
-    let begins = |word: &str| word == BREAK || matches!(words::longest(&[word]), Some((Meaning::Determiner, _)));
+    let begins = |word: &str| {
+        word == BREAK || matches!(words::longest(&[word]), Some((Meaning::Determiner, _)))
+    };
     if alone && (tokens[at - 1] != BREAK || !tokens.get(end).is_some_and(|next| begins(next))) {
         return None;
     }
@@ -76,7 +85,8 @@ fn taken_back(tokens: &[String], at: usize) -> Option<usize> {
 /// The thing named at the start of `tokens`; words for anything name none.
 fn named(tokens: &[String]) -> Option<Vec<String>> {
     let run = run(tokens);
-    let length = longest_noun(&run).filter(|&length| !words::is_anything(&run[..length].join(" ")))?;
+    let length =
+        longest_noun(&run).filter(|&length| !words::is_anything(&run[..length].join(" ")))?;
     Some(tokens[..length].to_vec())
 }
 
@@ -94,10 +104,19 @@ mod tests {
         for (said, meant) in [
             ("Give me the brown bag. No, I mean the box.", "the box ,"),
             ("the red chair, sorry, the green one", "the green chair"),
-            ("the coffee table, no, the other one by the door", "the other coffee table by the door"),
+            (
+                "the coffee table, no, the other one by the door",
+                "the other coffee table by the door",
+            ),
             ("the chair next to the table, no wait, next to the door", "chair next to the door"),
-            ("an open book on the desk and another one on the bed, i mean the one on the bed", "the book on the bed"),
-            ("the lamp or rather the one with the mug beside it", "the lamp with the mug beside it"),
+            (
+                "an open book on the desk and another one on the bed, i mean the one on the bed",
+                "the book on the bed",
+            ),
+            (
+                "the lamp or rather the one with the mug beside it",
+                "the lamp with the mug beside it",
+            ),
             ("the mug, I mean the cup, no, the glass", "the glass"),
             ("I mean the white bookshelf", "i mean the white bookshelf"),
             ("sorry, where is the chair?", "sorry , where is the chair ,"),

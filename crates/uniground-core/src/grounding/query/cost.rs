@@ -1,5 +1,6 @@
-//! The cost of reading a question, in steps: one for every comparison of words with a table. Counted in tests only, which hold that a
-//! question of the longest length costs little, whatever it is made of.
+//! The cost of reading a question, in steps: one for every comparison of words with a table.
+//! Counted in tests only, which hold that a question of the longest length costs little, whatever
+//! it is made of.
 
 #[cfg(not(test))]
 pub(super) const fn count() {}
@@ -78,7 +79,8 @@ mod tests {
         "'s",
         "robot",
     ];
-    const MARKS: [&str; 14] = [" ", " ", " ", " ", ",", ", ", ".", "?", ";", ": ", "(", ") ", "'", "\n"];
+    const MARKS: [&str; 14] =
+        [" ", " ", " ", " ", ",", ", ", ".", "?", ";", ": ", "(", ") ", "'", "\n"];
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(400))]
@@ -93,7 +95,25 @@ mod tests {
 
     #[test]
     fn punctuation_alone_costs_nothing() {
-        for mark in [",", ".", "(", ")", ";", ":", "?", "'", "\"", "-", "a,", "a, ", "what,", "what x, ", "i need to,", "put it,", "no,"] {
+        for mark in [
+            ",",
+            ".",
+            "(",
+            ")",
+            ";",
+            ":",
+            "?",
+            "'",
+            "\"",
+            "-",
+            "a,",
+            "a, ",
+            "what,",
+            "what x, ",
+            "i need to,",
+            "put it,",
+            "no,",
+        ] {
             let steps = steps(mark, MAX_CHARS);
             assert!(steps < 400_000, "{mark:?}: {steps} steps");
         }

@@ -1,7 +1,8 @@
-//! Whether a reading tells all that was said: where it does not, a reader who knows the world may do better.
+//! Whether a reading tells all that was said: where it does not, a reader who knows the world may
+//! do better.
 //!
-//! Judged by what the reading says of itself, never by which words it was made of, nor by the scene: the same words are always read by the
-//! same reader.
+//! Judged by what the reading says of itself, never by which words it was made of, nor by the
+//! scene: the same words are always read by the same reader.
 
 use super::{ME, Meaning, ParsedQuery, Phrase, Relation, affordances};
 use std::fmt;
@@ -13,7 +14,8 @@ pub enum Doubt {
     Foreign,
     /// No noun and no known purpose tells what is asked for, or what it is near.
     Unnamed,
-    /// Something is told by what it is for, and no use that is known is said with all of these words.
+    /// Something is told by what it is for, and no use that is known is said with all of these
+    /// words.
     Purpose(String),
     /// A relation to nothing: what it was said of got lost.
     Unanchored(String),
@@ -34,18 +36,25 @@ impl fmt::Display for Doubt {
 }
 
 impl ParsedQuery {
-    /// What this reading leaves open, the gravest first; `None` where every word has found its place.
+    /// What this reading leaves open, the gravest first; `None` where every word has found its
+    /// place.
     #[must_use]
     pub fn doubt(&self) -> Option<Doubt> {
         if self.foreign {
             return Some(Doubt::Foreign);
         }
-        let others = self.standpoint.iter().chain(self.viewpoint.iter().map(|viewpoint| &viewpoint.anchor));
+        let others =
+            self.standpoint.iter().chain(self.viewpoint.iter().map(|viewpoint| &viewpoint.anchor));
         let phrases = || std::iter::once(&self.target).chain(others.clone());
         phrases().find_map(Phrase::doubt).or_else(|| {
             let mut excused = self.of_me();
             phrases().for_each(|phrase| phrase.describing(&mut excused));
-            let words: Vec<String> = self.not_understood.iter().filter(|word| !excused.contains(word)).cloned().collect();
+            let words: Vec<String> = self
+                .not_understood
+                .iter()
+                .filter(|word| !excused.contains(word))
+                .cloned()
+                .collect();
             (!words.is_empty()).then_some(Doubt::Words(words))
         })
     }
@@ -53,7 +62,8 @@ impl ParsedQuery {
     /// Those of the words not understood that are clear as soon as the request tells where "me" is.
     pub(in crate::grounding) fn of_me(&self) -> Vec<String> {
         let by_me = |relation: &&Relation| relation.anchors.iter().any(|anchor| anchor.head == ME);
-        let relations = self.target.relations.iter().filter(by_me).map(|relation| relation.text.clone());
+        let relations =
+            self.target.relations.iter().filter(by_me).map(|relation| relation.text.clone());
         relations.chain([ME.to_owned()]).collect()
     }
 }
@@ -62,14 +72,24 @@ impl Phrase {
     fn doubt(&self) -> Option<Doubt> {
         self.name_doubt().or_else(|| {
             // Of a thing carried, "on it" is on what carries it.
-            let carried = self.with.iter().find_map(|with| with.phrase.name_doubt().or_else(|| with.phrase.anchors_doubt()));
-            let unanchored = |relation: &&Relation| relation.anchors.is_empty() && !relation.kind.is_of_the_room();
-            let lost = self.relations.iter().find(unanchored).map(|relation| Doubt::Unanchored(relation.text.clone()));
+            let carried = self
+                .with
+                .iter()
+                .find_map(|with| with.phrase.name_doubt().or_else(|| with.phrase.anchors_doubt()));
+            let unanchored = |relation: &&Relation| {
+                relation.anchors.is_empty() && !relation.kind.is_of_the_room()
+            };
+            let lost = self
+                .relations
+                .iter()
+                .find(unanchored)
+                .map(|relation| Doubt::Unanchored(relation.text.clone()));
             lost.or(carried).or_else(|| self.anchors_doubt())
         })
     }
 
-    /// Words in front of nouns that are known, "leather" and "shabby": they describe, and nobody who only reads can check them.
+    /// Words in front of nouns that are known, "leather" and "shabby": they describe, and nobody
+    /// who only reads can check them.
     fn describing(&self, words: &mut Vec<String>) {
         if matches!(self.meaning(), Meaning::Nouns(_) | Meaning::Structure(_)) {
             words.extend(self.unchecked.iter().cloned());
@@ -116,7 +136,8 @@ mod tests {
 
     #[test]
     fn what_a_reading_lacks_is_told() {
-        let words = |words: &[&str]| Doubt::Words(words.iter().map(|word| (*word).to_owned()).collect());
+        let words =
+            |words: &[&str]| Doubt::Words(words.iter().map(|word| (*word).to_owned()).collect());
         for (query, expected) in [
             ("der Becher auf dem Couchtisch", Doubt::Foreign),
             ("the theremin", words(&["theremin"])),

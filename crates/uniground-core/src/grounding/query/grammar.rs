@@ -13,7 +13,9 @@ use super::rewrites::rewritten;
 use super::situations;
 use super::tokens::{spelling, tokens};
 use super::words::{self, Meaning};
-use super::{Look, ME, Measure, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Superlative};
+use super::{
+    Look, ME, Measure, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Superlative,
+};
 
 /// What a relation belongs to when it follows a thing that is not the target.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,7 +55,8 @@ struct Frame {
     role: Role,
     /// Words since the last noun that nothing explains.
     unknown: Vec<String>,
-    /// An article after the noun: what follows is another thing, in no relation that was understood.
+    /// An article after the noun: what follows is another thing, in no relation that was
+    /// understood.
     another: bool,
     /// "a", "an", "some" before the noun.
     indefinite: bool,
@@ -66,7 +69,8 @@ struct Frame {
 pub fn parse(query: &str) -> ParsedQuery {
     let tokens = tokens(query);
     let foreign = languages::is_foreign(&tokens);
-    let tokens = observers::rewritten(&rewritten(corrections::rewritten(situations::left_out(tokens))));
+    let tokens =
+        observers::rewritten(&rewritten(corrections::rewritten(situations::left_out(tokens))));
     let tokens = &tokens[address(&tokens)..];
     let (query, later) = beginnings::readings(tokens, read);
     ParsedQuery { foreign, later, ..query }
@@ -74,9 +78,9 @@ pub fn parse(query: &str) -> ParsedQuery {
 
 fn read(tokens: &[String]) -> ParsedQuery {
     let affordance = affordances::find(tokens);
-    let (described, rest) = affordance
-        .as_ref()
-        .map_or((&[][..], tokens), |found| (&tokens[found.described.clone()], &tokens[found.taken..]));
+    let (described, rest) = affordance.as_ref().map_or((&[][..], tokens), |found| {
+        (&tokens[found.described.clone()], &tokens[found.taken..])
+    });
     let pieces = pieces(&[described, rest].concat());
     let read = |attach: Attach| Reader::new(attach, affordance.as_ref()).run(&pieces);
     let mut nearest = read(Attach::Nearest);
@@ -144,8 +148,11 @@ impl Reader {
         for (i, piece) in pieces.iter().enumerate() {
             match piece {
                 Piece::Noun(head) => self.noun(head, &pieces[i + 1..]),
-                // "that is not plastic": nobody can check it, but it is not the next thing that is denied.
-                Piece::Unknown(word) if std::mem::take(&mut self.negated) => self.query.not_understood.push(format!("not {word}")),
+                // "that is not plastic": nobody can check it, but it is not the next thing that is
+                // denied.
+                Piece::Unknown(word) if std::mem::take(&mut self.negated) => {
+                    self.query.not_understood.push(format!("not {word}"))
+                }
                 Piece::Unknown(word) => self.top().unknown.push(word.clone()),
                 Piece::Break if self.describes() && noun_to_come(&pieces[i + 1..]) => {}
                 Piece::Break => self.pause(),
@@ -171,7 +178,13 @@ impl Reader {
         let relation_follows = rest.iter().find(|piece| !is_filler(piece)).is_some_and(|piece| {
             matches!(
                 piece,
-                Piece::Word(Meaning::Relation(_) | Meaning::Colour(_) | Meaning::With { .. } | Meaning::Superlative(_), _)
+                Piece::Word(
+                    Meaning::Relation(_)
+                        | Meaning::Colour(_)
+                        | Meaning::With { .. }
+                        | Meaning::Superlative(_),
+                    _
+                )
             )
         });
         if self.negated && !relation_follows && !words::is_anything(head) {
@@ -182,10 +195,16 @@ impl Reader {
         let frame = self.top();
         frame.phrase.count = number.or(frame.phrase.count);
         let before = frame.phrase.head.clone();
-        if before.is_empty() || words::is_anything(&before) && !head.is_empty() && frame.phrase.uses.is_empty() {
-            // "filing cabinets ... the one": a pronoun never takes a noun's place, a noun takes a pronoun's.
+        if before.is_empty()
+            || words::is_anything(&before) && !head.is_empty() && frame.phrase.uses.is_empty()
+        {
+            // "filing cabinets ... the one": a pronoun never takes a noun's place, a noun takes a
+            // pronoun's.
             head.clone_into(&mut frame.phrase.head);
-        } else if of && words::is_part_of_furniture(&before) && matches!(frame.role, Role::Anchor { .. }) {
+        } else if of
+            && words::is_part_of_furniture(&before)
+            && matches!(frame.role, Role::Anchor { .. })
+        {
             // "over the headboard of the bed" is over the bed.
             head.clone_into(&mut frame.phrase.head);
         } else if of && words::is_measure(head) {
@@ -196,9 +215,13 @@ impl Reader {
         } else if frame.another {
             frame.unknown.push(head.to_owned());
             frame.another = false;
-            self.query
-                .not_understood
-                .append(&mut self.stack.last_mut().map(|f| std::mem::take(&mut f.unknown)).unwrap_or_default());
+            self.query.not_understood.append(
+                &mut self
+                    .stack
+                    .last_mut()
+                    .map(|f| std::mem::take(&mut f.unknown))
+                    .unwrap_or_default(),
+            );
             return;
         } else if !words::is_anything(head) {
             // "computer desk": in English the last noun is the head.
@@ -215,7 +238,8 @@ impl Reader {
                 if kind.is_comparison()
                     && !text.ends_with(" to")
                     && !text.ends_with(" from")
-                    && (is_bare_noun(rest) || matches!(rest.first(), Some(Piece::Word(Meaning::Of, _)))) =>
+                    && (is_bare_noun(rest)
+                        || matches!(rest.first(), Some(Piece::Word(Meaning::Of, _)))) =>
             {
                 let rank = self.ordinal.take().unwrap_or(1);
                 self.compared = Some((kind, rank, text.to_owned()));
@@ -223,11 +247,9 @@ impl Reader {
             Meaning::Relation(kind) => self.relation(kind, text),
             Meaning::With { absent } => {
                 let absent = absent || std::mem::take(&mut self.negated);
-                if self
-                    .stack
-                    .last()
-                    .is_some_and(|f| matches!(f.role, Role::Anchor { .. } | Role::With { .. }) && f.is_empty())
-                {
+                if self.stack.last().is_some_and(|f| {
+                    matches!(f.role, Role::Anchor { .. } | Role::With { .. }) && f.is_empty()
+                }) {
                     self.pop();
                 }
                 self.number = None;
@@ -253,7 +275,11 @@ impl Reader {
                 self.pop();
             }
             Meaning::Side(measure) => {
-                let kind = if measure == Measure::Leftmost { RelationKind::LeftOf } else { RelationKind::RightOf };
+                let kind = if measure == Measure::Leftmost {
+                    RelationKind::LeftOf
+                } else {
+                    RelationKind::RightOf
+                };
                 self.relation(kind, text);
                 self.pronoun();
             }
@@ -288,7 +314,10 @@ impl Reader {
             }
             Meaning::Determiner => self.determiner(text),
             Meaning::All => {
-                if self.target.is_none() && self.stack.len() <= 1 && self.top().phrase.head.is_empty() {
+                if self.target.is_none()
+                    && self.stack.len() <= 1
+                    && self.top().phrase.head.is_empty()
+                {
                     self.query.quantity = Quantity::All;
                 }
             }
@@ -308,7 +337,8 @@ impl Reader {
         let of = self.of;
         let frame = self.top();
         frame.indefinite |= frame.is_empty() && matches!(text, "a" | "an" | "some" | "any");
-        let another = !frame.phrase.head.is_empty() && !words::is_anything(&frame.phrase.head) && !of;
+        let another =
+            !frame.phrase.head.is_empty() && !words::is_anything(&frame.phrase.head) && !of;
         frame.another = another;
         // "facing the mural the table": a noun nobody knows has come.
         let unknown = frame.phrase.head.is_empty() && !frame.unknown.is_empty() && !of;
@@ -325,14 +355,23 @@ impl Reader {
     /// Whether the innermost phrase has been described, but not named.
     fn describes(&self) -> bool {
         self.stack.last().is_some_and(|Frame { phrase, unknown, .. }| {
-            let described = !(phrase.colours.is_empty() && phrase.traits.is_empty() && unknown.is_empty());
-            described && phrase.head.is_empty() && phrase.uses.is_empty() && phrase.relations.is_empty()
+            let described =
+                !(phrase.colours.is_empty() && phrase.traits.is_empty() && unknown.is_empty());
+            described
+                && phrase.head.is_empty()
+                && phrase.uses.is_empty()
+                && phrase.relations.is_empty()
         })
     }
 
-    /// Makes the last of the words that nothing explains the noun of the innermost phrase: none other can come.
+    /// Makes the last of the words that nothing explains the noun of the innermost phrase: none
+    /// other can come.
     fn name_by_unknown(&mut self) {
-        let Some(frame) = self.stack.last_mut().filter(|frame| frame.phrase.head.is_empty() && frame.phrase.uses.is_empty()) else {
+        let Some(frame) = self
+            .stack
+            .last_mut()
+            .filter(|frame| frame.phrase.head.is_empty() && frame.phrase.uses.is_empty())
+        else {
             return;
         };
         if let Some(word) = frame.unknown.pop() {
@@ -344,7 +383,9 @@ impl Reader {
     /// Words that carry something in some places only.
     fn filler(&mut self, text: &str) {
         match text {
-            "me" | "us" | "myself" | "you" if self.awaits_anchor() => ME.clone_into(&mut self.top().phrase.head),
+            "me" | "us" | "myself" | "you" if self.awaits_anchor() => {
+                ME.clone_into(&mut self.top().phrase.head)
+            }
             "to" | "from" if self.compared.is_some() => {
                 if let Some((kind, rank, words)) = self.compared.take() {
                     self.ordinal = Some(rank);
@@ -352,21 +393,23 @@ impl Reader {
                 }
             }
             // "when you look at the tv from the sofa"
-            "from" if self.stack.last().is_some_and(|f| matches!(f.role, Role::View(Look::Facing) | Role::Seated)) => {
-                let keep = usize::from(
-                    self.stack
-                        .first()
-                        .is_some_and(|f| !matches!(f.role, Role::View(_) | Role::Seated) && !f.phrase.is_empty()),
-                );
+            "from"
+                if self
+                    .stack
+                    .last()
+                    .is_some_and(|f| matches!(f.role, Role::View(Look::Facing) | Role::Seated)) =>
+            {
+                let keep = usize::from(self.stack.first().is_some_and(|f| {
+                    !matches!(f.role, Role::View(_) | Role::Seated) && !f.phrase.is_empty()
+                }));
                 self.unwind(keep);
                 self.push(Role::View(Look::From));
             }
             // "fetch the cup from the shelf"
             "from"
-                if self
-                    .stack
-                    .last()
-                    .is_some_and(|f| f.phrase.uses.is_empty() && !(f.phrase.head.is_empty() && f.unknown.is_empty())) =>
+                if self.stack.last().is_some_and(|f| {
+                    f.phrase.uses.is_empty() && !(f.phrase.head.is_empty() && f.unknown.is_empty())
+                }) =>
             {
                 self.name_by_unknown();
                 self.relation(RelationKind::Near, text);
@@ -379,10 +422,13 @@ impl Reader {
         self.stack.last().is_some_and(|f| matches!(f.role, Role::Anchor { .. }) && f.is_empty())
     }
 
-    /// Whether nothing has been named yet but what somebody looks at or what the target is next to: "facing the bed the lamp on the left".
+    /// Whether nothing has been named yet but what somebody looks at or what the target is next to:
+    /// "facing the bed the lamp on the left".
     fn awaits_target(&self) -> bool {
         let target = self.stack.first().filter(|frame| frame.role == Role::Target);
-        self.stack.len() > 1 && target.is_some_and(|frame| frame.phrase.head.is_empty() && frame.phrase.uses.is_empty())
+        self.stack.len() > 1
+            && target
+                .is_some_and(|frame| frame.phrase.head.is_empty() && frame.phrase.uses.is_empty())
     }
 
     fn and(&mut self, rest: &[Piece]) {
@@ -418,14 +464,16 @@ impl Reader {
         }
     }
 
-    /// A comma or full stop. After it a new phrase may begin; further relations are said of the target.
+    /// A comma or full stop. After it a new phrase may begin; further relations are said of the
+    /// target.
     fn pause(&mut self) {
         self.unwind(0);
         // "the nearest chair": to somebody who stands there, if one does.
         if let Some((kind, rank, text)) = self.compared.take() {
             self.from_here.push(Relation { kind, text, anchors: Vec::new(), negated: false, rank });
         }
-        (self.negated, self.of, self.same, self.number, self.there_is) = (false, false, false, None, false);
+        (self.negated, self.of, self.same, self.number, self.there_is) =
+            (false, false, false, None, false);
     }
 
     fn push(&mut self, role: Role) {
@@ -452,7 +500,14 @@ const ITSELF: &str = "it";
 
 impl Frame {
     fn new(role: Role) -> Self {
-        Self { phrase: Phrase::default(), role, unknown: Vec::new(), another: false, indefinite: false, determined: false }
+        Self {
+            phrase: Phrase::default(),
+            role,
+            unknown: Vec::new(),
+            another: false,
+            indefinite: false,
+            determined: false,
+        }
     }
 
     fn is_empty(&self) -> bool {

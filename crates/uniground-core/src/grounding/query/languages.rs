@@ -7,18 +7,24 @@ use crate::models::attributes::{Lexicon, WordNet};
 /// Small words of other languages that are none in English.
 const SMALL: &[&str] = &[
     // German
-    "der", "das", "dem", "ein", "eine", "einen", "einem", "ist", "wo", "auf", "neben", "unter", "zwischen", "und", "mit", "im", "vom",
-    "zum", "zur", "nicht", "hinter", "links", "rechts", // Dutch, Swedish, Danish
-    "het", "een", "naast", "bij", "van", "en", "ett", "och", "på", "med", "av", "er", "og", // Spanish, Portuguese
-    "el", "la", "los", "las", "del", "una", "unos", "esta", "está", "dónde", "donde", "sobre", "junto", "al", "con", "que", "de", "da",
-    "os", "na", "ao", "onde", "um", "uma", "perto", // French
-    "le", "les", "du", "une", "est", "où", "près", "sur", "dans", "avec", "et", "au", "à", "côté", // Italian
+    "der", "das", "dem", "ein", "eine", "einen", "einem", "ist", "wo", "auf", "neben", "unter",
+    "zwischen", "und", "mit", "im", "vom", "zum", "zur", "nicht", "hinter", "links",
+    "rechts", // Dutch, Swedish, Danish
+    "het", "een", "naast", "bij", "van", "en", "ett", "och", "på", "med", "av", "er",
+    "og", // Spanish, Portuguese
+    "el", "la", "los", "las", "del", "una", "unos", "esta", "está", "dónde", "donde", "sobre",
+    "junto", "al", "con", "que", "de", "da", "os", "na", "ao", "onde", "um", "uma",
+    "perto", // French
+    "le", "les", "du", "une", "est", "où", "près", "sur", "dans", "avec", "et", "au", "à",
+    "côté", // Italian
     "il", "gli", "della", "nel", "sul", "di", "dove", "è", "vicino", "sopra",
 ];
 
-/// Whether most words are of another language: small words that tell one, words that nobody knows, other scripts.
+/// Whether most words are of another language: small words that tell one, words that nobody knows,
+/// other scripts.
 pub(super) fn is_foreign(tokens: &[String]) -> bool {
-    let words: Vec<&str> = tokens.iter().map(String::as_str).filter(|token| *token != BREAK).collect();
+    let words: Vec<&str> =
+        tokens.iter().map(String::as_str).filter(|token| *token != BREAK).collect();
     let small = words.iter().filter(|word| SMALL.contains(word)).count();
     let other_script = words.iter().filter(|word| word.chars().any(is_of_another_script)).count();
     let strange = words.iter().filter(|word| !SMALL.contains(word) && !is_known(word)).count();

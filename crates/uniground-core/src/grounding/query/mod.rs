@@ -1,7 +1,9 @@
-//! Questions in plain words to a [`ParsedQuery`]: target, attributes, anchors, relations (docs/METHOD.md, section 3).
+//! Questions in plain words to a [`ParsedQuery`]: target, attributes, anchors, relations
+//! (docs/METHOD.md, section 3).
 //!
-//! Built in: a tokeniser that knows the lexicon and a grammar of noun phrases joined by relation words. English only. A chat model
-//! may read instead ([`VlmParser`], or [`AutoParser`] where the grammar is in [`Doubt`]): one call, checked, with the grammar to fall back on.
+//! Built in: a tokeniser that knows the lexicon and a grammar of noun phrases joined by relation
+//! words. English only. A chat model may read instead ([`VlmParser`], or [`AutoParser`] where the
+//! grammar is in [`Doubt`]): one call, checked, with the grammar to fall back on.
 
 mod affordances;
 mod beginnings;
@@ -31,16 +33,19 @@ pub use grammar::parse;
 pub use parsers::{AutoParser, BuiltinParser, FellBack, QueryParser, Reading, VlmParser};
 pub use relation_kinds::RelationKind;
 
-/// A query, understood as far as the words go. Every word is used, is filler, or is listed in `not_understood` or `passed_over`.
+/// A query, understood as far as the words go. Every word is used, is filler, or is listed in
+/// `not_understood` or `passed_over`.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ParsedQuery {
     /// What is asked for.
     pub target: Phrase,
-    /// The target once more, where the words allow another reading: in "the cup on the table by the door" either may be by the door.
+    /// The target once more, where the words allow another reading: in "the cup on the table by
+    /// the door" either may be by the door.
     pub other_reading: Option<Phrase>,
     /// Somebody whose left, right, front and back are meant; `None` when the words tell of nobody.
     pub viewpoint: Option<Viewpoint>,
-    /// Where that somebody stands, if the words tell: "standing at the door", "from the sofa". What is "nearest" is nearest to it.
+    /// Where that somebody stands, if the words tell: "standing at the door", "from the sofa".
+    /// What is "nearest" is nearest to it.
     pub standpoint: Option<Phrase>,
     /// Whether one thing is asked for, or several.
     pub quantity: Quantity,
@@ -48,10 +53,12 @@ pub struct ParsedQuery {
     pub foreign: bool,
     /// Words that could not be used or checked, and nouns the lexicon does not know.
     pub not_understood: Vec<String>,
-    /// Words that tell what somebody does or why, before the thing is named: they tell nothing of it, and do not make its reading less sure.
+    /// Words that tell what somebody does or why, before the thing is named: they tell nothing of
+    /// it, and do not make its reading less sure.
     pub passed_over: Vec<String>,
-    /// What is asked for if the words name it later ("pop two slices in the toaster"), in order: a scene without what comes first may have one
-    /// of these ([`settled`](super::settled)). They have no later readings themselves.
+    /// What is asked for if the words name it later ("pop two slices in the toaster"), in order: a
+    /// scene without what comes first may have one of these ([`settled`](super::settled)).
+    /// They have no later readings themselves.
     pub later: Vec<ParsedQuery>,
 }
 
@@ -122,7 +129,8 @@ pub struct Phrase {
     pub head: String,
     /// What it is for: "something to sit on". Words of the lexicon.
     pub uses: Vec<String>,
-    /// Nouns it may be called by as well, the likeliest first: a reader that knows the world says them; of a noun nobody listed, what holds it.
+    /// Nouns it may be called by as well, the likeliest first: a reader that knows the world says
+    /// them; of a noun nobody listed, what holds it.
     pub could_be: Vec<String>,
     /// Nouns it must not be: "the table that is not the dining table".
     pub other_things: Vec<String>,
@@ -179,7 +187,9 @@ impl Phrase {
         match self.head.as_str() {
             // Not a thing but where things are.
             head if zones::made_of(head).is_some() => Meaning::Unknown,
-            head if words::is_anything(head) && !self.uses.is_empty() => Meaning::Nouns(Lexicon::get().of_uses(&self.uses)),
+            head if words::is_anything(head) && !self.uses.is_empty() => {
+                Meaning::Nouns(Lexicon::get().of_uses(&self.uses))
+            }
             head if words::is_anything(head) => Meaning::Anything,
             head => match (structure_of(head), Lexicon::get().find_all(head)) {
                 (Some(structure), _) => Meaning::Structure(structure),
@@ -196,7 +206,11 @@ impl Phrase {
     #[must_use]
     pub fn text(&self) -> String {
         let traits = self.traits.iter().map(|s| s.word());
-        let colours = self.other_than.iter().flat_map(|c| ["not", c.word()]).chain(self.colours.iter().map(|c| c.word()));
+        let colours = self
+            .other_than
+            .iter()
+            .flat_map(|c| ["not", c.word()])
+            .chain(self.colours.iter().map(|c| c.word()));
         let head = match (&self.head, self.uses.is_empty()) {
             (head, true) if head.is_empty() => "thing".to_owned(),
             (head, true) => head.clone(),
@@ -290,7 +304,8 @@ pub struct Relation {
     pub kind: RelationKind,
     /// As the query says it.
     pub text: String,
-    /// Empty for relations to the room. "between" has two, or one that means both; of other kinds all must hold.
+    /// Empty for relations to the room. "between" has two, or one that means both; of other kinds
+    /// all must hold.
     pub anchors: Vec<Phrase>,
     /// "not the one by the door".
     pub negated: bool,

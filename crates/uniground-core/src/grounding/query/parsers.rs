@@ -9,7 +9,8 @@ use std::sync::Arc;
 /// A query, read.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reading {
-    /// What the query says, by the model or, where it was not wanted or could not be used, by the grammar.
+    /// What the query says, by the model or, where it was not wanted or could not be used, by the
+    /// grammar.
     pub parsed: ParsedQuery,
     /// Name and version of who read it, recorded with answers.
     pub by: String,
@@ -39,8 +40,8 @@ const GRAMMAR: &str = "builtin-3";
 
 /// Reads queries. Never fails: what a model can not read the grammar does.
 pub trait QueryParser: Send + Sync {
-    /// Reads one query, given in plain words. `grammar` is what the grammar has read: it computes, so the caller runs it where a thread may
-    /// be kept busy.
+    /// Reads one query, given in plain words. `grammar` is what the grammar has read: it computes,
+    /// so the caller runs it where a thread may be kept busy.
     fn read<'a>(&'a self, query: &'a str, grammar: ParsedQuery) -> BoxFuture<'a, Reading>;
 }
 
@@ -64,7 +65,8 @@ pub struct VlmParser {
 }
 
 impl VlmParser {
-    /// Asks the model; where it can not be used, the grammar's reading stands. How many are asked for the grammar knows best.
+    /// Asks the model; where it can not be used, the grammar's reading stands. How many are asked
+    /// for the grammar knows best.
     async fn ask(&self, query: &str, grammar: ParsedQuery) -> Reading {
         let mut session = Session::new(self.model.as_ref(), self.budgets.clone(), 1);
         let read = match session.ask("parse", vlm::request(query)).await {
@@ -75,9 +77,18 @@ impl VlmParser {
         match read {
             Ok(parsed) => {
                 let by = format!("{} (prompt {})", self.model.name(), vlm::PROMPT_VERSION);
-                Reading { parsed: ParsedQuery { quantity: grammar.quantity, ..parsed }, by, calls, fell_back: None }
+                Reading {
+                    parsed: ParsedQuery { quantity: grammar.quantity, ..parsed },
+                    by,
+                    calls,
+                    fell_back: None,
+                }
             }
-            Err(why) => Reading { calls, fell_back: Some(FellBack { why, was_demanded: true }), ..Reading::by_grammar(grammar) },
+            Err(why) => Reading {
+                calls,
+                fell_back: Some(FellBack { why, was_demanded: true }),
+                ..Reading::by_grammar(grammar)
+            },
         }
     }
 }
@@ -88,8 +99,8 @@ impl QueryParser for VlmParser {
     }
 }
 
-/// The grammar, and a chat model where the grammar is in [doubt](ParsedQuery::doubt). Where the model can not be used then, the grammar's
-/// reading is what there is.
+/// The grammar, and a chat model where the grammar is in [doubt](ParsedQuery::doubt). Where the
+/// model can not be used then, the grammar's reading is what there is.
 #[derive(Clone)]
 pub struct AutoParser(pub VlmParser);
 
@@ -99,7 +110,8 @@ impl QueryParser for AutoParser {
             let Some(doubt) = grammar.doubt() else { return Reading::by_grammar(grammar) };
             let mut reading = self.0.ask(query, grammar).await;
             if let Some(FellBack { why, was_demanded }) = &mut reading.fell_back {
-                (*why, *was_demanded) = (format!("{doubt}; a model was to read it, but {why}"), false);
+                (*why, *was_demanded) =
+                    (format!("{doubt}; a model was to read it, but {why}"), false);
             }
             reading
         }

@@ -49,8 +49,11 @@ pub(super) fn pieces(tokens: &[String]) -> Vec<Piece> {
         }
         let noun = longest_noun(run);
         let word = match (run[0], words::longest(run)) {
-            // "the right monitor", "the one on the right": "right" alone before a noun tells a side, elsewhere it says "directly".
-            ("left" | "right", Some((Meaning::Filler, 1)) | None) if run.len() == 1 || noun_follows(&run[1..]) => {
+            // "the right monitor", "the one on the right": "right" alone before a noun tells a
+            // side, elsewhere it says "directly".
+            ("left" | "right", Some((Meaning::Filler, 1)) | None)
+                if run.len() == 1 || noun_follows(&run[1..]) =>
+            {
                 let side = if run[0] == "left" { Measure::Leftmost } else { Measure::Rightmost };
                 Some((Meaning::Superlative(side), 1))
             }
@@ -63,14 +66,20 @@ pub(super) fn pieces(tokens: &[String]) -> Vec<Piece> {
                 Some((Meaning::Superlative(end), 1))
             }
             // "the monitor on the right desk" is on a desk.
-            ("on" | "in" | "at", Some((Meaning::Superlative(_), length))) if run[1] == "the" && noun_follows(&run[length..]) => {
+            ("on" | "in" | "at", Some((Meaning::Superlative(_), length)))
+                if run[1] == "the" && noun_follows(&run[length..]) =>
+            {
                 words::longest(&run[..1])
             }
             (_, word) => word,
         };
-        // "the lamp stands by the door", "the can", "what you can see": a noun only where one may come.
-        let several = matches!(pieces.last(), Some(Piece::Noun(noun)) if Lexicon::get().is_plural(noun));
-        let a_verb = WORDS_AND_NOUNS.contains(&run[0]) && word.is_some_and(|(_, length)| length == 1) && !awaits_noun(pieces.last())
+        // "the lamp stands by the door", "the can", "what you can see": a noun only where one may
+        // come.
+        let several =
+            matches!(pieces.last(), Some(Piece::Noun(noun)) if Lexicon::get().is_plural(noun));
+        let a_verb = WORDS_AND_NOUNS.contains(&run[0])
+            && word.is_some_and(|(_, length)| length == 1)
+            && !awaits_noun(pieces.last())
             || run[0] == "stand" && several;
         at += match (noun.filter(|&length| length > 1 || !a_verb), word) {
             (Some(length), word) if word.is_none_or(|(_, w)| length >= w) => {
@@ -114,7 +123,9 @@ fn awaits_noun(piece: Option<&Piece>) -> bool {
 
 /// Whether a noun follows, with or without colours and the like before it.
 fn noun_follows(run: &[&str]) -> bool {
-    let describes = |word: &&&str| matches!(words::longest(&[word]), Some((Meaning::Colour(_) | Meaning::Trait(_), 1)));
+    let describes = |word: &&&str| {
+        matches!(words::longest(&[word]), Some((Meaning::Colour(_) | Meaning::Trait(_), 1)))
+    };
     let described = run.iter().take_while(describes).count();
     longest_noun(&run[described..]).is_some()
 }
@@ -125,7 +136,9 @@ pub(super) fn longest_noun(run: &[&str]) -> Option<usize> {
     let is_noun = |n: usize| {
         cost::count();
         let candidate = run[..n].join(" ");
-        let thing = (words::is_anything(&candidate) && n == 1) || structural(&candidate) || lexicon.knows(&candidate);
+        let thing = (words::is_anything(&candidate) && n == 1)
+            || structural(&candidate)
+            || lexicon.knows(&candidate);
         thing || zones::made_of(&candidate).is_some()
     };
     (1..=lexicon.longest_words().max(zones::LONGEST).min(run.len())).rev().find(|&n| is_noun(n))
@@ -145,11 +158,20 @@ pub(super) fn is_bare_noun(rest: &[Piece]) -> bool {
 
 /// Whether more that describes a thing follows, and then its noun: "a square, wooden table".
 pub(super) fn noun_to_come(rest: &[Piece]) -> bool {
-    let describes = |p: &&Piece| matches!(p, Piece::Unknown(_) | Piece::Word(Meaning::Colour(_) | Meaning::Trait(_) | Meaning::And, _));
+    let describes = |p: &&Piece| {
+        matches!(
+            p,
+            Piece::Unknown(_)
+                | Piece::Word(Meaning::Colour(_) | Meaning::Trait(_) | Meaning::And, _)
+        )
+    };
     rest.iter().find(|p| !describes(p)).is_some_and(|p| matches!(p, Piece::Noun(_)))
 }
 
 /// Whether a piece carries nothing by itself.
 pub(super) fn is_filler(piece: &Piece) -> bool {
-    matches!(piece, Piece::Word(Meaning::Filler | Meaning::Determiner | Meaning::OfLast | Meaning::OfTarget, _))
+    matches!(
+        piece,
+        Piece::Word(Meaning::Filler | Meaning::Determiner | Meaning::OfLast | Meaning::OfTarget, _)
+    )
 }

@@ -1,6 +1,7 @@
 //! The kinds of relations there are.
 
-/// What holds between a thing and its anchors; [`relations`](crate::grounding::relations) has the geometry of each.
+/// What holds between a thing and its anchors; [`relations`](crate::grounding::relations) has the
+/// geometry of each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RelationKind {
     /// "next to", "by": a small gap between the surfaces, against the things' sizes.
@@ -15,7 +16,8 @@ pub enum RelationKind {
     LeftOf,
     /// To the right in the directions of the question, and not far.
     RightOf,
-    /// In front in the directions of the question; an anchor at a wall has a front of its own, away from the wall.
+    /// In front in the directions of the question; an anchor at a wall has a front of its own, away
+    /// from the wall.
     InFrontOf,
     /// The opposite side of in front.
     Behind,
@@ -23,7 +25,8 @@ pub enum RelationKind {
     Above,
     /// Lower than the anchor and under its footprint, touching or not.
     Below,
-    /// Resting on the anchor or on a board inside it, or flat against an upright plane ("the picture on the wall").
+    /// Resting on the anchor or on a board inside it, or flat against an upright plane ("the
+    /// picture on the wall").
     On,
     /// The other way round: the anchor rests on it.
     Carrying,
@@ -119,7 +122,8 @@ impl RelationKind {
         matches!(self, Self::AgainstWall | Self::InCorner | Self::InMiddle)
     }
 
-    /// Whether it depends on who looks from where, or on what they call "between" and a corner, and not on boxes alone.
+    /// Whether it depends on who looks from where, or on what they call "between" and a corner, and
+    /// not on boxes alone.
     #[must_use]
     pub fn depends_on_who_looks(self) -> bool {
         matches!(
@@ -136,7 +140,8 @@ impl RelationKind {
         )
     }
 
-    /// The relation the anchor stands in to the thing: "there is a lamp on it" says that it carries a lamp.
+    /// The relation the anchor stands in to the thing: "there is a lamp on it" says that it carries
+    /// a lamp.
     #[must_use]
     pub fn inverse(self) -> Self {
         match self {

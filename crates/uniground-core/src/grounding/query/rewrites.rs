@@ -68,7 +68,9 @@ fn slips(tokens: &mut Vec<String>) {
             ("closes" | "closet", "to") => "closest".clone_into(&mut tokens[i - 1]),
             ("it's" | "that's" | "it" | "that", "got") => "has".clone_into(&mut tokens[i]),
             // "the fridge whose doors are wide"
-            (thing, "whose") if longest_noun(&[thing]).is_some() => "with".clone_into(&mut tokens[i]),
+            (thing, "whose") if longest_noun(&[thing]).is_some() => {
+                "with".clone_into(&mut tokens[i])
+            }
             (thing, "got") if longest_noun(&[thing]).is_some() => "has".clone_into(&mut tokens[i]),
             _ => {}
         }
@@ -80,10 +82,15 @@ fn slips(tokens: &mut Vec<String>) {
 fn which_is(tokens: &mut Vec<String>) {
     let end = tokens.iter().position(|t| t == BREAK).unwrap_or(tokens.len());
     let is_verb = |i: &usize| matches!(tokens[*i].as_str(), "is" | "are");
-    let (Some(verb), true) = ((1..end).find(is_verb), tokens.first().is_some_and(|t| matches!(t.as_str(), "which" | "what"))) else {
+    let (Some(verb), true) = (
+        (1..end).find(is_verb),
+        tokens.first().is_some_and(|t| matches!(t.as_str(), "which" | "what")),
+    ) else {
         return;
     };
-    let carries = end > verb + 2 && matches!(tokens[end - 1].as_str(), "on" | "in" | "under" | "at") && verb > 1;
+    let carries = end > verb + 2
+        && matches!(tokens[end - 1].as_str(), "on" | "in" | "under" | "at")
+        && verb > 1;
     if carries {
         let last = if tokens[end - 2].ends_with("ing") { end - 2 } else { end - 1 };
         tokens.drain(last..end);
@@ -91,7 +98,8 @@ fn which_is(tokens: &mut Vec<String>) {
     }
 }
 
-/// "the seat that a teddy has been put on" is "the seat with a teddy", "the table the bin stands under" is "the table above the bin".
+/// "the seat that a teddy has been put on" is "the seat with a teddy", "the table the bin stands
+/// under" is "the table above the bin".
 fn stranded(tokens: &mut Vec<String>) {
     const INVERSE: [(&[&str], &str); 16] = [
         (&["on", "top", "of"], "with"),
@@ -121,7 +129,8 @@ fn stranded(tokens: &mut Vec<String>) {
         let found = told.and_then(|(words, inverse)| {
             let stop = clause.len() - words.len();
             let (that, thing) = (0..stop).find_map(|i| relative_clause(&clause[..stop], i))?;
-            let verbs = (thing + 2..stop).find(|&i| is_verb_of_place(clause[i]) && clause[i - 1] != "to")?;
+            let verbs = (thing + 2..stop)
+                .find(|&i| is_verb_of_place(clause[i]) && clause[i - 1] != "to")?;
             (stop - verbs <= MOST_VERBS).then_some((that, thing, verbs, *inverse))
         });
         if let Some((that, thing, verbs, inverse)) = found {
@@ -132,19 +141,22 @@ fn stranded(tokens: &mut Vec<String>) {
     }
 }
 
-/// Where a clause about the noun at an index begins, and the article of what it tells of: "the desk [that] [the] printer is on".
+/// Where a clause about the noun at an index begins, and the article of what it tells of: "the desk
+/// [that] [the] printer is on".
 fn relative_clause(clause: &[&str], i: usize) -> Option<(usize, usize)> {
     let that = i + longest_noun(&clause[i..])?;
     let thing = that + usize::from(matches!(clause.get(that), Some(&("that" | "which"))));
-    let is_article = matches!(words::longest(clause.get(thing..=thing)?), Some((Meaning::Determiner, 1)));
+    let is_article =
+        matches!(words::longest(clause.get(thing..=thing)?), Some((Meaning::Determiner, 1)));
     is_article.then_some((that, thing))
 }
 
 /// "is", "has been put", "lies".
 fn is_verb_of_place(word: &str) -> bool {
     const PLACED: [&str; 27] = [
-        "is", "are", "was", "were", "has", "have", "had", "got", "gets", "sits", "sit", "stands", "stand", "lies", "lie", "hangs", "hang",
-        "rests", "rest", "leans", "lean", "sleeps", "lives", "goes", "sat", "stood", "lay",
+        "is", "are", "was", "were", "has", "have", "had", "got", "gets", "sits", "sit", "stands",
+        "stand", "lies", "lie", "hangs", "hang", "rests", "rest", "leans", "lean", "sleeps",
+        "lives", "goes", "sat", "stood", "lay",
     ];
     PLACED.contains(&word) || word.len() > 5 && word.ends_with("ing") && !Lexicon::get().knows(word)
 }
@@ -152,7 +164,10 @@ fn is_verb_of_place(word: &str) -> bool {
 /// "its the one by the door" is "it's the one by the door".
 fn its(tokens: &mut [String]) {
     for i in 1..tokens.len() {
-        let follows = matches!(words::longest(&[&tokens[i]]), Some((Meaning::Determiner | Meaning::Relation(_), _)));
+        let follows = matches!(
+            words::longest(&[&tokens[i]]),
+            Some((Meaning::Determiner | Meaning::Relation(_), _))
+        );
         if tokens[i - 1] == "its" && follows {
             "it's".clone_into(&mut tokens[i - 1]);
         }
@@ -162,20 +177,31 @@ fn its(tokens: &mut [String]) {
 /// "the green thing you make toast with" is "something green to make toast with".
 fn thing_you_use(tokens: &mut Vec<String>) {
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
-    let is_thing = |i: &usize| matches!(word(*i), "thing" | "one" | "object" | "item" | "device" | "machine");
+    let is_thing =
+        |i: &usize| matches!(word(*i), "thing" | "one" | "object" | "item" | "device" | "machine");
     let Some(thing) = (1..tokens.len().min(7)).find(is_thing) else { return };
     let that = usize::from(matches!(word(thing + 1), "that" | "which"));
-    let people = matches!(word(thing + that + 1), "you" | "people" | "they" | "one" | "someone" | "somebody" | "we");
-    let may = usize::from(matches!(word(thing + that + 2), "would" | "could" | "can" | "might" | "usually" | "normally" | "just"));
+    let people = matches!(
+        word(thing + that + 1),
+        "you" | "people" | "they" | "one" | "someone" | "somebody" | "we"
+    );
+    let may = usize::from(matches!(
+        word(thing + that + 2),
+        "would" | "could" | "can" | "might" | "usually" | "normally" | "just"
+    ));
     let verb = word(thing + that + 2 + may);
     let meaning = |i: usize| words::longest(&[word(i)]).map(|(meaning, _)| meaning);
     let describes = |i: usize| match meaning(i) {
-        Some(meaning) => matches!(meaning, Meaning::Colour(_) | Meaning::Trait(_) | Meaning::Determiner | Meaning::Filler),
+        Some(meaning) => matches!(
+            meaning,
+            Meaning::Colour(_) | Meaning::Trait(_) | Meaning::Determiner | Meaning::Filler
+        ),
         None => !Lexicon::get().knows(word(i)),
     };
     if people && affordances::is_verb_of_a_use(verb) && (0..thing).all(describes) {
         let described = (0..thing).filter(|&i| meaning(i) != Some(Meaning::Determiner)).map(word);
-        let new: Vec<String> = ["something"].into_iter().chain(described).chain(["to"]).map(str::to_owned).collect();
+        let new: Vec<String> =
+            ["something"].into_iter().chain(described).chain(["to"]).map(str::to_owned).collect();
         tokens.splice(..thing + that + 2 + may, new);
     }
 }
@@ -183,16 +209,27 @@ fn thing_you_use(tokens: &mut Vec<String>) {
 /// "the bright one, for sitting" is "something bright to sit".
 fn one_for(tokens: &mut Vec<String>) {
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
-    let Some(one) = (0..tokens.len()).find(|&i| matches!(word(i), "one" | "thing" | "something")) else { return };
+    let Some(one) = (0..tokens.len()).find(|&i| matches!(word(i), "one" | "thing" | "something"))
+    else {
+        return;
+    };
     let at = one + 1 + usize::from(word(one + 1) == BREAK);
     let verb = word(at + 1).to_owned();
-    let described = (0..one).all(|i| !Lexicon::get().knows(word(i)) && word(i) != BREAK && word(i) != "no");
-    if word(at) == "for" && verb.ends_with("ing") && affordances::is_verb_of_a_use(&verb) && described {
+    let described =
+        (0..one).all(|i| !Lexicon::get().knows(word(i)) && word(i) != BREAK && word(i) != "no");
+    if word(at) == "for"
+        && verb.ends_with("ing")
+        && affordances::is_verb_of_a_use(&verb)
+        && described
+    {
         let before: Vec<String> = tokens.drain(..=at).take(one).collect();
-        let describing = before
-            .into_iter()
-            .filter(|word| !matches!(words::longest(&[word]), Some((Meaning::Determiner | Meaning::Filler, _))));
-        let new: Vec<String> = std::iter::once("something".to_owned()).chain(describing).chain(["to".to_owned()]).collect();
+        let describing = before.into_iter().filter(|word| {
+            !matches!(words::longest(&[word]), Some((Meaning::Determiner | Meaning::Filler, _)))
+        });
+        let new: Vec<String> = std::iter::once("something".to_owned())
+            .chain(describing)
+            .chain(["to".to_owned()])
+            .collect();
         tokens.splice(..0, new);
     }
 }
@@ -207,9 +244,15 @@ fn of_several(tokens: &mut Vec<String>) {
     };
     let Some(pause) = tokens.iter().position(|token| token == BREAK) else { return };
     let one = (pause + 1..tokens.len()).find(|&i| word(i) == "one").filter(|one| *one <= pause + 4);
-    let plural = Lexicon::get().find(word(pause - 1)).filter(|_| Lexicon::get().is_plural(word(pause - 1)));
+    let plural =
+        Lexicon::get().find(word(pause - 1)).filter(|_| Lexicon::get().is_plural(word(pause - 1)));
     let (Some(one), Some(noun)) = (one, plural) else { return };
-    let counted = |word: &&String| matches!(words::longest(&[word]), Some((Meaning::Determiner | Meaning::Number(_) | Meaning::All, _)));
+    let counted = |word: &&String| {
+        matches!(
+            words::longest(&[word]),
+            Some((Meaning::Determiner | Meaning::Number(_) | Meaning::All, _))
+        )
+    };
     let described = tokens[begins..pause - 1].iter().skip_while(counted).cloned();
     let new: Vec<String> = described.chain(noun.name.split(' ').map(str::to_owned)).collect();
     tokens.splice(one..=one, new);
@@ -220,7 +263,10 @@ fn of_several(tokens: &mut Vec<String>) {
 fn over_at(tokens: &mut Vec<String>) {
     let mut i = 0;
     while i + 1 < tokens.len() {
-        let near = matches!(tokens[i + 1].as_str(), "on" | "in" | "at" | "by" | "near" | "next" | "there" | "here" | "against");
+        let near = matches!(
+            tokens[i + 1].as_str(),
+            "on" | "in" | "at" | "by" | "near" | "next" | "there" | "here" | "against"
+        );
         if tokens[i] == "over" && near {
             tokens.remove(i);
         } else {
@@ -229,12 +275,18 @@ fn over_at(tokens: &mut Vec<String>) {
     }
 }
 
-/// "put the board away before somebody slips on it": when and why it is wanted does not tell it from others.
+/// "put the board away before somebody slips on it": when and why it is wanted does not tell it
+/// from others.
 fn until_somebody(tokens: &mut Vec<String>) {
-    const SUBJECTS: [&str; 13] = ["somebody", "someone", "anybody", "anyone", "i", "we", "it", "they", "he", "she", "people", "i'm", "you"];
+    const SUBJECTS: [&str; 13] = [
+        "somebody", "someone", "anybody", "anyone", "i", "we", "it", "they", "he", "she", "people",
+        "i'm", "you",
+    ];
     let begins = |i: &usize| {
-        matches!(tokens[*i].as_str(), "before" | "because" | "since" | "until" | "till" | "cause" | "cos")
-            && tokens.get(i + 1).is_some_and(|next| SUBJECTS.contains(&next.as_str()))
+        matches!(
+            tokens[*i].as_str(),
+            "before" | "because" | "since" | "until" | "till" | "cause" | "cos"
+        ) && tokens.get(i + 1).is_some_and(|next| SUBJECTS.contains(&next.as_str()))
     };
     if let Some(start) = (1..tokens.len()).find(begins) {
         let end = (start..tokens.len()).find(|&i| tokens[i] == BREAK).unwrap_or(tokens.len());
@@ -244,10 +296,12 @@ fn until_somebody(tokens: &mut Vec<String>) {
 
 /// "at the very left", "all the way to the right": the side says it.
 fn extremes(tokens: &mut Vec<String>) {
-    let is_side = |word: &str| matches!(word, "left" | "right" | "top" | "bottom" | "front" | "back" | "end");
+    let is_side =
+        |word: &str| matches!(word, "left" | "right" | "top" | "bottom" | "front" | "back" | "end");
     let mut i = 0;
     while i + 1 < tokens.len() {
-        if matches!(tokens[i].as_str(), "very" | "extreme" | "absolute") && is_side(&tokens[i + 1]) {
+        if matches!(tokens[i].as_str(), "very" | "extreme" | "absolute") && is_side(&tokens[i + 1])
+        {
             tokens.remove(i);
         }
         if tokens[i..].iter().map(String::as_str).take(3).eq(["all", "the", "way"]) {
@@ -263,15 +317,20 @@ fn how_many(tokens: &mut Vec<String>) {
     let Some(start) = asks else { return };
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
     let whose = (start..tokens.len()).find(|&i| {
-        matches!(word(i), "do" | "does" | "did" | "can" | "have") && matches!(word(i + 1), "i" | "we" | "you" | "they" | "people" | "one")
+        matches!(word(i), "do" | "does" | "did" | "can" | "have")
+            && matches!(word(i + 1), "i" | "we" | "you" | "they" | "people" | "one")
     });
     if let Some(i) = whose {
-        let verbs = usize::from(matches!(word(i + 2), "have" | "see" | "own" | "find" | "count" | "got" | "keep"));
+        let verbs = usize::from(matches!(
+            word(i + 2),
+            "have" | "see" | "own" | "find" | "count" | "got" | "keep"
+        ));
         tokens.drain(i..i + 2 + verbs);
     }
 }
 
-/// "the nearest place to sit when you come in" is "something to sit, the nearest, when you come in".
+/// "the nearest place to sit when you come in" is "something to sit, the nearest, when you come
+/// in".
 fn nearest_place(tokens: &mut Vec<String>) {
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
     let begins = |&i: &usize| {
@@ -300,7 +359,10 @@ fn either_side(tokens: &mut Vec<String>) {
     while start > 0 && small(&tokens[start - 1]) {
         start -= 1;
     }
-    if matches!((tokens[first].as_str(), tokens[second].as_str()), ("left", "right") | ("right", "left")) {
+    if matches!(
+        (tokens[first].as_str(), tokens[second].as_str()),
+        ("left", "right") | ("right", "left")
+    ) {
         tokens.drain(start..=second);
     }
 }
@@ -308,28 +370,37 @@ fn either_side(tokens: &mut Vec<String>) {
 /// "a chair on wheels" has them.
 fn on_parts(tokens: &mut [String]) {
     for i in 1..tokens.len() {
-        if tokens[i - 1] == "on" && matches!(tokens[i].as_str(), "wheels" | "casters" | "castors" | "legs") {
+        if tokens[i - 1] == "on"
+            && matches!(tokens[i].as_str(), "wheels" | "casters" | "castors" | "legs")
+        {
             "with".clone_into(&mut tokens[i - 1]);
         }
     }
 }
 
-/// "a lamp for reading", "the pot to brew tea in": what the named thing is for is one word that nothing here can check, unless the
-/// two together are a thing's name ("tea pot").
+/// "a lamp for reading", "the pot to brew tea in": what the named thing is for is one word that
+/// nothing here can check, unless the two together are a thing's name ("tea pot").
 fn purposes(tokens: &mut Vec<String>) {
     let lexicon = Lexicon::get();
     let mut i = 1;
     while i + 1 < tokens.len() {
         let to = usize::from(tokens[i] == "for" && tokens[i + 1] == "to");
         let verb = tokens.get(i + to + 1).map_or("", String::as_str);
-        let said = tokens[i + to] == "to" && affordances::is_verb_of_a_use(verb) || tokens[i] == "for" && verb.ends_with("ing");
-        let of_a_thing = lexicon.knows(&tokens[i - 1]) && !lexicon.knows(verb) && words::longest(&[verb]).is_none();
+        let said = tokens[i + to] == "to" && affordances::is_verb_of_a_use(verb)
+            || tokens[i] == "for" && verb.ends_with("ing");
+        let of_a_thing = lexicon.knows(&tokens[i - 1])
+            && !lexicon.knows(verb)
+            && words::longest(&[verb]).is_none();
         if !(said && of_a_thing) {
             i += 1;
             continue;
         }
         let ends = |word: &str| {
-            word == BREAK || matches!(words::longest(&[word]), Some((Meaning::Relation(_) | Meaning::With { .. } | Meaning::And, _)))
+            word == BREAK
+                || matches!(
+                    words::longest(&[word]),
+                    Some((Meaning::Relation(_) | Meaning::With { .. } | Meaning::And, _))
+                )
         };
         let end = (i + to + 2..tokens.len()).find(|&k| ends(&tokens[k])).unwrap_or(tokens.len());
         let compound = tokens[i + to + 2..end]
@@ -347,10 +418,18 @@ fn purposes(tokens: &mut Vec<String>) {
     }
 }
 
-/// "The chair. Leans against the wall": the verb of a sentence without a subject says no more than what follows it.
+/// "The chair. Leans against the wall": the verb of a sentence without a subject says no more than
+/// what follows it.
 fn verbs(tokens: &mut Vec<String>) {
-    let is_verb = |word: &str| word.len() > 3 && word.ends_with('s') && words::longest(&[word]).is_none() && !Lexicon::get().knows(word);
-    let relates = |word: &str| matches!(words::longest(&[word]), Some((Meaning::Relation(_) | Meaning::With { .. }, _)));
+    let is_verb = |word: &str| {
+        word.len() > 3
+            && word.ends_with('s')
+            && words::longest(&[word]).is_none()
+            && !Lexicon::get().knows(word)
+    };
+    let relates = |word: &str| {
+        matches!(words::longest(&[word]), Some((Meaning::Relation(_) | Meaning::With { .. }, _)))
+    };
     let mut i = 1;
     while i + 1 < tokens.len() {
         if tokens[i - 1] == BREAK && is_verb(&tokens[i]) && relates(&tokens[i + 1]) {
@@ -360,17 +439,28 @@ fn verbs(tokens: &mut Vec<String>) {
     }
 }
 
-/// "with the window in front of me" is "when you face the window", "with the door behind me" "with my back to the door".
+/// "with the window in front of me" is "when you face the window", "with the door behind me" "with
+/// my back to the door".
 fn in_front_of_me(tokens: &mut Vec<String>) {
-    const AHEAD: [&[&str]; 4] = [&["right", "in", "front", "of"], &["in", "front", "of"], &["ahead", "of"], &["before"]];
+    const AHEAD: [&[&str]; 4] =
+        [&["right", "in", "front", "of"], &["in", "front", "of"], &["ahead", "of"], &["before"]];
     const BEHIND: [&[&str]; 1] = [&["behind"]];
-    let somebody = |word: Option<&String>| word.is_some_and(|word| matches!(word.as_str(), "me" | "you" | "us"));
+    let somebody = |word: Option<&String>| {
+        word.is_some_and(|word| matches!(word.as_str(), "me" | "you" | "us"))
+    };
     let Some(with) = tokens.iter().position(|token| token == "with") else { return };
     let end = (with..tokens.len()).find(|&i| tokens[i] == BREAK).unwrap_or(tokens.len());
-    for (ways, meant) in [(&AHEAD[..], &["when", "you", "face"][..]), (&BEHIND[..], &["with", "my", "back", "to"][..])] {
+    for (ways, meant) in [
+        (&AHEAD[..], &["when", "you", "face"][..]),
+        (&BEHIND[..], &["with", "my", "back", "to"][..]),
+    ] {
         for words in ways {
-            let told = |i: &usize| tokens[*i..].iter().map(String::as_str).take(words.len()).eq(words.iter().copied());
-            if let Some(at) = (with + 2..end).find(told).filter(|at| somebody(tokens.get(at + words.len()))) {
+            let told = |i: &usize| {
+                tokens[*i..].iter().map(String::as_str).take(words.len()).eq(words.iter().copied())
+            };
+            if let Some(at) =
+                (with + 2..end).find(told).filter(|at| somebody(tokens.get(at + words.len())))
+            {
                 tokens.splice(at..=at + words.len(), [BREAK.to_owned()]);
                 tokens.splice(with..=with, meant.iter().map(|word| (*word).to_owned()));
                 return;
@@ -381,22 +471,33 @@ fn in_front_of_me(tokens: &mut Vec<String>) {
 
 /// "in green tones", "in shades of red", "in white" speak of the thing's own colour.
 fn shades(tokens: &mut Vec<String>) {
-    const TONES: [&str; 12] = ["tone", "tones", "shade", "shades", "hue", "hues", "tint", "tints", "color", "colors", "colour", "colours"];
+    const TONES: [&str; 12] = [
+        "tone", "tones", "shade", "shades", "hue", "hues", "tint", "tints", "color", "colors",
+        "colour", "colours",
+    ];
     let colour = |tokens: &[String], i: usize| {
-        let run: Vec<&str> = tokens[i.min(tokens.len())..].iter().map(String::as_str).take_while(|t| *t != BREAK).collect();
+        let run: Vec<&str> = tokens[i.min(tokens.len())..]
+            .iter()
+            .map(String::as_str)
+            .take_while(|t| *t != BREAK)
+            .collect();
         match words::longest(&run) {
             Some((Meaning::Colour(_), length)) => Some(length),
             _ => None,
         }
     };
-    let is_tone = |tokens: &[String], i: usize| tokens.get(i).is_some_and(|t| TONES.contains(&t.as_str()));
+    let is_tone =
+        |tokens: &[String], i: usize| tokens.get(i).is_some_and(|t| TONES.contains(&t.as_str()));
     let mut i = 0;
     while i < tokens.len() {
         if tokens[i] != "in" {
             i += 1;
             continue;
         }
-        if is_tone(tokens, i + 1) && tokens.get(i + 2).is_some_and(|t| t == "of") && colour(tokens, i + 3).is_some() {
+        if is_tone(tokens, i + 1)
+            && tokens.get(i + 2).is_some_and(|t| t == "of")
+            && colour(tokens, i + 3).is_some()
+        {
             tokens.drain(i..i + 3);
             continue;
         }
@@ -436,18 +537,33 @@ mod tests {
             ("the lamp all the way to the right", "the lamp to the right"),
             ("somethng to sit on, theres one", "something to sit on , there's one"),
             ("its the one near the door", "it's the one near the door"),
-            ("is the desk on the left or the right, show me the desk", "is the desk , show me the desk"),
-            ("the nearest place to sit when you come in", "something to sit , the nearest when you come in"),
+            (
+                "is the desk on the left or the right, show me the desk",
+                "is the desk , show me the desk",
+            ),
+            (
+                "the nearest place to sit when you come in",
+                "something to sit , the nearest when you come in",
+            ),
             ("the red chair. Leans against the wall", "the red chair , against the wall"),
             ("with the window in front of me the lamp", "when you face the window , the lamp"),
-            ("the lamp on the left with the door behind me", "the lamp on the left with my back to the door ,"),
+            (
+                "the lamp on the left with the door behind me",
+                "the lamp on the left with my back to the door ,",
+            ),
             ("the sofa with the table in front of it", "the sofa with the table in front of it"),
             ("the shiny thing you sit on", "something shiny to sit on"),
             ("the wooden thing you would climb on", "something wooden to climb on"),
             ("the seat a teddy has been put on", "the seat with a teddy"),
             ("the cabinet the printer is sitting on", "the cabinet with the printer"),
-            ("the machine that the bread rolls are lying on top of, please", "the machine with the bread rolls , please"),
-            ("of the green slatted chairs, the one by the door", "the green slatted chair by the door"),
+            (
+                "the machine that the bread rolls are lying on top of, please",
+                "the machine with the bread rolls , please",
+            ),
+            (
+                "of the green slatted chairs, the one by the door",
+                "the green slatted chair by the door",
+            ),
             ("out of the three stools, the tallest one", "the tallest stool"),
             ("the bright orange plastic one, for sitting", "something orange plastic to sitting"),
             ("the lamp over on my left", "the lamp on my left"),
@@ -455,7 +571,10 @@ mod tests {
             ("put away the board before somebody slips on it", "put away the board"),
             ("the chair before the door", "the chair before the door"),
             ("the table the dog sleeps under", "the table above the dog"),
-            ("the lamp next to the desk the bin stands behind", "the lamp next to the desk in front of the bin"),
+            (
+                "the lamp next to the desk the bin stands behind",
+                "the lamp next to the desk in front of the bin",
+            ),
             ("the chair the boy likes to sit on", "the chair the boy likes to sit on"),
             ("the mug on the table that is on", "the mug on the table that is on"),
             ("the green thing you sit on", "something green to sit on"),
@@ -473,7 +592,12 @@ mod tests {
             assert_eq!(rewritten(tokens(said)).join(" "), meant.replace('|', " "), "{said}");
             // A token may be several words.
             if meant.contains('|') {
-                assert!(rewritten(tokens(said)).iter().any(|token| Some(token.as_str()) == meant.split('|').nth(1)), "{said}");
+                assert!(
+                    rewritten(tokens(said))
+                        .iter()
+                        .any(|token| Some(token.as_str()) == meant.split('|').nth(1)),
+                    "{said}"
+                );
             }
         }
     }

@@ -1,4 +1,5 @@
-//! Ends, corners and sides of things and of the room, rewritten to the few ways that the tables know.
+//! Ends, corners and sides of things and of the room, rewritten to the few ways that the tables
+//! know.
 
 use super::tokens::BREAK;
 use super::words::{self, Meaning};
@@ -27,8 +28,11 @@ fn side_of_another(tokens: &mut Vec<String>) {
     };
     let Some(at) = (0..tokens.len()).find(told) else { return };
     let other = tokens[at + 2].clone();
-    let is_end =
-        |&i: &usize| word(i) == BREAK || matches!(words::longest(&[word(i)]), Some((Meaning::Relation(_), _))) || word(i) == "there";
+    let is_end = |&i: &usize| {
+        word(i) == BREAK
+            || matches!(words::longest(&[word(i)]), Some((Meaning::Relation(_), _)))
+            || word(i) == "there"
+    };
     let end = (at + 5..tokens.len()).find(is_end).unwrap_or(tokens.len());
     tokens.splice(end..end, ["closest".to_owned(), "to".to_owned(), "the".to_owned(), other]);
     tokens.splice(at..at + 5, ["next".to_owned(), "to".to_owned()]);
@@ -54,7 +58,8 @@ fn utmost(tokens: &mut Vec<String>) {
     }
 }
 
-/// "it is facing left": which way a thing is turned no box tells. One word, which nothing here can check.
+/// "it is facing left": which way a thing is turned no box tells. One word, which nothing here can
+/// check.
 fn turned(tokens: &mut Vec<String>) {
     const WAYS: [&str; 15] = [
         "left",
@@ -76,12 +81,18 @@ fn turned(tokens: &mut Vec<String>) {
     let mut i = 0;
     while i < tokens.len() {
         let mut end = i + 1;
-        while tokens.get(end).is_some_and(|word| matches!(word.as_str(), "to" | "towards" | "the" | "directly")) {
+        while tokens
+            .get(end)
+            .is_some_and(|word| matches!(word.as_str(), "to" | "towards" | "the" | "directly"))
+        {
             end += 1;
         }
-        let turns = tokens[i] == "facing" && tokens.get(end).is_some_and(|word| WAYS.contains(&word.as_str()));
+        let turns = tokens[i] == "facing"
+            && tokens.get(end).is_some_and(|word| WAYS.contains(&word.as_str()));
         // "facing the left wall" is somebody who looks.
-        let alone = tokens.get(end + 1).is_none_or(|next| next == BREAK || matches!(next.as_str(), "and" | "side"));
+        let alone = tokens
+            .get(end + 1)
+            .is_none_or(|next| next == BREAK || matches!(next.as_str(), "and" | "side"));
         if turns && alone {
             let both = tokens.get(end + 1).is_some_and(|next| next == "and")
                 && tokens.get(end + 2).is_some_and(|word| WAYS.contains(&word.as_str()));
@@ -119,19 +130,24 @@ fn ends(tokens: &mut Vec<String>) {
     }
 }
 
-/// "on the back right", "in the far bottom left": of two sides the one that the words before tell nothing of is kept.
+/// "on the back right", "in the far bottom left": of two sides the one that the words before tell
+/// nothing of is kept.
 fn far_sides(tokens: &mut Vec<String>) {
     let mut i = 2;
     while i < tokens.len() {
         let is_side = matches!(tokens[i].as_str(), "left" | "right");
-        let goes_on = tokens.get(i + 1).is_some_and(|next| WHICH.contains(&next.as_str()) || next == "of");
-        let a_noun = tokens
-            .get(i + 1)
-            .is_some_and(|next| Lexicon::get().knows(next) || matches!(next.as_str(), "corner" | "wall" | "one"));
+        let goes_on =
+            tokens.get(i + 1).is_some_and(|next| WHICH.contains(&next.as_str()) || next == "of");
+        let a_noun = tokens.get(i + 1).is_some_and(|next| {
+            Lexicon::get().knows(next) || matches!(next.as_str(), "corner" | "wall" | "one")
+        });
         if is_side
             && !goes_on
             && !a_noun
-            && matches!(tokens[i - 1].as_str(), "back" | "front" | "top" | "bottom" | "upper" | "lower" | "rear")
+            && matches!(
+                tokens[i - 1].as_str(),
+                "back" | "front" | "top" | "bottom" | "upper" | "lower" | "rear"
+            )
             && let Some((start, Some(side))) = before(tokens, i + 1)
         {
             tokens.splice(start..=i, ["on", "the", side].map(str::to_owned));
@@ -142,7 +158,8 @@ fn far_sides(tokens: &mut Vec<String>) {
 }
 
 const PREPOSITIONS: [&str; 8] = ["in", "at", "by", "near", "on", "to", "from", "into"];
-/// Words that tell one corner or side from another. Most need a plan of the room or somebody's view and are passed over.
+/// Words that tell one corner or side from another. Most need a plan of the room or somebody's view
+/// and are passed over.
 const WHICH: [&str; 37] = [
     "far",
     "back",
@@ -183,7 +200,8 @@ const WHICH: [&str; 37] = [
     "absolute",
 ];
 
-/// Where a preposition, an article and words for which one stand before `end`: where they start, and the side they tell.
+/// Where a preposition, an article and words for which one stand before `end`: where they start,
+/// and the side they tell.
 fn before(tokens: &[String], end: usize) -> Option<(usize, Option<&'static str>)> {
     let is = |i: usize, words: &[&str]| words.contains(&tokens[i].as_str());
     let mut start = end;
@@ -211,13 +229,18 @@ enum Of {
 fn of(tokens: &[String], at: usize) -> Of {
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
     match (word(at), word(at + 1), word(at + 2)) {
-        ("of" | "in", "the" | "this", "room" | "kitchen" | "office" | "bedroom" | "bathroom" | "space") => Of::Room(at + 3),
+        (
+            "of" | "in",
+            "the" | "this",
+            "room" | "kitchen" | "office" | "bedroom" | "bathroom" | "space",
+        ) => Of::Room(at + 3),
         ("of", ..) => Of::Thing,
         _ => Of::Nothing,
     }
 }
 
-/// "in the back left corner of the room" is "in the corner on the left"; "on the corner of the desk" is "on the desk".
+/// "in the back left corner of the room" is "in the corner on the left"; "on the corner of the
+/// desk" is "on the desk".
 fn corners(tokens: &mut Vec<String>) {
     let mut i = 0;
     while i < tokens.len() {
@@ -227,7 +250,10 @@ fn corners(tokens: &mut Vec<String>) {
             let (end, mut new): (usize, Vec<&str>) = match of(tokens, i + 1) {
                 Of::Thing => (
                     i + 2,
-                    side.map_or_else(|| vec![if tokens[start] == "on" { "on" } else { "at" }], |side| at_a_side(&tokens[start], side)),
+                    side.map_or_else(
+                        || vec![if tokens[start] == "on" { "on" } else { "at" }],
+                        |side| at_a_side(&tokens[start], side),
+                    ),
                 ),
                 Of::Room(end) => (end, vec!["in", "the", "corner"]),
                 Of::Nothing => (i + 1, vec!["in", "the", "corner"]),
@@ -252,7 +278,8 @@ fn sides_of_the_room(tokens: &mut Vec<String>) {
             && let Some((start, side)) = before(tokens, i)
             && let Of::Room(end) = of(tokens, i + 1)
         {
-            let new: Vec<String> = side.map_or_else(Vec::new, |side| ["on", "the", side].map(str::to_owned).to_vec());
+            let new: Vec<String> =
+                side.map_or_else(Vec::new, |side| ["on", "the", side].map(str::to_owned).to_vec());
             let length = new.len();
             tokens.splice(start..end, new);
             i = start + length;
@@ -273,12 +300,18 @@ mod tests {
             ("the chair in the far left corner of the room", "the chair in the corner on the left"),
             ("the plant in one corner", "the plant in the corner"),
             ("a mug on the corner of the desk", "a mug on the desk"),
-            ("the monitor on the bottom left corner of the desk", "the monitor on the left side of the desk"),
+            (
+                "the monitor on the bottom left corner of the desk",
+                "the monitor on the left side of the desk",
+            ),
             ("the chair by the corner of the table", "the chair at the table"),
             ("a corner desk", "a corner desk"),
             ("the bed on the right side of the room", "the bed on the right"),
             ("on the other side of the room", ""),
-            ("the kettle at the far right end of the counter", "the kettle on the right side of the counter"),
+            (
+                "the kettle at the far right end of the counter",
+                "the kettle on the right side of the counter",
+            ),
             ("the kettle at the end of the counter", "the kettle at the end of the counter"),
             ("the one on the right - most table", "the one on the rightmost table"),
             ("the pillow that is on the back right", "the pillow that is on the right"),

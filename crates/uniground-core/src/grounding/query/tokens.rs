@@ -19,7 +19,9 @@ pub(super) fn tokens(query: &str) -> Vec<String> {
         match (bare.strip_suffix("'s"), tokens.last_mut()) {
             // "it 's", as some write.
             _ if said == "'s" => {
-                if let Some(last) = tokens.last_mut().filter(|last| WITH_IS.contains(&last.as_str())) {
+                if let Some(last) =
+                    tokens.last_mut().filter(|last| WITH_IS.contains(&last.as_str()))
+                {
                     last.push_str("'s");
                 }
             }
@@ -51,7 +53,8 @@ const MIN_SLIP_CHARS: usize = 5;
 /// From here on two slips are forgiven.
 const TWO_SLIPS_FROM_CHARS: usize = 8;
 
-/// The noun of the lexicon a misspelt word was meant to be: "refridgerator". `None` when no single one is near.
+/// The noun of the lexicon a misspelt word was meant to be: "refridgerator". `None` when no single
+/// one is near.
 pub(super) fn spelling(word: &str) -> Option<&'static str> {
     let length = word.chars().count();
     if !word.is_ascii() || WordNet::get().is_english(word) {
@@ -66,7 +69,8 @@ pub(super) fn spelling(word: &str) -> Option<&'static str> {
             .then(|| (distance(word, known), known))
             .filter(|(distance, _)| *distance <= allowed)
     };
-    let mut found: Vec<(usize, &str)> = Lexicon::get().words().filter(|w| w.len() >= MIN_SLIP_CHARS - 1).filter_map(near).collect();
+    let mut found: Vec<(usize, &str)> =
+        Lexicon::get().words().filter(|w| w.len() >= MIN_SLIP_CHARS - 1).filter_map(near).collect();
     found.sort_unstable();
     found.first().map(|(_, known)| *known)
 }
@@ -81,28 +85,40 @@ fn doubled(word: &str) -> Option<&'static str> {
     (1..=word.len()).find_map(|i| Lexicon::get().word(&format!("{}{}", &word[..i], &word[i - 1..])))
 }
 
-/// The noun that two words make which somebody wrote apart: "wheel barow". Of two that are English only as it stands.
+/// The noun that two words make which somebody wrote apart: "wheel barow". Of two that are English
+/// only as it stands.
 pub(super) fn joined(first: &str, second: &str) -> Option<&'static str> {
     let lexicon = Lexicon::get();
     let of_the_grammar = |word: &str| words::longest(&[word]).is_some();
-    if of_the_grammar(first) || of_the_grammar(second) || lexicon.knows(&format!("{first} {second}")) {
-        return None;
-    }
-    let whole = format!("{first}{second}");
-    lexicon
-        .word(&whole)
-        .or_else(|| (!WordNet::get().is_english(second) && !lexicon.knows(second)).then(|| spelling(&whole))?)
-}
-
-/// The word of the grammar a misspelt one was meant to be: "somethng". `None` for English words, and for nouns of the lexicon.
-pub(super) fn spelling_of_small_words(word: &str) -> Option<&'static str> {
-    let length = word.chars().count();
-    if length < MIN_SLIP_CHARS || !word.is_ascii() || WordNet::get().is_english(word) || Lexicon::get().knows(word) || words::is_known(word)
+    if of_the_grammar(first)
+        || of_the_grammar(second)
+        || lexicon.knows(&format!("{first} {second}"))
     {
         return None;
     }
-    let near =
-        |known: &&'static str| known.len() >= MIN_SLIP_CHARS && known.as_bytes()[0] == word.as_bytes()[0] && distance(word, known) == 1;
+    let whole = format!("{first}{second}");
+    lexicon.word(&whole).or_else(|| {
+        (!WordNet::get().is_english(second) && !lexicon.knows(second)).then(|| spelling(&whole))?
+    })
+}
+
+/// The word of the grammar a misspelt one was meant to be: "somethng". `None` for English words,
+/// and for nouns of the lexicon.
+pub(super) fn spelling_of_small_words(word: &str) -> Option<&'static str> {
+    let length = word.chars().count();
+    if length < MIN_SLIP_CHARS
+        || !word.is_ascii()
+        || WordNet::get().is_english(word)
+        || Lexicon::get().knows(word)
+        || words::is_known(word)
+    {
+        return None;
+    }
+    let near = |known: &&'static str| {
+        known.len() >= MIN_SLIP_CHARS
+            && known.as_bytes()[0] == word.as_bytes()[0]
+            && distance(word, known) == 1
+    };
     words::small().filter(near).min()
 }
 
@@ -137,7 +153,9 @@ mod tests {
         assert_eq!(spelling("bal"), Some("ball"));
         assert_eq!(joined("wheel", "barow"), Some("wheelbarrow"));
         assert_eq!(joined("book", "case"), None, "known as it stands");
-        for (first, second) in [("red", "chair"), ("the", "bed"), ("chair", "table"), ("lamp", "xyzzy")] {
+        for (first, second) in
+            [("red", "chair"), ("the", "bed"), ("chair", "table"), ("lamp", "xyzzy")]
+        {
             assert_eq!(joined(first, second), None, "{first} {second}");
         }
         for word in ["theremin", "quaternion", "xyz", "hat", "wine"] {
@@ -147,7 +165,13 @@ mod tests {
 
     #[test]
     fn forms_of_a_verb_have_one_stem() {
-        for (a, b) in [("sitting", "sit"), ("tells", "tell"), ("writing", "write"), ("throws", "throw"), ("washes", "wash")] {
+        for (a, b) in [
+            ("sitting", "sit"),
+            ("tells", "tell"),
+            ("writing", "write"),
+            ("throws", "throw"),
+            ("washes", "wash"),
+        ] {
             assert_eq!(stem(a), stem(b), "{a}");
         }
     }

@@ -1,7 +1,10 @@
 //! Reading a query with a chat model: what it is asked, and its JSON as a [`ParsedQuery`].
 
 use super::affordances;
-use super::{Look, Measure, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Superlative, Trait, Viewpoint, With, words};
+use super::{
+    Look, Measure, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Superlative, Trait,
+    Viewpoint, With, words,
+};
 use crate::geometry::colour::ColourName;
 use crate::models::chat::{ChatRequest, Part};
 use serde::Deserialize;
@@ -32,11 +35,16 @@ const SYSTEM: &str = "You turn a question about an object in a room into JSON. A
 
 /// The question to the model.
 pub(super) fn request(query: &str) -> ChatRequest {
-    ChatRequest { system: SYSTEM.into(), user: vec![Part::Text(format!("Question: {query}"))], schema: Some(("parsed_query", schema())) }
+    ChatRequest {
+        system: SYSTEM.into(),
+        user: vec![Part::Text(format!("Question: {query}"))],
+        schema: Some(("parsed_query", schema())),
+    }
 }
 
 fn schema() -> Value {
-    let names = |names: Vec<&str>| json!({"type": "array", "items": {"type": "string", "enum": names}});
+    let names =
+        |names: Vec<&str>| json!({"type": "array", "items": {"type": "string", "enum": names}});
     let phrases = || json!({"type": "array", "items": {"$ref": "#/$defs/phrase"}});
     let colours = || ColourName::ALL.iter().map(|c| c.word()).collect::<Vec<_>>();
     let relation = json!({"type": "object", "additionalProperties": false, "required": ["kind", "words", "anchors"], "properties": {
@@ -113,9 +121,11 @@ struct SuperlativeJson {
 /// The model's answer, checked; the error says what is wrong with it.
 pub(super) fn decode(text: &str) -> Result<ParsedQuery, String> {
     // Models like to wrap JSON in a fence, or to say a word before it.
-    let json = text.find('{').zip(text.rfind('}')).filter(|(a, b)| a < b).map(|(a, b)| &text[a..=b]);
+    let json =
+        text.find('{').zip(text.rfind('}')).filter(|(a, b)| a < b).map(|(a, b)| &text[a..=b]);
     let json = json.ok_or("the model's answer holds no JSON object")?;
-    let query: QueryJson = serde_json::from_str(json).map_err(|error| format!("the model's answer is not the JSON asked for: {error}"))?;
+    let query: QueryJson = serde_json::from_str(json)
+        .map_err(|error| format!("the model's answer is not the JSON asked for: {error}"))?;
     let mut parts = 0;
     let target = phrase(query.target, 0, &mut parts)?;
     if target.is_empty() {
@@ -125,7 +135,8 @@ pub(super) fn decode(text: &str) -> Result<ParsedQuery, String> {
         None => None,
         Some(ViewpointJson { look, anchor }) => {
             let known = Look::ALL.into_iter().find(|l| l.word() == look);
-            let look = known.ok_or_else(|| format!("the model's answer has an unknown look {look:?}"))?;
+            let look =
+                known.ok_or_else(|| format!("the model's answer has an unknown look {look:?}"))?;
             Some(Viewpoint { look, anchor: phrase(anchor, 0, &mut parts)? })
         }
     };
@@ -147,8 +158,11 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
     if depth > MAX_DEPTH || *parts > MAX_PARTS {
         return Err("the model's answer nests too deep or names too much".into());
     }
-    let named = |known: Option<ColourName>, word: &str| known.ok_or_else(|| format!("the model's answer has an unknown colour {word:?}"));
-    let colour = |word: &String| named(ColourName::ALL.into_iter().find(|c| c.word() == word), word);
+    let named = |known: Option<ColourName>, word: &str| {
+        known.ok_or_else(|| format!("the model's answer has an unknown colour {word:?}"))
+    };
+    let colour =
+        |word: &String| named(ColourName::ALL.into_iter().find(|c| c.word() == word), word);
     let seen = |word: &String| {
         let known = Trait::ALL.into_iter().find(|t| t.word() == word);
         known.ok_or_else(|| format!("the model's answer has an unknown trait {word:?}"))
@@ -165,7 +179,10 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
             .into_iter()
             .find(|k| k.word() == kind)
             .ok_or_else(|| format!("the model's answer has an unknown relation {kind:?}"))?;
-        let anchors = anchors.into_iter().map(|anchor| phrase(anchor, depth + 1, parts)).collect::<Result<_, _>>()?;
+        let anchors = anchors
+            .into_iter()
+            .map(|anchor| phrase(anchor, depth + 1, parts))
+            .collect::<Result<_, _>>()?;
         let text = if words.is_empty() { kind.word().replace('_', " ") } else { words };
         relations.push(Relation { kind, text, anchors, negated, rank: rank.unwrap_or(1).max(1) });
     }
@@ -173,12 +190,14 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
         None => None,
         Some(SuperlativeJson { measure, rank }) => {
             let known = Measure::ALL.into_iter().find(|m| m.word() == measure);
-            let measure = known.ok_or_else(|| format!("the model's answer has an unknown measure {measure:?}"))?;
+            let measure = known
+                .ok_or_else(|| format!("the model's answer has an unknown measure {measure:?}"))?;
             Some(Superlative { measure, rank: rank.unwrap_or(1).max(1) })
         }
     };
     let nouns = json.could_be.iter().map(|noun| noun.trim().to_lowercase());
-    let mut could_be: Vec<String> = nouns.filter(|noun| !words::is_anything(noun)).take(MAX_NOUNS).collect();
+    let mut could_be: Vec<String> =
+        nouns.filter(|noun| !words::is_anything(noun)).take(MAX_NOUNS).collect();
     let mut head = json.noun.trim().to_lowercase();
     // What answers to a need is told better by its nouns than by the need.
     if words::is_anything(&head) && !could_be.is_empty() {
@@ -187,7 +206,9 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
     let (mut uses, mut purpose) = (Vec::new(), Vec::new());
     if words::is_anything(&head) {
         for said in &json.uses {
-            if let Some(found) = affordances::find(&super::tokens::tokens(&format!("something to {said}"))) {
+            if let Some(found) =
+                affordances::find(&super::tokens::tokens(&format!("something to {said}")))
+            {
                 uses.extend(found.uses);
                 purpose.extend(found.words);
             }
@@ -225,7 +246,10 @@ mod tests {
         ```"#;
         assert_eq!(decode(text).unwrap(), parse("the red mug on the coffee table"));
         let text = r#"{"target": {"noun": "chair", "superlative": {"measure": "leftmost", "rank": 2}}, "viewpoint": {"look": "facing", "anchor": {"noun": "window"}}}"#;
-        assert_eq!(decode(text).unwrap(), parse("facing the window, the second chair from the left"));
+        assert_eq!(
+            decode(text).unwrap(),
+            parse("facing the window, the second chair from the left")
+        );
         let text = r#"{"target": {"noun": "", "uses": ["sit on"]}}"#;
         let target = decode(text).unwrap().target;
         assert_eq!(target.meaning(), parse("something to sit on").target.meaning());
@@ -246,7 +270,11 @@ mod tests {
             let error = decode(text).unwrap_err();
             assert!(error.contains(expected), "{text}: {error}");
         }
-        let deep = format!("{{\"target\": {}{{\"noun\": \"x\"}}{}}}", "{\"noun\": \"a\", \"with\": [".repeat(9), "]}".repeat(9));
+        let deep = format!(
+            "{{\"target\": {}{{\"noun\": \"x\"}}{}}}",
+            "{\"noun\": \"a\", \"with\": [".repeat(9),
+            "]}".repeat(9)
+        );
         assert!(decode(&deep).unwrap_err().contains("nests too deep"));
     }
 }

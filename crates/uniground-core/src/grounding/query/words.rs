@@ -90,7 +90,9 @@ impl Meaning {
     fn of(name: &str) -> Option<Self> {
         let (kind, which) = name.split_once(' ').unwrap_or((name, ""));
         Some(match kind {
-            "relation" => Self::Relation(RelationKind::ALL.into_iter().find(|k| k.word() == which)?),
+            "relation" => {
+                Self::Relation(RelationKind::ALL.into_iter().find(|k| k.word() == which)?)
+            }
             "with" => Self::With { absent: false },
             "without" => Self::With { absent: true },
             "same" => Self::Same,
@@ -99,7 +101,9 @@ impl Meaning {
             "seated" => Self::Seated,
             "entering" => Self::Entering,
             "from_side" => Self::FromSide(Measure::ALL.into_iter().find(|m| m.word() == which)?),
-            "superlative" => Self::Superlative(Measure::ALL.into_iter().find(|m| m.word() == which)?),
+            "superlative" => {
+                Self::Superlative(Measure::ALL.into_iter().find(|m| m.word() == which)?)
+            }
             "ordinal" => Self::Ordinal(which.parse().ok()?),
             "number" => Self::Number(which.parse().ok()?),
             "colour" => Self::Colour(ColourName::ALL.into_iter().find(|c| c.word() == which)?),
@@ -122,7 +126,8 @@ impl Meaning {
     }
 }
 
-/// The longest run of words at the start of `words` that means something, and how many words it takes.
+/// The longest run of words at the start of `words` that means something, and how many words it
+/// takes.
 pub(super) fn longest(words: &[&str]) -> Option<(Meaning, usize)> {
     cost::count();
     let phrases = BY_FIRST_WORD.get(words.first()?)?;
@@ -226,7 +231,8 @@ pub(super) fn is_part_of_furniture(head: &str) -> bool {
     )
 }
 
-/// Parts of things and of rooms: "the back of the chair" is the chair, "the end of the table" the table.
+/// Parts of things and of rooms: "the back of the chair" is the chair, "the end of the table" the
+/// table.
 pub(super) fn is_part(head: &str) -> bool {
     matches!(
         head,

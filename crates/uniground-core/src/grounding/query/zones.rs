@@ -1,23 +1,56 @@
-//! Zones of a room, told by what stands in them: a kitchen is where stove, sink and refrigerator are.
+//! Zones of a room, told by what stands in them: a kitchen is where stove, sink and refrigerator
+//! are.
 
 /// Words for a zone, and nouns of the lexicon that make one.
 const ZONES: &[(&[&str], &[&str])] = &[
     (
         &["kitchen", "kitchenette", "kitchen area", "kitchen corner", "cooking area", "pantry"],
-        &["stove", "oven", "refrigerator", "sink", "kitchen cabinet", "counter", "dishwasher", "microwave", "range hood"],
+        &[
+            "stove",
+            "oven",
+            "refrigerator",
+            "sink",
+            "kitchen cabinet",
+            "counter",
+            "dishwasher",
+            "microwave",
+            "range hood",
+        ],
     ),
-    (&["bathroom", "washroom", "restroom", "shower room"], &["toilet", "bathtub", "shower", "urinal", "bidet"]),
+    (
+        &["bathroom", "washroom", "restroom", "shower room"],
+        &["toilet", "bathtub", "shower", "urinal", "bidet"],
+    ),
     (
         &["bedroom", "sleeping area", "sleeping corner", "bed area", "bedside"],
         &["bed", "nightstand", "bunk bed", "crib"],
     ),
     (
-        &["living room", "lounge", "sitting area", "living area", "seating area", "tv corner", "tv area", "sofa corner"],
+        &[
+            "living room",
+            "lounge",
+            "sitting area",
+            "living area",
+            "seating area",
+            "tv corner",
+            "tv area",
+            "sofa corner",
+        ],
         &["sofa", "coffee table", "tv", "tv stand"],
     ),
     (&["dining room", "dining area", "dining corner", "eating area"], &["dining table"]),
     (
-        &["study", "workspace", "work area", "working area", "office area", "workplace", "desk area", "work corner", "home office"],
+        &[
+            "study",
+            "workspace",
+            "work area",
+            "working area",
+            "office area",
+            "workplace",
+            "desk area",
+            "work corner",
+            "home office",
+        ],
         &["desk", "monitor", "office chair", "computer"],
     ),
     (
@@ -58,6 +91,9 @@ mod tests {
         once.dedup();
         assert_eq!(once.len(), all.len());
         assert!(all.iter().all(|name| name.split(' ').count() <= LONGEST));
-        assert!(made_of("kitchen").is_some_and(|nouns| nouns.contains(&"stove")) && made_of("table").is_none());
+        assert!(
+            made_of("kitchen").is_some_and(|nouns| nouns.contains(&"stove"))
+                && made_of("table").is_none()
+        );
     }
 }

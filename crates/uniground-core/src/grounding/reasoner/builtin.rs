@@ -1,6 +1,7 @@
 //! The built-in reasoner: deterministic, milliseconds, no model.
 //!
-//! Scores come from [`assess`](crate::grounding::assess); here they become a decision: the best instance, a tie, or nothing.
+//! Scores come from [`assess`](crate::grounding::assess); here they become a decision: the best
+//! instance, a tie, or nothing.
 
 use super::Verdict;
 use super::confidence::{NamesFrom, share_right};
@@ -25,11 +26,13 @@ const MIN_UNNAMED_FIT: f32 = 0.35;
 const MIN_COLOUR: f32 = 0.42;
 /// Below this, the best instance contradicts the relations.
 const MIN_SCORE: f32 = 0.12;
-/// Share of the belief that is left where words of the question could not be used: they may have told the thing from its like.
+/// Share of the belief that is left where words of the question could not be used: they may have
+/// told the thing from its like.
 const NOT_ALL_UNDERSTOOD: f32 = 0.6;
 /// The same where no noun tells what the thing is: anything may stand there.
 const NO_NOUN: f32 = 0.6;
-/// The same where what somebody called the thing is only a broader word for what is asked for: a "pot" for a frying pan.
+/// The same where what somebody called the thing is only a broader word for what is asked for: a
+/// "pot" for a frying pan.
 const CALLED_BROADER: f32 = 0.6;
 /// A measured relation that holds less than this does not hold.
 const PLAINLY_AGAINST: f32 = 0.15;
@@ -49,7 +52,8 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         let why = "The question is not in English, the one language the built-in parser reads; a chat model may read it.".to_owned();
         return no_match(vec![0.0; assessor.scene.instances.len()], NoMatchReason::NotEnglish, why);
     }
-    let read: Vec<Read> = views(assessor, parsed).into_iter().map(|view| Read::of(view, assessor, parsed)).collect();
+    let read: Vec<Read> =
+        views(assessor, parsed).into_iter().map(|view| Read::of(view, assessor, parsed)).collect();
     let scores: Vec<f32> = (0..assessor.scene.instances.len())
         .map(|i| read.iter().map(|read| read.score(i)).fold(0.0, f32::max))
         .collect();
@@ -57,13 +61,16 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
     // The view that won is the one to explain, and that others are told of.
     let score_of_best = |read: &Read| order.first().map_or(0.0, |&best| read.score(best));
-    let won = (0..read.len()).reduce(|best, next| if score_of_best(&read[next]) > score_of_best(&read[best]) { next } else { best });
+    let won = (0..read.len()).reduce(|best, next| {
+        if score_of_best(&read[next]) > score_of_best(&read[best]) { next } else { best }
+    });
     let Read { view, assessment, other, counts, .. } = &read[won.unwrap_or(0)];
     view.take(assessor);
     let instances = assessor.scene.instances;
     let best_fit = assessment.nouns.iter().copied().fold(0.0, f32::max);
     if best_fit < MIN_FIT {
-        let is_unknown = Readings::of(&parsed.target).iter().all(|reading| reading.meaning == Meaning::Unknown);
+        let is_unknown =
+            Readings::of(&parsed.target).iter().all(|reading| reading.meaning == Meaning::Unknown);
         let reason = if is_unknown { NoMatchReason::NotRecognised } else { NoMatchReason::Absent };
         return no_match(assessment.own.clone(), reason, why_nothing_fits(parsed));
     }
@@ -75,18 +82,27 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         let why = format!("No {} stands in the relations asked for.", parsed.target.text());
         return no_match(scores, NoMatchReason::Elsewhere, why);
     }
-    // Green and of some size, but nothing that measures like a fridge, and what may be one is called otherwise first. An encoder has weighed
-    // the names already.
-    let is_named = name_matches(assessor.scene, &parsed.target, best) && is_called(&parsed.target, assessor.scene)(best);
-    if assessor.scene.appearance.is_none() && assessment.nouns[best] < MIN_UNNAMED_FIT && !is_named {
+    // Green and of some size, but nothing that measures like a fridge, and what may be one is
+    // called otherwise first. An encoder has weighed the names already.
+    let is_named = name_matches(assessor.scene, &parsed.target, best)
+        && is_called(&parsed.target, assessor.scene)(best);
+    if assessor.scene.appearance.is_none() && assessment.nouns[best] < MIN_UNNAMED_FIT && !is_named
+    {
         return no_match(scores, NoMatchReason::Absent, why_nothing_fits(parsed));
     }
-    let several = several(&scores, &order, parsed.quantity, &is_called(&parsed.target, assessor.scene));
-    let tied: Vec<usize> = order.iter().copied().take_while(|&i| scores[i] >= TIE * scores[best]).collect();
-    let status = if several.is_empty() && tied.len() > 1 { Status::Ambiguous } else { Status::Grounded };
+    let several =
+        several(&scores, &order, parsed.quantity, &is_called(&parsed.target, assessor.scene));
+    let tied: Vec<usize> =
+        order.iter().copied().take_while(|&i| scores[i] >= TIE * scores[best]).collect();
+    let status =
+        if several.is_empty() && tied.len() > 1 { Status::Ambiguous } else { Status::Grounded };
     // The reading that won is the one to explain.
     let (phrase, assessed) = match (&parsed.other_reading, other) {
-        (Some(phrase), Some(other)) if counts[1] * other.total[best] > counts[0] * assessment.total[best] => (phrase, other),
+        (Some(phrase), Some(other))
+            if counts[1] * other.total[best] > counts[0] * assessment.total[best] =>
+        {
+            (phrase, other)
+        }
         _ => (&parsed.target, assessment),
     };
     let explanation = match status {
@@ -95,12 +111,19 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         _ => explain(assessor, phrase, assessed, best, &looked_by(view, &read)),
     };
     // Several do not share one belief.
-    let mut beliefs = if parsed.quantity == Quantity::One { beliefs(&scores) } else { scores.clone() };
+    let mut beliefs =
+        if parsed.quantity == Quantity::One { beliefs(&scores) } else { scores.clone() };
     let understood = if parsed.not_understood.is_empty() { 1.0 } else { NOT_ALL_UNDERSTOOD };
     let named = if parsed.target.meaning() == Meaning::Anything { NO_NOUN } else { 1.0 };
     for (i, belief) in beliefs.iter_mut().enumerate() {
-        let called = if assessor.scene.names.get(i).is_some() && assessment.nouns[i] <= BROADER_NAME { CALLED_BROADER } else { 1.0 };
-        *belief = called * understood * named * share_right(*belief, NamesFrom::of(assessor.scene, i));
+        let called = if assessor.scene.names.get(i).is_some() && assessment.nouns[i] <= BROADER_NAME
+        {
+            CALLED_BROADER
+        } else {
+            1.0
+        };
+        *belief =
+            called * understood * named * share_right(*belief, NamesFrom::of(assessor.scene, i));
     }
     Verdict {
         status,
@@ -109,16 +132,23 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         scores,
         several,
         explanation,
-        anchor: assessed.bonds.iter().find_map(|bond| bond[best].anchor).or(view.by.map(|i| instances[i].id)),
+        anchor: assessed
+            .bonds
+            .iter()
+            .find_map(|bond| bond[best].anchor)
+            .or(view.by.map(|i| instances[i].id)),
         relation_used: relation_words(phrase),
         target_name_matches: Some(name_matches(assessor.scene, &parsed.target, best)),
     }
 }
 
-/// Whether any of the things that may be meant has the colours asked for; a related colour alone ("orange" for yellow) is not enough.
+/// Whether any of the things that may be meant has the colours asked for; a related colour alone
+/// ("orange" for yellow) is not enough.
 fn colours_agree(assessment: &Assessment, target: &Phrase, scene: SceneView) -> bool {
     let likely = most_plausible(&assessment.nouns, usize::MAX);
-    target.colours.is_empty() || target.roughly || likely.iter().any(|&(i, _)| colours_fit(scene, target, i) >= MIN_COLOUR)
+    target.colours.is_empty()
+        || target.roughly
+        || likely.iter().any(|&(i, _)| colours_fit(scene, target, i) >= MIN_COLOUR)
 }
 
 /// A question, read from one view.
@@ -163,31 +193,49 @@ fn looked_by(won: &View, read: &[Read]) -> Vec<usize> {
 fn joint_scores(first: &Assessment, other: Option<&Assessment>, counts: [f32; 2]) -> Vec<f32> {
     match other {
         None => first.total.clone(),
-        Some(other) => first.total.iter().zip(&other.total).map(|(a, b)| (counts[0] * a).max(counts[1] * b)).collect(),
+        Some(other) => first
+            .total
+            .iter()
+            .zip(&other.total)
+            .map(|(a, b)| (counts[0] * a).max(counts[1] * b))
+            .collect(),
     }
 }
 
-/// "The thing with candles between the till and the door": of candles that nobody found there, where they are tells nothing.
+/// "The thing with candles between the till and the door": of candles that nobody found there,
+/// where they are tells nothing.
 fn says_it_of_nothing(assessor: &Assessor, phrase: &Phrase) -> bool {
     let anchors = phrase.relations.iter().flat_map(|relation| &relation.anchors);
-    let mut related = phrase.with.iter().map(|with| &with.phrase).chain(anchors).filter(|said| !said.relations.is_empty());
+    let mut related = phrase
+        .with
+        .iter()
+        .map(|with| &with.phrase)
+        .chain(anchors)
+        .filter(|said| !said.relations.is_empty());
     related.any(|said| assessor.assess(said).total.iter().all(|score| *score < MIN_FIT))
 }
 
-/// Whether what can be measured for sure speaks against an instance: where it rests and what it touches, not what depends on who looks.
+/// Whether what can be measured for sure speaks against an instance: where it rests and what it
+/// touches, not what depends on who looks.
 fn contradicted(target: &Phrase, read: &Assessment, instance: usize) -> bool {
     let measured = target
         .relations
         .iter()
         .zip(&read.bonds)
         .filter(|(relation, _)| !relation.kind.depends_on_who_looks());
-    let against = measured.map(|(_, bonds)| bonds[instance].score).any(|score| score < PLAINLY_AGAINST);
+    let against =
+        measured.map(|(_, bonds)| bonds[instance].score).any(|score| score < PLAINLY_AGAINST);
     against || read.own[instance] < MIN_SCORE * read.nouns[instance]
 }
 
-/// All things that are meant where several are asked for: those whose score comes near the best, best first; where some are called what is
-/// asked for before anything else, only those.
-fn several(scores: &[f32], order: &[usize], quantity: Quantity, is_called: &dyn Fn(usize) -> bool) -> Vec<usize> {
+/// All things that are meant where several are asked for: those whose score comes near the best,
+/// best first; where some are called what is asked for before anything else, only those.
+fn several(
+    scores: &[f32],
+    order: &[usize],
+    quantity: Quantity,
+    is_called: &dyn Fn(usize) -> bool,
+) -> Vec<usize> {
     let most = match quantity {
         Quantity::One => return Vec::new(),
         Quantity::Exactly(count) => count as usize,
@@ -222,22 +270,33 @@ fn beliefs(scores: &[f32]) -> Vec<f32> {
         .collect()
 }
 
-/// Whether the name of the instance at an index, or one of its guesses, is what the phrase may mean.
+/// Whether the name of the instance at an index, or one of its guesses, is what the phrase may
+/// mean.
 fn name_matches(scene: SceneView, target: &Phrase, index: usize) -> bool {
     match (target.meaning(), scene.names.get(index)) {
         (Meaning::Anything, _) => true,
-        (Meaning::Structure(structure), _) if scene.instances[index].structure == Some(structure) => true,
+        (Meaning::Structure(structure), _)
+            if scene.instances[index].structure == Some(structure) =>
+        {
+            true
+        }
         (_, Some(name)) => Readings::of(target).called(name) > 0.0,
         (_, None) => {
-            let guessed = |noun: &Noun| scene.instances[index].names.iter().any(|guess| guess.name == noun.name);
-            Readings::of(target).iter().any(|reading| reading.nouns().iter().any(|noun| guessed(noun)))
+            let guessed = |noun: &Noun| {
+                scene.instances[index].names.iter().any(|guess| guess.name == noun.name)
+            };
+            Readings::of(target)
+                .iter()
+                .any(|reading| reading.nouns().iter().any(|noun| guessed(noun)))
         }
     }
 }
 
-/// Whether the name of the instance at an index, given or first among its guesses, is what the phrase may mean.
+/// Whether the name of the instance at an index, given or first among its guesses, is what the
+/// phrase may mean.
 fn is_called<'a>(target: &Phrase, scene: SceneView<'a>) -> impl Fn(usize) -> bool + 'a {
-    let nouns: Vec<&Noun> = Readings::of(target).iter().flat_map(|reading| reading.nouns().to_vec()).collect();
+    let nouns: Vec<&Noun> =
+        Readings::of(target).iter().flat_map(|reading| reading.nouns().to_vec()).collect();
     move |i| match scene.instances[i].names.first() {
         _ if nouns.is_empty() || scene.names.get(i).is_some() => true,
         guess => guess.is_some_and(|guess| nouns.iter().any(|noun| noun.name == guess.name)),
@@ -269,11 +328,23 @@ mod tests {
         instances
     }
 
-    fn ask_with(query: &str, convention: DirectionConvention, observer: Option<Observer>) -> Grounding {
+    fn ask_with(
+        query: &str,
+        convention: DirectionConvention,
+        observer: Option<Observer>,
+    ) -> Grounding {
         let instances = room();
         let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
         let question = Question { convention, observer, ..Question::of(query) };
-        ground(SceneView { instances: &instances, extent, names: &NameIndex::default(), appearance: None }, &question)
+        ground(
+            SceneView {
+                instances: &instances,
+                extent,
+                names: &NameIndex::default(),
+                appearance: None,
+            },
+            &question,
+        )
     }
 
     fn ask(query: &str) -> Grounding {
@@ -300,7 +371,12 @@ mod tests {
             ("the sofa, but not the red one", 2),
         ] {
             let answer = ask(query);
-            assert_eq!(answer.answer.predicted_id, Some(InstanceId(expected)), "{query}: {}", answer.answer.explanation);
+            assert_eq!(
+                answer.answer.predicted_id,
+                Some(InstanceId(expected)),
+                "{query}: {}",
+                answer.answer.explanation
+            );
             assert_eq!(answer.status, Status::Grounded);
             assert!(answer.aabb.is_some() && answer.oriented_box.is_some());
         }
@@ -309,7 +385,10 @@ mod tests {
     #[test]
     fn the_anchor_and_the_relation_are_told() {
         let answer = ask("the blue mug on the table").answer;
-        assert_eq!((answer.anchor_id, answer.relation_used.as_deref()), (Some(InstanceId(3)), Some("on the table")));
+        assert_eq!(
+            (answer.anchor_id, answer.relation_used.as_deref()),
+            (Some(InstanceId(3)), Some("on the table"))
+        );
         assert!(answer.explanation.contains("instance 3"), "{}", answer.explanation);
     }
 
@@ -317,7 +396,12 @@ mod tests {
     fn what_an_answer_stands_on_is_told_where_it_is_called_otherwise() {
         // No cabinet is there: the table has the size of one.
         let answer = ask("the blue mug on the cabinet").answer;
-        assert_eq!((answer.predicted_id, answer.anchor_id), (Some(InstanceId(5)), Some(InstanceId(3))), "{}", answer.explanation);
+        assert_eq!(
+            (answer.predicted_id, answer.anchor_id),
+            (Some(InstanceId(5)), Some(InstanceId(3))),
+            "{}",
+            answer.explanation
+        );
         assert!(answer.explanation.contains(", taken for \"cabinet\")"), "{}", answer.explanation);
         let as_called = ask("the blue mug on the table").answer.explanation;
         assert!(!as_called.contains("taken for \"table\""), "{as_called}");
@@ -325,19 +409,31 @@ mod tests {
 
     #[test]
     fn whose_left_is_meant_is_told_where_it_is_not_the_convention_s() {
-        // By the paper's convention +X is left; who faces the table from the middle of the room has +X on the right.
-        for (query, faced) in [("the red sofa left of the table", true), ("the red sofa right of the table", false)] {
+        // By the paper's convention +X is left; who faces the table from the middle of the room has
+        // +X on the right.
+        for (query, faced) in
+            [("the red sofa left of the table", true), ("the red sofa right of the table", false)]
+        {
             let SixFields { predicted_id, explanation, .. } = ask(query).answer;
             assert_eq!(predicted_id, Some(InstanceId(1)), "{query}: {explanation}");
-            assert_eq!(explanation.contains("as who faces it sees it"), faced, "{query}: {explanation}");
+            assert_eq!(
+                explanation.contains("as who faces it sees it"),
+                faced,
+                "{query}: {explanation}"
+            );
         }
     }
 
     #[test]
     fn absent_and_unknown_things_get_no_box() {
-        for query in ["the fridge", "the green sofa", "the theremin", "the green mug on the table"] {
+        for query in ["the fridge", "the green sofa", "the theremin", "the green mug on the table"]
+        {
             let answer = ask(query);
-            assert_eq!((answer.status, answer.aabb, answer.answer.predicted_id), (Status::NoMatch, None, None), "{query}: {answer:?}");
+            assert_eq!(
+                (answer.status, answer.aabb, answer.answer.predicted_id),
+                (Status::NoMatch, None, None),
+                "{query}: {answer:?}"
+            );
         }
     }
 
@@ -354,10 +450,17 @@ mod tests {
     fn left_depends_on_who_looks() {
         // Mugs 4 (x = -0.5) and 5 (x = 0.5) stand side by side along X.
         let predicted = |answer: Grounding| answer.answer.predicted_id.map(|id| id.0);
-        assert_eq!(predicted(ask_with("the leftmost mug", DirectionConvention::Viewer, None)), Some(4));
+        assert_eq!(
+            predicted(ask_with("the leftmost mug", DirectionConvention::Viewer, None)),
+            Some(4)
+        );
         // Nobody chose a convention, and nobody stands behind the table, where the room ends.
-        assert_eq!(predicted(ask_with("the leftmost mug", DirectionConvention::Paper, None)), Some(4));
-        let from_behind = Observer { position: [0.0, 4.0, 1.5], yaw_rad: -std::f32::consts::FRAC_PI_2 };
+        assert_eq!(
+            predicted(ask_with("the leftmost mug", DirectionConvention::Paper, None)),
+            Some(4)
+        );
+        let from_behind =
+            Observer { position: [0.0, 4.0, 1.5], yaw_rad: -std::f32::consts::FRAC_PI_2 };
         let answer = ask_with("the leftmost mug", DirectionConvention::Viewer, Some(from_behind));
         assert_eq!(answer.direction_convention, "observer");
         assert_eq!(predicted(answer), Some(5));
@@ -376,10 +479,17 @@ mod tests {
             let answer = ask(query);
             let mut found: Vec<u32> = answer.targets.iter().map(|target| target.id.0).collect();
             found.sort_unstable();
-            assert_eq!((answer.status, &found, answer.count), (Status::Grounded, &ids, Some(ids.len() as u32)), "{query}");
+            assert_eq!(
+                (answer.status, &found, answer.count),
+                (Status::Grounded, &ids, Some(ids.len() as u32)),
+                "{query}"
+            );
             assert_eq!(answer.answer.predicted_id, answer.targets.first().map(|target| target.id));
         }
-        assert_eq!((ask("how many fridges do we have").status, ask("the fridges").count), (Status::NoMatch, Some(0)));
+        assert_eq!(
+            (ask("how many fridges do we have").status, ask("the fridges").count),
+            (Status::NoMatch, Some(0))
+        );
         let one = ask("the rug");
         assert_eq!((one.count, one.targets.len(), one.targets[0].id), (None, 1, InstanceId(6)));
     }
@@ -388,15 +498,42 @@ mod tests {
     fn what_is_on_a_wall_hangs_there() {
         let mut instances = room();
         // Books on the table reach higher than the clock on the wall behind them.
-        let wall = Instance { structure: Some(Structure::Wall), ..thing(7, [0.0, 2.1], [6.0, 0.1, 2.6], 0.0, Support::Floor, [200; 3]) };
-        let books = thing(8, [0.0, 1.9], [0.4, 0.25, 1.3], 0.74, Support::Instance { id: InstanceId(3) }, [90, 60, 40]);
-        let clock = thing(9, [1.5, 2.0], [0.3, 0.05, 0.3], 1.4, Support::Wall { id: InstanceId(7) }, [90, 60, 40]);
+        let wall = Instance {
+            structure: Some(Structure::Wall),
+            ..thing(7, [0.0, 2.1], [6.0, 0.1, 2.6], 0.0, Support::Floor, [200; 3])
+        };
+        let books = thing(
+            8,
+            [0.0, 1.9],
+            [0.4, 0.25, 1.3],
+            0.74,
+            Support::Instance { id: InstanceId(3) },
+            [90, 60, 40],
+        );
+        let clock = thing(
+            9,
+            [1.5, 2.0],
+            [0.3, 0.05, 0.3],
+            1.4,
+            Support::Wall { id: InstanceId(7) },
+            [90, 60, 40],
+        );
         instances.extend([wall, books, clock]);
         instances.iter_mut().for_each(|i| i.names = attributes::name_guesses(i));
         let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
-        let scene = SceneView { instances: &instances, extent, names: &NameIndex::default(), appearance: None };
+        let scene = SceneView {
+            instances: &instances,
+            extent,
+            names: &NameIndex::default(),
+            appearance: None,
+        };
         let answer = ground(scene, &Question::of("the highest thing hanging on the wall"));
-        assert_eq!(answer.answer.predicted_id, Some(InstanceId(9)), "{}", answer.answer.explanation);
+        assert_eq!(
+            answer.answer.predicted_id,
+            Some(InstanceId(9)),
+            "{}",
+            answer.answer.explanation
+        );
     }
 
     #[test]
@@ -407,10 +544,20 @@ mod tests {
         instances.push(chair);
         instances.iter_mut().for_each(|i| i.names = attributes::name_guesses(i));
         let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
-        let scene = SceneView { instances: &instances, extent, names: &NameIndex::default(), appearance: None };
-        let id = |query: &str| ground(scene, &Question::of(query)).answer.predicted_id.map(|id| id.0);
+        let scene = SceneView {
+            instances: &instances,
+            extent,
+            names: &NameIndex::default(),
+            appearance: None,
+        };
+        let id =
+            |query: &str| ground(scene, &Question::of(query)).answer.predicted_id.map(|id| id.0);
         assert_eq!(id("sitting at the table, the mug on the left"), Some(5));
-        assert_eq!(id("facing the table, the mug on the left"), Some(4), "from the middle of the room");
+        assert_eq!(
+            id("facing the table, the mug on the left"),
+            Some(4),
+            "from the middle of the room"
+        );
         assert_eq!(id("facing the table, the mug on the left side of the table"), Some(4));
         // A piano is nowhere: whoever faces it looks at the mugs.
         assert_eq!(id("facing the piano, the mug on the left"), Some(4));
@@ -419,7 +566,11 @@ mod tests {
     #[test]
     fn the_one_who_asks_has_a_place() {
         let from = |query: &str, x: f32, yaw_rad: f32| {
-            ask_with(query, DirectionConvention::Paper, Some(Observer { position: [f64::from(x), 0.5, 1.5], yaw_rad }))
+            ask_with(
+                query,
+                DirectionConvention::Paper,
+                Some(Observer { position: [f64::from(x), 0.5, 1.5], yaw_rad }),
+            )
         };
         let predicted = |answer: &Grounding| answer.answer.predicted_id.map(|id| id.0);
         for (query, x, yaw_rad, expected) in [
@@ -431,10 +582,23 @@ mod tests {
             ("the sofa in front of me", 0.0, std::f32::consts::PI, 1),
         ] {
             let answer = from(query, x, yaw_rad);
-            assert_eq!(predicted(&answer), Some(expected), "{query} from {x} along {yaw_rad}: {}", answer.answer.explanation);
-            assert!(answer.parsed_query.not_understood.is_empty(), "{query}: {:?}", answer.parsed_query);
+            assert_eq!(
+                predicted(&answer),
+                Some(expected),
+                "{query} from {x} along {yaw_rad}: {}",
+                answer.answer.explanation
+            );
+            assert!(
+                answer.parsed_query.not_understood.is_empty(),
+                "{query}: {:?}",
+                answer.parsed_query
+            );
         }
-        assert_eq!(ask("the sofa closest to me").parsed_query.not_understood, ["me"], "nobody knows where");
+        assert_eq!(
+            ask("the sofa closest to me").parsed_query.not_understood,
+            ["me"],
+            "nobody knows where"
+        );
     }
 
     #[test]
@@ -456,21 +620,39 @@ mod tests {
         let guess = |name: &str, score: f32| NameGuess { name: name.to_owned(), score };
         let asked = |names: [NameGuess; 2]| {
             let mut instances = room();
-            let green = thing(7, [2.7, 1.4], [0.715, 0.616, 0.49], 0.85, Support::Instance { id: InstanceId(3) }, [40, 140, 50]);
+            let green = thing(
+                7,
+                [2.7, 1.4],
+                [0.715, 0.616, 0.49],
+                0.85,
+                Support::Instance { id: InstanceId(3) },
+                [40, 140, 50],
+            );
             instances.push(Instance { names: names.to_vec(), ..green });
-            let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
-            let scene = SceneView { instances: &instances, extent, names: &NameIndex::default(), appearance: None };
+            let extent =
+                Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
+            let scene = SceneView {
+                instances: &instances,
+                extent,
+                names: &NameIndex::default(),
+                appearance: None,
+            };
             ground(scene, &Question::of("the green fridge"))
         };
         let plant = asked([guess("plant", 0.5), guess("mini fridge", 0.3)]);
-        assert_eq!((plant.status, plant.no_match_reason), (Status::NoMatch, Some(NoMatchReason::Absent)), "{plant:?}");
+        assert_eq!(
+            (plant.status, plant.no_match_reason),
+            (Status::NoMatch, Some(NoMatchReason::Absent)),
+            "{plant:?}"
+        );
         let fridge = asked([guess("mini fridge", 0.5), guess("plant", 0.3)]);
         assert_eq!(fridge.answer.predicted_id, Some(InstanceId(7)), "{fridge:?}");
     }
 
     #[test]
     fn what_can_not_be_checked_denies_nothing_and_lowers_the_belief() {
-        let (plain, with_more) = (ask("the red sofa"), ask("the red sofa with the brass studs by the quux"));
+        let (plain, with_more) =
+            (ask("the red sofa"), ask("the red sofa with the brass studs by the quux"));
         assert_eq!(plain.answer.predicted_id, with_more.answer.predicted_id);
         assert!(
             with_more.status == Status::Grounded && with_more.confidence < 0.7 * plain.confidence,
@@ -495,6 +677,9 @@ mod tests {
             answer.timings_ms = Timings::default();
             answer
         };
-        assert_eq!(strip(ask("the mug closest to the red sofa")), strip(ask("the mug closest to the red sofa")));
+        assert_eq!(
+            strip(ask("the mug closest to the red sofa")),
+            strip(ask("the mug closest to the red sofa"))
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! How often an answer of a belief is right: beliefs come from scores, and scores from different sources of names deserve different trust.
+//! How often an answer of a belief is right: beliefs come from scores, and scores from different
+//! sources of names deserve different trust.
 //!
 //! `confidence.tsv` is fitted by `scripts/fit-confidence.py` to the answers of `uniground eval`.
 
@@ -12,7 +13,8 @@ pub(super) enum NamesFrom {
     Measures,
     /// An image and text encoder.
     Encoder,
-    /// Somebody who looked: a person, or a vision-language model. Their beliefs are kept as they are.
+    /// Somebody who looked: a person, or a vision-language model. Their beliefs are kept as they
+    /// are.
     Given,
 }
 
@@ -27,7 +29,8 @@ impl NamesFrom {
     }
 
     fn curve(self) -> &'static [(f32, f32)] {
-        static CURVES: LazyLock<[Vec<(f32, f32)>; 2]> = LazyLock::new(|| ["measures", "encoder"].map(read));
+        static CURVES: LazyLock<[Vec<(f32, f32)>; 2]> =
+            LazyLock::new(|| ["measures", "encoder"].map(read));
         match self {
             Self::Measures => &CURVES[0],
             Self::Encoder => &CURVES[1],
@@ -39,8 +42,11 @@ impl NamesFrom {
 /// Belief and share of right answers, of one source.
 fn read(source: &str) -> Vec<(f32, f32)> {
     let lines = include_str!("confidence.tsv").lines();
-    let of_source = lines.filter_map(|line| line.strip_prefix(source)?.strip_prefix('\t')?.split_once('\t'));
-    of_source.filter_map(|(belief, share)| Some((belief.parse().ok()?, share.parse().ok()?))).collect()
+    let of_source =
+        lines.filter_map(|line| line.strip_prefix(source)?.strip_prefix('\t')?.split_once('\t'));
+    of_source
+        .filter_map(|(belief, share)| Some((belief.parse().ok()?, share.parse().ok()?)))
+        .collect()
 }
 
 /// The share of answers of this belief that are right.
@@ -61,9 +67,13 @@ mod tests {
     #[test]
     fn more_belief_is_never_less_confidence() {
         for names in [NamesFrom::Measures, NamesFrom::Encoder, NamesFrom::Given] {
-            let shares: Vec<f32> = (0..=100_u8).map(|i| share_right(f32::from(i) / 100.0, names)).collect();
+            let shares: Vec<f32> =
+                (0..=100_u8).map(|i| share_right(f32::from(i) / 100.0, names)).collect();
             assert!(shares.windows(2).all(|pair| pair[0] <= pair[1]), "{names:?}: {shares:?}");
-            assert!(shares[0] == 0.0 && shares[100] <= 1.0 && shares[100] > 0.4, "{names:?}: {shares:?}");
+            assert!(
+                shares[0] == 0.0 && shares[100] <= 1.0 && shares[100] > 0.4,
+                "{names:?}: {shares:?}"
+            );
         }
         assert_eq!(share_right(0.7, NamesFrom::Given), 0.7);
         assert!(share_right(0.9, NamesFrom::Measures) < 0.9, "measures are never that sure");
@@ -71,7 +81,8 @@ mod tests {
 
     #[test]
     fn every_line_of_the_table_is_read() {
-        let lines = include_str!("confidence.tsv").lines().filter(|line| !line.starts_with('#')).count();
+        let lines =
+            include_str!("confidence.tsv").lines().filter(|line| !line.starts_with('#')).count();
         assert_eq!(lines, read("measures").len() + read("encoder").len());
     }
 }

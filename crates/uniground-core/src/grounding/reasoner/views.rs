@@ -1,4 +1,5 @@
-//! Who looks: somebody that a question tells of, and whom else it may mean. "Facing the desk" is as many views as there are desks to face.
+//! Who looks: somebody that a question tells of, and whom else it may mean. "Facing the desk" is as
+//! many views as there are desks to face.
 
 use crate::grounding::assess::Assessor;
 use crate::grounding::direction::Directions;
@@ -8,7 +9,8 @@ use crate::grounding::query::{Look, ParsedQuery, Phrase, Viewpoint};
 pub(super) struct View {
     /// Their left, right, front and back.
     pub directions: Directions,
-    /// Index of the thing they look at, look from or have at their back; `None` where the question tells of nobody, or nothing is it.
+    /// Index of the thing they look at, look from or have at their back; `None` where the question
+    /// tells of nobody, or nothing is it.
     pub by: Option<usize>,
     /// Whether they look at that thing.
     is_looked_at: bool,
@@ -39,27 +41,44 @@ impl View {
 
 /// The views a question may be asked from, the surest first; never none.
 pub(super) fn views(assessor: &Assessor, parsed: &ParsedQuery) -> Vec<View> {
-    let Some(viewpoint) = &parsed.viewpoint else { return vec![View::of_nobody(assessor.directions)] };
+    let Some(viewpoint) = &parsed.viewpoint else {
+        return vec![View::of_nobody(assessor.directions)];
+    };
     let may_be_meant = assessor.likely(&viewpoint.anchor, MOST_VIEWS);
     if may_be_meant.is_empty() {
-        let towards = towards_the_target(assessor, viewpoint, parsed.standpoint.as_ref(), &parsed.target);
+        let towards =
+            towards_the_target(assessor, viewpoint, parsed.standpoint.as_ref(), &parsed.target);
         return vec![View::of_nobody(towards.unwrap_or(assessor.directions))];
     }
     let mut views: Vec<View> = Vec::new();
     for (anchor, share) in may_be_meant {
-        let Some(directions) = look(assessor, viewpoint, parsed.standpoint.as_ref(), anchor) else { continue };
+        let Some(directions) = look(assessor, viewpoint, parsed.standpoint.as_ref(), anchor) else {
+            continue;
+        };
         if views.iter().all(|view| view.directions.front.dot(&directions.front) < SAME_HEADING) {
             let sure = if views.is_empty() { 1.0 } else { LATER_VIEW * share };
-            views.push(View { directions, by: Some(anchor), is_looked_at: viewpoint.look == Look::Facing, sure });
+            views.push(View {
+                directions,
+                by: Some(anchor),
+                is_looked_at: viewpoint.look == Look::Facing,
+                sure,
+            });
         }
     }
     if views.is_empty() { vec![View::of_nobody(assessor.directions)] } else { views }
 }
 
 /// The directions of somebody who looks by a thing.
-fn look(assessor: &Assessor, viewpoint: &Viewpoint, standpoint: Option<&Phrase>, anchor: usize) -> Option<Directions> {
+fn look(
+    assessor: &Assessor,
+    viewpoint: &Viewpoint,
+    standpoint: Option<&Phrase>,
+    anchor: usize,
+) -> Option<Directions> {
     // Somebody who stands at a thing and looks at another looks along the line between the two.
-    let at_hand = |phrase: &Phrase, s: usize| phrase.uses.is_empty() || assessor.solids[s].gap(&assessor.solids[anchor]) < SEAT_REACH_M;
+    let at_hand = |phrase: &Phrase, s: usize| {
+        phrase.uses.is_empty() || assessor.solids[s].gap(&assessor.solids[anchor]) < SEAT_REACH_M
+    };
     let stands = standpoint
         .filter(|_| viewpoint.look == Look::Facing)
         .and_then(|phrase| assessor.best(phrase).filter(|&s| at_hand(phrase, s)))
@@ -69,9 +88,16 @@ fn look(assessor: &Assessor, viewpoint: &Viewpoint, standpoint: Option<&Phrase>,
 }
 
 /// What somebody faces was not found: it is where the things asked for are.
-fn towards_the_target(assessor: &Assessor, viewpoint: &Viewpoint, standpoint: Option<&Phrase>, target: &Phrase) -> Option<Directions> {
+fn towards_the_target(
+    assessor: &Assessor,
+    viewpoint: &Viewpoint,
+    standpoint: Option<&Phrase>,
+    target: &Phrase,
+) -> Option<Directions> {
     let center = assessor.room().outline.center;
-    let stands = standpoint.and_then(|phrase| assessor.best(phrase)).map_or(center, |s| assessor.solids[s].center);
+    let stands = standpoint
+        .and_then(|phrase| assessor.best(phrase))
+        .map_or(center, |s| assessor.solids[s].center);
     let middle = assessor.middle_of(target).filter(|_| viewpoint.look == Look::Facing)?;
     Directions::looking_along(middle - stands)
 }
@@ -86,10 +112,14 @@ mod tests {
 
     #[test]
     fn whom_the_words_may_mean_is_told() {
-        // Two desks at opposite ends, two mugs between them: which mug is left depends on the desk that is faced.
+        // Two desks at opposite ends, two mugs between them: which mug is left depends on the desk
+        // that is faced.
         let named = |id: u32, at: [f32; 2], size: [f32; 3], name: &str| {
             let bottom = if name == "mug" { 0.5 } else { 0.0 };
-            Instance { given_name: Some(name.into()), ..thing(id, at, size, bottom, Support::Floor, [90, 60, 40]) }
+            Instance {
+                given_name: Some(name.into()),
+                ..thing(id, at, size, bottom, Support::Floor, [90, 60, 40])
+            }
         };
         let desk = [1.4, 0.7, 0.75];
         let mug = [0.1; 3];
@@ -101,7 +131,12 @@ mod tests {
         ];
         let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
         let names = NameIndex::of(&instances);
-        let ask = |query: &str| ground(SceneView { instances: &instances, extent, names: &names, appearance: None }, &Question::of(query));
+        let ask = |query: &str| {
+            ground(
+                SceneView { instances: &instances, extent, names: &names, appearance: None },
+                &Question::of(query),
+            )
+        };
         let either = ask("facing the desk, the mug on the left");
         assert_eq!(either.answer.predicted_id, Some(InstanceId(3)));
         assert!(
@@ -118,6 +153,11 @@ mod tests {
             &Question::of("facing the window, the mug on the left"),
         );
         assert_eq!(sure.answer.predicted_id, Some(InstanceId(3)));
-        assert!(sure.confidence > 1.2 * either.confidence, "{} {}", sure.confidence, either.confidence);
+        assert!(
+            sure.confidence > 1.2 * either.confidence,
+            "{} {}",
+            sure.confidence,
+            either.confidence
+        );
     }
 }

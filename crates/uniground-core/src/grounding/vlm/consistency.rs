@@ -7,9 +7,11 @@ use crate::grounding::query::{Meaning, Phrase};
 use crate::grounding::readings::Readings;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Whether a name somebody gave means what a phrase asks for: "window with an air conditioner" is a window.
+/// Whether a name somebody gave means what a phrase asks for: "window with an air conditioner" is a
+/// window.
 pub(super) fn matches(name: &str, target: &Phrase) -> bool {
-    target.meaning() == Meaning::Anything || GivenName::read(name).is_some_and(|name| Readings::of(target).called(&name) > 0.0)
+    target.meaning() == Meaning::Anything
+        || GivenName::read(name).is_some_and(|name| Readings::of(target).called(&name) > 0.0)
 }
 
 /// Candidates whose names match the target.
@@ -17,9 +19,14 @@ fn matching(target: &Phrase, names: &BTreeMap<u32, String>) -> Vec<u32> {
     names.iter().filter(|(_, name)| matches(name, target)).map(|(id, _)| *id).collect()
 }
 
-/// Why the chosen candidate's name speaks against it; `None` when nothing does. Where no name matches at all, the target is found by its
-/// anchor, and no name can object.
-pub(super) fn disagreement(target: &Phrase, names: &BTreeMap<u32, String>, chosen: u32, reply: &Reply) -> Option<String> {
+/// Why the chosen candidate's name speaks against it; `None` when nothing does. Where no name
+/// matches at all, the target is found by its anchor, and no name can object.
+pub(super) fn disagreement(
+    target: &Phrase,
+    names: &BTreeMap<u32, String>,
+    chosen: u32,
+    reply: &Reply,
+) -> Option<String> {
     let fitting = matching(target, names);
     let own = names.get(&chosen)?;
     let others: Vec<String> = fitting
@@ -32,20 +39,35 @@ pub(super) fn disagreement(target: &Phrase, names: &BTreeMap<u32, String>, chose
         return None;
     }
     if reply.target_name_matches == Some(false) {
-        return Some(format!("says itself that its name does not match \"{asked}\", while {}", others.join(" and ")));
+        return Some(format!(
+            "says itself that its name does not match \"{asked}\", while {}",
+            others.join(" and ")
+        ));
     }
-    (!fitting.contains(&chosen)).then(|| format!("it is named \"{own}\" and \"{asked}\" is asked for, while {}", others.join(" and ")))
+    (!fitting.contains(&chosen)).then(|| {
+        format!(
+            "it is named \"{own}\" and \"{asked}\" is asked for, while {}",
+            others.join(" and ")
+        )
+    })
 }
 
 /// Best candidates looked at when no name matches.
 const LOOKED_AT_WITHOUT_NAME: usize = 3;
 
-/// Candidates whose photographs are needed beside their names: those without a name, and those that the question can not tell apart by
-/// name. Relations and comparisons tell namesakes apart by where they are; colours, traits and parts do not.
-pub(super) fn to_be_looked_at(context: &PromptContext, names: &BTreeMap<u32, String>) -> BTreeSet<u32> {
+/// Candidates whose photographs are needed beside their names: those without a name, and those that
+/// the question can not tell apart by name. Relations and comparisons tell namesakes apart by where
+/// they are; colours, traits and parts do not.
+pub(super) fn to_be_looked_at(
+    context: &PromptContext,
+    names: &BTreeMap<u32, String>,
+) -> BTreeSet<u32> {
     let ids = || context.candidates.iter().map(|c| c.id.0);
     let mut needed: BTreeSet<u32> = ids().filter(|id| !names.contains_key(id)).collect();
-    let fitting: Vec<u32> = matching(&context.target, names).into_iter().filter(|id| context.is_candidate(*id)).collect();
+    let fitting: Vec<u32> = matching(&context.target, names)
+        .into_iter()
+        .filter(|id| context.is_candidate(*id))
+        .collect();
     match fitting.len() {
         0 => needed.extend(ids().take(LOOKED_AT_WITHOUT_NAME)),
         1 => {}
@@ -58,13 +80,21 @@ pub(super) fn to_be_looked_at(context: &PromptContext, names: &BTreeMap<u32, Str
 /// Whether a question tells namesakes apart without a look at them.
 fn told_apart(target: &Phrase, namesakes: &[u32], names: &BTreeMap<u32, String>) -> bool {
     let by_place = !target.relations.is_empty() || target.superlative.is_some();
-    let looks: Vec<&str> = target.colours.iter().map(|c| c.word()).chain(target.traits.iter().map(|t| t.word())).collect();
-    let by_looks_alone = !looks.is_empty() || !target.other_than.is_empty() || !target.with.is_empty();
+    let looks: Vec<&str> = target
+        .colours
+        .iter()
+        .map(|c| c.word())
+        .chain(target.traits.iter().map(|t| t.word()))
+        .collect();
+    let by_looks_alone =
+        !looks.is_empty() || !target.other_than.is_empty() || !target.with.is_empty();
     if !by_looks_alone {
         return by_place;
     }
     // "The green chair" among a green and two blue ones: their names say it.
-    let says = |id: &&u32| GivenName::read(&names[*id]).is_some_and(|name| looks.iter().all(|word| name.says(word)));
+    let says = |id: &&u32| {
+        GivenName::read(&names[*id]).is_some_and(|name| looks.iter().all(|word| name.says(word)))
+    };
     let said_by = namesakes.iter().filter(says).count();
     let by_names = !looks.is_empty() && target.other_than.is_empty() && target.with.is_empty();
     by_names && (said_by == 1 || said_by > 1 && by_place)
@@ -105,7 +135,9 @@ mod tests {
         let named = names(&[(7, "beige wall section"), (22, "window with air conditioner")]);
         let asked = target("the window above the dresser");
         let reply = |matches| Reply { target_name_matches: matches, ..Reply::default() };
-        assert!(disagreement(&asked, &named, 7, &reply(Some(true))).unwrap().contains("ID 22 is named"));
+        assert!(
+            disagreement(&asked, &named, 7, &reply(Some(true))).unwrap().contains("ID 22 is named")
+        );
         assert_eq!(disagreement(&asked, &named, 22, &reply(Some(true))), None);
         // Nobody is a fridge: the anchor decides, names can not object.
         assert_eq!(disagreement(&target("the fridge"), &named, 7, &reply(Some(false))), None);

@@ -16,9 +16,11 @@ pub enum Outcome {
     Chosen(InstanceId),
     /// The model says that nothing fits.
     Nothing,
-    /// The model sees the object, but not among what it may choose; the decision's `seen` says where, if it told.
+    /// The model sees the object, but not among what it may choose; the decision's `seen` says
+    /// where, if it told.
     NotListed,
-    /// The model never chose a candidate, however often it was asked; what it meant is taken for this one (Algorithm 1, line 13).
+    /// The model never chose a candidate, however often it was asked; what it meant is taken for
+    /// this one (Algorithm 1, line 13).
     Projected(InstanceId),
     /// The model never said anything that can be used: the geometry's answer stands.
     #[default]
@@ -42,7 +44,8 @@ pub struct Decision {
     pub corrections: Vec<String>,
 }
 
-/// What a model's word weighs beside the geometry's in the confidence: when it held together at once, and after a correction.
+/// What a model's word weighs beside the geometry's in the confidence: when it held together at
+/// once, and after a correction.
 const SURE: f32 = 0.7;
 const CORRECTED: f32 = 0.4;
 /// Boxes that overlap by this much are the same thing.
@@ -58,7 +61,13 @@ impl Decision {
             Choice::Id(_) | Choice::Contradiction(..) | Choice::Missing => Outcome::Unknown,
         };
         if outcome != Outcome::Unknown || self.outcome == Outcome::Unknown {
-            let seen = |at: &SeenAt| Some(Seen { picture: sent.get(at.image - 1)?.clone(), at: at.at, name: at.name.clone() });
+            let seen = |at: &SeenAt| {
+                Some(Seen {
+                    picture: sent.get(at.image - 1)?.clone(),
+                    at: at.at,
+                    name: at.name.clone(),
+                })
+            };
             self.seen = reply.seen_at.as_ref().and_then(seen);
             (self.outcome, self.reply) = (outcome, reply);
         }
@@ -94,14 +103,17 @@ impl Decision {
         enough
     }
 
-    /// Projects a choice outside of the candidates onto them (paper: PROJECTTOCANDIDATES): the same thing under another id, or the only
-    /// candidate with a fitting name. Where there is neither, the geometry's own answer stands, and is not passed off as the model's.
+    /// Projects a choice outside of the candidates onto them (paper: PROJECTTOCANDIDATES): the same
+    /// thing under another id, or the only candidate with a fitting name. Where there is
+    /// neither, the geometry's own answer stands, and is not passed off as the model's.
     pub(super) fn project(&mut self, context: &PromptContext) {
         if self.outcome != Outcome::Unknown {
             return;
         }
         let named = || {
-            let fits = |c: &&PromptCandidate| self.names.get(&c.id.0).is_some_and(|name| matches(name, &context.target));
+            let fits = |c: &&PromptCandidate| {
+                self.names.get(&c.id.0).is_some_and(|name| matches(name, &context.target))
+            };
             let mut fitting = context.candidates.iter().filter(fits);
             fitting.next().filter(|_| fitting.next().is_none())
         };
@@ -113,7 +125,8 @@ impl Decision {
             best.filter(|c| overlap(c) >= SAME_THING)
         };
         let found = same_thing().map(|c| (c.id, "has the box of what the model chose"));
-        let found = found.or_else(|| named().map(|c| (c.id, "is the only candidate with a fitting name")));
+        let found =
+            found.or_else(|| named().map(|c| (c.id, "is the only candidate with a fitting name")));
         let what_then = match found {
             Some((id, why)) => {
                 self.outcome = Outcome::Projected(id);
@@ -127,7 +140,12 @@ impl Decision {
     }
 
     /// Makes the decision the answer: fields, boxes, status, confidence.
-    pub fn apply(&self, grounding: &mut Grounding, context: &PromptContext, instances: &[Instance]) {
+    pub fn apply(
+        &self,
+        grounding: &mut Grounding,
+        context: &PromptContext,
+        instances: &[Instance],
+    ) {
         let answer = &mut grounding.answer;
         for (id, name) in &self.names {
             if let Some(known) = answer.candidate_names.get_mut(id) {
@@ -149,7 +167,11 @@ impl Decision {
         let known = |id: u32| instances.get((id as usize).wrapping_sub(1)).map(|i| i.id);
         if told(Field::AnchorId) {
             // A thing is no anchor of itself.
-            answer.anchor_id = self.reply.anchor_id.and_then(known).filter(|id| chosen.is_none_or(|i| i.id != *id));
+            answer.anchor_id = self
+                .reply
+                .anchor_id
+                .and_then(known)
+                .filter(|id| chosen.is_none_or(|i| i.id != *id));
         }
         if told(Field::RelationUsed) {
             answer.relation_used.clone_from(&self.reply.relation_used);
@@ -164,29 +186,42 @@ impl Decision {
             (false, true) => SURE,
             (false, false) => CORRECTED,
         };
-        let belief = |id: InstanceId| context.candidates.iter().find(|c| c.id == id).map_or(0.0, |c| c.belief);
+        let belief = |id: InstanceId| {
+            context.candidates.iter().find(|c| c.id == id).map_or(0.0, |c| c.belief)
+        };
         answer.predicted_id = chosen.map(|i| i.id);
         answer.target_name_matches = chosen.and(self.reply.target_name_matches);
-        let reason = if self.outcome == Outcome::NotListed { NoMatchReason::NotListed } else { NoMatchReason::NoneSeen };
+        let reason = if self.outcome == Outcome::NotListed {
+            NoMatchReason::NotListed
+        } else {
+            NoMatchReason::NoneSeen
+        };
         grounding.no_match_reason = chosen.is_none().then_some(reason);
         grounding.seen = self.seen.clone().filter(|_| self.outcome == Outcome::NotListed);
         grounding.status = if chosen.is_some() { Status::Grounded } else { Status::NoMatch };
-        (grounding.aabb, grounding.oriented_box) = (chosen.map(|i| i.aabb), chosen.map(|i| i.oriented_box));
+        (grounding.aabb, grounding.oriented_box) =
+            (chosen.map(|i| i.aabb), chosen.map(|i| i.oriented_box));
         grounding.confidence = match chosen {
             Some(instance) => weight + (1.0 - weight) * belief(instance.id),
             None => weight.max(1.0 - grounding.candidates.first().map_or(0.0, |best| best.score)),
         };
         // Several are told as they were found; the model chose the first of them.
         let own = chosen.map(|instance| target(instance, grounding.confidence));
-        grounding
-            .targets
-            .retain(|target| grounding.count.is_some() && own.as_ref().is_some_and(|own| own.id != target.id));
+        grounding.targets.retain(|target| {
+            grounding.count.is_some() && own.as_ref().is_some_and(|own| own.id != target.id)
+        });
         grounding.targets.splice(0..0, own);
         grounding.count = grounding.count.map(|_| grounding.targets.len() as u32);
         let meant = |id: InstanceId| grounding.targets.iter().any(|target| target.id == id);
         let rivals = grounding.candidates.iter().filter(|c| chosen.is_some() && !meant(c.id));
         let mut rivals: Vec<Alternative> = rivals
-            .map(|c| alternative(&instances[c.id.0 as usize - 1], c.name.clone(), (1.0 - weight) * belief(c.id)))
+            .map(|c| {
+                alternative(
+                    &instances[c.id.0 as usize - 1],
+                    c.name.clone(),
+                    (1.0 - weight) * belief(c.id),
+                )
+            })
             .collect();
         rivals.sort_by(|a, b| b.confidence.total_cmp(&a.confidence).then(a.id.cmp(&b.id)));
         rivals.retain(|r| r.confidence > 0.0);

@@ -1,12 +1,13 @@
-//! Stage 2 with a vision-language model: contextual semantic-spatial reasoning in a closed loop (paper, Algorithm 1; docs/METHOD.md,
-//! section 4).
+//! Stage 2 with a vision-language model: contextual semantic-spatial reasoning in a closed loop
+//! (paper, Algorithm 1; docs/METHOD.md, section 4).
 //!
 //! ```text
 //! context (candidates, anchors, directions) -> evidence (render, collages) -> prompt -> model -> reply -> checks
 //!                                                                              ^------- what was wrong -----|
 //! ```
-//! The built-in reasoner has run before: candidates, anchors and directions come from it. The model decides. Its reply is checked, and
-//! where the reply does not hold together the model is asked again. Every call is remembered by its [`Session`].
+//! The built-in reasoner has run before: candidates, anchors and directions come from it. The model
+//! decides. Its reply is checked, and where the reply does not hold together the model is asked
+//! again. Every call is remembered by its [`Session`].
 
 mod consistency;
 mod decision;
@@ -56,7 +57,8 @@ pub struct Conversation<'a> {
     pub options: Options,
     /// Names that were given before, by id.
     pub names: BTreeMap<u32, String>,
-    /// A sheet of candidates without a name, to be named first; only with [`EvidenceMode::CachedNames`].
+    /// A sheet of candidates without a name, to be named first; only with
+    /// [`EvidenceMode::CachedNames`].
     pub unnamed: Option<(Picture, Vec<u32>)>,
 }
 
@@ -75,7 +77,10 @@ pub struct Undecided {
 ///
 /// # Errors
 /// [`Undecided`] when a call fails and no reply before it can be used.
-pub async fn decide(conversation: &Conversation<'_>, session: &mut Session<'_>) -> Result<Decision, Undecided> {
+pub async fn decide(
+    conversation: &Conversation<'_>,
+    session: &mut Session<'_>,
+) -> Result<Decision, Undecided> {
     let Conversation { context, options, .. } = conversation;
     let mut decision = Decision::default();
     let mut names = conversation.names.clone();
@@ -100,7 +105,8 @@ pub async fn decide(conversation: &Conversation<'_>, session: &mut Session<'_>) 
         let mut reply = reply::read_answer(&text, &context.query, options.json);
         // The simple prompt asks for no format.
         if options.is_simple() && reply.predicted == Choice::Missing {
-            reply.predicted = reply::only_id(&text, |id| context.is_candidate(id)).map_or(Choice::Missing, Choice::Id);
+            reply.predicted = reply::only_id(&text, |id| context.is_candidate(id))
+                .map_or(Choice::Missing, Choice::Id);
         }
         names.extend(
             reply
@@ -118,7 +124,12 @@ pub async fn decide(conversation: &Conversation<'_>, session: &mut Session<'_>) 
         }
         looked_again |= matches!(correction, Correction::Inconsistent { .. });
         purpose = correction.purpose();
-        request = prompt::corrected(conversation, &conversation.shown_again(&correction, &shown), &names, &correction);
+        request = prompt::corrected(
+            conversation,
+            &conversation.shown_again(&correction, &shown),
+            &names,
+            &correction,
+        );
     }
     decision.names = names;
     decision.project(context);
@@ -126,10 +137,12 @@ pub async fn decide(conversation: &Conversation<'_>, session: &mut Session<'_>) 
 }
 
 impl Options {
-    /// Whether names take part. They stand for photographs, so the ablation that leaves those out leaves out names as well.
+    /// Whether names take part. They stand for photographs, so the ablation that leaves those out
+    /// leaves out names as well.
     #[must_use]
     pub fn uses_names(self) -> bool {
-        self.evidence == EvidenceMode::CachedNames && !matches!(self.ablation, Ablation::NoCandidate | Ablation::RawRender)
+        self.evidence == EvidenceMode::CachedNames
+            && !matches!(self.ablation, Ablation::NoCandidate | Ablation::RawRender)
     }
 
     /// Whether the prompt is the paper's bare one.
@@ -166,11 +179,13 @@ impl Conversation<'_> {
         shown
     }
 
-    /// The pictures of another call. Paper: the renders and the images of the candidate that was chosen.
+    /// The pictures of another call. Paper: the renders and the images of the candidate that was
+    /// chosen.
     fn shown_again(&self, correction: &Correction, shown: &VisualEvidence) -> VisualEvidence {
         match correction {
             Correction::Inconsistent { id, .. } => {
-                let shows = !matches!(self.options.ablation, Ablation::NoCandidate | Ablation::RawRender);
+                let shows =
+                    !matches!(self.options.ablation, Ablation::NoCandidate | Ablation::RawRender);
                 let of_chosen = self.evidence.collages.get_key_value(id).filter(|_| shows);
                 let collages = of_chosen.map(|(id, p)| (*id, p.clone())).into_iter().collect();
                 VisualEvidence { collages, ..shown.clone() }
@@ -189,11 +204,16 @@ fn pictures_of(request: &ChatRequest) -> Vec<String> {
     request.user.iter().filter_map(name).collect()
 }
 
-/// Asks which of many candidates, shown on contact sheets, may be meant: at most three, the likeliest first.
+/// Asks which of many candidates, shown on contact sheets, may be meant: at most three, the
+/// likeliest first.
 ///
 /// # Errors
 /// [`AskError`]: the call failed.
-pub async fn narrow(context: &PromptContext, evidence: &VisualEvidence, session: &mut Session<'_>) -> Result<Vec<u32>, AskError> {
+pub async fn narrow(
+    context: &PromptContext,
+    evidence: &VisualEvidence,
+    session: &mut Session<'_>,
+) -> Result<Vec<u32>, AskError> {
     let text = session.ask("sheet", prompt::narrowing(context, evidence)).await?;
     let mut ids = reply::shortlist(&text, |id| context.is_candidate(id));
     ids.truncate(prompt::REMAINING);
@@ -201,15 +221,27 @@ pub async fn narrow(context: &PromptContext, evidence: &VisualEvidence, session:
 }
 
 /// What is to be asked again, and why.
-fn wrong_with(reply: &Reply, context: &PromptContext, names: &BTreeMap<u32, String>, looked_again: bool) -> Option<Correction> {
+fn wrong_with(
+    reply: &Reply,
+    context: &PromptContext,
+    names: &BTreeMap<u32, String>,
+    looked_again: bool,
+) -> Option<Correction> {
     match reply.predicted {
         Choice::Nothing | Choice::NotListed => None,
-        Choice::Missing => Some(Correction::Unreadable { why: "no \"Predicted ID\" could be read".into() }),
-        Choice::Contradiction(a, b) if a == b => Some(Correction::Unreadable { why: format!("the ID is both {a} and none") }),
-        Choice::Contradiction(a, b) => Some(Correction::Unreadable { why: format!("the ID is both {a} and {b}") }),
+        Choice::Missing => {
+            Some(Correction::Unreadable { why: "no \"Predicted ID\" could be read".into() })
+        }
+        Choice::Contradiction(a, b) if a == b => {
+            Some(Correction::Unreadable { why: format!("the ID is both {a} and none") })
+        }
+        Choice::Contradiction(a, b) => {
+            Some(Correction::Unreadable { why: format!("the ID is both {a} and {b}") })
+        }
         Choice::Id(id) if !context.is_candidate(id) => Some(Correction::OutOfSet { id }),
         Choice::Id(_) if looked_again => None,
-        Choice::Id(id) => consistency::disagreement(&context.target, names, id, reply).map(|why| Correction::Inconsistent { id, why }),
+        Choice::Id(id) => consistency::disagreement(&context.target, names, id, reply)
+            .map(|why| Correction::Inconsistent { id, why }),
     }
 }
 

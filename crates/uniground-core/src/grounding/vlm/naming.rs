@@ -9,7 +9,8 @@ use crate::render::{Shot, Tile, mosaic, mosaic_tiles};
 use crate::scene::InstanceId;
 use std::collections::BTreeMap;
 
-/// Raised when what models are told to name instances changes: names given before are asked for again.
+/// Raised when what models are told to name instances changes: names given before are asked for
+/// again.
 pub const NAMING_VERSION: u32 = 2;
 
 /// Name and version of a model as it names instances, recorded with answers.
@@ -30,16 +31,25 @@ const MAX_NAME_CHARS: usize = 80;
 /// What covers fewer pixels of its best photograph nobody can name.
 const LEAST_PX: f32 = 12.0 * 12.0;
 
-/// A sheet of instances to be named, and the ids on it: those that can be seen well enough. `None` where none can.
+/// A sheet of instances to be named, and the ids on it: those that can be seen well enough. `None`
+/// where none can.
 ///
 /// # Errors
 /// The cloud can not be read.
-pub fn sheet_of<S: SceneSource>(source: &S, number: usize, ids: &[InstanceId]) -> Result<Option<(Picture, Vec<u32>)>, S::Error> {
+pub fn sheet_of<S: SceneSource>(
+    source: &S,
+    number: usize,
+    ids: &[InstanceId],
+) -> Result<Option<(Picture, Vec<u32>)>, S::Error> {
     contact_sheet(source, format!("names-{number}"), ids)
 }
 
 /// One photograph of each instance on a sheet of this name, and the ids on it.
-pub(super) fn contact_sheet<S: SceneSource>(source: &S, name: String, ids: &[InstanceId]) -> Result<Option<(Picture, Vec<u32>)>, S::Error> {
+pub(super) fn contact_sheet<S: SceneSource>(
+    source: &S,
+    name: String,
+    ids: &[InstanceId],
+) -> Result<Option<(Picture, Vec<u32>)>, S::Error> {
     if ids.is_empty() {
         return Ok(None);
     }
@@ -56,9 +66,14 @@ pub(super) fn tiles<S: SceneSource>(source: &S, ids: &[InstanceId]) -> Result<Ve
 }
 
 /// One photograph of each instance that can be seen well enough.
-fn shots_of<S: SceneSource>(source: &S, ids: &[InstanceId]) -> Result<Vec<(InstanceId, Shot)>, S::Error> {
+fn shots_of<S: SceneSource>(
+    source: &S,
+    ids: &[InstanceId],
+) -> Result<Vec<(InstanceId, Shot)>, S::Error> {
     let render_scene = source.render_scene()?;
-    let shots = ids.iter().filter_map(|&id| Some((id, source.shots(id, 1, &render_scene).into_iter().next()?)));
+    let shots = ids
+        .iter()
+        .filter_map(|&id| Some((id, source.shots(id, 1, &render_scene).into_iter().next()?)));
     Ok(shots.filter(|(_, shot)| shot.covered_px() >= LEAST_PX).collect())
 }
 
@@ -83,11 +98,15 @@ pub fn request(sheet: Picture, ids: &[u32]) -> ChatRequest {
          can not tell, and \"not a thing\" where there is none. Answer with one line per object, nothing else:
 ID -> name"
     );
-    ChatRequest { system: SYSTEM.into(), user: vec![Part::Picture(sheet), Part::Text(text)], schema: None }
+    ChatRequest {
+        system: SYSTEM.into(),
+        user: vec![Part::Picture(sheet), Part::Text(text)],
+        schema: None,
+    }
 }
 
-/// The names in a reply, of those that were asked for. What a reply passes over has the name "": it is not asked about again, and its
-/// photographs are shown instead.
+/// The names in a reply, of those that were asked for. What a reply passes over has the name "": it
+/// is not asked about again, and its photographs are shown instead.
 #[must_use]
 pub fn read(text: &str, ids: &[u32]) -> BTreeMap<u32, String> {
     let mut names = reply::names_in(text);
@@ -111,7 +130,11 @@ mod tests {
         let text = "<think>1 -> no</think>Here you are:\n**ID 1** -> red two-seat sofa\n- 2: white door\nID 9 -> a ghost\n3 -> ";
         assert_eq!(
             read(text, &[1, 2, 3]),
-            BTreeMap::from([(1, "red two-seat sofa".to_owned()), (2, "white door".to_owned()), (3, String::new())])
+            BTreeMap::from([
+                (1, "red two-seat sofa".to_owned()),
+                (2, "white door".to_owned()),
+                (3, String::new())
+            ])
         );
         assert!(read("I can not.", &[1]).is_empty());
         assert!(read(&format!("1 -> {}", "long ".repeat(40)), &[1]).is_empty());

@@ -1,5 +1,5 @@
-//! The prompt, block by block in the paper's order (appendix, "Details of Textual Prompt Design"). A block whose input is absent is left
-//! out; that is all the ablations do.
+//! The prompt, block by block in the paper's order (appendix, "Details of Textual Prompt Design").
+//! A block whose input is absent is left out; that is all the ablations do.
 
 use super::prompt_context::{PromptAnchor, PromptCandidate, PromptContext, axis};
 use super::reply::Field;
@@ -11,8 +11,8 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-/// Name of a model as it reasons, with the number of its prompt, recorded with answers. A number is raised when what models are told
-/// changes.
+/// Name of a model as it reasons, with the number of its prompt, recorded with answers. A number is
+/// raised when what models are told changes.
 #[must_use]
 pub fn reasoner_name(model: &str, prompt: PromptVersion) -> String {
     let number = match prompt {
@@ -22,8 +22,10 @@ pub fn reasoner_name(model: &str, prompt: PromptVersion) -> String {
     format!("{model} (prompt {number})")
 }
 
-const SYSTEM: &str = "You are a helpful assistant designed to identify objects based on images and descriptions.";
-const SIMPLE_SYSTEM: &str = "You are a helpful assistant. Identify the object ID that matches the description.";
+const SYSTEM: &str =
+    "You are a helpful assistant designed to identify objects based on images and descriptions.";
+const SIMPLE_SYSTEM: &str =
+    "You are a helpful assistant. Identify the object ID that matches the description.";
 
 /// Candidates that remain after the first step of two.
 pub const REMAINING: usize = 3;
@@ -40,7 +42,11 @@ pub(super) enum Correction {
 }
 
 /// The first question about a scene.
-pub(super) fn spatial(conversation: &Conversation, shown: &VisualEvidence, names: &BTreeMap<u32, String>) -> ChatRequest {
+pub(super) fn spatial(
+    conversation: &Conversation,
+    shown: &VisualEvidence,
+    names: &BTreeMap<u32, String>,
+) -> ChatRequest {
     request(conversation, shown, names, None)
 }
 
@@ -61,9 +67,11 @@ fn request(
     correction: Option<&Correction>,
 ) -> ChatRequest {
     let context = conversation.context;
-    let (prompt, sheets) = (conversation.options.prompt, shown.sheets.iter().map(|(sheet, _)| sheet));
+    let (prompt, sheets) =
+        (conversation.options.prompt, shown.sheets.iter().map(|(sheet, _)| sheet));
     let photographs = shown.photographs.iter().map(|photograph| &photograph.picture);
-    let pictures = shown.global.iter().chain(shown.collages.values()).chain(sheets).chain(photographs);
+    let pictures =
+        shown.global.iter().chain(shown.collages.values()).chain(sheets).chain(photographs);
     let mut user: Vec<Part> = pictures.cloned().map(Part::Picture).collect();
     if conversation.options.is_simple() {
         let mut text = format!(
@@ -81,14 +89,22 @@ fn request(
         Some(images(context, shown)),
         Some(directions(context, prompt)),
         anchors(context, prompt),
-        Some(format!("Candidates (metres, world frame, Z up):\n{}", candidates(context, names, prompt, "\n"))),
+        Some(format!(
+            "Candidates (metres, world frame, Z up):\n{}",
+            candidates(context, names, prompt, "\n")
+        )),
         Some(naming(shown, names)),
         Some(protocol(shown, prompt)),
         correction.map(|correction| what_was_wrong(context, correction)),
         Some(format(conversation.options.json, prompt)),
         Some(format!("Query: {}", quoted(&context.query))),
     ];
-    let text = blocks.into_iter().flatten().filter(|block| !block.is_empty()).collect::<Vec<_>>().join("\n\n");
+    let text = blocks
+        .into_iter()
+        .flatten()
+        .filter(|block| !block.is_empty())
+        .collect::<Vec<_>>()
+        .join("\n\n");
     user.push(Part::Text(text));
     let schema = conversation.options.json.then(|| ("grounding", schema(prompt)));
     ChatRequest { system: SYSTEM.into(), user, schema }
@@ -113,12 +129,23 @@ fn images(context: &PromptContext, shown: &VisualEvidence) -> String {
         );
         next += 1;
     }
-    let of = |id: &u32| if context.is_shown_anchor(*id) { format!("ID {id} (a predicted anchor)") } else { format!("ID {id}") };
+    let of = |id: &u32| {
+        if context.is_shown_anchor(*id) {
+            format!("ID {id} (a predicted anchor)")
+        } else {
+            format!("ID {id}")
+        }
+    };
     let ids: Vec<String> = shown.collages.keys().map(of).collect();
     if let Some(first) = ids.first() {
         let _ = match ids.len() {
             1 => write!(text, "Image {next} shows the candidate {first}"),
-            n => write!(text, "Images {next} to {} show one candidate each, in this order: {}", next + n - 1, ids.join(", ")),
+            n => write!(
+                text,
+                "Images {next} to {} show one candidate each, in this order: {}",
+                next + n - 1,
+                ids.join(", ")
+            ),
         };
         let _ = text.write_str(". Above: close crops of the object from up to three viewpoints, a yellow line around it and its surroundings darker. Below: the pictures they come from, with the object in a red box.");
         next += ids.len();
@@ -165,10 +192,14 @@ fn directions(context: &PromptContext, prompt: PromptVersion) -> String {
 }
 
 fn anchors(context: &PromptContext, prompt: PromptVersion) -> Option<String> {
-    let others = |a: &PromptAnchor| match a.alternatives.is_empty() || prompt == PromptVersion::Paper {
-        true => String::new(),
-        false => format!("; it may also be {}", a.alternatives.iter().map(|id| format!("ID {id}")).collect::<Vec<_>>().join(" or ")),
-    };
+    let others =
+        |a: &PromptAnchor| match a.alternatives.is_empty() || prompt == PromptVersion::Paper {
+            true => String::new(),
+            false => format!(
+                "; it may also be {}",
+                a.alternatives.iter().map(|id| format!("ID {id}")).collect::<Vec<_>>().join(" or ")
+            ),
+        };
     let told = context
         .anchors
         .iter()
@@ -184,11 +215,20 @@ fn anchors(context: &PromptContext, prompt: PromptVersion) -> Option<String> {
     (!told.is_empty()).then(|| format!("Anchors in the query ({warning}):\n{told}"))
 }
 
-fn candidates(context: &PromptContext, names: &BTreeMap<u32, String>, prompt: PromptVersion, separator: &str) -> String {
+fn candidates(
+    context: &PromptContext,
+    names: &BTreeMap<u32, String>,
+    prompt: PromptVersion,
+    separator: &str,
+) -> String {
     let line = |c: &PromptCandidate| {
         let name = names.get(&c.id.0).map_or(String::new(), |name| format!(", \"{name}\""));
         // What geometry thinks of a candidate is no reason for somebody who can see it.
-        let score = if prompt == PromptVersion::Paper { format!("score {:.2}, ", c.score) } else { String::new() };
+        let score = if prompt == PromptVersion::Paper {
+            format!("score {:.2}, ", c.score)
+        } else {
+            String::new()
+        };
         format!("ID {}: {score}{}{name}", c.id, place(&c.aabb))
     };
     context.candidates.iter().map(line).collect::<Vec<_>>().join(separator)
@@ -196,7 +236,10 @@ fn candidates(context: &PromptContext, names: &BTreeMap<u32, String>, prompt: Pr
 
 fn place(aabb: &Aabb) -> String {
     let (c, s) = (aabb.center, aabb.size);
-    format!("center ({:.2}, {:.2}, {:.2}), size ({:.2}, {:.2}, {:.2})", c.x, c.y, c.z, s.x, s.y, s.z)
+    format!(
+        "center ({:.2}, {:.2}, {:.2}), size ({:.2}, {:.2}, {:.2})",
+        c.x, c.y, c.z, s.x, s.y, s.z
+    )
 }
 
 fn naming(shown: &VisualEvidence, names: &BTreeMap<u32, String>) -> String {
@@ -217,7 +260,11 @@ fn naming(shown: &VisualEvidence, names: &BTreeMap<u32, String>) -> String {
 }
 
 fn protocol(shown: &VisualEvidence, prompt: PromptVersion) -> String {
-    let verify = if shown.global.is_some() { "the global render and the 3D coordinates" } else { "the 3D coordinates" };
+    let verify = if shown.global.is_some() {
+        "the global render and the 3D coordinates"
+    } else {
+        "the 3D coordinates"
+    };
     format!(
         "Decide in this order:\n\
          1. Match the candidates' names with the object the query asks for.\n\
@@ -225,7 +272,8 @@ fn protocol(shown: &VisualEvidence, prompt: PromptVersion) -> String {
          3. If no name matches, or several remain plausible, find the anchor first and resolve the target by the stated relation.\n\
          {}",
         match prompt {
-            PromptVersion::Paper => "4. Choose one candidate. Only if it is certain that no candidate can be meant, answer none.",
+            PromptVersion::Paper =>
+                "4. Choose one candidate. Only if it is certain that no candidate can be meant, answer none.",
             PromptVersion::Revised => {
                 "4. Choose one candidate. One of another kind, or plainly of another colour, than the query says is not meant. Where several \
                  are pieces of the object, choose the one that holds most of it.\n\
@@ -284,7 +332,9 @@ fn what_was_wrong(context: &PromptContext, correction: &Correction) -> String {
     let wrong = match correction {
         Correction::OutOfSet { id } => format!("ID {id}, which is no candidate"),
         Correction::Unreadable { why } => format!("something of which {why}"),
-        Correction::Inconsistent { id, why } => format!("ID {id}, but {why}. Look again at its image, the relations and the render"),
+        Correction::Inconsistent { id, why } => {
+            format!("ID {id}, but {why}. Look again at its image, the relations and the render")
+        }
     };
     let relations = match context.summary.relations.is_empty() {
         true => String::new(),
@@ -300,9 +350,13 @@ fn what_was_wrong(context: &PromptContext, correction: &Correction) -> String {
 /// The first step of two: contact sheets of all candidates, of which three at most remain.
 #[must_use]
 pub fn narrowing(context: &PromptContext, evidence: &VisualEvidence) -> ChatRequest {
-    let mut user: Vec<Part> = evidence.sheets.iter().map(|(sheet, _)| Part::Picture(sheet.clone())).collect();
+    let mut user: Vec<Part> =
+        evidence.sheets.iter().map(|(sheet, _)| Part::Picture(sheet.clone())).collect();
     let blocks = [
-        images(context, &VisualEvidence { sheets: evidence.sheets.clone(), ..VisualEvidence::default() }),
+        images(
+            context,
+            &VisualEvidence { sheets: evidence.sheets.clone(), ..VisualEvidence::default() },
+        ),
         anchors(context, PromptVersion::Revised).unwrap_or_default(),
         format!(
             "Candidates (metres, world frame, Z up):\n{}",
@@ -314,6 +368,8 @@ pub fn narrowing(context: &PromptContext, evidence: &VisualEvidence) -> ChatRequ
         ),
         format!("Query: {}", quoted(&context.query)),
     ];
-    user.push(Part::Text(blocks.into_iter().filter(|block| !block.is_empty()).collect::<Vec<_>>().join("\n\n")));
+    user.push(Part::Text(
+        blocks.into_iter().filter(|block| !block.is_empty()).collect::<Vec<_>>().join("\n\n"),
+    ));
     ChatRequest { system: SYSTEM.into(), user, schema: None }
 }

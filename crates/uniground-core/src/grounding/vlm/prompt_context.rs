@@ -1,4 +1,5 @@
-//! What a model is told about a question: candidates, anchors, directions. Nothing of it depends on the model.
+//! What a model is told about a question: candidates, anchors, directions. Nothing of it depends on
+//! the model.
 
 use super::EvidenceMode;
 use crate::geometry::Vector3;
@@ -16,7 +17,8 @@ use std::collections::BTreeMap;
 pub struct PromptContext {
     /// The question as it was asked.
     pub query: String,
-    /// How the question was read; its relations and anchors are told when the model is asked again.
+    /// How the question was read; its relations and anchors are told when the model is asked
+    /// again.
     pub summary: ParsedQuerySummary,
     pub(super) target: Phrase,
     /// Best first.
@@ -65,7 +67,12 @@ const MAX_ALTERNATIVES: usize = 2;
 
 impl PromptContext {
     /// `assessor` has the directions the question is read in; `grounding` the candidates.
-    pub(in crate::grounding) fn of(assessor: &Assessor, parsed: &ParsedQuery, grounding: &Grounding, beliefs: &[f32]) -> Self {
+    pub(in crate::grounding) fn of(
+        assessor: &Assessor,
+        parsed: &ParsedQuery,
+        grounding: &Grounding,
+        beliefs: &[f32],
+    ) -> Self {
         let mut phrases = Vec::new();
         anchor_phrases(&parsed.target, &mut phrases);
         phrases.extend(parsed.viewpoint.iter().map(|viewpoint| &viewpoint.anchor));
@@ -76,8 +83,14 @@ impl PromptContext {
             let Some((&(first, _), others)) = likely.split_first() else { continue };
             let instance = &assessor.scene.instances[first];
             if anchors.iter().all(|a| a.id != instance.id) {
-                let alternatives = others.iter().map(|&(i, _)| assessor.scene.instances[i].id).collect();
-                anchors.push(PromptAnchor { words: phrase.text(), id: instance.id, aabb: instance.aabb, alternatives });
+                let alternatives =
+                    others.iter().map(|&(i, _)| assessor.scene.instances[i].id).collect();
+                anchors.push(PromptAnchor {
+                    words: phrase.text(),
+                    id: instance.id,
+                    aabb: instance.aabb,
+                    alternatives,
+                });
             }
         }
         let is_candidate = |id: InstanceId| grounding.candidates.iter().any(|c| c.id == id);
@@ -85,8 +98,14 @@ impl PromptContext {
         let shown_anchors = others.take(MAX_SHOWN_ANCHORS).collect();
         let directions = assessor.directions;
         let seen_by = match &parsed.viewpoint {
-            Some(viewpoint) if directions.of_somebody && assessor.best(&viewpoint.anchor).is_some() => {
-                format!("as seen by somebody {} the {}", viewpoint.look.phrase(), viewpoint.anchor.text())
+            Some(viewpoint)
+                if directions.of_somebody && assessor.best(&viewpoint.anchor).is_some() =>
+            {
+                format!(
+                    "as seen by somebody {} the {}",
+                    viewpoint.look.phrase(),
+                    viewpoint.anchor.text()
+                )
             }
             _ if directions.of_somebody => "as seen by the observer who asks".into(),
             _ => format!("by the convention \"{}\"", grounding.direction_convention),
@@ -98,7 +117,12 @@ impl PromptContext {
             candidates: grounding
                 .candidates
                 .iter()
-                .map(|c| PromptCandidate { id: c.id, score: c.score, belief: beliefs[c.id.0 as usize - 1], aabb: c.aabb })
+                .map(|c| PromptCandidate {
+                    id: c.id,
+                    score: c.score,
+                    belief: beliefs[c.id.0 as usize - 1],
+                    aabb: c.aabb,
+                })
                 .collect(),
             anchors,
             shown_anchors,
@@ -108,9 +132,14 @@ impl PromptContext {
         }
     }
 
-    /// Candidates to be named before they are decided on: where names are used, the first that have none.
+    /// Candidates to be named before they are decided on: where names are used, the first that have
+    /// none.
     #[must_use]
-    pub fn unnamed(&self, names: &BTreeMap<u32, String>, evidence: EvidenceMode) -> Vec<InstanceId> {
+    pub fn unnamed(
+        &self,
+        names: &BTreeMap<u32, String>,
+        evidence: EvidenceMode,
+    ) -> Vec<InstanceId> {
         let without = self
             .candidates
             .iter()
@@ -136,7 +165,8 @@ impl PromptContext {
         self.shown_anchors.iter().any(|anchor| anchor.0 == id)
     }
 
-    /// Whether right and front are those of somebody who looks from the front to the back. The paper's left and right are not.
+    /// Whether right and front are those of somebody who looks from the front to the back. The
+    /// paper's left and right are not.
     pub(super) fn is_of_a_viewer(&self) -> bool {
         let Directions { right, front, .. } = self.directions;
         (-front).cross(&Vector3::z()).dot(&right) > 0.0
@@ -148,29 +178,44 @@ impl PromptContext {
         Self { shown_anchors: Vec::new(), ..self }
     }
 
-    /// With one more candidate, of which nothing is known but that a model saw it: the last of the scene's instances.
+    /// With one more candidate, of which nothing is known but that a model saw it: the last of the
+    /// scene's instances.
     #[must_use]
     pub fn with_found(mut self, found: &Instance) -> Self {
         self.boxes.truncate(found.id.0 as usize - 1);
         self.boxes.push(found.aabb);
-        self.candidates.push(PromptCandidate { id: found.id, score: 0.0, belief: 0.0, aabb: found.aabb });
+        self.candidates.push(PromptCandidate {
+            id: found.id,
+            score: 0.0,
+            belief: 0.0,
+            aabb: found.aabb,
+        });
         self
     }
 
     /// With these candidates only, in their order.
     #[must_use]
     pub fn narrowed_to(&self, ids: &[u32]) -> Self {
-        let candidates = self.candidates.iter().filter(|c| ids.contains(&c.id.0)).cloned().collect();
+        let candidates =
+            self.candidates.iter().filter(|c| ids.contains(&c.id.0)).cloned().collect();
         Self { candidates, ..self.clone() }
     }
 
     /// The six direction words and what they mean here. Named by the axis where they lie along one.
     pub(super) fn words(&self) -> [(&'static str, Vector3<f32>); 6] {
         let Directions { right, front, .. } = self.directions;
-        [("left", -right), ("right", right), ("front", front), ("back", -front), ("above", Vector3::z()), ("below", -Vector3::z())]
+        [
+            ("left", -right),
+            ("right", right),
+            ("front", front),
+            ("back", -front),
+            ("above", Vector3::z()),
+            ("below", -Vector3::z()),
+        ]
     }
 
-    /// What the global render shows: candidates in blue, anchors in red on top, horizontal direction words at the rims.
+    /// What the global render shows: candidates in blue, anchors in red on top, horizontal
+    /// direction words at the rims.
     #[must_use]
     pub fn subjects(&self) -> Subjects {
         let is_anchor = |id: InstanceId| self.anchors.iter().any(|a| a.id == id);
@@ -179,12 +224,18 @@ impl PromptContext {
             label: c.id.to_string(),
             style: if is_anchor(c.id) { BoxStyle::Anchor } else { BoxStyle::Candidate },
         };
-        let anchor = |a: &PromptAnchor| LabelledBox { aabb: a.aabb, label: format!("{} anchor", a.id), style: BoxStyle::Anchor };
+        let anchor = |a: &PromptAnchor| LabelledBox {
+            aabb: a.aabb,
+            label: format!("{} anchor", a.id),
+            style: BoxStyle::Anchor,
+        };
         let listed = |id: InstanceId| self.candidates.iter().any(|c| c.id == id);
         let others = self.anchors.iter().filter(|a| !listed(a.id)).map(anchor);
-        let mut boxes: Vec<LabelledBox> = self.candidates.iter().rev().map(candidate).chain(others).collect();
+        let mut boxes: Vec<LabelledBox> =
+            self.candidates.iter().rev().map(candidate).chain(others).collect();
         boxes.sort_by_key(|b| b.style == BoxStyle::Anchor);
-        let centers = self.candidates.iter().map(|c| c.aabb.center.coords).sum::<Vector3<f32>>() / self.candidates.len().max(1) as f32;
+        let centers = self.candidates.iter().map(|c| c.aabb.center.coords).sum::<Vector3<f32>>()
+            / self.candidates.len().max(1) as f32;
         let words = self
             .words()
             .into_iter()

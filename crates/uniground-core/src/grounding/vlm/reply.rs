@@ -1,8 +1,8 @@
 //! A model's words as six fields (docs/METHOD.md, section 4, "Parser").
 //!
-//! Models are asked for six lines and send lines in another order, in one line, in Markdown, as a list, as a table, as JSON. All of
-//! these are read. An id is only ever taken from the field that holds it, or from a reply that is nothing but an id, never from an
-//! explanation.
+//! Models are asked for six lines and send lines in another order, in one line, in Markdown, as a
+//! list, as a table, as JSON. All of these are read. An id is only ever taken from the field that
+//! holds it, or from a reply that is nothing but an id, never from an explanation.
 
 mod json;
 mod labels;
@@ -74,8 +74,14 @@ pub(in crate::grounding::vlm) enum Field {
 
 impl Field {
     /// The six that every reply has.
-    pub const ALL: [Self; 6] =
-        [Self::PredictedId, Self::Explanation, Self::CandidateNames, Self::TargetNameMatches, Self::AnchorId, Self::RelationUsed];
+    pub const ALL: [Self; 6] = [
+        Self::PredictedId,
+        Self::Explanation,
+        Self::CandidateNames,
+        Self::TargetNameMatches,
+        Self::AnchorId,
+        Self::RelationUsed,
+    ];
 
     /// The paper's name of the field.
     pub fn title(self) -> &'static str {
@@ -91,8 +97,9 @@ impl Field {
     }
 }
 
-/// Reads a reply to a question. What the question itself says is no answer, wherever the model repeats it. JSON is looked for among words
-/// only where it was asked for (`json`). Never fails: what is not there is missing.
+/// Reads a reply to a question. What the question itself says is no answer, wherever the model
+/// repeats it. JSON is looked for among words only where it was asked for (`json`). Never fails:
+/// what is not there is missing.
 #[must_use]
 pub fn read_answer(text: &str, query: &str, json: bool) -> Reply {
     let text = without_query(&normalised(text), &normalised(query));
@@ -119,10 +126,13 @@ fn is_all_json(text: &str) -> bool {
     text.starts_with('{') && text.ends_with('}')
 }
 
-/// A reply without repetitions of a question that could be taken for an answer. Others stay: their words may be a candidate's name.
+/// A reply without repetitions of a question that could be taken for an answer. Others stay: their
+/// words may be a candidate's name.
 fn without_query(text: &str, query: &str) -> String {
-    let could_be_read =
-        query.contains(['{', '\n']) || !labels::fields(query).is_empty() || !names(query).is_empty() || bare(query) != Choice::Missing;
+    let could_be_read = query.contains(['{', '\n'])
+        || !labels::fields(query).is_empty()
+        || !names(query).is_empty()
+        || bare(query) != Choice::Missing;
     if !could_be_read {
         return text.to_owned();
     }
@@ -130,16 +140,22 @@ fn without_query(text: &str, query: &str) -> String {
     let one_line = query.split_whitespace().collect::<Vec<_>>().join(" ");
     let quoted = serde_json::Value::from(one_line.as_str()).to_string();
     let escaped = &quoted[1..quoted.len() - 1];
-    [query, &one_line, escaped]
-        .into_iter()
-        .filter(|shape| !shape.trim().is_empty())
-        .fold(text.to_owned(), |text, shape| if text.trim() == shape { text } else { text.replace(shape, "(the query)") })
+    [query, &one_line, escaped].into_iter().filter(|shape| !shape.trim().is_empty()).fold(
+        text.to_owned(),
+        |text, shape| {
+            if text.trim() == shape { text } else { text.replace(shape, "(the query)") }
+        },
+    )
 }
 
 fn of_labels(text: &str) -> Reply {
     let fields = labels::fields(text);
     if fields.is_empty() {
-        return Reply { predicted: bare(text), not_read: Field::ALL[1..].iter().map(|f| f.title()).collect(), ..Reply::default() };
+        return Reply {
+            predicted: bare(text),
+            not_read: Field::ALL[1..].iter().map(|f| f.title()).collect(),
+            ..Reply::default()
+        };
     }
     let mut reply = Reply::default();
     for (field, value) in &fields {
@@ -147,9 +163,14 @@ fn of_labels(text: &str) -> Reply {
             Field::PredictedId => reply.predicted = joined(reply.predicted, choice(value)),
             Field::Explanation => reply.explanation = reply.explanation.or_else(|| words(value)),
             Field::CandidateNames => reply.candidate_names.extend(names(value)),
-            Field::TargetNameMatches => reply.target_name_matches = reply.target_name_matches.or_else(|| truth(value)),
+            Field::TargetNameMatches => {
+                reply.target_name_matches = reply.target_name_matches.or_else(|| truth(value))
+            }
             Field::AnchorId => reply.anchor_id = reply.anchor_id.or_else(|| anchor(value)),
-            Field::RelationUsed => reply.relation_used = reply.relation_used.or_else(|| words(value).filter(|w| !is_nothing(w))),
+            Field::RelationUsed => {
+                reply.relation_used =
+                    reply.relation_used.or_else(|| words(value).filter(|w| !is_nothing(w)))
+            }
             Field::SeenAt => reply.seen_at = reply.seen_at.or_else(|| seen_at(value)),
         }
     }
@@ -162,7 +183,9 @@ impl Reply {
     /// Lists fields that are missing, or that say nothing that can be read.
     fn note_unread(&mut self, told: impl Fn(Field) -> bool) {
         let read = |field| match field {
-            Field::PredictedId => !matches!(self.predicted, Choice::Missing | Choice::Contradiction(..)),
+            Field::PredictedId => {
+                !matches!(self.predicted, Choice::Missing | Choice::Contradiction(..))
+            }
             Field::Explanation => self.explanation.is_some(),
             Field::CandidateNames => !self.candidate_names.is_empty(),
             Field::TargetNameMatches => self.target_name_matches.is_some(),
@@ -171,7 +194,8 @@ impl Reply {
             // Most replies have none.
             Field::SeenAt => true,
         };
-        self.not_read = Field::ALL.into_iter().filter(|field| !read(*field)).map(Field::title).collect();
+        self.not_read =
+            Field::ALL.into_iter().filter(|field| !read(*field)).map(Field::title).collect();
     }
 }
 
@@ -216,7 +240,8 @@ fn without_thoughts(text: &str) -> &str {
 /// Drops a thought that never ends.
 fn without_thoughts_begun(text: &str) -> &str {
     let lower = text.to_ascii_lowercase();
-    let start = ["<think>", "<thinking>", "<thought>"].into_iter().filter_map(|tag| lower.find(tag)).min();
+    let start =
+        ["<think>", "<thinking>", "<thought>"].into_iter().filter_map(|tag| lower.find(tag)).min();
     &text[..start.unwrap_or(text.len())]
 }
 
@@ -224,24 +249,38 @@ fn joined(before: Choice, now: Choice) -> Choice {
     match (before, now) {
         (Choice::Missing, now) => now,
         (Choice::Id(a), Choice::Id(b)) if a != b => Choice::Contradiction(a, b),
-        (Choice::Id(a), Choice::Nothing | Choice::NotListed) | (Choice::Nothing | Choice::NotListed, Choice::Id(a)) => {
-            Choice::Contradiction(a, a)
-        }
+        (Choice::Id(a), Choice::Nothing | Choice::NotListed)
+        | (Choice::Nothing | Choice::NotListed, Choice::Id(a)) => Choice::Contradiction(a, a),
         (before, _) => before,
     }
 }
 
-const DECORATION: [char; 15] = ['*', '_', '`', '#', '<', '>', '[', ']', '(', ')', '{', '}', '"', '\'', '|'];
+const DECORATION: [char; 15] =
+    ['*', '_', '`', '#', '<', '>', '[', ']', '(', ')', '{', '}', '"', '\'', '|'];
 
-/// The id a field holds: `22`, `<22>`, `ID 22`, `22.`, `**22** (the window)`; or that there is none.
+/// The id a field holds: `22`, `<22>`, `ID 22`, `22.`, `**22** (the window)`; or that there is
+/// none.
 pub(super) fn choice(value: &str) -> Choice {
     let line = value.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or_default();
     let line = line.replace("\\boxed", "").replace('$', "");
     let mut rest = stripped(&line);
     // Words that may stand before an id.
-    while let Some(after) = ["the", "is", "object", "candidate", "instance", "id", "no.", "number", "answer", "=", ":", "- "]
-        .into_iter()
-        .find_map(|word| prefix(rest, word))
+    while let Some(after) = [
+        "the",
+        "is",
+        "object",
+        "candidate",
+        "instance",
+        "id",
+        "no.",
+        "number",
+        "answer",
+        "=",
+        ":",
+        "- ",
+    ]
+    .into_iter()
+    .find_map(|word| prefix(rest, word))
     {
         rest = stripped(after);
     }
@@ -266,7 +305,8 @@ fn stripped(text: &str) -> &str {
 fn prefix<'a>(text: &'a str, word: &str) -> Option<&'a str> {
     let head = text.get(..word.len())?;
     let after = &text[word.len()..];
-    let ends = !word.ends_with(|c: char| c.is_ascii_alphabetic()) || !after.starts_with(|c: char| c.is_alphabetic());
+    let ends = !word.ends_with(|c: char| c.is_ascii_alphabetic())
+        || !after.starts_with(|c: char| c.is_alphabetic());
     (head.eq_ignore_ascii_case(word) && ends).then_some(after)
 }
 
@@ -280,7 +320,9 @@ fn leading_number(text: &str) -> Option<(u32, &str)> {
         .filter(|rest| !rest.starts_with(|c: char| c.is_ascii_digit()))
         .unwrap_or(after);
     let goes_on = after.starts_with(|c: char| c.is_alphanumeric())
-        || after.strip_prefix('.').is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
+        || after
+            .strip_prefix('.')
+            .is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
     (!goes_on).then(|| number.parse().ok()).flatten().map(|number| (number, after))
 }
 
@@ -302,20 +344,30 @@ fn another_number(after: &str) -> Option<u32> {
 fn bare(text: &str) -> Choice {
     const LONGEST: usize = 40;
     let text = text.trim();
-    let text = text.strip_prefix("<answer>").and_then(|t| t.strip_suffix("</answer>")).unwrap_or(text).trim();
+    let text = text
+        .strip_prefix("<answer>")
+        .and_then(|t| t.strip_suffix("</answer>"))
+        .unwrap_or(text)
+        .trim();
     let text = prefix(text, "answer").map_or(text, |after| after.trim_start_matches([':', ' ']));
     if text.len() > LONGEST || text.lines().count() > 1 {
         return Choice::Missing;
     }
     let rest = stripped(text);
-    let rest = prefix(rest, "id").map_or(rest, |after| stripped(after.trim_start_matches([':', '=', ' '])));
+    let rest = prefix(rest, "id")
+        .map_or(rest, |after| stripped(after.trim_start_matches([':', '=', ' '])));
     match leading_number(rest) {
-        Some((id, after)) if after.chars().all(|c| c.is_whitespace() || c == '.' || DECORATION.contains(&c)) => Choice::Id(id),
+        Some((id, after))
+            if after.chars().all(|c| c.is_whitespace() || c == '.' || DECORATION.contains(&c)) =>
+        {
+            Choice::Id(id)
+        }
         _ => Choice::Missing,
     }
 }
 
-/// Whether a value says that there is none: "none", "None - no candidate is a fridge", "No matching candidate".
+/// Whether a value says that there is none: "none", "None - no candidate is a fridge", "No matching
+/// candidate".
 fn is_nothing(value: &str) -> bool {
     let value = stripped(value).trim_start_matches(['-', ' ']).to_ascii_lowercase();
     let word: String = value.chars().take_while(|c| c.is_ascii_alphabetic() || *c == '/').collect();
@@ -323,7 +375,9 @@ fn is_nothing(value: &str) -> bool {
     match word.as_str() {
         "none" | "nothing" | "null" | "unknown" | "n/a" | "na" | "nil" => true,
         // "No. 22" is an id.
-        "no" | "not" => !after.trim_start_matches(['.', ' ', '#']).starts_with(|c: char| c.is_ascii_digit()),
+        "no" | "not" => {
+            !after.trim_start_matches(['.', ' ', '#']).starts_with(|c: char| c.is_ascii_digit())
+        }
         _ => false,
     }
 }
@@ -352,7 +406,11 @@ pub(super) fn seen_at(value: &str) -> Option<SeenAt> {
     }
     let at = [numbers[1] / PER_MILLE, numbers[2] / PER_MILLE];
     let name = words(rest.trim_start_matches(|c: char| !c.is_alphanumeric())).unwrap_or_default();
-    (numbers[0] >= 1.0 && at.iter().all(|share| (0.0..=1.0).contains(share))).then(|| SeenAt { image: numbers[0] as usize, at, name })
+    (numbers[0] >= 1.0 && at.iter().all(|share| (0.0..=1.0).contains(share))).then(|| SeenAt {
+        image: numbers[0] as usize,
+        at,
+        name,
+    })
 }
 
 /// Words without what Markdown put around them; `None` when there are none.
@@ -386,9 +444,14 @@ pub(super) fn anchor(value: &str) -> Option<u32> {
 pub fn shortlist(text: &str, is_candidate: impl Fn(u32) -> bool) -> Vec<u32> {
     let text = normalised(text);
     let text = without_thoughts(&text);
-    let line = text.lines().rev().find(|line| line.to_ascii_lowercase().contains("shortlist")).unwrap_or(text);
+    let line = text
+        .lines()
+        .rev()
+        .find(|line| line.to_ascii_lowercase().contains("shortlist"))
+        .unwrap_or(text);
     let mut ids = Vec::new();
-    for number in line.split(|c: char| !c.is_ascii_digit()).filter_map(|digits| digits.parse().ok()) {
+    for number in line.split(|c: char| !c.is_ascii_digit()).filter_map(|digits| digits.parse().ok())
+    {
         if is_candidate(number) && !ids.contains(&number) {
             ids.push(number);
         }
@@ -396,7 +459,8 @@ pub fn shortlist(text: &str, is_candidate: impl Fn(u32) -> bool) -> Vec<u32> {
     ids
 }
 
-/// The one id written as "ID 7" in a reply that was asked for no format; `None` when there are several, or none.
+/// The one id written as "ID 7" in a reply that was asked for no format; `None` when there are
+/// several, or none.
 #[must_use]
 pub fn only_id(text: &str, is_candidate: impl Fn(u32) -> bool) -> Option<u32> {
     let text = normalised(text);
@@ -405,7 +469,9 @@ pub fn only_id(text: &str, is_candidate: impl Fn(u32) -> bool) -> Option<u32> {
     let mut ids: Vec<u32> = lower
         .match_indices("id")
         .filter(|(at, _)| !lower[..*at].ends_with(|c: char| c.is_ascii_alphanumeric()))
-        .filter_map(|(at, _)| leading_number(stripped(text[at + 2..].trim_start_matches([':', ' ', '#', '*']))))
+        .filter_map(|(at, _)| {
+            leading_number(stripped(text[at + 2..].trim_start_matches([':', ' ', '#', '*'])))
+        })
         .map(|(id, _)| id)
         .filter(|id| is_candidate(*id))
         .collect();

@@ -15,7 +15,8 @@ use std::collections::BTreeMap;
 /// Pictures for one question. Any may be missing: a scene without points has no render.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct VisualEvidence {
-    /// The global render: all views side by side. `None` without points or candidates, or where an ablation leaves it out.
+    /// The global render: all views side by side. `None` without points or candidates, or where an
+    /// ablation leaves it out.
     pub global: Option<Picture>,
     /// By id, of candidates and of anchors that are shown beside them.
     pub collages: BTreeMap<u32, Picture>,
@@ -41,7 +42,8 @@ pub struct Photograph {
 pub struct PictureSettings {
     /// The picture of the whole room.
     pub global: Global,
-    /// Size and number of photographs of a candidate's collage; `None` where contact sheets stand in for collages.
+    /// Size and number of photographs of a candidate's collage; `None` where contact sheets stand
+    /// in for collages.
     pub collage: Option<Collage>,
 }
 
@@ -55,7 +57,8 @@ pub enum Global {
 }
 
 impl PictureSettings {
-    /// Large pictures where they are all a model has to go by, smaller and fewer ones where names help.
+    /// Large pictures where they are all a model has to go by, smaller and fewer ones where names
+    /// help.
     #[must_use]
     pub fn of(options: Options) -> Self {
         let settings = match options.evidence {
@@ -63,7 +66,11 @@ impl PictureSettings {
             EvidenceMode::CachedNames => Self::frugal(),
             EvidenceMode::Sheet => Self { collage: None, ..Self::full() },
         };
-        if options.ablation == Ablation::RawRender { Self { global: Global::Raw, ..settings } } else { settings }
+        if options.ablation == Ablation::RawRender {
+            Self { global: Global::Raw, ..settings }
+        } else {
+            settings
+        }
     }
 
     /// Paper: three views of 680 x 680 pixels, collages of three pairs.
@@ -71,10 +78,14 @@ impl PictureSettings {
         Self { global: Global::Views(GlobalView::default()), collage: Some(Collage::default()) }
     }
 
-    /// For use with names: three views that take three of a provider's tiles, and one photograph of a candidate that takes one.
+    /// For use with names: three views that take three of a provider's tiles, and one photograph of
+    /// a candidate that takes one.
     fn frugal() -> Self {
         let collage = Some(Collage { max_shots: 1, ..Collage::default() });
-        Self { global: Global::Views(GlobalView { view_px: 508, ..GlobalView::default() }), collage }
+        Self {
+            global: Global::Views(GlobalView { view_px: 508, ..GlobalView::default() }),
+            collage,
+        }
     }
 }
 
@@ -82,15 +93,23 @@ impl PictureSettings {
 ///
 /// # Errors
 /// The cloud can not be read.
-pub fn collect<S: SceneSource>(source: &S, context: &PromptContext, settings: &PictureSettings) -> Result<VisualEvidence, S::Error> {
+pub fn collect<S: SceneSource>(
+    source: &S,
+    context: &PromptContext,
+    settings: &PictureSettings,
+) -> Result<VisualEvidence, S::Error> {
     let (cache, scene) = source.pictures();
     let key_of_global = match &settings.global {
         Global::Views(view) => format!("{scene} {view:?} {:?}", context.subjects()),
         Global::Raw => format!("{scene} raw"),
     };
-    // By the box as well: what was found for one question alone may have the id of what another found.
-    let key = |id: u32| format!("{scene} {id} {:?} {:?}", context.boxes.get(id as usize - 1), settings.collage);
-    let mut evidence = VisualEvidence { global: cache.globals.get(&key_of_global), ..VisualEvidence::default() };
+    // By the box as well: what was found for one question alone may have the id of what another
+    // found.
+    let key = |id: u32| {
+        format!("{scene} {id} {:?} {:?}", context.boxes.get(id as usize - 1), settings.collage)
+    };
+    let mut evidence =
+        VisualEvidence { global: cache.globals.get(&key_of_global), ..VisualEvidence::default() };
     let mut missing = Vec::new();
     for id in context.shown() {
         match cache.collages.get(&key(id.0)).filter(|_| settings.collage.is_some()) {
@@ -108,7 +127,14 @@ pub fn collect<S: SceneSource>(source: &S, context: &PromptContext, settings: &P
             known => known,
         },
         || match settings.collage {
-            Some(collage) => Ok((draw_collages(&missing, |id| source.shots(id, collage.max_shots, &render_scene), collage), Vec::new())),
+            Some(collage) => Ok((
+                draw_collages(
+                    &missing,
+                    |id| source.shots(id, collage.max_shots, &render_scene),
+                    collage,
+                ),
+                Vec::new(),
+            )),
             None => contact_sheets(source, &missing).map(|sheets| (BTreeMap::new(), sheets)),
         },
     );
@@ -126,20 +152,30 @@ pub fn collect<S: SceneSource>(source: &S, context: &PromptContext, settings: &P
 }
 
 impl VisualEvidence {
-    /// The place in a photograph that a model means by a place in a picture it was shown; `None` where that shows no photograph there.
+    /// The place in a photograph that a model means by a place in a picture it was shown; `None`
+    /// where that shows no photograph there.
     ///
     /// # Errors
     /// The cloud can not be read.
-    pub fn place<S: SceneSource>(&self, source: &S, seen: &Seen, settings: &PictureSettings) -> Result<Option<Place>, S::Error> {
-        let share = |(width, height): (u32, u32)| (seen.at[0] * width as f32, seen.at[1] * height as f32);
-        if let Some(Photograph { frame, taken_px, .. }) = self.photographs.iter().find(|offered| offered.picture.name == seen.picture) {
+    pub fn place<S: SceneSource>(
+        &self,
+        source: &S,
+        seen: &Seen,
+        settings: &PictureSettings,
+    ) -> Result<Option<Place>, S::Error> {
+        let share =
+            |(width, height): (u32, u32)| (seen.at[0] * width as f32, seen.at[1] * height as f32);
+        if let Some(Photograph { frame, taken_px, .. }) =
+            self.photographs.iter().find(|offered| offered.picture.name == seen.picture)
+        {
             return Ok(Some(Place { frame: *frame, at: share(*taken_px) }));
         }
         let of_candidate = self.collages.iter().find(|(_, picture)| picture.name == seen.picture);
         let of_sheet = self.sheets.iter().find(|(picture, _)| picture.name == seen.picture);
         let (picture, tiles) = match (of_candidate, settings.collage, of_sheet) {
             (Some((&id, picture)), Some(collage), _) => {
-                let shots = source.shots(InstanceId(id), collage.max_shots, &*source.render_scene()?);
+                let shots =
+                    source.shots(InstanceId(id), collage.max_shots, &*source.render_scene()?);
                 (picture, collage.tiles(&shots))
             }
             (_, _, Some((picture, ids))) => {
@@ -154,7 +190,12 @@ impl VisualEvidence {
 }
 
 /// The global render of a question; `None` where there are no points or no candidates.
-fn draw_global(context: &PromptContext, render_scene: &RenderScene, extent: &Aabb, global: &Global) -> Option<Picture> {
+fn draw_global(
+    context: &PromptContext,
+    render_scene: &RenderScene,
+    extent: &Aabb,
+    global: &Global,
+) -> Option<Picture> {
     if render_scene.cloud.is_empty() || context.candidates.is_empty() {
         return None;
     }
@@ -169,15 +210,24 @@ fn draw_global(context: &PromptContext, render_scene: &RenderScene, extent: &Aab
 ///
 /// # Errors
 /// The cloud can not be read.
-pub fn contact_sheets<S: SceneSource>(source: &S, ids: &[InstanceId]) -> Result<Vec<(Picture, Vec<u32>)>, S::Error> {
+pub fn contact_sheets<S: SceneSource>(
+    source: &S,
+    ids: &[InstanceId],
+) -> Result<Vec<(Picture, Vec<u32>)>, S::Error> {
     let sheets = ids.chunks(naming::PER_SHEET).zip(1..);
     sheets
-        .filter_map(|(ids, number)| naming::contact_sheet(source, format!("sheet-{number}"), ids).transpose())
+        .filter_map(|(ids, number)| {
+            naming::contact_sheet(source, format!("sheet-{number}"), ids).transpose()
+        })
         .collect()
 }
 
 /// A collage of each instance, from its photographs.
-fn draw_collages(of: &[InstanceId], shots: impl Fn(InstanceId) -> Vec<Shot> + Sync, collage: Collage) -> BTreeMap<u32, Picture> {
+fn draw_collages(
+    of: &[InstanceId],
+    shots: impl Fn(InstanceId) -> Vec<Shot> + Sync,
+    collage: Collage,
+) -> BTreeMap<u32, Picture> {
     of.par_iter()
         .map(|&id| (id.0, encoded(format!("candidate-{id}"), &collage.draw(id.0, &shots(id)))))
         .collect()

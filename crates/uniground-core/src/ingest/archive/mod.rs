@@ -25,9 +25,15 @@ impl ArchiveKind {
     #[must_use]
     pub fn of_file_name(name: &str) -> Option<Self> {
         let name = name.to_ascii_lowercase();
-        [(".zip", Self::Zip), (".r3d", Self::Zip), (".tar", Self::Tar), (".tar.zst", Self::TarZst), (".tzst", Self::TarZst)]
-            .into_iter()
-            .find_map(|(ending, kind)| name.ends_with(ending).then_some(kind))
+        [
+            (".zip", Self::Zip),
+            (".r3d", Self::Zip),
+            (".tar", Self::Tar),
+            (".tar.zst", Self::TarZst),
+            (".tzst", Self::TarZst),
+        ]
+        .into_iter()
+        .find_map(|(ending, kind)| name.ends_with(ending).then_some(kind))
     }
 
     /// By what a file begins with.
@@ -77,20 +83,29 @@ pub struct UnpackLimits {
     pub max_name_bytes: usize,
     /// Size of all files together, unpacked.
     pub max_bytes: u64,
-    /// Unpacked over packed size; depth pictures are compressed already, so honest archives stay far below.
+    /// Unpacked over packed size; depth pictures are compressed already, so honest archives stay
+    /// far below.
     pub max_ratio: u64,
 }
 
 impl Default for UnpackLimits {
     fn default() -> Self {
-        Self { max_entries: 100_000, max_folders: 1000, max_depth: 16, max_name_bytes: 1024, max_bytes: 64 << 30, max_ratio: 200 }
+        Self {
+            max_entries: 100_000,
+            max_folders: 1000,
+            max_depth: 16,
+            max_name_bytes: 1024,
+            max_bytes: 64 << 30,
+            max_ratio: 200,
+        }
     }
 }
 
 impl UnpackLimits {
     /// Bytes an archive of this size may unpack to.
     fn unpacked(&self, packed_bytes: u64) -> u64 {
-        // Small archives may compress very well; the ratio only matters once there is something to blow up.
+        // Small archives may compress very well; the ratio only matters once there is something to
+        // blow up.
         self.max_bytes.min(packed_bytes.max(1 << 20).saturating_mul(self.max_ratio))
     }
 
@@ -99,20 +114,30 @@ impl UnpackLimits {
     }
 
     fn too_many_bytes(&self) -> IngestError {
-        IngestError::ArchiveTooLarge { limit: format!("{} bytes or {} times its packed size", self.max_bytes, self.max_ratio) }
+        IngestError::ArchiveTooLarge {
+            limit: format!("{} bytes or {} times its packed size", self.max_bytes, self.max_ratio),
+        }
     }
 }
 
-/// Unpacks `archive` into the empty folder `target`. Nothing is written before the whole list of entries was looked at.
+/// Unpacks `archive` into the empty folder `target`. Nothing is written before the whole list of
+/// entries was looked at.
 ///
 /// # Errors
 /// [`IngestError`] naming the entry; `target` may then hold a part and is the caller's to remove.
-pub fn unpack(archive: &Utf8Path, kind: ArchiveKind, target: &Utf8Path, limits: &UnpackLimits) -> Result<(), IngestError> {
+pub fn unpack(
+    archive: &Utf8Path,
+    kind: ArchiveKind,
+    target: &Utf8Path,
+    limits: &UnpackLimits,
+) -> Result<(), IngestError> {
     walk(archive, kind, limits, false, &mut Survey::new(limits))?;
     walk(archive, kind, limits, true, &mut Sink::new(target))?;
     // ScanNet's own container: its frames become files beside it, within the same bounds.
     match sens::lone(target)? {
-        Some(file) => sens::unpack(&file, file.parent().unwrap_or(target), limits.max_bytes).map(drop),
+        Some(file) => {
+            sens::unpack(&file, file.parent().unwrap_or(target), limits.max_bytes).map(drop)
+        }
         None => Ok(()),
     }
 }
@@ -135,14 +160,21 @@ mod tests {
         zip.finish().unwrap().into_inner()
     }
 
-    fn unpack_bytes(bytes: &[u8], kind: ArchiveKind, limits: &UnpackLimits) -> Result<Vec<String>, IngestError> {
+    fn unpack_bytes(
+        bytes: &[u8],
+        kind: ArchiveKind,
+        limits: &UnpackLimits,
+    ) -> Result<Vec<String>, IngestError> {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
         let (archive, target) = (folder.join("upload"), folder.join("out"));
         fs::write(&archive, bytes).unwrap();
         fs::create_dir(&target).unwrap();
         unpack(&archive, kind, &target, limits)?;
-        let mut names: Vec<_> = fs::read_dir(&target).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        let mut names: Vec<_> = fs::read_dir(&target)
+            .unwrap()
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect();
         names.sort();
         Ok(names)
     }
@@ -158,8 +190,13 @@ mod tests {
         let tar = tar.into_inner().unwrap();
         let zst = zstd::encode_all(&tar[..], 1).unwrap();
         let zip = zip_of(&[("a.txt", b"hi"), ("b/c.txt", b"hi")]);
-        for (bytes, kind) in [(zip, ArchiveKind::Zip), (tar, ArchiveKind::Tar), (zst, ArchiveKind::TarZst)] {
-            assert_eq!(unpack_bytes(&bytes, kind, &UnpackLimits::default()).unwrap(), ["a.txt", "b"]);
+        for (bytes, kind) in
+            [(zip, ArchiveKind::Zip), (tar, ArchiveKind::Tar), (zst, ArchiveKind::TarZst)]
+        {
+            assert_eq!(
+                unpack_bytes(&bytes, kind, &UnpackLimits::default()).unwrap(),
+                ["a.txt", "b"]
+            );
         }
     }
 
@@ -169,7 +206,10 @@ mod tests {
         let cut = unpack_bytes(&zip[..zip.len() - 30], ArchiveKind::Zip, &UnpackLimits::default());
         assert!(matches!(cut, Err(IngestError::ArchiveUnreadable { kind: "zip", .. })), "{cut:?}");
         let noise = unpack_bytes(b"not an archive", ArchiveKind::TarZst, &UnpackLimits::default());
-        assert!(matches!(noise, Err(IngestError::ArchiveUnreadable { kind: "tar.zst", .. })), "{noise:?}");
+        assert!(
+            matches!(noise, Err(IngestError::ArchiveUnreadable { kind: "tar.zst", .. })),
+            "{noise:?}"
+        );
     }
 
     #[test]
@@ -190,7 +230,8 @@ mod tests {
     #[test]
     fn entries_that_leave_the_folder_are_refused_by_name() {
         for name in ["../evil", "a/../../evil", "/etc/passwd", "a\\..\\evil", "a\nb"] {
-            let refused = unpack_bytes(&zip_of(&[(name, b"x")]), ArchiveKind::Zip, &UnpackLimits::default());
+            let refused =
+                unpack_bytes(&zip_of(&[(name, b"x")]), ArchiveKind::Zip, &UnpackLimits::default());
             assert!(matches!(refused, Err(IngestError::UnsafeEntry { .. })), "{name}: {refused:?}");
         }
     }

@@ -36,7 +36,10 @@ impl Visit for Survey<'_> {
         }
         let path = safe_path(name)?;
         if path.components().count() > self.limits.max_depth {
-            return Err(IngestError::unsafe_entry(name, "lies in too many folders, one in another"));
+            return Err(IngestError::unsafe_entry(
+                name,
+                "lies in too many folders, one in another",
+            ));
         }
         for folder in path.ancestors().skip(1).filter(|folder| !folder.as_str().is_empty()) {
             if self.folders.contains(folder) {
@@ -45,7 +48,9 @@ impl Visit for Survey<'_> {
             self.folders.insert(folder.to_owned());
         }
         if self.folders.len() > self.limits.max_folders {
-            return Err(IngestError::ArchiveTooLarge { limit: format!("{} folders", self.limits.max_folders) });
+            return Err(IngestError::ArchiveTooLarge {
+                limit: format!("{} folders", self.limits.max_folders),
+            });
         }
         Ok(())
     }
@@ -65,7 +70,12 @@ impl<'a> Sink<'a> {
 }
 
 impl Visit for Sink<'_> {
-    fn entry(&mut self, name: &str, kind: EntryKind, content: &mut dyn Read) -> Result<(), IngestError> {
+    fn entry(
+        &mut self,
+        name: &str,
+        kind: EntryKind,
+        content: &mut dyn Read,
+    ) -> Result<(), IngestError> {
         if kind == EntryKind::Folder {
             return Ok(());
         }
@@ -79,9 +89,9 @@ impl Visit for Sink<'_> {
         }
         let mut file = File::create_new(&path).map_err(io)?;
         loop {
-            let n = content
-                .read(&mut self.buffer)
-                .map_err(|e| IngestError::malformed(name, format!("it can not be unpacked: {e}")))?;
+            let n = content.read(&mut self.buffer).map_err(|e| {
+                IngestError::malformed(name, format!("it can not be unpacked: {e}"))
+            })?;
             if n == 0 {
                 return Ok(());
             }
@@ -92,7 +102,9 @@ impl Visit for Sink<'_> {
 
 /// Some names fit an archive but not a disk; a full disk is the server's trouble.
 fn cannot_store(name: &str, source: io::Error) -> IngestError {
-    use io::ErrorKind::{AlreadyExists, InvalidFilename, InvalidInput, IsADirectory, NotADirectory};
+    use io::ErrorKind::{
+        AlreadyExists, InvalidFilename, InvalidInput, IsADirectory, NotADirectory,
+    };
     let reason = match source.kind() {
         AlreadyExists => "stands in the archive twice",
         InvalidFilename | InvalidInput => "has a name no disk takes",
@@ -102,7 +114,8 @@ fn cannot_store(name: &str, source: io::Error) -> IngestError {
     IngestError::unsafe_entry(name, reason)
 }
 
-/// The entry's path when it is relative, stays inside the archive and is not one of the server's own files.
+/// The entry's path when it is relative, stays inside the archive and is not one of the server's
+/// own files.
 pub(super) fn safe_path(name: &str) -> Result<Utf8PathBuf, IngestError> {
     if name.contains(|c: char| c == '\\' || c.is_control()) {
         return Err(IngestError::unsafe_entry(name, "holds a backslash or a control character"));

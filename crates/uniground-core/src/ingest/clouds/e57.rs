@@ -1,4 +1,5 @@
-//! E57 (ASTM E2807), by the `e57` crate: terrestrial scanners' clouds. All scans of a file, each brought into the file's own frame.
+//! E57 (ASTM E2807), by the `e57` crate: terrestrial scanners' clouds. All scans of a file, each
+//! brought into the file's own frame.
 
 use super::gathered::{Bounds, GREY};
 use super::{Gathered, guarded};
@@ -11,7 +12,8 @@ use std::panic::AssertUnwindSafe;
 
 /// A point takes at least this much room: with fewer, a count is a lie.
 const LEAST_BYTES_PER_POINT: u64 = 2;
-/// The XML that describes a file becomes a tree of many times its size. That of a campaign with a thousand scans has two megabytes.
+/// The XML that describes a file becomes a tree of many times its size. That of a campaign with a
+/// thousand scans has two megabytes.
 const MAX_XML_BYTES: u64 = 8 << 20;
 /// Where the header tells its length (ASTM E2807, table 1).
 const XML_LENGTH_AT: usize = 32;
@@ -20,7 +22,11 @@ pub(super) fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result
     guarded(file, AssertUnwindSafe(|| open(root, file, bounds).map(drop)))
 }
 
-pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> Result<Gathered, IngestError> {
+pub(super) fn read(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    mut gathered: Gathered,
+) -> Result<Gathered, IngestError> {
     let read = AssertUnwindSafe(move || {
         let malformed = |e: ::e57::Error| IngestError::malformed(file, e);
         let (mut reader, points) = open(root, file, &Bounds::OWN)?;
@@ -36,7 +42,9 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> 
             for point in points {
                 let point = point.map_err(malformed)?;
                 let CartesianCoordinate::Valid { x, y, z } = point.cartesian else { continue };
-                let colour = point.color.map_or(GREY, |c| [c.red, c.green, c.blue].map(|c| (c * 255.0).round() as u8));
+                let colour = point
+                    .color
+                    .map_or(GREY, |c| [c.red, c.green, c.blue].map(|c| (c * 255.0).round() as u8));
                 gathered.push([x, y, z], colour);
             }
         }
@@ -45,8 +53,13 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> 
     guarded(file, read)
 }
 
-fn open(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(E57Reader<BufReader<File>>, u64), IngestError> {
-    let mut source = File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
+fn open(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    bounds: &Bounds,
+) -> Result<(E57Reader<BufReader<File>>, u64), IngestError> {
+    let mut source =
+        File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
     let mut header = [0; XML_LENGTH_AT + 8];
     source
         .read_exact(&mut header)
@@ -56,10 +69,14 @@ fn open(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(E57Reader<
     let bytes = source.metadata().map_or(0, |m| m.len());
     let malformed = |reason: String| IngestError::malformed(file, reason);
     if xml_bytes > MAX_XML_BYTES {
-        return Err(malformed(format!("its description has {xml_bytes} bytes, at most {MAX_XML_BYTES} are read")));
+        return Err(malformed(format!(
+            "its description has {xml_bytes} bytes, at most {MAX_XML_BYTES} are read"
+        )));
     }
-    let reader = E57Reader::new(BufReader::new(source)).map_err(|e| malformed(format!("not an E57 file: {e}")))?;
-    let points = reader.pointclouds().iter().fold(0_u64, |sum, cloud| sum.saturating_add(cloud.records));
+    let reader = E57Reader::new(BufReader::new(source))
+        .map_err(|e| malformed(format!("not an E57 file: {e}")))?;
+    let points =
+        reader.pointclouds().iter().fold(0_u64, |sum, cloud| sum.saturating_add(cloud.records));
     bounds.check(file, points)?;
     if points.saturating_mul(LEAST_BYTES_PER_POINT) > bytes {
         return Err(malformed(format!("it announces {points} points but has only {bytes} bytes")));

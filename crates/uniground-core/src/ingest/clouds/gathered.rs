@@ -34,7 +34,8 @@ pub struct Bounds {
 /// Where coordinates are counted from.
 #[derive(Debug, Clone, Copy)]
 pub enum Origin {
-    /// Where the first point is, where that is far away (map coordinates) and written in double precision.
+    /// Where the first point is, where that is far away (map coordinates) and written in double
+    /// precision.
     Free,
     /// Where the poses' origin was put, in the file's units.
     At([f64; 3]),
@@ -53,8 +54,15 @@ pub(super) struct Gathered {
 
 impl Gathered {
     pub fn new(kind: CloudKind, bounds: &Bounds, origin: Origin) -> Self {
-        let loaded =
-            Loaded { kind, cloud: PointCloud::default(), offset: [0.0; 3], dropped: 0, without_colour: 0, has_colour: false, thinned: 1 };
+        let loaded = Loaded {
+            kind,
+            cloud: PointCloud::default(),
+            offset: [0.0; 3],
+            dropped: 0,
+            without_colour: 0,
+            has_colour: false,
+            thinned: 1,
+        };
         let origin = match origin {
             Origin::Free => None,
             Origin::At(at) => Some(at),
@@ -77,7 +85,8 @@ impl Gathered {
         self.loaded.has_colour = has_colour;
     }
 
-    /// Coordinates in single precision have no offset to take off: far from the origin they are coarse already.
+    /// Coordinates in single precision have no offset to take off: far from the origin they are
+    /// coarse already.
     pub fn single_precision(&mut self) {
         self.origin.get_or_insert([0.0; 3]);
     }
@@ -137,7 +146,8 @@ impl Gathered {
         self.seen
     }
 
-    /// Files that announce nothing are bounded while they are read: twice as many as are kept, and every other one goes.
+    /// Files that announce nothing are bounded while they are read: twice as many as are kept, and
+    /// every other one goes.
     pub fn make_room(&mut self, file: &Utf8Path) -> Result<(), IngestError> {
         self.bounds.check(file, self.seen as u64)?;
         if self.loaded.cloud.len() < self.bounds.kept.saturating_mul(2) {

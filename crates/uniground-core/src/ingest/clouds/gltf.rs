@@ -1,6 +1,8 @@
-//! glTF 2.0 and GLB: triangles and points of all meshes of the scene, with vertex colours and base colour textures. Y up, metres.
+//! glTF 2.0 and GLB: triangles and points of all meshes of the scene, with vertex colours and base
+//! colour textures. Y up, metres.
 //!
-//! Read by hand: offsets and counts of the file are checked before they are used, nothing else of the format is needed.
+//! Read by hand: offsets and counts of the file are checked before they are used, nothing else of
+//! the format is needed.
 
 mod document;
 
@@ -26,35 +28,52 @@ const POINTS: u32 = 0;
 /// Lines, loops and strips of them: outlines, which are nothing that was measured.
 const LINES: std::ops::RangeInclusive<u32> = 1..=3;
 /// What changes how geometry is stored; without these a file can not be read.
-const KNOWN_EXTENSIONS: [&str; 4] =
-    ["KHR_mesh_quantization", "KHR_materials_unlit", "KHR_texture_transform", "KHR_materials_pbrSpecularGlossiness"];
+const KNOWN_EXTENSIONS: [&str; 4] = [
+    "KHR_mesh_quantization",
+    "KHR_materials_unlit",
+    "KHR_texture_transform",
+    "KHR_materials_pbrSpecularGlossiness",
+];
 
 pub(super) fn check(root: &Utf8Path, file: &Utf8Path) -> Result<(), IngestError> {
     open(root, file).map(drop)
 }
 
-pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> Result<Gathered, IngestError> {
+pub(super) fn read(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    mut gathered: Gathered,
+) -> Result<Gathered, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let (document, binary) = open(root, file)?;
     let blob = binary.map(|part| part_of(root, file, part)).transpose()?;
     let buffers = Buffers::load(&document, blob, root, file)?;
     let mut mesh = Mesh::default();
     let mut textures: Vec<Option<u32>> = vec![None; document.textures.len()];
-    let mut left: Vec<(usize, Matrix4<f64>, usize)> = document.roots().into_iter().map(|node| (node, Matrix4::identity(), 0)).collect();
+    let mut left: Vec<(usize, Matrix4<f64>, usize)> =
+        document.roots().into_iter().map(|node| (node, Matrix4::identity(), 0)).collect();
     let mut visited = 0;
     while let Some((node, parent, depth)) = left.pop() {
         visited += 1;
         if visited > MAX_NODES || depth > MAX_DEPTH {
             return Err(malformed("its nodes are too many, or stand in themselves".into()));
         }
-        let node = document.nodes.get(node).ok_or_else(|| malformed(format!("node {node} is not there")))?;
+        let node = document
+            .nodes
+            .get(node)
+            .ok_or_else(|| malformed(format!("node {node} is not there")))?;
         let to_world = parent * node.transform();
         left.extend(node.children.iter().map(|child| (*child, to_world, depth + 1)));
         let Some(number) = node.mesh else { continue };
-        let parts = document.meshes.get(number).ok_or_else(|| malformed(format!("mesh {number} is not there")))?;
+        let parts = document
+            .meshes
+            .get(number)
+            .ok_or_else(|| malformed(format!("mesh {number} is not there")))?;
         for primitive in &parts.primitives {
-            let texture = texture_of(&document, &buffers, primitive, &mut textures, &mut mesh).map_err(malformed)?;
-            add(&buffers, primitive, &document, &to_world, texture, &mut mesh).map_err(malformed)?;
+            let texture = texture_of(&document, &buffers, primitive, &mut textures, &mut mesh)
+                .map_err(malformed)?;
+            add(&buffers, primitive, &document, &to_world, texture, &mut mesh)
+                .map_err(malformed)?;
         }
     }
     mesh.sample(file, 1.0, &mut gathered)?;
@@ -81,14 +100,18 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Document, BinaryPart), Inge
         _ => (read_text(root, file, MAX_JSON_BYTES)?.into_bytes(), None),
     };
     let document: Document = serde_json::from_slice(&text).map_err(|e| malformed(e.to_string()))?;
-    if let Some(strange) = document.extensions_required.iter().find(|e| !KNOWN_EXTENSIONS.contains(&e.as_str())) {
-        return Err(malformed(format!("it needs {strange}, which is not read: export it without compression")));
+    if let Some(strange) =
+        document.extensions_required.iter().find(|e| !KNOWN_EXTENSIONS.contains(&e.as_str()))
+    {
+        return Err(malformed(format!(
+            "it needs {strange}, which is not read: export it without compression"
+        )));
     }
     Ok((document, binary))
 }
 
-/// The JSON of a GLB of so many bytes, which is read up to its magic, and where its binary chunk lies. Lengths are held against the file
-/// before anything is read. `None`: not a whole file.
+/// The JSON of a GLB of so many bytes, which is read up to its magic, and where its binary chunk
+/// lies. Lengths are held against the file before anything is read. `None`: not a whole file.
 fn chunks(source: &mut File, bytes: u64) -> io::Result<Option<(Vec<u8>, BinaryPart)>> {
     let mut head = [0; 16];
     source.read_exact(&mut head)?;
@@ -133,7 +156,9 @@ impl document::Node {
         let [x, y, z, w] = self.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]);
         let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)).to_homogeneous();
         let translation = Matrix4::new_translation(&self.translation.unwrap_or_default().into());
-        translation * rotation * Matrix4::new_nonuniform_scaling(&self.scale.unwrap_or([1.0; 3]).into())
+        translation
+            * rotation
+            * Matrix4::new_nonuniform_scaling(&self.scale.unwrap_or([1.0; 3]).into())
     }
 }
 
@@ -146,12 +171,18 @@ fn texture_of(
     mesh: &mut Mesh,
 ) -> Result<Option<u32>, String> {
     let material = primitive.material.and_then(|m| document.materials.get(m));
-    let Some(number) = material.and_then(|m| m.pbr.base_colour_texture.as_ref()).map(|t| t.index) else { return Ok(None) };
-    let Some(slot) = known.get_mut(number) else { return Err(format!("texture {number} is not there")) };
+    let Some(number) = material.and_then(|m| m.pbr.base_colour_texture.as_ref()).map(|t| t.index)
+    else {
+        return Ok(None);
+    };
+    let Some(slot) = known.get_mut(number) else {
+        return Err(format!("texture {number} is not there"));
+    };
     if slot.is_none() {
         let Some(image) = document.textures[number].source else { return Ok(None) };
         let bytes = buffers.image(document, image)?;
-        let texture = Texture::decode(&bytes).map_err(|e| format!("image {image} is not a readable picture: {e}"))?;
+        let texture = Texture::decode(&bytes)
+            .map_err(|e| format!("image {image} is not a readable picture: {e}"))?;
         *slot = Some(mesh.textures.len() as u32);
         mesh.textures.push(texture);
     }
@@ -167,11 +198,25 @@ fn add(
     mesh: &mut Mesh,
 ) -> Result<(), String> {
     let mode = primitive.mode.unwrap_or(TRIANGLES);
-    let Some(position) = primitive.attributes.get("POSITION").filter(|_| !LINES.contains(&mode)) else { return Ok(()) };
+    let Some(position) = primitive.attributes.get("POSITION").filter(|_| !LINES.contains(&mode))
+    else {
+        return Ok(());
+    };
     let positions = buffers.accessor(document, *position, 3)?;
-    let colours = primitive.attributes.get("COLOR_0").map(|a| buffers.accessor(document, *a, 3)).transpose()?;
-    let places = primitive.attributes.get("TEXCOORD_0").map(|a| buffers.accessor(document, *a, 2)).transpose()?;
-    let factor = primitive.material.and_then(|m| document.materials.get(m)).and_then(|m| m.pbr.base_colour_factor);
+    let colours = primitive
+        .attributes
+        .get("COLOR_0")
+        .map(|a| buffers.accessor(document, *a, 3))
+        .transpose()?;
+    let places = primitive
+        .attributes
+        .get("TEXCOORD_0")
+        .map(|a| buffers.accessor(document, *a, 2))
+        .transpose()?;
+    let factor = primitive
+        .material
+        .and_then(|m| document.materials.get(m))
+        .and_then(|m| m.pbr.base_colour_factor);
     mesh.has_colour |= colours.is_some() || texture.is_some() || factor.is_some();
     let factor = factor.map_or([1.0; 3], |f| [f[0], f[1], f[2]]);
     let corner = |i: usize| -> Result<Corner, String> {
@@ -183,17 +228,23 @@ fn add(
             .map_or([1.0; 3], |c| [c[0] as f32, c[1] as f32, c[2] as f32]);
         // Factors and vertex colours are light, pictures are what screens show.
         let tint = std::array::from_fn(|k| srgb(own[k] * factor[k]));
-        let uv = places.as_ref().and_then(|places| places.get(i)).map(|uv| [uv[0] as f32, uv[1] as f32]);
+        let uv =
+            places.as_ref().and_then(|places| places.get(i)).map(|uv| [uv[0] as f32, uv[1] as f32]);
         Ok(Corner { at: [p.x, p.y, p.z], tint, uv })
     };
-    let indices = primitive.indices.map(|indices| buffers.accessor(document, indices, 1)).transpose()?;
+    let indices =
+        primitive.indices.map(|indices| buffers.accessor(document, indices, 1)).transpose()?;
     let count = indices.as_ref().map_or(positions.len(), Rows::len);
     let vertex = |i: usize| match &indices {
         Some(indices) => indices.get(i).map_or(usize::MAX, |index| index[0] as usize),
         None => i,
     };
     // Before there is memory for them.
-    let elements = if mode == TRIANGLES { mesh.triangles.len() + count / 3 } else { mesh.points.len() + count };
+    let elements = if mode == TRIANGLES {
+        mesh.triangles.len() + count / 3
+    } else {
+        mesh.points.len() + count
+    };
     if elements > MAX_ELEMENTS {
         return Err(format!("more than {MAX_ELEMENTS} faces or points: simplify it first"));
     }
@@ -202,17 +253,25 @@ fn add(
             mesh.triangles.reserve_exact(count / 3);
             for first in (0..count / 3).map(|triangle| 3 * triangle) {
                 let [a, b, c] = [first, first + 1, first + 2].map(vertex);
-                mesh.triangles.push(Triangle { corners: [corner(a)?, corner(b)?, corner(c)?], texture });
+                mesh.triangles
+                    .push(Triangle { corners: [corner(a)?, corner(b)?, corner(c)?], texture });
             }
         }
         POINTS => {
             let coloured = colours.is_some();
             for i in 0..count {
                 let corner = corner(vertex(i))?;
-                mesh.points.push((corner.at, coloured.then(|| corner.tint.map(|c| (c * 255.0).round() as u8))));
+                mesh.points.push((
+                    corner.at,
+                    coloured.then(|| corner.tint.map(|c| (c * 255.0).round() as u8)),
+                ));
             }
         }
-        mode => return Err(format!("primitives of mode {mode} are not read: triangles and points are")),
+        mode => {
+            return Err(format!(
+                "primitives of mode {mode} are not read: triangles and points are"
+            ));
+        }
     }
     Ok(())
 }
@@ -246,13 +305,20 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         std::fs::write(root.join("a.glb"), bytes).unwrap();
-        clouds::read(root, Utf8Path::new("a.glb"), &Bounds { announced: 1 << 30, kept: 1 << 30 }, Origin::Free)
+        clouds::read(
+            root,
+            Utf8Path::new("a.glb"),
+            &Bounds { announced: 1 << 30, kept: 1 << 30 },
+            Origin::Free,
+        )
     }
 
     /// A triangle of half a square metre, moved up by two, with a colour for each corner.
     fn triangle() -> (String, Vec<u8>) {
         let mut blob = Vec::new();
-        [0.0_f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0].iter().for_each(|v| blob.extend(v.to_le_bytes()));
+        [0.0_f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+            .iter()
+            .for_each(|v| blob.extend(v.to_le_bytes()));
         blob.extend([255_u8, 0, 0, 255].repeat(3));
         [0_u16, 1, 2].iter().for_each(|v| blob.extend(v.to_le_bytes()));
         let json = r#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0,"translation":[0,2,0]}],
@@ -271,18 +337,32 @@ mod tests {
         let loaded = read_bytes(&glb(&json, &blob)).unwrap();
         assert_eq!(loaded.cloud.len(), 5000);
         assert!(loaded.has_colour && loaded.cloud.colours.iter().all(|c| *c == [255, 0, 0]));
-        assert!(loaded.cloud.positions.iter().all(|p| p.y == 2.0 && p.x >= 0.0 && p.z >= 0.0 && p.x + p.z <= 1.001));
+        assert!(
+            loaded
+                .cloud
+                .positions
+                .iter()
+                .all(|p| p.y == 2.0 && p.x >= 0.0 && p.z >= 0.0 && p.x + p.z <= 1.001)
+        );
     }
 
     #[test]
     fn what_a_file_claims_is_checked() {
         let (json, blob) = triangle();
         for (from, to, expected) in [
-            (r#""count":3,"type":"VEC3""#, r#""count":4000000000,"type":"VEC3""#, "more than its buffer holds"),
+            (
+                r#""count":3,"type":"VEC3""#,
+                r#""count":4000000000,"type":"VEC3""#,
+                "more than its buffer holds",
+            ),
             (r#""byteOffset":36"#, r#""byteOffset":36000"#, "more than its buffer holds"),
             (r#""nodes":[0]"#, r#""nodes":[7]"#, "node 7"),
             (r#""mesh":0"#, r#""mesh":0,"children":[0]"#, "stand in themselves"),
-            (r#""asset""#, r#""extensionsRequired":["KHR_draco_mesh_compression"],"asset""#, "KHR_draco_mesh_compression"),
+            (
+                r#""asset""#,
+                r#""extensionsRequired":["KHR_draco_mesh_compression"],"asset""#,
+                "KHR_draco_mesh_compression",
+            ),
         ] {
             assert!(json.contains(from));
             let message = read_bytes(&glb(&json.replace(from, to), &blob)).unwrap_err().to_string();

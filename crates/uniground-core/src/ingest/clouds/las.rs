@@ -1,5 +1,5 @@
-//! LAS and LAZ: surveyors' clouds, with Z up and often in map coordinates. LAZ is unpacked by the `las` crate; the records of LAS are read
-//! here, five times as fast.
+//! LAS and LAZ: surveyors' clouds, with Z up and often in map coordinates. LAZ is unpacked by the
+//! `las` crate; the records of LAS are read here, five times as fast.
 
 mod lengths;
 mod records;
@@ -22,14 +22,22 @@ pub(super) fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result
     }
 }
 
-pub(super) fn read(root: &Utf8Path, file: &Utf8Path, gathered: Gathered) -> Result<Gathered, IngestError> {
+pub(super) fn read(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    gathered: Gathered,
+) -> Result<Gathered, IngestError> {
     match records::Records::open(root, file)? {
         Some(records) => records.read(file, gathered),
         None => read_compressed(root, file, gathered),
     }
 }
 
-fn read_compressed(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> Result<Gathered, IngestError> {
+fn read_compressed(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    mut gathered: Gathered,
+) -> Result<Gathered, IngestError> {
     let read = AssertUnwindSafe(move || {
         let mut reader = open(root, file, &Bounds::OWN)?;
         let header = reader.header();
@@ -38,7 +46,8 @@ fn read_compressed(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> 
         gathered.coloured(coloured);
         let mut wide: Vec<[u16; 3]> = Vec::new();
         for (row, point) in reader.points().enumerate() {
-            let point = point.map_err(|e| IngestError::malformed(file, format!("point {row}: {e}")))?;
+            let point =
+                point.map_err(|e| IngestError::malformed(file, format!("point {row}: {e}")))?;
             let colour = point.color.map(|c| [c.red, c.green, c.blue]);
             let before = gathered.len();
             gathered.push([point.x, point.y, point.z], GREY);
@@ -47,7 +56,10 @@ fn read_compressed(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> 
             }
         }
         if (gathered.seen() as u64) < points {
-            return Err(IngestError::malformed(file, format!("truncated: {} of {points} points", gathered.seen())));
+            return Err(IngestError::malformed(
+                file,
+                format!("truncated: {} of {points} points", gathered.seen()),
+            ));
         }
         if coloured {
             recolour(&mut gathered, &wide);
@@ -57,7 +69,8 @@ fn read_compressed(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> 
     guarded(file, read)
 }
 
-/// Sixteen bits by the standard; many writers leave eight bits as they are. Which of them shows in the largest value.
+/// Sixteen bits by the standard; many writers leave eight bits as they are. Which of them shows in
+/// the largest value.
 fn recolour(gathered: &mut Gathered, wide: &[[u16; 3]]) {
     let shift = if wide.iter().flatten().any(|c| *c > 255) { 8 } else { 0 };
     gathered.recolour(wide.iter().map(|c| c.map(|c| (c >> shift) as u8)));
@@ -70,7 +83,8 @@ fn open(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<las::Reader
     let malformed = |reason: String| IngestError::malformed(file, reason);
     lengths::check(&mut source).map_err(reading)?.map_err(|reason| malformed(reason.into()))?;
     source.rewind().map_err(reading)?;
-    let reader = las::Reader::new(BufReader::new(source)).map_err(|e| malformed(format!("not a LAS file: {e}")))?;
+    let reader = las::Reader::new(BufReader::new(source))
+        .map_err(|e| malformed(format!("not a LAS file: {e}")))?;
     let points = reader.header().number_of_points();
     bounds.check(file, points)?;
     if points / 100 * LEAST_BYTES_PER_100_POINTS > bytes {

@@ -1,4 +1,5 @@
-//! Triangles to points: evenly spread over the surface, at places that depend on nothing but the mesh.
+//! Triangles to points: evenly spread over the surface, at places that depend on nothing but the
+//! mesh.
 
 use super::Gathered;
 use super::gathered::GREY;
@@ -18,7 +19,8 @@ pub(super) struct Corner {
     pub at: [f64; 3],
     /// Colour of the vertex, `0..=1`; white where there is none.
     pub tint: [f32; 3],
-    /// Place in the texture; (0, 0) is its first pixel's corner, the second coordinate grows downwards.
+    /// Place in the texture; (0, 0) is its first pixel's corner, the second coordinate grows
+    /// downwards.
     pub uv: Option<[f32; 2]>,
 }
 
@@ -49,7 +51,9 @@ impl Triangle {
 
     /// The point with these weights of its corners.
     fn at(&self, weights: [f64; 3], textures: &[Texture]) -> ([f64; 3], [u8; 3]) {
-        let mix = |of: &dyn Fn(&Corner) -> f64| self.corners.iter().zip(weights).map(|(corner, w)| of(corner) * w).sum::<f64>();
+        let mix = |of: &dyn Fn(&Corner) -> f64| {
+            self.corners.iter().zip(weights).map(|(corner, w)| of(corner) * w).sum::<f64>()
+        };
         let position = std::array::from_fn(|i| mix(&|c| c.at[i]));
         let tint: [f64; 3] = std::array::from_fn(|i| mix(&|c| f64::from(c.tint[i])));
         let texture = self
@@ -65,8 +69,14 @@ impl Triangle {
 }
 
 impl Mesh {
-    /// Hands points of the surface on. `metres_per_unit` is about right: it decides how dense they come.
-    pub fn sample(&self, file: &Utf8Path, metres_per_unit: f64, gathered: &mut Gathered) -> Result<(), IngestError> {
+    /// Hands points of the surface on. `metres_per_unit` is about right: it decides how dense they
+    /// come.
+    pub fn sample(
+        &self,
+        file: &Utf8Path,
+        metres_per_unit: f64,
+        gathered: &mut Gathered,
+    ) -> Result<(), IngestError> {
         gathered.coloured(self.has_colour);
         for (position, colour) in &self.points {
             gathered.push(*position, colour.unwrap_or(GREY));
@@ -75,8 +85,8 @@ impl Mesh {
             return Ok(());
         }
         let area = self.triangles.iter().map(Triangle::area).sum();
-        let mut sampling =
-            Sampling::of(area, metres_per_unit).ok_or_else(|| IngestError::malformed(file, "the faces of the mesh have no area"))?;
+        let mut sampling = Sampling::of(area, metres_per_unit)
+            .ok_or_else(|| IngestError::malformed(file, "the faces of the mesh have no area"))?;
         for triangle in &self.triangles {
             sampling.points(triangle, &self.textures, |position, colour| {
                 gathered.push(position, if self.has_colour { colour } else { GREY });
@@ -98,11 +108,20 @@ impl Sampling {
     /// For triangles of so much area together; `None`: there is none.
     pub fn of(area: f64, metres_per_unit: f64) -> Option<Self> {
         let most = area * (metres_per_unit / SPACING_M).powi(2);
-        (area.is_finite() && area > 0.0).then(|| Self { per_area: most.min(MAX_POINTS) / area, owed: 0.5, drawn: 0 })
+        (area.is_finite() && area > 0.0).then(|| Self {
+            per_area: most.min(MAX_POINTS) / area,
+            owed: 0.5,
+            drawn: 0,
+        })
     }
 
     /// Points of the next triangle, with their colours.
-    pub fn points(&mut self, triangle: &Triangle, textures: &[Texture], mut hand: impl FnMut([f64; 3], [u8; 3])) {
+    pub fn points(
+        &mut self,
+        triangle: &Triangle,
+        textures: &[Texture],
+        mut hand: impl FnMut([f64; 3], [u8; 3]),
+    ) {
         self.owed += triangle.area() * self.per_area;
         while self.owed >= 1.0 {
             self.owed -= 1.0;
@@ -117,7 +136,8 @@ impl Sampling {
 fn weights(drawn: u32) -> [f64; 3] {
     const A: f64 = 0.754_877_666_246_692_7;
     const B: f64 = 0.569_840_290_998_053_2;
-    let (mut u, mut v) = ((0.5 + A * f64::from(drawn)).fract(), (0.5 + B * f64::from(drawn)).fract());
+    let (mut u, mut v) =
+        ((0.5 + A * f64::from(drawn)).fract(), (0.5 + B * f64::from(drawn)).fract());
     if u + v > 1.0 {
         (u, v) = (1.0 - u, 1.0 - v);
     }

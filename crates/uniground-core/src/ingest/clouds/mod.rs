@@ -1,5 +1,6 @@
-//! Point clouds and meshes as files, recognised by what they begin with. Each file of this folder reads one format; all of them hand
-//! points to a [`Gathered`], which drops what is no point, thins out what is too much, and takes off an offset of map coordinates.
+//! Point clouds and meshes as files, recognised by what they begin with. Each file of this folder
+//! reads one format; all of them hand points to a [`Gathered`], which drops what is no point, thins
+//! out what is too much, and takes off an offset of map coordinates.
 
 mod e57;
 mod gathered;
@@ -39,7 +40,8 @@ pub(super) enum CloudKind {
 const HEAD_BYTES: u64 = 4096;
 
 impl CloudKind {
-    /// By a file's first bytes; where those are only numbers, by its ending. `None`: no cloud that is read.
+    /// By a file's first bytes; where those are only numbers, by its ending. `None`: no cloud that
+    /// is read.
     pub fn of(file: &Utf8Path) -> Option<Self> {
         let mut head = Vec::new();
         File::open(file).ok()?.take(HEAD_BYTES).read_to_end(&mut head).ok()?;
@@ -61,7 +63,9 @@ impl CloudKind {
             return Some(Self::Gltf);
         }
         let first = head.split(|b| *b == b'\n').find(|line| !line.trim_ascii().is_empty())?;
-        if first.starts_with(b"# .PCD") || (first.starts_with(b"VERSION") && head.windows(6).any(|w| w == b"FIELDS")) {
+        if first.starts_with(b"# .PCD")
+            || (first.starts_with(b"VERSION") && head.windows(6).any(|w| w == b"FIELDS"))
+        {
             return Some(Self::Pcd);
         }
         // Binary files of other kinds are no text, whatever they are called.
@@ -69,7 +73,11 @@ impl CloudKind {
         match extension.to_ascii_lowercase().as_str() {
             "gltf" if is_text => Some(Self::Gltf),
             "obj" if is_text => Some(Self::Obj),
-            "xyz" | "xyzn" | "xyzrgb" | "pts" | "txt" | "csv" | "asc" if is_text && text::recognises(head) => Some(Self::Text),
+            "xyz" | "xyzn" | "xyzrgb" | "pts" | "txt" | "csv" | "asc"
+                if is_text && text::recognises(head) =>
+            {
+                Some(Self::Text)
+            }
             _ => None,
         }
     }
@@ -121,11 +129,17 @@ pub(super) fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result
     }
 }
 
-/// Reads a cloud. Points without colour come out mid-grey; meshes are sampled evenly, always at the same places.
+/// Reads a cloud. Points without colour come out mid-grey; meshes are sampled evenly, always at the
+/// same places.
 ///
 /// # Errors
 /// [`IngestError`] naming `file` (a path below `root`).
-pub(super) fn read(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds, origin: Origin) -> Result<Loaded, IngestError> {
+pub(super) fn read(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    bounds: &Bounds,
+    origin: Origin,
+) -> Result<Loaded, IngestError> {
     let kind = kind_of(root, file)?;
     let gathered = Gathered::new(kind, bounds, origin);
     let gathered = match kind {
@@ -157,6 +171,10 @@ fn kind_of(root: &Utf8Path, file: &Utf8Path) -> Result<CloudKind, IngestError> {
 }
 
 /// Runs a reader of somebody else's making, whose panics over damaged files become refusals.
-fn guarded<T>(file: &Utf8Path, read: impl FnOnce() -> Result<T, IngestError> + std::panic::UnwindSafe) -> Result<T, IngestError> {
-    std::panic::catch_unwind(read).unwrap_or_else(|_| Err(IngestError::malformed(file, "it is damaged: its reader gave up")))
+fn guarded<T>(
+    file: &Utf8Path,
+    read: impl FnOnce() -> Result<T, IngestError> + std::panic::UnwindSafe,
+) -> Result<T, IngestError> {
+    std::panic::catch_unwind(read)
+        .unwrap_or_else(|_| Err(IngestError::malformed(file, "it is damaged: its reader gave up")))
 }

@@ -1,4 +1,5 @@
-//! Wavefront OBJ: vertices with or without colour, faces, and the textures of its materials. Without faces the vertices are the cloud.
+//! Wavefront OBJ: vertices with or without colour, faces, and the textures of its materials.
+//! Without faces the vertices are the cloud.
 
 use super::Gathered;
 use super::mesh::{Corner, MAX_ELEMENTS, Mesh, Triangle};
@@ -26,8 +27,13 @@ struct Reading {
     current: Option<u32>,
 }
 
-pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> Result<Gathered, IngestError> {
-    let source = File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
+pub(super) fn read(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    mut gathered: Gathered,
+) -> Result<Gathered, IngestError> {
+    let source =
+        File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
     let mut source = BufReader::with_capacity(1 << 20, source);
     let mut reading = Reading::default();
     let (mut line, mut number) = (Vec::new(), 0_usize);
@@ -43,12 +49,22 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> 
             Some("v") => reading.vertex(words).map_err(at)?,
             Some("vt") => reading.texture_place(words).map_err(at)?,
             Some("f") => reading.face(words).map_err(at)?,
-            Some("mtllib") => reading.materials_of(root, file, text.trim_start()["mtllib".len()..].trim())?,
-            Some("usemtl") => reading.current = reading.materials.get(text.trim_start()["usemtl".len()..].trim()).copied(),
+            Some("mtllib") => {
+                reading.materials_of(root, file, text.trim_start()["mtllib".len()..].trim())?
+            }
+            Some("usemtl") => {
+                reading.current =
+                    reading.materials.get(text.trim_start()["usemtl".len()..].trim()).copied()
+            }
             _ => {}
         }
-        if reading.positions.len().max(reading.uvs.len()).max(reading.mesh.triangles.len()) > MAX_ELEMENTS {
-            return Err(IngestError::malformed(file, format!("more than {MAX_ELEMENTS} vertices or faces: simplify it first")));
+        if reading.positions.len().max(reading.uvs.len()).max(reading.mesh.triangles.len())
+            > MAX_ELEMENTS
+        {
+            return Err(IngestError::malformed(
+                file,
+                format!("more than {MAX_ELEMENTS} vertices or faces: simplify it first"),
+            ));
         }
     }
     let Reading { positions, tints, mut mesh, .. } = reading;
@@ -67,7 +83,9 @@ impl Reading {
             .take(8)
             .map(|w| w.parse().map_err(|_| format!("{w:?} is not a number")))
             .collect::<Result<_, _>>()?;
-        let [x, y, z, rest @ ..] = &values[..] else { return Err("a vertex has three numbers".into()) };
+        let [x, y, z, rest @ ..] = &values[..] else {
+            return Err("a vertex has three numbers".into());
+        };
         self.positions.push([*x, *y, *z]);
         // Colours are shares by habit; some write bytes. A fourth number alone is a weight.
         if let [r, g, b] = rest {
@@ -84,11 +102,15 @@ impl Reading {
             .map(|w| w.parse().map_err(|_| format!("{w:?} is not a number")))
             .collect::<Result<_, _>>()?;
         // Upwards in the file, downwards in pictures.
-        self.uvs.push([values.first().copied().unwrap_or(0.0), 1.0 - values.get(1).copied().unwrap_or(0.0)]);
+        self.uvs.push([
+            values.first().copied().unwrap_or(0.0),
+            1.0 - values.get(1).copied().unwrap_or(0.0),
+        ]);
         Ok(())
     }
 
-    /// `f v`, `f v/vt`, `f v/vt/vn`, `f v//vn`, from 1 or backwards from the last; polygons become fans.
+    /// `f v`, `f v/vt`, `f v/vt/vn`, `f v//vn`, from 1 or backwards from the last; polygons become
+    /// fans.
     fn face<'a>(&mut self, words: impl Iterator<Item = &'a str>) -> Result<(), String> {
         let mut corners = Vec::new();
         for word in words.take(256) {
@@ -96,11 +118,16 @@ impl Reading {
             let index = |part: Option<&str>, count: usize| -> Result<Option<usize>, String> {
                 let Some(part) = part.filter(|p| !p.is_empty()) else { return Ok(None) };
                 let number: i64 = part.parse().map_err(|_| format!("{word:?} is no corner"))?;
-                let at = if number < 0 { number.checked_add(count as i64) } else { number.checked_sub(1) };
+                let at = if number < 0 {
+                    number.checked_add(count as i64)
+                } else {
+                    number.checked_sub(1)
+                };
                 let at = at.and_then(|at| usize::try_from(at).ok()).filter(|at| *at < count);
                 at.map(Some).ok_or_else(|| format!("{word:?} names a vertex that is not there"))
             };
-            let at = index(parts.next(), self.positions.len())?.ok_or_else(|| format!("{word:?} is no corner"))?;
+            let at = index(parts.next(), self.positions.len())?
+                .ok_or_else(|| format!("{word:?} is no corner"))?;
             let uv = index(parts.next(), self.uvs.len())?;
             corners.push(Corner {
                 at: self.positions[at],
@@ -116,7 +143,12 @@ impl Reading {
         Ok(())
     }
 
-    fn materials_of(&mut self, root: &Utf8Path, file: &Utf8Path, name: &str) -> Result<(), IngestError> {
+    fn materials_of(
+        &mut self,
+        root: &Utf8Path,
+        file: &Utf8Path,
+        name: &str,
+    ) -> Result<(), IngestError> {
         let Some(library) = beside(file, name) else { return Ok(()) };
         // A mesh without its materials is a mesh without colour.
         if !root.join(&library).is_file() {
@@ -129,18 +161,28 @@ impl Reading {
                 name.trim().clone_into(&mut material);
             } else if let Some(picture) = line.strip_prefix("map_Kd ") {
                 // Options come before the name; names with blanks are rare.
-                let picture =
-                    if picture.trim_start().starts_with('-') { picture.rsplit(' ').next().unwrap_or_default() } else { picture.trim() };
+                let picture = if picture.trim_start().starts_with('-') {
+                    picture.rsplit(' ').next().unwrap_or_default()
+                } else {
+                    picture.trim()
+                };
                 if self.mesh.textures.len() >= MAX_TEXTURES {
-                    return Err(IngestError::malformed(library, format!("more than {MAX_TEXTURES} textures")));
+                    return Err(IngestError::malformed(
+                        library,
+                        format!("more than {MAX_TEXTURES} textures"),
+                    ));
                 }
-                let Some(picture) = beside(&library, picture).filter(|p| root.join(p).is_file()) else { continue };
+                let Some(picture) = beside(&library, picture).filter(|p| root.join(p).is_file())
+                else {
+                    continue;
+                };
                 let mut bytes = Vec::new();
                 File::open(root.join(&picture))
                     .and_then(|f| f.take(MAX_TEXTURE_BYTES).read_to_end(&mut bytes))
                     .map_err(|e| IngestError::reading(&picture, e))?;
-                let texture =
-                    Texture::decode(&bytes).map_err(|e| IngestError::malformed(&picture, format!("not a readable picture: {e}")))?;
+                let texture = Texture::decode(&bytes).map_err(|e| {
+                    IngestError::malformed(&picture, format!("not a readable picture: {e}"))
+                })?;
                 self.materials.insert(material.clone(), self.mesh.textures.len() as u32);
                 self.mesh.textures.push(texture);
                 self.mesh.has_colour = true;
@@ -153,8 +195,10 @@ impl Reading {
 /// A file that another one names, when it stays inside the upload.
 pub(super) fn beside(file: &Utf8Path, name: &str) -> Option<Utf8PathBuf> {
     let name = Utf8Path::new(name);
-    let plain = name.components().all(|c| matches!(c, Utf8Component::Normal(_) | Utf8Component::CurDir));
-    (plain && !name.as_str().is_empty()).then(|| file.parent().unwrap_or(Utf8Path::new("")).join(name))
+    let plain =
+        name.components().all(|c| matches!(c, Utf8Component::Normal(_) | Utf8Component::CurDir));
+    (plain && !name.as_str().is_empty())
+        .then(|| file.parent().unwrap_or(Utf8Path::new("")).join(name))
 }
 
 #[cfg(test)]
@@ -167,7 +211,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         files.iter().for_each(|(name, bytes)| std::fs::write(root.join(name), bytes).unwrap());
-        clouds::read(root, Utf8Path::new("a.obj"), &Bounds { announced: 1 << 30, kept: 1 << 30 }, Origin::Free)
+        clouds::read(
+            root,
+            Utf8Path::new("a.obj"),
+            &Bounds { announced: 1 << 30, kept: 1 << 30 },
+            Origin::Free,
+        )
     }
 
     const SQUARE: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n";
@@ -177,7 +226,9 @@ mod tests {
         let loaded = read_files(&[("a.obj", format!("{SQUARE}f 1 2 3 4\n").as_bytes())]).unwrap();
         assert_eq!((loaded.cloud.len(), loaded.has_colour), (10_000, false));
         for corner in 0..4 {
-            let inside = |p: &&crate::geometry::Point3<f32>| (p.x > 0.5) == (corner % 2 == 1) && (p.y > 0.5) == (corner / 2 == 1);
+            let inside = |p: &&crate::geometry::Point3<f32>| {
+                (p.x > 0.5) == (corner % 2 == 1) && (p.y > 0.5) == (corner / 2 == 1)
+            };
             let count = loaded.cloud.positions.iter().filter(inside).count();
             assert!((2350..2650).contains(&count), "{count} in one quarter");
         }
@@ -186,11 +237,17 @@ mod tests {
     #[test]
     fn textures_give_colour() {
         let mut png = std::io::Cursor::new(Vec::new());
-        let picture =
-            image::RgbImage::from_fn(2, 2, |x, y| if (x, y) == (0, 0) { image::Rgb([255, 0, 0]) } else { image::Rgb([0, 0, 255]) });
+        let picture = image::RgbImage::from_fn(2, 2, |x, y| {
+            if (x, y) == (0, 0) { image::Rgb([255, 0, 0]) } else { image::Rgb([0, 0, 255]) }
+        });
         image::DynamicImage::from(picture).write_to(&mut png, image::ImageFormat::Png).unwrap();
         let obj = format!("mtllib a.mtl\nusemtl wood\n{SQUARE}f 1/1 2/2 3/3 4/4\n");
-        let loaded = read_files(&[("a.obj", obj.as_bytes()), ("a.mtl", b"newmtl wood\nmap_Kd t.png\n"), ("t.png", png.get_ref())]).unwrap();
+        let loaded = read_files(&[
+            ("a.obj", obj.as_bytes()),
+            ("a.mtl", b"newmtl wood\nmap_Kd t.png\n"),
+            ("t.png", png.get_ref()),
+        ])
+        .unwrap();
         for (p, c) in loaded.cloud.positions.iter().zip(&loaded.cloud.colours) {
             // The picture's first row is at the top: high y.
             assert_eq!(*c, if p.x < 0.5 && p.y > 0.5 { [255, 0, 0] } else { [0, 0, 255] }, "{p}");
@@ -199,13 +256,18 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_named_by_line() {
-        for (text, expected) in
-            [("v 1 2\n", "line 1"), ("v 1 2 3\nf 1 2 3\n", "line 2"), ("v 0 0 0\nf 1 1 1\n", "no area"), ("# nothing\n", "no points")]
-        {
+        for (text, expected) in [
+            ("v 1 2\n", "line 1"),
+            ("v 1 2 3\nf 1 2 3\n", "line 2"),
+            ("v 0 0 0\nf 1 1 1\n", "no area"),
+            ("# nothing\n", "no points"),
+        ] {
             let message = read_files(&[("a.obj", text.as_bytes())]).unwrap_err().to_string();
             assert!(message.contains(expected), "{message}");
         }
-        let outside = read_files(&[("a.obj", format!("mtllib ../../etc/passwd\n{SQUARE}").as_bytes())]).unwrap();
+        let outside =
+            read_files(&[("a.obj", format!("mtllib ../../etc/passwd\n{SQUARE}").as_bytes())])
+                .unwrap();
         assert_eq!(outside.cloud.len(), 4, "materials outside are not looked for");
     }
 

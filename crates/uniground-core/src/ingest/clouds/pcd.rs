@@ -1,6 +1,8 @@
-//! PCD 0.7 (Point Cloud Library): ascii, binary and `binary_compressed`, with the fields in any order and of any type.
+//! PCD 0.7 (Point Cloud Library): ascii, binary and `binary_compressed`, with the fields in any
+//! order and of any type.
 //!
-//! Colour is `rgb` or `rgba`, packed into the four bytes of a float or an integer. The viewpoint is where the sensor stood; it moves nothing.
+//! Colour is `rgb` or `rgba`, packed into the four bytes of a float or an integer. The viewpoint is
+//! where the sensor stood; it moves nothing.
 
 use super::Gathered;
 use super::gathered::{Bounds, GREY};
@@ -83,7 +85,8 @@ impl Header {
     /// Where x, y, z and the packed colour are.
     fn wanted(&self) -> Option<([&Field; 3], Option<&Field>)> {
         let xyz = [self.field("x")?, self.field("y")?, self.field("z")?];
-        let packed = self.field("rgb").or_else(|| self.field("rgba")).filter(|field| field.size == 4);
+        let packed =
+            self.field("rgb").or_else(|| self.field("rgba")).filter(|field| field.size == 4);
         Some((xyz, packed))
     }
 }
@@ -94,10 +97,15 @@ pub(super) fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result
     bounds.check(file, header.points as u64)
 }
 
-pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> Result<Gathered, IngestError> {
+pub(super) fn read(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    mut gathered: Gathered,
+) -> Result<Gathered, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let (header, mut source) = open(root, file)?;
-    let (xyz, packed) = header.wanted().ok_or_else(|| malformed("its points have no fields x, y and z".into()))?;
+    let (xyz, packed) =
+        header.wanted().ok_or_else(|| malformed("its points have no fields x, y and z".into()))?;
     gathered.coloured(packed.is_some());
     if header.data != Data::Ascii && xyz.iter().all(|field| field.size < 8) {
         gathered.single_precision();
@@ -113,25 +121,32 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> 
 }
 
 fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Header, BufReader<File>), IngestError> {
-    let source = File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
+    let source =
+        File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
     let bytes = source.metadata().map_or(u64::MAX, |m| m.len());
     let mut source = BufReader::with_capacity(1 << 20, source);
-    let header = read_header(&mut source).map_err(|reason| IngestError::malformed(file, format!("not a PCD file: {reason}")))?;
+    let header = read_header(&mut source)
+        .map_err(|reason| IngestError::malformed(file, format!("not a PCD file: {reason}")))?;
     let least = match header.data {
         Data::Ascii => header.points as u64 * 6,
         Data::Binary => header.points as u64 * header.row_bytes as u64,
         Data::Compressed => header.points as u64 * header.row_bytes as u64 / BEST_RATIO,
     };
-    // A count that can not be there is a lie, not a reason to allocate. The last line may lack its end.
+    // A count that can not be there is a lie, not a reason to allocate. The last line may lack its
+    // end.
     if least > bytes.saturating_add(1) {
-        return Err(IngestError::malformed(file, format!("it announces {} points but has only {bytes} bytes", header.points)));
+        return Err(IngestError::malformed(
+            file,
+            format!("it announces {} points but has only {bytes} bytes", header.points),
+        ));
     }
     Ok((header, source))
 }
 
 fn read_header(source: &mut impl BufRead) -> Result<Header, String> {
     let mut line = Vec::new();
-    let (mut names, mut sizes, mut kinds, mut counts) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let (mut names, mut sizes, mut kinds, mut counts) =
+        (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     let (mut width, mut height, mut points) = (0_u64, 1_u64, None);
     for _ in 0..MAX_HEADER_LINES {
         if !read_line(source, &mut line, MAX_LINE_BYTES).map_err(|e| e.to_string())? {
@@ -144,7 +159,9 @@ fn read_header(source: &mut impl BufRead) -> Result<Header, String> {
         if words.len() > MAX_FIELDS {
             return Err(format!("more than {MAX_FIELDS} fields"));
         }
-        let number = |word: Option<&&str>| word.and_then(|w| w.parse::<u64>().ok()).ok_or_else(|| format!("{key} is not a number"));
+        let number = |word: Option<&&str>| {
+            word.and_then(|w| w.parse::<u64>().ok()).ok_or_else(|| format!("{key} is not a number"))
+        };
         match key {
             "FIELDS" | "COLUMNS" => names = words.iter().map(|w| (*w).to_owned()).collect(),
             "SIZE" => sizes = words.iter().map(|w| number(Some(w))).collect::<Result<_, _>>()?,
@@ -163,8 +180,14 @@ fn read_header(source: &mut impl BufRead) -> Result<Header, String> {
                 let fields = fields(names, &sizes, &kinds, &counts)?;
                 let row_bytes = fields.iter().map(Field::bytes).sum();
                 let points = points.unwrap_or(width.saturating_mul(height));
-                let points = usize::try_from(points).ok().filter(|n| n.checked_mul(row_bytes).is_some());
-                return Ok(Header { fields, points: points.ok_or("it announces more points than there can be")?, data, row_bytes });
+                let points =
+                    usize::try_from(points).ok().filter(|n| n.checked_mul(row_bytes).is_some());
+                return Ok(Header {
+                    fields,
+                    points: points.ok_or("it announces more points than there can be")?,
+                    data,
+                    row_bytes,
+                });
             }
             _ => {}
         }
@@ -172,8 +195,17 @@ fn read_header(source: &mut impl BufRead) -> Result<Header, String> {
     Err("its header does not end".into())
 }
 
-fn fields(names: Vec<String>, sizes: &[u64], kinds: &[String], counts: &[u64]) -> Result<Vec<Field>, String> {
-    if names.is_empty() || sizes.len() != names.len() || kinds.len() != names.len() || (!counts.is_empty() && counts.len() != names.len()) {
+fn fields(
+    names: Vec<String>,
+    sizes: &[u64],
+    kinds: &[String],
+    counts: &[u64],
+) -> Result<Vec<Field>, String> {
+    if names.is_empty()
+        || sizes.len() != names.len()
+        || kinds.len() != names.len()
+        || (!counts.is_empty() && counts.len() != names.len())
+    {
         return Err("FIELDS, SIZE, TYPE and COUNT do not have the same number of words".into());
     }
     let mut offset = 0;
@@ -201,10 +233,16 @@ fn unpacked([b, g, r, _]: [u8; 4]) -> [u8; 3] {
     [r, g, b]
 }
 
-fn read_ascii(header: &Header, source: &mut impl BufRead, gathered: &mut Gathered) -> Result<(), String> {
+fn read_ascii(
+    header: &Header,
+    source: &mut impl BufRead,
+    gathered: &mut Gathered,
+) -> Result<(), String> {
     let Some((xyz, packed)) = header.wanted() else { return Ok(()) };
     // Columns, where fields of several numbers stand before them.
-    let column = |field: &Field| header.fields.iter().take_while(|f| f.name != field.name).map(|f| f.count).sum::<usize>();
+    let column = |field: &Field| {
+        header.fields.iter().take_while(|f| f.name != field.name).map(|f| f.count).sum::<usize>()
+    };
     let (xyz, packed) = (xyz.map(column), packed.map(|field| (column(field), field.kind)));
     let most = xyz.iter().copied().chain(packed.map(|p| p.0)).max().unwrap_or(0);
     let mut line = Vec::new();
@@ -216,7 +254,9 @@ fn read_ascii(header: &Header, source: &mut impl BufRead, gathered: &mut Gathere
         let (mut position, mut colour, mut found) = ([f64::NAN; 3], GREY, 0);
         for (i, word) in text.split_ascii_whitespace().enumerate().take(most + 1) {
             found = i;
-            let number = || word.parse::<f64>().map_err(|_| format!("point {row}: {word:?} is not a number"));
+            let number = || {
+                word.parse::<f64>().map_err(|_| format!("point {row}: {word:?} is not a number"))
+            };
             if let Some(axis) = xyz.iter().position(|c| *c == i) {
                 position[axis] = number()?;
             } else if let Some((_, kind)) = packed.filter(|(column, _)| *column == i) {
@@ -238,7 +278,11 @@ fn read_ascii(header: &Header, source: &mut impl BufRead, gathered: &mut Gathere
     Ok(())
 }
 
-fn read_binary(header: &Header, source: &mut impl Read, gathered: &mut Gathered) -> Result<(), String> {
+fn read_binary(
+    header: &Header,
+    source: &mut impl Read,
+    gathered: &mut Gathered,
+) -> Result<(), String> {
     let Some((xyz, packed)) = header.wanted() else { return Ok(()) };
     let per_block = (BLOCK_BYTES / header.row_bytes).max(1);
     let mut block = vec![0; per_block * header.row_bytes];
@@ -249,7 +293,9 @@ fn read_binary(header: &Header, source: &mut impl Read, gathered: &mut Gathered)
         source.read_exact(block).map_err(|e| format!("truncated: {e}"))?;
         for row in block.chunks_exact(header.row_bytes) {
             let position = xyz.map(|field| field.number(&row[field.offset..]));
-            let colour = packed.map_or(GREY, |f| unpacked([row[f.offset], row[f.offset + 1], row[f.offset + 2], 0]));
+            let colour = packed.map_or(GREY, |f| {
+                unpacked([row[f.offset], row[f.offset + 1], row[f.offset + 2], 0])
+            });
             gathered.push(position, colour);
         }
         left -= rows;
@@ -258,7 +304,11 @@ fn read_binary(header: &Header, source: &mut impl Read, gathered: &mut Gathered)
 }
 
 /// Compressed as a whole, one field after the other: all x, all y and so on.
-fn read_compressed(header: &Header, source: &mut impl Read, gathered: &mut Gathered) -> Result<(), String> {
+fn read_compressed(
+    header: &Header,
+    source: &mut impl Read,
+    gathered: &mut Gathered,
+) -> Result<(), String> {
     let Some((xyz, packed)) = header.wanted() else { return Ok(()) };
     let mut sizes = [0; 8];
     source.read_exact(&mut sizes).map_err(|e| format!("truncated: {e}"))?;
@@ -277,11 +327,14 @@ fn read_compressed(header: &Header, source: &mut impl Read, gathered: &mut Gathe
         return Err(format!("truncated: {} of {compressed} bytes", packed_bytes.len()));
     }
     let bytes = lzf(&packed_bytes, unpacked_bytes)?;
-    let column = |field: &Field| &bytes[field.offset * header.points..][..field.bytes() * header.points];
+    let column =
+        |field: &Field| &bytes[field.offset * header.points..][..field.bytes() * header.points];
     let (xyz, packed) = (xyz.map(|field| (field, column(field))), packed.map(column));
     for i in 0..header.points {
         let position = xyz.map(|(field, column)| field.number(&column[i * field.bytes()..]));
-        let colour = packed.map_or(GREY, |column| unpacked([column[i * 4], column[i * 4 + 1], column[i * 4 + 2], 0]));
+        let colour = packed.map_or(GREY, |column| {
+            unpacked([column[i * 4], column[i * 4 + 1], column[i * 4 + 2], 0])
+        });
         gathered.push(position, colour);
     }
     Ok(())
@@ -305,7 +358,8 @@ fn lzf(source: &[u8], expected: usize) -> Result<Vec<u8>, String> {
                 length += usize::from(*source.get(at).ok_or_else(damaged)?);
                 at += 1;
             }
-            let back = ((control & 31) << 8) + usize::from(*source.get(at).ok_or_else(damaged)?) + 1;
+            let back =
+                ((control & 31) << 8) + usize::from(*source.get(at).ok_or_else(damaged)?) + 1;
             at += 1;
             let start = out.len().checked_sub(back).ok_or_else(damaged)?;
             for i in start..start + length + 2 {
@@ -330,7 +384,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         std::fs::write(root.join("cloud.pcd"), bytes).unwrap();
-        clouds::read(root, Utf8Path::new("cloud.pcd"), &Bounds { announced: 1 << 30, kept: 1 << 30 }, Origin::Free)
+        clouds::read(
+            root,
+            Utf8Path::new("cloud.pcd"),
+            &Bounds { announced: 1 << 30, kept: 1 << 30 },
+            Origin::Free,
+        )
     }
 
     fn header(points: usize, data: &str) -> Vec<u8> {
@@ -343,16 +402,22 @@ mod tests {
 
     #[test]
     fn the_three_encodings_read_alike() {
-        let points = [([10_u8, 20, 30], [1.0_f32, 2.0, 3.0]), ([40, 50, 60], [-1.0, 0.5, f32::NAN])];
+        let points =
+            [([10_u8, 20, 30], [1.0_f32, 2.0, 3.0]), ([40, 50, 60], [-1.0, 0.5, f32::NAN])];
         let packed = |[r, g, b]: [u8; 3]| u32::from_le_bytes([b, g, r, 0]);
-        let (mut ascii, mut binary, mut columns) = (header(2, "ascii"), header(2, "binary"), Vec::new());
+        let (mut ascii, mut binary, mut columns) =
+            (header(2, "ascii"), header(2, "binary"), Vec::new());
         for (c, p) in points {
-            ascii.extend(format!("{:e} {} {} {}\n", f32::from_bits(packed(c)), p[0], p[1], p[2]).bytes());
+            ascii.extend(
+                format!("{:e} {} {} {}\n", f32::from_bits(packed(c)), p[0], p[1], p[2]).bytes(),
+            );
             binary.extend(packed(c).to_le_bytes());
             p.iter().for_each(|v| binary.extend(v.to_le_bytes()));
         }
         points.iter().for_each(|(c, _)| columns.extend(packed(*c).to_le_bytes()));
-        (0..3).for_each(|axis| points.iter().for_each(|(_, p)| columns.extend(p[axis].to_le_bytes())));
+        (0..3).for_each(|axis| {
+            points.iter().for_each(|(_, p)| columns.extend(p[axis].to_le_bytes()))
+        });
         // Literals only: valid LZF.
         let mut stored = Vec::new();
         for run in columns.chunks(32) {

@@ -1,7 +1,8 @@
-//! PLY: ascii, little and big endian; properties by name in any order. Scans' meshes are read by their vertices, coarse ones are sampled.
+//! PLY: ascii, little and big endian; properties by name in any order. Scans' meshes are read by
+//! their vertices, coarse ones are sampled.
 //!
-//! The header goes through the `ply-rs-bw` parser. Rows are read here, one block or line at a time: it is faster, ascii may hold `nan`, and
-//! nothing is held in memory because a header says so.
+//! The header goes through the `ply-rs-bw` parser. Rows are read here, one block or line at a time:
+//! it is faster, ascii may hold `nan`, and nothing is held in memory because a header says so.
 
 mod faces;
 mod rows;
@@ -29,11 +30,16 @@ pub fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(), In
     bounds.check(file, header.elements.get("vertex").map_or(0, |vertex| vertex.count as u64))
 }
 
-/// Reads the vertices of a PLY file, or points of its faces where its vertices are sparse. Those without colour come out mid-grey.
+/// Reads the vertices of a PLY file, or points of its faces where its vertices are sparse. Those
+/// without colour come out mid-grey.
 ///
 /// # Errors
 /// [`IngestError`] naming `file` (a path below `root`).
-pub fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> Result<Gathered, IngestError> {
+pub fn read(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    mut gathered: Gathered,
+) -> Result<Gathered, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let (header, mut source) = open(root, file)?;
     let mut has_vertices = false;
@@ -41,23 +47,28 @@ pub fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> Result<
         let rows = Rows::of(element, &header.encoding);
         let named = |e: String| malformed(format!("{}: {e}", element.name));
         if has_vertices && rows.has_corners() && element.count > 0 {
-            faces::sample_if_sparse(&rows, &mut source, element.count, &mut gathered).map_err(named)?;
+            faces::sample_if_sparse(&rows, &mut source, element.count, &mut gathered)
+                .map_err(named)?;
             break;
         }
         if element.name != "vertex" {
             rows.skip(&mut source, element.count).map_err(named)?;
             continue;
         }
-        gathered.coloured(["red", "green", "blue"].iter().all(|c| element.properties.contains_key(*c)));
-        let in_doubles =
-            |axis: &&str| matches!(element.properties.get(*axis), Some(p) if p.data_type == PropertyType::Scalar(ScalarType::Double));
+        gathered
+            .coloured(["red", "green", "blue"].iter().all(|c| element.properties.contains_key(*c)));
+        let in_doubles = |axis: &&str| matches!(element.properties.get(*axis), Some(p) if p.data_type == PropertyType::Scalar(ScalarType::Double));
         if !["x", "y", "z"].iter().any(in_doubles) {
             gathered.single_precision();
         }
         gathered.expect(file, element.count)?;
         rows.read(&mut source, element.count, &mut gathered).map_err(malformed)?;
         has_vertices = true;
-        if !header.elements.values().any(|element| Rows::of(element, &header.encoding).has_corners()) {
+        if !header
+            .elements
+            .values()
+            .any(|element| Rows::of(element, &header.encoding).has_corners())
+        {
             break;
         }
     }
@@ -67,7 +78,8 @@ pub fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> Result<
 /// The header, looked at, and the file where its rows begin.
 fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Header, BufReader<File>), IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
-    let source = File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
+    let source =
+        File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
     let bytes = source.metadata().map_or(u64::MAX, |m| m.len());
     let mut source = BufReader::with_capacity(1 << 20, source);
     let text = header_text(&mut source).map_err(|e| malformed(format!("not a PLY file: {e}")))?;
@@ -76,22 +88,34 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Header, BufReader<File>), I
         .map_err(|e| malformed(format!("not a PLY file: {e}")))?;
     let properties: usize = header.elements.values().map(|element| element.properties.len()).sum();
     if properties > MAX_PROPERTIES {
-        return Err(malformed(format!("it announces {properties} properties, {MAX_PROPERTIES} are read at most")));
+        return Err(malformed(format!(
+            "it announces {properties} properties, {MAX_PROPERTIES} are read at most"
+        )));
     }
-    let vertex = header.elements.get("vertex").ok_or_else(|| malformed("it has no vertex element".into()))?;
+    let vertex = header
+        .elements
+        .get("vertex")
+        .ok_or_else(|| malformed("it has no vertex element".into()))?;
     for axis in ["x", "y", "z"] {
         if !vertex.properties.contains_key(axis) {
             return Err(malformed(format!("its vertices have no property {axis}")));
         }
     }
-    // Even the tersest row takes three bytes: a count that can not be there is a lie, not a reason to allocate.
+    // Even the tersest row takes three bytes: a count that can not be there is a lie, not a reason
+    // to allocate.
     if vertex.count as u64 > bytes / 3 {
-        return Err(malformed(format!("it announces {} vertices but has only {bytes} bytes", vertex.count)));
+        return Err(malformed(format!(
+            "it announces {} vertices but has only {bytes} bytes",
+            vertex.count
+        )));
     }
     // The same for what comes before the vertices: those rows are read too.
     let lies = |e: &&ElementDef| e.count as u64 > bytes || (e.properties.is_empty() && e.count > 0);
     if let Some(liar) = header.elements.values().find(lies) {
-        return Err(malformed(format!("it announces {} rows of {:?} but has only {bytes} bytes", liar.count, liar.name)));
+        return Err(malformed(format!(
+            "it announces {} rows of {:?} but has only {bytes} bytes",
+            liar.count, liar.name
+        )));
     }
     Ok((header, source))
 }
@@ -103,12 +127,15 @@ fn header_text(source: &mut impl BufRead) -> io::Result<Vec<u8>> {
         let line_start = text.len();
         let most = (MAX_HEADER_BYTES - text.len()) as u64;
         if source.take(most).read_until(b'\n', &mut text)? == 0 {
-            let reason = if most == 0 { "its header does not end" } else { "it ends within its header" };
+            let reason =
+                if most == 0 { "its header does not end" } else { "it ends within its header" };
             return Err(io::Error::other(reason));
         }
         match text[line_start..].trim_ascii() {
             b"end_header" => return Ok(text),
-            line if line_start == 0 && line != b"ply" => return Err(io::Error::other("it does not begin with \"ply\"")),
+            line if line_start == 0 && line != b"ply" => {
+                return Err(io::Error::other("it does not begin with \"ply\""));
+            }
             _ => {}
         }
     }
@@ -183,15 +210,20 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         std::fs::write(root.join("cloud.ply"), bytes).unwrap();
-        clouds::read(root, Utf8Path::new("cloud.ply"), &Bounds { announced: 1 << 30, kept: 1 << 30 }, Origin::Free)
+        clouds::read(
+            root,
+            Utf8Path::new("cloud.ply"),
+            &Bounds { announced: 1 << 30, kept: 1 << 30 },
+            Origin::Free,
+        )
     }
 
     fn header(encoding: &str, count: usize, properties: &str) -> Vec<u8> {
-        format!("ply\nformat {encoding} 1.0\nelement vertex {count}\n{properties}end_header\n").into_bytes()
+        format!("ply\nformat {encoding} 1.0\nelement vertex {count}\n{properties}end_header\n")
+            .into_bytes()
     }
 
-    const XYZ_RGB: &str =
-        "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n";
+    const XYZ_RGB: &str = "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n";
 
     #[test]
     fn the_three_encodings_read_alike() {
@@ -229,7 +261,10 @@ mod tests {
         bytes.extend(2.0_f64.to_le_bytes());
         bytes.extend([1, 2]);
         let loaded = read_bytes(&bytes).unwrap();
-        assert_eq!((loaded.cloud.positions[0], loaded.cloud.colours[0]), (Point3::new(1.0, 2.0, 3.0), [1, 2, 3]));
+        assert_eq!(
+            (loaded.cloud.positions[0], loaded.cloud.colours[0]),
+            (Point3::new(1.0, 2.0, 3.0), [1, 2, 3])
+        );
     }
 
     #[test]
@@ -269,7 +304,9 @@ mod tests {
         little.push(3);
         little.extend([0_i32, 1, 0].iter().flat_map(|v| v.to_le_bytes()));
         little.push(0);
-        for (x, quality, y, z) in [(1.0_f32, &[9.0_f32, 9.0][..], 2.0_f32, 3.0_f32), (4.0, &[], 5.0, 6.0)] {
+        for (x, quality, y, z) in
+            [(1.0_f32, &[9.0_f32, 9.0][..], 2.0_f32, 3.0_f32), (4.0, &[], 5.0, 6.0)]
+        {
             little.extend(x.to_le_bytes());
             little.push(quality.len() as u8);
             quality.iter().for_each(|q| little.extend(q.to_le_bytes()));
@@ -278,7 +315,10 @@ mod tests {
         }
         for bytes in [ascii, little] {
             let loaded = read_bytes(&bytes).unwrap();
-            assert_eq!(loaded.cloud.positions, [Point3::new(1.0, 2.0, 3.0), Point3::new(4.0, 5.0, 6.0)]);
+            assert_eq!(
+                loaded.cloud.positions,
+                [Point3::new(1.0, 2.0, 3.0), Point3::new(4.0, 5.0, 6.0)]
+            );
             assert!(!loaded.has_colour);
         }
     }
@@ -300,7 +340,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         std::fs::write(root.join("cloud.ply"), header("binary_little_endian", 9, XYZ_RGB)).unwrap();
-        let message = check(root, Utf8Path::new("cloud.ply"), &Bounds { announced: 8, kept: 8 }).unwrap_err().to_string();
+        let message = check(root, Utf8Path::new("cloud.ply"), &Bounds { announced: 8, kept: 8 })
+            .unwrap_err()
+            .to_string();
         assert!(message.contains("announces 9 points"), "{message}");
     }
 

@@ -1,4 +1,5 @@
-//! Lines of numbers: XYZ, PTS, TXT, CSV. Which column is what is told by a heading, or by how many there are and what they look like.
+//! Lines of numbers: XYZ, PTS, TXT, CSV. Which column is what is told by a heading, or by how many
+//! there are and what they look like.
 
 use super::Gathered;
 use super::gathered::GREY;
@@ -30,9 +31,12 @@ struct Columns {
     colour: Option<([usize; 3], Scale)>,
 }
 
-/// Whether lines of at least three numbers stand at the beginning of a file, after a heading or a count at most.
+/// Whether lines of at least three numbers stand at the beginning of a file, after a heading or a
+/// count at most.
 pub(super) fn recognises(head: &[u8]) -> bool {
-    let Ok(text) = std::str::from_utf8(&head[..head.iter().rposition(|b| *b == b'\n').map_or(head.len(), |at| at + 1)]) else {
+    let Ok(text) = std::str::from_utf8(
+        &head[..head.iter().rposition(|b| *b == b'\n').map_or(head.len(), |at| at + 1)],
+    ) else {
         return false;
     };
     let mut lines = text.lines().filter(|line| !line.trim().is_empty()).take(12).peekable();
@@ -57,17 +61,24 @@ fn numbers(line: &str) -> Option<Vec<f64>> {
     words(line).map(|word| word.parse().ok()).collect()
 }
 
-pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> Result<Gathered, IngestError> {
+pub(super) fn read(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    mut gathered: Gathered,
+) -> Result<Gathered, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let columns = columns(root, file)?;
     gathered.coloured(columns.colour.is_some());
     let mut source = open(root, file)?;
     let mut line = Vec::new();
     let (mut number, mut skipped) = (0_usize, 0_usize);
-    while read_line(&mut source, &mut line, MAX_LINE_BYTES).map_err(|e| malformed(format!("line {}: {e}", number + 1)))? {
+    while read_line(&mut source, &mut line, MAX_LINE_BYTES)
+        .map_err(|e| malformed(format!("line {}: {e}", number + 1)))?
+    {
         number += 1;
         let mut values = [f64::NAN; MAX_COLUMNS];
-        let text = std::str::from_utf8(&line).map_err(|_| malformed(format!("line {number}: not text")))?;
+        let text = std::str::from_utf8(&line)
+            .map_err(|_| malformed(format!("line {number}: not text")))?;
         let (mut found, mut readable) = (0, true);
         for (value, word) in values.iter_mut().zip(words(text)) {
             match word.parse() {
@@ -80,7 +91,9 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> 
             // A heading, a count, a comment: at the beginning, not everywhere.
             skipped += usize::from(found > 0 && !text.trim_start().starts_with(['#', '/']));
             if skipped > 3 {
-                return Err(malformed(format!("line {number} is no line of three or more numbers")));
+                return Err(malformed(format!(
+                    "line {number} is no line of three or more numbers"
+                )));
             }
             continue;
         }
@@ -100,7 +113,8 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> 
 }
 
 fn open(root: &Utf8Path, file: &Utf8Path) -> Result<BufReader<File>, IngestError> {
-    let source = File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
+    let source =
+        File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
     Ok(BufReader::with_capacity(1 << 20, source))
 }
 
@@ -122,7 +136,9 @@ fn columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestError> {
         return Err(IngestError::malformed(file, "it has no lines of three or more numbers"));
     }
     let scale = |at: [usize; 3]| {
-        let shares = rows.iter().all(|row| at.iter().all(|i| row.get(*i).is_none_or(|v| (0.0..=1.0).contains(v))));
+        let shares = rows
+            .iter()
+            .all(|row| at.iter().all(|i| row.get(*i).is_none_or(|v| (0.0..=1.0).contains(v))));
         if shares { Scale::Shares } else { Scale::Bytes }
     };
     if let Some((position, colour)) = heading {
@@ -144,7 +160,10 @@ fn columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestError> {
         (bytes || shares) && !unit
     };
     let first = candidates.iter().find(|first| is_colour(first));
-    Ok(Columns { position: [0, 1, 2], colour: first.map(|f| [*f, f + 1, f + 2]).map(|at| (at, scale(at))) })
+    Ok(Columns {
+        position: [0, 1, 2],
+        colour: first.map(|f| [*f, f + 1, f + 2]).map(|at| (at, scale(at))),
+    })
 }
 
 /// Names of columns, as CloudCompare and most tables write them.
@@ -152,7 +171,10 @@ fn by_heading(line: &str) -> Option<([usize; 3], Option<[usize; 3]>)> {
     let line = line.trim_start_matches(['#', '/', '\u{feff}']).to_ascii_lowercase();
     let names: Vec<&str> = words(&line).map(|word| word.trim_matches('"')).collect();
     let of = |wanted: [&[&str]; 3]| -> Option<[usize; 3]> {
-        let at: Vec<usize> = wanted.iter().filter_map(|known| names.iter().position(|name| known.contains(name))).collect();
+        let at: Vec<usize> = wanted
+            .iter()
+            .filter_map(|known| names.iter().position(|name| known.contains(name)))
+            .collect();
         at.try_into().ok()
     };
     let position = of([&["x"], &["y"], &["z"]])?;
@@ -196,7 +218,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         std::fs::write(root.join(name), text).unwrap();
-        clouds::read(root, Utf8Path::new(name), &Bounds { announced: 1 << 30, kept: 1 << 30 }, Origin::Free)
+        clouds::read(
+            root,
+            Utf8Path::new(name),
+            &Bounds { announced: 1 << 30, kept: 1 << 30 },
+            Origin::Free,
+        )
     }
 
     #[test]
@@ -212,13 +239,19 @@ mod tests {
             ("a.asc", "//X Y Z Scalar R G B\n1 2 3 7 10 20 255\n", c),
         ] {
             let loaded = read_text(name, text.as_bytes()).unwrap();
-            assert_eq!((loaded.cloud.positions, loaded.cloud.colours), (vec![p], vec![colour]), "{text}");
+            assert_eq!(
+                (loaded.cloud.positions, loaded.cloud.colours),
+                (vec![p], vec![colour]),
+                "{text}"
+            );
         }
     }
 
     #[test]
     fn map_coordinates_keep_their_place_in_double_precision() {
-        let loaded = read_text("a.xyz", b"500000.123 5400000.456 101.5\n500001.123 5400001.456 102.5\n").unwrap();
+        let loaded =
+            read_text("a.xyz", b"500000.123 5400000.456 101.5\n500001.123 5400001.456 102.5\n")
+                .unwrap();
         assert_eq!(loaded.offset, [500_000.0, 5_400_000.0, 100.0]);
         assert!((loaded.cloud.positions[1] - Point3::new(1.123, 1.456, 2.5)).norm() < 1e-6);
     }

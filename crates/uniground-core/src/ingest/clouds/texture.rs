@@ -12,12 +12,18 @@ pub(super) struct Texture(RgbImage);
 impl Texture {
     /// Decodes a JPEG or PNG.
     pub fn decode(bytes: &[u8]) -> Result<Self, String> {
-        let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| e.to_string())?;
+        let mut reader = ImageReader::new(Cursor::new(bytes))
+            .with_guessed_format()
+            .map_err(|e| e.to_string())?;
         let mut limits = Limits::default();
         limits.max_alloc = Some(MAX_BYTES);
         reader.limits(limits);
         let picture = reader.decode().map_err(|e| e.to_string())?.into_rgb8();
-        if picture.width() == 0 || picture.height() == 0 { Err("it has no pixels".into()) } else { Ok(Self(picture)) }
+        if picture.width() == 0 || picture.height() == 0 {
+            Err("it has no pixels".into())
+        } else {
+            Ok(Self(picture))
+        }
     }
 
     /// The pixel at a place, repeated outside `0..1`.

@@ -1,5 +1,6 @@
-//! ARKitScenes: `lowres_wide/ lowres_depth/ lowres_wide_intrinsics/ lowres_wide.traj`, and `confidence/`, named `<video>_<seconds>`; poses are
-//! world-to-camera in a world that ARKit made level, Z up. The mesh `*_3dod_mesh.ply` lies one folder up.
+//! ARKitScenes: `lowres_wide/ lowres_depth/ lowres_wide_intrinsics/ lowres_wide.traj`, and
+//! `confidence/`, named `<video>_<seconds>`; poses are world-to-camera in a world that ARKit made
+//! level, Z up. The mesh `*_3dod_mesh.ply` lies one folder up.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::{DEPTHS, Folder, PICTURES};
@@ -26,7 +27,9 @@ const NAME_WITHIN_S: f64 = 0.0015;
 
 /// The folder of the frames: here, or the only one called `*_frames`.
 fn frames_in(folder: &Folder) -> Option<String> {
-    let has = |inner: &str| [TRAJECTORY, COLOUR].iter().any(|name| folder.root.join(inner).join(name).exists());
+    let has = |inner: &str| {
+        [TRAJECTORY, COLOUR].iter().any(|name| folder.root.join(inner).join(name).exists())
+    };
     if has("") {
         return Some(String::new());
     }
@@ -40,9 +43,17 @@ pub(super) fn recognises(folder: &Folder) -> bool {
 pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let inner = Utf8PathBuf::from(frames_in(folder).unwrap_or_default());
     let root = &folder.root;
-    for (name, what) in [(TRAJECTORY, "the poses"), (COLOUR, "the pictures"), (DEPTH, "the depth"), (CAMERAS, "the cameras")] {
+    for (name, what) in [
+        (TRAJECTORY, "the poses"),
+        (COLOUR, "the pictures"),
+        (DEPTH, "the depth"),
+        (CAMERAS, "the cameras"),
+    ] {
         if !root.join(&inner).join(name).exists() {
-            return Err(incomplete(LOOKS_LIKE, format!("{} ({what}) is missing", inner.join(name))));
+            return Err(incomplete(
+                LOOKS_LIKE,
+                format!("{} ({what}) is missing", inner.join(name)),
+            ));
         }
     }
     let trajectory = inner.join(TRAJECTORY);
@@ -52,12 +63,15 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
         true => folder.files(inner.join(name).as_str(), endings),
         false => Ok(Vec::new()),
     };
-    let (colour, depth, confidence) = (list(COLOUR, PICTURES)?, list(DEPTH, DEPTHS)?, list("confidence", &["png"])?);
+    let (colour, depth, confidence) =
+        (list(COLOUR, PICTURES)?, list(DEPTH, DEPTHS)?, list("confidence", &["png"])?);
     let cameras = list(CAMERAS, &["pincam"])?;
-    let times = |files: &[Utf8PathBuf]| files.iter().map(|file| pairing::seconds(file)).collect::<Vec<_>>();
+    let times =
+        |files: &[Utf8PathBuf]| files.iter().map(|file| pairing::seconds(file)).collect::<Vec<_>>();
     let own = times(&colour);
     let partner = |files: &[Utf8PathBuf]| pairing::nearest(&own, &times(files), NAME_WITHIN_S);
-    let (depth_of, camera_of, confidence_of) = (partner(&depth), partner(&cameras), partner(&confidence));
+    let (depth_of, camera_of, confidence_of) =
+        (partner(&depth), partner(&cameras), partner(&confidence));
     let mut scan = Scan::new(root, "arkit-scenes");
     scan.pose = PoseConvention::WorldToCamera;
     (scan.up, scan.by_gravity) = (Some(UpAxis::Z), true);
@@ -65,7 +79,8 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let mut left_out = 0;
     for (i, picture) in colour.iter().enumerate() {
         let pose = own[i].and_then(|time| super::trajectory::at(&poses, time, POSE_WITHIN_S));
-        let (Some(pose), Some(depth_at), Some(camera_at)) = (pose, depth_of[i], camera_of[i]) else {
+        let (Some(pose), Some(depth_at), Some(camera_at)) = (pose, depth_of[i], camera_of[i])
+        else {
             left_out += 1;
             continue;
         };
@@ -83,19 +98,28 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
             colour_intrinsics: camera,
             depth_intrinsics: camera,
             optics: Optics {
-                confidence: confidence_of[i].map(|at| Confidence { file: confidence[at].clone(), at_least: LEAST_CONFIDENCE }),
+                confidence: confidence_of[i].map(|at| Confidence {
+                    file: confidence[at].clone(),
+                    at_least: LEAST_CONFIDENCE,
+                }),
                 ..Optics::default()
             },
         }))?;
     }
     if scan.frames.is_empty() {
-        return Err(incomplete(LOOKS_LIKE, "no picture has depth, a camera and a pose at its time"));
+        return Err(incomplete(
+            LOOKS_LIKE,
+            "no picture has depth, a camera and a pose at its time",
+        ));
     }
     if left_out > 0 {
-        scan.warnings
-            .push(format!("{left_out} of {} pictures left out: no depth, camera or pose at their time", colour.len()));
+        scan.warnings.push(format!(
+            "{left_out} of {} pictures left out: no depth, camera or pose at their time",
+            colour.len()
+        ));
     }
-    scan.cloud = folder.clouds(&["_3dod_mesh.ply"]).into_iter().find(|file| file.extension() == Some("ply"));
+    scan.cloud =
+        folder.clouds(&["_3dod_mesh.ply"]).into_iter().find(|file| file.extension() == Some("ply"));
     Ok(scan)
 }
 

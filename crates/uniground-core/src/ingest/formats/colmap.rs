@@ -1,5 +1,5 @@
-//! COLMAP: poses of pictures without depth, in no unit of length and with no up. Its dense cloud can be read, once somebody says how long
-//! its unit is.
+//! COLMAP: poses of pictures without depth, in no unit of length and with no up. Its dense cloud
+//! can be read, once somebody says how long its unit is.
 
 use super::files::Folder;
 use super::incomplete;
@@ -10,9 +10,9 @@ const LOOKS_LIKE: &str = "a COLMAP reconstruction";
 const CLOUDS: &[&str] = &["fused.ply", "dense/fused.ply", "dense/0/fused.ply"];
 
 pub(super) fn recognises(folder: &Folder) -> bool {
-    ["", "sparse/", "sparse/0/"]
-        .iter()
-        .any(|at| ["cameras.bin", "cameras.txt"].iter().any(|name| folder.has_file(&format!("{at}{name}"))))
+    ["", "sparse/", "sparse/0/"].iter().any(|at| {
+        ["cameras.bin", "cameras.txt"].iter().any(|name| folder.has_file(&format!("{at}{name}")))
+    })
 }
 
 pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {

@@ -1,5 +1,6 @@
-//! The plain layout: `color/ depth/ pose/ intrinsic.txt` and, optionally, a cloud. Folders go by their usual names; files belong together by
-//! name, number or time; poses may stand in one file. Order is by number, so `10` follows `9`.
+//! The plain layout: `color/ depth/ pose/ intrinsic.txt` and, optionally, a cloud. Folders go by
+//! their usual names; files belong together by name, number or time; poses may stand in one file.
+//! Order is by number, so `10` follows `9`.
 
 use super::files::{DEPTHS, Folder, PICTURES};
 use super::numbers::read_pose;
@@ -14,9 +15,11 @@ const COLOUR: &[&str] = &["color", "colour", "rgb", "image", "images"];
 const DEPTH: &[&str] = &["depth", "depths"];
 const POSE: &[&str] = &["pose", "poses"];
 const CONFIDENCE: &[&str] = &["confidence", "conf"];
-const TRAJECTORIES: &[&str] = &["poses.txt", "pose.txt", "traj.txt", "trajectory.txt", "groundtruth.txt", "trajectory.log"];
+const TRAJECTORIES: &[&str] =
+    &["poses.txt", "pose.txt", "traj.txt", "trajectory.txt", "groundtruth.txt", "trajectory.log"];
 /// Names that a cloud of posed pictures goes by: others may be anything.
-pub(super) const CLOUD: &[&str] = &["cloud.", "pointcloud.", "point_cloud.", "points.", "mesh.", "scene."];
+pub(super) const CLOUD: &[&str] =
+    &["cloud.", "pointcloud.", "point_cloud.", "points.", "mesh.", "scene."];
 
 pub(super) fn recognises_posed(folder: &Folder) -> bool {
     folder.first_folder(COLOUR).is_some()
@@ -31,9 +34,14 @@ pub(super) fn recognises(folder: &Folder) -> bool {
 pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let mut scan = Scan::new(&folder.root, "color-depth-pose");
     scan.cloud = own_cloud(folder);
-    let list =
-        |names: &[&'static str], endings: &[&str]| folder.first_folder(names).map_or(Ok(Vec::new()), |name| folder.files(name, endings));
-    let pictures = Pictures { colour: list(COLOUR, PICTURES)?, depth: list(DEPTH, DEPTHS)?, confidence: list(CONFIDENCE, &["png"])? };
+    let list = |names: &[&'static str], endings: &[&str]| {
+        folder.first_folder(names).map_or(Ok(Vec::new()), |name| folder.files(name, endings))
+    };
+    let pictures = Pictures {
+        colour: list(COLOUR, PICTURES)?,
+        depth: list(DEPTH, DEPTHS)?,
+        confidence: list(CONFIDENCE, &["png"])?,
+    };
     scan.depth_scale_m = usual_depth_scale_m(&folder.root, &pictures.depth);
     let poses = match folder.first_folder(POSE) {
         Some(name) => Poses::Files(folder.files(name, &["txt"])?),
@@ -102,11 +110,17 @@ impl Pictures {
             Poses::List(Trajectory::Ordered(poses), _) => poses.len(),
             Poses::List(Trajectory::Timed(poses), _) => poses.len(),
         };
-        IngestError::FrameCountMismatch { colour: self.colour.len(), depth: self.depth.len(), pose, first }
+        IngestError::FrameCountMismatch {
+            colour: self.colour.len(),
+            depth: self.depth.len(),
+            pose,
+            first,
+        }
     }
 }
 
-/// Puts colour, depth and pose of each moment together. Confidence of the depth's names is taken where it is there.
+/// Puts colour, depth and pose of each moment together. Confidence of the depth's names is taken
+/// where it is there.
 pub(super) fn add_frames(
     scan: &mut Scan,
     pictures: &Pictures,
@@ -130,7 +144,8 @@ pub(super) fn add_frames(
                 Pose::File(file) => (read_pose(&root, file)?, file.clone()),
                 Pose::At(pose, name) => (*pose, name.clone()),
             };
-            let confidence = confidence_of[i].map(|at| Confidence { file: confidence[at].clone(), at_least: LEAST_CONFIDENCE });
+            let confidence = confidence_of[i]
+                .map(|at| Confidence { file: confidence[at].clone(), at_least: LEAST_CONFIDENCE });
             Ok(RawFrame {
                 index: FrameIndex(0),
                 colour: picture.clone(),
@@ -160,7 +175,8 @@ pub(super) fn add_frames(
     match unmatched {
         Unmatched::Damaged => {
             // A moment counts once, however many of its files are there.
-            let mut moments: Vec<_> = alone.into_iter().map(|file| (pairing::natural(&file), file)).collect();
+            let mut moments: Vec<_> =
+                alone.into_iter().map(|file| (pairing::natural(&file), file)).collect();
             moments.dedup_by(|a, b| a.0 == b.0);
             for (_, file) in moments {
                 scan.damage.note(pictures.mismatch(poses, file))?;
@@ -196,7 +212,10 @@ fn pose_of_each(colour: &[Utf8PathBuf], poses: &Poses) -> Result<Vec<Option<Pose
         }
         Poses::List(Trajectory::Ordered(poses), file) => {
             if poses.len() != colour.len() {
-                return Err(IngestError::malformed(file, format!("it holds {} poses for {} colour pictures", poses.len(), colour.len())));
+                return Err(IngestError::malformed(
+                    file,
+                    format!("it holds {} poses for {} colour pictures", poses.len(), colour.len()),
+                ));
             }
             poses
                 .iter()

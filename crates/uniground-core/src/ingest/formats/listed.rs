@@ -5,8 +5,11 @@ use serde::de::{Deserialize, Deserializer, Error, SeqAccess, Visitor};
 use std::fmt;
 use std::marker::PhantomData;
 
-/// Deserialises a list with an entry for each frame. One that holds more than are read is given up on there, before the rest takes memory.
-pub(super) fn frames<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Vec<T>, D::Error> {
+/// Deserialises a list with an entry for each frame. One that holds more than are read is given up
+/// on there, before the rest takes memory.
+pub(super) fn frames<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
+    deserializer: D,
+) -> Result<Vec<T>, D::Error> {
     deserializer.deserialize_seq(Frames(PhantomData))
 }
 
@@ -23,7 +26,9 @@ impl<'de, T: Deserialize<'de>> Visitor<'de> for Frames<T> {
         let mut frames = Vec::new();
         while let Some(frame) = entries.next_element()? {
             if frames.len() == MAX_FRAMES {
-                return Err(A::Error::custom(format!("more than {MAX_FRAMES} frames, as many are read at most: leave some out")));
+                return Err(A::Error::custom(format!(
+                    "more than {MAX_FRAMES} frames, as many are read at most: leave some out"
+                )));
             }
             frames.push(frame);
         }

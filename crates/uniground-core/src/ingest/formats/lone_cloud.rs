@@ -15,10 +15,16 @@ pub(super) fn recognises(folder: &Folder) -> bool {
 pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let clouds = folder.clouds(CLOUD);
     let Some(cloud) = clouds.first() else { return Err(IngestError::EmptyScene) };
-    let mut scan = Scan::new(&folder.root, CloudKind::of(&folder.root.join(cloud)).map_or("ply", CloudKind::name));
+    let mut scan = Scan::new(
+        &folder.root,
+        CloudKind::of(&folder.root.join(cloud)).map_or("ply", CloudKind::name),
+    );
     if clouds.len() > 1 {
-        scan.warnings
-            .push(format!("{cloud} is read; {} other clouds lie beside it: {} and so on", clouds.len() - 1, clouds[1]));
+        scan.warnings.push(format!(
+            "{cloud} is read; {} other clouds lie beside it: {} and so on",
+            clouds.len() - 1,
+            clouds[1]
+        ));
     }
     scan.cloud = Some(cloud.clone());
     Ok(scan)

@@ -1,5 +1,6 @@
-//! Layouts of scans. Each file knows one and describes it as a [`Scan`]; nothing is decoded here. They are recognised by which files are
-//! there, the most particular first; what is recognised and incomplete is refused with what it looks like and what is missing.
+//! Layouts of scans. Each file knows one and describes it as a [`Scan`]; nothing is decoded here.
+//! They are recognised by which files are there, the most particular first; what is recognised and
+//! incomplete is refused with what it looks like and what is missing.
 
 mod arkit_scenes;
 mod colmap;
@@ -85,7 +86,10 @@ pub(super) fn read(folder: &Utf8Path) -> Result<Scan, IngestError> {
 /// Refuses a scan of more frames than are read.
 fn check_frames(file: &str, frames: usize) -> Result<(), IngestError> {
     match frames > MAX_FRAMES {
-        true => Err(IngestError::malformed(file, format!("{frames} frames, {MAX_FRAMES} are read at most: leave some out"))),
+        true => Err(IngestError::malformed(
+            file,
+            format!("{frames} frames, {MAX_FRAMES} are read at most: leave some out"),
+        )),
         false => Ok(()),
     }
 }

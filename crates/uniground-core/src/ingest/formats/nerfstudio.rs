@@ -1,5 +1,6 @@
-//! nerfstudio and instant-ngp: `transforms.json`, OpenGL cameras, intrinsics for all or for each frame, with a lens. Depth is optional there
-//! and needed here; without it the cloud that the file names is read alone.
+//! nerfstudio and instant-ngp: `transforms.json`, OpenGL cameras, intrinsics for all or for each
+//! frame, with a lens. Depth is optional there and needed here; without it the cloud that the file
+//! names is read alone.
 
 use super::files::{Folder, inside};
 use super::numbers::matrix;
@@ -81,7 +82,8 @@ impl Camera {
     fn intrinsics(&self, root: &Utf8Path, picture: &Utf8Path) -> Result<Intrinsics, IngestError> {
         let (width, height) = match (self.w, self.h) {
             (Some(w), Some(h)) => (w.round() as u32, h.round() as u32),
-            _ => picture_size(root, picture)?.ok_or_else(|| IngestError::malformed(picture, "it does not say its size"))?,
+            _ => picture_size(root, picture)?
+                .ok_or_else(|| IngestError::malformed(picture, "it does not say its size"))?,
         };
         let by_angle = self.camera_angle_x.map(|angle| 0.5 * width as f32 / (0.5 * angle).tan());
         let fx = self
@@ -89,7 +91,8 @@ impl Camera {
             .or(self.fl_y)
             .or(by_angle)
             .ok_or_else(|| IngestError::MissingIntrinsics { file: FILE.into() })?;
-        let (cx, cy) = (self.cx.unwrap_or(width as f32 / 2.0), self.cy.unwrap_or(height as f32 / 2.0));
+        let (cx, cy) =
+            (self.cx.unwrap_or(width as f32 / 2.0), self.cy.unwrap_or(height as f32 / 2.0));
         Ok(Intrinsics { width, height, fx, fy: self.fl_y.unwrap_or(fx), cx, cy })
     }
 
@@ -108,22 +111,31 @@ pub(super) fn recognises(folder: &Folder) -> bool {
 pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let root = &folder.root;
     let text = read_text(root, Utf8Path::new(FILE), MAX_BYTES)?;
-    let transforms: Transforms = serde_json::from_str(&text).map_err(|e| IngestError::malformed(FILE, e))?;
+    let transforms: Transforms =
+        serde_json::from_str(&text).map_err(|e| IngestError::malformed(FILE, e))?;
     let fisheye = transforms
         .camera_model
         .as_deref()
         .is_some_and(|model| model.contains("FISHEYE") || model == "EQUIRECTANGULAR");
     if fisheye || transforms.camera.is_fisheye == Some(true) {
         let model = transforms.camera_model.as_deref().unwrap_or("fisheye");
-        return Err(incomplete(LOOKS_LIKE, format!("its cameras are {model}: undistort the pictures to pinholes first")));
+        return Err(incomplete(
+            LOOKS_LIKE,
+            format!("its cameras are {model}: undistort the pictures to pinholes first"),
+        ));
     }
     let mut scan = Scan::new(root, "nerfstudio");
     scan.camera_axes = CameraAxes::Opengl;
-    scan.cloud = transforms.ply_file_path.clone().map(|cloud| inside(&cloud, NAMED).map(|()| cloud)).transpose()?;
+    scan.cloud = transforms
+        .ply_file_path
+        .clone()
+        .map(|cloud| inside(&cloud, NAMED).map(|()| cloud))
+        .transpose()?;
     if scan.cloud.is_none() {
         scan.cloud = super::color_depth_pose::own_cloud(folder);
     }
-    let with_depth = transforms.frames.iter().filter(|frame| frame.depth_file_path.is_some()).count();
+    let with_depth =
+        transforms.frames.iter().filter(|frame| frame.depth_file_path.is_some()).count();
     if with_depth == 0 {
         if scan.cloud.is_none() {
             return Err(incomplete(
@@ -137,7 +149,9 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
         ));
         return Ok(scan);
     }
-    if let Some(scale) = transforms.integer_depth_scale.filter(|scale| scale.is_finite() && *scale > 0.0) {
+    if let Some(scale) =
+        transforms.integer_depth_scale.filter(|scale| scale.is_finite() && *scale > 0.0)
+    {
         scan.depth_scale_m = scale;
     }
     for (i, frame) in transforms.frames.iter().enumerate() {
@@ -150,7 +164,12 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     Ok(scan)
 }
 
-fn raw_frame(root: &Utf8Path, number: usize, frame: &Frame, all: Camera) -> Result<RawFrame, IngestError> {
+fn raw_frame(
+    root: &Utf8Path,
+    number: usize,
+    frame: &Frame,
+    all: Camera,
+) -> Result<RawFrame, IngestError> {
     let pose_file = entry(Utf8Path::new(FILE), format_args!("frame {number}"));
     let colour = picture(root, &frame.file_path)?;
     let depth = frame
@@ -160,8 +179,8 @@ fn raw_frame(root: &Utf8Path, number: usize, frame: &Frame, all: Camera) -> Resu
     let depth = picture(root, depth)?;
     let camera = frame.camera.or(all);
     let intrinsics = camera.intrinsics(root, &colour)?;
-    let pose =
-        matrix(&frame.transform_matrix.concat()).ok_or_else(|| IngestError::malformed(&pose_file, "its transform_matrix is not 4x4"))?;
+    let pose = matrix(&frame.transform_matrix.concat())
+        .ok_or_else(|| IngestError::malformed(&pose_file, "its transform_matrix is not 4x4"))?;
     let lens = camera.lens();
     Ok(RawFrame {
         index: FrameIndex(0),
@@ -179,6 +198,7 @@ fn raw_frame(root: &Utf8Path, number: usize, frame: &Frame, all: Camera) -> Resu
 fn picture(root: &Utf8Path, path: &Utf8Path) -> Result<Utf8PathBuf, IngestError> {
     inside(path, NAMED)?;
     let with_ending = ["png", "jpg"].map(|ending| Utf8PathBuf::from(format!("{path}.{ending}")));
-    let found = std::iter::once(path.to_owned()).chain(with_ending).find(|p| root.join(p).is_file());
+    let found =
+        std::iter::once(path.to_owned()).chain(with_ending).find(|p| root.join(p).is_file());
     found.ok_or_else(|| IngestError::MissingFile { file: path.to_owned() })
 }

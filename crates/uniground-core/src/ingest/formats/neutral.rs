@@ -35,7 +35,8 @@ struct Manifest {
     camera_axes: CameraAxes,
     #[serde(default = "camera_to_world")]
     pose: PoseConvention,
-    /// Lens of the colour pictures; of the depth pictures too, unless they have a camera of their own.
+    /// Lens of the colour pictures; of the depth pictures too, unless they have a camera of their
+    /// own.
     distortion: Option<Lens>,
     depth_distortion: Option<Lens>,
     /// Where the depth camera stands beside the colour camera: 4x4, row-major, metres.
@@ -73,14 +74,19 @@ pub(super) fn recognises(folder: &Folder) -> bool {
 pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let (root, file) = (&folder.root, Utf8Path::new(FILE));
     let text = read_text(root, file, MAX_MANIFEST_BYTES)?;
-    let manifest: Manifest = serde_json::from_str(text.trim_start_matches('\u{feff}')).map_err(|e| IngestError::malformed(file, e))?;
+    let manifest: Manifest = serde_json::from_str(text.trim_start_matches('\u{feff}'))
+        .map_err(|e| IngestError::malformed(file, e))?;
     if manifest.format != FORMAT {
-        return Err(IngestError::malformed(file, format!("format is {:?}, this server reads {FORMAT:?}", manifest.format)));
+        return Err(IngestError::malformed(
+            file,
+            format!("format is {:?}, this server reads {FORMAT:?}", manifest.format),
+        ));
     }
     for frame in &manifest.frames {
-        for path in [Some(&frame.color), Some(&frame.depth), Some(&frame.pose), frame.confidence.as_ref()]
-            .into_iter()
-            .flatten()
+        for path in
+            [Some(&frame.color), Some(&frame.depth), Some(&frame.pose), frame.confidence.as_ref()]
+                .into_iter()
+                .flatten()
         {
             inside(path, NAMED)?;
         }
@@ -88,24 +94,32 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let usual = || usual_depth_scale_m(root, manifest.frames.iter().map(|frame| &frame.depth));
     let depth_scale_m = manifest.depth_scale_m.unwrap_or_else(usual);
     if !(depth_scale_m.is_finite() && depth_scale_m > 0.0) {
-        return Err(IngestError::malformed(file, format!("depth_scale_m is {depth_scale_m}, it must be positive")));
+        return Err(IngestError::malformed(
+            file,
+            format!("depth_scale_m is {depth_scale_m}, it must be positive"),
+        ));
     }
-    let mut scan = Scan::new(root, if manifest.source.as_deref() == Some(SENS) { SENS } else { FORMAT });
+    let mut scan =
+        Scan::new(root, if manifest.source.as_deref() == Some(SENS) { SENS } else { FORMAT });
     let depth_to_colour = manifest.depth_to_color.as_deref().map(depth_to_colour).transpose()?;
     for (i, frame) in manifest.frames.iter().enumerate() {
-        let colour_intrinsics = frame
-            .intrinsics
-            .or(manifest.intrinsics)
-            .ok_or_else(|| IngestError::MissingIntrinsics { file: format!("scene.json, frame {i}").into() })?;
+        let colour_intrinsics = frame.intrinsics.or(manifest.intrinsics).ok_or_else(|| {
+            IngestError::MissingIntrinsics { file: format!("scene.json, frame {i}").into() }
+        })?;
         let depth_intrinsics = frame.depth_intrinsics.or(manifest.depth_intrinsics);
         // Depth without a camera of its own is seen through the colour camera's lens.
         let shared = if depth_intrinsics.is_none() { manifest.distortion } else { None };
         let optics = Optics {
             colour_lens: manifest.distortion.and_then(Lens::or_none),
             depth_lens: manifest.depth_distortion.or(shared).and_then(Lens::or_none),
-            depth_sensor: depth_to_colour
-                .map(|depth_to_colour| DepthSensor { intrinsics: depth_intrinsics.unwrap_or(colour_intrinsics), depth_to_colour }),
-            confidence: frame.confidence.clone().map(|file| Confidence { file, at_least: LEAST_CONFIDENCE }),
+            depth_sensor: depth_to_colour.map(|depth_to_colour| DepthSensor {
+                intrinsics: depth_intrinsics.unwrap_or(colour_intrinsics),
+                depth_to_colour,
+            }),
+            confidence: frame
+                .confidence
+                .clone()
+                .map(|file| Confidence { file, at_least: LEAST_CONFIDENCE }),
         };
         scan.add(read_pose(root, &frame.pose).map(|pose: Matrix4<f64>| RawFrame {
             index: FrameIndex(0),
@@ -125,6 +139,7 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
 
 fn depth_to_colour(values: &[f64]) -> Result<crate::geometry::Isometry3<f32>, IngestError> {
     let bad = |reason: String| IngestError::malformed(FILE, format!("depth_to_color: {reason}"));
-    let matrix = super::numbers::matrix(values).ok_or_else(|| bad(format!("it has {} numbers, 16 are expected", values.len())))?;
+    let matrix = super::numbers::matrix(values)
+        .ok_or_else(|| bad(format!("it has {} numbers, 16 are expected", values.len())))?;
     crate::geometry::pose::rigid(&matrix.cast()).map_err(|e| bad(e.to_string()))
 }

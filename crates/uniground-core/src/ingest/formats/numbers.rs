@@ -23,7 +23,12 @@ pub(super) fn parse(text: &str) -> Result<Vec<f64>, &str> {
 /// Reads a row-major 4x4 pose; 3x4 without its last row is fine.
 pub(super) fn read_pose(root: &Utf8Path, file: &Utf8Path) -> Result<Matrix4<f64>, IngestError> {
     let values = read_numbers(root, file)?;
-    matrix(&values).ok_or_else(|| IngestError::malformed(file, format!("a pose has 16 numbers (4x4), this file has {}", values.len())))
+    matrix(&values).ok_or_else(|| {
+        IngestError::malformed(
+            file,
+            format!("a pose has 16 numbers (4x4), this file has {}", values.len()),
+        )
+    })
 }
 
 /// 16 or 12 numbers, row-major.
@@ -35,7 +40,8 @@ pub(super) fn matrix(values: &[f64]) -> Option<Matrix4<f64>> {
     }
 }
 
-/// A pose of a position and a quaternion `x y z w`; NaN where the quaternion has no length, which is found out later, by name.
+/// A pose of a position and a quaternion `x y z w`; NaN where the quaternion has no length, which
+/// is found out later, by name.
 pub(super) fn pose_of([x, y, z]: [f64; 3], [qx, qy, qz, qw]: [f64; 4]) -> Matrix4<f64> {
     let quaternion = Quaternion::new(qw, qx, qy, qz);
     if !(quaternion.norm() > 0.1 && quaternion.norm() < 10.0) {

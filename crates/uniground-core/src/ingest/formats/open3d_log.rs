@@ -1,5 +1,6 @@
-//! Open3D's reconstruction system: colour and depth pictures beside a trajectory log of five lines a pose (`trajectory.log`,
-//! `scene/integrated.log`), and the camera as JSON. Without one it is a PrimeSense sensor's, as in Open3D's own examples.
+//! Open3D's reconstruction system: colour and depth pictures beside a trajectory log of five lines
+//! a pose (`trajectory.log`, `scene/integrated.log`), and the camera as JSON. Without one it is a
+//! PrimeSense sensor's, as in Open3D's own examples.
 
 use super::color_depth_pose::{Cameras, Pictures, Poses, Unmatched, add_frames, own_cloud};
 use super::files::{DEPTHS, Folder, PICTURES};
@@ -11,8 +12,10 @@ use camino::{Utf8Path, Utf8PathBuf};
 
 const LOOKS_LIKE: &str = "an Open3D scene with a trajectory log";
 const COLOUR: &[&str] = &["color", "image", "rgb"];
-const LOGS: &[&str] = &["trajectory.log", "scene/trajectory.log", "scene/integrated.log", "odometry.log"];
-const PRIMESENSE: Intrinsics = Intrinsics { width: 640, height: 480, fx: 525.0, fy: 525.0, cx: 319.5, cy: 239.5 };
+const LOGS: &[&str] =
+    &["trajectory.log", "scene/trajectory.log", "scene/integrated.log", "odometry.log"];
+const PRIMESENSE: Intrinsics =
+    Intrinsics { width: 640, height: 480, fx: 525.0, fy: 525.0, cx: 319.5, cy: 239.5 };
 
 fn log(folder: &Folder) -> Option<Utf8PathBuf> {
     let other = || {
@@ -26,13 +29,19 @@ fn log(folder: &Folder) -> Option<Utf8PathBuf> {
 }
 
 pub(super) fn recognises(folder: &Folder) -> bool {
-    folder.has_folder("depth") && folder.first_folder(COLOUR).is_some() && !folder.has_folder("pose") && log(folder).is_some()
+    folder.has_folder("depth")
+        && folder.first_folder(COLOUR).is_some()
+        && !folder.has_folder("pose")
+        && log(folder).is_some()
 }
 
 pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let colour = folder.files(folder.first_folder(COLOUR).unwrap_or("color"), PICTURES)?;
-    let pictures = Pictures { colour, depth: folder.files("depth", DEPTHS)?, confidence: Vec::new() };
-    let Some(first) = pictures.colour.first() else { return Err(incomplete(LOOKS_LIKE, "its colour pictures are missing")) };
+    let pictures =
+        Pictures { colour, depth: folder.files("depth", DEPTHS)?, confidence: Vec::new() };
+    let Some(first) = pictures.colour.first() else {
+        return Err(incomplete(LOOKS_LIKE, "its colour pictures are missing"));
+    };
     let mut scan = Scan::new(&folder.root, "open3d-log");
     let colour = if intrinsics::colour_file(folder).is_some() {
         intrinsics::of_colour(folder, first)?

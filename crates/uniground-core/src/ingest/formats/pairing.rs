@@ -6,7 +6,8 @@ use std::collections::BTreeMap;
 /// Pictures of one moment are at most this far apart, seconds.
 pub(super) const SAME_MOMENT_S: f64 = 0.02;
 /// What names say of a file's part and not of its moment.
-const ROLES: [&str; 10] = ["color", "colour", "rgb", "depth", "pose", "image", "img", "conf", "confidence", "cam"];
+const ROLES: [&str; 10] =
+    ["color", "colour", "rgb", "depth", "pose", "image", "img", "conf", "confidence", "cam"];
 
 /// Sorts `10` after `9`: the number first, then the name.
 pub(super) fn natural(file: &Utf8Path) -> (Option<u64>, String) {
@@ -23,7 +24,8 @@ pub(super) fn number(file: &Utf8Path) -> Option<u64> {
     stem[start..end].parse().ok()
 }
 
-/// The time in a name, seconds: `1305031102.175304`, or nanoseconds, microseconds, milliseconds since 1970.
+/// The time in a name, seconds: `1305031102.175304`, or nanoseconds, microseconds, milliseconds
+/// since 1970.
 pub(super) fn seconds(file: &Utf8Path) -> Option<f64> {
     let stem = file.file_stem()?;
     let text = stem.trim_matches(|c: char| !c.is_ascii_digit());
@@ -46,11 +48,13 @@ fn moment(file: &Utf8Path) -> String {
     stem.trim_matches(|c: char| !c.is_alphanumeric()).to_owned()
 }
 
-/// For each of the first, its partner among the second: by name, number or time, whichever finds most.
+/// For each of the first, its partner among the second: by name, number or time, whichever finds
+/// most.
 pub(super) fn partners(first: &[Utf8PathBuf], second: &[Utf8PathBuf]) -> Vec<Option<usize>> {
     let by_name = same(first, second, |file| Some(moment(file)).filter(|m| !m.is_empty()));
     let by_number = same(first, second, number);
-    let times = |files: &[Utf8PathBuf]| -> Vec<Option<f64>> { files.iter().map(|f| seconds(f)).collect() };
+    let times =
+        |files: &[Utf8PathBuf]| -> Vec<Option<f64>> { files.iter().map(|f| seconds(f)).collect() };
     let by_time = nearest(&times(first), &times(second), SAME_MOMENT_S);
     let found = |pairs: &Vec<Option<usize>>| pairs.iter().flatten().count();
     let mut best = by_name;
@@ -62,7 +66,11 @@ pub(super) fn partners(first: &[Utf8PathBuf], second: &[Utf8PathBuf]) -> Vec<Opt
     best
 }
 
-fn same<K: Ord>(first: &[Utf8PathBuf], second: &[Utf8PathBuf], key: impl Fn(&Utf8Path) -> Option<K>) -> Vec<Option<usize>> {
+fn same<K: Ord>(
+    first: &[Utf8PathBuf],
+    second: &[Utf8PathBuf],
+    key: impl Fn(&Utf8Path) -> Option<K>,
+) -> Vec<Option<usize>> {
     let mut at: BTreeMap<K, Option<usize>> = BTreeMap::new();
     for (i, file) in second.iter().enumerate() {
         if let Some(key) = key(file) {
@@ -79,8 +87,16 @@ fn same<K: Ord>(first: &[Utf8PathBuf], second: &[Utf8PathBuf], key: impl Fn(&Utf
 }
 
 /// For each of the first times the nearest of the second within reach, nobody twice.
-pub(super) fn nearest(first: &[Option<f64>], second: &[Option<f64>], within_s: f64) -> Vec<Option<usize>> {
-    let mut order: Vec<(f64, usize)> = second.iter().enumerate().filter_map(|(i, t)| Some((t.filter(|t| t.is_finite())?, i))).collect();
+pub(super) fn nearest(
+    first: &[Option<f64>],
+    second: &[Option<f64>],
+    within_s: f64,
+) -> Vec<Option<usize>> {
+    let mut order: Vec<(f64, usize)> = second
+        .iter()
+        .enumerate()
+        .filter_map(|(i, t)| Some((t.filter(|t| t.is_finite())?, i)))
+        .collect();
     order.sort_by(|a, b| a.0.total_cmp(&b.0));
     // The closest pairs first, as the authors of TUM's benchmark associate.
     let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
@@ -122,9 +138,21 @@ mod tests {
                 ["c/frame-000001.depth.pgm", "c/frame-000003.depth.pgm"],
                 [Some(0), None],
             ),
-            (["rgb/img_7.png", "rgb/img_8.png"], ["depth/0007.png", "depth/0008.png"], [Some(0), Some(1)]),
-            (["rgb/100.010.png", "rgb/100.045.png"], ["depth/100.020.png", "depth/100.100.png"], [Some(0), None]),
-            (["rgb/1600000000010000000.png", "rgb/a.png"], ["depth/1600000000.012.png", "depth/b.png"], [Some(0), None]),
+            (
+                ["rgb/img_7.png", "rgb/img_8.png"],
+                ["depth/0007.png", "depth/0008.png"],
+                [Some(0), Some(1)],
+            ),
+            (
+                ["rgb/100.010.png", "rgb/100.045.png"],
+                ["depth/100.020.png", "depth/100.100.png"],
+                [Some(0), None],
+            ),
+            (
+                ["rgb/1600000000010000000.png", "rgb/a.png"],
+                ["depth/1600000000.012.png", "depth/b.png"],
+                [Some(0), None],
+            ),
         ] {
             assert_eq!(partners(&paths(&first), &paths(&second)), expected, "{first:?} {second:?}");
         }

@@ -1,5 +1,6 @@
-//! Polycam raw data: `keyframes/` with `images/ cameras/ depth/ confidence/`, named by microseconds; `corrected_*` after its own
-//! optimisation. OpenGL cameras in a world that ARKit made level, Y up.
+//! Polycam raw data: `keyframes/` with `images/ cameras/ depth/ confidence/`, named by
+//! microseconds; `corrected_*` after its own optimisation. OpenGL cameras in a world that ARKit
+//! made level, Y up.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::{DEPTHS, Folder, PICTURES};
@@ -41,8 +42,8 @@ struct Camera {
 impl Camera {
     fn pose(&self) -> Matrix4<f64> {
         Matrix4::new(
-            self.t_00, self.t_01, self.t_02, self.t_03, self.t_10, self.t_11, self.t_12, self.t_13, self.t_20, self.t_21, self.t_22,
-            self.t_23, 0.0, 0.0, 0.0, 1.0,
+            self.t_00, self.t_01, self.t_02, self.t_03, self.t_10, self.t_11, self.t_12, self.t_13,
+            self.t_20, self.t_21, self.t_22, self.t_23, 0.0, 0.0, 0.0, 1.0,
         )
     }
 
@@ -58,8 +59,10 @@ pub(super) fn recognises(folder: &Folder) -> bool {
 
 pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let keyframes = Folder::open(&folder.root.join("keyframes"))?;
-    let corrected = keyframes.has_folder("corrected_cameras") && keyframes.has_folder("corrected_images");
-    let (images, cameras) = if corrected { ("corrected_images", "corrected_cameras") } else { ("images", "cameras") };
+    let corrected =
+        keyframes.has_folder("corrected_cameras") && keyframes.has_folder("corrected_images");
+    let (images, cameras) =
+        if corrected { ("corrected_images", "corrected_cameras") } else { ("images", "cameras") };
     for name in [images, cameras, "depth"] {
         if !keyframes.has_folder(name) {
             let why = if name == "depth" { ": only phones with LiDAR write it" } else { "" };
@@ -70,8 +73,12 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
         true => folder.files(&format!("keyframes/{name}"), endings),
         false => Ok(Vec::new()),
     };
-    let (colour, cameras, depth, confidence) =
-        (list(images, PICTURES)?, list(cameras, &["json"])?, list("depth", DEPTHS)?, list("confidence", &["png"])?);
+    let (colour, cameras, depth, confidence) = (
+        list(images, PICTURES)?,
+        list(cameras, &["json"])?,
+        list("depth", DEPTHS)?,
+        list("confidence", &["png"])?,
+    );
     let (camera_of, depth_of, confidence_of) = (
         pairing::partners(&colour, &cameras),
         pairing::partners(&colour, &depth),
@@ -100,7 +107,10 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
             colour_intrinsics: camera.intrinsics(),
             depth_intrinsics: camera.intrinsics(),
             optics: Optics {
-                confidence: confidence_of[i].map(|at| Confidence { file: confidence[at].clone(), at_least: LEAST_CONFIDENCE }),
+                confidence: confidence_of[i].map(|at| Confidence {
+                    file: confidence[at].clone(),
+                    at_least: LEAST_CONFIDENCE,
+                }),
                 ..Optics::default()
             },
         });
@@ -113,5 +123,6 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
 }
 
 fn camera(root: &Utf8Path, file: &Utf8Path) -> Result<Camera, IngestError> {
-    serde_json::from_str(&read_text(root, file, MAX_CAMERA_BYTES)?).map_err(|e| IngestError::malformed(file, e))
+    serde_json::from_str(&read_text(root, file, MAX_CAMERA_BYTES)?)
+        .map_err(|e| IngestError::malformed(file, e))
 }

@@ -1,5 +1,5 @@
-//! Record3D `.r3d`, unpacked: `rgbd/{i}.jpg|.depth|.conf` and `metadata`. Depth is LZFSE of 32-bit metres; OpenGL cameras; the first pose is
-//! the world, so nothing is level by itself.
+//! Record3D `.r3d`, unpacked: `rgbd/{i}.jpg|.depth|.conf` and `metadata`. Depth is LZFSE of 32-bit
+//! metres; OpenGL cameras; the first pose is the world, so nothing is level by itself.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::Folder;
@@ -31,12 +31,18 @@ struct Metadata {
     #[serde(deserialize_with = "super::listed::frames")]
     poses: Vec<[f64; 7]>,
     /// `fx fy cx cy` of each frame, where the lens moves.
-    #[serde(rename = "perFrameIntrinsicCoeffs", default, deserialize_with = "super::listed::frames")]
+    #[serde(
+        rename = "perFrameIntrinsicCoeffs",
+        default,
+        deserialize_with = "super::listed::frames"
+    )]
     each: Vec<Vec<f32>>,
 }
 
 pub(super) fn recognises(folder: &Folder) -> bool {
-    folder.has_folder("rgbd") && (folder.has_file(FILE) || folder.files("rgbd", &["depth"]).is_ok_and(|files| !files.is_empty()))
+    folder.has_folder("rgbd")
+        && (folder.has_file(FILE)
+            || folder.files("rgbd", &["depth"]).is_ok_and(|files| !files.is_empty()))
 }
 
 pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
@@ -44,10 +50,13 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     if !folder.has_file(FILE) {
         return Err(incomplete(LOOKS_LIKE, "the file metadata is missing"));
     }
-    let metadata: Metadata =
-        serde_json::from_str(&read_text(&folder.root, file, MAX_BYTES)?).map_err(|e| IngestError::malformed(file, e))?;
+    let metadata: Metadata = serde_json::from_str(&read_text(&folder.root, file, MAX_BYTES)?)
+        .map_err(|e| IngestError::malformed(file, e))?;
     let [fx, _, _, _, fy, _, cx, cy, _] = metadata.k[..] else {
-        return Err(IngestError::malformed(file, format!("K has {} numbers, 9 are expected", metadata.k.len())));
+        return Err(IngestError::malformed(
+            file,
+            format!("K has {} numbers, 9 are expected", metadata.k.len()),
+        ));
     };
     let whole = Intrinsics { width: metadata.w, height: metadata.h, fx, fy, cx, cy };
     if whole.width == 0 || whole.height == 0 {
@@ -64,10 +73,13 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     scan.depth_scale_m = 1.0;
     for (i, [qx, qy, qz, qw, x, y, z]) in metadata.poses.iter().copied().enumerate() {
         let camera = match metadata.each.get(i).map(Vec::as_slice) {
-            Some([fx, fy, cx, cy, ..]) => Intrinsics { fx: *fx, fy: *fy, cx: *cx, cy: *cy, ..whole },
+            Some([fx, fy, cx, cy, ..]) => {
+                Intrinsics { fx: *fx, fy: *fy, cx: *cx, cy: *cy, ..whole }
+            }
             _ => whole,
         };
-        let [colour, depth, confidence] = ["jpg", "depth", "conf"].map(|ending| Utf8PathBuf::from(format!("rgbd/{i}.{ending}")));
+        let [colour, depth, confidence] =
+            ["jpg", "depth", "conf"].map(|ending| Utf8PathBuf::from(format!("rgbd/{i}.{ending}")));
         let confidence = folder
             .root
             .join(&confidence)

@@ -1,5 +1,5 @@
-//! Replica as NICE-SLAM renders it: `results/frame*.jpg` and `depth*.png`, `traj.txt` with a pose a line, and `cam_params.json` here or one
-//! folder up.
+//! Replica as NICE-SLAM renders it: `results/frame*.jpg` and `depth*.png`, `traj.txt` with a pose a
+//! line, and `cam_params.json` here or one folder up.
 
 use super::color_depth_pose::{Cameras, Pictures, Poses, Unmatched, add_frames};
 use super::files::{DEPTHS, Folder, PICTURES};
@@ -32,7 +32,8 @@ struct Camera {
 }
 
 /// What all of its rooms are rendered with.
-const USUAL: Camera = Camera { w: 1200, h: 680, fx: 600.0, fy: 600.0, cx: 599.5, cy: 339.5, scale: 6553.5 };
+const USUAL: Camera =
+    Camera { w: 1200, h: 680, fx: 600.0, fy: 600.0, cx: 599.5, cy: 339.5, scale: 6553.5 };
 
 /// The folder of the room: here, or the only one beside the camera's parameters.
 fn room(folder: &Folder) -> Option<String> {
@@ -62,22 +63,32 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
             .filter(|file| file.file_name().is_some_and(|name| name.starts_with(start)))
             .collect())
     };
-    let pictures = Pictures { colour: named("frame", PICTURES)?, depth: named("depth", DEPTHS)?, confidence: Vec::new() };
+    let pictures = Pictures {
+        colour: named("frame", PICTURES)?,
+        depth: named("depth", DEPTHS)?,
+        confidence: Vec::new(),
+    };
     if pictures.colour.is_empty() || pictures.depth.is_empty() {
         return Err(incomplete(LOOKS_LIKE, "results/ holds no frame* and depth* pictures"));
     }
     let mut scan = Scan::new(&folder.root, "replica");
-    let file = [CAMERA.into(), room.join(CAMERA)].into_iter().find(|file| folder.root.join(file).is_file());
+    let file = [CAMERA.into(), room.join(CAMERA)]
+        .into_iter()
+        .find(|file| folder.root.join(file).is_file());
     let camera = if let Some(file) = file {
         parameters(&folder.root, &file)?
     } else {
-        scan.warnings
-            .push(format!("{CAMERA} is missing: taken as 1200x680, focal length 600, depth in 1/6553.5 m"));
+        scan.warnings.push(format!(
+            "{CAMERA} is missing: taken as 1200x680, focal length 600, depth in 1/6553.5 m"
+        ));
         USUAL
     };
     let Camera { w: width, h: height, fx, fy, cx, cy, scale } = camera;
     if !(scale.is_finite() && scale > 0.0) {
-        return Err(IngestError::malformed(CAMERA, format!("scale is {scale}, it must be positive")));
+        return Err(IngestError::malformed(
+            CAMERA,
+            format!("scale is {scale}, it must be positive"),
+        ));
     }
     scan.depth_scale_m = 1.0 / scale;
     let cameras = Cameras { colour: Intrinsics { width, height, fx, fy, cx, cy }, depth: None };
@@ -88,5 +99,7 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
 
 fn parameters(root: &Utf8Path, file: &Utf8Path) -> Result<Camera, IngestError> {
     let text = read_text(root, file, MAX_JSON_BYTES)?;
-    Ok(serde_json::from_str::<Parameters>(&text).map_err(|e| IngestError::malformed(file, e))?.camera)
+    Ok(serde_json::from_str::<Parameters>(&text)
+        .map_err(|e| IngestError::malformed(file, e))?
+        .camera)
 }

@@ -1,5 +1,5 @@
-//! 3D Scanner App, "all data": `frame_00000.jpg` with `frame_00000.json`, `depth_00000.png` and `conf_00000.png` in one folder. OpenGL
-//! cameras in a world that ARKit made level, Y up.
+//! 3D Scanner App, "all data": `frame_00000.jpg` with `frame_00000.json`, `depth_00000.png` and
+//! `conf_00000.png` in one folder. OpenGL cameras in a world that ARKit made level, Y up.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::{DEPTHS, Folder, PICTURES};
@@ -25,21 +25,30 @@ struct Taken {
 }
 
 fn files(folder: &Folder, start: &str, endings: &[&str]) -> Result<Vec<Utf8PathBuf>, IngestError> {
-    Ok(folder.files("", endings)?.into_iter().filter(|file| file.as_str().starts_with(start)).collect())
+    Ok(folder
+        .files("", endings)?
+        .into_iter()
+        .filter(|file| file.as_str().starts_with(start))
+        .collect())
 }
 
 pub(super) fn recognises(folder: &Folder) -> bool {
-    let some = |start: &str, ending: &str| files(folder, start, &[ending]).is_ok_and(|files| !files.is_empty());
+    let some = |start: &str, ending: &str| {
+        files(folder, start, &[ending]).is_ok_and(|files| !files.is_empty())
+    };
     some("frame_", "json") || (some("frame_", "jpg") && some("depth_", "png"))
 }
 
 pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let root = &folder.root;
     let (colour, depth) = (files(folder, "frame_", PICTURES)?, files(folder, "depth_", DEPTHS)?);
-    let (taken, confidence) = (files(folder, "frame_", &["json"])?, files(folder, "conf_", &["png"])?);
-    for (list, what) in
-        [(&colour, "the pictures frame_*.jpg are"), (&depth, "the depth pictures depth_*.png are"), (&taken, "the poses frame_*.json are")]
-    {
+    let (taken, confidence) =
+        (files(folder, "frame_", &["json"])?, files(folder, "conf_", &["png"])?);
+    for (list, what) in [
+        (&colour, "the pictures frame_*.jpg are"),
+        (&depth, "the depth pictures depth_*.png are"),
+        (&taken, "the poses frame_*.json are"),
+    ] {
         if list.is_empty() {
             return Err(incomplete(LOOKS_LIKE, format!("{what} missing: export \"all data\"")));
         }
@@ -64,8 +73,11 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
                 });
             };
             let file: &Utf8Path = &taken[taken_at];
-            let taken: Taken = serde_json::from_str(&read_text(root, file, MAX_BYTES)?).map_err(|e| IngestError::malformed(file, e))?;
-            let pose = matrix(&taken.pose).ok_or_else(|| IngestError::malformed(file, "cameraPoseARFrame has not 16 numbers"))?;
+            let taken: Taken = serde_json::from_str(&read_text(root, file, MAX_BYTES)?)
+                .map_err(|e| IngestError::malformed(file, e))?;
+            let pose = matrix(&taken.pose).ok_or_else(|| {
+                IngestError::malformed(file, "cameraPoseARFrame has not 16 numbers")
+            })?;
             let camera = intrinsics::of_values(root, file, &taken.intrinsics, picture)?;
             Ok(RawFrame {
                 index: FrameIndex(0),
@@ -76,7 +88,10 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
                 colour_intrinsics: camera,
                 depth_intrinsics: camera,
                 optics: Optics {
-                    confidence: confidence_of[i].map(|at| Confidence { file: confidence[at].clone(), at_least: LEAST_CONFIDENCE }),
+                    confidence: confidence_of[i].map(|at| Confidence {
+                        file: confidence[at].clone(),
+                        at_least: LEAST_CONFIDENCE,
+                    }),
                     ..Optics::default()
                 },
             })

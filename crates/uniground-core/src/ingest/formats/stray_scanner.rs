@@ -1,5 +1,5 @@
-//! Stray Scanner: `depth/ confidence/ odometry.csv camera_matrix.csv` and a video. Videos are not decoded here: their frames are made with
-//! one command, which the refusal names.
+//! Stray Scanner: `depth/ confidence/ odometry.csv camera_matrix.csv` and a video. Videos are not
+//! decoded here: their frames are made with one command, which the refusal names.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::{DEPTHS, Folder, PICTURES};
@@ -39,8 +39,13 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     };
     let camera = intrinsics::of_file(root, Utf8Path::new(CAMERA), first)?;
     let depth = folder.files("depth", DEPTHS)?;
-    let confidence = if folder.has_folder("confidence") { folder.files("confidence", &["png"])? } else { Vec::new() };
-    let (depth_of, confidence_of) = (pairing::partners(&colour, &depth), pairing::partners(&colour, &confidence));
+    let confidence = if folder.has_folder("confidence") {
+        folder.files("confidence", &["png"])?
+    } else {
+        Vec::new()
+    };
+    let (depth_of, confidence_of) =
+        (pairing::partners(&colour, &depth), pairing::partners(&colour, &confidence));
     let poses = poses(root)?;
     let mut scan = Scan::new(root, "stray-scanner");
     (scan.up, scan.by_gravity) = (Some(UpAxis::Y), true);
@@ -56,13 +61,19 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
                 colour_intrinsics: camera,
                 depth_intrinsics: camera,
                 optics: Optics {
-                    confidence: confidence_of[i].map(|at| Confidence { file: confidence[at].clone(), at_least: LEAST_CONFIDENCE }),
+                    confidence: confidence_of[i].map(|at| Confidence {
+                        file: confidence[at].clone(),
+                        at_least: LEAST_CONFIDENCE,
+                    }),
                     ..Optics::default()
                 },
             }),
-            _ => {
-                Err(IngestError::FrameCountMismatch { colour: colour.len(), depth: depth.len(), pose: poses.len(), first: picture.clone() })
-            }
+            _ => Err(IngestError::FrameCountMismatch {
+                colour: colour.len(),
+                depth: depth.len(),
+                pose: poses.len(),
+                first: picture.clone(),
+            }),
         };
         scan.add(frame)?;
     }
@@ -75,10 +86,15 @@ fn poses(root: &Utf8Path) -> Result<BTreeMap<u64, nalgebra::Matrix4<f64>>, Inges
     let text = read_text(root, file, MAX_BYTES)?;
     let mut poses = BTreeMap::new();
     // The first line names the columns.
-    for (number, line) in text.lines().enumerate().skip(1).filter(|(_, line)| !line.trim().is_empty()) {
+    for (number, line) in
+        text.lines().enumerate().skip(1).filter(|(_, line)| !line.trim().is_empty())
+    {
         let values = parse(line).ok();
         let Some([_, frame, x, y, z, qx, qy, qz, qw, ..]) = values.as_deref() else {
-            return Err(IngestError::malformed(file, format!("line {} is not nine numbers", number + 1)));
+            return Err(IngestError::malformed(
+                file,
+                format!("line {} is not nine numbers", number + 1),
+            ));
         };
         poses.insert(*frame as u64, pose_of([*x, *y, *z], [*qx, *qy, *qz, *qw]));
         if poses.len() > MAX_FRAMES {

@@ -9,12 +9,20 @@ use crate::ingest::scan::Scan;
 const CLOUD: &str = "full_pcd.ply";
 
 pub(super) fn recognises(folder: &Folder) -> bool {
-    folder.has_file("task.json") && (folder.has_file("ref.json") || folder.has_file("gt.json") || folder.has_file(CLOUD))
+    folder.has_file("task.json")
+        && (folder.has_file("ref.json") || folder.has_file("gt.json") || folder.has_file(CLOUD))
 }
 
 pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     if !folder.has_file(CLOUD) {
-        return Err(incomplete("a task folder of the UniGround benchmark", format!("{CLOUD} is missing")));
+        return Err(incomplete(
+            "a task folder of the UniGround benchmark",
+            format!("{CLOUD} is missing"),
+        ));
     }
-    Ok(Scan { cloud: Some(CLOUD.into()), up: Some(UpAxis::Z), ..Scan::new(&folder.root, "uniground-task") })
+    Ok(Scan {
+        cloud: Some(CLOUD.into()),
+        up: Some(UpAxis::Z),
+        ..Scan::new(&folder.root, "uniground-task")
+    })
 }

@@ -1,4 +1,5 @@
-//! Files that hold all poses of a scan: a pose a line (4x4, 3x4, or a time with position and quaternion), or Open3D's log of five lines each.
+//! Files that hold all poses of a scan: a pose a line (4x4, 3x4, or a time with position and
+//! quaternion), or Open3D's log of five lines each.
 
 use super::numbers::{matrix, parse, pose_of};
 use crate::ingest::bounded::read_text;
@@ -30,7 +31,12 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, Inges
             Ok(row) => rows.push(row),
             // A heading names columns; anything later is damage.
             Err(_) if rows.is_empty() => {}
-            Err(word) => return Err(IngestError::malformed(file, format!("line {}: {word:?} is not a number", number + 1))),
+            Err(word) => {
+                return Err(IngestError::malformed(
+                    file,
+                    format!("line {}: {word:?} is not a number", number + 1),
+                ));
+            }
         }
         // The most poses, five lines each, and many more than that: mocap runs at 200 Hz.
         if rows.len() > 100 * MAX_FRAMES {
@@ -40,15 +46,23 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, Inges
     let strange = |n: usize| {
         IngestError::malformed(
             file,
-            format!("no list of poses: its lines have {n} numbers, 8 (time, position, quaternion), 12 or 16 (matrix) are read"),
+            format!(
+                "no list of poses: its lines have {n} numbers, 8 (time, position, quaternion), 12 or 16 (matrix) are read"
+            ),
         )
     };
     match rows.first().map_or(0, Vec::len) {
-        3 => log(&rows)
-            .map(Trajectory::Ordered)
-            .ok_or_else(|| IngestError::malformed(file, "not a log of poses: three numbers, then four lines of four")),
+        3 => log(&rows).map(Trajectory::Ordered).ok_or_else(|| {
+            IngestError::malformed(
+                file,
+                "not a log of poses: three numbers, then four lines of four",
+            )
+        }),
         12 | 16 => {
-            let poses = rows.iter().map(|row| matrix(row).ok_or_else(|| strange(row.len()))).collect::<Result<_, _>>()?;
+            let poses = rows
+                .iter()
+                .map(|row| matrix(row).ok_or_else(|| strange(row.len())))
+                .collect::<Result<_, _>>()?;
             Ok(Trajectory::Ordered(poses))
         }
         // A ninth number is somebody's index.
@@ -73,10 +87,13 @@ fn log(rows: &[Vec<f64>]) -> Option<Vec<Matrix4<f64>>> {
         .collect()
 }
 
-/// The pose at a time: between the two around it, when they are near enough; else the nearest within reach.
+/// The pose at a time: between the two around it, when they are near enough; else the nearest
+/// within reach.
 pub(super) fn at(poses: &[(f64, Matrix4<f64>)], time: f64, within_s: f64) -> Option<Matrix4<f64>> {
     let after = poses.partition_point(|(t, _)| *t < time);
-    let near = |i: Option<usize>| i.and_then(|i| poses.get(i)).filter(|(t, _)| (t - time).abs() <= within_s);
+    let near = |i: Option<usize>| {
+        i.and_then(|i| poses.get(i)).filter(|(t, _)| (t - time).abs() <= within_s)
+    };
     let (before, next) = (near(after.checked_sub(1)), near(Some(after)));
     match (before, next) {
         (Some((a, _)), Some((b, pose))) if (b - time).abs() <= (time - a).abs() => Some(*pose),

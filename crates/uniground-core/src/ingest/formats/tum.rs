@@ -1,5 +1,6 @@
-//! TUM RGB-D: `rgb.txt`, `depth.txt` and `groundtruth.txt` list pictures and poses by time; depth is in 1/5000 m and lies on the colour
-//! picture. The cameras are known by the number of the Kinect, which stands in the sequence's name.
+//! TUM RGB-D: `rgb.txt`, `depth.txt` and `groundtruth.txt` list pictures and poses by time; depth
+//! is in 1/5000 m and lies on the colour picture. The cameras are known by the number of the
+//! Kinect, which stands in the sequence's name.
 
 use super::files::Folder;
 use super::trajectory::{self, Trajectory};
@@ -12,12 +13,19 @@ use camino::{Utf8Path, Utf8PathBuf};
 
 const LOOKS_LIKE: &str = "a TUM RGB-D sequence";
 const MAX_LIST_BYTES: u64 = 32 << 20;
-const POSES: &[&str] = &["groundtruth.txt", "CameraTrajectory.txt", "KeyFrameTrajectory.txt", "trajectory.txt"];
+const POSES: &[&str] =
+    &["groundtruth.txt", "CameraTrajectory.txt", "KeyFrameTrajectory.txt", "trajectory.txt"];
 const SIZE: (u32, u32) = (640, 480);
 
 pub(super) fn recognises(folder: &Folder) -> bool {
-    let lists = ["rgb.txt", "depth.txt", "groundtruth.txt"].iter().filter(|name| folder.has_file(name)).count();
-    folder.has_folder("depth") && folder.has_folder("rgb") && lists >= 1 && (folder.has_file("rgb.txt") || folder.has_file("depth.txt"))
+    let lists = ["rgb.txt", "depth.txt", "groundtruth.txt"]
+        .iter()
+        .filter(|name| folder.has_file(name))
+        .count();
+    folder.has_folder("depth")
+        && folder.has_folder("rgb")
+        && lists >= 1
+        && (folder.has_file("rgb.txt") || folder.has_file("depth.txt"))
         || lists == 3
 }
 
@@ -32,14 +40,20 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
         incomplete(LOOKS_LIKE, "groundtruth.txt is missing: a trajectory in its format (timestamp tx ty tz qx qy qz qw) will do")
     })?;
     let Trajectory::Timed(mut poses) = trajectory::read(root, &poses_file)? else {
-        return Err(IngestError::malformed(poses_file, "its lines must be: timestamp tx ty tz qx qy qz qw"));
+        return Err(IngestError::malformed(
+            poses_file,
+            "its lines must be: timestamp tx ty tz qx qy qz qw",
+        ));
     };
     poses.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut scan = Scan::new(root, "tum-rgbd");
     scan.depth_scale_m = 1.0 / 5000.0;
-    let Some(first) = colour.first() else { return Err(incomplete(LOOKS_LIKE, "rgb.txt lists no pictures")) };
+    let Some(first) = colour.first() else {
+        return Err(incomplete(LOOKS_LIKE, "rgb.txt lists no pictures"));
+    };
     let (camera, lens) = camera(folder, &heading, &first.1, &mut scan)?;
-    let times = |list: &[(f64, Utf8PathBuf)]| list.iter().map(|(t, _)| Some(*t)).collect::<Vec<_>>();
+    let times =
+        |list: &[(f64, Utf8PathBuf)]| list.iter().map(|(t, _)| Some(*t)).collect::<Vec<_>>();
     let partner = pairing::nearest(&times(&colour), &times(&depth), pairing::SAME_MOMENT_S);
     let (mut alone, mut untracked) = (0, 0);
     for ((time, picture), partner) in colour.iter().zip(partner) {
@@ -70,7 +84,10 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
         ));
     }
     match scan.frames.is_empty() {
-        true => Err(incomplete(LOOKS_LIKE, "no colour picture has a depth picture and a pose at its time")),
+        true => Err(incomplete(
+            LOOKS_LIKE,
+            "no colour picture has a depth picture and a pose at its time",
+        )),
         false => Ok(scan),
     }
 }
@@ -86,7 +103,9 @@ fn pictures(root: &Utf8Path, name: &str) -> Result<(Vec<(f64, Utf8PathBuf)>, Str
             heading.push_str(line);
             continue;
         }
-        let malformed = || IngestError::malformed(file, format!("line {} is not `timestamp filename`", number + 1));
+        let malformed = || {
+            IngestError::malformed(file, format!("line {} is not `timestamp filename`", number + 1))
+        };
         let (time, path) = line.split_once([' ', '\t']).ok_or_else(malformed)?;
         let path = Utf8PathBuf::from(path.trim());
         super::files::inside(&path, "named in a list points outside the archive")?;
@@ -100,7 +119,12 @@ fn pictures(root: &Utf8Path, name: &str) -> Result<(Vec<(f64, Utf8PathBuf)>, Str
 }
 
 /// A camera matrix beside the lists; else that of the benchmark's Kinect, by name.
-fn camera(folder: &Folder, heading: &str, first: &Utf8Path, scan: &mut Scan) -> Result<(Intrinsics, Option<Lens>), IngestError> {
+fn camera(
+    folder: &Folder,
+    heading: &str,
+    first: &Utf8Path,
+    scan: &mut Scan,
+) -> Result<(Intrinsics, Option<Lens>), IngestError> {
     if intrinsics::colour_file(folder).is_some() {
         return Ok((intrinsics::of_colour(folder, first)?, None));
     }

@@ -7,14 +7,16 @@ use std::collections::HashSet;
 use std::hash::BuildHasherDefault;
 use uniground_types::settings::FusionSettings;
 
-/// One frame, ready to be folded in: depth without its smeared rims, and how much each pixel counts.
+/// One frame, ready to be folded in: depth without its smeared rims, and how much each pixel
+/// counts.
 pub(super) struct Look {
     pub camera: Camera,
     width: u32,
     height: u32,
     /// Row-major, one per pixel of the depth picture.
     pixels: Vec<Seen>,
-    /// Largest depth of each tile of [`TILE`] by [`TILE`] pixels, row-major; unknown depth counts as 0.
+    /// Largest depth of each tile of [`TILE`] by [`TILE`] pixels, row-major; unknown depth counts
+    /// as 0.
     farthest_m: Vec<f32>,
     tiles_wide: u32,
     /// Blocks near a measured surface, ascending.
@@ -44,10 +46,18 @@ impl Look {
         for v in 0..height {
             for u in 0..width {
                 let z_m = frame.depth.at((u, v));
-                let usable = z_m > 0.0 && z_m <= settings.max_depth_m && !on_silhouette(frame, u, v, z_m, settings.silhouette_tolerance);
-                let weight = if usable { facing(frame, u, v, z_m) / (z_m * z_m).max(0.01) } else { 0.0 };
+                let usable = z_m > 0.0
+                    && z_m <= settings.max_depth_m
+                    && !on_silhouette(frame, u, v, z_m, settings.silhouette_tolerance);
+                let weight =
+                    if usable { facing(frame, u, v, z_m) / (z_m * z_m).max(0.01) } else { 0.0 };
                 let colour = colours[(v * width + u) as usize];
-                pixels.push(Seen { depth_m: if usable { z_m } else { 0.0 }, weight, colour_weight: weight * weight * sharpness, colour });
+                pixels.push(Seen {
+                    depth_m: if usable { z_m } else { 0.0 },
+                    weight,
+                    colour_weight: weight * weight * sharpness,
+                    colour,
+                });
             }
         }
         let tiles_wide = width.div_ceil(TILE);
@@ -57,7 +67,15 @@ impl Look {
             let farthest = &mut farthest_m[(v / TILE * tiles_wide + u / TILE) as usize];
             *farthest = farthest.max(seen.depth_m);
         }
-        let mut look = Self { camera: frame.depth_camera, width, height, pixels, farthest_m, tiles_wide, blocks: Vec::new() };
+        let mut look = Self {
+            camera: frame.depth_camera,
+            width,
+            height,
+            pixels,
+            farthest_m,
+            tiles_wide,
+            blocks: Vec::new(),
+        };
         look.blocks = look.touched(settings);
         look
     }
@@ -65,26 +83,36 @@ impl Look {
     /// What the pixel that holds this position measured; `None` outside the picture.
     pub fn at(&self, u: f32, v: f32) -> Option<&Seen> {
         let (column, row) = ((u + 0.5) as i64, (v + 0.5) as i64);
-        let inside = u > -0.5 && v > -0.5 && column < i64::from(self.width) && row < i64::from(self.height);
+        let inside =
+            u > -0.5 && v > -0.5 && column < i64::from(self.width) && row < i64::from(self.height);
         inside.then(|| &self.pixels[(row * i64::from(self.width) + column) as usize])
     }
 
-    /// Whether a ball, in camera axes, may be seen or have something seen behind it: neither outside the picture nor hidden all over.
+    /// Whether a ball, in camera axes, may be seen or have something seen behind it: neither
+    /// outside the picture nor hidden all over.
     pub fn may_reach(&self, center: &Point3<f32>, radius_m: f32) -> bool {
         let near_m = center.z - radius_m;
         if near_m <= 0.05 {
             return center.z + radius_m > 0.05;
         }
         let camera = &self.camera.intrinsics;
-        let (u, v) = (camera.fx * center.x / center.z + camera.cx, camera.fy * center.y / center.z + camera.cy);
+        let (u, v) = (
+            camera.fx * center.x / center.z + camera.cx,
+            camera.fy * center.y / center.z + camera.cy,
+        );
         let (ru, rv) = (camera.fx * radius_m / near_m, camera.fy * radius_m / near_m);
         let tiles = |low: f32, high: f32, len: u32| {
             let tile = |at: f32| (at.clamp(0.0, len as f32 - 1.0) as u32) / TILE;
             (high >= 0.0 && low <= len as f32 - 1.0).then(|| tile(low)..=tile(high))
         };
-        let (Some(columns), Some(rows)) = (tiles(u - ru, u + ru, self.width), tiles(v - rv, v + rv, self.height)) else { return false };
-        rows.flat_map(|row| columns.clone().map(move |column| (row, column)))
-            .any(|(row, column)| self.farthest_m[(row * self.tiles_wide + column) as usize] >= near_m)
+        let (Some(columns), Some(rows)) =
+            (tiles(u - ru, u + ru, self.width), tiles(v - rv, v + rv, self.height))
+        else {
+            return false;
+        };
+        rows.flat_map(|row| columns.clone().map(move |column| (row, column))).any(
+            |(row, column)| self.farthest_m[(row * self.tiles_wide + column) as usize] >= near_m,
+        )
     }
 
     fn touched(&self, settings: &FusionSettings) -> Vec<VoxelKey> {
@@ -98,7 +126,8 @@ impl Look {
         for (i, seen) in self.pixels.iter().enumerate().filter(|(_, seen)| seen.depth_m > 0.0) {
             let (u, v) = ((i as u32 % self.width) as f32, (i as u32 / self.width) as f32);
             // Neighbouring pixels mostly fall into the same block: look there before hashing.
-            let here = VoxelKey::of(&(to_world * camera.unproject(u, v, seen.depth_m)), block_m / 4.0);
+            let here =
+                VoxelKey::of(&(to_world * camera.unproject(u, v, seen.depth_m)), block_m / 4.0);
             if last.replace(here) == Some(here) {
                 continue;
             }
@@ -132,7 +161,8 @@ fn facing(frame: &Frame, u: u32, v: u32, z_m: f32) -> f32 {
     (normal.dot(&ray).abs() / (normal.norm() * ray.norm()).max(f32::MIN_POSITIVE)).clamp(0.1, 1.0)
 }
 
-/// Mean difference of brightness between neighbouring pixels of a row: pictures taken in motion are even.
+/// Mean difference of brightness between neighbouring pixels of a row: pictures taken in motion are
+/// even.
 fn sharpness(colours: &[[u8; 3]], width: u32) -> f32 {
     let brightness = |c: &[u8; 3]| c.iter().map(|&v| i32::from(v)).sum::<i32>();
     let differences = |row: &[[u8; 3]]| {

@@ -1,6 +1,7 @@
-//! A cloud from posed depth, for scans that bring none of their own: measurements are averaged along the view into a truncated signed
-//! distance volume (Curless and Levoy 1996), whose zero crossings are the points. Noise of a depth sensor lies along the view, so a wall
-//! becomes one thin sheet; averaging points where they fall keeps it as a skin of centimetres.
+//! A cloud from posed depth, for scans that bring none of their own: measurements are averaged
+//! along the view into a truncated signed distance volume (Curless and Levoy 1996), whose zero
+//! crossings are the points. Noise of a depth sensor lies along the view, so a wall becomes one
+//! thin sheet; averaging points where they fall keeps it as a skin of centimetres.
 
 mod look;
 mod volume;
@@ -15,8 +16,9 @@ use volume::{Full, Volume};
 /// Where the scan is too large for its voxels they grow by this factor, until it fits.
 const COARSER: f32 = 1.5;
 
-/// Fuses all frames, Z-up world, metres. Frames are folded in one by one in order, so the result does not depend on threads; one frame per
-/// thread and the volume (at most 2 GB) are in memory. The few that can not be decoded are taken out of `frames`, with a warning.
+/// Fuses all frames, Z-up world, metres. Frames are folded in one by one in order, so the result
+/// does not depend on threads; one frame per thread and the volume (at most 2 GB) are in memory.
+/// The few that can not be decoded are taken out of `frames`, with a warning.
 ///
 /// # Errors
 /// [`IngestError`] for unreadable frames, cancellation, or frames that hold no depth at all.
@@ -32,12 +34,17 @@ pub fn fuse(
         if let Some(cloud) = fused(frames, &settings, volume::MAX_BLOCKS, &mut damaged, progress)? {
             leave_out(frames, damaged, warnings)?;
             return match cloud.is_empty() {
-                true => Err(IngestError::NoUsableFrames { reason: "no depth picture holds a measurement that others confirm".into() }),
+                true => Err(IngestError::NoUsableFrames {
+                    reason: "no depth picture holds a measurement that others confirm".into(),
+                }),
                 false => Ok(cloud),
             };
         }
         settings.voxel_m *= COARSER;
-        warnings.push(format!("the scan is large: fused with voxels of {:.0} mm", settings.voxel_m * 1e3));
+        warnings.push(format!(
+            "the scan is large: fused with voxels of {:.0} mm",
+            settings.voxel_m * 1e3
+        ));
     }
 }
 
@@ -68,15 +75,26 @@ fn fused(
 }
 
 /// A tenth of the frames may be damaged; the first few are named.
-fn leave_out(frames: &mut Vec<FrameRef>, damaged: Vec<(FrameIndex, FrameError)>, warnings: &mut Vec<String>) -> Result<(), IngestError> {
+fn leave_out(
+    frames: &mut Vec<FrameRef>,
+    damaged: Vec<(FrameIndex, FrameError)>,
+    warnings: &mut Vec<String>,
+) -> Result<(), IngestError> {
     const MAX_NAMED: usize = 5;
     let (count, total) = (damaged.len(), frames.len());
     if count * 10 > total {
-        return Err(damaged.into_iter().next().map_or(IngestError::EmptyScene, |(_, error)| error.into()));
+        return Err(damaged
+            .into_iter()
+            .next()
+            .map_or(IngestError::EmptyScene, |(_, error)| error.into()));
     }
     if count > 0 {
-        let named: Vec<String> = damaged.iter().take(MAX_NAMED).map(|(_, error)| error.to_string()).collect();
-        warnings.push(format!("{count} of {total} frames skipped, they can not be decoded: {}", named.join("; ")));
+        let named: Vec<String> =
+            damaged.iter().take(MAX_NAMED).map(|(_, error)| error.to_string()).collect();
+        warnings.push(format!(
+            "{count} of {total} frames skipped, they can not be decoded: {}",
+            named.join("; ")
+        ));
         frames.retain(|frame| damaged.iter().all(|(index, _)| *index != frame.index));
     }
     Ok(())
@@ -93,16 +111,30 @@ mod tests {
 
     const SIZE: u32 = 64;
 
-    /// A frame that looks along +Y at a wall two metres ahead, from this place; its depth shakes by `noise_mm` (uniform, to either side).
-    fn frame(folder: &Utf8Path, index: u32, at: Vector3<f32>, noise_mm: u32, depth_mm: impl Fn(u32, u32) -> u32) -> FrameRef {
-        let (colour, depth) = (folder.join(format!("{index}.png")), folder.join(format!("{index}-depth.png")));
+    /// A frame that looks along +Y at a wall two metres ahead, from this place; its depth shakes by
+    /// `noise_mm` (uniform, to either side).
+    fn frame(
+        folder: &Utf8Path,
+        index: u32,
+        at: Vector3<f32>,
+        noise_mm: u32,
+        depth_mm: impl Fn(u32, u32) -> u32,
+    ) -> FrameRef {
+        let (colour, depth) =
+            (folder.join(format!("{index}.png")), folder.join(format!("{index}-depth.png")));
         RgbImage::from_pixel(SIZE, SIZE, image::Rgb([10, 200, 30])).save(&colour).unwrap();
-        let shake = |u: u32, v: u32| (u * 7919 + v * 104_729 + index * 31_337) * 2_654_435 % (2 * noise_mm + 1);
-        let picture = ImageBuffer::<Luma<u16>, _>::from_fn(SIZE, SIZE, |u, v| Luma([(depth_mm(u, v) + shake(u, v) - noise_mm) as u16]));
+        let shake = |u: u32, v: u32| {
+            (u * 7919 + v * 104_729 + index * 31_337) * 2_654_435 % (2 * noise_mm + 1)
+        };
+        let picture = ImageBuffer::<Luma<u16>, _>::from_fn(SIZE, SIZE, |u, v| {
+            Luma([(depth_mm(u, v) + shake(u, v) - noise_mm) as u16])
+        });
         picture.save(&depth).unwrap();
-        let intrinsics = Intrinsics { width: SIZE, height: SIZE, fx: 64.0, fy: 64.0, cx: 31.5, cy: 31.5 };
+        let intrinsics =
+            Intrinsics { width: SIZE, height: SIZE, fx: 64.0, fy: 64.0, cx: 31.5, cy: 31.5 };
         // Camera z to world y, camera y down.
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f32::consts::FRAC_PI_2);
+        let turn =
+            UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f32::consts::FRAC_PI_2);
         FrameRef {
             index: FrameIndex(index),
             colour,
@@ -141,9 +173,13 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
         // Somebody walks through one of eight pictures, a metre before the wall.
-        let blob = |u: u32, v: u32| if (20..44).contains(&u) && (20..44).contains(&v) { 1000 } else { 2000 };
+        let blob = |u: u32, v: u32| {
+            if (20..44).contains(&u) && (20..44).contains(&v) { 1000 } else { 2000 }
+        };
         let mut frames: Vec<_> = (0..8)
-            .map(|i| frame(folder, i, Vector3::zeros(), 5, |u, v| if i == 3 { blob(u, v) } else { 2000 }))
+            .map(|i| {
+                frame(folder, i, Vector3::zeros(), 5, |u, v| if i == 3 { blob(u, v) } else { 2000 })
+            })
             .collect();
         let cloud = fuse(&mut frames, &settings(), &mut Vec::new(), &Progress::silent()).unwrap();
         assert!(cloud.positions.iter().all(|p| p.y > 1.5), "what stood there once is gone");
@@ -154,7 +190,15 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
         let frames = [frame(folder, 0, Vector3::zeros(), 5, |_, _| 2000)];
-        assert!(fused(&frames, &settings(), 10, &mut Vec::new(), &Progress::silent()).unwrap().is_none());
-        assert!(fused(&frames, &settings(), 10_000, &mut Vec::new(), &Progress::silent()).unwrap().is_some());
+        assert!(
+            fused(&frames, &settings(), 10, &mut Vec::new(), &Progress::silent())
+                .unwrap()
+                .is_none()
+        );
+        assert!(
+            fused(&frames, &settings(), 10_000, &mut Vec::new(), &Progress::silent())
+                .unwrap()
+                .is_some()
+        );
     }
 }

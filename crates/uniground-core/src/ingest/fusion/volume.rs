@@ -16,7 +16,8 @@ pub(super) const MAX_BLOCKS: usize = (2 << 30) / (CELLS * size_of::<Voxel>());
 /// Weighted means of what the frames measured at one place.
 #[derive(Clone, Copy, Default)]
 struct Voxel {
-    /// Signed distance to the surface along the view over the truncation distance, positive before it, `-1..=1`.
+    /// Signed distance to the surface along the view over the truncation distance, positive before
+    /// it, `-1..=1`.
     distance: f32,
     weight: f32,
     colour_weight: f32,
@@ -44,10 +45,16 @@ pub(super) struct Volume {
 
 impl Volume {
     pub fn new(settings: &FusionSettings, most_blocks: usize) -> Self {
-        Self { settings: *settings, most_blocks, number_of: VoxelMap::default(), blocks: Vec::new() }
+        Self {
+            settings: *settings,
+            most_blocks,
+            number_of: VoxelMap::default(),
+            blocks: Vec::new(),
+        }
     }
 
-    /// Adds blocks where the frame measured something and folds the frame into all blocks it looks at or through.
+    /// Adds blocks where the frame measured something and folds the frame into all blocks it looks
+    /// at or through.
     pub fn integrate(&mut self, look: &Look) -> Result<(), Full> {
         for &key in &look.blocks {
             if !self.number_of.contains_key(&key) {
@@ -77,7 +84,8 @@ impl Volume {
         let least = self.least_views();
         let mut order: Vec<&Block> = self.blocks.iter().collect();
         order.sort_unstable_by_key(|block| block.key);
-        let parts: Vec<PointCloud> = order.into_par_iter().map(|block| self.crossings(block, least)).collect();
+        let parts: Vec<PointCloud> =
+            order.into_par_iter().map(|block| self.crossings(block, least)).collect();
         let mut cloud = PointCloud::default();
         for part in parts {
             cloud.positions.extend(part.positions);
@@ -101,7 +109,8 @@ impl Volume {
 
     fn crossings(&self, block: &Block, least: u16) -> PointCloud {
         let voxel_m = self.settings.voxel_m;
-        // A surface seen from one side falls by a voxel per voxel; between the front of one and the back of another distances jump.
+        // A surface seen from one side falls by a voxel per voxel; between the front of one and the
+        // back of another distances jump.
         let steepest = 3.0 * voxel_m / self.settings.truncation_m();
         let next: [Option<&Block>; 3] = std::array::from_fn(|axis| {
             let step = std::array::from_fn(|i| i64::from(i == axis));
@@ -127,7 +136,8 @@ impl Volume {
                 position[axis] += share * voxel_m;
                 cloud.positions.push(position);
                 cloud.colours.push(std::array::from_fn(|c| {
-                    let mixed = f32::from(here.colour[c]) * (1.0 - share) + f32::from(there.colour[c]) * share;
+                    let mixed = f32::from(here.colour[c]) * (1.0 - share)
+                        + f32::from(there.colour[c]) * share;
                     (mixed / 256.0).round().min(255.0) as u8
                 }));
             }
@@ -151,7 +161,8 @@ impl Block {
         let (voxel_m, truncation_m) = (settings.voxel_m, settings.truncation_m());
         let to_camera = look.camera.world_to_camera();
         let rotation = to_camera.rotation.to_rotation_matrix();
-        let steps: [Vector3<f32>; 3] = std::array::from_fn(|axis| rotation.matrix().column(axis) * voxel_m);
+        let steps: [Vector3<f32>; 3] =
+            std::array::from_fn(|axis| rotation.matrix().column(axis) * voxel_m);
         let first = to_camera * (self.corner(voxel_m) + Vector3::repeat(voxel_m / 2.0));
         let camera = look.camera.intrinsics;
         for (i, voxel) in self.voxels.iter_mut().enumerate() {
@@ -160,7 +171,11 @@ impl Block {
             if p.z <= 0.0 {
                 continue;
             }
-            let Some(seen) = look.at(camera.fx * p.x / p.z + camera.cx, camera.fy * p.y / p.z + camera.cy) else { continue };
+            let Some(seen) =
+                look.at(camera.fx * p.x / p.z + camera.cx, camera.fy * p.y / p.z + camera.cy)
+            else {
+                continue;
+            };
             let distance = (seen.depth_m - p.z) / truncation_m;
             if seen.depth_m > 0.0 && distance > -1.0 {
                 voxel.fold(seen, distance, voxel_m / truncation_m);
@@ -172,10 +187,13 @@ impl Block {
 impl Voxel {
     /// `distance` in truncation distances, `-1` or more; `step` is one voxel in the same unit.
     fn fold(&mut self, seen: &Seen, distance: f32, step: f32) {
-        // Behind a surface nothing was measured: what is said there fades out, or the back of a thin thing would push its front away.
-        let weight = seen.weight * if distance < -step { (1.0 + distance) / (1.0 - step) } else { 1.0 };
+        // Behind a surface nothing was measured: what is said there fades out, or the back of a
+        // thin thing would push its front away.
+        let weight =
+            seen.weight * if distance < -step { (1.0 + distance) / (1.0 - step) } else { 1.0 };
         self.weight += weight;
-        self.distance += (distance.min(1.0) - self.distance) * weight / self.weight.max(f32::MIN_POSITIVE);
+        self.distance +=
+            (distance.min(1.0) - self.distance) * weight / self.weight.max(f32::MIN_POSITIVE);
         if distance >= 1.0 {
             return;
         }
@@ -183,7 +201,8 @@ impl Voxel {
         self.colour_weight += seen.colour_weight;
         let share = seen.colour_weight / self.colour_weight.max(f32::MIN_POSITIVE);
         for (mean, &now) in self.colour.iter_mut().zip(&seen.colour) {
-            *mean = (f32::from(*mean) + (f32::from(now) * 256.0 - f32::from(*mean)) * share).round() as u16;
+            *mean = (f32::from(*mean) + (f32::from(now) * 256.0 - f32::from(*mean)) * share).round()
+                as u16;
         }
     }
 }

@@ -8,11 +8,13 @@ use nalgebra::SymmetricEigen;
 pub(super) struct CamerasUp {
     /// Unit vector, in the world of the poses.
     pub up: Vector3<f32>,
-    /// Whether it is told by cameras without roll that look to several sides: then it does not depend on how far down they looked.
+    /// Whether it is told by cameras without roll that look to several sides: then it does not
+    /// depend on how far down they looked.
     pub by_roll: bool,
 }
 
-/// Looking to several sides: the second least spread of the cameras' right is at least this share of all.
+/// Looking to several sides: the second least spread of the cameras' right is at least this share
+/// of all.
 const SEVERAL_SIDES: f32 = 0.12;
 /// Without roll: the least spread is at most this share of all.
 const WITHOUT_ROLL: f32 = 0.06;
@@ -22,7 +24,9 @@ const SHORTEST_MEAN: f32 = 0.3;
 /// `None` when the cameras do not agree on anything.
 pub(super) fn up(camera_to_world: &[Isometry3<f32>]) -> Option<CamerasUp> {
     let count = camera_to_world.len().max(1) as f32;
-    let mean = camera_to_world.iter().map(|pose| pose.rotation * -Vector3::y()).sum::<Vector3<f32>>() / count;
+    let mean =
+        camera_to_world.iter().map(|pose| pose.rotation * -Vector3::y()).sum::<Vector3<f32>>()
+            / count;
     if mean.norm() < SHORTEST_MEAN {
         return None;
     }
@@ -37,7 +41,9 @@ pub(super) fn up(camera_to_world: &[Isometry3<f32>]) -> Option<CamerasUp> {
     order.sort_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));
     let across: Vector3<f32> = eigen.eigenvectors.column(order[0]).into_owned();
     let across = if across.dot(&mean) < 0.0 { -across } else { across };
-    let by_roll = eigen.eigenvalues[order[1]] > SEVERAL_SIDES && eigen.eigenvalues[order[0]] < WITHOUT_ROLL && across.dot(&mean) > 0.5;
+    let by_roll = eigen.eigenvalues[order[1]] > SEVERAL_SIDES
+        && eigen.eigenvalues[order[0]] < WITHOUT_ROLL
+        && across.dot(&mean) > 0.5;
     Some(CamerasUp { up: if by_roll { across } else { mean }, by_roll })
 }
 
@@ -48,12 +54,15 @@ mod tests {
 
     /// An OpenCV camera that looks along a yaw, so far down, in a world with Z up.
     fn camera(yaw: f32, down: f32) -> Isometry3<f32> {
-        let (right, forward) = (Vector3::new(yaw.sin(), -yaw.cos(), 0.0), Vector3::new(yaw.cos(), yaw.sin(), 0.0));
+        let (right, forward) =
+            (Vector3::new(yaw.sin(), -yaw.cos(), 0.0), Vector3::new(yaw.cos(), yaw.sin(), 0.0));
         let forward = forward * down.cos() - Vector3::z() * down.sin();
         let rotation = Matrix3::from_columns(&[right, forward.cross(&right), forward]);
         Isometry3::from_parts(
             nalgebra::Translation3::identity(),
-            UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(rotation)),
+            UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(
+                rotation,
+            )),
         )
     }
 
@@ -66,7 +75,8 @@ mod tests {
 
     #[test]
     fn cameras_that_tumble_tell_nothing() {
-        let poses: Vec<_> = (0..20).map(|i| camera(0.3, i as f32 * std::f32::consts::TAU / 20.0)).collect();
+        let poses: Vec<_> =
+            (0..20).map(|i| camera(0.3, i as f32 * std::f32::consts::TAU / 20.0)).collect();
         assert!(up(&poses).is_none());
     }
 }

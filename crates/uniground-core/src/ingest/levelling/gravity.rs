@@ -1,7 +1,8 @@
-//! The direction that most surfaces are level or upright with (after Gupta, Arbelaez and Malik, CVPR 2013).
+//! The direction that most surfaces are level or upright with (after Gupta, Arbelaez and Malik,
+//! CVPR 2013).
 //!
-//! From a first guess, surfaces that are nearly level and nearly upright with it are told apart; the direction that is best for both is the
-//! next guess. A wide cone first, a narrow one then.
+//! From a first guess, surfaces that are nearly level and nearly upright with it are told apart;
+//! the direction that is best for both is the next guess. A wide cone first, a narrow one then.
 
 use super::surfaces::Surface;
 use crate::geometry::{Matrix3, Vector3};
@@ -16,7 +17,8 @@ pub(super) struct Fit {
     pub level: f32,
     /// Share of the surfaces within [`CLOSE_DEG`] of upright, by area.
     pub upright: f32,
-    /// How clearly it is one direction and not a range of them, `0..=1`: a single wall leaves upright open.
+    /// How clearly it is one direction and not a range of them, `0..=1`: a single wall leaves
+    /// upright open.
     pub clearness: f32,
 }
 
@@ -33,7 +35,8 @@ pub(super) const CLOSE_DEG: f32 = 7.0;
 const CONES_DEG: [f32; 4] = [40.0, 20.0, 10.0, 5.0];
 const ROUNDS: usize = 6;
 
-/// The direction nearest to a guess that the surfaces agree on; keeps the guess's sign. `widest_deg`: how far off the guess may be.
+/// The direction nearest to a guess that the surfaces agree on; keeps the guess's sign.
+/// `widest_deg`: how far off the guess may be.
 pub(super) fn refine(surfaces: &[Surface], guess: &Vector3<f32>, widest_deg: f32) -> Fit {
     let mut up = *guess;
     for cone_deg in CONES_DEG.into_iter().filter(|cone| *cone <= widest_deg) {
@@ -56,7 +59,8 @@ fn improved(surfaces: &[Surface], up: &Vector3<f32>, cone_deg: f32) -> Option<Ve
     Some(if next.dot(up) < 0.0 { -next } else { next })
 }
 
-/// Upright normals spread away from the direction sought, level ones along it: it is the least axis of the first less the second.
+/// Upright normals spread away from the direction sought, level ones along it: it is the least axis
+/// of the first less the second.
 fn scatter(surfaces: &[Surface], up: &Vector3<f32>, cone_deg: f32) -> (Matrix3<f32>, f32) {
     let (level, upright) = (cone_deg.to_radians().cos(), cone_deg.to_radians().sin());
     let mut matrix = nalgebra::Matrix3::<f64>::zeros();
@@ -86,10 +90,16 @@ pub(super) fn measure(surfaces: &[Surface], up: &Vector3<f32>) -> Fit {
         counted.map(|s| s.weight).sum::<f32>() / total
     };
     let (matrix, weight) = scatter(surfaces, up, CLOSE_DEG);
-    let mut eigenvalues: Vec<f32> = SymmetricEigen::new(matrix).eigenvalues.iter().copied().collect();
+    let mut eigenvalues: Vec<f32> =
+        SymmetricEigen::new(matrix).eigenvalues.iter().copied().collect();
     eigenvalues.sort_by(f32::total_cmp);
     let clearness = if weight > 0.0 { (eigenvalues[1] - eigenvalues[0]) / weight } else { 0.0 };
-    Fit { up: *up, level: share(&|along| along > at_least), upright: share(&|along| along < at_most), clearness }
+    Fit {
+        up: *up,
+        level: share(&|along| along > at_least),
+        upright: share(&|along| along < at_most),
+        clearness,
+    }
 }
 
 #[cfg(test)]
@@ -101,7 +111,9 @@ mod tests {
     /// A floor, two walls, and things that face anywhere.
     fn room(turn: &nalgebra::UnitQuaternion<f32>) -> Vec<Surface> {
         let mut surfaces = Vec::new();
-        let mut push = |normal: Vector3<f32>, weight| surfaces.push(Surface { normal: turn * normal, at: Point3::origin(), weight });
+        let mut push = |normal: Vector3<f32>, weight| {
+            surfaces.push(Surface { normal: turn * normal, at: Point3::origin(), weight })
+        };
         for i in 0..200 {
             let shake = |k: i32| ((i * 37 + k * 101) % 21 - 10) as f32 * 0.004;
             push(Vector3::new(shake(0), shake(1), 1.0).normalize(), 1.0);
@@ -128,7 +140,9 @@ mod tests {
 
     #[test]
     fn a_lone_wall_does_not_say_what_is_up() {
-        let wall: Vec<Surface> = (0..100).map(|_| Surface { normal: Vector3::x(), at: Point3::origin(), weight: 1.0 }).collect();
+        let wall: Vec<Surface> = (0..100)
+            .map(|_| Surface { normal: Vector3::x(), at: Point3::origin(), weight: 1.0 })
+            .collect();
         assert!(refine(&wall, &Vector3::z(), 40.0).clearness < 0.01);
     }
 }

@@ -1,7 +1,8 @@
 //! Which way is up in a cloud that no camera tells of.
 //!
-//! Rooms are boxes: by their walls alone any side could be the floor. What tells the sides apart: floors are wide and rooms are low;
-//! things stand on the floor and not on the ceiling; chairs and open doors are turned about up and about nothing else.
+//! Rooms are boxes: by their walls alone any side could be the floor. What tells the sides apart:
+//! floors are wide and rooms are low; things stand on the floor and not on the ceiling; chairs and
+//! open doors are turned about up and about nothing else.
 
 use super::gravity::{Fit, measure, refine};
 use super::surfaces::Surface;
@@ -25,8 +26,8 @@ pub(super) struct Candidate {
     pub width_m: f32,
 }
 
-/// Rooms are at least this wide and high, and no higher than that, metres. What is smaller is a view of something: a wall with a picture
-/// makes as good a floor as any.
+/// Rooms are at least this wide and high, and no higher than that, metres. What is smaller is a
+/// view of something: a wall with a picture makes as good a floor as any.
 const ROOM_WIDTH_M: f32 = 2.2;
 const ROOM_HEIGHT_M: std::ops::Range<f32> = 1.5..8.0;
 /// By how much the best direction must be ahead.
@@ -36,14 +37,20 @@ const FAR_AHEAD: f32 = 0.6;
 
 /// The direction that is up, if it is clear; else the names of those it may be.
 pub(super) fn choose(candidates: &[Candidate]) -> Result<&Candidate, String> {
-    let Some(best) = candidates.first() else { return Err("the cloud has no flat surfaces to tell it by".into()) };
+    let Some(best) = candidates.first() else {
+        return Err("the cloud has no flat surfaces to tell it by".into());
+    };
     let lead = best.score - candidates.get(1).map_or(0.0, |next| next.score);
     let is_room = best.width_m >= ROOM_WIDTH_M && ROOM_HEIGHT_M.contains(&best.height_m);
-    if best.score >= AHEAD && ((is_room && lead >= AHEAD) || (is_usual(&best.fit.up) && lead >= FAR_AHEAD)) {
+    if best.score >= AHEAD
+        && ((is_room && lead >= AHEAD) || (is_usual(&best.fit.up) && lead >= FAR_AHEAD))
+    {
         return Ok(best);
     }
-    let names: Vec<&str> = candidates.iter().take(2).map(|c| UpAxis::nearest(&c.fit.up).name()).collect();
-    let why = if is_room { "by its surfaces it" } else { "it is no whole room, and by its surfaces it" };
+    let names: Vec<&str> =
+        candidates.iter().take(2).map(|c| UpAxis::nearest(&c.fit.up).name()).collect();
+    let why =
+        if is_room { "by its surfaces it" } else { "it is no whole room, and by its surfaces it" };
     Err(format!("{why} may be {}", names.join(" or ")))
 }
 
@@ -62,16 +69,27 @@ const STANDING_M: std::ops::Range<f32> = 0.15..1.1;
 
 /// Directions that may be up, the best first.
 pub(super) fn candidates(cloud: &PointCloud, surfaces: &[Surface]) -> Vec<Candidate> {
-    let points: Vec<Point3<f32>> = cloud.positions.iter().step_by(cloud.len().div_ceil(MAX_POINTS).max(1)).copied().collect();
+    let points: Vec<Point3<f32>> =
+        cloud.positions.iter().step_by(cloud.len().div_ceil(MAX_POINTS).max(1)).copied().collect();
     let axes = directions(surfaces);
     let shape = Shape { points: &points, surfaces };
     let extents: Vec<f32> = axes.iter().map(|axis| shape.extent(axis)).collect();
     let mut all = Vec::new();
     for (i, axis) in axes.iter().enumerate() {
         // The others that are at right angles to it: the walls' own directions, if it is up.
-        let across: Vec<Vector3<f32>> = axes.iter().filter(|other| other.dot(axis).abs() < 0.3).copied().collect();
-        let narrowest = extents.iter().enumerate().filter(|(j, _)| *j != i).map(|(_, e)| *e).fold(f32::INFINITY, f32::min);
-        let low = if narrowest.is_finite() { (narrowest / extents[i].max(0.01)).ln().clamp(-0.7, 0.7) } else { 0.0 };
+        let across: Vec<Vector3<f32>> =
+            axes.iter().filter(|other| other.dot(axis).abs() < 0.3).copied().collect();
+        let narrowest = extents
+            .iter()
+            .enumerate()
+            .filter(|(j, _)| *j != i)
+            .map(|(_, e)| *e)
+            .fold(f32::INFINITY, f32::min);
+        let low = if narrowest.is_finite() {
+            (narrowest / extents[i].max(0.01)).ln().clamp(-0.7, 0.7)
+        } else {
+            0.0
+        };
         let turned = shape.turned_about(axis, &across);
         for up in [*axis, -*axis] {
             let fit = measure(surfaces, &up);
@@ -96,7 +114,8 @@ fn directions(surfaces: &[Surface]) -> Vec<Vector3<f32>> {
     let guesses = [Vector3::x(), Vector3::y(), Vector3::z()]
         .into_iter()
         .chain(surfaces.iter().step_by(step).map(|s| s.normal));
-    let mut weighed: Vec<(f32, Vector3<f32>)> = guesses.map(|guess| (measure(surfaces, &guess).level, guess)).collect();
+    let mut weighed: Vec<(f32, Vector3<f32>)> =
+        guesses.map(|guess| (measure(surfaces, &guess).level, guess)).collect();
     weighed.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut found: Vec<Vector3<f32>> = Vec::new();
     for (level, guess) in weighed {
@@ -140,18 +159,23 @@ impl Shape<'_> {
         sides.fold(f32::INFINITY, f32::min)
     }
 
-    /// How much of the footprint lies on a level sheet at the lower end, less the same of the upper end when there is no floor; `-1..=1`.
+    /// How much of the footprint lies on a level sheet at the lower end, less the same of the upper
+    /// end when there is no floor; `-1..=1`.
     fn floor(&self, up: &Vector3<f32>) -> f32 {
         let mut heights = self.heights(up);
-        let (low, high) = (quantile(&mut heights, 0.01).unwrap_or(0.0), quantile(&mut heights, 0.99).unwrap_or(0.0));
+        let (low, high) = (
+            quantile(&mut heights, 0.01).unwrap_or(0.0),
+            quantile(&mut heights, 0.99).unwrap_or(0.0),
+        );
         let (a, b) = across(up);
-        let cell = |p: &Point3<f32>| VoxelKey::of(&Point3::new(p.coords.dot(&a), p.coords.dot(&b), 0.0), CELL_M);
+        let cell = |p: &Point3<f32>| {
+            VoxelKey::of(&Point3::new(p.coords.dot(&a), p.coords.dot(&b), 0.0), CELL_M)
+        };
         let footprint = self.points.iter().map(&cell).collect::<BTreeSet<_>>().len().max(1) as f32;
         let sheet = |level: f32| {
-            let on = self
-                .surfaces
-                .iter()
-                .filter(|s| s.normal.dot(up).abs() > 0.97 && (s.at.coords.dot(up) - level).abs() < END_M);
+            let on = self.surfaces.iter().filter(|s| {
+                s.normal.dot(up).abs() > 0.97 && (s.at.coords.dot(up) - level).abs() < END_M
+            });
             // A surface cell may be wider than a footprint cell: areas, not counts.
             (on.map(|s| s.weight).sum::<f32>() / (footprint * CELL_M * CELL_M)).min(1.0)
         };
@@ -159,15 +183,20 @@ impl Shape<'_> {
         floor - if floor < 0.2 { 0.5 * ceiling } else { 0.0 }
     }
 
-    /// Things stand on floors: how much more there is just over the lower end than just under the upper one; `-1..=1`.
+    /// Things stand on floors: how much more there is just over the lower end than just under the
+    /// upper one; `-1..=1`.
     fn standing(&self, up: &Vector3<f32>) -> f32 {
         let mut heights = self.heights(up);
-        let (low, high) = (quantile(&mut heights, 0.01).unwrap_or(0.0), quantile(&mut heights, 0.99).unwrap_or(0.0));
+        let (low, high) = (
+            quantile(&mut heights, 0.01).unwrap_or(0.0),
+            quantile(&mut heights, 0.99).unwrap_or(0.0),
+        );
         if high - low < 2.0 * STANDING_M.start {
             return 0.0;
         }
         let band = STANDING_M.start..STANDING_M.end.min((high - low) / 2.0);
-        // Level surfaces that face between the ends are seats, tables, shelves: nothing of the kind hangs from ceilings.
+        // Level surfaces that face between the ends are seats, tables, shelves: nothing of the kind
+        // hangs from ceilings.
         let (mut standing, mut hanging) = (0.0, 0.0);
         for s in self.surfaces.iter().filter(|s| s.normal.dot(up).abs() > 0.9) {
             let h = s.at.coords.dot(up);
@@ -186,10 +215,10 @@ impl Shape<'_> {
     /// Share of surfaces that are upright with an axis and face none of the walls' directions.
     fn turned_about(&self, axis: &Vector3<f32>, walls: &[Vector3<f32>]) -> f32 {
         let total = self.surfaces.iter().map(|s| s.weight).sum::<f32>().max(f32::MIN_POSITIVE);
-        let turned = self
-            .surfaces
-            .iter()
-            .filter(|s| s.normal.dot(axis).abs() < 0.12 && walls.iter().all(|wall| s.normal.dot(wall).abs() < 0.94));
+        let turned = self.surfaces.iter().filter(|s| {
+            s.normal.dot(axis).abs() < 0.12
+                && walls.iter().all(|wall| s.normal.dot(wall).abs() < 0.94)
+        });
         (turned.map(|s| s.weight).sum::<f32>() / total).min(0.3)
     }
 }
@@ -208,7 +237,8 @@ mod tests {
     use crate::geometry::Isometry3;
     use proptest::prelude::*;
 
-    /// Sides of a block, a point every four centimetres; the top and the bottom only where they are wanted.
+    /// Sides of a block, a point every four centimetres; the top and the bottom only where they are
+    /// wanted.
     fn block(cloud: &mut PointCloud, low: [f32; 3], high: [f32; 3], ends: [bool; 2]) {
         let steps = |axis: usize| ((high[axis] - low[axis]) / 0.04).round().max(1.0) as u32;
         for x in 0..=steps(0) {
@@ -216,7 +246,9 @@ mod tests {
                 for z in 0..=steps(2) {
                     let side = x == 0 || x == steps(0) || y == 0 || y == steps(1);
                     if side || (z == 0 && ends[0]) || (z == steps(2) && ends[1]) {
-                        let at = |axis: usize, k: u32| low[axis] + (high[axis] - low[axis]) * k as f32 / steps(axis) as f32;
+                        let at = |axis: usize, k: u32| {
+                            low[axis] + (high[axis] - low[axis]) * k as f32 / steps(axis) as f32
+                        };
                         cloud.positions.push(Point3::new(at(0, x), at(1, y), at(2, z)));
                         cloud.colours.push([128; 3]);
                     }

@@ -1,7 +1,8 @@
 //! Which way is up, and how far from level the world of the files is.
 //!
-//! Floors are level and walls are upright: the direction that explains most surfaces is up ([`gravity`]). Where it is sought comes from
-//! the files' word, from the cameras ([`cameras`]), or, for a cloud alone, from what stands on what ([`lone_cloud`]). Worlds that are level
+//! Floors are level and walls are upright: the direction that explains most surfaces is up
+//! ([`gravity`]). Where it is sought comes from the files' word, from the cameras ([`cameras`]),
+//! or, for a cloud alone, from what stands on what ([`lone_cloud`]). Worlds that are level
 //! within [`LEVEL_DEG`] stay as they are, to the bit.
 
 mod cameras;
@@ -39,9 +40,11 @@ pub(super) struct Said {
     pub choice: LevellingChoice,
 }
 
-/// A world within this is level enough, degrees: surfaces tell up no better than by a degree or two.
+/// A world within this is level enough, degrees: surfaces tell up no better than by a degree or
+/// two.
 const LEVEL_DEG: f32 = 2.5;
-/// Surfaces are believed when they explain this share of what was looked at, this clearly, with something level among them.
+/// Surfaces are believed when they explain this share of what was looked at, this clearly, with
+/// something level among them.
 const EXPLAINED: f32 = 0.4;
 const CLEARNESS: f32 = 0.06;
 const LEVEL_SHARE: f32 = 0.03;
@@ -49,7 +52,12 @@ const LEVEL_SHARE: f32 = 0.03;
 const AGREEING_DEG: f32 = 25.0;
 
 /// Up of posed frames, whose poses are in the world of the files.
-pub(super) fn of_frames(frames: &[FrameRef], said: Said, warnings: &mut Vec<String>, progress: &Progress) -> Result<Upright, IngestError> {
+pub(super) fn of_frames(
+    frames: &[FrameRef],
+    said: Said,
+    warnings: &mut Vec<String>,
+    progress: &Progress,
+) -> Result<Upright, IngestError> {
     let poses: Vec<_> = frames.iter().map(|frame| frame.camera_to_world).collect();
     let cameras = cameras::up(&poses);
     let held = UpAxis::from_cameras(&poses);
@@ -62,11 +70,14 @@ pub(super) fn of_frames(frames: &[FrameRef], said: Said, warnings: &mut Vec<Stri
         (None, Some(cameras)) => Some((cameras.up, if cameras.by_roll { 20.0 } else { 40.0 })),
         (None, None) => None,
     };
-    let Some((guess, widest_deg)) = guess else { return Ok(along(told(axis, said, warnings), None)) };
+    let Some((guess, widest_deg)) = guess else {
+        return Ok(along(told(axis, said, warnings), None));
+    };
     let surfaces = surfaces::of_frames(frames, progress);
     progress.report("levelling", 1.0)?;
     let mut fit = gravity::refine(&surfaces, &guess, widest_deg);
-    if let Some(cameras) = cameras.filter(|c| c.by_roll && angle_deg(&c.up, &fit.up) > AGREEING_DEG) {
+    if let Some(cameras) = cameras.filter(|c| c.by_roll && angle_deg(&c.up, &fit.up) > AGREEING_DEG)
+    {
         fit = gravity::refine(&surfaces, &cameras.up, 10.0);
     }
     let believed = is_clear(&fit);
@@ -78,7 +89,10 @@ pub(super) fn of_frames(frames: &[FrameRef], said: Said, warnings: &mut Vec<Stri
     };
     let axis = said.up.unwrap_or_else(|| UpAxis::nearest(&up));
     if said.up.is_none() && axis != UpAxis::Z {
-        warnings.push(format!("the files do not say which axis is up: the cameras hold {} up, taken as that", axis.name()));
+        warnings.push(format!(
+            "the files do not say which axis is up: the cameras hold {} up, taken as that",
+            axis.name()
+        ));
     }
     let least_deg = if believed { LEVEL_DEG } else { 4.0 * LEVEL_DEG };
     Ok(levelled(axis, &up, least_deg, fit.explained(), evidence, warnings))
@@ -88,7 +102,11 @@ pub(super) fn of_frames(frames: &[FrameRef], said: Said, warnings: &mut Vec<Stri
 ///
 /// # Errors
 /// [`IngestError::UpUnknown`] when nothing says it and the cloud does not show it.
-pub(super) fn of_cloud(cloud: &PointCloud, said: Said, warnings: &mut Vec<String>) -> Result<Upright, IngestError> {
+pub(super) fn of_cloud(
+    cloud: &PointCloud,
+    said: Said,
+    warnings: &mut Vec<String>,
+) -> Result<Upright, IngestError> {
     if said.choice == LevellingChoice::Off || (said.by_gravity && said.up.is_some()) {
         // Who wants files as they are gets them so.
         return Ok(along(told(said.up, said, warnings), None));
@@ -102,7 +120,8 @@ pub(super) fn of_cloud(cloud: &PointCloud, said: Said, warnings: &mut Vec<String
         return Ok(levelled(axis, &fit.up, LEVEL_DEG, fit.explained(), describe(&fit), warnings));
     }
     let candidates = lone_cloud::candidates(cloud, &surfaces);
-    let best = lone_cloud::choose(&candidates).map_err(|reason| IngestError::UpUnknown { reason })?;
+    let best =
+        lone_cloud::choose(&candidates).map_err(|reason| IngestError::UpUnknown { reason })?;
     let axis = UpAxis::nearest(&best.fit.up);
     warnings.push(format!(
         "nothing says which axis is up and there are no cameras to tell: by its floor, its height and what stands on it taken as {}",
@@ -116,17 +135,27 @@ fn is_clear(fit: &Fit) -> bool {
 }
 
 fn describe(fit: &Fit) -> String {
-    format!("{:.0}% of the surfaces are level with it and {:.0}% upright", fit.level * 100.0, fit.upright * 100.0)
+    format!(
+        "{:.0}% of the surfaces are level with it and {:.0}% upright",
+        fit.level * 100.0,
+        fit.upright * 100.0
+    )
 }
 
 /// The axis that was said or that the cameras hold up, without a closer look.
 fn told(axis: Option<UpAxis>, said: Said, warnings: &mut Vec<String>) -> UpAxis {
     let Some(axis) = axis else {
-        warnings.push("the files do not say which axis is up and the cameras do not agree on one: taken as z".into());
+        warnings.push(
+            "the files do not say which axis is up and the cameras do not agree on one: taken as z"
+                .into(),
+        );
         return UpAxis::Z;
     };
     if said.up.is_none() && axis != UpAxis::Z {
-        warnings.push(format!("the files do not say which axis is up: the cameras hold {} up, taken as that", axis.name()));
+        warnings.push(format!(
+            "the files do not say which axis is up: the cameras hold {} up, taken as that",
+            axis.name()
+        ));
     }
     axis
 }
@@ -136,16 +165,30 @@ fn along(axis: UpAxis, report: Option<Levelling>) -> Upright {
 }
 
 /// Turned so that `up` is Z, unless the axis is as good.
-fn levelled(axis: UpAxis, up: &Vector3<f32>, least_deg: f32, confidence: f32, evidence: String, warnings: &mut Vec<String>) -> Upright {
+fn levelled(
+    axis: UpAxis,
+    up: &Vector3<f32>,
+    least_deg: f32,
+    confidence: f32,
+    evidence: String,
+    warnings: &mut Vec<String>,
+) -> Upright {
     let tilt_deg = angle_deg(up, &axis.direction());
     let turned = tilt_deg > least_deg;
-    let mut upright = along(axis, Some(Levelling { tilt_deg, turned, confidence: confidence.clamp(0.0, 1.0), evidence }));
+    let mut upright = along(
+        axis,
+        Some(Levelling { tilt_deg, turned, confidence: confidence.clamp(0.0, 1.0), evidence }),
+    );
     if turned {
         // The shortest turn: headings stay as near to the files' as they can.
         let seen = upright.turn * up;
         let level = UnitQuaternion::rotation_between(&seen, &Vector3::z()).unwrap_or_default();
-        upright.turn = Isometry3::from_parts(nalgebra::Translation3::identity(), level) * upright.turn;
-        warnings.push(format!("the world of the files is tilted by {tilt_deg:.1} degrees from {} up: turned level", axis.name()));
+        upright.turn =
+            Isometry3::from_parts(nalgebra::Translation3::identity(), level) * upright.turn;
+        warnings.push(format!(
+            "the world of the files is tilted by {tilt_deg:.1} degrees from {} up: turned level",
+            axis.name()
+        ));
     }
     upright
 }

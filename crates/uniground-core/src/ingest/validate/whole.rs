@@ -1,4 +1,5 @@
-//! Whether a picture file is whole, without decoding it: what was cut short decodes to grey, or fails in the middle of a parse.
+//! Whether a picture file is whole, without decoding it: what was cut short decodes to grey, or
+//! fails in the middle of a parse.
 
 use crate::ingest::IngestError;
 use camino::Utf8Path;
@@ -14,7 +15,8 @@ const JPEG_END: &[u8] = b"\xff\xd9";
 
 /// Refuses JPEG and PNG files without an end mark.
 pub(super) fn check(root: &Utf8Path, file: &Utf8Path) -> Result<(), IngestError> {
-    let (head, tail) = ends(&root.join(file)).map_err(|source| IngestError::reading(file, source))?;
+    let (head, tail) =
+        ends(&root.join(file)).map_err(|source| IngestError::reading(file, source))?;
     let ends_with = |mark: &[u8]| tail.windows(mark.len()).any(|window| window == mark);
     let (kind, whole) = if head.starts_with(JPEG) {
         ("JPEG", ends_with(JPEG_END))
@@ -25,7 +27,10 @@ pub(super) fn check(root: &Utf8Path, file: &Utf8Path) -> Result<(), IngestError>
     };
     match whole {
         true => Ok(()),
-        false => Err(IngestError::malformed(file, format!("the {kind} is cut short: it has no end mark"))),
+        false => Err(IngestError::malformed(
+            file,
+            format!("the {kind} is cut short: it has no end mark"),
+        )),
     }
 }
 

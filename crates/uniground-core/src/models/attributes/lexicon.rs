@@ -145,7 +145,8 @@ impl Lexicon {
     /// The one lexicon of the process.
     #[must_use]
     pub fn get() -> &'static Self {
-        static LEXICON: LazyLock<Lexicon> = LazyLock::new(|| Lexicon::read(include_str!("lexicon.tsv")));
+        static LEXICON: LazyLock<Lexicon> =
+            LazyLock::new(|| Lexicon::read(include_str!("lexicon.tsv")));
         &LEXICON
     }
 
@@ -161,7 +162,8 @@ impl Lexicon {
         self.find_all(word).into_iter().next()
     }
 
-    /// Every noun a word may mean, the direct one first: "chair" means chairs, office chairs and armchairs.
+    /// Every noun a word may mean, the direct one first: "chair" means chairs, office chairs and
+    /// armchairs.
     #[must_use]
     pub fn find_all(&self, word: &str) -> Vec<&Noun> {
         singulars(word)
@@ -170,11 +172,13 @@ impl Lexicon {
             .map_or_else(Vec::new, |ids| ids.iter().map(|&i| &self.nouns[i]).collect())
     }
 
-    /// Nouns for a word that is none of the lexicon: those it is a kind of, else those that are kinds of it, the nearest, most common first.
+    /// Nouns for a word that is none of the lexicon: those it is a kind of, else those that are
+    /// kinds of it, the nearest, most common first.
     #[must_use]
     pub fn akin(&self, word: &str) -> Vec<&Noun> {
-        static KINDS: LazyLock<Vec<&[u32]>> =
-            LazyLock::new(|| Lexicon::get().nouns.iter().map(|noun| WordNet::get().kinds_of(&noun.name)).collect());
+        static KINDS: LazyLock<Vec<&[u32]>> = LazyLock::new(|| {
+            Lexicon::get().nouns.iter().map(|noun| WordNet::get().kinds_of(&noun.name)).collect()
+        });
         let of_word = WordNet::get().kinds_of(word);
         if of_word.is_empty() {
             return Vec::new();
@@ -185,33 +189,43 @@ impl Lexicon {
             Kinship::Broader(steps) => Some(MAX_STEPS + steps),
         };
         let of_nouns = self.nouns.iter().zip(KINDS.iter());
-        let mut akin: Vec<(u32, &Noun)> = of_nouns.filter_map(|(noun, kinds)| Some((kin(kinds)?, noun))).collect();
+        let mut akin: Vec<(u32, &Noun)> =
+            of_nouns.filter_map(|(noun, kinds)| Some((kin(kinds)?, noun))).collect();
         akin.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.prior.total_cmp(&a.1.prior)));
         let nearest = akin.first().map_or(0, |(steps, _)| *steps);
         let alike = |steps: u32| steps == nearest || nearest > MAX_STEPS;
         akin.into_iter().filter(|(steps, _)| alike(*steps)).map(|(_, noun)| noun).collect()
     }
 
-    /// Nouns for containers that are called after what is in them, and for what plants stand in: a bottle for "the wine", a vase for "the
-    /// tulips"; the most common first.
+    /// Nouns for containers that are called after what is in them, and for what plants stand in: a
+    /// bottle for "the wine", a vase for "the tulips"; the most common first.
     #[must_use]
     pub fn holding(&self, word: &str) -> Vec<&Noun> {
-        let names = |noun: &Noun| std::iter::once(&noun.name).chain(&noun.synonyms).cloned().collect::<Vec<_>>();
+        let names = |noun: &Noun| {
+            std::iter::once(&noun.name).chain(&noun.synonyms).cloned().collect::<Vec<_>>()
+        };
         let called_after = |noun: &&Noun| {
             let container = noun.kinds.iter().any(|kind| kind == "container");
             container
                 && names(noun).iter().any(|name| {
-                    name.strip_prefix(word)
-                        .is_some_and(|rest| rest.strip_prefix(' ').is_some_and(|container| self.knows(container)))
+                    name.strip_prefix(word).is_some_and(|rest| {
+                        rest.strip_prefix(' ').is_some_and(|container| self.knows(container))
+                    })
                 })
         };
         let is_plant = WordNet::get().is_a(word, PLANT);
         // Tulips are no cactus.
-        let is_species = |noun: &Noun| noun.name != "flower" && WordNet::get().is_a(&noun.name, PLANT);
+        let is_species =
+            |noun: &Noun| noun.name != "flower" && WordNet::get().is_a(&noun.name, PLANT);
         let for_plants = |noun: &&Noun| {
-            noun.kinds.iter().any(|kind| kind == "plant") && !is_species(noun) || noun.uses.iter().any(|spoken| spoken == "put flowers in")
+            noun.kinds.iter().any(|kind| kind == "plant") && !is_species(noun)
+                || noun.uses.iter().any(|spoken| spoken == "put flowers in")
         };
-        let mut holding: Vec<&Noun> = self.nouns.iter().filter(|noun| called_after(noun) || is_plant && for_plants(noun)).collect();
+        let mut holding: Vec<&Noun> = self
+            .nouns
+            .iter()
+            .filter(|noun| called_after(noun) || is_plant && for_plants(noun))
+            .collect();
         holding.sort_by(|a, b| b.prior.total_cmp(&a.prior));
         holding
     }
@@ -228,7 +242,8 @@ impl Lexicon {
         self.by_word.get_key_value(word).map(|(known, _)| known.as_str())
     }
 
-    /// Whether a word is the plural of one that leads to a noun: "chairs", not "curtains" where these are an entry of their own.
+    /// Whether a word is the plural of one that leads to a noun: "chairs", not "curtains" where
+    /// these are an entry of their own.
     #[must_use]
     pub fn is_plural(&self, word: &str) -> bool {
         !self.by_word.contains_key(word) && self.knows(word)
@@ -279,8 +294,18 @@ impl Lexicon {
 
 fn read_line(line: &str) -> Option<Noun> {
     let columns: Vec<&str> = line.split('\t').collect();
-    let [name, synonyms, kinds, long, short, height, base, support, usual, shape, usually_on, uses] = columns[..] else { return None };
-    let words = |list: &str| list.split(',').map(str::trim).filter(|w| !w.is_empty()).map(str::to_owned).collect::<Vec<_>>();
+    let [name, synonyms, kinds, long, short, height, base, support, usual, shape, usually_on, uses] =
+        columns[..]
+    else {
+        return None;
+    };
+    let words = |list: &str| {
+        list.split(',')
+            .map(str::trim)
+            .filter(|w| !w.is_empty())
+            .map(str::to_owned)
+            .collect::<Vec<_>>()
+    };
     let places = words(support)
         .iter()
         .map(|place| match place.as_str() {
@@ -352,7 +377,9 @@ mod tests {
 
     #[test]
     fn every_line_of_the_lexicon_is_an_entry() {
-        let lines = include_str!("lexicon.tsv").lines().filter(|l| !l.starts_with('#') && !l.trim().is_empty());
+        let lines = include_str!("lexicon.tsv")
+            .lines()
+            .filter(|l| !l.starts_with('#') && !l.trim().is_empty());
         for line in lines {
             let noun = read_line(line).unwrap_or_else(|| panic!("not an entry: {line}"));
             assert!(noun.long.high >= noun.short.low, "{line}");
@@ -369,13 +396,18 @@ mod tests {
         for noun in nouns {
             for place in &noun.usually_on {
                 assert!(
-                    names.contains(place.as_str()) || ["floor", "wall", "ceiling"].contains(&place.as_str()),
+                    names.contains(place.as_str())
+                        || ["floor", "wall", "ceiling"].contains(&place.as_str()),
                     "{}: {place}",
                     noun.name
                 );
             }
             for synonym in &noun.synonyms {
-                assert!(!names.contains(synonym.as_str()) && synonyms.insert(synonym), "{}: {synonym}", noun.name);
+                assert!(
+                    !names.contains(synonym.as_str()) && synonyms.insert(synonym),
+                    "{}: {synonym}",
+                    noun.name
+                );
             }
         }
     }

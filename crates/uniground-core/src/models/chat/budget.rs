@@ -21,7 +21,9 @@ struct Account {
 
 /// A call that was not made, because a budget has too little left.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("the budget of {of} is spent: {limit_usd} US dollars, of which {left_usd:.6} are left and about {wanted_usd:.6} are needed")]
+#[error(
+    "the budget of {of} is spent: {limit_usd} US dollars, of which {left_usd:.6} are left and about {wanted_usd:.6} are needed"
+)]
 pub struct OverBudget {
     /// Whose budget it is, for people: "this question".
     pub of: &'static str,
@@ -41,7 +43,8 @@ pub struct Reservation {
 }
 
 impl Budget {
-    /// A budget of which nothing is spent. `of` says whose it is ("this question"); the limit may be infinite.
+    /// A budget of which nothing is spent. `of` says whose it is ("this question"); the limit may
+    /// be infinite.
     #[must_use]
     pub fn new(of: &'static str, limit_usd: f64) -> Self {
         Self { of, limit_usd, account: Arc::default() }
@@ -60,8 +63,8 @@ impl Budget {
         locked(&self.account).spent
     }
 
-    /// Puts money aside for a call: calls at the same time can not spend the same money. An empty budget pays for nothing, not even for
-    /// what seems to be free.
+    /// Puts money aside for a call: calls at the same time can not spend the same money. An empty
+    /// budget pays for nothing, not even for what seems to be free.
     ///
     /// # Errors
     /// [`OverBudget`].
@@ -69,7 +72,12 @@ impl Budget {
         let mut account = locked(&self.account);
         let left_usd = self.limit_usd - account.spent - account.reserved;
         if left_usd <= 0.0 || usd > left_usd {
-            return Err(OverBudget { of: self.of, limit_usd: self.limit_usd, left_usd: left_usd.max(0.0), wanted_usd: usd });
+            return Err(OverBudget {
+                of: self.of,
+                limit_usd: self.limit_usd,
+                left_usd: left_usd.max(0.0),
+                wanted_usd: usd,
+            });
         }
         account.reserved += usd;
         Ok(Reservation { account: self.account.clone(), reserved_usd: usd })

@@ -1,5 +1,6 @@
-//! Chat models: what is asked, what is answered, what it costs (docs/METHOD.md, section 4, "Calls"). How a model is reached is somebody else's
-//! business: the service speaks to OpenAI-compatible endpoints, a robot may bring a model of its own.
+//! Chat models: what is asked, what is answered, what it costs (docs/METHOD.md, section 4,
+//! "Calls"). How a model is reached is somebody else's business: the service speaks to
+//! OpenAI-compatible endpoints, a robot may bring a model of its own.
 
 mod budget;
 mod session;
@@ -69,7 +70,8 @@ pub struct ChatReply {
     pub completion_tokens: u64,
     /// How often the request was sent, at least once; a recorded reply keeps its number.
     pub attempts: u32,
-    /// Attempts before it that got no answer but may be billed: the request was read, as far as anybody knows.
+    /// Attempts before it that got no answer but may be billed: the request was read, as far as
+    /// anybody knows.
     #[serde(default)]
     pub lost: u32,
     /// Wall-clock time from the first attempt to the reply, waits included.
@@ -114,7 +116,8 @@ pub struct ChatFailure {
     pub latency_ms: f64,
 }
 
-/// A model that can be asked: an endpoint elsewhere, answers that were recorded, or a model in this process.
+/// A model that can be asked: an endpoint elsewhere, answers that were recorded, or a model in this
+/// process.
 pub trait ChatModel: Send + Sync {
     /// Its name, recorded with answers.
     fn name(&self) -> &str;
@@ -126,7 +129,8 @@ pub trait ChatModel: Send + Sync {
     ///
     /// # Errors
     /// [`ChatFailure`]; a future that never completes is for the caller to drop.
-    fn ask<'a>(&'a self, request: &'a ChatRequest) -> BoxFuture<'a, Result<ChatReply, ChatFailure>>;
+    fn ask<'a>(&'a self, request: &'a ChatRequest)
+    -> BoxFuture<'a, Result<ChatReply, ChatFailure>>;
 }
 
 impl Prices {
@@ -142,12 +146,16 @@ impl Prices {
         self.cost_usd(Tokens::of(request).total(), EXPECTED_COMPLETION_TOKENS)
     }
 
-    /// What a call has cost, US dollars. Attempts that may be billed count for what they sent: better than to find out later.
+    /// What a call has cost, US dollars. Attempts that may be billed count for what they sent:
+    /// better than to find out later.
     #[must_use]
     pub fn paid_usd(self, request: &ChatRequest, outcome: &Result<ChatReply, ChatFailure>) -> f64 {
-        let lost = |attempts: u32| f64::from(attempts) * self.cost_usd(Tokens::of(request).total(), 0);
+        let lost =
+            |attempts: u32| f64::from(attempts) * self.cost_usd(Tokens::of(request).total(), 0);
         match outcome {
-            Ok(reply) => self.cost_usd(reply.prompt_tokens, reply.completion_tokens) + lost(reply.lost),
+            Ok(reply) => {
+                self.cost_usd(reply.prompt_tokens, reply.completion_tokens) + lost(reply.lost)
+            }
             Err(failure) => lost(failure.lost),
         }
     }
@@ -155,6 +163,7 @@ impl Prices {
     /// What tokens cost, US dollars.
     #[must_use]
     pub fn cost_usd(self, prompt_tokens: u64, completion_tokens: u64) -> f64 {
-        (prompt_tokens as f64 * self.prompt_usd + completion_tokens as f64 * self.completion_usd) / 1e6
+        (prompt_tokens as f64 * self.prompt_usd + completion_tokens as f64 * self.completion_usd)
+            / 1e6
     }
 }

@@ -6,7 +6,8 @@ use super::{Budget, ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, O
 /// One call: what was asked, and what came of it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CallRecord {
-    /// What the call was for: `parse`, `naming`, `spatial`, or what was wrong with the answer before, like `out_of_set`.
+    /// What the call was for: `parse`, `naming`, `spatial`, or what was wrong with the answer
+    /// before, like `out_of_set`.
     pub purpose: &'static str,
     /// What was asked, pictures included.
     pub request: ChatRequest,
@@ -32,7 +33,8 @@ pub enum AskError {
     CallsUsedUp { most: u32 },
 }
 
-/// A call under way and what it is thought to cost: that counts as spent when nobody waits for its end.
+/// A call under way and what it is thought to cost: that counts as spent when nobody waits for its
+/// end.
 struct Sent {
     reservations: Vec<Reservation>,
     thought: f64,
@@ -86,12 +88,20 @@ impl<'a> Session<'a> {
     ///
     /// # Errors
     /// [`AskError`]: no call left, no money left, or the model could not be asked.
-    pub async fn ask(&mut self, purpose: &'static str, request: ChatRequest) -> Result<String, AskError> {
+    pub async fn ask(
+        &mut self,
+        purpose: &'static str,
+        request: ChatRequest,
+    ) -> Result<String, AskError> {
         if self.calls_left() == 0 {
             return Err(AskError::CallsUsedUp { most: self.most });
         }
         let thought = self.model.prices().thought_usd(&request);
-        let reservations = self.budgets.iter().map(|budget| budget.reserve(thought)).collect::<Result<Vec<_>, _>>()?;
+        let reservations = self
+            .budgets
+            .iter()
+            .map(|budget| budget.reserve(thought))
+            .collect::<Result<Vec<_>, _>>()?;
         // Who leaves while the model thinks has asked it all the same.
         let mut sent = Sent { reservations, thought };
         let answered = match self.model.ask(&request).await {

@@ -2,8 +2,9 @@
 
 use super::{ChatRequest, Part};
 
-/// Tokens of a request, reckoned: English text at four characters each, pictures by the tiles common providers document (512 x 512 pixels
-/// after fitting into 2048 x 2048 with the shorter side at most 768: 85 + 170 for every tile).
+/// Tokens of a request, reckoned: English text at four characters each, pictures by the tiles
+/// common providers document (512 x 512 pixels after fitting into 2048 x 2048 with the shorter side
+/// at most 768: 85 + 170 for every tile).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Tokens {
     /// Of all words, the system message included.
@@ -24,7 +25,9 @@ impl Tokens {
         for part in &request.user {
             match part {
                 Part::Text(words) => tokens.text += text(words),
-                Part::Picture(picture) => tokens.pictures += self::picture(picture.width, picture.height),
+                Part::Picture(picture) => {
+                    tokens.pictures += self::picture(picture.width, picture.height)
+                }
             }
         }
         tokens

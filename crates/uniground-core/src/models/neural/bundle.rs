@@ -31,7 +31,8 @@ pub struct DualEncoderManifest {
     pub image: ImageTower,
     /// Embeds words.
     pub text: TextTower,
-    /// What cosines are multiplied with before they are compared as likelihoods; 100 for CLIP and its kin.
+    /// What cosines are multiplied with before they are compared as likelihoods; 100 for CLIP and
+    /// its kin.
     #[serde(default = "usual_scale")]
     pub logit_scale: f32,
     /// Of the weights, for people; empty when not told.
@@ -81,18 +82,21 @@ pub struct TextTower {
     pub file: String,
     /// Name of the tensor of token ids: `[batch, context_length]`, 64-bit integers.
     pub input_ids: String,
-    /// Name of the tensor of 1 for tokens and 0 for padding, shaped like `input_ids`; `None` when the network has none.
+    /// Name of the tensor of 1 for tokens and 0 for padding, shaped like `input_ids`; `None` when
+    /// the network has none.
     pub attention_mask: Option<String>,
     /// Name of the tensor of embeddings: `[batch, embedding_dim]`, not yet of unit length.
     pub output: String,
-    /// Name of the tokenizer's file, in the bundle's folder, usually `tokenizer.json`; it pads and cuts to `context_length`.
+    /// Name of the tokenizer's file, in the bundle's folder, usually `tokenizer.json`; it pads and
+    /// cuts to `context_length`.
     pub tokenizer: String,
     /// Tokens of every sentence, padding included, 1 to 65536; longer sentences lose their end.
     pub context_length: usize,
     /// Id of the token that sentences are padded with; 0 when not told.
     #[serde(default)]
     pub pad_id: u32,
-    /// What a noun is put into before it is embedded: "a photo of a {}." for towers trained on captions.
+    /// What a noun is put into before it is embedded: "a photo of a {}." for towers trained on
+    /// captions.
     #[serde(default = "plain")]
     pub template: String,
 }
@@ -167,9 +171,13 @@ pub struct FeatureNames {
 impl FeatureNames {
     /// Those there are, by role.
     pub fn each(&self) -> impl Iterator<Item = (&'static str, &str)> {
-        [("image_embed", &self.image_embed), ("high_res_feats_0", &self.high_res_feats_0), ("high_res_feats_1", &self.high_res_feats_1)]
-            .into_iter()
-            .filter_map(|(role, name)| Some((role, name.as_deref()?)))
+        [
+            ("image_embed", &self.image_embed),
+            ("high_res_feats_0", &self.high_res_feats_0),
+            ("high_res_feats_1", &self.high_res_feats_1),
+        ]
+        .into_iter()
+        .filter_map(|(role, name)| Some((role, name.as_deref()?)))
     }
 
     /// The tensor's name in a role such as `image_embed`; `None` when it has none.
@@ -194,13 +202,15 @@ pub struct SegmenterDecoder {
     pub num_masks: usize,
     /// First mask that one point may mean, counted from 0; all after it may be meant as well.
     pub multimask_first: usize,
-    /// The mask that several points mean, counted from 0; `None`: they are answered like one point.
+    /// The mask that several points mean, counted from 0; `None`: they are answered like one
+    /// point.
     pub single_mask: Option<usize>,
     /// Several prompts fit into one call.
     pub dynamic_batch: bool,
     /// Prompts in one call, 1 to 1024; without `dynamic_batch` there is always one.
     pub max_batch: usize,
-    /// The same where a graphics card computes, 1 to 1024: more prompts take hardly longer there. `None`: as many.
+    /// The same where a graphics card computes, 1 to 1024: more prompts take hardly longer there.
+    /// `None`: as many.
     #[serde(default)]
     pub accelerated_batch: Option<u16>,
     /// Prompts without a box get one more point, labelled -1, which means nothing.
@@ -217,11 +227,14 @@ pub struct DecoderInputs {
     pub features: FeatureNames,
     /// Name of the tensor of points: `[batch, points, 2]`, x and y in network pixels.
     pub point_coords: String,
-    /// Name of the tensor of their meanings: `[batch, points]`; 0 outside, 1 inside, 2 and 3 corners of a box, -1 padding.
+    /// Name of the tensor of their meanings: `[batch, points]`; 0 outside, 1 inside, 2 and 3
+    /// corners of a box, -1 padding.
     pub point_labels: String,
-    /// Name of the tensor of a mask to start from: `[batch, 1, mask_size, mask_size]`, here all 0; `None` when the network has none.
+    /// Name of the tensor of a mask to start from: `[batch, 1, mask_size, mask_size]`, here all 0;
+    /// `None` when the network has none.
     pub mask_input: Option<String>,
-    /// Name of the tensor that says whether `mask_input` counts, here 0; there exactly when `mask_input` is.
+    /// Name of the tensor that says whether `mask_input` counts, here 0; there exactly when
+    /// `mask_input` is.
     pub has_mask_input: Option<String>,
     /// Must be `None`: masks are enlarged here, not by the network.
     pub orig_im_size: Option<String>,
@@ -287,7 +300,9 @@ impl Bundle {
         let wrong = |why: String| ModelError::Bundle { file: file.clone(), why };
         let text = fs::read_to_string(&file).map_err(|e| wrong(e.to_string()))?;
         let manifest = Manifest::parse(&text).map_err(wrong)?;
-        manifest.check().map_err(|(field, expected)| wrong(format!("{field}: expected {expected}")))?;
+        manifest
+            .check()
+            .map_err(|(field, expected)| wrong(format!("{field}: expected {expected}")))?;
         Ok(Self { folder: folder.to_owned(), manifest })
     }
 
@@ -310,12 +325,15 @@ impl Bundle {
     #[must_use]
     pub fn files(&self) -> (Vec<&str>, Option<&str>) {
         match &self.manifest {
-            Manifest::DualEncoder(m) => (vec![&m.image.file, &m.text.file], Some(&m.text.tokenizer)),
+            Manifest::DualEncoder(m) => {
+                (vec![&m.image.file, &m.text.file], Some(&m.text.tokenizer))
+            }
             Manifest::PromptableSegmenter(m) => (vec![&m.encoder.file, &m.decoder.file], None),
         }
     }
 
-    /// The files beside a network that hold its weights, where it is larger than one ONNX file can be.
+    /// The files beside a network that hold its weights, where it is larger than one ONNX file can
+    /// be.
     ///
     /// # Errors
     /// [`ModelError::Bundle`]: the network can not be read, or its weights lie elsewhere or are missing.
@@ -328,7 +346,9 @@ impl Bundle {
         })?;
         for name in &named {
             if !is_file(name) {
-                return Err(wrong(format!("its weights are said to lie in {name:?}, which is no file of the same folder")));
+                return Err(wrong(format!(
+                    "its weights are said to lie in {name:?}, which is no file of the same folder"
+                )));
             }
             if !self.path(name).is_file() {
                 return Err(wrong(format!("its weights are missing: {name}")));
@@ -337,7 +357,8 @@ impl Bundle {
         Ok(named.into_iter().collect())
     }
 
-    /// SHA-256 over names and contents of the manifest, the files it names and the weights beside these, and over `also`; hexadecimal.
+    /// SHA-256 over names and contents of the manifest, the files it names and the weights beside
+    /// these, and over `also`; hexadecimal.
     ///
     /// # Errors
     /// [`ModelError::Bundle`] naming the file that is missing.
@@ -352,7 +373,8 @@ impl Bundle {
         names.extend(tokenizer.map(str::to_owned));
         for name in names {
             let file = self.path(&name);
-            let wrong = |e: io::Error| ModelError::Bundle { file: file.clone(), why: e.to_string() };
+            let wrong =
+                |e: io::Error| ModelError::Bundle { file: file.clone(), why: e.to_string() };
             digest.update(&name);
             digest.update([0]);
             let mut reader = File::open(&file).map_err(wrong)?;
@@ -398,45 +420,87 @@ impl Manifest {
             Self::DualEncoder(m) => &[
                 ("name", is_name(&m.name), NAME_RULE),
                 ("embedding_dim", (1..=65_536).contains(&m.embedding_dim), "1 to 65536"),
-                ("image.size", m.image.size.iter().all(|s| (1..=MAX_SIDE).contains(s)), "1 to 4096 pixels each"),
+                (
+                    "image.size",
+                    m.image.size.iter().all(|s| (1..=MAX_SIDE).contains(s)),
+                    "1 to 4096 pixels each",
+                ),
                 ("image.std", spread(&m.image.std), "above 0"),
                 ("image.file", is_file(&m.image.file), FILE_RULE),
                 ("text.file", is_file(&m.text.file), FILE_RULE),
                 ("text.tokenizer", is_file(&m.text.tokenizer), FILE_RULE),
                 ("logit_scale", m.logit_scale.is_finite() && m.logit_scale > 0.0, "above 0"),
                 ("text.template", m.text.template.contains("{}"), "a text with {} in it"),
-                ("text.context_length", (1..=65_536).contains(&m.text.context_length), "1 to 65536"),
+                (
+                    "text.context_length",
+                    (1..=65_536).contains(&m.text.context_length),
+                    "1 to 65536",
+                ),
             ],
             Self::PromptableSegmenter(m) => &[
                 ("name", is_name(&m.name), NAME_RULE),
                 ("encoder.size", (1..=MAX_SIDE).contains(&m.encoder.size), "1 to 4096 pixels"),
                 ("encoder.std", spread(&m.encoder.std), "above 0"),
-                ("encoder.resize", m.encoder.resize != Resize::ShortestCenterCrop, "squash or longest-side-pad"),
+                (
+                    "encoder.resize",
+                    m.encoder.resize != Resize::ShortestCenterCrop,
+                    "squash or longest-side-pad",
+                ),
                 ("encoder.file", is_file(&m.encoder.file), FILE_RULE),
                 ("decoder.file", is_file(&m.decoder.file), FILE_RULE),
-                ("encoder.outputs.image_embed", m.encoder.outputs.image_embed.is_some(), "the name of a tensor"),
+                (
+                    "encoder.outputs.image_embed",
+                    m.encoder.outputs.image_embed.is_some(),
+                    "the name of a tensor",
+                ),
                 (
                     "decoder.inputs",
-                    m.decoder.inputs.features.each().all(|(role, _)| m.encoder.outputs.of(role).is_some()),
+                    m.decoder
+                        .inputs
+                        .features
+                        .each()
+                        .all(|(role, _)| m.encoder.outputs.of(role).is_some()),
                     "only features the encoder has",
                 ),
                 (
                     "decoder.inputs",
-                    m.decoder.inputs.features.high_res_feats_0.is_some() == (m.family == Family::Sam2),
+                    m.decoder.inputs.features.high_res_feats_0.is_some()
+                        == (m.family == Family::Sam2),
                     "high_res_feats for the family sam2, none for sam",
                 ),
-                ("decoder.inputs.orig_im_size", m.decoder.inputs.orig_im_size.is_none(), "null: masks are enlarged here"),
+                (
+                    "decoder.inputs.orig_im_size",
+                    m.decoder.inputs.orig_im_size.is_none(),
+                    "null: masks are enlarged here",
+                ),
                 (
                     "decoder.inputs.has_mask_input",
-                    m.decoder.inputs.mask_input.is_some() == m.decoder.inputs.has_mask_input.is_some(),
+                    m.decoder.inputs.mask_input.is_some()
+                        == m.decoder.inputs.has_mask_input.is_some(),
                     "both mask inputs or none",
                 ),
-                ("decoder.mask_size", (1..=MAX_SIDE as usize).contains(&m.decoder.mask_size), "1 to 4096 pixels"),
+                (
+                    "decoder.mask_size",
+                    (1..=MAX_SIDE as usize).contains(&m.decoder.mask_size),
+                    "1 to 4096 pixels",
+                ),
                 ("decoder.num_masks", (1..=16).contains(&m.decoder.num_masks), "1 to 16"),
-                ("decoder.multimask_first", m.decoder.multimask_first < m.decoder.num_masks, "below num_masks"),
-                ("decoder.single_mask", m.decoder.single_mask.is_none_or(|i| i < m.decoder.num_masks), "below num_masks"),
+                (
+                    "decoder.multimask_first",
+                    m.decoder.multimask_first < m.decoder.num_masks,
+                    "below num_masks",
+                ),
+                (
+                    "decoder.single_mask",
+                    m.decoder.single_mask.is_none_or(|i| i < m.decoder.num_masks),
+                    "below num_masks",
+                ),
                 ("decoder.max_batch", (1..=1024).contains(&m.decoder.max_batch), "1 to 1024"),
-                ("decoder.accelerated_batch", m.decoder.accelerated_batch.is_none_or(|n| (1..=1024).contains(&n)), "1 to 1024"),
+                (
+                    "decoder.accelerated_batch",
+                    m.decoder.accelerated_batch.is_none_or(|n| (1..=1024).contains(&n)),
+                    "1 to 1024",
+                ),
                 ("decoder.mask_threshold", m.decoder.mask_threshold.is_finite(), "a number"),
             ],
         };
@@ -451,7 +515,8 @@ const NAME_RULE: &str = "1 to 100 letters, digits, dots, dashes and underscores"
 const FILE_RULE: &str = "the name of a file in the same folder";
 
 fn is_name(name: &str) -> bool {
-    (1..=100).contains(&name.len()) && name.chars().all(|c| c.is_ascii_alphanumeric() || ".-_".contains(c))
+    (1..=100).contains(&name.len())
+        && name.chars().all(|c| c.is_ascii_alphanumeric() || ".-_".contains(c))
 }
 
 fn is_file(name: &str) -> bool {

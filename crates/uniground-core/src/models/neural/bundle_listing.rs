@@ -38,7 +38,10 @@ pub struct BundleListing {
 /// # Errors
 /// When the folder can not be read.
 pub fn list(folder: &Utf8Path) -> std::io::Result<Vec<BundleListing>> {
-    let mut folders: Vec<Utf8PathBuf> = folder.read_dir_utf8()?.map(|entry| Ok(entry?.into_path())).collect::<std::io::Result<_>>()?;
+    let mut folders: Vec<Utf8PathBuf> = folder
+        .read_dir_utf8()?
+        .map(|entry| Ok(entry?.into_path()))
+        .collect::<std::io::Result<_>>()?;
     folders.retain(|folder| folder.join(MANIFEST).is_file());
     folders.sort();
     Ok(folders.iter().map(|folder| listing(folder)).collect())
@@ -51,22 +54,42 @@ fn listing(folder: &Utf8Path) -> BundleListing {
             let name = folder.file_name().unwrap_or_default().to_owned();
             let problem = Some(error.to_string());
             let (role, licence, source) = (None, String::new(), String::new());
-            return BundleListing { folder: folder.to_owned(), name, role, files: Vec::new(), licence, source, problem };
+            return BundleListing {
+                folder: folder.to_owned(),
+                name,
+                role,
+                files: Vec::new(),
+                licence,
+                source,
+                problem,
+            };
         }
     };
     let (networks, tokenizer) = bundle.files();
     let files: Vec<BundleFile> = networks
         .into_iter()
         .chain(tokenizer)
-        .map(|name| BundleFile { name: name.to_owned(), bytes: bundle.path(name).metadata().ok().map(|m| m.len()) })
+        .map(|name| BundleFile {
+            name: name.to_owned(),
+            bytes: bundle.path(name).metadata().ok().map(|m| m.len()),
+        })
         .collect();
-    let missing: Vec<&str> = files.iter().filter(|f| f.bytes.is_none()).map(|f| f.name.as_str()).collect();
+    let missing: Vec<&str> =
+        files.iter().filter(|f| f.bytes.is_none()).map(|f| f.name.as_str()).collect();
     let problem = (!missing.is_empty()).then(|| format!("missing: {}", missing.join(", ")));
     let (role, licence, source) = match &bundle.manifest {
         Manifest::DualEncoder(m) => (Role::Encoder, m.licence.clone(), m.source.clone()),
         Manifest::PromptableSegmenter(m) => (Role::Masks, m.licence.clone(), m.source.clone()),
     };
-    BundleListing { folder: folder.to_owned(), name: bundle.name().to_owned(), role: Some(role), files, licence, source, problem }
+    BundleListing {
+        folder: folder.to_owned(),
+        name: bundle.name().to_owned(),
+        role: Some(role),
+        files,
+        licence,
+        source,
+        problem,
+    }
 }
 
 /// Loads a bundle and runs it once: whether it would work.

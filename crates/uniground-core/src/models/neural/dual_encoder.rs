@@ -27,7 +27,8 @@ pub struct DualEncoder {
     tokenizer: Tokenizer,
     /// Pictures per call.
     batch: usize,
-    /// Queries come again: the same scene is asked the same things, and every phrase is looked up among the same names.
+    /// Queries come again: the same scene is asked the same things, and every phrase is looked up
+    /// among the same names.
     queries: Mutex<HashMap<String, TextEmbedding>>,
 }
 
@@ -35,7 +36,8 @@ pub struct DualEncoder {
 const BATCH: usize = 8;
 /// Remembered queries; past that all are forgotten at once.
 const MAX_QUERIES: usize = 20_000;
-/// Embeddings of the same picture in different company agree at least this well, or pictures go alone.
+/// Embeddings of the same picture in different company agree at least this well, or pictures go
+/// alone.
 const INDEPENDENT: f32 = 0.9999;
 
 impl DualEncoder {
@@ -51,24 +53,57 @@ impl DualEncoder {
     ) -> Result<Self, ModelError> {
         let [width, height] = manifest.image.size.map(|s| Some(s as usize));
         let (dim, context) = (Some(manifest.embedding_dim), Some(manifest.text.context_length));
-        let (image_file, text_file) = (bundle.path(&manifest.image.file), bundle.path(&manifest.text.file));
-        image
-            .signature()
-            .expect(&image_file, Direction::In, &manifest.image.input, Element::F32, &[None, Some(3), height, width])?;
-        image
-            .signature()
-            .expect(&image_file, Direction::Out, &manifest.image.output, Element::F32, &[None, dim])?;
-        text.signature()
-            .expect(&text_file, Direction::In, &manifest.text.input_ids, Element::I64, &[None, context])?;
+        let (image_file, text_file) =
+            (bundle.path(&manifest.image.file), bundle.path(&manifest.text.file));
+        image.signature().expect(
+            &image_file,
+            Direction::In,
+            &manifest.image.input,
+            Element::F32,
+            &[None, Some(3), height, width],
+        )?;
+        image.signature().expect(
+            &image_file,
+            Direction::Out,
+            &manifest.image.output,
+            Element::F32,
+            &[None, dim],
+        )?;
+        text.signature().expect(
+            &text_file,
+            Direction::In,
+            &manifest.text.input_ids,
+            Element::I64,
+            &[None, context],
+        )?;
         if let Some(mask) = &manifest.text.attention_mask {
-            text.signature().expect(&text_file, Direction::In, mask, Element::I64, &[None, context])?;
+            text.signature().expect(
+                &text_file,
+                Direction::In,
+                mask,
+                Element::I64,
+                &[None, context],
+            )?;
         }
-        text.signature()
-            .expect(&text_file, Direction::Out, &manifest.text.output, Element::F32, &[None, dim])?;
+        text.signature().expect(
+            &text_file,
+            Direction::Out,
+            &manifest.text.output,
+            Element::F32,
+            &[None, dim],
+        )?;
         let tokenizer = tokenizer(bundle.path(&manifest.text.tokenizer), &manifest.text)?;
-        let mut encoder = Self { manifest: manifest.clone(), image, text, tokenizer, batch: 1, queries: Mutex::default() };
+        let mut encoder = Self {
+            manifest: manifest.clone(),
+            image,
+            text,
+            tokenizer,
+            batch: 1,
+            queries: Mutex::default(),
+        };
         encoder.compute_text("a red chair next to the table")?;
-        encoder.batch = if manifest.image.dynamic_batch && encoder.is_independent()? { BATCH } else { 1 };
+        encoder.batch =
+            if manifest.image.dynamic_batch && encoder.is_independent()? { BATCH } else { 1 };
         Ok(encoder)
     }
 
@@ -78,8 +113,8 @@ impl DualEncoder {
         self.manifest.embedding_dim
     }
 
-    /// Pictures per call: 1 where the network takes no more, or an embedding depends on its neighbours, as with activations quantised over
-    /// the whole batch.
+    /// Pictures per call: 1 where the network takes no more, or an embedding depends on its
+    /// neighbours, as with activations quantised over the whole batch.
     #[must_use]
     pub fn batch(&self) -> usize {
         self.batch
@@ -105,20 +140,37 @@ impl DualEncoder {
             let fitted = fit(picture, tower.size, tower.resize, tower.interpolation);
             append_planes(&fitted.picture, tower.size, 255.0, tower.mean, tower.std, &mut values);
         }
-        let input = Input { name: &tower.input, shape: vec![pictures.len(), 3, height, width], values: Values::F32(&values) };
+        let input = Input {
+            name: &tower.input,
+            shape: vec![pictures.len(), 3, height, width],
+            values: Values::F32(&values),
+        };
         let made = self.image.run(&[input], &[&tower.output])?;
         let rows = self.rows(&tower.file, &tower.output, made, pictures.len())?;
-        let failed = || ModelError::Run { network: tower.file.clone(), why: "a picture has the embedding zero".into() };
+        let failed = || ModelError::Run {
+            network: tower.file.clone(),
+            why: "a picture has the embedding zero".into(),
+        };
         rows.chunks_exact(self.dim()).map(|row| normalised(row).ok_or_else(failed)).collect()
     }
 
     /// The output as rows, if it has the shape that was declared.
-    fn rows(&self, file: &str, tensor: &str, made: Vec<Tensor>, count: usize) -> Result<Vec<f32>, ModelError> {
+    fn rows(
+        &self,
+        file: &str,
+        tensor: &str,
+        made: Vec<Tensor>,
+        count: usize,
+    ) -> Result<Vec<f32>, ModelError> {
         match made.into_iter().next() {
             Some(Tensor { shape, values }) if shape == [count, self.dim()] => Ok(values),
             other => Err(ModelError::Run {
                 network: file.into(),
-                why: format!("{tensor} has the shape {:?}, expected [{count}, {}]", other.map(|t| t.shape), self.dim()),
+                why: format!(
+                    "{tensor} has the shape {:?}, expected [{count}, {}]",
+                    other.map(|t| t.shape),
+                    self.dim()
+                ),
             }),
         }
     }
@@ -128,8 +180,9 @@ impl DualEncoder {
     /// # Errors
     /// [`ModelError`]: a failed call.
     pub fn embed_text(&self, text: &str) -> Result<TextEmbedding, ModelError> {
-        let known =
-            |queries: &Mutex<HashMap<String, TextEmbedding>>| queries.lock().unwrap_or_else(PoisonError::into_inner).get(text).cloned();
+        let known = |queries: &Mutex<HashMap<String, TextEmbedding>>| {
+            queries.lock().unwrap_or_else(PoisonError::into_inner).get(text).cloned()
+        };
         if let Some(embedding) = known(&self.queries) {
             return Ok(embedding);
         }
@@ -160,7 +213,8 @@ impl DualEncoder {
         let tower = &self.manifest.text;
         let Tokens { ids, mask, cut } = self.tokens(text)?;
         let shape = vec![1, tower.context_length];
-        let mut inputs = vec![Input { name: &tower.input_ids, shape: shape.clone(), values: Values::I64(&ids) }];
+        let mut inputs =
+            vec![Input { name: &tower.input_ids, shape: shape.clone(), values: Values::I64(&ids) }];
         if let Some(name) = &tower.attention_mask {
             inputs.push(Input { name, shape, values: Values::I64(&mask) });
         }
@@ -170,10 +224,15 @@ impl DualEncoder {
     }
 
     fn tokens(&self, text: &str) -> Result<Tokens, ModelError> {
-        let failed = |why: String| ModelError::Run { network: self.manifest.text.tokenizer.clone(), why };
+        let failed =
+            |why: String| ModelError::Run { network: self.manifest.text.tokenizer.clone(), why };
         let encoding = self.tokenizer.encode(text, true).map_err(|e| failed(e.to_string()))?;
         if encoding.len() != self.manifest.text.context_length {
-            return Err(failed(format!("{} tokens, the text tower reads {}", encoding.len(), self.manifest.text.context_length)));
+            return Err(failed(format!(
+                "{} tokens, the text tower reads {}",
+                encoding.len(),
+                self.manifest.text.context_length
+            )));
         }
         Ok(Tokens {
             ids: encoding.get_ids().iter().copied().map(i64::from).collect(),
@@ -187,7 +246,8 @@ impl DualEncoder {
         let [width, height] = self.manifest.image.size;
         let noise = |salt: u32| {
             RgbImage::from_fn(width, height, |x, y| {
-                let mixed = (x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca6b) ^ salt).wrapping_mul(0xc2b2_ae35);
+                let mixed = (x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca6b) ^ salt)
+                    .wrapping_mul(0xc2b2_ae35);
                 Rgb([(mixed >> 24) as u8, (mixed >> 16) as u8, (mixed >> 8) as u8])
             })
         };
@@ -219,14 +279,17 @@ fn tokenizer(file: Utf8PathBuf, tower: &TextTower) -> Result<Tokenizer, ModelErr
     let found = short.len();
     let truncation = tokenizer.get_truncation().map(|t| t.max_length);
     if found != context_length || truncation != Some(context_length) {
-        let truncation = truncation.map_or("nothing".to_owned(), |length| format!("{length} tokens"));
+        let truncation =
+            truncation.map_or("nothing".to_owned(), |length| format!("{length} tokens"));
         return Err(wrong(format!(
             "pads to {found} tokens and cuts at {truncation}, the text tower reads {context_length}: tokenizer and tower disagree"
         )));
     }
     match short.get_ids().last() {
         Some(&pad) if pad == tower.pad_id => Ok(tokenizer),
-        other => Err(wrong(format!("pads with {other:?}, the text tower expects {}", tower.pad_id))),
+        other => {
+            Err(wrong(format!("pads with {other:?}, the text tower expects {}", tower.pad_id)))
+        }
     }
 }
 

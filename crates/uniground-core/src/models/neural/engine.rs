@@ -13,16 +13,23 @@ pub enum Work {
     Questions,
 }
 
-/// Something that runs networks: ONNX Runtime in this process ([`OnnxRuntime`](super::OnnxRuntime)), or an inference server elsewhere.
+/// Something that runs networks: ONNX Runtime in this process
+/// ([`OnnxRuntime`](super::OnnxRuntime)), or an inference server elsewhere.
 pub trait Engine: Send + Sync {
     /// Opens a network of a bundle; `at_once` calls of it may run at the same time.
     ///
     /// # Errors
     /// [`ModelError`] naming the file, or the server's model.
-    fn open(&self, bundle: &Bundle, file: &str, at_once: usize, work: Work) -> Result<Box<dyn Network>, ModelError>;
+    fn open(
+        &self,
+        bundle: &Bundle,
+        file: &str,
+        at_once: usize,
+        work: Work,
+    ) -> Result<Box<dyn Network>, ModelError>;
 
-    /// What tells this bundle's answers from those of another: its files where they are read here; elsewhere, its manifest and what the
-    /// server says it has.
+    /// What tells this bundle's answers from those of another: its files where they are read here;
+    /// elsewhere, its manifest and what the server says it has.
     ///
     /// # Errors
     /// [`ModelError`] naming the file, or the server's model.
@@ -31,7 +38,8 @@ pub trait Engine: Send + Sync {
     /// For people: `cpu`, `cuda`, or an address.
     fn runs_on(&self) -> String;
 
-    /// Whether something other than processor cores is known to compute, which likes larger batches.
+    /// Whether something other than processor cores is known to compute, which likes larger
+    /// batches.
     fn is_accelerated(&self) -> bool {
         false
     }

@@ -1,6 +1,8 @@
-//! Weights beside a network: ONNX files hold at most 2 GB, larger networks name the files that hold their tensors.
+//! Weights beside a network: ONNX files hold at most 2 GB, larger networks name the files that hold
+//! their tensors.
 //!
-//! The protobuf of an ONNX file is walked, not loaded: tensors are passed over. Field numbers are those of `onnx.proto`.
+//! The protobuf of an ONNX file is walked, not loaded: tensors are passed over. Field numbers are
+//! those of `onnx.proto`.
 
 use camino::Utf8Path;
 use std::collections::BTreeSet;
@@ -38,7 +40,8 @@ const MAX_DEPTH: u32 = 64;
 /// Longer is no file name.
 const MAX_NAME: u64 = 4096;
 
-/// Names of the files that hold tensors of a network, as it gives them; none for a file that is no ONNX protobuf (`.ort`).
+/// Names of the files that hold tensors of a network, as it gives them; none for a file that is no
+/// ONNX protobuf (`.ort`).
 ///
 /// # Errors
 /// The file can not be read.
@@ -49,7 +52,14 @@ pub(super) fn external_data(network: &Utf8Path) -> io::Result<BTreeSet<String>> 
     match walk.message(Message::Model, length, 0) {
         Ok(()) => Ok(walk.found),
         // Whoever runs it will say that it is no network.
-        Err(error) if matches!(error.kind(), io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof) => Ok(BTreeSet::new()),
+        Err(error)
+            if matches!(
+                error.kind(),
+                io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof
+            ) =>
+        {
+            Ok(BTreeSet::new())
+        }
         Err(error) => Err(error),
     }
 }
@@ -118,7 +128,8 @@ impl Walk {
         if length > end - self.at {
             return Err(invalid("a field is too long"));
         }
-        self.reader.seek_relative(i64::try_from(length).map_err(|_| invalid("a field is too long"))?)?;
+        self.reader
+            .seek_relative(i64::try_from(length).map_err(|_| invalid("a field is too long"))?)?;
         self.at += length;
         Ok(())
     }
@@ -156,12 +167,22 @@ mod tests {
         let tensor = |name: &str| {
             let entry = [field(1, b"location"), field(2, name.as_bytes())].concat();
             let offset = [field(1, b"offset"), field(2, b"4096")].concat();
-            [vec![8, 3, 16, 1], field(13, &entry), field(13, &offset), field(9, b"raw bytes")].concat()
+            [vec![8, 3, 16, 1], field(13, &entry), field(13, &offset), field(9, b"raw bytes")]
+                .concat()
         };
-        let branch = field(5, &[field(1, b"then_branch"), field(6, &field(5, &tensor("inner.data")))].concat());
+        let branch = field(
+            5,
+            &[field(1, b"then_branch"), field(6, &field(5, &tensor("inner.data")))].concat(),
+        );
         let constant = field(5, &field(5, &tensor("constant.data")));
-        let graph = [field(1, &constant), field(1, &branch), field(5, &tensor("weights.data"))].concat();
-        let model = [vec![8, 9], vec![7 << 3 | 2, (graph.len() | 128) as u8, (graph.len() >> 7) as u8], graph].concat();
+        let graph =
+            [field(1, &constant), field(1, &branch), field(5, &tensor("weights.data"))].concat();
+        let model = [
+            vec![8, 9],
+            vec![7 << 3 | 2, (graph.len() | 128) as u8, (graph.len() >> 7) as u8],
+            graph,
+        ]
+        .concat();
         let (_keep, file) = written(&model);
         let found: Vec<String> = external_data(&file).unwrap().into_iter().collect();
         assert_eq!(found, ["constant.data", "inner.data", "weights.data"]);

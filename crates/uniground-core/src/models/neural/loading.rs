@@ -10,7 +10,8 @@ use uniground_types::models::{LoadedModel, Role};
 /// Segmenters and encoder, where there are any. Cheap to clone.
 #[derive(Clone, Default)]
 pub struct Models {
-    /// Make 2D masks, each its own, and the first corrects outlines; none: masks are cut by depth and colour (docs/METHOD.md, section 1.3).
+    /// Make 2D masks, each its own, and the first corrects outlines; none: masks are cut by depth
+    /// and colour (docs/METHOD.md, section 1.3).
     pub segmenters: Vec<Arc<Segmenter>>,
     /// Embeds pictures and words; `None`: names come from measures (docs/METHOD.md, section 1.10).
     pub encoder: Option<Arc<DualEncoder>>,
@@ -41,14 +42,21 @@ impl Models {
     ///
     /// # Errors
     /// [`ModelError`] naming file and tensor.
-    pub fn with_segmenter(mut self, engine: &dyn Engine, folder: &Utf8Path) -> Result<Self, ModelError> {
+    pub fn with_segmenter(
+        mut self,
+        engine: &dyn Engine,
+        folder: &Utf8Path,
+    ) -> Result<Self, ModelError> {
         let bundle = Bundle::read(folder)?;
-        let Manifest::PromptableSegmenter(manifest) = &bundle.manifest else { return Err(wrong_kind(&bundle, "a promptable-segmenter")) };
+        let Manifest::PromptableSegmenter(manifest) = &bundle.manifest else {
+            return Err(wrong_kind(&bundle, "a promptable-segmenter"));
+        };
         let encoder = engine.open(&bundle, &manifest.encoder.file, 1, Work::Parsing)?;
         let decoder = engine.open(&bundle, &manifest.decoder.file, AT_ONCE, Work::Parsing)?;
         let mut manifest = manifest.clone();
         if engine.is_accelerated() {
-            manifest.decoder.max_batch = manifest.decoder.accelerated_batch.map_or(manifest.decoder.max_batch, usize::from);
+            manifest.decoder.max_batch =
+                manifest.decoder.accelerated_batch.map_or(manifest.decoder.max_batch, usize::from);
         }
         let segmenter = Segmenter::new(&bundle, &manifest, encoder, decoder)?;
         self.note(engine, &bundle, Role::Masks, None, segmenter.batch(), &manifest.licence)?;
@@ -60,13 +68,26 @@ impl Models {
     ///
     /// # Errors
     /// [`ModelError`] naming file and tensor.
-    pub fn with_encoder(mut self, engine: &dyn Engine, folder: &Utf8Path) -> Result<Self, ModelError> {
+    pub fn with_encoder(
+        mut self,
+        engine: &dyn Engine,
+        folder: &Utf8Path,
+    ) -> Result<Self, ModelError> {
         let bundle = Bundle::read(folder)?;
-        let Manifest::DualEncoder(manifest) = &bundle.manifest else { return Err(wrong_kind(&bundle, "a dual-encoder")) };
+        let Manifest::DualEncoder(manifest) = &bundle.manifest else {
+            return Err(wrong_kind(&bundle, "a dual-encoder"));
+        };
         let image = engine.open(&bundle, &manifest.image.file, 1, Work::Parsing)?;
         let text = engine.open(&bundle, &manifest.text.file, AT_ONCE, Work::Questions)?;
         let encoder = DualEncoder::new(&bundle, manifest, image, text)?;
-        self.note(engine, &bundle, Role::Encoder, Some(encoder.dim()), encoder.batch(), &manifest.licence)?;
+        self.note(
+            engine,
+            &bundle,
+            Role::Encoder,
+            Some(encoder.dim()),
+            encoder.batch(),
+            &manifest.licence,
+        )?;
         self.encoder = Some(Arc::new(encoder));
         Ok(self)
     }
@@ -104,15 +125,20 @@ impl Models {
         Ok(())
     }
 
-    /// What the loaded models of a role are recorded as: their names, each with the beginning of its fingerprint, joined by `+`.
+    /// What the loaded models of a role are recorded as: their names, each with the beginning of
+    /// its fingerprint, joined by `+`.
     #[must_use]
     pub fn label(&self, role: Role) -> Option<String> {
         let of_role = self.loaded.iter().filter(|model| model.role == role);
-        let labels: Vec<String> = of_role.map(|model| format!("{}@{}", model.name, &model.fingerprint[..12])).collect();
+        let labels: Vec<String> =
+            of_role.map(|model| format!("{}@{}", model.name, &model.fingerprint[..12])).collect();
         (!labels.is_empty()).then(|| labels.join("+"))
     }
 }
 
 fn wrong_kind(bundle: &Bundle, wanted: &str) -> ModelError {
-    ModelError::Bundle { file: bundle.path(super::bundle::MANIFEST), why: format!("is not {wanted}") }
+    ModelError::Bundle {
+        file: bundle.path(super::bundle::MANIFEST),
+        why: format!("is not {wanted}"),
+    }
 }

@@ -1,4 +1,5 @@
-//! Neural models: bundles of ONNX networks, run by an [`Engine`]: ONNX Runtime in this process, or whatever else a program brings along.
+//! Neural models: bundles of ONNX networks, run by an [`Engine`]: ONNX Runtime in this process, or
+//! whatever else a program brings along.
 //!
 //! ```text
 //! bundle (model.json) ─> Engine ─> Networks (onnx: session pools)

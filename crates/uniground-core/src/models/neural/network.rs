@@ -63,7 +63,8 @@ pub struct Signature {
     pub outputs: Vec<Port>,
 }
 
-/// Runs in this process ([`OnnxRuntime`](super::OnnxRuntime)) or elsewhere. Calls block; several may run at once.
+/// Runs in this process ([`OnnxRuntime`](super::OnnxRuntime)) or elsewhere. Calls block; several
+/// may run at once.
 pub trait Network: Send + Sync {
     /// Its inputs and outputs, known before any call.
     fn signature(&self) -> &Signature;
@@ -83,8 +84,19 @@ impl Signature {
     ///
     /// # Errors
     /// [`ModelError::Tensor`] naming the file and the tensor.
-    pub fn expect(&self, file: &Utf8Path, direction: Direction, name: &str, element: Element, pattern: Pattern) -> Result<(), ModelError> {
-        let wrong = |why: String| ModelError::Tensor { file: file.to_owned(), tensor: name.to_owned(), why };
+    pub fn expect(
+        &self,
+        file: &Utf8Path,
+        direction: Direction,
+        name: &str,
+        element: Element,
+        pattern: Pattern,
+    ) -> Result<(), ModelError> {
+        let wrong = |why: String| ModelError::Tensor {
+            file: file.to_owned(),
+            tensor: name.to_owned(),
+            why,
+        };
         let (ports, word) = match direction {
             Direction::In => (&self.inputs, "input"),
             Direction::Out => (&self.outputs, "output"),
@@ -96,9 +108,15 @@ impl Signature {
         if port.element != element {
             return Err(wrong(format!("the {word} is {:?}, expected {element:?}", port.element)));
         }
-        let allows = |(declared, wanted): (&i64, &Option<usize>)| *declared < 0 || wanted.is_none_or(|w| *declared == w as i64);
+        let allows = |(declared, wanted): (&i64, &Option<usize>)| {
+            *declared < 0 || wanted.is_none_or(|w| *declared == w as i64)
+        };
         if port.shape.len() != pattern.len() || !port.shape.iter().zip(pattern).all(allows) {
-            return Err(wrong(format!("the {word} has the shape {}, expected {}", spelled(&port.shape), spelled_pattern(pattern))));
+            return Err(wrong(format!(
+                "the {word} has the shape {}, expected {}",
+                spelled(&port.shape),
+                spelled_pattern(pattern)
+            )));
         }
         Ok(())
     }

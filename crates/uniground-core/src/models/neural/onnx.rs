@@ -102,7 +102,8 @@ impl OnnxRuntime {
         find_library(settings.library.as_deref())
     }
 
-    /// Finds and loads the library: the one told, that of `ORT_DYLIB_PATH`, `./.onnxruntime/`, or one beside the executable.
+    /// Finds and loads the library: the one told, that of `ORT_DYLIB_PATH`, `./.onnxruntime/`, or
+    /// one beside the executable.
     ///
     /// # Errors
     /// [`ModelError`]: no library, one that can not be used, or one without the provider asked for.
@@ -114,19 +115,34 @@ impl OnnxRuntime {
             Some((there, environment)) if *there == library => environment.clone(),
             Some((there, _)) => return Err(unusable(format!("this process has loaded {there}"))),
             None => {
-                let builder = ort::init_from(library.as_std_path()).map_err(|e| unusable(e.to_string()))?;
-                let environment = builder.with_name("uniground").with_telemetry(false).build().map_err(|e| unusable(e.to_string()))?;
+                let builder =
+                    ort::init_from(library.as_std_path()).map_err(|e| unusable(e.to_string()))?;
+                let environment = builder
+                    .with_name("uniground")
+                    .with_telemetry(false)
+                    .build()
+                    .map_err(|e| unusable(e.to_string()))?;
                 *loaded = Some((library.clone(), environment.clone()));
                 environment
             }
         };
         let provider = settings.provider;
-        let built_in = provider.is_built_in().map_err(|e| ModelError::NoProvider { provider, why: e.to_string() })?;
+        let built_in = provider
+            .is_built_in()
+            .map_err(|e| ModelError::NoProvider { provider, why: e.to_string() })?;
         if !built_in {
-            return Err(ModelError::NoProvider { provider, why: format!("{library} was built without it") });
+            return Err(ModelError::NoProvider {
+                provider,
+                why: format!("{library} was built without it"),
+            });
         }
         let cores = std::thread::available_parallelism().map_or(1, Into::into);
-        Ok(Self { library, provider, threads: settings.threads.unwrap_or(cores).max(1), environment })
+        Ok(Self {
+            library,
+            provider,
+            threads: settings.threads.unwrap_or(cores).max(1),
+            environment,
+        })
     }
 
     /// Loads a network. `at_once` sessions share the threads.
@@ -139,7 +155,10 @@ impl OnnxRuntime {
         let session = || self.session(file, at_once).map_err(|e| wrong(first_line(&e.to_string())));
         let sessions: Vec<Session> = (0..at_once).map(|_| session()).collect::<Result<_, _>>()?;
         let ports = |outlets: &[ort::value::Outlet]| outlets.iter().map(port).collect();
-        let signature = Signature { inputs: ports(sessions[0].inputs()), outputs: ports(sessions[0].outputs()) };
+        let signature = Signature {
+            inputs: ports(sessions[0].inputs()),
+            outputs: ports(sessions[0].outputs()),
+        };
         Ok(OnnxNetwork {
             name: file.file_name().unwrap_or("network").into(),
             signature,
@@ -149,12 +168,14 @@ impl OnnxRuntime {
     }
 
     fn session(&self, file: &Utf8Path, at_once: usize) -> ort::Result<Session> {
-        // Threads that wait sleep: the cores have other work. A provider that fails is an error, never a silent change to another one.
+        // Threads that wait sleep: the cores have other work. A provider that fails is an error,
+        // never a silent change to another one.
         let builder = Session::builder(&self.environment)?
             .with_intra_threads((self.threads / at_once).max(1))?
             .with_inter_threads(1)?
             .with_intra_op_spinning(false)?
-            // A plan of one large block, made after the first call, would come on top of what an encoder's arena holds already.
+            // A plan of one large block, made after the first call, would come on top of what an
+            // encoder's arena holds already.
             .with_memory_pattern(at_once > 1)?;
         let provider = self.provider.dispatch().error_on_failure();
         builder.with_execution_providers([provider])?.commit_from_file(file)
@@ -162,7 +183,13 @@ impl OnnxRuntime {
 }
 
 impl Engine for OnnxRuntime {
-    fn open(&self, bundle: &Bundle, file: &str, at_once: usize, work: Work) -> Result<Box<dyn Network>, ModelError> {
+    fn open(
+        &self,
+        bundle: &Bundle,
+        file: &str,
+        at_once: usize,
+        work: Work,
+    ) -> Result<Box<dyn Network>, ModelError> {
         bundle.weights_of(file)?;
         let load = || self.load_network(&bundle.path(file), at_once);
         let network = match work {
@@ -194,7 +221,9 @@ fn find_library(told: Option<&Utf8Path>) -> Result<Utf8PathBuf, ModelError> {
     let named = told
         .map(Utf8Path::to_owned)
         .or_else(|| std::env::var("ORT_DYLIB_PATH").ok().filter(|p| !p.is_empty()).map(Into::into));
-    let beside = || Utf8PathBuf::from_path_buf(std::env::current_exe().ok()?.parent()?.join(LIBRARY_FILE)).ok();
+    let beside = || {
+        Utf8PathBuf::from_path_buf(std::env::current_exe().ok()?.parent()?.join(LIBRARY_FILE)).ok()
+    };
     let usual = || {
         [Some(Utf8PathBuf::from(".onnxruntime").join(LIBRARY_FILE)), beside()]
             .into_iter()
@@ -207,7 +236,9 @@ fn find_library(told: Option<&Utf8Path>) -> Result<Utf8PathBuf, ModelError> {
         Some(file) => file
             .canonicalize_utf8()
             .map_err(|e| ModelError::BadLibrary { library: file.clone(), why: e.to_string() }),
-        None => Err(ModelError::NoLibrary { looked_at: candidates.into_iter().map(String::from).collect() }),
+        None => Err(ModelError::NoLibrary {
+            looked_at: candidates.into_iter().map(String::from).collect(),
+        }),
     }
 }
 
@@ -255,25 +286,38 @@ impl OnnxNetwork {
         self.returned.notify_one();
     }
 
-    fn run_on(session: &mut Session, inputs: &[Input], outputs: &[&str]) -> ort::Result<Vec<Tensor>> {
+    fn run_on(
+        session: &mut Session,
+        inputs: &[Input],
+        outputs: &[&str],
+    ) -> ort::Result<Vec<Tensor>> {
         let fed: Vec<(&str, SessionInputValue)> = inputs
             .iter()
             .map(|Input { name, shape, values }| {
                 let value = match values {
-                    Values::F32(values) => TensorRef::from_array_view((shape.clone(), *values))?.into(),
-                    Values::I64(values) => TensorRef::from_array_view((shape.clone(), *values))?.into(),
+                    Values::F32(values) => {
+                        TensorRef::from_array_view((shape.clone(), *values))?.into()
+                    }
+                    Values::I64(values) => {
+                        TensorRef::from_array_view((shape.clone(), *values))?.into()
+                    }
                 };
                 Ok::<_, ort::Error>((*name, value))
             })
             .collect::<Result<_, _>>()?;
-        let wanted = outputs.iter().fold(OutputSelector::no_default(), |selector, name| selector.with(*name));
+        let wanted = outputs
+            .iter()
+            .fold(OutputSelector::no_default(), |selector, name| selector.with(*name));
         let options = RunOptions::new()?.with_outputs(wanted);
         let made = session.run_with_options(fed, &options)?;
         outputs
             .iter()
             .map(|name| {
                 let (shape, values) = made[*name].try_extract_tensor::<f32>()?;
-                Ok(Tensor { shape: shape.iter().map(|&d| d as usize).collect(), values: values.to_vec() })
+                Ok(Tensor {
+                    shape: shape.iter().map(|&d| d as usize).collect(),
+                    values: values.to_vec(),
+                })
             })
             .collect()
     }
@@ -288,7 +332,10 @@ impl Network for OnnxNetwork {
         let mut session = self.lend();
         let made = Self::run_on(&mut session, inputs, outputs);
         self.give_back(session);
-        let made = made.map_err(|e| ModelError::Run { network: self.name.clone(), why: first_line(&e.to_string()) })?;
+        let made = made.map_err(|e| ModelError::Run {
+            network: self.name.clone(),
+            why: first_line(&e.to_string()),
+        })?;
         for (tensor, name) in made.iter().zip(outputs) {
             finite(&self.name, name, &tensor.values)?;
         }

@@ -1,4 +1,5 @@
-//! Pictures to tensors: resized as the network was trained with, then normalised, channel by channel.
+//! Pictures to tensors: resized as the network was trained with, then normalised, channel by
+//! channel.
 
 use super::bundle::{Interpolation, Resize};
 use fast_image_resize::images::{Image, ImageRef};
@@ -12,35 +13,53 @@ pub struct Fitted {
     pub scale: (f32, f32),
 }
 
-/// Resizes a picture to `size` (width, height). What a padded picture leaves free is not part of the result.
+/// Resizes a picture to `size` (width, height). What a padded picture leaves free is not part of
+/// the result.
 #[must_use]
-pub fn fit(picture: &RgbImage, size: [u32; 2], resize: Resize, interpolation: Interpolation) -> Fitted {
+pub fn fit(
+    picture: &RgbImage,
+    size: [u32; 2],
+    resize: Resize,
+    interpolation: Interpolation,
+) -> Fitted {
     let (w, h) = picture.dimensions();
     let by = |k: f64| ((f64::from(w) * k + 0.5) as u32, (f64::from(h) * k + 0.5) as u32);
     let (new_w, new_h) = match resize {
         Resize::Squash => (size[0], size[1]),
         Resize::ShortestCenterCrop => {
-            let (new_w, new_h) = by((f64::from(size[0]) / f64::from(w)).max(f64::from(size[1]) / f64::from(h)));
+            let (new_w, new_h) =
+                by((f64::from(size[0]) / f64::from(w)).max(f64::from(size[1]) / f64::from(h)));
             (new_w.max(size[0]), new_h.max(size[1]))
         }
         Resize::LongestPad => {
-            let (new_w, new_h) = by((f64::from(size[0]) / f64::from(w)).min(f64::from(size[1]) / f64::from(h)));
+            let (new_w, new_h) =
+                by((f64::from(size[0]) / f64::from(w)).min(f64::from(size[1]) / f64::from(h)));
             (new_w.clamp(1, size[0]), new_h.clamp(1, size[1]))
         }
     };
     let resized = resample(picture, (new_w, new_h), interpolation);
     let picture = match resize {
-        Resize::ShortestCenterCrop => {
-            imageops::crop_imm(&resized, (new_w - size[0]) / 2, (new_h - size[1]) / 2, size[0], size[1]).to_image()
-        }
+        Resize::ShortestCenterCrop => imageops::crop_imm(
+            &resized,
+            (new_w - size[0]) / 2,
+            (new_h - size[1]) / 2,
+            size[0],
+            size[1],
+        )
+        .to_image(),
         Resize::Squash | Resize::LongestPad => resized,
     };
     Fitted { picture, scale: (new_w as f32 / w as f32, new_h as f32 / h as f32) }
 }
 
-/// Resamples with a filter that widens when shrinking (antialias) and eight bits between the passes, as Pillow does: the networks were
-/// exported with its results, and some of them notice the difference.
-fn resample(picture: &RgbImage, (width, height): (u32, u32), interpolation: Interpolation) -> RgbImage {
+/// Resamples with a filter that widens when shrinking (antialias) and eight bits between the
+/// passes, as Pillow does: the networks were exported with its results, and some of them notice the
+/// difference.
+fn resample(
+    picture: &RgbImage,
+    (width, height): (u32, u32),
+    interpolation: Interpolation,
+) -> RgbImage {
     if picture.dimensions() == (width, height) {
         return picture.clone();
     }
@@ -50,22 +69,36 @@ fn resample(picture: &RgbImage, (width, height): (u32, u32), interpolation: Inte
     };
     let mut resized = Image::new(width, height, PixelType::U8x3);
     // Sizes and pixel types agree by construction.
-    let source = ImageRef::new(picture.width(), picture.height(), picture.as_raw(), PixelType::U8x3);
+    let source =
+        ImageRef::new(picture.width(), picture.height(), picture.as_raw(), PixelType::U8x3);
     let options = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(filter));
-    let done = source.is_ok_and(|source| Resizer::new().resize(&source, &mut resized, &options).is_ok());
+    let done =
+        source.is_ok_and(|source| Resizer::new().resize(&source, &mut resized, &options).is_ok());
     debug_assert!(done, "resizing {:?} to {width}x{height}", picture.dimensions());
-    RgbImage::from_raw(width, height, resized.into_vec()).unwrap_or_else(|| RgbImage::new(width, height))
+    RgbImage::from_raw(width, height, resized.into_vec())
+        .unwrap_or_else(|| RgbImage::new(width, height))
 }
 
-/// Appends `(value / divisor - mean) / std`, channel after channel, into a plane of `size`; what the picture does not cover is 0.
-pub fn append_planes(picture: &RgbImage, size: [u32; 2], divisor: f32, mean: [f32; 3], std: [f32; 3], values: &mut Vec<f32>) {
+/// Appends `(value / divisor - mean) / std`, channel after channel, into a plane of `size`; what
+/// the picture does not cover is 0.
+pub fn append_planes(
+    picture: &RgbImage,
+    size: [u32; 2],
+    divisor: f32,
+    mean: [f32; 3],
+    std: [f32; 3],
+    values: &mut Vec<f32>,
+) {
     let (width, height) = (size[0] as usize, size[1] as usize);
     let start = values.len();
     values.resize(start + 3 * width * height, 0.0);
     let row_bytes = picture.width() as usize * 3;
     for (channel, plane) in values[start..].chunks_exact_mut(width * height).enumerate() {
-        let table: Vec<f32> = (0..=255_u8).map(|v| (f32::from(v) / divisor - mean[channel]) / std[channel]).collect();
-        for (row, pixels) in plane.chunks_exact_mut(width).zip(picture.as_raw().chunks_exact(row_bytes)) {
+        let table: Vec<f32> =
+            (0..=255_u8).map(|v| (f32::from(v) / divisor - mean[channel]) / std[channel]).collect();
+        for (row, pixels) in
+            plane.chunks_exact_mut(width).zip(picture.as_raw().chunks_exact(row_bytes))
+        {
             for (value, pixel) in row.iter_mut().zip(pixels.as_chunks::<3>().0) {
                 *value = table[usize::from(pixel[channel])];
             }

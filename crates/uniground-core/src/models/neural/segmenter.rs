@@ -1,4 +1,5 @@
-//! A promptable segmenter: a picture is encoded once, then points in it are asked for masks (paper: SAM; SAM 2 and `MobileSAM` alike).
+//! A promptable segmenter: a picture is encoded once, then points in it are asked for masks (paper:
+//! SAM; SAM 2 and `MobileSAM` alike).
 
 use super::ModelError;
 use super::bundle::{Bundle, SegmenterManifest, ValueRange};
@@ -28,7 +29,8 @@ struct Feature {
     values: Vec<f32>,
 }
 
-/// Points in picture pixels (column, row; 0 = centre of the first pixel), each with what it says of what is wanted.
+/// Points in picture pixels (column, row; 0 = centre of the first pixel), each with what it says of
+/// what is wanted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prompt {
     /// Each with what it means; a box is given by two of its corners.
@@ -81,38 +83,78 @@ impl Segmenter {
         let (e, d) = (&manifest.encoder, &manifest.decoder);
         let (encoder_file, decoder_file) = (bundle.path(&e.file), bundle.path(&d.file));
         let side = Some(e.size as usize);
-        encoder
-            .signature()
-            .expect(&encoder_file, Direction::In, &e.input, Element::F32, &[None, Some(3), side, side])?;
+        encoder.signature().expect(
+            &encoder_file,
+            Direction::In,
+            &e.input,
+            Element::F32,
+            &[None, Some(3), side, side],
+        )?;
         for (_, name) in e.outputs.each() {
-            encoder.signature().expect(&encoder_file, Direction::Out, name, Element::F32, &[None; 4])?;
+            encoder.signature().expect(
+                &encoder_file,
+                Direction::Out,
+                name,
+                Element::F32,
+                &[None; 4],
+            )?;
         }
         for (_, name) in d.inputs.features.each() {
-            decoder.signature().expect(&decoder_file, Direction::In, name, Element::F32, &[None; 4])?;
+            decoder.signature().expect(
+                &decoder_file,
+                Direction::In,
+                name,
+                Element::F32,
+                &[None; 4],
+            )?;
         }
-        decoder
-            .signature()
-            .expect(&decoder_file, Direction::In, &d.inputs.point_coords, Element::F32, &[None, None, Some(2)])?;
-        decoder
-            .signature()
-            .expect(&decoder_file, Direction::In, &d.inputs.point_labels, Element::F32, &[None, None])?;
+        decoder.signature().expect(
+            &decoder_file,
+            Direction::In,
+            &d.inputs.point_coords,
+            Element::F32,
+            &[None, None, Some(2)],
+        )?;
+        decoder.signature().expect(
+            &decoder_file,
+            Direction::In,
+            &d.inputs.point_labels,
+            Element::F32,
+            &[None, None],
+        )?;
         let low = Some(d.mask_size);
         if let Some(name) = &d.inputs.mask_input {
-            decoder
-                .signature()
-                .expect(&decoder_file, Direction::In, name, Element::F32, &[None, Some(1), low, low])?;
+            decoder.signature().expect(
+                &decoder_file,
+                Direction::In,
+                name,
+                Element::F32,
+                &[None, Some(1), low, low],
+            )?;
         }
-        decoder
-            .signature()
-            .expect(&decoder_file, Direction::Out, &d.outputs.masks, Element::F32, &[None, Some(d.num_masks), low, low])?;
-        decoder
-            .signature()
-            .expect(&decoder_file, Direction::Out, &d.outputs.iou, Element::F32, &[None, Some(d.num_masks)])?;
+        decoder.signature().expect(
+            &decoder_file,
+            Direction::Out,
+            &d.outputs.masks,
+            Element::F32,
+            &[None, Some(d.num_masks), low, low],
+        )?;
+        decoder.signature().expect(
+            &decoder_file,
+            Direction::Out,
+            &d.outputs.iou,
+            Element::F32,
+            &[None, Some(d.num_masks)],
+        )?;
         let segmenter = Self { manifest: manifest.clone(), encoder, decoder };
-        // Whole batches in two places at once: what a parse will need is taken now, or the lack of it told.
+        // Whole batches in two places at once: what a parse will need is taken now, or the lack of
+        // it told.
         let encoded = segmenter.encode(&RgbImage::new(64, 48))?;
         let batch = vec![Prompt::inside([(32.0, 24.0)]); segmenter.batch()];
-        let (here, there) = rayon::join(|| segmenter.decode(&encoded, &batch), || segmenter.decode(&encoded, &batch));
+        let (here, there) = rayon::join(
+            || segmenter.decode(&encoded, &batch),
+            || segmenter.decode(&encoded, &batch),
+        );
         here.and(there)?;
         Ok(segmenter)
     }
@@ -150,10 +192,12 @@ impl Segmenter {
         let mut values = Vec::new();
         append_planes(&fitted.picture, size, divisor, e.mean, e.std, &mut values);
         let side = e.size as usize;
-        let input = Input { name: &e.input, shape: vec![1, 3, side, side], values: Values::F32(&values) };
+        let input =
+            Input { name: &e.input, shape: vec![1, 3, side, side], values: Values::F32(&values) };
         let names: Vec<&str> = self.roles().filter_map(|(role, _)| e.outputs.of(role)).collect();
         let made = self.encoder.run(&[input], &names)?;
-        let features = made.into_iter().map(|Tensor { shape, values }| Feature { shape, values }).collect();
+        let features =
+            made.into_iter().map(|Tensor { shape, values }| Feature { shape, values }).collect();
         Ok(Encoded { features, scale: fitted.scale })
     }
 
@@ -162,15 +206,23 @@ impl Segmenter {
         self.manifest.decoder.inputs.features.each()
     }
 
-    /// The masks each prompt may mean: several for one point, the single one, where the model has one, for more.
+    /// The masks each prompt may mean: several for one point, the single one, where the model has
+    /// one, for more.
     ///
-    /// All prompts of a call have the same number of points: points that are none would be tokens of their own and change the answer.
+    /// All prompts of a call have the same number of points: points that are none would be tokens
+    /// of their own and change the answer.
     ///
     /// # Errors
     /// [`ModelError`]: a failed call.
-    pub fn decode(&self, encoded: &Encoded, prompts: &[Prompt]) -> Result<Vec<Vec<LowMask>>, ModelError> {
+    pub fn decode(
+        &self,
+        encoded: &Encoded,
+        prompts: &[Prompt],
+    ) -> Result<Vec<Vec<LowMask>>, ModelError> {
         let mut decoded = Vec::with_capacity(prompts.len());
-        for alike in prompts.chunk_by(|a, b| a.points.len() == b.points.len() && a.has_box() == b.has_box()) {
+        for alike in
+            prompts.chunk_by(|a, b| a.points.len() == b.points.len() && a.has_box() == b.has_box())
+        {
             for batch in alike.chunks(self.batch()) {
                 decoded.extend(self.decode_batch(encoded, batch)?);
             }
@@ -178,12 +230,17 @@ impl Segmenter {
         Ok(decoded)
     }
 
-    fn decode_batch(&self, encoded: &Encoded, prompts: &[Prompt]) -> Result<Vec<Vec<LowMask>>, ModelError> {
+    fn decode_batch(
+        &self,
+        encoded: &Encoded,
+        prompts: &[Prompt],
+    ) -> Result<Vec<Vec<LowMask>>, ModelError> {
         let d = &self.manifest.decoder;
         let (count, low) = (prompts.len(), d.mask_size);
         let padded = d.pad_point && !prompts[0].has_box();
         let points = prompts[0].points.len() + usize::from(padded);
-        let (mut coords, mut labels) = (Vec::with_capacity(count * points * 2), Vec::with_capacity(count * points));
+        let (mut coords, mut labels) =
+            (Vec::with_capacity(count * points * 2), Vec::with_capacity(count * points));
         for prompt in prompts {
             for &((x, y), label) in &prompt.points {
                 coords.extend([x * encoded.scale.0, y * encoded.scale.1]);
@@ -197,19 +254,40 @@ impl Segmenter {
         let mut inputs: Vec<Input> = self
             .roles()
             .zip(&encoded.features)
-            .map(|((_, name), f)| Input { name, shape: f.shape.clone(), values: Values::F32(&f.values) })
+            .map(|((_, name), f)| Input {
+                name,
+                shape: f.shape.clone(),
+                values: Values::F32(&f.values),
+            })
             .collect();
-        inputs.push(Input { name: &d.inputs.point_coords, shape: vec![count, points, 2], values: Values::F32(&coords) });
-        inputs.push(Input { name: &d.inputs.point_labels, shape: vec![count, points], values: Values::F32(&labels) });
+        inputs.push(Input {
+            name: &d.inputs.point_coords,
+            shape: vec![count, points, 2],
+            values: Values::F32(&coords),
+        });
+        inputs.push(Input {
+            name: &d.inputs.point_labels,
+            shape: vec![count, points],
+            values: Values::F32(&labels),
+        });
         let no_mask = vec![0.0; count * low * low];
         if let (Some(mask), Some(has_mask)) = (&d.inputs.mask_input, &d.inputs.has_mask_input) {
-            inputs.push(Input { name: mask, shape: vec![count, 1, low, low], values: Values::F32(&no_mask) });
+            inputs.push(Input {
+                name: mask,
+                shape: vec![count, 1, low, low],
+                values: Values::F32(&no_mask),
+            });
             inputs.push(Input { name: has_mask, shape: vec![1], values: Values::F32(&[0.0]) });
         }
         let made = self.decoder.run(&inputs, &[&d.outputs.masks, &d.outputs.iou])?;
-        let [masks, iou] = &made[..] else { return Err(self.wrong("two outputs were expected".into())) };
+        let [masks, iou] = &made[..] else {
+            return Err(self.wrong("two outputs were expected".into()));
+        };
         if masks.shape != [count, d.num_masks, low, low] || iou.shape != [count, d.num_masks] {
-            return Err(self.wrong(format!("the outputs have the shapes {:?} and {:?}", masks.shape, iou.shape)));
+            return Err(self.wrong(format!(
+                "the outputs have the shapes {:?} and {:?}",
+                masks.shape, iou.shape
+            )));
         }
         Ok((0..count)
             .map(|i| {
@@ -235,7 +313,8 @@ impl Segmenter {
         ModelError::Run { network: self.manifest.decoder.file.clone(), why }
     }
 
-    /// Where a picture's pixel lies on a low-resolution mask: low-resolution pixels per picture pixel, along x and y.
+    /// Where a picture's pixel lies on a low-resolution mask: low-resolution pixels per picture
+    /// pixel, along x and y.
     #[must_use]
     pub fn low_scale(&self, encoded: &Encoded) -> (f32, f32) {
         let k = self.manifest.decoder.mask_size as f32 / self.manifest.encoder.size as f32;
@@ -263,8 +342,8 @@ impl PointLabel {
 }
 
 impl LowMask {
-    /// The logit at a place of the picture: bilinear between the four nearest cells, the border continued. `(x, y)` are picture
-    /// pixels, `scale` is [`Segmenter::low_scale`].
+    /// The logit at a place of the picture: bilinear between the four nearest cells, the border
+    /// continued. `(x, y)` are picture pixels, `scale` is [`Segmenter::low_scale`].
     #[must_use]
     pub fn at(&self, (x, y): (f32, f32), scale: (f32, f32)) -> f32 {
         let size = self.logits.len().isqrt();
@@ -274,7 +353,8 @@ impl LowMask {
         let (u0, v0) = (u as usize, v as usize);
         let (u1, v1) = ((u0 + 1).min(size - 1), (v0 + 1).min(size - 1));
         let (fu, fv) = (u - u0 as f32, v - v0 as f32);
-        let row = |v: usize| self.logits[v * size + u0] * (1.0 - fu) + self.logits[v * size + u1] * fu;
+        let row =
+            |v: usize| self.logits[v * size + u0] * (1.0 - fu) + self.logits[v * size + u1] * fu;
         row(v0) * (1.0 - fv) + row(v1) * fv
     }
 }

@@ -1,4 +1,5 @@
-//! The tiny bundles in `tests/data`: random weights, every code path, golden outputs from the Python runtime.
+//! The tiny bundles in `tests/data`: random weights, every code path, golden outputs from the
+//! Python runtime.
 
 use super::bundle::Bundle;
 use super::*;
@@ -15,9 +16,12 @@ fn data(path: &str) -> Utf8PathBuf {
 /// The library that `make test` fetches. Without it these tests fail: they are never left out.
 pub fn engine() -> OnnxRuntime {
     let named = std::env::var("ORT_DYLIB_PATH").is_ok();
-    let library = (!named).then(|| Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.onnxruntime/libonnxruntime.so"));
+    let library = (!named).then(|| {
+        Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.onnxruntime/libonnxruntime.so")
+    });
     let settings = RuntimeSettings { library, threads: Some(2), ..RuntimeSettings::default() };
-    OnnxRuntime::load(&settings).unwrap_or_else(|e| panic!("{e}; uniground models fetch onnxruntime fetches it"))
+    OnnxRuntime::load(&settings)
+        .unwrap_or_else(|e| panic!("{e}; uniground models fetch onnxruntime fetches it"))
 }
 
 pub fn tiny_encoder() -> Arc<DualEncoder> {
@@ -47,10 +51,19 @@ struct EncoderGolden {
 
 #[test]
 fn pictures_and_words_land_where_the_python_runtime_puts_them() {
-    let golden: EncoderGolden = serde_json::from_str(&fs::read_to_string(data("tiny-dual-encoder/golden/golden.json")).unwrap()).unwrap();
+    let golden: EncoderGolden = serde_json::from_str(
+        &fs::read_to_string(data("tiny-dual-encoder/golden/golden.json")).unwrap(),
+    )
+    .unwrap();
     let encoder = tiny_encoder();
-    let pictures: Vec<RgbImage> = golden.images.iter().map(|name| picture(&format!("tiny-dual-encoder/golden/{name}.png"))).collect();
-    for (embedded, expected) in encoder.embed_pictures(&pictures).unwrap().iter().zip(&golden.image_embeds) {
+    let pictures: Vec<RgbImage> = golden
+        .images
+        .iter()
+        .map(|name| picture(&format!("tiny-dual-encoder/golden/{name}.png")))
+        .collect();
+    for (embedded, expected) in
+        encoder.embed_pictures(&pictures).unwrap().iter().zip(&golden.image_embeds)
+    {
         assert!(cosine(embedded, expected) > 0.999_99, "{}", cosine(embedded, expected));
         assert!((embedded.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-4);
     }
@@ -67,7 +80,9 @@ fn an_embedding_does_not_depend_on_its_company() {
     let encoder = tiny_encoder();
     assert!(encoder.batch() > 1);
     let pictures: Vec<RgbImage> = (0..11)
-        .map(|i| RgbImage::from_fn(90, 70, |x, y| image::Rgb([(x * i) as u8, (y * 3) as u8, i as u8])))
+        .map(|i| {
+            RgbImage::from_fn(90, 70, |x, y| image::Rgb([(x * i) as u8, (y * 3) as u8, i as u8]))
+        })
         .collect();
     let together = encoder.embed_pictures(&pictures).unwrap();
     for (picture, together) in pictures.iter().zip(together) {
@@ -98,8 +113,14 @@ struct Rle {
 
 impl PromptGolden {
     fn prompt(&self) -> Prompt {
-        let label =
-            |label: &u8| [PointLabel::Outside, PointLabel::Inside, PointLabel::BoxTopLeft, PointLabel::BoxBottomRight][usize::from(*label)];
+        let label = |label: &u8| {
+            [
+                PointLabel::Outside,
+                PointLabel::Inside,
+                PointLabel::BoxTopLeft,
+                PointLabel::BoxBottomRight,
+            ][usize::from(*label)]
+        };
         Prompt { points: self.points.iter().copied().zip(self.labels.iter().map(label)).collect() }
     }
 
@@ -119,9 +140,12 @@ fn masks_are_those_of_the_python_reference() {
     for bundle in ["tiny-segmenter", "tiny-segmenter-sam"] {
         let segmenter = tiny_segmenter(bundle);
         for name in ["square", "wide"] {
-            let golden: SegmenterGolden =
-                serde_json::from_str(&fs::read_to_string(data(&format!("{bundle}/golden/{name}.json"))).unwrap()).unwrap();
-            let encoded = segmenter.encode(&picture(&format!("{bundle}/golden/{name}.png"))).unwrap();
+            let golden: SegmenterGolden = serde_json::from_str(
+                &fs::read_to_string(data(&format!("{bundle}/golden/{name}.json"))).unwrap(),
+            )
+            .unwrap();
+            let encoded =
+                segmenter.encode(&picture(&format!("{bundle}/golden/{name}.png"))).unwrap();
             let scale = segmenter.low_scale(&encoded);
             let prompts: Vec<Prompt> = golden.prompts.iter().map(PromptGolden::prompt).collect();
             let decoded = segmenter.decode(&encoded, &prompts).unwrap();
@@ -138,7 +162,10 @@ fn masks_are_those_of_the_python_reference() {
                     both += u32::from(a && b);
                     either += u32::from(a || b);
                 }
-                assert!(f64::from(both) >= 0.99 * f64::from(either), "{bundle} {name}: IoU {both}/{either}");
+                assert!(
+                    f64::from(both) >= 0.99 * f64::from(either),
+                    "{bundle} {name}: IoU {both}/{either}"
+                );
             }
         }
     }
@@ -149,7 +176,9 @@ fn spoilt(bundle: &str, spoil: impl FnOnce(&Utf8Path)) -> (tempfile::TempDir, Ut
     let folder = tempfile::tempdir().unwrap();
     let path = Utf8Path::from_path(folder.path()).unwrap().join(bundle);
     fs::create_dir(&path).unwrap();
-    for entry in data(bundle).read_dir_utf8().unwrap().map(Result::unwrap).filter(|e| e.path().is_file()) {
+    for entry in
+        data(bundle).read_dir_utf8().unwrap().map(Result::unwrap).filter(|e| e.path().is_file())
+    {
         fs::copy(entry.path(), path.join(entry.file_name())).unwrap();
     }
     spoil(&path);
@@ -167,10 +196,20 @@ fn what_is_wrong_with_a_bundle_is_told_at_load() {
     type Spoil = fn(&Utf8Path);
     let cases: [(&str, Spoil, &[&str]); 13] = [
         ("tiny-dual-encoder", |p| fs::remove_file(p.join("model.json")).unwrap(), &["model.json"]),
-        ("tiny-dual-encoder", |p| fs::remove_file(p.join("text.onnx")).unwrap(), &["text.onnx", "missing"]),
         (
             "tiny-dual-encoder",
-            |p| fs::write(p.join("image.onnx"), fs::read(p.join("image.onnx")).unwrap().split_at(1000).0).unwrap(),
+            |p| fs::remove_file(p.join("text.onnx")).unwrap(),
+            &["text.onnx", "missing"],
+        ),
+        (
+            "tiny-dual-encoder",
+            |p| {
+                fs::write(
+                    p.join("image.onnx"),
+                    fs::read(p.join("image.onnx")).unwrap().split_at(1000).0,
+                )
+                .unwrap()
+            },
             &["image.onnx"],
         ),
         (
@@ -193,13 +232,21 @@ fn what_is_wrong_with_a_bundle_is_told_at_load() {
             |p| replace(&p.join("model.json"), "\"context_length\": 16", "\"context_length\": 20"),
             &["tokenizer.json", "disagree"],
         ),
-        ("tiny-dual-encoder", |p| replace(&p.join("model.json"), "squash", "stretch"), &["model.json", "image.resize"]),
+        (
+            "tiny-dual-encoder",
+            |p| replace(&p.join("model.json"), "squash", "stretch"),
+            &["model.json", "image.resize"],
+        ),
         (
             "tiny-dual-encoder",
             |p| replace(&p.join("model.json"), "image.onnx", "../image.onnx"),
             &["image.file", "same folder"],
         ),
-        ("tiny-dual-encoder", |p| fs::write(p.join("tokenizer.json"), "{}").unwrap(), &["tokenizer.json"]),
+        (
+            "tiny-dual-encoder",
+            |p| fs::write(p.join("tokenizer.json"), "{}").unwrap(),
+            &["tokenizer.json"],
+        ),
         (
             "tiny-segmenter",
             |p| replace(&p.join("model.json"), "\"size\": 128", "\"size\": 256"),
@@ -210,7 +257,11 @@ fn what_is_wrong_with_a_bundle_is_told_at_load() {
             |p| replace(&p.join("model.json"), "\"num_masks\": 3", "\"num_masks\": 5"),
             &["decoder.onnx", "masks"],
         ),
-        ("tiny-segmenter", |p| replace(&p.join("model.json"), "\"sam2\"", "\"sam\""), &["decoder.inputs", "sam2"]),
+        (
+            "tiny-segmenter",
+            |p| replace(&p.join("model.json"), "\"sam2\"", "\"sam\""),
+            &["decoder.inputs", "sam2"],
+        ),
     ];
     for (bundle, spoil, expected) in cases {
         let (_folder, path) = spoilt(bundle, spoil);
@@ -221,33 +272,48 @@ fn what_is_wrong_with_a_bundle_is_told_at_load() {
 
 #[test]
 fn a_network_for_one_picture_gets_one_at_a_time() {
-    let (_folder, path) =
-        spoilt("tiny-dual-encoder", |p| replace(&p.join("model.json"), "\"dynamic_batch\": true", "\"dynamic_batch\": false"));
-    assert_eq!(Models::default().with_encoder(&engine(), &path).unwrap().encoder.unwrap().batch(), 1);
+    let (_folder, path) = spoilt("tiny-dual-encoder", |p| {
+        replace(&p.join("model.json"), "\"dynamic_batch\": true", "\"dynamic_batch\": false")
+    });
+    assert_eq!(
+        Models::default().with_encoder(&engine(), &path).unwrap().encoder.unwrap().batch(),
+        1
+    );
 }
 
 #[test]
 fn a_bundle_of_the_other_kind_is_refused() {
-    let error = Models::default().with_segmenter(&engine(), &data("tiny-dual-encoder")).unwrap_err().to_string();
+    let error = Models::default()
+        .with_segmenter(&engine(), &data("tiny-dual-encoder"))
+        .unwrap_err()
+        .to_string();
     assert!(error.contains("promptable-segmenter"), "{error}");
 }
 
 #[test]
 fn values_that_are_no_numbers_are_refused() {
     // A standard deviation this small makes infinite pixels.
-    let (_folder, path) = spoilt("tiny-dual-encoder", |p| replace(&p.join("model.json"), "\"std\": [\n   0.5", "\"std\": [\n   1e-45"));
+    let (_folder, path) = spoilt("tiny-dual-encoder", |p| {
+        replace(&p.join("model.json"), "\"std\": [\n   0.5", "\"std\": [\n   1e-45")
+    });
     let error = verify(&engine(), &path).unwrap_err();
     assert!(matches!(error, ModelError::NotFinite { .. }), "{error}");
 }
 
 #[test]
 fn libraries_that_are_none_are_told() {
-    let load =
-        |library: Option<&str>, provider| OnnxRuntime::load(&RuntimeSettings { library: library.map(Into::into), provider, threads: None });
+    let load = |library: Option<&str>, provider| {
+        OnnxRuntime::load(&RuntimeSettings {
+            library: library.map(Into::into),
+            provider,
+            threads: None,
+        })
+    };
     let missing = load(Some("/nowhere/libonnxruntime.so"), Provider::Cpu).unwrap_err().to_string();
     assert!(missing.contains("/nowhere/libonnxruntime.so"), "{missing}");
     engine();
-    let other = load(Some(concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml")), Provider::Cpu).unwrap_err();
+    let other =
+        load(Some(concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml")), Provider::Cpu).unwrap_err();
     assert!(matches!(other, ModelError::BadLibrary { .. }), "{other}");
     let runtime = engine();
     let error = load(Some(runtime.library.as_str()), Provider::Cuda).unwrap_err().to_string();
@@ -258,7 +324,8 @@ fn libraries_that_are_none_are_told() {
 fn fingerprints_follow_the_files() {
     let of = |path: &Utf8Path| verify(&engine(), path).unwrap().loaded.remove(0).fingerprint;
     let (_folder, same) = spoilt("tiny-segmenter", |_| {});
-    let (_other, changed) = spoilt("tiny-segmenter", |p| replace(&p.join("model.json"), "MIT-0", "MIT"));
+    let (_other, changed) =
+        spoilt("tiny-segmenter", |p| replace(&p.join("model.json"), "MIT-0", "MIT"));
     assert_eq!(of(&same), of(&data("tiny-segmenter")));
     assert_ne!(of(&changed), of(&same));
 }
@@ -274,7 +341,8 @@ fn weights_beside_a_network_are_loaded_and_fingerprinted() {
     let (_folder, beside) = spoilt("tiny-segmenter", external);
     let loaded = verify(&engine(), &beside).unwrap();
     let within = verify(&engine(), &data("tiny-segmenter")).unwrap();
-    let picture = image::RgbImage::from_fn(64, 48, |x, y| image::Rgb([(x * 4) as u8, (y * 5) as u8, 90]));
+    let picture =
+        image::RgbImage::from_fn(64, 48, |x, y| image::Rgb([(x * 4) as u8, (y * 5) as u8, 90]));
     let masks = |models: &Models| {
         let segmenter = &models.segmenters[0];
         let encoded = segmenter.encode(&picture).unwrap();
@@ -302,9 +370,13 @@ fn weights_beside_a_network_are_loaded_and_fingerprinted() {
 
 #[test]
 fn a_folder_of_bundles_is_listed() {
-    let (folder, _) = spoilt("tiny-dual-encoder", |p| fs::remove_file(p.join("text.onnx")).unwrap());
+    let (folder, _) =
+        spoilt("tiny-dual-encoder", |p| fs::remove_file(p.join("text.onnx")).unwrap());
     let listed = list(Utf8Path::from_path(folder.path()).unwrap()).unwrap();
-    assert_eq!((listed[0].name.as_str(), listed[0].role), ("tiny-dual-encoder", Some(Role::Encoder)));
+    assert_eq!(
+        (listed[0].name.as_str(), listed[0].role),
+        ("tiny-dual-encoder", Some(Role::Encoder))
+    );
     assert_eq!(listed[0].problem.as_deref(), Some("missing: text.onnx"));
     assert!(list(&data("")).unwrap().iter().all(|bundle| bundle.problem.is_none()));
 }

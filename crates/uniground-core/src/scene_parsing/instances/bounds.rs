@@ -7,9 +7,15 @@ use crate::geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap};
 use crate::geometry::{Point2, Point3};
 use crate::scene_parsing::relief::Relief;
 
-/// Axis-aligned and oriented box of the points that have company. Thin extents shrink by what noise of standard deviation `noise_m`
-/// (metres) adds to them; what lies flat is as thick as its relief says.
-pub(super) fn robust(positions: &[Point3<f32>], noise_m: f32, relief: Option<&Relief>, settings: &InstanceSettings) -> (Aabb, OrientedBox) {
+/// Axis-aligned and oriented box of the points that have company. Thin extents shrink by what noise
+/// of standard deviation `noise_m` (metres) adds to them; what lies flat is as thick as its relief
+/// says.
+pub(super) fn robust(
+    positions: &[Point3<f32>],
+    noise_m: f32,
+    relief: Option<&Relief>,
+    settings: &InstanceSettings,
+) -> (Aabb, OrientedBox) {
     let mut kept = in_company(positions, settings);
     // A sparse thing is all strays: then every point counts.
     if kept.len() * 2 < positions.len() {
@@ -23,14 +29,16 @@ pub(super) fn robust(positions: &[Point3<f32>], noise_m: f32, relief: Option<&Re
         let mut values: Vec<f32> = kept.iter().map(|p| p[axis]).collect();
         let mut at = |q: f32| quantile(&mut values, q).unwrap_or(0.0);
         let (lo, hi) = (at(settings.stray_share), at(1.0 - settings.stray_share));
-        // What noise adds matters where a thing is thin: a picture three times as thick is another box, a sofa is not.
+        // What noise adds matters where a thing is thin: a picture three times as thick is another
+        // box, a sofa is not.
         if hi - lo > settings.thin_sigmas * noise_m {
             return (lo, hi);
         }
         let inset = settings.noise_sigmas * noise_m;
         ((lo + inset).min(at(settings.trim)), (hi - inset).max(at(1.0 - settings.trim)))
     });
-    let aabb = Aabb::from_corners(Point3::from(bounds.map(|b| b.0)), Point3::from(bounds.map(|b| b.1)));
+    let aabb =
+        Aabb::from_corners(Point3::from(bounds.map(|b| b.0)), Point3::from(bounds.map(|b| b.1)));
     let (lo, hi) = (aabb.min(), aabb.max());
     let footprint: Vec<Point2<f32>> = kept
         .iter()
@@ -52,7 +60,11 @@ fn in_company(positions: &[Point3<f32>], settings: &InstanceSettings) -> Vec<Poi
         let around: u32 = NEIGHBOURS_26.iter().filter_map(|&d| counts.get(&key.offset(d))).sum();
         company.insert(key, counts[&key] - 1 + around >= settings.stray_neighbours);
     }
-    positions.iter().filter(|p| company[&VoxelKey::of(p, settings.stray_voxel_m)]).copied().collect()
+    positions
+        .iter()
+        .filter(|p| company[&VoxelKey::of(p, settings.stray_voxel_m)])
+        .copied()
+        .collect()
 }
 
 #[cfg(test)]
@@ -63,7 +75,11 @@ mod tests {
 
     fn block() -> Vec<Point3<f32>> {
         (0..20)
-            .flat_map(|x| (0..10).flat_map(move |y| (0..10).map(move |z| Point3::new(x as f32, y as f32, z as f32) * 0.02)))
+            .flat_map(|x| {
+                (0..10).flat_map(move |y| {
+                    (0..10).map(move |z| Point3::new(x as f32, y as f32, z as f32) * 0.02)
+                })
+            })
             .collect()
     }
 
@@ -79,12 +95,21 @@ mod tests {
 
     #[test]
     fn a_thin_thing_keeps_its_thickness_under_noise() {
-        // A picture of 2 cm on a wall under noise of 1.7 cm, nearly normal: a sum of four even ones.
+        // A picture of 2 cm on a wall under noise of 1.7 cm, nearly normal: a sum of four even
+        // ones.
         let even = |i: usize| ((i * 7919 + 13) % 1000) as f32 / 1000.0 - 0.5;
         let noise_m = 0.017;
-        let noise = |i: usize| (1..=4).map(|k| even(i * (2 * k + 29) + k * 331)).sum::<f32>() * 3_f32.sqrt() * noise_m;
+        let noise = |i: usize| {
+            (1..=4).map(|k| even(i * (2 * k + 29) + k * 331)).sum::<f32>() * 3_f32.sqrt() * noise_m
+        };
         let points: Vec<_> = (0..4000)
-            .map(|i| Point3::new((i % 60) as f32 * 0.01, even(i) * 0.02 + noise(i), (i / 60) as f32 * 0.01))
+            .map(|i| {
+                Point3::new(
+                    (i % 60) as f32 * 0.01,
+                    even(i) * 0.02 + noise(i),
+                    (i / 60) as f32 * 0.01,
+                )
+            })
             .collect();
         let raw = Aabb::around(&points).unwrap().size;
         let (aabb, _) = robust(&points, noise_m, None, &InstanceSettings::default());
@@ -98,7 +123,8 @@ mod tests {
 
     #[test]
     fn lone_points_still_have_a_box() {
-        let (aabb, oriented) = robust(&[Point3::new(1.0, 2.0, 3.0)], 0.0, None, &InstanceSettings::default());
+        let (aabb, oriented) =
+            robust(&[Point3::new(1.0, 2.0, 3.0)], 0.0, None, &InstanceSettings::default());
         assert_eq!((aabb.center, aabb.size), (Point3::new(1.0, 2.0, 3.0), Vector3::zeros()));
         assert_eq!(oriented.size, Vector3::zeros());
     }

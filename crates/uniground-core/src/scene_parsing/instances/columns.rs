@@ -1,6 +1,8 @@
-//! What a thing fills, seen from above: columns of space, and at which heights each of them is filled.
+//! What a thing fills, seen from above: columns of space, and at which heights each of them is
+//! filled.
 //!
-//! Boxes will not do. Around a wall of a room that is turned in its world, or around a counter with a corner, a box holds half of the room.
+//! Boxes will not do. Around a wall of a room that is turned in its world, or around a counter with
+//! a corner, a box holds half of the room.
 
 use crate::geometry::boxes::OrientedBox;
 use crate::geometry::{Point2, Point3};
@@ -23,16 +25,19 @@ pub struct Columns {
     lowest_z: f32,
 }
 
-/// Which columns are filled, and at which levels: one bit for each, from the lowest point of all. What is over the last one counts as in it.
+/// Which columns are filled, and at which levels: one bit for each, from the lowest point of all.
+/// What is over the last one counts as in it.
 #[derive(Debug, Clone)]
 enum Filled {
     Seen {
         columns: BTreeMap<Cell, u128>,
-        /// From where to where each row of columns reaches along the thing's X axis, and each file along its Y axis.
+        /// From where to where each row of columns reaches along the thing's X axis, and each file
+        /// along its Y axis.
         rows: BTreeMap<i32, (i32, i32)>,
         files: BTreeMap<i32, (i32, i32)>,
     },
-    /// Every column from the first to the last, alike. Boxes may be as large as a scan's coordinates: they are not spelt out.
+    /// Every column from the first to the last, alike. Boxes may be as large as a scan's
+    /// coordinates: they are not spelt out.
     Throughout { first: Cell, last: Cell, levels: u128 },
 }
 
@@ -42,7 +47,9 @@ impl Columns {
         let turn = Rotation2::new(-yaw_rad);
         let lowest_z = points.clone().map(|p| p.z).fold(f32::INFINITY, f32::min);
         let mut columns: BTreeMap<Cell, u128> = BTreeMap::new();
-        points.for_each(|p| *columns.entry(cell(&(turn * p.xy()))).or_default() |= 1 << level(p.z - lowest_z));
+        points.for_each(|p| {
+            *columns.entry(cell(&(turn * p.xy()))).or_default() |= 1 << level(p.z - lowest_z)
+        });
         let (mut rows, mut files) = (BTreeMap::new(), BTreeMap::new());
         let reach = |spans: &mut BTreeMap<i32, (i32, i32)>, line: i32, at: i32| {
             let span = spans.entry(line).or_insert((at, at));
@@ -61,11 +68,15 @@ impl Columns {
         let (center, half) = (turn * filled.center.xy(), filled.size / 2.0);
         let (first, last) = (cell(&(center - half.xy())), cell(&(center + half.xy())));
         let levels = u128::MAX >> (127 - level(filled.size.z));
-        Self { turn, filled: Filled::Throughout { first, last, levels }, lowest_z: filled.center.z - half.z }
+        Self {
+            turn,
+            filled: Filled::Throughout { first, last, levels },
+            lowest_z: filled.center.z - half.z,
+        }
     }
 
-    /// Share of these columns that lie within the outline of the others: between two of them along one of their axes. What a thing stands on
-    /// was not seen under it.
+    /// Share of these columns that lie within the outline of the others: between two of them along
+    /// one of their axes. What a thing stands on was not seen under it.
     pub fn share_over(&self, other: &Self) -> f32 {
         let (mut all, mut over) = (0, 0);
         for p in self.filled.cells().map(|own| self.middle(own)) {
@@ -75,7 +86,8 @@ impl Columns {
         over as f32 / all.max(1) as f32
     }
 
-    /// Share of the columns at the rim of these next to which the others are filled at this height, metres, give or take `within_m`.
+    /// Share of the columns at the rim of these next to which the others are filled at this height,
+    /// metres, give or take `within_m`.
     pub fn share_touching(&self, other: &Self, z: f32, within_m: f32) -> f32 {
         let low = z - within_m - other.lowest_z;
         if low + 2.0 * within_m < 0.0 {
@@ -85,7 +97,9 @@ impl Columns {
         let (mut rim, mut touching) = (0, 0);
         for own in self.filled.cells().filter(|own| self.filled.is_rim(*own)) {
             rim += 1;
-            touching += u32::from(around(other.cell(&self.middle(own)), 1).any(|c| other.filled.at(c) & levels != 0));
+            touching += u32::from(
+                around(other.cell(&self.middle(own)), 1).any(|c| other.filled.at(c) & levels != 0),
+            );
         }
         touching as f32 / rim.max(1) as f32
     }
@@ -119,9 +133,9 @@ impl Filled {
     fn cells(&self) -> Box<dyn Iterator<Item = Cell> + '_> {
         match self {
             Self::Seen { columns, .. } => Box::new(columns.keys().copied()),
-            &Self::Throughout { first, last, .. } => {
-                Box::new((first.0..=last.0).flat_map(move |x| (first.1..=last.1).map(move |y| (x, y))))
-            }
+            &Self::Throughout { first, last, .. } => Box::new(
+                (first.0..=last.0).flat_map(move |x| (first.1..=last.1).map(move |y| (x, y))),
+            ),
         }
     }
 
@@ -138,10 +152,14 @@ impl Filled {
     fn holds(&self, (x, y): Cell) -> bool {
         match self {
             Self::Seen { rows, files, .. } => {
-                let within = |span: Option<&(i32, i32)>, at| span.is_some_and(|&(from, to)| (from..=to).contains(&at));
+                let within = |span: Option<&(i32, i32)>, at| {
+                    span.is_some_and(|&(from, to)| (from..=to).contains(&at))
+                };
                 within(rows.get(&y), x) || within(files.get(&x), y)
             }
-            Self::Throughout { first, last, .. } => (first.0..=last.0).contains(&x) && (first.1..=last.1).contains(&y),
+            Self::Throughout { first, last, .. } => {
+                (first.0..=last.0).contains(&x) && (first.1..=last.1).contains(&y)
+            }
         }
     }
 
@@ -153,12 +171,18 @@ impl Filled {
     fn extents(&self) -> [i32; 2] {
         let (xs, ys) = match self {
             Self::Seen { rows, files, .. } => {
-                let ends = |lines: &BTreeMap<i32, (i32, i32)>| lines.keys().next().copied().zip(lines.keys().next_back().copied());
+                let ends = |lines: &BTreeMap<i32, (i32, i32)>| {
+                    lines.keys().next().copied().zip(lines.keys().next_back().copied())
+                };
                 (ends(files), ends(rows))
             }
-            Self::Throughout { first, last, .. } => (Some((first.0, last.0)), Some((first.1, last.1))),
+            Self::Throughout { first, last, .. } => {
+                (Some((first.0, last.0)), Some((first.1, last.1)))
+            }
         };
-        [xs, ys].map(|ends| ends.map_or(0, |(first, last)| last.saturating_sub(first).saturating_add(1)))
+        [xs, ys].map(|ends| {
+            ends.map_or(0, |(first, last)| last.saturating_sub(first).saturating_add(1))
+        })
     }
 }
 
@@ -183,15 +207,25 @@ mod tests {
     use crate::geometry::Vector3;
 
     fn filled(size: [f32; 3], center: [f32; 3], yaw_rad: f32) -> Columns {
-        Columns::of_box(&OrientedBox { center: Point3::from(center), size: Vector3::from(size), yaw_rad })
+        Columns::of_box(&OrientedBox {
+            center: Point3::from(center),
+            size: Vector3::from(size),
+            yaw_rad,
+        })
     }
 
     #[test]
     fn a_box_of_points_fills_what_the_box_does() {
-        let points =
-            (0..30).flat_map(|x| (0..20).flat_map(move |y| (0..10).map(move |z| Point3::new(x as f32, y as f32, z as f32) * 0.02)));
-        let (seen, known) = (Columns::of_points(points, 0.0), filled([0.58, 0.38, 0.18], [0.29, 0.19, 0.09], 0.0));
-        let columns = |of: &Columns| of.filled.cells().map(|c| (c, of.filled.at(c), of.filled.is_rim(c))).collect::<Vec<_>>();
+        let points = (0..30).flat_map(|x| {
+            (0..20).flat_map(move |y| {
+                (0..10).map(move |z| Point3::new(x as f32, y as f32, z as f32) * 0.02)
+            })
+        });
+        let (seen, known) =
+            (Columns::of_points(points, 0.0), filled([0.58, 0.38, 0.18], [0.29, 0.19, 0.09], 0.0));
+        let columns = |of: &Columns| {
+            of.filled.cells().map(|c| (c, of.filled.at(c), of.filled.is_rim(c))).collect::<Vec<_>>()
+        };
         assert_eq!((columns(&seen), seen.extents()), (columns(&known), known.extents()));
         assert_eq!(seen.share_over(&known), 1.0);
         assert_eq!(seen.share_touching(&known, 0.1, 0.02), 1.0);
@@ -201,15 +235,25 @@ mod tests {
 
     #[test]
     fn a_box_as_large_as_coordinates_go_costs_nothing() {
-        let (floor, box_on_it) = (filled([1e7, 1e7, 0.1], [0.0, 0.0, -0.05], 0.3), filled([0.4, 0.4, 0.4], [3.0, 2.0, 0.2], 0.0));
-        assert_eq!((box_on_it.share_over(&floor), box_on_it.share_touching(&floor, 0.0, 0.06)), (1.0, 1.0));
+        let (floor, box_on_it) = (
+            filled([1e7, 1e7, 0.1], [0.0, 0.0, -0.05], 0.3),
+            filled([0.4, 0.4, 0.4], [3.0, 2.0, 0.2], 0.0),
+        );
+        assert_eq!(
+            (box_on_it.share_over(&floor), box_on_it.share_touching(&floor, 0.0, 0.06)),
+            (1.0, 1.0)
+        );
         assert!(box_on_it.is_beside(&floor, 0.1) && floor.extents()[1] > 9e6);
     }
 
     #[test]
     fn what_is_turned_is_measured_along_its_own_axes() {
         let wall = filled([4.0, 0.1, 2.0], [0.0, 0.0, 1.0], 0.7);
-        assert!((wall.extents()[0] - 4.0).abs() <= 0.1 && wall.extents()[1] <= 0.15, "{:?}", wall.extents());
+        assert!(
+            (wall.extents()[0] - 4.0).abs() <= 0.1 && wall.extents()[1] <= 0.15,
+            "{:?}",
+            wall.extents()
+        );
         let beside = |off: f32| {
             let at = nalgebra::Rotation2::new(0.7) * Point2::new(1.0, off);
             filled([0.2, 0.2, 0.2], [at.x, at.y, 1.0], 0.7).is_beside(&wall, 0.1)

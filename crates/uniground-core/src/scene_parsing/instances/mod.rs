@@ -1,4 +1,5 @@
-//! Regions to instances: boxes, colours, support, structure, and which regions are none. Class-agnostic.
+//! Regions to instances: boxes, colours, support, structure, and which regions are none.
+//! Class-agnostic.
 
 mod bounds;
 mod columns;
@@ -40,13 +41,16 @@ pub struct Built<'a> {
     pub specks: u32,
 }
 
-/// Builds instances from numbered regions, parts and wholes, and what frames show of them. What is none is dropped and the others close up.
+/// Builds instances from numbered regions, parts and wholes, and what frames show of them. What is
+/// none is dropped and the others close up.
 ///
-/// A thing is shown by masks of its own. What stands out of a wall where poses drift, the rims between things and other leftovers are in no
-/// mask, or under one of something else: on the mean over the frames that see it, weighted by its points they see, no mask agrees with it.
-/// Parts of the building are known by their planes, and what no frame sees is not judged, unless it is a speck: of a few points that a scan's
-/// frames show on a few pixels nobody could tell what they are. Parts and wholes are judged alike, fall with their
-/// things, and are only as many as the settings say.
+/// A thing is shown by masks of its own. What stands out of a wall where poses drift, the rims
+/// between things and other leftovers are in no mask, or under one of something else: on the mean
+/// over the frames that see it, weighted by its points they see, no mask agrees with it.
+/// Parts of the building are known by their planes, and what no frame sees is not judged, unless it
+/// is a speck: of a few points that a scan's frames show on a few pixels nobody could tell what
+/// they are. Parts and wholes are judged alike, fall with their things, and are only as many as the
+/// settings say.
 ///
 /// # Errors
 /// [`Cancelled`].
@@ -68,7 +72,11 @@ pub fn build<'a>(
     let noise = Noise::of(superpoints);
     let mut shapes: Vec<Shape> = members
         .par_iter()
-        .map(|points| progress.check().map(|()| Shape::of(cloud, points, noise.around(points), None, settings)))
+        .map(|points| {
+            progress
+                .check()
+                .map(|()| Shape::of(cloud, points, noise.around(points), None, settings))
+        })
         .collect::<Result<_, Cancelled>>()?;
     let lowest_z = || quantile(&mut cloud.positions.iter().map(|p| p.z).collect::<Vec<_>>(), 0.01);
     let floor_z = planes.floor_z().or_else(lowest_z).unwrap_or(0.0);
@@ -76,10 +84,12 @@ pub fn build<'a>(
     let mut structures = structures(&shapes[..things], &members, superpoints, planes, floor_z);
     let flat = reliefs.iter().map(|(id, relief)| (id.0 as usize - 1, relief));
     for (i, relief) in flat.filter(|(i, _)| structures.get(*i).is_none_or(Option::is_none)) {
-        shapes[i] = Shape::of(cloud, &members[i], noise.around(&members[i]), Some(relief), settings);
+        shapes[i] =
+            Shape::of(cloud, &members[i], noise.around(&members[i]), Some(relief), settings);
     }
     let specks = specks(&shapes[..things], &structures, &sightings, settings);
-    let new_id = kept(&labels, &structures, &specks, &agreement(labels.len(), &sightings), settings);
+    let new_id =
+        kept(&labels, &structures, &specks, &agreement(labels.len(), &sightings), settings);
     let stays = |i: usize| new_id[i + 1].0 != 0;
     let mut at = 0..;
     shapes.retain(|_| at.next().is_some_and(stays));
@@ -107,7 +117,8 @@ pub fn build<'a>(
         supports.push(support_of(compound, i, &mut shapes, &supports));
     }
     let levels = std::iter::repeat_n((Level::Thing, Vec::new()), structures.len());
-    let levels = levels.chain(labels.compounds.iter().map(|compound| (compound.level, compound.things.clone())));
+    let levels = levels
+        .chain(labels.compounds.iter().map(|compound| (compound.level, compound.things.clone())));
     let structures = structures.iter().copied().chain(std::iter::repeat(None));
     let instances = (1..)
         .zip(levels)
@@ -136,8 +147,12 @@ pub fn build<'a>(
             gone: false,
         })
         .collect();
-    let renumbered = |sighting: Sighting| Sighting { instance: new_id[sighting.instance.0 as usize], ..sighting };
-    let sightings = sightings.into_iter().map(renumbered).filter(|sighting| sighting.instance.0 != 0).collect();
+    let renumbered = |sighting: Sighting| Sighting {
+        instance: new_id[sighting.instance.0 as usize],
+        ..sighting
+    };
+    let sightings =
+        sightings.into_iter().map(renumbered).filter(|sighting| sighting.instance.0 != 0).collect();
     Ok(Built { instances, labels, sightings, dropped, specks })
 }
 
@@ -145,15 +160,25 @@ pub fn build<'a>(
 const MIN_PICTURE_PX: u32 = 16 * 16;
 
 /// Which regions are specks. A scan without frames has none: nothing tells them.
-fn specks(shapes: &[Shape], structures: &[Option<Structure>], sightings: &[Sighting], settings: &InstanceSettings) -> Vec<bool> {
+fn specks(
+    shapes: &[Shape],
+    structures: &[Option<Structure>],
+    sightings: &[Sighting],
+    settings: &InstanceSettings,
+) -> Vec<bool> {
     let mut largest_px = vec![0; shapes.len()];
-    for Sighting { instance, view: View { box_px: [left, top, right, bottom], .. }, .. } in sightings {
+    for Sighting { instance, view: View { box_px: [left, top, right, bottom], .. }, .. } in
+        sightings
+    {
         if let Some(largest) = largest_px.get_mut(instance.0 as usize - 1) {
             *largest = (right - left).saturating_mul(bottom - top).max(*largest);
         }
     }
     let few = |(i, shape): (usize, &Shape)| {
-        shape.point_count < settings.min_points && largest_px[i] < MIN_PICTURE_PX && structures[i].is_none() && !sightings.is_empty()
+        shape.point_count < settings.min_points
+            && largest_px[i] < MIN_PICTURE_PX
+            && structures[i].is_none()
+            && !sightings.is_empty()
     };
     shapes.iter().enumerate().map(few).collect()
 }
@@ -169,7 +194,9 @@ fn kept(
     let mut new_id = vec![InstanceId(0); labels.len() + 1];
     let mut ids = (1..).map(InstanceId);
     for (i, structure) in structures.iter().enumerate() {
-        if structure.is_some() || !specks[i] && shown[i].is_none_or(|agreement| agreement >= settings.min_agreement) {
+        if structure.is_some()
+            || !specks[i] && shown[i].is_none_or(|agreement| agreement >= settings.min_agreement)
+        {
             new_id[i + 1] = ids.next().unwrap_or_default();
         }
     }
@@ -185,18 +212,28 @@ fn kept(
     new_id
 }
 
-/// What the compound at index `i` rests on: a whole on what its lowest thing does, a part on what its thing does where it reaches as low, else
-/// on the thing. A whole reaches from floor to ceiling where its things do.
-fn support_of(compound: &Compound, i: usize, shapes: &mut [Shape], supports: &[Support]) -> Support {
+/// What the compound at index `i` rests on: a whole on what its lowest thing does, a part on what
+/// its thing does where it reaches as low, else on the thing. A whole reaches from floor to ceiling
+/// where its things do.
+fn support_of(
+    compound: &Compound,
+    i: usize,
+    shapes: &mut [Shape],
+    supports: &[Support],
+) -> Support {
     let reach = |i: usize, shapes: &[Shape]| (shapes[i].aabb.min().z, shapes[i].aabb.max().z);
     let things = compound.things.iter().map(|thing| thing.0 as usize - 1);
-    let Some(lowest) = things.clone().min_by(|&a, &b| reach(a, shapes).0.total_cmp(&reach(b, shapes).0)) else {
+    let Some(lowest) =
+        things.clone().min_by(|&a, &b| reach(a, shapes).0.total_cmp(&reach(b, shapes).0))
+    else {
         return Support::Nothing;
     };
     let (bottom_z, top_z) = reach(i, shapes);
     let from_z = reach(lowest, shapes).0;
     match compound.level {
-        Level::Part if bottom_z > from_z + support::CONTACT_M => Support::Instance { id: InstanceId(lowest as u32 + 1) },
+        Level::Part if bottom_z > from_z + support::CONTACT_M => {
+            Support::Instance { id: InstanceId(lowest as u32 + 1) }
+        }
         Level::Whole => {
             let to_z = things.map(|thing| reach(thing, shapes).1).fold(top_z, f32::max);
             shapes[i].reach(bottom_z.min(from_z), to_z);
@@ -207,7 +244,13 @@ fn support_of(compound: &Compound, i: usize, shapes: &mut [Shape], supports: &[S
 }
 
 /// Which part of the building each region is, if any.
-fn structures(shapes: &[Shape], members: &[Vec<u32>], superpoints: &Superpoints, planes: &Planes, floor_z: f32) -> Vec<Option<Structure>> {
+fn structures(
+    shapes: &[Shape],
+    members: &[Vec<u32>],
+    superpoints: &Superpoints,
+    planes: &Planes,
+    floor_z: f32,
+) -> Vec<Option<Structure>> {
     shapes
         .iter()
         .zip(members)
@@ -242,13 +285,14 @@ struct Noise<'a> {
 impl<'a> Noise<'a> {
     fn of(superpoints: &'a Superpoints) -> Self {
         // Most of a room is even: what is rough at the median is rough by noise.
-        let mut all: Vec<f32> = superpoints.of_point.iter().map(|&s| superpoints.roughness_m[s as usize]).collect();
+        let mut all: Vec<f32> =
+            superpoints.of_point.iter().map(|&s| superpoints.roughness_m[s as usize]).collect();
         let scene_m = median(&mut all).unwrap_or(0.0);
         Self { superpoints, scene_m }
     }
 
-    /// Standard deviation around these points, metres. Far things are noisier than the scene at large; leaves of a plant are
-    /// rough without being noisy: hence the bound.
+    /// Standard deviation around these points, metres. Far things are noisier than the scene at
+    /// large; leaves of a plant are rough without being noisy: hence the bound.
     fn around(&self, points: &[u32]) -> f32 {
         const FAR_FACTOR: f32 = 2.0;
         let mut here: Vec<f32> = points
@@ -271,14 +315,23 @@ struct Shape {
 }
 
 impl Shape {
-    fn of(cloud: &PointCloud, members: &[u32], noise_m: f32, relief: Option<&Relief>, settings: &InstanceSettings) -> Self {
-        let positions: Vec<Point3<f32>> = members.iter().map(|&i| cloud.positions[i as usize]).collect();
+    fn of(
+        cloud: &PointCloud,
+        members: &[u32],
+        noise_m: f32,
+        relief: Option<&Relief>,
+        settings: &InstanceSettings,
+    ) -> Self {
+        let positions: Vec<Point3<f32>> =
+            members.iter().map(|&i| cloud.positions[i as usize]).collect();
         let colours = || members.iter().map(|&i| cloud.colours[i as usize]);
-        let raw_box = Aabb::around(&positions).unwrap_or(Aabb { center: Point3::origin(), size: Vector3::zeros() });
+        let raw_box = Aabb::around(&positions)
+            .unwrap_or(Aabb { center: Point3::origin(), size: Vector3::zeros() });
         let (aabb, oriented_box) = bounds::robust(&positions, noise_m, relief, settings);
         let planarity = planarity(&positions);
         let n = members.len().max(1) as u64;
-        let sum = colours().fold([0_u64; 3], |sum, c| std::array::from_fn(|i| sum[i] + u64::from(c[i])));
+        let sum =
+            colours().fold([0_u64; 3], |sum, c| std::array::from_fn(|i| sum[i] + u64::from(c[i])));
         Self {
             point_count: members.len() as u32,
             aabb,
@@ -294,15 +347,20 @@ impl Shape {
 impl Shape {
     fn body(&self, cloud: &PointCloud, members: &[u32]) -> Body {
         // Without strays, but with what noise adds to thin things.
-        let around = Aabb { size: self.aabb.size.add_scalar(2.0 * support::CONTACT_M), ..self.aabb };
-        let points = members.iter().map(|&i| cloud.positions[i as usize]).filter(|p| around.contains(p));
+        let around =
+            Aabb { size: self.aabb.size.add_scalar(2.0 * support::CONTACT_M), ..self.aabb };
+        let points =
+            members.iter().map(|&i| cloud.positions[i as usize]).filter(|p| around.contains(p));
         Body { aabb: self.aabb, columns: Columns::of_points(points, self.oriented_box.yaw_rad) }
     }
 
     /// From one height to another, metres: its legs or its cord were not seen.
     fn reach(&mut self, bottom_z: f32, top_z: f32) {
         let (min, max) = (self.aabb.min(), self.aabb.max());
-        self.aabb = Aabb::from_corners(Point3::new(min.x, min.y, bottom_z), Point3::new(max.x, max.y, top_z));
+        self.aabb = Aabb::from_corners(
+            Point3::new(min.x, min.y, bottom_z),
+            Point3::new(max.x, max.y, top_z),
+        );
         let OrientedBox { center, size, .. } = &mut self.oriented_box;
         (center.z, size.z) = (f32::midpoint(top_z, bottom_z), top_z - bottom_z);
     }
@@ -316,7 +374,8 @@ const ON_PLANE_M: f32 = 0.03;
 pub fn planarity(positions: &[Point3<f32>]) -> f32 {
     let Moments { mean, covariance } = Moments::of(positions);
     let (_, normal) = least_axis(&covariance);
-    let on_plane = positions.iter().filter(|p| (*p - mean).dot(&normal).abs() <= ON_PLANE_M).count();
+    let on_plane =
+        positions.iter().filter(|p| (*p - mean).dot(&normal).abs() <= ON_PLANE_M).count();
     on_plane as f32 / positions.len().max(1) as f32
 }
 
@@ -329,16 +388,26 @@ mod tests {
     fn agreement_is_weighed_by_what_a_frame_shows_and_unseen_regions_have_none() {
         let seen = |instance, frame, visible_points, agreement| Sighting {
             instance: InstanceId(instance),
-            view: View { frame: FrameIndex(frame), visible_points, box_px: [0, 0, 9, 9], mask: None },
+            view: View {
+                frame: FrameIndex(frame),
+                visible_points,
+                box_px: [0, 0, 9, 9],
+                mask: None,
+            },
             whole: 1.0,
             covered_px: 81.0,
             agreement,
         };
-        let found = agreement(3, &[seen(1, 0, 300, 0.8), seen(3, 0, 50, 0.0), seen(1, 1, 100, 0.4)]);
-        assert_eq!(found.iter().map(|a| a.map(|a| (a * 100.0_f32).round())).collect::<Vec<_>>(), [Some(70.0), None, Some(0.0)]);
+        let found =
+            agreement(3, &[seen(1, 0, 300, 0.8), seen(3, 0, 50, 0.0), seen(1, 1, 100, 0.4)]);
+        assert_eq!(
+            found.iter().map(|a| a.map(|a| (a * 100.0_f32).round())).collect::<Vec<_>>(),
+            [Some(70.0), None, Some(0.0)]
+        );
     }
 
-    /// Two blocks, a sliver that no mask shows, and a speck of a few points and pixels, seen by one frame.
+    /// Two blocks, a sliver that no mask shows, and a speck of a few points and pixels, seen by one
+    /// frame.
     #[test]
     fn slivers_and_specks_are_dropped_and_the_others_close_up() {
         let block = |x: f32, side: u16| {
@@ -347,18 +416,28 @@ mod tests {
                 Point3::new(x + at(0), at(1), at(2))
             })
         };
-        let positions: Vec<Point3<f32>> = block(0.0, 10).chain(block(1.0, 8)).chain(block(2.0, 6)).chain(block(3.0, 3)).collect();
+        let positions: Vec<Point3<f32>> =
+            block(0.0, 10).chain(block(1.0, 8)).chain(block(2.0, 6)).chain(block(3.0, 3)).collect();
         let region_of: Vec<u32> = [(0, 1000), (1, 512), (2, 216), (3, 27)]
             .into_iter()
             .flat_map(|(r, n)| std::iter::repeat_n(r, n))
             .collect();
         let cloud = PointCloud { colours: vec![[90; 3]; positions.len()], positions };
-        let superpoints =
-            Superpoints { of_point: region_of.clone(), patches: Vec::new(), adjacent: Vec::new(), roughness_m: vec![0.002; 4] };
+        let superpoints = Superpoints {
+            of_point: region_of.clone(),
+            patches: Vec::new(),
+            adjacent: Vec::new(),
+            roughness_m: vec![0.002; 4],
+        };
         let planes = Planes { planes: Vec::new(), of_superpoint: vec![None; 4] };
         let seen = |instance, agreement| Sighting {
             instance: InstanceId(instance),
-            view: View { frame: FrameIndex(0), visible_points: 100, box_px: [0, 0, 9, 9], mask: None },
+            view: View {
+                frame: FrameIndex(0),
+                visible_points: 100,
+                box_px: [0, 0, 9, 9],
+                mask: None,
+            },
             whole: 1.0,
             covered_px: 81.0,
             agreement,
@@ -367,9 +446,15 @@ mod tests {
         let settings = InstanceSettings::default();
         let labels = Labels::of_regions(&region_of, &superpoints, Vec::new());
         let sighted = Sighted { sightings, reliefs: BTreeMap::new() };
-        let built = build(&cloud, &superpoints, &planes, labels, sighted, &settings, &Progress::silent()).unwrap();
+        let built =
+            build(&cloud, &superpoints, &planes, labels, sighted, &settings, &Progress::silent())
+                .unwrap();
         assert_eq!(
-            (built.dropped, built.specks, built.instances.iter().map(|i| i.point_count).collect::<Vec<_>>()),
+            (
+                built.dropped,
+                built.specks,
+                built.instances.iter().map(|i| i.point_count).collect::<Vec<_>>()
+            ),
             (1, 1, vec![1000, 216])
         );
         assert_eq!([0, 1200, 1600].map(|i| built.labels.thing_of_point[i].0), [1, 0, 2]);

@@ -8,7 +8,8 @@ use uniground_types::settings::InstanceSettings;
 /// The most views that what was merged has.
 const MOST_VIEWS: usize = 5;
 
-/// One thing of the points of several, the next of the known instances; `owner` says whose a point is. `None` where they have none.
+/// One thing of the points of several, the next of the known instances; `owner` says whose a point
+/// is. `None` where they have none.
 #[must_use]
 pub fn merged(
     cloud: &PointCloud,
@@ -31,26 +32,44 @@ pub fn merged(
         .map(|i| Instance { dismissed: i.dismissed || members.contains(&i.id), ..i.clone() })
         .collect();
     let whole = of_points(cloud, &points, &beside, settings);
-    Some(Instance { views: views_of_all(&shown, MOST_VIEWS), merged_from: members.to_vec(), ..whole })
+    Some(Instance {
+        views: views_of_all(&shown, MOST_VIEWS),
+        merged_from: members.to_vec(),
+        ..whole
+    })
 }
 
 /// These points of the cloud as the next of the known instances: a thing, without views.
 #[must_use]
-pub fn of_points(cloud: &PointCloud, points: &[u32], known: &[Instance], settings: &InstanceSettings) -> Instance {
+pub fn of_points(
+    cloud: &PointCloud,
+    points: &[u32],
+    known: &[Instance],
+    settings: &InstanceSettings,
+) -> Instance {
     // How rough surfaces are was measured with the superpoints, which are not kept.
     const NOISE_M: f32 = 0.0;
     let mut shape = Shape::of(cloud, points, NOISE_M, None, settings);
     let bottom_z = |i: &Instance| i.aabb.min().z;
-    let floor_z = known.first().map_or(shape.aabb.min().z, |i| bottom_z(i) - i.height_above_floor_m);
-    let things: Vec<&Instance> = known.iter().filter(|i| i.level == Level::Thing && !i.dismissed).collect();
-    let mut bodies: Vec<Body> = things.iter().map(|i| Body::of_box(i.aabb, &i.oriented_box)).collect();
+    let floor_z =
+        known.first().map_or(shape.aabb.min().z, |i| bottom_z(i) - i.height_above_floor_m);
+    let things: Vec<&Instance> =
+        known.iter().filter(|i| i.level == Level::Thing && !i.dismissed).collect();
+    let mut bodies: Vec<Body> =
+        things.iter().map(|i| Body::of_box(i.aabb, &i.oriented_box)).collect();
     let mut structures: Vec<Option<Structure>> = things.iter().map(|i| i.structure).collect();
     bodies.push(shape.body(cloud, points));
     structures.push(None);
     // Told by places in this list, counted from 1.
     let id_of = |place: InstanceId| things[place.0 as usize - 1].id;
     let own = bodies.len() - 1;
-    let held = support::held(own, support::of(own, &bodies, &structures, floor_z), &bodies, &structures, floor_z);
+    let held = support::held(
+        own,
+        support::of(own, &bodies, &structures, floor_z),
+        &bodies,
+        &structures,
+        floor_z,
+    );
     shape.reach(held.from_z, held.to_z);
     let support = match held.support {
         Support::Instance { id } => Support::Instance { id: id_of(id) },

@@ -1,4 +1,5 @@
-//! Which instances are floor, ceiling and walls: those that lie on a plane of the building and are as large as one.
+//! Which instances are floor, ceiling and walls: those that lie on a plane of the building and are
+//! as large as one.
 
 use super::Shape;
 use crate::scene::Structure;
@@ -18,8 +19,14 @@ const WALL_BOTTOM_M: f32 = 0.9;
 const WALL_WIDTH_M: f32 = 1.8;
 
 /// `on_plane`: points per plane of the building, of the instance.
-pub(super) fn of(shape: &Shape, on_plane: &[(u32, u32)], planes: &Planes, floor_z: f32) -> Option<Structure> {
-    let &(plane, points) = on_plane.iter().max_by_key(|(plane, points)| (*points, std::cmp::Reverse(*plane)))?;
+pub(super) fn of(
+    shape: &Shape,
+    on_plane: &[(u32, u32)],
+    planes: &Planes,
+    floor_z: f32,
+) -> Option<Structure> {
+    let &(plane, points) =
+        on_plane.iter().max_by_key(|(plane, points)| (*points, std::cmp::Reverse(*plane)))?;
     if (points as f32) < ON_PLANE * shape.point_count as f32 {
         return None;
     }
@@ -29,7 +36,8 @@ pub(super) fn of(shape: &Shape, on_plane: &[(u32, u32)], planes: &Planes, floor_
         Structure::Floor | Structure::Ceiling => size.x * size.y >= MIN_LEVEL_SHARE * plane.area_m2,
         Structure::Wall => {
             let (bottom, top) = (shape.aabb.min().z - floor_z, shape.aabb.max().z - floor_z);
-            let tall = (top > WALL_TOP_M && bottom < WALL_BOTTOM_M) || size.xy().max() > WALL_WIDTH_M;
+            let tall =
+                (top > WALL_TOP_M && bottom < WALL_BOTTOM_M) || size.xy().max() > WALL_WIDTH_M;
             tall && size.z > 0.8 && size.z * size.xy().max() > MIN_WALL_M2
         }
     };

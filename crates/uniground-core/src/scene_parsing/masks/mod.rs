@@ -1,6 +1,7 @@
 //! 2D masks: which pixels of a frame belong to the same thing.
 //!
-//! A [`MaskSource`] gives one id image per frame, or several that all have a vote; what the ids mean is only known within an image.
+//! A [`MaskSource`] gives one id image per frame, or several that all have a vote; what the ids
+//! mean is only known within an image.
 
 pub mod rgbd;
 pub mod sam;
@@ -50,14 +51,16 @@ impl IdRuns {
     /// Packs an image.
     #[must_use]
     pub fn of(image: &IdImage) -> Self {
-        let runs = image.ids.chunk_by(|a, b| a == b).map(|run| (run[0], run.len() as u32)).collect();
+        let runs =
+            image.ids.chunk_by(|a, b| a == b).map(|run| (run[0], run.len() as u32)).collect();
         Self { width: image.width, height: image.height, runs }
     }
 
     /// The image again.
     #[must_use]
     pub fn unpacked(&self) -> IdImage {
-        let ids = self.runs.iter().flat_map(|&(id, n)| std::iter::repeat_n(id, n as usize)).collect();
+        let ids =
+            self.runs.iter().flat_map(|&(id, n)| std::iter::repeat_n(id, n as usize)).collect();
         IdImage { width: self.width, height: self.height, ids }
     }
 }
@@ -67,11 +70,12 @@ pub trait MaskSource: Send + Sync {
     /// Name and version, recorded with the parse.
     fn name(&self) -> &str;
 
-    /// The masks of one frame, at the resolution of its depth image: as many id images for every frame. A model takes seconds, so it
-    /// checks `progress` between its calls.
+    /// The masks of one frame, at the resolution of its depth image: as many id images for every
+    /// frame. A model takes seconds, so it checks `progress` between its calls.
     ///
     /// # Errors
-    /// [`ParseError`] when a model fails or the caller has asked to stop; the built-in masks never fail.
+    /// [`ParseError`] when a model fails or the caller has asked to stop; the built-in masks never
+    /// fail.
     fn masks(&self, frame: &Frame, progress: &Progress) -> Result<Vec<IdImage>, ParseError>;
 }
 

@@ -1,6 +1,7 @@
 //! Leaves: no mask shows a plant as one, and its leaves touch here and there.
 //!
-//! Green pieces that hang together are one plant. What stands under it, no wider than its leaves, is its pot.
+//! Green pieces that hang together are one plant. What stands under it, no wider than its leaves,
+//! is its pot.
 
 use super::{Part, united};
 use crate::geometry::boxes::Aabb;
@@ -23,15 +24,25 @@ const POT_M: f32 = 0.5;
 /// A pot ends at most so far below the lowest leaf, metres: a stem is seen from nowhere.
 const STEM_M: f32 = 0.25;
 
-/// Joins leaves, and pots to them; returns the regions and what is known of those that are as they were.
-pub(super) fn gather(superpoints: &Superpoints, region_of: Vec<u32>, parts: &[Part]) -> (Vec<u32>, Vec<Option<Part>>) {
+/// Joins leaves, and pots to them; returns the regions and what is known of those that are as they
+/// were.
+pub(super) fn gather(
+    superpoints: &Superpoints,
+    region_of: Vec<u32>,
+    parts: &[Part],
+) -> (Vec<u32>, Vec<Option<Part>>) {
     let mut points = vec![[0.0_f32; 2]; parts.len()];
     for (patch, &region) in superpoints.patches.iter().zip(&region_of) {
         let [all, green] = &mut points[region as usize];
         *all += patch.points as f32;
-        *green += if ColourName::of(&patch.lab) == ColourName::Green { patch.points as f32 } else { 0.0 };
+        *green +=
+            if ColourName::of(&patch.lab) == ColourName::Green { patch.points as f32 } else { 0.0 };
     }
-    let is_leaves = |i: usize| !parts[i].is_structural && points[i][1] >= GREEN * points[i][0] && parts[i].aabb.size.max() <= LARGEST_M;
+    let is_leaves = |i: usize| {
+        !parts[i].is_structural
+            && points[i][1] >= GREEN * points[i][0]
+            && parts[i].aabb.size.max() <= LARGEST_M
+    };
     let leaves: Vec<usize> = (0..parts.len()).filter(|&i| is_leaves(i)).collect();
     let plants = plants(&leaves, parts);
     let mut sets = UnionFind::new(parts.len());
@@ -48,7 +59,8 @@ pub(super) fn gather(superpoints: &Superpoints, region_of: Vec<u32>, parts: &[Pa
 
 /// Leaves that hang together: the box around them, and which they are.
 fn plants(leaves: &[usize], parts: &[Part]) -> Vec<(Aabb, Vec<usize>)> {
-    let mut plants: Vec<(Aabb, Vec<usize>)> = leaves.iter().map(|&i| (parts[i].aabb, vec![i])).collect();
+    let mut plants: Vec<(Aabb, Vec<usize>)> =
+        leaves.iter().map(|&i| (parts[i].aabb, vec![i])).collect();
     let mut plant_of: Vec<usize> = (0..leaves.len()).collect();
     for (a, &leaf) in leaves.iter().enumerate() {
         for b in a + 1..leaves.len() {
@@ -70,7 +82,10 @@ fn plants(leaves: &[usize], parts: &[Part]) -> Vec<(Aabb, Vec<usize>)> {
 }
 
 fn around(a: &Aabb, b: &Aabb) -> Aabb {
-    Aabb::from_corners(a.min().coords.inf(&b.min().coords).into(), a.max().coords.sup(&b.max().coords).into())
+    Aabb::from_corners(
+        a.min().coords.inf(&b.min().coords).into(),
+        a.max().coords.sup(&b.max().coords).into(),
+    )
 }
 
 /// Under the leaves' middle, not wider than they are, and ending where they begin.
@@ -101,22 +116,39 @@ mod tests {
         let part = |(low, high, _): &([f32; 3], [f32; 3], [u8; 3])| {
             let at = |axis: usize, k: u32| low[axis] + (high[axis] - low[axis]) * k as f32 / 9.0;
             let cells = (0..1000_u32).map(|i| (i % 10, i / 10 % 10, i / 100));
-            Part::of(&cells.map(|(x, y, z)| Point3::new(at(0, x), at(1, y), at(2, z))).collect::<Vec<_>>())
+            Part::of(
+                &cells
+                    .map(|(x, y, z)| Point3::new(at(0, x), at(1, y), at(2, z)))
+                    .collect::<Vec<_>>(),
+            )
         };
-        let patch = |rgb: [u8; 3]| Patch { points: 1000, center: Point3::origin(), normal: Vector3::z(), lab: lab_of_srgb(rgb) };
+        let patch = |rgb: [u8; 3]| Patch {
+            points: 1000,
+            center: Point3::origin(),
+            normal: Vector3::z(),
+            lab: lab_of_srgb(rgb),
+        };
         let superpoints = Superpoints {
             of_point: Vec::new(),
             patches: blocks.iter().map(|block| patch(block.2)).collect(),
             adjacent: Vec::new(),
             roughness_m: vec![0.0; blocks.len()],
         };
-        gather(&superpoints, (0..blocks.len() as u32).collect(), &blocks.iter().map(part).collect::<Vec<_>>()).0
+        gather(
+            &superpoints,
+            (0..blocks.len() as u32).collect(),
+            &blocks.iter().map(part).collect::<Vec<_>>(),
+        )
+        .0
     }
 
     #[test]
     fn leaves_are_one_plant_with_their_pot() {
         let pot = ([0.1, 0.1, 0.0], [0.3, 0.3, 0.3], CLAY);
-        let leaves = [([0.0, 0.0, 0.4], [0.25, 0.25, 0.7], LEAF), ([0.2, 0.2, 0.5], [0.45, 0.45, 0.9], LEAF)];
+        let leaves = [
+            ([0.0, 0.0, 0.4], [0.25, 0.25, 0.7], LEAF),
+            ([0.2, 0.2, 0.5], [0.45, 0.45, 0.9], LEAF),
+        ];
         assert_eq!(gathered(&[pot, leaves[0], leaves[1]]), [0, 0, 0]);
         let far = ([2.0, 0.0, 0.4], [2.3, 0.3, 0.8], LEAF);
         assert_eq!(gathered(&[leaves[0], far]), [0, 1], "another plant");
@@ -126,9 +158,23 @@ mod tests {
     #[test]
     fn what_is_wider_than_the_leaves_is_no_pot_and_furniture_no_leaf() {
         let leaves = ([0.2, 0.2, 0.8], [0.5, 0.5, 1.2], LEAF);
-        assert_eq!(gathered(&[([0.0, 0.0, 0.3], [0.6, 0.6, 0.75], CLAY), leaves]), [0, 1], "a stool that it stands on");
+        assert_eq!(
+            gathered(&[([0.0, 0.0, 0.3], [0.6, 0.6, 0.75], CLAY), leaves]),
+            [0, 1],
+            "a stool that it stands on"
+        );
         let sofa = ([0.0, 0.0, 0.0], [1.8, 0.8, 0.8], LEAF);
-        assert_eq!(gathered(&[sofa, ([0.2, 0.2, 0.8], [0.6, 0.6, 1.1], LEAF)]), [0, 1], "a green cushion on a green sofa");
-        assert_eq!(gathered(&[([0.0, 0.0, 0.0], [0.2, 0.2, 0.3], CLAY), ([0.2, 0.0, 0.0], [0.4, 0.2, 0.3], CLAY)]), [0, 1]);
+        assert_eq!(
+            gathered(&[sofa, ([0.2, 0.2, 0.8], [0.6, 0.6, 1.1], LEAF)]),
+            [0, 1],
+            "a green cushion on a green sofa"
+        );
+        assert_eq!(
+            gathered(&[
+                ([0.0, 0.0, 0.0], [0.2, 0.2, 0.3], CLAY),
+                ([0.2, 0.0, 0.0], [0.4, 0.2, 0.3], CLAY)
+            ]),
+            [0, 1]
+        );
     }
 }

@@ -1,11 +1,14 @@
 //! The planes a building is made of: floors, ceilings and walls, found before anything is merged.
 //!
-//! Masks are unreliable where a room is plain: two white walls meet in one mask, a desk ends in the wall behind it. But a wall is also a
-//! plane, and no thing is on both sides of the edge where two of them meet. So superpoints are told apart first by the plane they lie on;
-//! [`merging`](super::merging) never joins those of different planes, or what lies on a plane with what stands before it.
+//! Masks are unreliable where a room is plain: two white walls meet in one mask, a desk ends in the
+//! wall behind it. But a wall is also a plane, and no thing is on both sides of the edge where two
+//! of them meet. So superpoints are told apart first by the plane they lie on;
+//! [`merging`](super::merging) never joins those of different planes, or what lies on a plane with
+//! what stands before it.
 //!
-//! What makes a plane part of the building is free space. A floor is what cameras were above and nothing is below; a ceiling has nothing
-//! above it. Over the top of a wall nothing can be seen; over the top of a wardrobe, the wall behind it.
+//! What makes a plane part of the building is free space. A floor is what cameras were above and
+//! nothing is below; a ceiling has nothing above it. Over the top of a wall nothing can be seen;
+//! over the top of a wardrobe, the wall behind it.
 
 mod rugs;
 mod sheet;
@@ -54,26 +57,30 @@ impl Planes {
             .min_by(f32::total_cmp)
     }
 
-    /// Gives small patches of a plane back to it: what lies on a wall, has its colour and is no larger than a picture is a piece of the wall
-    /// that masks have cut off. `region_of` keeps planes apart. Returns the region of each superpoint, `0..n`.
+    /// Gives small patches of a plane back to it: what lies on a wall, has its colour and is no
+    /// larger than a picture is a piece of the wall that masks have cut off. `region_of` keeps
+    /// planes apart. Returns the region of each superpoint, `0..n`.
     #[must_use]
     pub fn with_patches(&self, superpoints: &Superpoints, region_of: &[u32]) -> Vec<u32> {
         let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
         let regions = Patch::joined(&superpoints.patches, region_of, count);
         let mut plane_of = vec![None; count];
-        region_of
-            .iter()
-            .zip(&self.of_superpoint)
-            .for_each(|(&region, &plane)| plane_of[region as usize] = plane_of[region as usize].or(plane));
+        region_of.iter().zip(&self.of_superpoint).for_each(|(&region, &plane)| {
+            plane_of[region as usize] = plane_of[region as usize].or(plane)
+        });
         let mut sets = UnionFind::new(count);
         for (k, plane) in self.planes.iter().enumerate() {
             let on: Vec<usize> = (0..count).filter(|&r| plane_of[r] == Some(k as u32)).collect();
             let points: u32 = on.iter().map(|&r| regions[r].points).sum();
             let area_m2 = |r: usize| regions[r].points as f32 / points as f32 * plane.area_m2;
-            let large: Vec<usize> = on.iter().copied().filter(|&r| area_m2(r) >= MIN_AREA_M2).collect();
+            let large: Vec<usize> =
+                on.iter().copied().filter(|&r| area_m2(r) >= MIN_AREA_M2).collect();
             for &patch in on.iter().filter(|&&r| area_m2(r) < MAX_PATCH_M2) {
                 let differs = |r: usize| (regions[r].lab - regions[patch].lab).norm();
-                let alike = large.iter().copied().min_by(|&a, &b| differs(a).total_cmp(&differs(b)).then(a.cmp(&b)));
+                let alike = large
+                    .iter()
+                    .copied()
+                    .min_by(|&a, &b| differs(a).total_cmp(&differs(b)).then(a.cmp(&b)));
                 if let Some(whole) = alike.filter(|&r| differs(r) < SAME_COLOUR) {
                     sets.union(whole as u32, patch as u32);
                 }
@@ -84,16 +91,19 @@ impl Planes {
     }
 }
 
-/// Larger pieces of a plane are things of their own, or parts of the building as they are, square metres.
+/// Larger pieces of a plane are things of their own, or parts of the building as they are, square
+/// metres.
 const MAX_PATCH_M2: f32 = 0.15;
 /// CIELAB distance up to which a patch has the colour of its plane.
 const SAME_COLOUR: f32 = 10.0;
 
-/// Points count as on a plane within three times the noise of the scan, but at least this far, metres.
+/// Points count as on a plane within three times the noise of the scan, but at least this far,
+/// metres.
 const MIN_SLACK_M: f32 = 0.02;
 /// And at most this far: what stands out more is a thing.
 const MAX_SLACK_M: f32 = 0.06;
-/// Poses drift and walls bend: what belongs to a plane once it is known may lie this many times as far from it.
+/// Poses drift and walls bend: what belongs to a plane once it is known may lie this many times as
+/// far from it.
 const ASSIGNED_SLACKS: f32 = 1.5;
 /// Share of its points that must be on the plane for a superpoint to be.
 const ON_PLANE: f32 = 0.7;
@@ -103,7 +113,8 @@ const SAME_NORMAL: f32 = 0.94;
 const GIVES_NORMAL: f32 = 0.985;
 /// Planes are measured in cells of this edge, metres.
 const CELL_M: f32 = 0.1;
-/// Parts of one plane this far apart are different planes: furniture hides the wall between them up to there.
+/// Parts of one plane this far apart are different planes: furniture hides the wall between them up
+/// to there.
 const GAP_M: f32 = 1.0;
 /// Smaller planes are things, square metres.
 const MIN_AREA_M2: f32 = 1.0;
@@ -120,18 +131,29 @@ const MAX_SEEN_BEHIND: f32 = 0.25;
 const MIN_CEILING_M: f32 = 1.9;
 const THICKEST_RUG_M: f32 = 0.06;
 
-/// Finds the planes. `cameras` are centres of cameras, metres; without any, floors and ceilings are told by what lies above and below.
+/// Finds the planes. `cameras` are centres of cameras, metres; without any, floors and ceilings are
+/// told by what lies above and below.
 ///
 /// # Errors
 /// [`Cancelled`].
-pub fn find(cloud: &PointCloud, superpoints: &Superpoints, cameras: &[Point3<f32>], progress: &Progress) -> Result<Planes, Cancelled> {
+pub fn find(
+    cloud: &PointCloud,
+    superpoints: &Superpoints,
+    cameras: &[Point3<f32>],
+    progress: &Progress,
+) -> Result<Planes, Cancelled> {
     progress.report("planes", 0.0)?;
     let scan = Scan::of(cloud, superpoints);
     let mut left: BTreeSet<u32> = (0..scan.patches.len() as u32)
         .filter(|&s| scan.patches[s as usize].area_m2 >= MIN_SEED_M2)
         .collect();
     let mut seeds: Vec<u32> = left.iter().copied().collect();
-    seeds.sort_by(|&a, &b| scan.patches[b as usize].area_m2.total_cmp(&scan.patches[a as usize].area_m2).then(a.cmp(&b)));
+    seeds.sort_by(|&a, &b| {
+        scan.patches[b as usize]
+            .area_m2
+            .total_cmp(&scan.patches[a as usize].area_m2)
+            .then(a.cmp(&b))
+    });
     let mut candidates = Vec::new();
     for seed in seeds {
         progress.check()?;
@@ -143,8 +165,11 @@ pub fn find(cloud: &PointCloud, superpoints: &Superpoints, cameras: &[Point3<f32
             candidates.extend(scan.sheets(&members));
         }
     }
-    let floors = candidates.iter().filter(|sheet| sheet.is_level() && scan.is_floor(sheet, cameras, f32::INFINITY));
-    let floor_z = floors.map(|sheet| sheet.middle.z).min_by(f32::total_cmp).unwrap_or(scan.lowest_z);
+    let floors = candidates
+        .iter()
+        .filter(|sheet| sheet.is_level() && scan.is_floor(sheet, cameras, f32::INFINITY));
+    let floor_z =
+        floors.map(|sheet| sheet.middle.z).min_by(f32::total_cmp).unwrap_or(scan.lowest_z);
     let mut planes: Vec<(Sheet, Structure)> = candidates
         .into_iter()
         .filter_map(|sheet| scan.structure_of(&sheet, cameras, floor_z).map(|s| (sheet, s)))
@@ -154,13 +179,19 @@ pub fn find(cloud: &PointCloud, superpoints: &Superpoints, cameras: &[Point3<f32
         .filter(|p| p.1 == Structure::Wall)
         .map(|(s, _)| (s.middle, s.normal, s.area_m2()))
         .collect();
-    planes.retain(|(sheet, structure)| *structure != Structure::Wall || !scan.stands_before_a_wall(sheet, &walls, cameras));
+    planes.retain(|(sheet, structure)| {
+        *structure != Structure::Wall || !scan.stands_before_a_wall(sheet, &walls, cameras)
+    });
     // A sheet a few centimetres over a larger floor is a rug.
-    let floors: Vec<(f32, f32)> = planes.iter().filter(|p| p.1 == Structure::Floor).map(|(s, _)| (s.middle.z, s.area_m2())).collect();
+    let floors: Vec<(f32, f32)> = planes
+        .iter()
+        .filter(|p| p.1 == Structure::Floor)
+        .map(|(s, _)| (s.middle.z, s.area_m2()))
+        .collect();
     let on_floor = |sheet: &Sheet| {
-        floors
-            .iter()
-            .any(|(z, area_m2)| *area_m2 > sheet.area_m2() && (0.005..THICKEST_RUG_M).contains(&(sheet.middle.z - z)))
+        floors.iter().any(|(z, area_m2)| {
+            *area_m2 > sheet.area_m2() && (0.005..THICKEST_RUG_M).contains(&(sheet.middle.z - z))
+        })
     };
     planes.retain(|(sheet, structure)| *structure != Structure::Floor || !on_floor(sheet));
     planes.sort_by(|a, b| b.0.area_m2().total_cmp(&a.0.area_m2()));
@@ -168,7 +199,12 @@ pub fn find(cloud: &PointCloud, superpoints: &Superpoints, cameras: &[Point3<f32
     let mut of_superpoint = scan.assigned(&planes);
     let planes: Vec<Plane> = planes
         .into_iter()
-        .map(|(sheet, structure)| Plane { structure, normal: sheet.normal, middle: sheet.middle, area_m2: sheet.area_m2() })
+        .map(|(sheet, structure)| Plane {
+            structure,
+            normal: sheet.normal,
+            middle: sheet.middle,
+            area_m2: sheet.area_m2(),
+        })
         .collect();
     rugs::take_off(&scan, superpoints, &planes, cameras, &mut of_superpoint);
     Ok(Planes { planes, of_superpoint })
@@ -194,16 +230,21 @@ impl<'a> Scan<'a> {
             members[superpoint as usize].push(i as u32);
         }
         let patches = members.par_iter().map(|points| Flat::of(cloud, points)).collect();
-        let mut roughness: Vec<f32> = superpoints.of_point.iter().map(|&s| superpoints.roughness_m[s as usize]).collect();
+        let mut roughness: Vec<f32> =
+            superpoints.of_point.iter().map(|&s| superpoints.roughness_m[s as usize]).collect();
         let slack_m = (3.0 * median(&mut roughness).unwrap_or(0.0)).clamp(MIN_SLACK_M, MAX_SLACK_M);
         let mut heights: Vec<f32> = cloud.positions.iter().map(|p| p.z).collect();
-        let (lowest_z, highest_z) = (quantile(&mut heights, 0.01).unwrap_or(0.0), quantile(&mut heights, 0.99).unwrap_or(0.0));
+        let (lowest_z, highest_z) = (
+            quantile(&mut heights, 0.01).unwrap_or(0.0),
+            quantile(&mut heights, 0.99).unwrap_or(0.0),
+        );
         let mut columns: BTreeMap<(i32, i32), BTreeSet<i32>> = BTreeMap::new();
         for p in &cloud.positions {
             let at = |v: f32| (v / CELL_M).floor() as i32;
             columns.entry((at(p.x), at(p.y))).or_default().insert(at(p.z));
         }
-        let columns = columns.into_iter().map(|(at, heights)| (at, heights.into_iter().collect())).collect();
+        let columns =
+            columns.into_iter().map(|(at, heights)| (at, heights.into_iter().collect())).collect();
         Self { cloud, members, patches, slack_m, lowest_z, highest_z, columns }
     }
 
@@ -229,7 +270,8 @@ impl<'a> Scan<'a> {
                 .copied()
                 .filter(|&s| {
                     let patch = &self.patches[s as usize];
-                    patch.normal.dot(&normal).abs() > GIVES_NORMAL && (patch.middle - middle).dot(&normal).abs() <= self.slack_m
+                    patch.normal.dot(&normal).abs() > GIVES_NORMAL
+                        && (patch.middle - middle).dot(&normal).abs() <= self.slack_m
                 })
                 .collect();
             found.insert(seed);
@@ -242,8 +284,10 @@ impl<'a> Scan<'a> {
     fn sheets(&self, members: &BTreeSet<u32>) -> Vec<Sheet> {
         let (normal, middle) = fit(members.iter().map(|&s| &self.patches[s as usize]));
         let level = normal.z.abs() > SAME_NORMAL;
-        let along = if level { Vector3::x() } else { Vector3::new(-normal.y, normal.x, 0.0).normalize() };
-        let (along, up) = if level { (along, Vector3::y()) } else { (along, along.cross(&normal).normalize()) };
+        let along =
+            if level { Vector3::x() } else { Vector3::new(-normal.y, normal.x, 0.0).normalize() };
+        let (along, up) =
+            if level { (along, Vector3::y()) } else { (along, along.cross(&normal).normalize()) };
         let up = if up.z < 0.0 { -up } else { up };
         let mut whole = Sheet { normal, middle, along, up, cells: BTreeSet::new() };
         whole.cells = members.iter().flat_map(|&s| self.points(s)).map(|p| whole.cell(p)).collect();
@@ -254,7 +298,12 @@ impl<'a> Scan<'a> {
             .collect()
     }
 
-    fn structure_of(&self, sheet: &Sheet, cameras: &[Point3<f32>], floor_z: f32) -> Option<Structure> {
+    fn structure_of(
+        &self,
+        sheet: &Sheet,
+        cameras: &[Point3<f32>],
+        floor_z: f32,
+    ) -> Option<Structure> {
         if sheet.is_level() && self.is_floor(sheet, cameras, floor_z) {
             return Some(Structure::Floor);
         }
@@ -264,7 +313,8 @@ impl<'a> Scan<'a> {
         self.is_ceiling(sheet, cameras, floor_z).then_some(Structure::Ceiling)
     }
 
-    /// Cameras were above it, and under it there is nothing. A second floor over the lowest is larger than a bed and was walked on.
+    /// Cameras were above it, and under it there is nothing. A second floor over the lowest is
+    /// larger than a bed and was walked on.
     fn is_floor(&self, sheet: &Sheet, cameras: &[Point3<f32>], lowest_z: f32) -> bool {
         let over = cameras.iter().filter(|c| sheet.covers(c) && c.z > sheet.middle.z + 0.2).count();
         let walked = match sheet.middle.z > lowest_z + 0.25 {
@@ -276,21 +326,28 @@ impl<'a> Scan<'a> {
 
     /// Cameras were below it, and over it there is nothing.
     fn is_ceiling(&self, sheet: &Sheet, cameras: &[Point3<f32>], floor_z: f32) -> bool {
-        let under = cameras.iter().all(|c| !sheet.covers(c) || sheet.distance(c) * sheet.normal.z.signum() < 0.0);
+        let under = cameras
+            .iter()
+            .all(|c| !sheet.covers(c) || sheet.distance(c) * sheet.normal.z.signum() < 0.0);
         let above = self.share_of_columns(sheet, |z, own| z > own + 0.2);
         under && sheet.middle.z > floor_z + MIN_CEILING_M && above < MAX_SEEN_BEHIND
     }
 
-    /// Share of the sheet's places with something in their column for which `far(height, the sheet's own)`.
+    /// Share of the sheet's places with something in their column for which `far(height, the
+    /// sheet's own)`.
     fn share_of_columns(&self, sheet: &Sheet, far: impl Fn(f32, f32) -> bool) -> f32 {
         let mut seen = BTreeSet::new();
         let mut hit = 0_u32;
         for &(a, b) in &sheet.cells {
-            let p = sheet.middle + sheet.along * ((a as f32 + 0.5) * CELL_M) + sheet.up * ((b as f32 + 0.5) * CELL_M);
+            let p = sheet.middle
+                + sheet.along * ((a as f32 + 0.5) * CELL_M)
+                + sheet.up * ((b as f32 + 0.5) * CELL_M);
             let column = ((p.x / CELL_M).floor() as i32, (p.y / CELL_M).floor() as i32);
             if seen.insert(column) {
                 let heights = self.columns.get(&column);
-                hit += u32::from(heights.is_some_and(|heights| heights.iter().any(|&z| far((z as f32 + 0.5) * CELL_M, p.z))));
+                hit += u32::from(heights.is_some_and(|heights| {
+                    heights.iter().any(|&z| far((z as f32 + 0.5) * CELL_M, p.z))
+                }));
             }
         }
         hit as f32 / seen.len().max(1) as f32
@@ -303,14 +360,21 @@ impl<'a> Scan<'a> {
             let top = tops.entry(a).or_insert(b);
             *top = (*top).max(b);
         }
-        let mut highest: Vec<f32> = tops.values().map(|&b| sheet.middle.z + (b as f32 + 1.0) * CELL_M * sheet.up.z).collect();
+        let mut highest: Vec<f32> = tops
+            .values()
+            .map(|&b| sheet.middle.z + (b as f32 + 1.0) * CELL_M * sheet.up.z)
+            .collect();
         let top_z = quantile(&mut highest, 0.9).unwrap_or(0.0);
-        if tops.len() as f32 * CELL_M < MIN_WALL_WIDTH_M || top_z < (floor_z + MIN_WALL_TOP_M).min(self.highest_z - 0.3) {
+        if tops.len() as f32 * CELL_M < MIN_WALL_WIDTH_M
+            || top_z < (floor_z + MIN_WALL_TOP_M).min(self.highest_z - 0.3)
+        {
             return false;
         }
-        // Over the top: what lies behind, seen from where the cameras were, within the sheet's width and a room's depth.
+        // Over the top: what lies behind, seen from where the cameras were, within the sheet's
+        // width and a room's depth.
         const DEPTH_M: f32 = 1.5;
-        let before = cameras.iter().filter(|c| sheet.distance(c) > 0.0).count() * 2 >= cameras.len();
+        let before =
+            cameras.iter().filter(|c| sheet.distance(c) > 0.0).count() * 2 >= cameras.len();
         let mut behind = BTreeSet::new();
         for p in self.cloud.positions.iter().filter(|p| p.z > top_z + BEHIND_M) {
             let distance = sheet.distance(p) * if before { -1.0 } else { 1.0 };
@@ -323,13 +387,23 @@ impl<'a> Scan<'a> {
     }
 
     /// A curtain or a wardrobe as high as the room: a larger wall goes on behind it.
-    fn stands_before_a_wall(&self, sheet: &Sheet, walls: &[(Point3<f32>, Vector3<f32>, f32)], cameras: &[Point3<f32>]) -> bool {
+    fn stands_before_a_wall(
+        &self,
+        sheet: &Sheet,
+        walls: &[(Point3<f32>, Vector3<f32>, f32)],
+        cameras: &[Point3<f32>],
+    ) -> bool {
         const DEEPEST_M: f32 = 0.7;
-        let before = cameras.iter().filter(|c| sheet.distance(c) > 0.0).count() * 2 >= cameras.len();
+        let before =
+            cameras.iter().filter(|c| sheet.distance(c) > 0.0).count() * 2 >= cameras.len();
         walls.iter().any(|(middle, normal, area_m2)| {
             // Where the other wall is, seen from the middle of this one.
-            let behind = (sheet.middle - middle).dot(normal) * normal.dot(&sheet.normal).signum() * if before { 1.0 } else { -1.0 };
-            normal.dot(&sheet.normal).abs() > SAME_NORMAL && *area_m2 > sheet.area_m2() && (2.0 * self.slack_m..DEEPEST_M).contains(&behind)
+            let behind = (sheet.middle - middle).dot(normal)
+                * normal.dot(&sheet.normal).signum()
+                * if before { 1.0 } else { -1.0 };
+            normal.dot(&sheet.normal).abs() > SAME_NORMAL
+                && *area_m2 > sheet.area_m2()
+                && (2.0 * self.slack_m..DEEPEST_M).contains(&behind)
         })
     }
 
@@ -340,8 +414,11 @@ impl<'a> Scan<'a> {
             .map(|s| {
                 let patch = &self.patches[s as usize];
                 let best = planes.iter().enumerate().filter(|(_, (sheet, _))| {
-                    let near = sheet.distance(&patch.middle).abs() <= ASSIGNED_SLACKS * self.slack_m && sheet.covers(&patch.middle);
-                    let parallel = patch.area_m2 < MIN_SEED_M2 / 2.0 || patch.normal.dot(&sheet.normal).abs() > SAME_NORMAL;
+                    let near = sheet.distance(&patch.middle).abs()
+                        <= ASSIGNED_SLACKS * self.slack_m
+                        && sheet.covers(&patch.middle);
+                    let parallel = patch.area_m2 < MIN_SEED_M2 / 2.0
+                        || patch.normal.dot(&sheet.normal).abs() > SAME_NORMAL;
                     near && parallel && self.share_on(s, &sheet.normal, &sheet.middle) >= ON_PLANE
                 });
                 best.map(|(i, _)| i as u32).next()
@@ -363,8 +440,10 @@ mod tests {
         for x in steps(0) {
             for y in steps(1) {
                 for z in steps(2) {
-                    let shake = |k: u32| ((x * 31 + y * 57 + z * 91 + k * 17) % 13) as f32 * 5e-4 - 3e-3;
-                    let at = |axis: usize, k: u32| low[axis] + k as f32 * STEP_M + shake(axis as u32);
+                    let shake =
+                        |k: u32| ((x * 31 + y * 57 + z * 91 + k * 17) % 13) as f32 * 5e-4 - 3e-3;
+                    let at =
+                        |axis: usize, k: u32| low[axis] + k as f32 * STEP_M + shake(axis as u32);
                     cloud.positions.push(Point3::new(at(0, x), at(1, y), at(2, z)));
                     cloud.colours.push([grey; 3]);
                 }
@@ -372,7 +451,8 @@ mod tests {
         }
     }
 
-    /// A room of 4 by 3 by 2.6 m without a ceiling: a bed, a wardrobe before one wall, a panel on another.
+    /// A room of 4 by 3 by 2.6 m without a ceiling: a bed, a wardrobe before one wall, a panel on
+    /// another.
     fn room() -> (PointCloud, Planes, Superpoints) {
         let mut cloud = PointCloud::default();
         block(&mut cloud, [0.0, 0.0, 0.0], [4.0, 3.0, 0.0], 120);
@@ -386,8 +466,11 @@ mod tests {
         }
         block(&mut cloud, [2.5, 0.6, 0.5], [4.0, 2.4, 0.5], 60);
         block(&mut cloud, [0.5, 2.4, 0.0], [2.0, 2.4, 2.0], 90);
-        let superpoints = superpoints::compute(&cloud, &SuperpointSettings::default(), &Progress::silent()).unwrap();
-        let cameras = [Point3::new(1.0, 1.0, 1.5), Point3::new(1.5, 1.5, 1.5), Point3::new(3.0, 1.2, 1.6)];
+        let superpoints =
+            superpoints::compute(&cloud, &SuperpointSettings::default(), &Progress::silent())
+                .unwrap();
+        let cameras =
+            [Point3::new(1.0, 1.0, 1.5), Point3::new(1.5, 1.5, 1.5), Point3::new(3.0, 1.2, 1.6)];
         let planes = find(&cloud, &superpoints, &cameras, &Progress::silent()).unwrap();
         (cloud, planes, superpoints)
     }
@@ -404,13 +487,24 @@ mod tests {
         );
         assert!(planes.floor_z().unwrap().abs() < 0.01);
         let kind_at = |p: Point3<f32>| {
-            let nearest = (0..cloud.len()).min_by(|&a, &b| (cloud.positions[a] - p).norm().total_cmp(&(cloud.positions[b] - p).norm()));
-            planes.of_superpoint[superpoints.of_point[nearest.unwrap()] as usize].map(|plane| planes.planes[plane as usize].structure)
+            let nearest = (0..cloud.len()).min_by(|&a, &b| {
+                (cloud.positions[a] - p).norm().total_cmp(&(cloud.positions[b] - p).norm())
+            });
+            planes.of_superpoint[superpoints.of_point[nearest.unwrap()] as usize]
+                .map(|plane| planes.planes[plane as usize].structure)
         };
         assert_eq!(kind_at(Point3::new(1.0, 1.0, 0.0)), Some(Structure::Floor));
         assert_eq!(kind_at(Point3::new(0.0, 1.5, 1.3)), Some(Structure::Wall));
-        assert_eq!(kind_at(Point3::new(3.0, 1.5, 0.5)), None, "a bed top, though a camera was above it");
-        assert_eq!(kind_at(Point3::new(1.2, 2.4, 1.0)), None, "a wardrobe: over its top the wall can be seen");
+        assert_eq!(
+            kind_at(Point3::new(3.0, 1.5, 0.5)),
+            None,
+            "a bed top, though a camera was above it"
+        );
+        assert_eq!(
+            kind_at(Point3::new(1.2, 2.4, 1.0)),
+            None,
+            "a wardrobe: over its top the wall can be seen"
+        );
     }
 
     #[test]
@@ -428,9 +522,19 @@ mod tests {
             adjacent: vec![],
             roughness_m: vec![0.0; 4],
         };
-        let wall = Plane { structure: Structure::Wall, normal: Vector3::x(), middle: Point3::origin(), area_m2: 8.0 };
-        let planes = Planes { planes: vec![wall], of_superpoint: vec![Some(0), Some(0), Some(0), None] };
+        let wall = Plane {
+            structure: Structure::Wall,
+            normal: Vector3::x(),
+            middle: Point3::origin(),
+            area_m2: 8.0,
+        };
+        let planes =
+            Planes { planes: vec![wall], of_superpoint: vec![Some(0), Some(0), Some(0), None] };
         let regions = planes.with_patches(&superpoints, &[0, 1, 2, 3]);
-        assert_eq!(regions, [0, 0, 1, 2], "the dark one is a picture, the last stands before the wall");
+        assert_eq!(
+            regions,
+            [0, 0, 1, 2],
+            "the dark one is a picture, the last stands before the wall"
+        );
     }
 }

@@ -60,8 +60,13 @@ impl Flat {
         let Moments { mean, covariance } = Moments::of(&positions);
         let (_, normal) = least_axis(&covariance);
         let cells: BTreeSet<(i32, i32)> = {
-            let sheet =
-                Sheet { normal, middle: mean, along: any_across(&normal), up: normal.cross(&any_across(&normal)), cells: BTreeSet::new() };
+            let sheet = Sheet {
+                normal,
+                middle: mean,
+                along: any_across(&normal),
+                up: normal.cross(&any_across(&normal)),
+                cells: BTreeSet::new(),
+            };
             const FINE: f32 = 4.0;
             positions.iter().map(|p| sheet.cell(&(mean + (p - mean) * FINE))).collect()
         };
@@ -77,7 +82,8 @@ fn any_across(normal: &Vector3<f32>) -> Vector3<f32> {
 
 /// Plane through patches, by their areas: middles and normals both count.
 pub(super) fn fit<'a>(patches: impl Iterator<Item = &'a Flat>) -> (Vector3<f32>, Point3<f32>) {
-    let (mut spread, mut middle, mut area) = (Matrix3::zeros(), nalgebra::Vector3::<f64>::zeros(), 0.0_f64);
+    let (mut spread, mut middle, mut area) =
+        (Matrix3::zeros(), nalgebra::Vector3::<f64>::zeros(), 0.0_f64);
     for patch in patches {
         spread += patch.normal * patch.normal.transpose() * patch.area_m2;
         middle += patch.middle.coords.cast::<f64>() * f64::from(patch.area_m2);

@@ -1,7 +1,7 @@
 //! VCCS (Papon et al. 2013): supervoxels grow from seeds over the voxel graph, one ring a round.
 //!
-//! All voxels look at their neighbours' labels of the round before, so a round is parallel and its result does not depend on
-//! the order of work.
+//! All voxels look at their neighbours' labels of the round before, so a round is parallel and its
+//! result does not depend on the order of work.
 
 use super::voxel_cloud::VoxelCloud;
 use super::{Patch, SuperpointSettings};
@@ -14,14 +14,20 @@ use rayon::prelude::*;
 const NONE: u32 = u32::MAX;
 /// CIELAB distance that counts as one unit.
 const COLOUR_UNIT: f32 = 50.0;
-/// Supervoxels may reach this many seed distances: PCL's value, enough to meet their neighbours around corners.
+/// Supervoxels may reach this many seed distances: PCL's value, enough to meet their neighbours
+/// around corners.
 const REACH: f32 = 1.8;
 
-/// Growth ends when fewer voxels than this share changed hands in a round: by then only single voxels go to and fro.
+/// Growth ends when fewer voxels than this share changed hands in a round: by then only single
+/// voxels go to and fro.
 const SETTLED_SHARE: f32 = 0.05;
 
 /// Labels every voxel. Parts of the graph no seed reaches become supervoxels of their own.
-pub(super) fn grow(voxels: &VoxelCloud, settings: &SuperpointSettings, progress: &Progress) -> Result<Vec<u32>, Cancelled> {
+pub(super) fn grow(
+    voxels: &VoxelCloud,
+    settings: &SuperpointSettings,
+    progress: &Progress,
+) -> Result<Vec<u32>, Cancelled> {
     let seeds = seeds(voxels, settings);
     let mut labels = vec![NONE; voxels.len()];
     for (label, &seed) in seeds.iter().enumerate() {
@@ -34,8 +40,12 @@ pub(super) fn grow(voxels: &VoxelCloud, settings: &SuperpointSettings, progress:
     let rounds = (REACH * settings.seed_m / settings.voxel_m).ceil() as usize;
     for round in 0..rounds {
         progress.report("superpoints", round as f32 / rounds as f32)?;
-        let border: Vec<u32> = (0..voxels.len() as u32).filter(|&v| at_border[v as usize]).collect();
-        let wanted: Vec<Option<u32>> = border.par_iter().map(|&v| best_label(voxels, &labels, &centers, v, settings)).collect();
+        let border: Vec<u32> =
+            (0..voxels.len() as u32).filter(|&v| at_border[v as usize]).collect();
+        let wanted: Vec<Option<u32>> = border
+            .par_iter()
+            .map(|&v| best_label(voxels, &labels, &centers, v, settings))
+            .collect();
         let mut changed = Vec::new();
         for (&v, label) in border.iter().zip(wanted) {
             at_border[v as usize] = label.is_some();
@@ -44,7 +54,10 @@ pub(super) fn grow(voxels: &VoxelCloud, settings: &SuperpointSettings, progress:
                 changed.push(v);
             }
         }
-        changed.iter().flat_map(|&v| voxels.neighbours(v)).for_each(|&n| at_border[n as usize] = true);
+        changed
+            .iter()
+            .flat_map(|&v| voxels.neighbours(v))
+            .for_each(|&n| at_border[n as usize] = true);
         if (changed.len() as f32) < SETTLED_SHARE * voxels.len() as f32 {
             break;
         }
@@ -56,7 +69,8 @@ pub(super) fn grow(voxels: &VoxelCloud, settings: &SuperpointSettings, progress:
 
 /// One seed per occupied cell of the coarse grid: the voxel nearest the cell's own centre of mass.
 ///
-/// Seeds with hardly any surface around them are noise and are left out (their voxels may still join a neighbour's supervoxel).
+/// Seeds with hardly any surface around them are noise and are left out (their voxels may still
+/// join a neighbour's supervoxel).
 fn seeds(voxels: &VoxelCloud, settings: &SuperpointSettings) -> Vec<u32> {
     let centers: Vec<Point3<f32>> = voxels.patches.par_iter().map(|p| p.center).collect();
     let cells = VoxelGrid::new(&centers, settings.seed_m);
@@ -87,14 +101,28 @@ fn seeds(voxels: &VoxelCloud, settings: &SuperpointSettings) -> Vec<u32> {
 /// A surface through a voxel occupies about eight of its neighbours; a stray point has none.
 const MIN_SEED_NEIGHBOURS: usize = 2;
 
-/// The supervoxel nearest to a voxel among its own and those of its neighbours; `None` when all of them are the same.
-fn best_label(voxels: &VoxelCloud, labels: &[u32], centers: &[Patch], v: u32, settings: &SuperpointSettings) -> Option<u32> {
+/// The supervoxel nearest to a voxel among its own and those of its neighbours; `None` when all of
+/// them are the same.
+fn best_label(
+    voxels: &VoxelCloud,
+    labels: &[u32],
+    centers: &[Patch],
+    v: u32,
+    settings: &SuperpointSettings,
+) -> Option<u32> {
     let own = labels[v as usize];
     let neighbours = voxels.neighbours(v);
     if neighbours.iter().all(|&n| labels[n as usize] == own) {
         return None;
     }
-    let mut best = (if own == NONE { f32::INFINITY } else { distance(voxels, v, &centers[own as usize], settings) }, own);
+    let mut best = (
+        if own == NONE {
+            f32::INFINITY
+        } else {
+            distance(voxels, v, &centers[own as usize], settings)
+        },
+        own,
+    );
     let mut seen = [NONE; 26];
     for (i, &n) in neighbours.iter().enumerate() {
         let label = labels[n as usize];
@@ -116,10 +144,13 @@ fn distance(voxels: &VoxelCloud, v: u32, center: &Patch, settings: &SuperpointSe
     let space = (voxel.center - center.center).norm() / settings.seed_m;
     let normal = 1.0 - voxel.normal.dot(&center.normal).abs();
     let colour = (voxel.lab - center.lab).norm() / COLOUR_UNIT;
-    settings.spatial_weight * space + settings.normal_weight * normal + settings.colour_weight * colour
+    settings.spatial_weight * space
+        + settings.normal_weight * normal
+        + settings.colour_weight * colour
 }
 
-/// Unweighted means over the voxels of each supervoxel: dense parts of a scan must not pull the centres.
+/// Unweighted means over the voxels of each supervoxel: dense parts of a scan must not pull the
+/// centres.
 fn recenter(voxels: &VoxelCloud, labels: &[u32], before: &[Patch]) -> Vec<Patch> {
     let mut sums = vec![(0_u32, Vector3::zeros(), Vector3::zeros(), Lab::zeros()); before.len()];
     for (voxel, &label) in voxels.patches.iter().zip(labels) {

@@ -1,5 +1,5 @@
-//! Superpoints of a cloud that has grown: those of points that stayed stay, so that what frames saw of them keeps its meaning; what is new
-//! is cut into superpoints of its own.
+//! Superpoints of a cloud that has grown: those of points that stayed stay, so that what frames saw
+//! of them keeps its meaning; what is new is cut into superpoints of its own.
 
 use super::{Patch, Superpoints, coarsened_to, compute, relabelled};
 use crate::geometry::colour::{Lab, lab_of_srgb};
@@ -10,7 +10,8 @@ use crate::progress::{Cancelled, Progress};
 use crate::scene::{Addition, PointCloud};
 use uniground_types::settings::SuperpointSettings;
 
-/// The superpoints after an addition and, by number of before, the number now; `None`: all of its points are gone.
+/// The superpoints after an addition and, by number of before, the number now; `None`: all of its
+/// points are gone.
 ///
 /// `cloud` is that after the addition.
 ///
@@ -38,8 +39,13 @@ pub fn grown(
         })
         .collect();
     let stays = |superpoint: usize| number[superpoint].is_some();
-    let mut of_point: Vec<u32> = addition.kept.iter().filter_map(|&point| number[before.of_point[point as usize] as usize]).collect();
-    let mut roughness_m: Vec<f32> = (0..left.len()).filter(|&s| stays(s)).map(|s| before.roughness_m[s]).collect();
+    let mut of_point: Vec<u32> = addition
+        .kept
+        .iter()
+        .filter_map(|&point| number[before.of_point[point as usize] as usize])
+        .collect();
+    let mut roughness_m: Vec<f32> =
+        (0..left.len()).filter(|&s| stays(s)).map(|s| before.roughness_m[s]).collect();
     let mut patches = shrunk(before, &left, &of_point, cloud);
     let mut adjacent: Vec<(u32, u32)> = before
         .adjacent
@@ -59,7 +65,10 @@ pub fn grown(
         adjacent.extend(borders(cloud, &of_point, addition.kept.len(), reach_m));
     }
     let same: Vec<u32> = (0..patches.len() as u32).collect();
-    Ok((Superpoints { of_point, patches, adjacent: relabelled(&adjacent, &same), roughness_m }, number))
+    Ok((
+        Superpoints { of_point, patches, adjacent: relabelled(&adjacent, &same), roughness_m },
+        number,
+    ))
 }
 
 /// The patches that stay; those that have lost points are measured anew.
@@ -74,7 +83,11 @@ fn shrunk(before: &Superpoints, left: &[u32], of_kept: &[u32], cloud: &PointClou
     }
     stay()
         .zip(&members)
-        .map(|((_, patch), members)| if members.is_empty() { *patch } else { patch_of(cloud, members) })
+        .map(
+            |((_, patch), members)| {
+                if members.is_empty() { *patch } else { patch_of(cloud, members) }
+            },
+        )
         .collect()
 }
 
@@ -82,7 +95,8 @@ fn patch_of(cloud: &PointCloud, points: &[u32]) -> Patch {
     let n = points.len() as f64;
     let positions = || points.iter().map(|&point| cloud.positions[point as usize]);
     // Single precision would not do far from the origin.
-    let sum = positions().fold(nalgebra::Vector3::<f64>::zeros(), |sum, p| sum + p.coords.cast::<f64>());
+    let sum =
+        positions().fold(nalgebra::Vector3::<f64>::zeros(), |sum, p| sum + p.coords.cast::<f64>());
     let center = Point3::from((sum / n).cast::<f32>());
     let scatter = positions()
         .map(|p| p - center)
@@ -91,13 +105,19 @@ fn patch_of(cloud: &PointCloud, points: &[u32]) -> Patch {
         .iter()
         .map(|&point| lab_of_srgb(cloud.colours[point as usize]))
         .fold(Lab::zeros(), |sum, lab| sum + lab);
-    Patch { points: points.len() as u32, center, normal: least_axis(&scatter).1, lab: lab / n as f32 }
+    Patch {
+        points: points.len() as u32,
+        center,
+        normal: least_axis(&scatter).1,
+        lab: lab / n as f32,
+    }
 }
 
 /// Superpoints this many gaps apart touch.
 const REACH: f32 = 1.5;
 
-/// Superpoints of before and new ones that touch: with points in one voxel, or in two that do. The first `kept` points are those of before.
+/// Superpoints of before and new ones that touch: with points in one voxel, or in two that do. The
+/// first `kept` points are those of before.
 fn borders(cloud: &PointCloud, of_point: &[u32], kept: usize, reach_m: f32) -> Vec<(u32, u32)> {
     let mut near: VoxelMap<Vec<u32>> = VoxelMap::default();
     let mut add = |key: VoxelKey, superpoint: u32| {
@@ -128,26 +148,41 @@ mod tests {
 
     /// A square of a metre in the plane, points every centimetre, from `x` on.
     fn square(x: f32, z: f32, colour: [u8; 3]) -> PointCloud {
-        let at = (0..100).flat_map(|i| (0..100).map(move |j| Point3::new(x + i as f32 * 0.01, j as f32 * 0.01, z)));
+        let at = (0..100).flat_map(|i| {
+            (0..100).map(move |j| Point3::new(x + i as f32 * 0.01, j as f32 * 0.01, z))
+        });
         let positions: Vec<Point3<f32>> = at.collect();
         PointCloud { colours: vec![colour; positions.len()], positions }
     }
 
     fn addition(kept: Vec<u32>, new: PointCloud) -> Addition {
-        Addition { made_of: String::new(), frames: Vec::new(), kept, new, apart_m: 0.04, frames_skipped: 0, warnings: Vec::new() }
+        Addition {
+            made_of: String::new(),
+            frames: Vec::new(),
+            kept,
+            new,
+            apart_m: 0.04,
+            frames_skipped: 0,
+            warnings: Vec::new(),
+        }
     }
 
-    fn grow(before: &PointCloud, addition: &Addition) -> (Superpoints, Superpoints, Vec<Option<u32>>) {
+    fn grow(
+        before: &PointCloud,
+        addition: &Addition,
+    ) -> (Superpoints, Superpoints, Vec<Option<u32>>) {
         let (settings, silent) = (SuperpointSettings::default(), Progress::silent());
         let first = compute(before, &settings, &silent).unwrap();
-        let (now, number) = grown(&first, addition, &addition.applied_to(before), &settings, &silent).unwrap();
+        let (now, number) =
+            grown(&first, addition, &addition.applied_to(before), &settings, &silent).unwrap();
         (first, now, number)
     }
 
     #[test]
     fn nothing_added_changes_nothing() {
         let floor = square(0.0, 0.0, [120; 3]);
-        let (first, now, number) = grow(&floor, &addition((0..floor.len() as u32).collect(), PointCloud::default()));
+        let (first, now, number) =
+            grow(&floor, &addition((0..floor.len() as u32).collect(), PointCloud::default()));
         assert_eq!(now, first);
         assert_eq!(number, (0..first.patches.len() as u32).map(Some).collect::<Vec<_>>());
     }
@@ -158,22 +193,30 @@ mod tests {
         // The red half, nearer to the origin, is gone.
         let reds = floor.positions.iter().zip(&mut floor.colours).filter(|(p, _)| p.x < 0.5);
         reds.for_each(|(_, colour)| *colour = [200, 40, 40]);
-        let kept: Vec<u32> = (0..floor.len() as u32).filter(|&i| floor.positions[i as usize].x >= 0.5).collect();
+        let kept: Vec<u32> =
+            (0..floor.len() as u32).filter(|&i| floor.positions[i as usize].x >= 0.5).collect();
         let (first, now, number) = grow(&floor, &addition(kept.clone(), more));
         for (at, &point) in kept.iter().enumerate() {
             assert_eq!(Some(now.of_point[at]), number[first.of_point[point as usize] as usize]);
         }
         let gone = number.iter().filter(|number| number.is_none()).count();
-        assert!(gone > 0 && gone < first.patches.len(), "{gone} of {} are gone", first.patches.len());
+        assert!(
+            gone > 0 && gone < first.patches.len(),
+            "{gone} of {} are gone",
+            first.patches.len()
+        );
         let old = number.iter().flatten().count() as u32;
-        assert!(now.adjacent.iter().any(|&(a, b)| a < old && b >= old), "they touch along the line between them");
+        assert!(
+            now.adjacent.iter().any(|&(a, b)| a < old && b >= old),
+            "they touch along the line between them"
+        );
         let mut points = vec![0; now.patches.len()];
         now.of_point.iter().for_each(|&s| points[s as usize] += 1);
         assert_eq!(points, now.patches.iter().map(|patch| patch.points).collect::<Vec<u32>>());
         assert!(
-            now.patches
-                .iter()
-                .all(|patch| patch.center.x >= 0.5 && patch.normal.z.abs() > 0.99 && patch.points > 0)
+            now.patches.iter().all(|patch| patch.center.x >= 0.5
+                && patch.normal.z.abs() > 0.99
+                && patch.points > 0)
         );
         assert_eq!(now.roughness_m.len(), now.patches.len());
     }

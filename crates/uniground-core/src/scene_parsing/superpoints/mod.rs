@@ -1,7 +1,7 @@
 //! Superpoints: small patches that respect object borders (paper: VCCS, then region growing).
 //!
-//! Works on bare coloured points: no mesh and no normals are required. Every point ends in exactly one superpoint, and the
-//! labels depend on the points and settings alone.
+//! Works on bare coloured points: no mesh and no normals are required. Every point ends in exactly
+//! one superpoint, and the labels depend on the points and settings alone.
 
 mod flow;
 mod growth;
@@ -27,15 +27,16 @@ pub fn voxel_m(cloud: &PointCloud, settings: &SuperpointSettings) -> f32 {
     coarsened_to(*settings, typical_spacing_m(&cloud.positions)).voxel_m
 }
 
-/// Settings no finer than a cloud bears: voxels smaller than the gaps between points would fall apart into islands.
+/// Settings no finer than a cloud bears: voxels smaller than the gaps between points would fall
+/// apart into islands.
 fn coarsened_to(settings: SuperpointSettings, spacing_m: f32) -> SuperpointSettings {
     let voxel_m = settings.voxel_m.max(VOXEL_SPACINGS * spacing_m);
     let seed_voxels = (settings.seed_m / settings.voxel_m).min(ENOUGH_SEED_VOXELS);
     SuperpointSettings { voxel_m, seed_m: settings.seed_m.max(seed_voxels * voxel_m), ..settings }
 }
 
-/// Where voxels are coarsened, seeds stay as many voxels apart as was asked for, but no more than this: asking for finer voxels than a
-/// cloud bears must not spread its seeds.
+/// Where voxels are coarsened, seeds stay as many voxels apart as was asked for, but no more than
+/// this: asking for finer voxels than a cloud bears must not spread its seeds.
 const ENOUGH_SEED_VOXELS: f32 = 6.0;
 
 /// A voxel spans at least this many typical spacings.
@@ -50,7 +51,8 @@ pub struct Superpoints {
     pub patches: Vec<Patch>,
     /// Pairs `(low, high)` of neighbours, sorted.
     pub adjacent: Vec<(u32, u32)>,
-    /// By superpoint: root mean square distance of the points to their local plane, metres. On even surfaces this is sensor noise.
+    /// By superpoint: root mean square distance of the points to their local plane, metres. On
+    /// even surfaces this is sensor noise.
     pub roughness_m: Vec<f32>,
 }
 
@@ -79,12 +81,14 @@ impl Patch {
     /// One patch per label `0..count`: point-weighted means of `parts`.
     #[must_use]
     pub fn joined(parts: &[Self], labels: &[u32], count: usize) -> Vec<Self> {
-        let mut sums = vec![(0_u32, nalgebra::Vector3::<f64>::zeros(), Matrix3::zeros(), Lab::zeros()); count];
+        let mut sums =
+            vec![(0_u32, nalgebra::Vector3::<f64>::zeros(), Matrix3::zeros(), Lab::zeros()); count];
         for (part, &label) in parts.iter().zip(labels) {
             let n = part.points as f32;
             let sum = &mut sums[label as usize];
             sum.0 += part.points;
-            // A floor is half a million points, maybe kilometres from the origin: single precision would move it.
+            // A floor is half a million points, maybe kilometres from the origin: single precision
+            // would move it.
             sum.1 += part.center.coords.cast::<f64>() * f64::from(part.points);
             // Outer products add up whatever sign each normal has.
             sum.2 += part.normal * part.normal.transpose() * n;
@@ -95,7 +99,12 @@ impl Patch {
                 let n = (points as f32).max(1.0);
                 let eigen = SymmetricEigen::new(spread);
                 let normal = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
-                Self { points, center: Point3::from((center / f64::from(points.max(1))).cast::<f32>()), normal, lab: lab / n }
+                Self {
+                    points,
+                    center: Point3::from((center / f64::from(points.max(1))).cast::<f32>()),
+                    normal,
+                    lab: lab / n,
+                }
             })
             .collect()
     }
@@ -105,7 +114,11 @@ impl Patch {
 ///
 /// # Errors
 /// [`Cancelled`].
-pub fn compute(cloud: &PointCloud, settings: &SuperpointSettings, progress: &Progress) -> Result<Superpoints, Cancelled> {
+pub fn compute(
+    cloud: &PointCloud,
+    settings: &SuperpointSettings,
+    progress: &Progress,
+) -> Result<Superpoints, Cancelled> {
     progress.report("superpoints", 0.0)?;
     let settings = &coarsened_to(*settings, typical_spacing_m(&cloud.positions));
     let voxels = VoxelCloud::new(cloud, settings.voxel_m, progress)?;
@@ -192,9 +205,16 @@ mod tests {
     fn neighbours_reach_over_a_gap_but_not_far() {
         // A thin pole in two pieces.
         let tied_over = |gap_m: f32| {
-            let piece = |from: f32| (0..200).map(move |i| Point3::new((i % 4) as f32 * 0.005, 0.0, from + (i / 4) as f32 * 0.01));
+            let piece = |from: f32| {
+                (0..200).map(move |i| {
+                    Point3::new((i % 4) as f32 * 0.005, 0.0, from + (i / 4) as f32 * 0.01)
+                })
+            };
             let positions: Vec<_> = piece(0.0).chain(piece(0.5 + gap_m)).collect();
-            let superpoints = compute_silently(&PointCloud { colours: vec![[90; 3]; positions.len()], positions });
+            let superpoints = compute_silently(&PointCloud {
+                colours: vec![[90; 3]; positions.len()],
+                positions,
+            });
             let (lower, upper) = (superpoints.of_point[199], superpoints.of_point[200]);
             // Neighbours that continue each other become one superpoint.
             lower == upper || superpoints.adjacent.contains(&(lower.min(upper), lower.max(upper)))
@@ -207,13 +227,23 @@ mod tests {
         let asked = |voxel_m: f32| SuperpointSettings { voxel_m, ..SuperpointSettings::default() };
         let (fine, default) = (coarsened_to(asked(0.002), 0.02), coarsened_to(asked(0.025), 0.02));
         assert_eq!((fine.voxel_m, fine.seed_m), (default.voxel_m, default.seed_m));
-        assert!((fine.voxel_m - 0.03).abs() < 1e-6 && (fine.seed_m - 0.18).abs() < 1e-6, "{fine:?}");
-        assert_eq!(coarsened_to(asked(0.05), 0.02), asked(0.05), "what the cloud bears is left alone");
+        assert!(
+            (fine.voxel_m - 0.03).abs() < 1e-6 && (fine.seed_m - 0.18).abs() < 1e-6,
+            "{fine:?}"
+        );
+        assert_eq!(
+            coarsened_to(asked(0.05), 0.02),
+            asked(0.05),
+            "what the cloud bears is left alone"
+        );
     }
 
     #[test]
     fn odd_clouds_are_labelled_too() {
-        let same = PointCloud { positions: vec![Point3::new(1.0, 2.0, 3.0); 100], colours: vec![[9; 3]; 100] };
+        let same = PointCloud {
+            positions: vec![Point3::new(1.0, 2.0, 3.0); 100],
+            colours: vec![[9; 3]; 100],
+        };
         assert_eq!(compute_silently(&same).patches.len(), 1);
         let one = PointCloud { positions: vec![Point3::origin()], colours: vec![[0; 3]] };
         assert_eq!(compute_silently(&one).of_point, [0]);

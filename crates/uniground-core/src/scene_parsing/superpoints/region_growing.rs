@@ -1,4 +1,5 @@
-//! Region growing over supervoxels: flat neighbours of one colour become one superpoint (paper, after GrowSP).
+//! Region growing over supervoxels: flat neighbours of one colour become one superpoint (paper,
+//! after GrowSP).
 
 use super::voxel_cloud::VoxelCloud;
 use super::{Patch, SuperpointSettings, mean_per_label};
@@ -6,9 +7,14 @@ use std::collections::VecDeque;
 
 /// Joins supervoxels that continue each other; returns the region `0..n` of each.
 ///
-/// A region grows from its flattest supervoxel and compares candidates with that one, not with the last one added: a gently
-/// curved surface must not be followed around an object.
-pub(super) fn join(voxels: &VoxelCloud, labels: &[u32], adjacent: &[(u32, u32)], settings: &SuperpointSettings) -> Vec<u32> {
+/// A region grows from its flattest supervoxel and compares candidates with that one, not with the
+/// last one added: a gently curved surface must not be followed around an object.
+pub(super) fn join(
+    voxels: &VoxelCloud,
+    labels: &[u32],
+    adjacent: &[(u32, u32)],
+    settings: &SuperpointSettings,
+) -> Vec<u32> {
     let count = labels.iter().max().map_or(0, |&l| l as usize + 1);
     let patches = Patch::joined(&voxels.patches, labels, count);
     let roughness = mean_per_label(labels, &voxels.curvatures, count);
@@ -38,7 +44,8 @@ pub(super) fn join(voxels: &VoxelCloud, labels: &[u32], adjacent: &[(u32, u32)],
                 let continues = region[candidate as usize] == u32::MAX
                     && patch.normal.dot(&origin.normal).abs() >= min_cos
                     && (patch.center - origin.center).dot(&origin.normal).abs() <= settings.voxel_m
-                    && (patch.lab - patches[member as usize].lab).norm() <= settings.colour_tolerance
+                    && (patch.lab - patches[member as usize].lab).norm()
+                        <= settings.colour_tolerance
                     && (patch.lab - origin.lab).norm() <= 2.0 * settings.colour_tolerance;
                 if continues {
                     region[candidate as usize] = regions;

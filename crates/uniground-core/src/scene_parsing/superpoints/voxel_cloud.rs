@@ -47,7 +47,9 @@ impl Moments {
         Self {
             count,
             mean: self.mean + delta * (other.count / count),
-            scatter: self.scatter + other.scatter + delta * delta.transpose() * (self.count * other.count / count),
+            scatter: self.scatter
+                + other.scatter
+                + delta * delta.transpose() * (self.count * other.count / count),
         }
     }
 }
@@ -73,7 +75,12 @@ impl VoxelCloud {
             .par_iter()
             .zip(&moments)
             .zip(&labs)
-            .map(|((surface, m), &lab)| Patch { points: m.count as u32, center: Point3::from(m.mean), normal: surface.normal, lab })
+            .map(|((surface, m), &lab)| Patch {
+                points: m.count as u32,
+                center: Point3::from(m.mean),
+                normal: surface.normal,
+                lab,
+            })
             .collect();
         Ok(Self { grid, patches, curvatures, roughness_m, neighbours })
     }
@@ -86,7 +93,8 @@ impl VoxelCloud {
         self.neighbours.of(voxel)
     }
 
-    /// Numbers the connected parts of equal labels `0..n` in voxel order, so that every label is one piece.
+    /// Numbers the connected parts of equal labels `0..n` in voxel order, so that every label is
+    /// one piece.
     pub fn connected(&self, labels: &[u32]) -> Vec<u32> {
         const NONE: u32 = u32::MAX;
         let mut pieces = vec![NONE; self.len()];
@@ -111,13 +119,15 @@ impl VoxelCloud {
         pieces
     }
 
-    /// Pairs `(low, high)` of labels that are neighbours, sorted. Two labels are when a voxel of one is among those nearest to a voxel
-    /// of the other: the 26 around it and, in sparse places (thin legs, gaps in the scan), wider rings until [`NEAREST`] are found. A
-    /// hole in a scan must not cut an object in two.
+    /// Pairs `(low, high)` of labels that are neighbours, sorted. Two labels are when a voxel of
+    /// one is among those nearest to a voxel of the other: the 26 around it and, in sparse
+    /// places (thin legs, gaps in the scan), wider rings until [`NEAREST`] are found. A hole in
+    /// a scan must not cut an object in two.
     pub fn adjacent_labels(&self, labels: &[u32]) -> Vec<(u32, u32)> {
         let rings: Vec<Vec<i64>> = (2..=WIDEST_RING).map(ring).collect();
         let chunk_pairs = |voxels: &[u32]| {
-            // Neighbouring voxels see the same pairs again and again: a small table of those seen last keeps the list short.
+            // Neighbouring voxels see the same pairs again and again: a small table of those seen
+            // last keeps the list short.
             let mut seen = [(u32::MAX, u32::MAX); 256];
             let mut pairs = Vec::new();
             let mut note = |own: u32, other: u32| {
@@ -135,7 +145,9 @@ impl VoxelCloud {
                 if around.iter().any(|&n| labels[n as usize] != own) {
                     continue;
                 }
-                self.rings_beyond(v, around.len(), &rings).into_iter().for_each(|n| note(own, labels[n as usize]));
+                self.rings_beyond(v, around.len(), &rings)
+                    .into_iter()
+                    .for_each(|n| note(own, labels[n as usize]));
             }
             pairs
         };
@@ -146,7 +158,8 @@ impl VoxelCloud {
         pairs
     }
 
-    /// Voxels of the rings from the second on, ring by ring until there are [`NEAREST`] of them together with `found` nearer ones.
+    /// Voxels of the rings from the second on, ring by ring until there are [`NEAREST`] of them
+    /// together with `found` nearer ones.
     fn rings_beyond(&self, v: u32, mut found: usize, rings: &[Vec<i64>]) -> Vec<u32> {
         let mut voxels = Vec::new();
         for ring in rings {
@@ -154,14 +167,18 @@ impl VoxelCloud {
                 break;
             }
             let before = voxels.len();
-            voxels.extend(ring.iter().filter_map(|&step| self.grid.get(self.grid.keys[v as usize].stepped(step))));
+            voxels.extend(
+                ring.iter()
+                    .filter_map(|&step| self.grid.get(self.grid.keys[v as usize].stepped(step))),
+            );
             found += voxels.len() - before;
         }
         voxels
     }
 }
 
-/// How many neighbours a voxel has at least, as far as [`WIDEST_RING`] reaches (docs/METHOD.md, section 1.2).
+/// How many neighbours a voxel has at least, as far as [`WIDEST_RING`] reaches (docs/METHOD.md,
+/// section 1.2).
 const NEAREST: usize = 8;
 /// How many voxels away a neighbour may be.
 pub(in crate::scene_parsing) const WIDEST_RING: i64 = 4;
@@ -169,7 +186,8 @@ pub(in crate::scene_parsing) const WIDEST_RING: i64 = 4;
 /// Steps to the voxels whose largest offset is `ring`.
 fn ring(ring: i64) -> Vec<i64> {
     let side = 2 * ring + 1;
-    let offsets = (0..side.pow(3)).map(|i| [i / side / side - ring, i / side % side - ring, i % side - ring]);
+    let offsets =
+        (0..side.pow(3)).map(|i| [i / side / side - ring, i / side % side - ring, i % side - ring]);
     offsets.filter(|d| d.iter().any(|c| c.abs() == ring)).map(VoxelKey::step).collect()
 }
 
@@ -183,7 +201,9 @@ fn accumulate(cloud: &PointCloud, grid: &VoxelGrid) -> (Vec<Moments>, Vec<Lab>) 
     parts.enumerate().for_each(|(part, (moments, labs))| {
         let first = part * share;
         for (i, &v) in grid.of_point.iter().enumerate() {
-            let Some(m) = (v as usize).checked_sub(first).and_then(|v| moments.get_mut(v)) else { continue };
+            let Some(m) = (v as usize).checked_sub(first).and_then(|v| moments.get_mut(v)) else {
+                continue;
+            };
             m.add(&cloud.positions[i]);
             labs[v as usize - first] += lab_of_srgb(cloud.colours[i]);
         }

@@ -3,12 +3,17 @@ use crate::geometry::colour::ColourName;
 use crate::grounding::query::Trait;
 use proptest::prelude::*;
 
-/// A phrase in a compact notation: words; with; relations(anchors, nested in brackets); superlative.
+/// A phrase in a compact notation: words; with; relations(anchors, nested in brackets);
+/// superlative.
 fn notation(phrase: &Phrase) -> String {
     let count = phrase.count.map_or_else(String::new, |n| format!("{n} "));
     let mut parts = vec![format!("{count}{}", phrase.text())];
     for with in &phrase.with {
-        parts.push(format!("{} [{}]", if with.absent { "without" } else { "with" }, notation(&with.phrase)));
+        parts.push(format!(
+            "{} [{}]",
+            if with.absent { "without" } else { "with" },
+            notation(&with.phrase)
+        ));
     }
     for relation in &phrase.relations {
         let not = if relation.negated { "not " } else { "" };
@@ -22,7 +27,9 @@ fn notation(phrase: &Phrase) -> String {
 
 fn summary(query: &str) -> String {
     let parsed = parse(query);
-    let viewpoint = parsed.viewpoint.map_or_else(String::new, |v| format!("; {:?} {}", v.look, notation(&v.anchor)));
+    let viewpoint = parsed
+        .viewpoint
+        .map_or_else(String::new, |v| format!("; {:?} {}", v.look, notation(&v.anchor)));
     notation(&parsed.target) + &viewpoint
 }
 
@@ -53,11 +60,20 @@ fn everyday_questions_are_understood() {
 fn plain_speech_is_understood() {
     check(&[
         ("facing the bed the lamp on the left", "lamp; Leftmost 1; Facing bed"),
-        ("if i sit on the red sofa and look at the tv, the speaker on the right", "speaker; Rightmost 1; Facing tv"),
-        ("facing the two wardrobes, the one on the right", "wardrobes; Rightmost 1; Facing 2 wardrobes"),
+        (
+            "if i sit on the red sofa and look at the tv, the speaker on the right",
+            "speaker; Rightmost 1; Facing tv",
+        ),
+        (
+            "facing the two wardrobes, the one on the right",
+            "wardrobes; Rightmost 1; Facing 2 wardrobes",
+        ),
         ("facing the wall left monitor", "monitor; Leftmost 1; Facing wall"),
         ("facing the windows it is second from the left", "windows; Leftmost 2; Facing windows"),
-        ("facing the wall of windows the one on the right", "windows; Rightmost 1; Facing windows wall"),
+        (
+            "facing the wall of windows the one on the right",
+            "windows; Rightmost 1; Facing windows wall",
+        ),
         (
             "on the wall with three paintings it is the one in the middle",
             "paintings; On(wall; with [3 paintings]); Middle 1",
@@ -69,7 +85,10 @@ fn plain_speech_is_understood() {
         ("facing the mural the table on the left", "table; Leftmost 1; Facing mural"),
         ("the monitor on the right desk", "monitor; On(desk; Rightmost 1)"),
         ("the top cabinet by the sink", "cabinet; Near(sink); Highest 1"),
-        ("the slim case that is squeezed in between the stove and the barrel", "slim case; Between(stove & barrel)"),
+        (
+            "the slim case that is squeezed in between the stove and the barrel",
+            "slim case; Between(stove & barrel)",
+        ),
         ("some logs for the stove by the door", "logs; Near(door)"),
         ("somebody put a book on the shelf", "book; On(shelf)"),
         ("go stand by the stool", "stool"),
@@ -78,11 +97,17 @@ fn plain_speech_is_understood() {
         ("the box at the bottom of the stack", "box; Lowest 1"),
         ("the pillow in the middle of the two chairs", "pillow; Between(2 chairs)"),
         ("the desk with two monitors on top", "desk; with [2 monitors]"),
-        ("it is a window with a brown frame. is directly above the bed", "window; with [brown frame]; Above(bed)"),
+        (
+            "it is a window with a brown frame. is directly above the bed",
+            "window; with [brown frame]; Above(bed)",
+        ),
         ("this is a blue chair. it is facing the table.", "blue chair; Facing(table)"),
         ("the door stands in the hall", "door; Inside(hall)"),
         ("the lamp, not the middle one, on the desk", "lamp; On(desk)"),
-        ("facing the tv on the wall, the speaker on the left", "speaker; Leftmost 1; Facing tv; On(wall)"),
+        (
+            "facing the tv on the wall, the speaker on the left",
+            "speaker; Leftmost 1; Facing tv; On(wall)",
+        ),
         ("there is a large , red couch", "large red couch"),
         ("the trash can closest to brown chairs", "trash can; Closest(brown chairs)"),
         ("the picture over the headboard of the bed", "picture; Above(bed)"),
@@ -116,7 +141,10 @@ fn several_are_told_from_one() {
 fn descriptions_of_several_sentences_speak_of_one_thing() {
     check(&[
         ("this is a teapot. it is standing on the dining table.", "teapot; On(dining table)"),
-        ("this is a brown chair. it is at the end of the long table.", "brown chair; Near(long table)"),
+        (
+            "this is a brown chair. it is at the end of the long table.",
+            "brown chair; Near(long table)",
+        ),
         ("there is a lamp. the lamp is black and it is on the desk.", "black lamp; On(desk)"),
         ("it is a sofa. there is a mug on it.", "sofa; Carrying(mug)"),
         ("this is a chair. there is a window to the left of it.", "chair; RightOf(window)"),
@@ -133,7 +161,10 @@ fn orders_and_counts() {
         ("the table with four chairs", "table; with [4 chairs]"),
         ("the desk with a single monitor", "desk; with [1 monitor]"),
         ("the middle window", "window; Middle 1"),
-        ("of the three filing cabinets, the one closest to the desk", "filing cabinet; Closest(desk)"),
+        (
+            "of the three filing cabinets, the one closest to the desk",
+            "filing cabinet; Closest(desk)",
+        ),
     ]);
 }
 
@@ -144,7 +175,10 @@ fn negation_reaches_what_it_speaks_of() {
         ("not the one by the door, the other one", "one; not Near(door)"),
         ("the sofa that is not red near the blue chair", "not red sofa; Near(blue chair)"),
         ("the sofa which isn't red", "not red sofa"),
-        ("the stool in front of the white bookcase without books", "stool; InFrontOf(white bookcase; without [books])"),
+        (
+            "the stool in front of the white bookcase without books",
+            "stool; InFrontOf(white bookcase; without [books])",
+        ),
         ("the table that does not have a lamp", "table; without [lamp]"),
         ("the mug that is neither red nor white", "not red not white mug"),
         ("the cabinet with nothing on top of it", "cabinet; without [thing]"),
@@ -158,13 +192,25 @@ fn somebody_looks() {
     check(&[
         ("facing the window, the curtain on the left", "curtain; Leftmost 1; Facing window"),
         ("the curtain on the right when facing the window", "curtain; Rightmost 1; Facing window"),
-        ("as you walk in, the first chair on the left", "chair; LeftOf(door); Closest(door); From door"),
+        (
+            "as you walk in, the first chair on the left",
+            "chair; LeftOf(door); Closest(door); From door",
+        ),
         ("from the perspective of the sofa, the lamp on the right", "lamp; Rightmost 1; From sofa"),
         ("with your back to the door, the desk on the left", "desk; Leftmost 1; BackTo door"),
         ("the chair facing the window", "chair; Facing(window)"),
-        ("standing at the door facing the window, the nearest stool", "stool; Closest(door); Facing window"),
-        ("when you look at the tv from the red sofa, the plant on the right", "plant; Rightmost 1; Facing tv"),
-        ("seen from the sofa, the farther of the two stools", "2 stools; Farthest(sofa); From sofa"),
+        (
+            "standing at the door facing the window, the nearest stool",
+            "stool; Closest(door); Facing window",
+        ),
+        (
+            "when you look at the tv from the red sofa, the plant on the right",
+            "plant; Rightmost 1; Facing tv",
+        ),
+        (
+            "seen from the sofa, the farther of the two stools",
+            "2 stools; Farthest(sofa); From sofa",
+        ),
         ("facing the tv, the bookcase just to the left of it", "bookcase; LeftOf(tv); Facing tv"),
     ]);
 }
@@ -196,7 +242,10 @@ fn commands_and_slips() {
 #[test]
 fn the_last_noun_is_the_head_but_for_of() {
     let parsed = parse("the bowl of apples on the computer desk");
-    assert_eq!((parsed.target.head.as_str(), parsed.target.relations[0].anchors[0].head.as_str()), ("bowl", "computer desk"));
+    assert_eq!(
+        (parsed.target.head.as_str(), parsed.target.relations[0].anchors[0].head.as_str()),
+        ("bowl", "computer desk")
+    );
     assert_eq!(parse("a pair of shoes").target.head, "shoes");
     assert_eq!(parse("the back of the chair").target.head, "chair");
 }
@@ -204,10 +253,16 @@ fn the_last_noun_is_the_head_but_for_of() {
 #[test]
 fn attributes_belong_to_their_noun() {
     let parsed = parse("the large red chair next to the small white table");
-    assert_eq!((parsed.target.colours, parsed.target.traits), (vec![ColourName::Red], vec![Trait::Large]));
+    assert_eq!(
+        (parsed.target.colours, parsed.target.traits),
+        (vec![ColourName::Red], vec![Trait::Large])
+    );
     let anchor = &parsed.target.relations[0].anchors[0];
     assert_eq!((&anchor.colours, &anchor.traits), (&vec![ColourName::White], &vec![Trait::Small]));
-    assert_eq!(parse("the table that isn't the dining table").target.other_things, ["dining table"]);
+    assert_eq!(
+        parse("the table that isn't the dining table").target.other_things,
+        ["dining table"]
+    );
     let both = parse("the orange and black desk");
     assert_eq!(both.target.colours, [ColourName::Orange, ColourName::Black]);
 }
@@ -246,7 +301,11 @@ fn contradictions_loops_and_crowds_are_read() {
     let crowded = parse(&many);
     assert_eq!(crowded.target.head, "mug");
     // What is one too many is listed, so that the work stays bounded.
-    assert!(crowded.not_understood.iter().filter(|w| *w == "chair").count() >= 20, "{:?}", crowded.not_understood.len());
+    assert!(
+        crowded.not_understood.iter().filter(|w| *w == "chair").count() >= 20,
+        "{:?}",
+        crowded.not_understood.len()
+    );
 }
 
 proptest! {
@@ -268,7 +327,10 @@ proptest! {
 fn what_somebody_does_is_not_what_they_ask_for() {
     check(&[
         ("heading out, i need the umbrella by the door", "umbrella; Near(door)"),
-        ("I want to ride, so the green one with the basket", "green something to ride; with [basket]"),
+        (
+            "I want to ride, so the green one with the basket",
+            "green something to ride; with [basket]",
+        ),
         ("the theremin next to the sofa", "theremin; Near(sofa)"),
         ("two green chairs stand at the table", "2 green chairs; Near(table)"),
         ("counting the stools starting from the door, the third", "stools; Closest 3(door)"),
@@ -276,10 +338,18 @@ fn what_somebody_does_is_not_what_they_ask_for() {
         ("the box between the sprocket and the lamp", "box; Between(sprocket & lamp)"),
         ("where can i get some fruit", "fruit"),
         ("a place to work on your laptop", "something to exercise or work at"),
-        ("something to heat up my soup in", "something to boil water or heat food or heat room or heat water"),
+        (
+            "something to heat up my soup in",
+            "something to boil water or heat food or heat room or heat water",
+        ),
     ]);
-    let by_article = parse("wipe off what's written on the board that hangs between the brown door and the darts");
-    assert_eq!((by_article.target.head.as_str(), &by_article.passed_over[..1]), ("board", &["wipe".to_owned()][..]));
+    let by_article = parse(
+        "wipe off what's written on the board that hangs between the brown door and the darts",
+    );
+    assert_eq!(
+        (by_article.target.head.as_str(), &by_article.passed_over[..1]),
+        ("board", &["wipe".to_owned()][..])
+    );
     assert!(parse("the pinkish chair").target.roughly && !parse("the pink chair").target.roughly);
     assert_eq!(parse("the wine").target.could_be, ["bottle", "wine glass"]);
     assert!(parse("the tulips").target.could_be.contains(&"vase".to_owned()));

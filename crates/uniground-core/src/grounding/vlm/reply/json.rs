@@ -1,13 +1,16 @@
 //! Replies in JSON, bare, fenced, or among words.
 
-use super::{Choice, Field, Reply, anchor, choice, is_nothing, joined, names, seen_at, truth, words};
+use super::{
+    Choice, Field, Reply, anchor, choice, is_nothing, joined, names, seen_at, truth, words,
+};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 
 /// How many opening braces are tried before a reply counts as no JSON.
 const MAX_TRIES: usize = 64;
 
-/// The objects in a reply that have one of the six fields, taken together: two ids contradict each other.
+/// The objects in a reply that have one of the six fields, taken together: two ids contradict each
+/// other.
 pub(super) fn read(text: &str) -> Option<Reply> {
     let mut from = 0;
     let mut replies = Vec::new();
@@ -22,7 +25,8 @@ pub(super) fn read(text: &str) -> Option<Reply> {
             replies.extend(of_object(&object));
         }
     }
-    let predicted = replies.iter().map(|reply: &Reply| reply.predicted).fold(Choice::Missing, joined);
+    let predicted =
+        replies.iter().map(|reply: &Reply| reply.predicted).fold(Choice::Missing, joined);
     let fullest = replies.into_iter().min_by_key(|reply| reply.not_read.len())?;
     Some(Reply { predicted, ..fullest })
 }
@@ -37,7 +41,10 @@ fn of_object(object: &Map<String, Value>) -> Option<Reply> {
             Field::PredictedId => reply.predicted = id(value),
             Field::Explanation => reply.explanation = value.as_str().and_then(words),
             Field::CandidateNames => reply.candidate_names = names_of(value),
-            Field::TargetNameMatches => reply.target_name_matches = value.as_bool().or_else(|| value.as_str().and_then(truth)),
+            Field::TargetNameMatches => {
+                reply.target_name_matches =
+                    value.as_bool().or_else(|| value.as_str().and_then(truth))
+            }
             Field::AnchorId => {
                 reply.anchor_id = match value {
                     Value::Array(ids) => ids.first().and_then(|first| anchor(&plain(first))),
@@ -45,7 +52,9 @@ fn of_object(object: &Map<String, Value>) -> Option<Reply> {
                 }
             }
             Field::SeenAt => reply.seen_at = value.as_str().and_then(seen_at),
-            Field::RelationUsed => reply.relation_used = value.as_str().and_then(words).filter(|w| !is_nothing(w)),
+            Field::RelationUsed => {
+                reply.relation_used = value.as_str().and_then(words).filter(|w| !is_nothing(w))
+            }
         }
     }
     if told.is_empty() {
@@ -58,9 +67,12 @@ fn of_object(object: &Map<String, Value>) -> Option<Reply> {
 
 /// Keys in any case, with underscores, blanks or nothing between their words.
 fn field(key: &str) -> Option<Field> {
-    let letters: String = key.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect();
+    let letters: String =
+        key.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect();
     match letters.as_str() {
-        "predictedid" | "predictedobjectid" | "predictiontargetid" | "prediction" => Some(Field::PredictedId),
+        "predictedid" | "predictedobjectid" | "predictiontargetid" | "prediction" => {
+            Some(Field::PredictedId)
+        }
         "explanation" => Some(Field::Explanation),
         "candidatenames" => Some(Field::CandidateNames),
         "targetnamematches" | "targetnamematch" => Some(Field::TargetNameMatches),

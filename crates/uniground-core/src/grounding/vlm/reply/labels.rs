@@ -35,8 +35,8 @@ struct Found {
     leads: bool,
 }
 
-/// Fields and their values, in the order they are told. A label within a line counts only in a reply that is one line, or after the end of
-/// another field's value there.
+/// Fields and their values, in the order they are told. A label within a line counts only in a
+/// reply that is one line, or after the end of another field's value there.
 pub(super) fn fields(text: &str) -> Vec<(Field, &str)> {
     let mut found = find(text);
     // Six lines: what stands within a line then is talk about a field.
@@ -48,7 +48,9 @@ pub(super) fn fields(text: &str) -> Vec<(Field, &str)> {
         found.retain(|f| f.leads || separated(text, f.start));
     }
     // Bullets and numbers before a label are no part of the value before it.
-    let begins = |f: &Found| if f.leads { text[..f.start].rfind('\n').map_or(0, |at| at + 1) } else { f.start };
+    let begins = |f: &Found| {
+        if f.leads { text[..f.start].rfind('\n').map_or(0, |at| at + 1) } else { f.start }
+    };
     let ends: Vec<usize> = found.iter().skip(1).map(begins).chain([text.len()]).collect();
     found.iter().zip(ends).map(|(f, end)| (f.field, &text[f.value..end.max(f.value)])).collect()
 }
@@ -88,7 +90,8 @@ fn value_after(text: &str, end: usize) -> Option<usize> {
         .and_then(|inner| inner.split_once(')'))
         .filter(|(inner, _)| inner.len() < 40 && !inner.contains('\n'))
         .map_or(rest, |(_, after)| after.trim_start_matches(['*', '_', ' ']));
-    let value = [":", "=>", "=", "->", "|", "- "].into_iter().find_map(|sign| rest.strip_prefix(sign));
+    let value =
+        [":", "=>", "=", "->", "|", "- "].into_iter().find_map(|sign| rest.strip_prefix(sign));
     // A heading has its value on the next line.
     let value = value.or_else(|| rest.starts_with('\n').then_some(rest))?;
     Some(text.len() - value.len())
@@ -97,7 +100,8 @@ fn value_after(text: &str, end: usize) -> Option<usize> {
 /// Whether only bullets, numbers and Markdown stand before a label on its line.
 fn leads(text: &str, start: usize) -> bool {
     let line = text[..start].rfind('\n').map_or(0, |at| at + 1);
-    let before = text[line..start].trim_matches(|c: char| c.is_whitespace() || "*_`#->|+\"'<[({".contains(c));
+    let before = text[line..start]
+        .trim_matches(|c: char| c.is_whitespace() || "*_`#->|+\"'<[({".contains(c));
     // "Final Predicted ID", "Answer: Predicted ID".
     let lower = before.to_ascii_lowercase();
     let announced = ["final", "my", "the", "answer:", "final answer:"].contains(&lower.trim());

@@ -32,20 +32,24 @@ fn listed(line: &str) -> Option<(u32, String)> {
     Some((id.parse().ok()?, words(name.split('|').next().unwrap_or_default())?))
 }
 
-/// `7 -> beige wall section, 22 -> window`: ids and what stands between them; also one per line, with colons, dashes and bullets. An id
-/// begins a line or follows a comma, unless an arrow shows what it is: "white 2-seat sofa" has no second id.
+/// `7 -> beige wall section, 22 -> window`: ids and what stands between them; also one per line,
+/// with colons, dashes and bullets. An id begins a line or follows a comma, unless an arrow shows
+/// what it is: "white 2-seat sofa" has no second id.
 pub(super) fn names(value: &str) -> BTreeMap<u32, String> {
     let mut found: Vec<(u32, usize, usize)> = Vec::new();
     let bytes = value.as_bytes();
     let mut at = 0;
     while at < bytes.len() {
-        if !bytes[at].is_ascii_digit() || at > 0 && (bytes[at - 1].is_ascii_alphanumeric() || bytes[at - 1] == b'.') {
+        if !bytes[at].is_ascii_digit()
+            || at > 0 && (bytes[at - 1].is_ascii_alphanumeric() || bytes[at - 1] == b'.')
+        {
             at += 1;
             continue;
         }
         let digits = bytes[at..].iter().take_while(|b| b.is_ascii_digit()).count();
         let (start, begins) = entry_start(value, at);
-        let entry = after_sign(&value[at + digits..], begins).zip(value[at..at + digits].parse().ok());
+        let entry =
+            after_sign(&value[at + digits..], begins).zip(value[at..at + digits].parse().ok());
         at += digits;
         if let Some((name, id)) = entry {
             found.push((id, start, value.len() - name.len()));
@@ -62,7 +66,8 @@ pub(super) fn names(value: &str) -> BTreeMap<u32, String> {
         .collect()
 }
 
-/// What follows the sign between an id and its name. Only an arrow will do where the id does not begin an entry.
+/// What follows the sign between an id and its name. Only an arrow will do where the id does not
+/// begin an entry.
 fn after_sign(after: &str, begins: bool) -> Option<&str> {
     if let Some(name) = after.trim_start().strip_prefix("->") {
         return Some(name);
@@ -75,15 +80,21 @@ fn after_sign(after: &str, begins: bool) -> Option<&str> {
     arrow.or_else(|| begins.then(|| sign().or_else(dash)).flatten())
 }
 
-/// Where the writing of an id begins (before its "ID", its bracket, its bullet or number), and whether that begins an entry.
+/// Where the writing of an id begins (before its "ID", its bracket, its bullet or number), and
+/// whether that begins an entry.
 fn entry_start(value: &str, digits: usize) -> (usize, bool) {
-    let trimmed = |text: &str| text.trim_end_matches(|c: char| c == ' ' || c == '-' || DECORATION.contains(&c)).len();
+    let trimmed = |text: &str| {
+        text.trim_end_matches(|c: char| c == ' ' || c == '-' || DECORATION.contains(&c)).len()
+    };
     let before = &value[..trimmed(&value[..digits])];
     let without = |word: &str| {
         let cut = before.len().checked_sub(word.len())?;
         before.get(cut..).filter(|tail| tail.eq_ignore_ascii_case(word)).map(|_| cut)
     };
-    let start = without("id").or_else(|| without("object")).or_else(|| without("candidate")).unwrap_or(before.len());
+    let start = without("id")
+        .or_else(|| without("object"))
+        .or_else(|| without("candidate"))
+        .unwrap_or(before.len());
     let mut start = trimmed(&value[..start]);
     // "3. ID 22": the number of the line is no part of the name before.
     let line = value[..start].rfind('\n').map_or(0, |at| at + 1);
@@ -94,6 +105,8 @@ fn entry_start(value: &str, digits: usize) -> (usize, bool) {
     if numbered {
         start = line;
     }
-    let begins = value[..start].is_empty() || value[..start].ends_with(['\n', ',', ';', '/', ':']) || numbered;
+    let begins = value[..start].is_empty()
+        || value[..start].ends_with(['\n', ',', ';', '/', ':'])
+        || numbered;
     (start, begins)
 }

@@ -7,7 +7,8 @@ fn value<'a>(expected: &'a str, key: &str) -> &'a str {
     const KEYS: [&str; 5] = ["id=", "names=", "matches=", "anchor=", "relation="];
     let start = expected.find(key).map(|at| at + key.len()).unwrap();
     let rest = &expected[start..];
-    let end = KEYS.iter().filter_map(|next| rest.find(&format!(" {next}"))).min().unwrap_or(rest.len());
+    let end =
+        KEYS.iter().filter_map(|next| rest.find(&format!(" {next}"))).min().unwrap_or(rest.len());
     rest[..end].trim_end_matches('\n')
 }
 
@@ -51,7 +52,11 @@ fn a_place_is_read_in_every_shape() {
         "Predicted ID: visible, not listed\nSeen at: 3; 250; 500; black alarm clock",
     ] {
         let reply = read(text);
-        assert_eq!((reply.predicted, reply.seen_at), (Choice::NotListed, expected.clone()), "{text}");
+        assert_eq!(
+            (reply.predicted, reply.seen_at),
+            (Choice::NotListed, expected.clone()),
+            "{text}"
+        );
     }
     assert_eq!(read("Predicted ID: 4\nSeen at: none").seen_at, None);
     assert_eq!(seen_at("image 3, 1200, 20, lamp"), None);
@@ -59,37 +64,64 @@ fn a_place_is_read_in_every_shape() {
 
 #[test]
 fn names_and_explanations_are_whole() {
-    let reply = read(CORPUS.split("===== several lines of explanation\n").nth(1).unwrap().split("-----").next().unwrap());
+    let reply = read(
+        CORPUS
+            .split("===== several lines of explanation\n")
+            .nth(1)
+            .unwrap()
+            .split("-----")
+            .next()
+            .unwrap(),
+    );
     assert_eq!(
         reply.explanation.as_deref(),
-        Some("First, ID 7 is a wall. Then, ID 48 is on the floor at Z 0.2. So 22 it is, 1.11 m up.")
+        Some(
+            "First, ID 7 is a wall. Then, ID 48 is on the floor at Z 0.2. So 22 it is, 1.11 m up."
+        )
     );
     assert_eq!(reply.candidate_names[&48], "air conditioner");
-    let reply =
-        read("Predicted ID: 22\nExplanation: x\nCandidate Names:\n* ID 7: beige wall section\n* ID 22: window, with 2 panes\nAnchor ID: 1");
+    let reply = read(
+        "Predicted ID: 22\nExplanation: x\nCandidate Names:\n* ID 7: beige wall section\n* ID 22: window, with 2 panes\nAnchor ID: 1",
+    );
     assert_eq!(
         reply.candidate_names,
-        BTreeMap::from([(7, "beige wall section".to_owned()), (22, "window, with 2 panes".to_owned())])
+        BTreeMap::from([
+            (7, "beige wall section".to_owned()),
+            (22, "window, with 2 panes".to_owned())
+        ])
     );
     assert_eq!(reply.not_read, ["Target name matches?", "Relation used"]);
 }
 
-/// Bullets and numbers of the next line are no part of a value, and numbers within a name are no ids.
+/// Bullets and numbers of the next line are no part of a value, and numbers within a name are no
+/// ids.
 #[test]
 fn values_end_where_the_next_line_begins() {
-    let reply =
-        read("1. Predicted ID: 22\n2. Explanation: it fits\n3. Candidate Names: 7 -> white 2-seat sofa, 22 -> window\n4. Anchor ID: 20");
-    assert_eq!((reply.explanation.as_deref(), reply.candidate_names[&22].as_str()), (Some("it fits"), "window"));
+    let reply = read(
+        "1. Predicted ID: 22\n2. Explanation: it fits\n3. Candidate Names: 7 -> white 2-seat sofa, 22 -> window\n4. Anchor ID: 20",
+    );
+    assert_eq!(
+        (reply.explanation.as_deref(), reply.candidate_names[&22].as_str()),
+        (Some("it fits"), "window")
+    );
     assert_eq!(reply.candidate_names[&7], "white 2-seat sofa");
     let reply = read(
         "- Predicted ID: 22\n- Explanation: it fits\n- Candidate Names:\n1. ID 7: black chair\n2. ID 9: red chair\n- Relation used: above\n- Anchor ID: 1",
     );
-    assert_eq!((reply.relation_used.as_deref(), reply.candidate_names[&7].as_str()), (Some("above"), "black chair"));
+    assert_eq!(
+        (reply.relation_used.as_deref(), reply.candidate_names[&7].as_str()),
+        (Some("above"), "black chair")
+    );
     assert_eq!(
         names_in("| 1 | red sofa |\n2. blue chair\n3 -> 2-seat sofa\n4 - lamp")
             .into_iter()
             .collect::<Vec<_>>(),
-        [(1, "red sofa".to_owned()), (2, "blue chair".into()), (3, "2-seat sofa".into()), (4, "lamp".into()),]
+        [
+            (1, "red sofa".to_owned()),
+            (2, "blue chair".into()),
+            (3, "2-seat sofa".into()),
+            (4, "lamp".into()),
+        ]
     );
 }
 
@@ -110,7 +142,8 @@ fn what_the_question_says_is_no_answer() {
                 "Query: {echo}\nPredicted ID: 7\nExplanation: red\nCandidate Names: 7 -> mug\nTarget name matches?: True\nAnchor ID: 1\nRelation used: none"
             );
             let short = format!("The query is {echo}.\n\nPredicted ID: 7");
-            let json = format!("The query is {echo}.\n{{\"predicted_id\": 7, \"explanation\": \"red\"}}");
+            let json =
+                format!("The query is {echo}.\n{{\"predicted_id\": 7, \"explanation\": \"red\"}}");
             for (text, json) in [(full, false), (short, false), (json, true)] {
                 let reply = read_answer(&text, query, json);
                 assert_eq!(reply.predicted, Choice::Id(7), "{text}");
@@ -118,17 +151,28 @@ fn what_the_question_says_is_no_answer() {
             }
         }
         let nothing_else = format!("I was asked for {query}");
-        assert_ne!(read_answer(&nothing_else, query, false).predicted, Choice::Id(95), "{nothing_else}");
+        assert_ne!(
+            read_answer(&nothing_else, query, false).predicted,
+            Choice::Id(95),
+            "{nothing_else}"
+        );
     }
     // A harmless question may well be a candidate's name.
-    let reply = read_answer("Predicted ID: 7\nCandidate Names: 7 -> red mug, 9 -> blue mug", "red mug", false);
+    let reply = read_answer(
+        "Predicted ID: 7\nCandidate Names: 7 -> red mug, 9 -> blue mug",
+        "red mug",
+        false,
+    );
     assert_eq!(reply.candidate_names[&7], "red mug");
 }
 
 #[test]
 fn prose_names_one_id_or_none() {
     let known = |id: u32| [7, 9].contains(&id);
-    assert_eq!(only_id("The object that best matches is **ID 7**, because ID 4711 is a wall.", known), Some(7));
+    assert_eq!(
+        only_id("The object that best matches is **ID 7**, because ID 4711 is a wall.", known),
+        Some(7)
+    );
     assert_eq!(only_id("Object ID: 9. ID 9 is red.", known), Some(9));
     assert_eq!(only_id("Either ID 7 or ID 9, the said 9.", known), None);
     assert_eq!(only_id("<think>ID 7</think>No idea, 7 perhaps.", known), None);
@@ -136,7 +180,8 @@ fn prose_names_one_id_or_none() {
 
 #[test]
 fn a_megabyte_of_noise_is_nothing_and_hides_nothing() {
-    let noise: String = (0..131_072_u32).map(|i| format!("{:x} {{ ", i.wrapping_mul(2_654_435_761))).collect();
+    let noise: String =
+        (0..131_072_u32).map(|i| format!("{:x} {{ ", i.wrapping_mul(2_654_435_761))).collect();
     assert!(noise.len() > 1 << 20);
     assert_eq!(read(&noise).predicted, Choice::Missing);
     let answer = "\nPredicted ID: 22\nExplanation: x\nAnchor ID: 20\n";

@@ -130,7 +130,8 @@ impl Document {
         if let Some(scene) = self.scenes.get(self.scene.unwrap_or(0)) {
             return scene.nodes.clone();
         }
-        let inner: std::collections::BTreeSet<usize> = self.nodes.iter().flat_map(|n| n.children.iter().copied()).collect();
+        let inner: std::collections::BTreeSet<usize> =
+            self.nodes.iter().flat_map(|n| n.children.iter().copied()).collect();
         (0..self.nodes.len()).filter(|n| !inner.contains(n)).collect()
     }
 }
@@ -153,11 +154,18 @@ pub(super) struct Rows<'a> {
 }
 
 impl<'a> Buffers<'a> {
-    pub fn load(document: &Document, mut blob: Option<Vec<u8>>, root: &'a Utf8Path, file: &'a Utf8Path) -> Result<Self, IngestError> {
+    pub fn load(
+        document: &Document,
+        mut blob: Option<Vec<u8>>,
+        root: &'a Utf8Path,
+        file: &'a Utf8Path,
+    ) -> Result<Self, IngestError> {
         let mut own = Self { bytes: Vec::new(), root, file };
         for buffer in &document.buffers {
             let bytes = match &buffer.uri {
-                None => blob.take().ok_or_else(|| IngestError::malformed(file, "its binary part is missing"))?,
+                None => blob
+                    .take()
+                    .ok_or_else(|| IngestError::malformed(file, "its binary part is missing"))?,
                 Some(uri) => own.uri(uri)?,
             };
             own.bytes.push(bytes);
@@ -169,12 +177,15 @@ impl<'a> Buffers<'a> {
     fn uri(&self, uri: &str) -> Result<Vec<u8>, IngestError> {
         if let Some(data) = uri.strip_prefix("data:") {
             let text = data.split_once(";base64,").map(|(_, text)| text);
-            return text
-                .and_then(base64)
-                .ok_or_else(|| IngestError::malformed(self.file, "a data address that is not base64"));
+            return text.and_then(base64).ok_or_else(|| {
+                IngestError::malformed(self.file, "a data address that is not base64")
+            });
         }
         let name = uri.replace("%20", " ");
-        let path = beside(self.file, &name).ok_or_else(|| IngestError::UnsafeEntry { entry: name, reason: "points outside the upload" })?;
+        let path = beside(self.file, &name).ok_or_else(|| IngestError::UnsafeEntry {
+            entry: name,
+            reason: "points outside the upload",
+        })?;
         let mut bytes = Vec::new();
         File::open(self.root.join(&path))
             .and_then(|source| source.take(MAX_BUFFER_BYTES).read_to_end(&mut bytes))
@@ -183,7 +194,8 @@ impl<'a> Buffers<'a> {
     }
 
     pub fn image(&self, document: &Document, number: usize) -> Result<Cow<'_, [u8]>, String> {
-        let image = document.images.get(number).ok_or_else(|| format!("image {number} is not there"))?;
+        let image =
+            document.images.get(number).ok_or_else(|| format!("image {number} is not there"))?;
         match (&image.uri, image.buffer_view) {
             (Some(uri), _) => self.uri(uri).map(Cow::Owned).map_err(|e| e.to_string()),
             (None, Some(view)) => self.view(document, view).map(|(bytes, _)| Cow::Borrowed(bytes)),
@@ -192,20 +204,38 @@ impl<'a> Buffers<'a> {
     }
 
     fn view(&self, document: &Document, number: usize) -> Result<(&[u8], Option<usize>), String> {
-        let view = document.buffer_views.get(number).ok_or_else(|| format!("view {number} is not there"))?;
-        let buffer = self.bytes.get(view.buffer).ok_or_else(|| format!("buffer {} is not there", view.buffer))?;
+        let view = document
+            .buffer_views
+            .get(number)
+            .ok_or_else(|| format!("view {number} is not there"))?;
+        let buffer = self
+            .bytes
+            .get(view.buffer)
+            .ok_or_else(|| format!("buffer {} is not there", view.buffer))?;
         let end = view.byte_offset.checked_add(view.byte_length);
         let bytes = end.and_then(|end| buffer.get(view.byte_offset..end));
-        Ok((bytes.ok_or_else(|| format!("view {number} is more than its buffer holds"))?, view.byte_stride))
+        Ok((
+            bytes.ok_or_else(|| format!("view {number} is more than its buffer holds"))?,
+            view.byte_stride,
+        ))
     }
 
     /// Numbers of at least so many columns.
-    pub fn accessor(&self, document: &Document, number: usize, columns: usize) -> Result<Rows<'_>, String> {
-        let accessor = document.accessors.get(number).ok_or_else(|| format!("accessor {number} is not there"))?;
+    pub fn accessor(
+        &self,
+        document: &Document,
+        number: usize,
+        columns: usize,
+    ) -> Result<Rows<'_>, String> {
+        let accessor = document
+            .accessors
+            .get(number)
+            .ok_or_else(|| format!("accessor {number} is not there"))?;
         if accessor.sparse.is_some() {
             return Err("sparse accessors are not read".into());
         }
-        let view = accessor.buffer_view.ok_or_else(|| format!("accessor {number} has no numbers"))?;
+        let view =
+            accessor.buffer_view.ok_or_else(|| format!("accessor {number} has no numbers"))?;
         let (bytes, stride) = self.view(document, view)?;
         let found = match accessor.shape.as_str() {
             "SCALAR" => 1,
@@ -221,12 +251,17 @@ impl<'a> Buffers<'a> {
             other => return Err(format!("accessor {number} has components of type {other}")),
         };
         if found < columns {
-            return Err(format!("accessor {number} has {found} numbers a row, {columns} are needed"));
+            return Err(format!(
+                "accessor {number} has {found} numbers a row, {columns} are needed"
+            ));
         }
         let row = found * size;
         let stride = stride.unwrap_or(row).max(row);
         let bytes = bytes.get(accessor.byte_offset..).unwrap_or_default();
-        let needed = accessor.count.checked_sub(1).map_or(Some(0), |rows| rows.checked_mul(stride)?.checked_add(row));
+        let needed = accessor
+            .count
+            .checked_sub(1)
+            .map_or(Some(0), |rows| rows.checked_mul(stride)?.checked_add(row));
         if needed.is_none_or(|needed| needed > bytes.len()) {
             return Err(format!("accessor {number} is more than its buffer holds"));
         }
@@ -245,7 +280,9 @@ impl Rows<'_> {
     }
 
     fn row(&self, row: usize) -> [f64; 3] {
-        std::array::from_fn(|column| if column < self.columns { self.number(row, column) } else { 0.0 })
+        std::array::from_fn(
+            |column| if column < self.columns { self.number(row, column) } else { 0.0 },
+        )
     }
 
     fn number(&self, row: usize, column: usize) -> f64 {
@@ -255,7 +292,10 @@ impl Rows<'_> {
             5121 => (f64::from(b(1, 0)), 255.0),
             5122 => (f64::from(i16::from_le_bytes([b(2, 0), b(2, 1)])), 32767.0),
             5123 => (f64::from(u16::from_le_bytes([b(2, 0), b(2, 1)])), 65535.0),
-            5125 => (f64::from(u32::from_le_bytes(std::array::from_fn(|i| b(4, i)))), f64::from(u32::MAX)),
+            5125 => (
+                f64::from(u32::from_le_bytes(std::array::from_fn(|i| b(4, i)))),
+                f64::from(u32::MAX),
+            ),
             _ => return f64::from(f32::from_le_bytes(std::array::from_fn(|i| b(4, i)))),
         };
         if self.normalized { (value / largest).max(-1.0) } else { value }

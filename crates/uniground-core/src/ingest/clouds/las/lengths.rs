@@ -1,4 +1,5 @@
-//! Lengths that a LAZ file announces, held against the file before its reader makes room for them (LAS 1.4, sections 2.4 to 2.7, and `LASzip`).
+//! Lengths that a LAZ file announces, held against the file before its reader makes room for them
+//! (LAS 1.4, sections 2.4 to 2.7, and `LASzip`).
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -9,7 +10,8 @@ const EVLR_HEADER_BYTES: u64 = 60;
 /// A chunk begins with a point as it is, which has at least so many bytes.
 const LEAST_CHUNK_BYTES: u64 = 20;
 
-/// Whether what a file announces can be in it: `Err` with a reason where not. `source` is left anywhere.
+/// Whether what a file announces can be in it: `Err` with a reason where not. `source` is left
+/// anywhere.
 pub(super) fn check(source: &mut File) -> io::Result<Result<(), &'static str>> {
     let bytes = source.metadata()?.len();
     let mut header = Vec::new();
@@ -46,7 +48,8 @@ fn records_fit(source: &mut File, first: u64, count: u32, bytes: u64) -> io::Res
     Ok(true)
 }
 
-/// Whether there are no more chunks than there is room for. The points begin with where the table of chunks lies; -1: at the end of the file.
+/// Whether there are no more chunks than there is room for. The points begin with where the table
+/// of chunks lies; -1: at the end of the file.
 fn chunks_fit(source: &mut File, points: u64, bytes: u64) -> io::Result<Result<(), &'static str>> {
     let mut eight = [0; 8];
     let mut i64_from = |from: u64| -> io::Result<Option<i64>> {
@@ -62,8 +65,14 @@ fn chunks_fit(source: &mut File, points: u64, bytes: u64) -> io::Result<Result<(
         offset => offset,
     };
     // Points without a table of chunks are read one after the other.
-    let Some(table) = table.and_then(|table| u64::try_from(table).ok()).filter(|table| *table > points) else { return Ok(Ok(())) };
-    let Some(version_and_count) = i64_from(table)? else { return Ok(Err("its table of chunks lies behind its end")) };
+    let Some(table) =
+        table.and_then(|table| u64::try_from(table).ok()).filter(|table| *table > points)
+    else {
+        return Ok(Ok(()));
+    };
+    let Some(version_and_count) = i64_from(table)? else {
+        return Ok(Err("its table of chunks lies behind its end"));
+    };
     let count = version_and_count.cast_unsigned() >> 32;
     let room = bytes.saturating_sub(points) / LEAST_CHUNK_BYTES;
     Ok(if count > room { Err("it announces more chunks than it has room for") } else { Ok(()) })
@@ -128,10 +137,20 @@ mod tests {
         ] {
             let mut file = file(end, evlrs, &[points(table, chunks), records.clone()].concat());
             let checked = check(&mut file).unwrap();
-            assert_eq!(checked.is_ok(), is_fine, "{evlrs} records of {records:?}, {chunks} chunks: {checked:?}");
+            assert_eq!(
+                checked.is_ok(),
+                is_fine,
+                "{evlrs} records of {records:?}, {chunks} chunks: {checked:?}"
+            );
         }
         assert!(check(&mut file(u64::MAX, 1, &points(table, 2))).unwrap().is_err());
-        assert!(check(&mut file(0, 0, &points(1 << 50, 2))).unwrap().is_err(), "a table behind the end");
-        assert!(check(&mut file(0, 0, b"")).unwrap().is_ok(), "no points: its reader says what is wrong");
+        assert!(
+            check(&mut file(0, 0, &points(1 << 50, 2))).unwrap().is_err(),
+            "a table behind the end"
+        );
+        assert!(
+            check(&mut file(0, 0, b"")).unwrap().is_ok(),
+            "no points: its reader says what is wrong"
+        );
     }
 }

@@ -64,7 +64,15 @@ impl Records {
         let file_bytes = source.metadata().map_err(io)?.len().saturating_sub(start);
         source.seek(SeekFrom::Start(start)).map_err(io)?;
         let source = BufReader::with_capacity(BLOCK_BYTES, source);
-        Ok(Some(Self { source, points, bytes, file_bytes, colour, scale: three(131), offset: three(155) }))
+        Ok(Some(Self {
+            source,
+            points,
+            bytes,
+            file_bytes,
+            colour,
+            scale: three(131),
+            offset: three(155),
+        }))
     }
 
     /// Whether as many points as are announced may be read, and can be there.
@@ -72,14 +80,21 @@ impl Records {
         bounds.check(file, self.points)?;
         match self.points.saturating_mul(self.bytes as u64) > self.file_bytes {
             true => {
-                let reason = format!("it announces {} points but has only {} bytes of them", self.points, self.file_bytes);
+                let reason = format!(
+                    "it announces {} points but has only {} bytes of them",
+                    self.points, self.file_bytes
+                );
                 Err(IngestError::malformed(file, reason))
             }
             false => Ok(()),
         }
     }
 
-    pub fn read(mut self, file: &Utf8Path, mut gathered: Gathered) -> Result<Gathered, IngestError> {
+    pub fn read(
+        mut self,
+        file: &Utf8Path,
+        mut gathered: Gathered,
+    ) -> Result<Gathered, IngestError> {
         gathered.expect(file, usize::try_from(self.points).unwrap_or(usize::MAX))?;
         gathered.coloured(self.colour.is_some());
         let per_block = (BLOCK_BYTES / self.bytes).max(1);
@@ -90,7 +105,12 @@ impl Records {
             let rows = left.min(per_block as u64) as usize;
             let block = &mut block[..rows * self.bytes];
             let done = self.points - left;
-            let truncated = |_| IngestError::malformed(file, format!("truncated: about {done} of {} points", self.points));
+            let truncated = |_| {
+                IngestError::malformed(
+                    file,
+                    format!("truncated: about {done} of {} points", self.points),
+                )
+            };
             self.source.read_exact(block).map_err(truncated)?;
             for row in block.chunks_exact(self.bytes) {
                 let axis = |i: usize| {
@@ -102,7 +122,10 @@ impl Records {
                 if let Some(colour) = self.colour
                     && gathered.len() > before
                 {
-                    wide.push([0, 2, 4].map(|i| u16::from_le_bytes([row[colour + i], row[colour + i + 1]])));
+                    wide.push(
+                        [0, 2, 4]
+                            .map(|i| u16::from_le_bytes([row[colour + i], row[colour + i + 1]])),
+                    );
                 }
             }
             left -= rows as u64;
@@ -159,7 +182,12 @@ mod tests {
     fn counts_that_lie_are_told_by_the_header() {
         let mut many = las();
         many[107..111].copy_from_slice(&900_u32.to_le_bytes());
-        assert!(read(&many).unwrap_err().to_string().contains("announces 900 points but has only 52 bytes"));
+        assert!(
+            read(&many)
+                .unwrap_err()
+                .to_string()
+                .contains("announces 900 points but has only 52 bytes")
+        );
         // Found by fuzzing: a count of version 1.4 that is no number of bytes any more.
         let mut endless = las();
         endless.splice(227..227, [0; 148]);

@@ -1,5 +1,6 @@
-//! Faces of a PLY file. Nearly all meshes of scans have a vertex every few centimetres, as exact as the scan: those are the cloud. A mesh
-//! that somebody modelled or simplified has corners only: most of its surface lies in large triangles, and the cloud is sampled from them.
+//! Faces of a PLY file. Nearly all meshes of scans have a vertex every few centimetres, as exact as
+//! the scan: those are the cloud. A mesh that somebody modelled or simplified has corners only:
+//! most of its surface lies in large triangles, and the cloud is sampled from them.
 
 use super::rows::Rows;
 use crate::ingest::clouds::Gathered;
@@ -11,8 +12,9 @@ use std::io::{BufRead, Seek, SeekFrom};
 /// A triangle with a longer side than this is large, metres.
 const LARGE_M: f64 = 0.1;
 
-/// Puts points of the faces in the place of the vertices where more than half of the surface lies in large triangles. Faces are read twice
-/// and never held. Vertices that are thinned out, or lack some, stay as they are.
+/// Puts points of the faces in the place of the vertices where more than half of the surface lies
+/// in large triangles. Faces are read twice and never held. Vertices that are thinned out, or lack
+/// some, stay as they are.
 pub(super) fn sample_if_sparse(
     rows: &Rows,
     source: &mut (impl BufRead + Seek),
@@ -30,7 +32,11 @@ pub(super) fn sample_if_sparse(
             large_area += own;
         }
     })?;
-    let Some(mut sampling) = Sampling::of(area, metres_per_unit).filter(|_| large_area > area / 2.0) else { return Ok(()) };
+    let Some(mut sampling) =
+        Sampling::of(area, metres_per_unit).filter(|_| large_area > area / 2.0)
+    else {
+        return Ok(());
+    };
     source.seek(SeekFrom::Start(start)).map_err(|e| e.to_string())?;
     let mut sampled = PointCloud::default();
     triangles(rows, source, count, vertices, |triangle| {
@@ -55,9 +61,14 @@ fn triangles(
         let at = index as usize;
         // Comparing back: what is negative, too large or no number names no vertex.
         let position = vertices.positions.get(at).filter(|_| at as f64 == index);
-        let position = position.ok_or_else(|| format!("{index} names a vertex that is not there"))?;
+        let position =
+            position.ok_or_else(|| format!("{index} names a vertex that is not there"))?;
         let tint = vertices.colours[at].map(|c| f32::from(c) / 255.0);
-        Ok::<_, String>(Corner { at: [position.x, position.y, position.z].map(f64::from), tint, uv: None })
+        Ok::<_, String>(Corner {
+            at: [position.x, position.y, position.z].map(f64::from),
+            tint,
+            uv: None,
+        })
     };
     rows.faces(source, count, |corners| {
         let [first, rest @ ..] = corners else { return Ok(()) };
@@ -84,10 +95,16 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         std::fs::write(root.join("mesh.ply"), bytes).unwrap();
-        clouds::read(root, Utf8Path::new("mesh.ply"), &Bounds { announced: 1 << 30, kept: 1 << 30 }, Origin::Free)
+        clouds::read(
+            root,
+            Utf8Path::new("mesh.ply"),
+            &Bounds { announced: 1 << 30, kept: 1 << 30 },
+            Origin::Free,
+        )
     }
 
-    /// A square metre as so many squares a side; half red, half blue. Faces are squares or triangles, in ascii or binary.
+    /// A square metre as so many squares a side; half red, half blue. Faces are squares or
+    /// triangles, in ascii or binary.
     fn square(steps: usize, ascii: bool, faces: bool) -> Vec<u8> {
         let (corners, squares) = ((steps + 1) * (steps + 1), if faces { steps * steps } else { 0 });
         let encoding = if ascii { "ascii" } else { "binary_little_endian" };
@@ -111,7 +128,10 @@ mod tests {
             let low = i / steps * (steps + 1) + i % steps;
             let around = [low, low + 1, low + steps + 2, low + steps + 1];
             if ascii {
-                bytes.extend(format!("7 4 {} {} {} {}\n", around[0], around[1], around[2], around[3]).bytes());
+                bytes.extend(
+                    format!("7 4 {} {} {} {}\n", around[0], around[1], around[2], around[3])
+                        .bytes(),
+                );
             } else {
                 bytes.extend([7, 4]);
                 around.iter().for_each(|v| bytes.extend((*v as i32).to_le_bytes()));
@@ -123,19 +143,28 @@ mod tests {
     #[test]
     fn a_scans_mesh_is_its_vertices_to_the_bit() {
         for steps in [20, 50] {
-            let (mesh, points) = (read_bytes(&square(steps, false, true)).unwrap(), read_bytes(&square(steps, false, false)).unwrap());
+            let (mesh, points) = (
+                read_bytes(&square(steps, false, true)).unwrap(),
+                read_bytes(&square(steps, false, false)).unwrap(),
+            );
             assert_eq!(mesh.cloud.len(), (steps + 1) * (steps + 1));
-            assert_eq!((mesh.cloud.positions, mesh.cloud.colours), (points.cloud.positions, points.cloud.colours));
+            assert_eq!(
+                (mesh.cloud.positions, mesh.cloud.colours),
+                (points.cloud.positions, points.cloud.colours)
+            );
         }
     }
 
     #[test]
     fn a_mesh_of_few_corners_is_sampled_a_centimetre_apart() {
-        let [ascii, binary] = [true, false].map(|ascii| read_bytes(&square(2, ascii, true)).unwrap());
+        let [ascii, binary] =
+            [true, false].map(|ascii| read_bytes(&square(2, ascii, true)).unwrap());
         assert_eq!((ascii.cloud.positions.len(), ascii.has_colour), (10_000, true));
         assert!(ascii.cloud.colours.iter().all(|c| *c == [250, 0, 50]));
         for quarter in 0..4 {
-            let inside = |p: &&crate::geometry::Point3<f32>| (p.x > 0.5) == (quarter % 2 == 1) && (p.y > 0.5) == (quarter / 2 == 1);
+            let inside = |p: &&crate::geometry::Point3<f32>| {
+                (p.x > 0.5) == (quarter % 2 == 1) && (p.y > 0.5) == (quarter / 2 == 1)
+            };
             let count = ascii.cloud.positions.iter().filter(inside).count();
             assert!((2350..2650).contains(&count), "{count} in one quarter");
         }

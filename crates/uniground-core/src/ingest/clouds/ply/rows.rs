@@ -47,12 +47,17 @@ impl Rows {
     pub fn of(element: &ElementDef, encoding: &Encoding) -> Self {
         let column = |name: &str, data_type: &PropertyType| match data_type {
             PropertyType::Scalar(scalar) => Column::Scalar(scalar.clone(), Field::of(name)),
-            PropertyType::List(count, item) if ["vertex_indices", "vertex_index"].contains(&name) => {
+            PropertyType::List(count, item)
+                if ["vertex_indices", "vertex_index"].contains(&name) =>
+            {
                 Column::List(count.clone(), item.clone(), ListOf::Corners)
             }
-            PropertyType::List(count, item) => Column::List(count.clone(), item.clone(), ListOf::Other),
+            PropertyType::List(count, item) => {
+                Column::List(count.clone(), item.clone(), ListOf::Other)
+            }
         };
-        let columns: Vec<_> = element.properties.values().map(|p| column(&p.name, &p.data_type)).collect();
+        let columns: Vec<_> =
+            element.properties.values().map(|p| column(&p.name, &p.data_type)).collect();
         let width = |column: &Column| match column {
             Column::Scalar(scalar, _) => Some(size_of_scalar(scalar)),
             Column::List(..) => None,
@@ -81,7 +86,12 @@ impl Rows {
         }
     }
 
-    pub fn read(&self, source: &mut impl BufRead, count: usize, gathered: &mut Gathered) -> Result<(), String> {
+    pub fn read(
+        &self,
+        source: &mut impl BufRead,
+        count: usize,
+        gathered: &mut Gathered,
+    ) -> Result<(), String> {
         if let (Some(order), Some(bytes)) = (self.order, self.bytes) {
             return self.read_even(source, count, bytes, order, gathered);
         }
@@ -92,7 +102,12 @@ impl Rows {
     }
 
     /// Shows the corners of every face.
-    pub fn faces(&self, source: &mut impl BufRead, count: usize, mut face: impl FnMut(&[f64]) -> Result<(), String>) -> Result<(), String> {
+    pub fn faces(
+        &self,
+        source: &mut impl BufRead,
+        count: usize,
+        mut face: impl FnMut(&[f64]) -> Result<(), String>,
+    ) -> Result<(), String> {
         self.each_uneven(source, count, |_, corners| face(corners))
     }
 
@@ -118,7 +133,13 @@ impl Rows {
         Ok(())
     }
 
-    fn read_line(&self, line: &[u8], row: usize, vertex: &mut Vertex, corners: &mut Vec<f64>) -> Result<(), String> {
+    fn read_line(
+        &self,
+        line: &[u8],
+        row: usize,
+        vertex: &mut Vertex,
+        corners: &mut Vec<f64>,
+    ) -> Result<(), String> {
         let text = std::str::from_utf8(line).map_err(|e| format!("row {row}: {e}"))?;
         let mut words = text.split_ascii_whitespace();
         let too_few = || {
@@ -129,7 +150,9 @@ impl Rows {
             let word = words.next().ok_or_else(too_few)?;
             let not_a_number = |word: &str| format!("row {row}: {word:?} is not a number");
             match column {
-                Column::Scalar(scalar, Some(field)) => vertex.set(*field, word.parse().map_err(|_| not_a_number(word))?, scalar),
+                Column::Scalar(scalar, Some(field)) => {
+                    vertex.set(*field, word.parse().map_err(|_| not_a_number(word))?, scalar)
+                }
                 Column::Scalar(_, None) => {}
                 Column::List(_, _, of) => {
                     let items: usize = word.parse().map_err(|_| not_a_number(word))?;
@@ -145,7 +168,8 @@ impl Rows {
         Ok(())
     }
 
-    /// Rows of one size: a block at a time, and of it one column after the other, whose type is then looked at once.
+    /// Rows of one size: a block at a time, and of it one column after the other, whose type is
+    /// then looked at once.
     fn read_even(
         &self,
         source: &mut impl BufRead,
@@ -163,7 +187,8 @@ impl Rows {
             }
         }
         let per_block = (BLOCK_BYTES / bytes).max(1);
-        let (mut block, mut vertices) = (vec![0; bytes * per_block], vec![Vertex::new(); per_block]);
+        let (mut block, mut vertices) =
+            (vec![0; bytes * per_block], vec![Vertex::new(); per_block]);
         let mut left = count;
         while left > 0 {
             let rows = left.min(per_block);
@@ -172,7 +197,9 @@ impl Rows {
             vertices.fill(Vertex::new());
             for &(field, offset, scalar) in &fields {
                 let column = block.chunks_exact(bytes).map(|row| &row[offset..]);
-                numbers(column, scalar, order, vertices.iter_mut(), |vertex, value| vertex.set(field, value, scalar));
+                numbers(column, scalar, order, vertices.iter_mut(), |vertex, value| {
+                    vertex.set(field, value, scalar)
+                });
             }
             vertices.iter().for_each(|vertex| vertex.hand_to(gathered));
             left -= rows;
@@ -181,7 +208,13 @@ impl Rows {
     }
 
     /// A binary row that holds lists.
-    fn read_uneven(&self, source: &mut impl BufRead, order: Order, vertex: &mut Vertex, corners: &mut Vec<f64>) -> Result<(), String> {
+    fn read_uneven(
+        &self,
+        source: &mut impl BufRead,
+        order: Order,
+        vertex: &mut Vertex,
+        corners: &mut Vec<f64>,
+    ) -> Result<(), String> {
         for column in &self.columns {
             match column {
                 Column::Scalar(scalar, field) => {
@@ -210,7 +243,12 @@ impl Rows {
     }
 }
 
-fn next_line(source: &mut impl BufRead, line: &mut Vec<u8>, row: usize, count: usize) -> Result<(), String> {
+fn next_line(
+    source: &mut impl BufRead,
+    line: &mut Vec<u8>,
+    row: usize,
+    count: usize,
+) -> Result<(), String> {
     match read_line(source, line, MAX_LINE_BYTES) {
         Ok(true) => Ok(()),
         Ok(false) => Err(format!("truncated: {row} of {count} rows")),
@@ -235,9 +273,15 @@ fn size_of_scalar(scalar: &ScalarType) -> usize {
     }
 }
 
-fn next_number(source: &mut impl BufRead, scalar: &ScalarType, order: Order) -> Result<f64, String> {
+fn next_number(
+    source: &mut impl BufRead,
+    scalar: &ScalarType,
+    order: Order,
+) -> Result<f64, String> {
     let mut bytes = [0; 8];
-    source.read_exact(&mut bytes[..size_of_scalar(scalar)]).map_err(|e| format!("truncated: {e}"))?;
+    source
+        .read_exact(&mut bytes[..size_of_scalar(scalar)])
+        .map_err(|e| format!("truncated: {e}"))?;
     let mut number = 0.0;
     numbers([&bytes[..]], scalar, order, [&mut number], |number, value| *number = value);
     Ok(number)
@@ -256,7 +300,11 @@ fn numbers<'a, P>(
         ($number:ty) => {
             for (place, bytes) in places.into_iter().zip(bytes) {
                 let bytes = bytes.first_chunk().copied().unwrap_or_default();
-                let number = if order == Order::Little { <$number>::from_le_bytes(bytes) } else { <$number>::from_be_bytes(bytes) };
+                let number = if order == Order::Little {
+                    <$number>::from_le_bytes(bytes)
+                } else {
+                    <$number>::from_be_bytes(bytes)
+                };
                 put(place, f64::from(number));
             }
         };

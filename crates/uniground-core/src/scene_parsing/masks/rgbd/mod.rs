@@ -1,8 +1,9 @@
 //! Built-in masks from colour, depth and normals; no model.
 //!
-//! Three steps on a grid of every second pixel: surfaces (position, normal, colour), small even patches cut along edges,
-//! and patches joined into things by local convexity (LCCP: patches that meet concavely belong to different objects)
-//! and colour. Large planes stay apart: things stand on floors and tables and hang on walls.
+//! Three steps on a grid of every second pixel: surfaces (position, normal, colour), small even
+//! patches cut along edges, and patches joined into things by local convexity (LCCP: patches that
+//! meet concavely belong to different objects) and colour. Large planes stay apart: things stand on
+//! floors and tables and hang on walls.
 
 mod patches;
 mod surfaces;
@@ -44,20 +45,27 @@ impl RgbdMasks {
 }
 
 impl RgbdMasks {
-    /// The masks of one frame from coarse to fine: things, then the even patches they are made of, with these times the settings' unevenness.
+    /// The masks of one frame from coarse to fine: things, then the even patches they are made of,
+    /// with these times the settings' unevenness.
     #[must_use]
     pub fn levels(&self, frame: &Frame, unevenness: &[f32]) -> Vec<IdImage> {
         let surfaces = Surfaces::of(frame, self.settings.stride);
-        let things = things::join(&surfaces, &patches::cut(&surfaces, &self.settings), &self.settings);
+        let things =
+            things::join(&surfaces, &patches::cut(&surfaces, &self.settings), &self.settings);
         let finer = unevenness.iter().map(|times| {
-            let settings = RgbdSettings { patch_scale: self.settings.patch_scale * times, ..self.settings };
+            let settings =
+                RgbdSettings { patch_scale: self.settings.patch_scale * times, ..self.settings };
             patches::cut(&surfaces, &settings)
         });
-        std::iter::once(things).chain(finer).map(|labels| spread(&surfaces, &labels, frame)).collect()
+        std::iter::once(things)
+            .chain(finer)
+            .map(|labels| spread(&surfaces, &labels, frame))
+            .collect()
     }
 }
 
-/// Grid labels to an id image at full depth resolution. Pixels without depth get no mask; ids past `u16` neither.
+/// Grid labels to an id image at full depth resolution. Pixels without depth get no mask; ids past
+/// `u16` neither.
 fn spread(surfaces: &Surfaces, things: &[u32], frame: &Frame) -> IdImage {
     let (width, height) = (frame.depth.width, frame.depth.height);
     let mut ids = vec![0; (width * height) as usize];

@@ -1,11 +1,12 @@
-//! Even patches: a graph segmentation (Felzenszwalb and Huttenlocher 2004) over colour and normal edges that never crosses
-//! a depth step.
+//! Even patches: a graph segmentation (Felzenszwalb and Huttenlocher 2004) over colour and normal
+//! edges that never crosses a depth step.
 
 use super::RgbdSettings;
 use super::surfaces::Surfaces;
 use crate::geometry::Vector3;
 
-/// Signed bend between two neighbouring elements, radians: positive where the surface is concave (a valley).
+/// Signed bend between two neighbouring elements, radians: positive where the surface is concave (a
+/// valley).
 pub(super) fn bend(surfaces: &Surfaces, a: usize, b: usize) -> f32 {
     let (na, nb): (Vector3<f32>, Vector3<f32>) = (surfaces.normals[a], surfaces.normals[b]);
     let angle = na.dot(&nb).clamp(-1.0, 1.0).acos();
@@ -22,7 +23,11 @@ pub(super) fn cut(surfaces: &Surfaces, settings: &RgbdSettings) -> Vec<u32> {
         .map(|(a, b)| {
             let colour = (surfaces.labs[a] - surfaces.labs[b]).norm() / settings.colour_edge;
             let bend = bend(surfaces, a, b).to_degrees();
-            let shape = if bend > 0.0 { bend / settings.concave_edge_deg } else { -bend / settings.convex_edge_deg };
+            let shape = if bend > 0.0 {
+                bend / settings.concave_edge_deg
+            } else {
+                -bend / settings.convex_edge_deg
+            };
             (colour.max(shape), a as u32, b as u32)
         })
         .collect();
@@ -30,13 +35,20 @@ pub(super) fn cut(surfaces: &Surfaces, settings: &RgbdSettings) -> Vec<u32> {
     let mut forest = Forest::new(surfaces.depth_m.len());
     for &(weight, a, b) in &edges {
         let (a, b) = (forest.sets.find(a), forest.sets.find(b));
-        if a != b && weight <= forest.tolerance(a, settings.patch_scale).min(forest.tolerance(b, settings.patch_scale)) {
+        if a != b
+            && weight
+                <= forest
+                    .tolerance(a, settings.patch_scale)
+                    .min(forest.tolerance(b, settings.patch_scale))
+        {
             forest.join(a, b, weight);
         }
     }
     for &(weight, a, b) in &edges {
         let (a, b) = (forest.sets.find(a), forest.sets.find(b));
-        if a != b && forest.size[a as usize].min(forest.size[b as usize]) < settings.min_patch_pixels {
+        if a != b
+            && forest.size[a as usize].min(forest.size[b as usize]) < settings.min_patch_pixels
+        {
             forest.join(a, b, weight);
         }
     }
@@ -52,7 +64,11 @@ struct Forest {
 
 impl Forest {
     fn new(len: usize) -> Self {
-        Self { sets: crate::geometry::union_find::UnionFind::new(len), size: vec![1; len], inner: vec![0.0; len] }
+        Self {
+            sets: crate::geometry::union_find::UnionFind::new(len),
+            size: vec![1; len],
+            inner: vec![0.0; len],
+        }
     }
 
     fn tolerance(&self, root: u32, scale: f32) -> f32 {

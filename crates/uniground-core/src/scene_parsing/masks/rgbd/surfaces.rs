@@ -24,7 +24,10 @@ impl Surfaces {
     pub fn of(frame: &Frame, stride: u32) -> Self {
         let stride = stride.max(1);
         let intrinsics = frame.depth_camera.intrinsics;
-        let (width, height) = ((frame.depth.width / stride).max(1) as usize, (frame.depth.height / stride).max(1) as usize);
+        let (width, height) = (
+            (frame.depth.width / stride).max(1) as usize,
+            (frame.depth.height / stride).max(1) as usize,
+        );
         let colours = frame.colour_on_depth_grid();
         let (mut depth_m, mut points, mut labs) = (Vec::new(), Vec::new(), Vec::new());
         for row in 0..height as u32 {
@@ -37,7 +40,16 @@ impl Surfaces {
             }
         }
         let spacing_per_m = stride as f32 / intrinsics.fx;
-        let mut surfaces = Self { width, height, stride, depth_m, points, normals: Vec::new(), labs, spacing_per_m };
+        let mut surfaces = Self {
+            width,
+            height,
+            stride,
+            depth_m,
+            points,
+            normals: Vec::new(),
+            labs,
+            spacing_per_m,
+        };
         surfaces.normals = surfaces.smooth_normals();
         surfaces
     }
@@ -48,7 +60,8 @@ impl Surfaces {
         row.min(self.height - 1) * self.width + column.min(self.width - 1)
     }
 
-    /// Whether the surface runs on from one element to another: their depths differ no more than noise and slant explain.
+    /// Whether the surface runs on from one element to another: their depths differ no more than
+    /// noise and slant explain.
     pub fn continuous(&self, a: usize, b: usize) -> bool {
         let (za, zb) = (self.depth_m[a], self.depth_m[b]);
         if za <= 0.0 || zb <= 0.0 {
@@ -56,7 +69,8 @@ impl Surfaces {
         }
         let z = za.min(zb);
         let step = self.points[b] - self.points[a];
-        // Out of either element's tangent plane: a slanted floor has large depth steps but stays in its plane.
+        // Out of either element's tangent plane: a slanted floor has large depth steps but stays in
+        // its plane.
         let off_plane = step.dot(&self.normals[a]).abs().min(step.dot(&self.normals[b]).abs());
         off_plane <= 0.006 + 0.005 * z * z && step.norm() <= 0.03 + 12.0 * self.spacing_per_m * z
     }
@@ -71,7 +85,8 @@ impl Surfaces {
         })
     }
 
-    /// Normals by least squares over a window that widens with sensor noise (about depth squared), not across depth steps.
+    /// Normals by least squares over a window that widens with sensor noise (about depth squared),
+    /// not across depth steps.
     fn smooth_normals(&self) -> Vec<Vector3<f32>> {
         let (w, h) = (self.width as i32, self.height as i32);
         let tangent = |i: usize, du: i32, dv: i32, reach: i32| -> Option<Vector3<f32>> {
@@ -81,7 +96,10 @@ impl Surfaces {
                 let (u, v) = (u + du * k, v + dv * k);
                 let j = (v * w + u) as usize;
                 let inside = (0..w).contains(&u) && (0..h).contains(&v);
-                (inside && self.depth_m[j] > 0.0 && (self.depth_m[j] - z).abs() < 0.02 * z + 3.0 * self.spacing_per_m * z * k.abs() as f32)
+                (inside
+                    && self.depth_m[j] > 0.0
+                    && (self.depth_m[j] - z).abs()
+                        < 0.02 * z + 3.0 * self.spacing_per_m * z * k.abs() as f32)
                     .then(|| self.points[j])
             };
             // Mean slope over the window: pairs (-k, +k), one-sided at borders.
@@ -107,8 +125,11 @@ impl Surfaces {
                 let normal = tangent(i, 1, 0, reach)
                     .zip(tangent(i, 0, 1, reach))
                     .and_then(|(u, v)| u.cross(&v).try_normalize(1e-12));
-                // u x v looks away from the camera (x right, y down, z forward): turn it around where needed.
-                normal.map_or(Vector3::zeros(), |n| if n.dot(&self.points[i].coords) > 0.0 { -n } else { n })
+                // u x v looks away from the camera (x right, y down, z forward): turn it around
+                // where needed.
+                normal.map_or(Vector3::zeros(), |n| {
+                    if n.dot(&self.points[i].coords) > 0.0 { -n } else { n }
+                })
             })
             .collect();
         // One pass over the neighbours on the same surface evens out what the slopes left.
@@ -116,10 +137,14 @@ impl Surfaces {
             .map(|i| {
                 let (u, v) = ((i as i32) % w, (i as i32) / w);
                 let mut sum = raw[i];
-                for (du, dv) in [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, 1), (-1, 1), (1, -1)] {
+                for (du, dv) in
+                    [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, 1), (-1, 1), (1, -1)]
+                {
                     if (0..w).contains(&(u + du)) && (0..h).contains(&(v + dv)) {
                         let j = ((v + dv) * w + u + du) as usize;
-                        if (self.depth_m[j] - self.depth_m[i]).abs() < 0.02 * self.depth_m[i] && raw[i].dot(&raw[j]) > 0.9 {
+                        if (self.depth_m[j] - self.depth_m[i]).abs() < 0.02 * self.depth_m[i]
+                            && raw[i].dot(&raw[j]) > 0.9
+                        {
                             sum += raw[j];
                         }
                     }
@@ -130,7 +155,8 @@ impl Surfaces {
     }
 }
 
-/// The depth of a pixel, or where it has none the mean of those around it, if there are enough and they are of one surface.
+/// The depth of a pixel, or where it has none the mean of those around it, if there are enough and
+/// they are of one surface.
 ///
 /// Depth that was warped into another camera is full of cracks a pixel wide; they are no borders.
 fn depth_or_bridge(depth: &DepthImage, u: u32, v: u32) -> f32 {
@@ -174,7 +200,11 @@ mod tests {
     use super::*;
 
     fn image(depth_of: impl Fn(u32, u32) -> f32) -> DepthImage {
-        DepthImage { width: 9, height: 9, depth_m: (0..81).map(|i| depth_of(i % 9, i / 9)).collect() }
+        DepthImage {
+            width: 9,
+            height: 9,
+            depth_m: (0..81).map(|i| depth_of(i % 9, i / 9)).collect(),
+        }
     }
 
     #[test]

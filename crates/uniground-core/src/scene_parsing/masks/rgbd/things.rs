@@ -1,4 +1,5 @@
-//! Patches to things: neighbours join cheapest border first, where the border is flat or convex and the colours agree.
+//! Patches to things: neighbours join cheapest border first, where the border is flat or convex and
+//! the colours agree.
 
 use super::RgbdSettings;
 use super::patches::bend;
@@ -34,7 +35,8 @@ struct Border {
     bend: f32,
 }
 
-/// A join on offer: cost (as bits, cheapest first), the two regions, and their generations when it was made.
+/// A join on offer: cost (as bits, cheapest first), the two regions, and their generations when it
+/// was made.
 type Offer = (Reverse<u32>, Reverse<(u32, u32)>, u32, u32);
 
 /// Thing label `0..n` of each element.
@@ -48,7 +50,12 @@ pub(super) fn join(surfaces: &Surfaces, patches: &[u32], settings: &RgbdSettings
         let cost = cost(&regions[a as usize], &regions[b as usize], border, settings);
         if cost < settings.join_cost {
             // Costs are not negative: their bits sort like the numbers.
-            queue.push((Reverse(cost.to_bits()), Reverse((a, b)), regions[a as usize].version, regions[b as usize].version));
+            queue.push((
+                Reverse(cost.to_bits()),
+                Reverse((a, b)),
+                regions[a as usize].version,
+                regions[b as usize].version,
+            ));
         }
     };
     for a in 0..count as u32 {
@@ -97,7 +104,8 @@ fn cost(a: &Region, b: &Region, border: &Border, settings: &RgbdSettings) -> f32
     let colour = (a.lab - b.lab).norm() / settings.join_colour;
     let bend_deg = (border.bend / border.continuous).to_degrees();
     let concave = bend_deg.max(0.0) / settings.join_concave_deg;
-    // What rests on a plane meets it in a valley and is another thing; sides of a box meet in a ridge and are one.
+    // What rests on a plane meets it in a valley and is another thing; sides of a box meet in a
+    // ridge and are one.
     let planes = [a, b].map(|r| r.area_m2 >= settings.plane_area_m2 && r.is_flat());
     let apart = match planes {
         _ if bend_deg < SAME_PLANE_DEG => 0.0,
@@ -112,7 +120,8 @@ fn cost(a: &Region, b: &Region, border: &Border, settings: &RgbdSettings) -> f32
 const SAME_PLANE_DEG: f32 = 8.0;
 
 impl Region {
-    /// Points stay as close to their plane as sensor noise, which grows with distance squared, lets them.
+    /// Points stay as close to their plane as sensor noise, which grows with distance squared, lets
+    /// them.
     fn is_flat(&self) -> bool {
         let mean = self.position_sum / self.pixels;
         let covariance = self.moments / self.pixels - mean * mean.transpose();
@@ -134,14 +143,23 @@ fn merged(a: &Region, b: &Region) -> Region {
 }
 
 fn regions(surfaces: &Surfaces, patches: &[u32], count: usize) -> Vec<Region> {
-    let empty =
-        Region { pixels: 0.0, area_m2: 0.0, lab: Lab::zeros(), position_sum: Vector3::zeros(), moments: Matrix3::zeros(), version: 0 };
+    let empty = Region {
+        pixels: 0.0,
+        area_m2: 0.0,
+        lab: Lab::zeros(),
+        position_sum: Vector3::zeros(),
+        moments: Matrix3::zeros(),
+        version: 0,
+    };
     let mut regions = vec![empty; count];
     for (i, &patch) in patches.iter().enumerate() {
         let region = &mut regions[patch as usize];
         let p = surfaces.points[i].coords;
         // A pixel covers more surface the further away and the more slanted it is.
-        let facing = surfaces.normals[i].dot(&p.try_normalize(1e-9).unwrap_or_else(Vector3::z)).abs().max(0.1);
+        let facing = surfaces.normals[i]
+            .dot(&p.try_normalize(1e-9).unwrap_or_else(Vector3::z))
+            .abs()
+            .max(0.1);
         region.pixels += 1.0;
         region.area_m2 += (surfaces.spacing_per_m * surfaces.depth_m[i]).powi(2) / facing;
         region.lab += surfaces.labs[i];
@@ -160,7 +178,8 @@ fn borders(surfaces: &Surfaces, patches: &[u32], count: usize) -> Vec<BTreeMap<u
             continue;
         }
         let continuous = surfaces.continuous(i, j);
-        // The bend across a border shows a few elements away from it: normals right at an edge are smoothed.
+        // The bend across a border shows a few elements away from it: normals right at an edge are
+        // smoothed.
         let (far_i, far_j) = beyond(surfaces, patches, i, j);
         let bend = if continuous { bend(surfaces, far_i, far_j) } else { 0.0 };
         for (from, to) in [(a, b), (b, a)] {
@@ -179,15 +198,22 @@ fn beyond(surfaces: &Surfaces, patches: &[u32], i: usize, j: usize) -> (usize, u
     let row_bound = step == 1;
     let (mut back, mut ahead) = (i, j);
     for _ in 0..STRETCH {
-        if back >= step && patches[back - step] == patches[i] && (!row_bound || back % surfaces.width != 0) {
+        if back >= step
+            && patches[back - step] == patches[i]
+            && (!row_bound || back % surfaces.width != 0)
+        {
             back -= step;
         }
-        if ahead + step < patches.len() && patches[ahead + step] == patches[j] && (!row_bound || (ahead + 1) % surfaces.width != 0) {
+        if ahead + step < patches.len()
+            && patches[ahead + step] == patches[j]
+            && (!row_bound || (ahead + 1) % surfaces.width != 0)
+        {
             ahead += step;
         }
     }
     (back, ahead)
 }
 
-/// As far as normals are smoothed at most: nearer to an edge they show less of the bend than there is.
+/// As far as normals are smoothed at most: nearer to an edge they show less of the bend than there
+/// is.
 const STRETCH: usize = 6;

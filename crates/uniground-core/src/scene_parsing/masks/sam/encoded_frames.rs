@@ -1,4 +1,5 @@
-//! Encoded pictures, kept on disk while a scene is parsed: encoding costs a second, reading back hundredths of one.
+//! Encoded pictures, kept on disk while a scene is parsed: encoding costs a second, reading back
+//! hundredths of one.
 
 use crate::models::neural::{Encoded, ModelError, Segmenter};
 use crate::scene::FrameIndex;
@@ -20,12 +21,16 @@ pub struct EncodedFrames {
 }
 
 impl EncodedFrames {
-    /// Keeps up to `max_bytes` in a folder of its own below `place`, or among the system's temporary files. Dropping the value removes the
-    /// folder.
+    /// Keeps up to `max_bytes` in a folder of its own below `place`, or among the system's
+    /// temporary files. Dropping the value removes the folder.
     ///
     /// # Errors
     /// When no folder can be made.
-    pub fn new(segmenter: Arc<Segmenter>, place: Option<&Utf8Path>, max_bytes: u64) -> io::Result<Self> {
+    pub fn new(
+        segmenter: Arc<Segmenter>,
+        place: Option<&Utf8Path>,
+        max_bytes: u64,
+    ) -> io::Result<Self> {
         let folder = place.map_or_else(tempfile::tempdir, tempfile::tempdir_in)?;
         Ok(Self { segmenter, folder, bytes_left: AtomicU64::new(max_bytes) })
     }
@@ -66,7 +71,9 @@ impl EncodedFrames {
         }
         let Ok(bytes) = postcard::to_allocvec(encoded) else { return };
         let size = bytes.len() as u64;
-        let reserved = self.bytes_left.try_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(size));
+        let reserved = self
+            .bytes_left
+            .try_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(size));
         if reserved.is_ok() && fs::write(file, bytes).is_err() {
             // Half a file is no frame.
             let _gone = fs::remove_file(file);

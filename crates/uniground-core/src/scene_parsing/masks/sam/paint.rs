@@ -5,11 +5,18 @@ use super::{Candidate, GRID, MaskOrder, SamSettings};
 use crate::models::neural::{LowMask, Segmenter};
 use crate::scene::Frame;
 
-/// Larger masks cover no parts of theirs: they are walls, or several things at once. Share of the picture.
+/// Larger masks cover no parts of theirs: they are walls, or several things at once. Share of the
+/// picture.
 const LARGEST_WHOLE: f32 = 0.25;
 
-/// Paints masks, best first, over each other: in the order of the settings, and where wanted once more with wholes over their parts.
-pub(super) fn paint(masks: &[Candidate], segmenter: &Segmenter, settings: &SamSettings, frame: &Frame) -> Vec<IdImage> {
+/// Paints masks, best first, over each other: in the order of the settings, and where wanted once
+/// more with wholes over their parts.
+pub(super) fn paint(
+    masks: &[Candidate],
+    segmenter: &Segmenter,
+    settings: &SamSettings,
+    frame: &Frame,
+) -> Vec<IdImage> {
     let mut ordered: Vec<&Candidate> = masks.iter().rev().collect();
     if settings.order == MaskOrder::LargerFirst {
         ordered = masks.iter().collect();
@@ -35,7 +42,11 @@ fn one_image(masks: &[&Candidate], segmenter: &Segmenter, frame: &Frame) -> IdIm
     // Where each column and row of the depth image lies in the colour picture.
     let columns: Vec<f32> = (0..width).map(|u| frame.colour_position(u as f32, 0.0).0).collect();
     let rows: Vec<f32> = (0..height).map(|v| frame.colour_position(0.0, v as f32).1).collect();
-    let mut low = LowMask { logits: vec![OUTSIDE; segmenter.mask_size().pow(2)], predicted_iou: 0.0, index: 0 };
+    let mut low = LowMask {
+        logits: vec![OUTSIDE; segmenter.mask_size().pow(2)],
+        predicted_iou: 0.0,
+        index: 0,
+    };
     for (id, mask) in (1..=u16::MAX).zip(masks) {
         mask.patch.spread(threshold + OUTSIDE, &mut low.logits);
         let (colour_width, colour_height) = frame.colour.dimensions();
@@ -52,7 +63,8 @@ fn one_image(masks: &[&Candidate], segmenter: &Segmenter, frame: &Frame) -> IdIm
     IdImage { width, height, ids }
 }
 
-/// Left, top, right and bottom of a mask in picture pixels, two cells wider than it is on every side, within its window.
+/// Left, top, right and bottom of a mask in picture pixels, two cells wider than it is on every
+/// side, within its window.
 fn bounds(mask: &Candidate, width: u32, height: u32) -> [f32; 4] {
     let (mut low, mut high) = ([GRID; 2], [0; 2]);
     for (i, word) in mask.cells.iter().enumerate().filter(|(_, word)| **word != 0) {
@@ -65,7 +77,8 @@ fn bounds(mask: &Candidate, width: u32, height: u32) -> [f32; 4] {
         }
     }
     let pixel = |cell: f32, length: u32| cell * length as f32 / GRID as f32;
-    let inside = |v: f32, start: u32, reach: u32| v.clamp(start as f32 - 0.5, (start + reach) as f32 - 0.5);
+    let inside =
+        |v: f32, start: u32, reach: u32| v.clamp(start as f32 - 0.5, (start + reach) as f32 - 0.5);
     let w = mask.window;
     [
         inside(pixel(low[0] as f32 - 2.0, width), w.left, w.width),

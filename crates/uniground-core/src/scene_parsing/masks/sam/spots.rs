@@ -27,7 +27,8 @@ enum Unless {
 const SAME_SIZE: f32 = 2.0;
 
 impl Spot {
-    /// Whether the masks found so far answer the question: its window is the whole picture, or it is always asked.
+    /// Whether the masks found so far answer the question: its window is the whole picture, or it
+    /// is always asked.
     pub(super) fn is_answered(&self, picture: (u32, u32), found: &[Candidate]) -> bool {
         let fits = |mask: &Candidate| match self.unless {
             Unless::Never => false,
@@ -50,7 +51,8 @@ pub(super) fn grid((width, height): (u32, u32), per_side: u32, always: bool) -> 
         .collect()
 }
 
-/// The middles of segments that are no specks, the largest segment first: of each the pixel farthest from its border.
+/// The middles of segments that are no specks, the largest segment first: of each the pixel
+/// farthest from its border.
 pub(super) fn middles(segments: &IdImage, frame: &Frame, min_share: f32) -> Vec<Spot> {
     struct Segment {
         pixels: u32,
@@ -58,7 +60,9 @@ pub(super) fn middles(segments: &IdImage, frame: &Frame, min_share: f32) -> Vec<
     }
     let inward = distance_to_border(segments);
     let mut found: Vec<Option<Segment>> = Vec::new();
-    for (i, (&id, &distance)) in segments.ids.iter().zip(&inward).enumerate().filter(|(_, (id, _))| **id != 0) {
+    for (i, (&id, &distance)) in
+        segments.ids.iter().zip(&inward).enumerate().filter(|(_, (id, _))| **id != 0)
+    {
         let id = usize::from(id);
         if found.len() <= id {
             found.resize_with(id + 1, || None);
@@ -70,13 +74,15 @@ pub(super) fn middles(segments: &IdImage, frame: &Frame, min_share: f32) -> Vec<
         }
     }
     let total = segments.ids.len() as f32;
-    let mut segments_found: Vec<Segment> = found.into_iter().flatten().filter(|s| s.pixels as f32 >= min_share * total).collect();
+    let mut segments_found: Vec<Segment> =
+        found.into_iter().flatten().filter(|s| s.pixels as f32 >= min_share * total).collect();
     segments_found.sort_by_key(|s| (std::cmp::Reverse(s.pixels), s.middle.1));
     let width = segments.width as usize;
     segments_found
         .into_iter()
         .map(|s| {
-            let at = frame.colour_position((s.middle.1 % width) as f32, (s.middle.1 / width) as f32);
+            let at =
+                frame.colour_position((s.middle.1 % width) as f32, (s.middle.1 / width) as f32);
             Spot { at, unless: Unless::OfSize(s.pixels as f32 / total) }
         })
         .filter(|spot| {
@@ -86,7 +92,8 @@ pub(super) fn middles(segments: &IdImage, frame: &Frame, min_share: f32) -> Vec<
         .collect()
 }
 
-/// For each pixel how far the nearest pixel of another id, or the end of the picture, is: in thirds of a pixel (chamfer 3-4).
+/// For each pixel how far the nearest pixel of another id, or the end of the picture, is: in thirds
+/// of a pixel (chamfer 3-4).
 fn distance_to_border(segments: &IdImage) -> Vec<u32> {
     let (width, height) = (segments.width as i32, segments.height as i32);
     let mut distance = vec![u32::MAX; segments.ids.len()];
@@ -135,17 +142,23 @@ mod tests {
         assert_eq!(found.len(), 2);
         let ((x, y), (inner_x, inner_y)) = (found[0].at, found[1].at);
         assert!((46.0..75.0).contains(&x) && (28.0..36.0).contains(&y), "{x} {y}");
-        assert!((18.0..22.0).contains(&inner_x) && (18.0..22.0).contains(&inner_y), "{inner_x} {inner_y}");
+        assert!(
+            (18.0..22.0).contains(&inner_x) && (18.0..22.0).contains(&inner_y),
+            "{inner_x} {inner_y}"
+        );
     }
 
     #[test]
     fn a_mask_of_the_same_size_answers_and_one_of_another_does_not() {
         let spots = middles(&segments(), &frame(), 0.001);
         let mask = |reach: usize| {
-            let bits: Vec<bool> = (0..GRID * GRID).map(|i| i % GRID < reach && i / GRID < reach * 2).collect();
+            let bits: Vec<bool> =
+                (0..GRID * GRID).map(|i| i % GRID < reach && i / GRID < reach * 2).collect();
             let cells = bits
                 .chunks(64)
-                .map(|bits| bits.iter().enumerate().fold(0, |word, (bit, on)| word | u64::from(*on) << bit))
+                .map(|bits| {
+                    bits.iter().enumerate().fold(0, |word, (bit, on)| word | u64::from(*on) << bit)
+                })
                 .collect();
             let window = Window { left: 0, top: 0, width: 96, height: 64, scale: (1.0, 1.0) };
             let area = bits.iter().filter(|on| **on).count() as u32;
@@ -153,7 +166,9 @@ mod tests {
         };
         // The inner segment is 20 x 20 of 96 x 64 pixels, 53 x 80 of 256 x 256 cells.
         let (wide, close) = (mask(250), mask(60));
-        let answered = |found: &[Candidate]| spots.iter().map(|s| s.is_answered((96, 64), found)).collect::<Vec<_>>();
+        let answered = |found: &[Candidate]| {
+            spots.iter().map(|s| s.is_answered((96, 64), found)).collect::<Vec<_>>()
+        };
         assert_eq!(answered(&[]), [false, false]);
         assert_eq!(answered(std::slice::from_ref(&wide)), [true, false]);
         assert_eq!(answered(&[wide, close]), [true, true]);
@@ -163,7 +178,13 @@ mod tests {
     fn of_a_grid_what_masks_hold_is_left_out_unless_all_of_it_is_wanted() {
         let window = Window { left: 0, top: 0, width: 96, height: 64, scale: (1.0, 1.0) };
         let left_half = [u64::MAX, u64::MAX, 0, 0].repeat(GRID);
-        let mask = Candidate { quality: 0.9, cells: left_half, area: (GRID * GRID / 2) as u32, patch: Patch::default(), window };
+        let mask = Candidate {
+            quality: 0.9,
+            cells: left_half,
+            area: (GRID * GRID / 2) as u32,
+            patch: Patch::default(),
+            window,
+        };
         let open = |always| {
             grid((96, 64), 4, always)
                 .iter()
