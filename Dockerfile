@@ -14,8 +14,17 @@ WORKDIR /build
 # Dependencies first, over empty packages: this layer is built again only when a manifest or the lockfile changes.
 COPY Cargo.toml Cargo.lock ./
 COPY crates/uniground-types/Cargo.toml crates/uniground-types/
+COPY crates/uniground-geometry/Cargo.toml crates/uniground-geometry/
+COPY crates/uniground-ingest/Cargo.toml crates/uniground-ingest/
+COPY crates/uniground-models/Cargo.toml crates/uniground-models/
+COPY crates/uniground-render/Cargo.toml crates/uniground-render/
+COPY crates/uniground-parsing/Cargo.toml crates/uniground-parsing/
+COPY crates/uniground-language/Cargo.toml crates/uniground-language/
+COPY crates/uniground-grounding/Cargo.toml crates/uniground-grounding/
+COPY crates/uniground-export/Cargo.toml crates/uniground-export/
 COPY crates/uniground-core/Cargo.toml crates/uniground-core/
 COPY crates/uniground-client/Cargo.toml crates/uniground-client/
+COPY crates/uniground-testing/Cargo.toml crates/uniground-testing/
 # Cargo wants every target that a manifest names to be there, built or not.
 RUN for package in . crates/*; do \
         mkdir -p "$package/src" "$package/benches" "$package/tests/integration"; \
@@ -43,7 +52,7 @@ RUN apt-get update \
     && mkdir /data && chown uniground /data
 COPY --from=build /build/target/release/uniground /opt/uniground/
 COPY --from=build /build/library/libonnxruntime.so /opt/uniground/
-COPY LICENSE-MIT LICENSE-APACHE crates/uniground-core/assets/fonts/OFL.txt /opt/uniground/licences/
+COPY LICENSE-MIT LICENSE-APACHE crates/uniground-render/assets/fonts/OFL.txt /opt/uniground/licences/
 COPY src/packages/bundles/clip-vitb16-lite/PROVENANCE.md /opt/uniground/licences/clip-vitb16-lite.md
 COPY --from=build /build/library/LICENSE /build/library/NOTICES /opt/uniground/licences/onnxruntime/
 # Any address but loopback wants a key: pass UNIGROUND_API_KEY.

@@ -71,7 +71,7 @@ fuzz: ## Every fuzz target for SECONDS=60 each (needs a nightly compiler and car
 	scripts/fuzz.sh $(or $(SECONDS),60)
 
 attack: ## Hostile uploads, kills, full disks, crowds: the whole of it, as one table (a full disk needs root)
-	ATTACK=full $(CARGO) test --release --locked --quiet --test attack
+	ATTACK=full $(CARGO) test --release --locked --quiet --workspace --test attack
 
 soak: ## A hundred kills, 64 clients beside parses and a crowd, long lists: a table of each (half an hour; Python 3, Linux)
 	$(CARGO) build --release --locked --quiet

@@ -10,8 +10,8 @@ use uniground::evaluation::systems::{NamedBy, instances_of};
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::geometry::statistics::largest;
 use uniground_core::geometry::{Point3, Vector3};
-use uniground_core::grounding::query::parse;
 use uniground_core::grounding::{NameIndex, Question, SceneView, ground};
+use uniground_core::language::parse;
 use uniground_core::models::attributes::Lexicon;
 use uniground_core::scene::{Embeddings, Instance, PointCloud};
 

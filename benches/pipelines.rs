@@ -10,14 +10,14 @@ use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::{NameIndex, Question, SceneView, ground};
 use uniground_core::ingest;
 use uniground_core::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
+use uniground_core::parsing::checkpoints::Checkpoints;
+use uniground_core::parsing::evidence::{self, Picture};
+use uniground_core::parsing::masks::MaskSource;
+use uniground_core::parsing::masks::rgbd::RgbdMasks;
+use uniground_core::parsing::{self, ParsingSettings, Perception, superpoints};
 use uniground_core::progress::Progress;
 use uniground_core::render::{ROOM_VIEW, RenderScene, scene_picture};
 use uniground_core::scene::SceneBundle;
-use uniground_core::scene_parsing::checkpoints::Checkpoints;
-use uniground_core::scene_parsing::evidence::{self, Picture};
-use uniground_core::scene_parsing::masks::MaskSource;
-use uniground_core::scene_parsing::masks::rgbd::RgbdMasks;
-use uniground_core::scene_parsing::{self, ParsingSettings, Perception, superpoints};
 use uniground_types::settings::ImportSettings;
 
 fn unpacked(folder: &Utf8Path) {
@@ -38,7 +38,7 @@ fn pipelines(c: &mut Criterion) {
         (load(folder), ParsingSettings::default(), RgbdMasks::default());
     let frames = bundle.frames.clone();
     let silent = Progress::silent();
-    let parsed = scene_parsing::parse(
+    let parsed = parsing::parse(
         bundle.clone(),
         &Perception::with_masks(&masks),
         &settings,
@@ -61,7 +61,7 @@ fn pipelines(c: &mut Criterion) {
     });
     group.bench_function("parse: superpoints to views", |b| {
         b.iter(|| {
-            scene_parsing::parse(
+            parsing::parse(
                 bundle.clone(),
                 &Perception::with_masks(&masks),
                 &settings,

@@ -17,13 +17,13 @@ use uniground::evaluation::annotated::{AnnotatedMasks, AnnotatedRoom};
 use uniground::evaluation::annotations::Annotations;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::models::neural::Segmenter;
+use uniground_core::parsing::checkpoints::Checkpoints;
+use uniground_core::parsing::masks::rgbd::RgbdMasks;
+use uniground_core::parsing::masks::{IdImage, MaskSource};
+use uniground_core::parsing::pointed::{Place, Pointing, known_as};
+use uniground_core::parsing::{self, ParsingSettings, Perception, frame_appearance};
 use uniground_core::progress::Progress;
 use uniground_core::scene::{FrameIndex, Instance};
-use uniground_core::scene_parsing::checkpoints::Checkpoints;
-use uniground_core::scene_parsing::masks::rgbd::RgbdMasks;
-use uniground_core::scene_parsing::masks::{IdImage, MaskSource};
-use uniground_core::scene_parsing::pointed::{Place, Pointing, known_as};
-use uniground_core::scene_parsing::{self, ParsingSettings, Perception, frame_appearance};
 
 /// Objects with fewer points are left out, as in the bench of stage 1.
 const MIN_POINTS: u32 = 200;
@@ -64,7 +64,7 @@ fn main() {
         let settings = ParsingSettings::default();
         let rgbd = RgbdMasks { settings: settings.rgbd_masks };
         let perception = Perception::with_masks(&rgbd);
-        let parsed = scene_parsing::parse(
+        let parsed = parsing::parse(
             room.bundle.clone(),
             &perception,
             &settings,

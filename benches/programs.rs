@@ -24,7 +24,7 @@ use camino::Utf8PathBuf;
 use comfy_table::{Table, presets};
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
-use uniground_core::grounding::query::{Measure, ParsedQuery, Phrase, RelationKind, Trait, parse};
+use uniground_core::language::{Measure, ParsedQuery, Phrase, RelationKind, Trait, parse};
 use uniground_core::models::attributes::Lexicon;
 
 /// Operations, and what a reading may say instead of each: a kind of relation, a superlative or a

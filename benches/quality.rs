@@ -21,12 +21,12 @@ use uniground::evaluation::segmentation::{
 };
 use uniground::evaluation::systems::{NamedBy, instances_of};
 use uniground_core::models::attributes::Lexicon;
+use uniground_core::parsing::checkpoints::Checkpoints;
+use uniground_core::parsing::masks::MaskSource;
+use uniground_core::parsing::masks::rgbd::RgbdMasks;
+use uniground_core::parsing::{self, ParsingSettings, Perception, superpoints};
 use uniground_core::progress::Progress;
 use uniground_core::scene::{Instance, ParsedScene};
-use uniground_core::scene_parsing::checkpoints::Checkpoints;
-use uniground_core::scene_parsing::masks::MaskSource;
-use uniground_core::scene_parsing::masks::rgbd::RgbdMasks;
-use uniground_core::scene_parsing::{self, ParsingSettings, Perception, superpoints};
 
 /// Objects with fewer points are left out, as in the table of issue and peers.
 const MIN_POINTS: u32 = 200;
@@ -239,7 +239,7 @@ fn table(header: &[&str]) -> Table {
 }
 
 fn parse(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSettings) -> ParsedScene {
-    scene_parsing::parse(
+    parsing::parse(
         room.bundle.clone(),
         &Perception::with_masks(masks),
         settings,

@@ -15,11 +15,11 @@ use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 use uniground::evaluation::annotated::AnnotatedRoom;
 use uniground_core::geometry::Vector3;
+use uniground_core::parsing::checkpoints::Checkpoints;
+use uniground_core::parsing::masks::rgbd::RgbdMasks;
+use uniground_core::parsing::{self, ParsingSettings, Perception};
 use uniground_core::progress::Progress;
 use uniground_core::scene::SceneBundle;
-use uniground_core::scene_parsing::checkpoints::Checkpoints;
-use uniground_core::scene_parsing::masks::rgbd::RgbdMasks;
-use uniground_core::scene_parsing::{self, ParsingSettings, Perception};
 
 const FRAMES_PER_ROOM: usize = 75;
 /// Rooms stand this far apart, metres.
@@ -87,8 +87,8 @@ fn main() {
 fn parse(
     bundle: SceneBundle,
     progress: &Progress,
-) -> Result<uniground_core::scene::ParsedScene, scene_parsing::ParseError> {
-    scene_parsing::parse(
+) -> Result<uniground_core::scene::ParsedScene, parsing::ParseError> {
+    parsing::parse(
         bundle,
         &Perception::with_masks(&RgbdMasks::default()),
         &ParsingSettings::default(),

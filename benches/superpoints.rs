@@ -16,8 +16,8 @@ use std::time::Instant;
 use uniground::evaluation::annotated::AnnotatedRoom;
 use uniground::evaluation::segmentation::{SuperpointScore, score_superpoints};
 use uniground_core::geometry::statistics::median;
+use uniground_core::parsing::superpoints;
 use uniground_core::progress::Progress;
-use uniground_core::scene_parsing::superpoints;
 use uniground_types::settings::SuperpointSettings;
 use vccs::Vccs;
 

@@ -22,15 +22,16 @@ use uniground_core::grounding::vlm::{
     Conversation, EvidenceMode, Options, PictureSettings, PromptContext, REMAINING, VisualEvidence,
     collect, contact_sheets, naming, narrowing,
 };
-use uniground_core::grounding::{NameIndex, Question, SceneView, ground_with_context, query};
+use uniground_core::grounding::{NameIndex, Question, SceneView, ground_with_context};
 use uniground_core::ingest::Unpacked;
+use uniground_core::language;
 use uniground_core::models::chat::Tokens;
 use uniground_core::models::neural::Models;
-use uniground_core::parse::{ParsedScan, parse_scan};
+use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::progress::Progress;
 use uniground_core::render::RenderScene;
+use uniground_core::scan::{ParsedScan, parse_scan};
 use uniground_core::scene::{InstanceId, PointCloud};
-use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_types::answer::Answer;
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 use uniground_types::settings::ParseSettings;
@@ -93,7 +94,7 @@ impl Sample {
         ground_with_context(
             view,
             &Question { top_k, ..Question::of(words) },
-            query::parse(words),
+            language::parse(words),
             Duration::ZERO,
         )
         .1
@@ -262,7 +263,7 @@ async fn beside_a_parse(scan: &[u8], queries: &[String]) {
     let root = Utf8Path::new(env!("CARGO_MANIFEST_DIR"));
     let (masks, folder) = match std::env::var("MASKS") {
         Ok(bundle) => (bundle, root.join("models")),
-        Err(_) => ("tiny-segmenter".to_owned(), root.join("crates/uniground-core/tests/data")),
+        Err(_) => ("tiny-segmenter".to_owned(), root.join("crates/uniground-models/tests/data")),
     };
     let library = root.join(".onnxruntime/libonnxruntime.so");
     let bundles = BundlesConfig {

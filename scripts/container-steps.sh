@@ -142,7 +142,7 @@ missing=$(ldd "$binary" "$root/opt/uniground/libonnxruntime.so" | grep 'not foun
 [ -z "$missing" ] || die "libraries missing: $missing"
 # An empty folder and an empty environment: only the library beside the binary can be found.
 mkdir "$work/empty"
-(cd "$work/empty" && env -i "PATH=$PATH" "$binary" models verify "$all/crates/uniground-core/tests/data/tiny-dual-encoder")
+(cd "$work/empty" && env -i "PATH=$PATH" "$binary" models verify "$all/crates/uniground-models/tests/data/tiny-dual-encoder")
 
 port=$(grep -oE '127\.0\.0\.1/[0-9]+' <<<"$health" | cut -d/ -f2)
 if (exec 3<>"/dev/tcp/127.0.0.1/$port") 2>/dev/null; then

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Fits crates/uniground-core/src/grounding/reasoner/confidence.tsv: how often answers were right, by the belief they were given with.
+"""Fits crates/uniground-grounding/src/reasoner/confidence.tsv: how often answers were right, by the belief they were given with.
 
     scripts/fit-confidence.py measures REPORT.json ...     # reports of `uniground eval`, source=parsed, before calibration
 

@@ -51,7 +51,7 @@ ready() {
     return 1
 }
 kserve_port=$(free_port)
-$venv/bin/python tests/kserve/server.py "$kserve_port" crates/uniground-core/tests/data/tiny-dual-encoder crates/uniground-core/tests/data/tiny-segmenter >"$logs/kserve" 2>&1 &
+$venv/bin/python tests/kserve/server.py "$kserve_port" crates/uniground-models/tests/data/tiny-dual-encoder crates/uniground-models/tests/data/tiny-segmenter >"$logs/kserve" 2>&1 &
 kserve=$!
 litellm_port=$(free_port)
 $litellm/bin/litellm --config tests/litellm/config.yaml --host 127.0.0.1 --port "$litellm_port" --telemetry False >"$logs/litellm" 2>&1 &

@@ -11,6 +11,6 @@ wall() { # PACKAGE STRANGERS
     echo "$1 depends on" $found >&2
     exit 1
 }
-wall uniground-types 'uniground-core|uniground-client|tokio|ort|image|rayon|utoipa'
+wall uniground-types 'uniground-core|uniground-geometry|uniground-client|tokio|ort|image|rayon|utoipa'
 wall uniground-core 'uniground-client|tokio|reqwest|hyper|sqlx|axum|clap|utoipa'
 wall uniground-client 'uniground-core|ort|sqlx|axum|clap|image|rayon|utoipa'

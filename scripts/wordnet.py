@@ -2,7 +2,7 @@
 """Makes the table of words that the grammar and the names are read with, from WordNet's noun graph.
 
     apt-get install wordnet-base
-    scripts/wordnet.py /usr/share/wordnet crates/uniground-core/src/models/attributes/wordnet.tsv
+    scripts/wordnet.py /usr/share/wordnet crates/uniground-models/src/attributes/wordnet.tsv
 
 The first lines are kinds of things, parents before children: the number of the line of the broader kind (empty for a root), how often
 WordNet's tagged texts speak of it (empty where they never do), then its words. The last line, after an empty one, has other English words:

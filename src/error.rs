@@ -9,9 +9,9 @@ use uniground_core::grounding::pipeline::QuestionError;
 use uniground_core::ingest::{IngestError, IngestErrorKind};
 use uniground_core::models::chat::{AskError, ChatError, ChatFailure, OverBudget};
 use uniground_core::models::neural::ModelError;
-use uniground_core::parse::ScanError;
+use uniground_core::parsing::ParseError;
+use uniground_core::scan::ScanError;
 use uniground_core::scene::InstanceId;
-use uniground_core::scene_parsing::ParseError;
 use uniground_types::problem::FieldError;
 
 #[derive(Debug, thiserror::Error)]

@@ -15,10 +15,10 @@ use uniground_core::geometry::voxels::{VoxelGrid, typical_spacing_m};
 use uniground_core::geometry::{Point3, Vector3};
 use uniground_core::ingest::read_cloud;
 use uniground_core::models::neural::{Encoded, Prompt, Segmenter};
+use uniground_core::parsing::superpoints;
 use uniground_core::progress::Progress;
 use uniground_core::render::{ROOM_VIEW, RenderScene, scene_picture};
 use uniground_core::scene::{PointCloud, write_cloud_ply};
-use uniground_core::scene_parsing::superpoints;
 use uniground_types::settings::SuperpointSettings;
 
 /// Edge of the voxels a cloud is thinned to, metres.

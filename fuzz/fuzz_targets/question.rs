@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use uniground_core::grounding::query::parse;
+use uniground_core::language::parse;
 
 fuzz_target!(|text: &str| {
     // The service takes no longer ones.

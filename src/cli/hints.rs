@@ -4,7 +4,7 @@
 use camino::Utf8Path;
 use uniground_client::ClientError;
 use uniground_core::ingest::{IngestError, IngestErrorKind};
-use uniground_core::parse::ScanError;
+use uniground_core::scan::ScanError;
 use uniground_types::job::JobError;
 
 /// A parse that failed, as its job tells.

@@ -10,11 +10,11 @@ use std::fs::{self, File};
 use std::io::{self, IsTerminal, Write};
 use uniground_core::geometry::up_axis::UpAxis;
 use uniground_core::ingest::Unpacked;
-use uniground_core::parse::{ParsedScan, parse_scan};
+use uniground_core::parsing::checkpoints::Checkpoints;
+use uniground_core::parsing::report_pictures;
 use uniground_core::progress::Progress;
+use uniground_core::scan::{ParsedScan, parse_scan};
 use uniground_core::scene::{ImportReport, Instance, ParseReport, write_instances_ply};
-use uniground_core::scene_parsing::checkpoints::Checkpoints;
-use uniground_core::scene_parsing::report_pictures;
 use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};
 
 #[derive(Debug, clap::Args)]

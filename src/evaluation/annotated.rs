@@ -13,10 +13,10 @@ use uniground_core::geometry::voxels::{VoxelKey, VoxelMap};
 use uniground_core::geometry::{Point3, Vector3};
 use uniground_core::ingest;
 use uniground_core::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
+use uniground_core::parsing::ParseError;
+use uniground_core::parsing::masks::{IdImage, MaskSource};
 use uniground_core::progress::Progress;
 use uniground_core::scene::{Frame, PointCloud, SceneBundle, Structure};
-use uniground_core::scene_parsing::ParseError;
-use uniground_core::scene_parsing::masks::{IdImage, MaskSource};
 use uniground_types::settings::{ImportSettings, LevellingChoice};
 
 /// An annotated room, loaded.

@@ -8,20 +8,20 @@ use super::annotated::{AnnotatedMasks, AnnotatedRoom};
 use super::segmentation::{AnnotatedObject, InstanceScore, recall, score_instances};
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
-use uniground_core::progress::Progress;
-use uniground_core::scene::{Frame, FrameIndex, InstanceId};
-use uniground_core::scene_parsing::checkpoints::Checkpoints;
-use uniground_core::scene_parsing::labels::Labels;
-use uniground_core::scene_parsing::lifting::{FrameVisibility, Lifted, Lifting};
-use uniground_core::scene_parsing::masks::{IdImage, MaskSource};
-use uniground_core::scene_parsing::relief::Flats;
-use uniground_core::scene_parsing::superpoints::{self, Superpoints};
-use uniground_core::scene_parsing::views::{Labelled, Sighted};
-use uniground_core::scene_parsing::visibility::Visibility;
-use uniground_core::scene_parsing::{
+use uniground_core::parsing::checkpoints::Checkpoints;
+use uniground_core::parsing::labels::Labels;
+use uniground_core::parsing::lifting::{FrameVisibility, Lifted, Lifting};
+use uniground_core::parsing::masks::{IdImage, MaskSource};
+use uniground_core::parsing::relief::Flats;
+use uniground_core::parsing::superpoints::{self, Superpoints};
+use uniground_core::parsing::views::{Labelled, Sighted};
+use uniground_core::parsing::visibility::Visibility;
+use uniground_core::parsing::{
     ParseError, ParsingSettings, frame_sampling, hierarchy, instances, merging, part_merging,
     planes, refinement, standing, views,
 };
+use uniground_core::progress::Progress;
+use uniground_core::scene::{Frame, FrameIndex, InstanceId};
 
 /// What one step leaves of each object.
 pub struct Rung {

@@ -5,10 +5,10 @@ use serde::{Deserialize, Serialize};
 use std::time::Duration;
 use uniground_core::ingest::archive::UnpackLimits;
 use uniground_core::ingest::{self, IngestError, Packed, head_of, what_it_is};
-use uniground_core::parse::{ScanError, import_scan};
+use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::progress::Progress;
+use uniground_core::scan::{ScanError, import_scan};
 use uniground_core::scene::SourceToScene;
-use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_types::scene::StageReport;
 use uniground_types::settings::ImportSettings;
 

@@ -7,8 +7,8 @@ use super::{Hold, SceneRow, Store, StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{AnyConnection, FromRow, Row};
 use uniground_core::geometry::boxes::Aabb;
+use uniground_core::parsing::pointed::known_as;
 use uniground_core::scene::{ImportReport, Instance, InstanceId, ParseReport};
-use uniground_core::scene_parsing::pointed::known_as;
 use uniground_types::settings::{ParseModels, ParseSettings};
 
 /// A finished parse as stored; JSON columns as text: [`record`](Self::record) reads them.

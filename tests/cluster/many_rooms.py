@@ -162,7 +162,7 @@ def near(database, statement, index):
 
 def run(table, options, folder):
     database, scans = Database(options.database), Scans(6)
-    bundles = ROOT / "crates/uniground-core/tests/data"
+    bundles = ROOT / "crates/uniground-models/tests/data"
     flags = ["--database", options.database, "--vectors", "pgvector", "--models", bundles, "--masks", "builtin", "--encoder", "tiny-dual-encoder",
              "--onnxruntime-lib", options.onnxruntime_lib]
     with Server(options.program.resolve(), folder / "data", folder / "log", *flags) as server:

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 /// Floors of a package from the top; modules on one floor do not know each other.
 type Floors = &'static [&'static [&'static str]];
 
-const PACKAGES: [(&str, Floors); 3] = [
+const PACKAGES: [(&str, Floors); 2] = [
     (
         "src",
         &[
@@ -33,18 +33,6 @@ const PACKAGES: [(&str, Floors); 3] = [
                 "words",
             ],
             &["memory", "trace_context"],
-        ],
-    ),
-    (
-        "crates/uniground-core/src",
-        &[
-            &["grounding"],
-            &["parse"],
-            &["changes"],
-            &["approach", "export", "scene_parsing", "ingest"],
-            &["models", "render"],
-            &["scene"],
-            &["geometry", "progress", "background", "recent"],
         ],
     ),
     (

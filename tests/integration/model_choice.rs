@@ -12,7 +12,7 @@ fn root() -> &'static Utf8Path {
 
 /// Tiny bundles with random weights: a dual encoder and two segmenters.
 fn tiny() -> Utf8PathBuf {
-    root().join("crates/uniground-core/tests/data")
+    root().join("crates/uniground-models/tests/data")
 }
 
 fn config(models: &Utf8Path, masks: &str, encoder: &str) -> ModelsConfig {

@@ -36,7 +36,7 @@ fn bundles() -> BundlesConfig {
         .map_or_else(|_| root().join(".onnxruntime/libonnxruntime.so"), Utf8PathBuf::from);
     let runtime = RuntimeConfig { onnxruntime_lib: Some(library), ..RuntimeConfig::default() };
     BundlesConfig {
-        models: root().join("crates/uniground-core/tests/data"),
+        models: root().join("crates/uniground-models/tests/data"),
         runtime,
         ..BundlesConfig::default()
     }
@@ -235,7 +235,7 @@ fn a_server_whose_models_are_wrong_does_not_start() {
         let mut server = command(data, "127.0.0.1:0");
         let output = server
             .args(&flags)
-            .args(["--models", root().join("crates/uniground-core/tests/data").as_str()])
+            .args(["--models", root().join("crates/uniground-models/tests/data").as_str()])
             .output()
             .unwrap();
         let told = String::from_utf8_lossy(&output.stderr);
@@ -249,7 +249,7 @@ fn a_server_whose_models_are_wrong_does_not_start() {
 #[test]
 fn bundles_are_listed_and_verified() {
     let (folder, library) = (
-        root().join("crates/uniground-core/tests/data"),
+        root().join("crates/uniground-models/tests/data"),
         bundles().runtime.onnxruntime_lib.unwrap(),
     );
     let models = |args: &[&str]| {
@@ -395,7 +395,7 @@ async fn a_misbehaving_inference_server_is_told_at_load() {
         let address = serve(mood).await;
         let loaded = tokio::task::spawn_blocking(move || {
             let engine = RemoteServer::new(&address, Duration::from_millis(400)).unwrap();
-            verify(&engine, &root().join("crates/uniground-core/tests/data/tiny-dual-encoder"))
+            verify(&engine, &root().join("crates/uniground-models/tests/data/tiny-dual-encoder"))
         });
         let error = loaded.await.unwrap().unwrap_err();
         assert!(error.to_string().contains(expected), "{mood:?}: {error}");
@@ -409,7 +409,7 @@ async fn a_misbehaving_inference_server_is_told_at_load() {
         let engine = RemoteServer::new(&address, Duration::from_secs(5)).unwrap();
         Models::default().with_encoder(
             &engine,
-            &root().join("crates/uniground-core/tests/data/tiny-dual-encoder"),
+            &root().join("crates/uniground-models/tests/data/tiny-dual-encoder"),
         )
     });
     assert_eq!(loaded.await.unwrap().unwrap().loaded[0].dimensions, Some(64));

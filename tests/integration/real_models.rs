@@ -18,10 +18,10 @@ use uniground::inference::RemoteServer;
 use uniground_core::models::neural::{
     DualEncoder, Engine, Models, OnnxRuntime, PointLabel, Prompt, RuntimeSettings, Segmenter,
 };
+use uniground_core::parsing::checkpoints::Checkpoints;
+use uniground_core::parsing::masks::sam::{EncodedFrames, SamMasks};
+use uniground_core::parsing::{self, ParsingSettings, Perception};
 use uniground_core::progress::Progress;
-use uniground_core::scene_parsing::checkpoints::Checkpoints;
-use uniground_core::scene_parsing::masks::sam::{EncodedFrames, SamMasks};
-use uniground_core::scene_parsing::{self, ParsingSettings, Perception};
 
 fn root() -> &'static Utf8Path {
     Utf8Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -228,7 +228,7 @@ fn sam2_masks_cut_rooms_into_their_things() {
             name: "sam2-hiera-tiny".into(),
         };
         let perception = Perception::with_masks(&masks);
-        let parsed = scene_parsing::parse(
+        let parsed = parsing::parse(
             room.bundle.clone(),
             &perception,
             &settings,
@@ -344,7 +344,7 @@ fn networks_answer_alike_here_and_behind_a_server() {
     let address =
         std::env::var("KSERVE_URL").expect("KSERVE_URL: scripts/test-models.sh starts a server");
     let remote = RemoteServer::new(&address, Duration::from_mins(1)).unwrap();
-    let data = root().join("crates/uniground-core/tests/data");
+    let data = root().join("crates/uniground-models/tests/data");
     let [here, there] = [&engine() as &dyn Engine, &remote].map(|engine| {
         Models::default()
             .with_encoder(engine, &data.join("tiny-dual-encoder"))

@@ -11,16 +11,16 @@ use uniground::evaluation::segmentation::{InstanceScore, score_instances, score_
 use uniground_core::geometry::Point3;
 use uniground_core::ingest;
 use uniground_core::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
+use uniground_core::parsing::checkpoints::Checkpoints;
+use uniground_core::parsing::masks::rgbd::RgbdMasks;
+use uniground_core::parsing::masks::{IdImage, MaskSource};
+use uniground_core::parsing::pointed::{Place, Pointing};
+use uniground_core::parsing::{self, ParseError, ParsingSettings, Perception, superpoints};
 use uniground_core::progress::Progress;
 use uniground_core::scene::{
     Frame, FrameIndex, ImportReport, Instance, Level, ParsedScene, PointCloud, PoseConvention,
     SceneBundle, Structure,
 };
-use uniground_core::scene_parsing::checkpoints::Checkpoints;
-use uniground_core::scene_parsing::masks::rgbd::RgbdMasks;
-use uniground_core::scene_parsing::masks::{IdImage, MaskSource};
-use uniground_core::scene_parsing::pointed::{Place, Pointing};
-use uniground_core::scene_parsing::{self, ParseError, ParsingSettings, Perception, superpoints};
 use uniground_types::settings::ImportSettings;
 
 /// Objects with fewer points are left out of recall.
@@ -35,7 +35,7 @@ fn with_room(name: &str, test: impl FnOnce(AnnotatedRoom)) {
 }
 
 fn parse(bundle: SceneBundle, masks: &dyn MaskSource) -> ParsedScene {
-    scene_parsing::parse(
+    parsing::parse(
         bundle,
         &Perception::with_masks(masks),
         &ParsingSettings::default(),
@@ -203,7 +203,7 @@ fn a_cancelled_parse_goes_on_where_it_stopped() {
     let run = |watched: &Watched, settings: &ParsingSettings| {
         let stop = watched.stop.clone();
         let progress = Progress::new(|_, _| {}, move || stop.is_cancelled());
-        scene_parsing::parse(
+        parsing::parse(
             bundle.clone(),
             &Perception::with_masks(watched),
             settings,
@@ -259,7 +259,7 @@ fn kept_frames_must_be_those_of_the_scan() {
     let checkpoints = Checkpoints::kept_in(Utf8Path::from_path(kept.path()).unwrap(), "the sample");
     let frames_segmented = |bundle: &SceneBundle| {
         let watched = Watched::new(usize::MAX, CancellationToken::new());
-        scene_parsing::parse(
+        parsing::parse(
             bundle.clone(),
             &Perception::with_masks(&watched),
             &ParsingSettings::default(),
@@ -352,7 +352,7 @@ fn odd_clouds_become_instances_or_a_clear_error() {
             parsed.report.superpoints, parsed.report.instances
         );
     }
-    let nothing = scene_parsing::parse(
+    let nothing = parsing::parse(
         bare(Vec::new()),
         &Perception::with_masks(&RgbdMasks::default()),
         &ParsingSettings::default(),

@@ -11,9 +11,9 @@ use uniground_core::grounding::pipeline::{Ask, answer};
 use uniground_core::grounding::{Question, Status};
 use uniground_core::ingest::Unpacked;
 use uniground_core::models::neural::Models;
-use uniground_core::parse::parse_scan;
+use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::progress::Progress;
-use uniground_core::scene_parsing::checkpoints::Checkpoints;
+use uniground_core::scan::parse_scan;
 use uniground_core::types::settings::ParseSettings;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

@@ -25,20 +25,20 @@ use uniground_core::grounding::album::{Album, AlbumScene};
 use uniground_core::grounding::pipeline::{
     self, Answered, Ask, Review, WithoutModel, shortlist_of,
 };
-use uniground_core::grounding::query::{AutoParser, BuiltinParser, QueryParser, VlmParser};
 use uniground_core::grounding::vlm::Options;
 use uniground_core::grounding::{Question, ShortlistScoring};
 use uniground_core::ingest::{self, Unpacked};
+use uniground_core::language::{AutoParser, BuiltinParser, QueryParser, VlmParser};
 use uniground_core::models::attributes;
 use uniground_core::models::chat::{Budget, ChatModel};
 use uniground_core::models::neural::{Models as NeuralModels, Role};
-use uniground_core::parse::{ParsedScan, parse_scan};
+use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::progress::Progress;
 use uniground_core::render::RenderScene;
+use uniground_core::scan::{ParsedScan, parse_scan};
 use uniground_core::scene::{
     Embeddings, FrameEmbeddings, FrameRef, Instance, InstanceId, ParsedScene, PointCloud,
 };
-use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_types::answer::Models;
 use uniground_types::question::{ParserChoice, ReasonerChoice};
 use uniground_types::settings::{ImportSettings, LevellingChoice, ParseSettings};

@@ -6,18 +6,18 @@ use uniground_core::geometry::colour::ColourHistogram;
 use uniground_core::geometry::{Point3, Vector3};
 use uniground_core::models::neural::DualEncoder;
 use uniground_core::models::{attributes, calibration};
+use uniground_core::parsing::appearance;
+use uniground_core::parsing::instances::{Body, planarity, supports};
+use uniground_core::parsing::labels::Labels;
+use uniground_core::parsing::lifting::MasksOfFrames;
+use uniground_core::parsing::sharpness::SharpnessOfFrames;
+use uniground_core::parsing::views::Labelled;
+use uniground_core::parsing::visibility::Visibility;
+use uniground_core::parsing::{ParseError, ParsingSettings, views};
 use uniground_core::progress::Progress;
 use uniground_core::scene::{
-    Embeddings, FrameRef, Instance, InstanceId, Level, NameGuess, PointCloud, Structure, Support,
+    Embeddings, FrameRef, Instance, InstanceId, NameGuess, PointCloud, Structure, Support,
 };
-use uniground_core::scene_parsing::appearance;
-use uniground_core::scene_parsing::instances::{Body, planarity, supports};
-use uniground_core::scene_parsing::labels::Labels;
-use uniground_core::scene_parsing::lifting::MasksOfFrames;
-use uniground_core::scene_parsing::sharpness::SharpnessOfFrames;
-use uniground_core::scene_parsing::views::Labelled;
-use uniground_core::scene_parsing::visibility::Visibility;
-use uniground_core::scene_parsing::{ParseError, ParsingSettings, views};
 
 /// Who names annotated instances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -65,11 +65,6 @@ pub fn instances_of(
         let annotated = object.mean_rgb.map(|rgb| rgb.map(|v| v.clamp(0.0, 255.0) as u8));
         let mean_rgb = mean(seen).or(annotated).unwrap_or([128; 3]);
         let mut instance = Instance {
-            id: InstanceId(i as u32 + 1),
-            level: Level::Thing,
-            things: Vec::new(),
-            aabb: object.aabb,
-            raw_box: object.aabb,
             oriented_box: oriented_box_of(object),
             point_count: seen.len() as u32,
             mean_rgb,
@@ -84,13 +79,7 @@ pub fn instances_of(
             structure: structures[i],
             support: supports[i],
             height_above_floor_m: object.aabb.min().z - floor_z,
-            views: Vec::new(),
-            names: Vec::new(),
-            given_name: None,
-            found_for: None,
-            merged_from: Vec::new(),
-            dismissed: false,
-            gone: false,
+            ..Instance::from_box(InstanceId(i as u32 + 1), object.aabb)
         };
         if names == NamedBy::Annotated {
             give_name(&mut instance, &object.name);

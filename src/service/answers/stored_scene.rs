@@ -18,12 +18,12 @@ use uniground_core::grounding::{NameIndex, PictureCache};
 use uniground_core::ingest::{self, IngestError};
 use uniground_core::models::neural::{DualEncoder, Role};
 use uniground_core::models::{attributes, with_causes};
+use uniground_core::parsing::ParseError;
+use uniground_core::parsing::evidence::Picture;
+use uniground_core::parsing::pointed::{Place, Pointing};
 use uniground_core::recent::Recent;
 use uniground_core::render::{RenderScene, Shot};
 use uniground_core::scene::{Embeddings, FrameEmbeddings, FrameIndex, Instance, InstanceId, View};
-use uniground_core::scene_parsing::ParseError;
-use uniground_core::scene_parsing::evidence::Picture;
-use uniground_core::scene_parsing::pointed::{Place, Pointing};
 use uniground_types::settings::ParsingSettings;
 
 /// Instances that questions may add to a parse.

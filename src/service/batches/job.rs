@@ -21,8 +21,8 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 use tracing::Instrument;
 use uniground_core::models::chat::{Budget, OverBudget};
+use uniground_core::parsing::ParseError;
 use uniground_core::progress::Progress;
-use uniground_core::scene_parsing::ParseError;
 use uniground_types::answer::{Answer, Usage};
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 

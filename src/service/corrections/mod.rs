@@ -14,8 +14,8 @@ use crate::error::Error;
 use crate::store::NewCorrection;
 use std::collections::BTreeSet;
 use uniground_core::grounding::pipeline::SceneSource;
+use uniground_core::parsing::instances;
 use uniground_core::scene::{Instance, InstanceId, Level, Owners, parts_of};
-use uniground_core::scene_parsing::instances;
 use uniground_types::corrections::{Change, Correction, CorrectionList};
 use uniground_types::settings::ParsingSettings;
 

@@ -11,8 +11,8 @@ use crate::error::Error;
 use crate::store::Kept;
 use bytes::Bytes;
 use std::sync::Arc;
+use uniground_core::parsing::evidence::Picture;
 use uniground_core::scene::{Instance, InstanceId};
-use uniground_core::scene_parsing::evidence::Picture;
 use uniground_types::instances::{InstanceList, InstanceView, Levels, ViewPicture};
 
 /// A picture of an instance.

@@ -14,8 +14,8 @@ use std::time::Duration;
 use uniground_core::grounding::pipeline::SceneSource;
 use uniground_core::grounding::vlm::naming;
 use uniground_core::models::chat::{OverBudget, Session};
+use uniground_core::parsing::ParseError;
 use uniground_core::scene::{Instance, InstanceId};
-use uniground_core::scene_parsing::ParseError;
 
 /// Names the objects of scenes. It waits for a model most of its time: several at once do not stand
 /// in each other's way.

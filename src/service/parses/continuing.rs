@@ -11,8 +11,8 @@ use tokio::task::spawn_blocking;
 use uniground_core::changes::{Counterparts, Look, carried, compare, continued, pairs};
 use uniground_core::geometry::Isometry3;
 use uniground_core::ingest;
-use uniground_core::parse::ParsedScan;
 use uniground_core::progress::Progress;
+use uniground_core::scan::ParsedScan;
 use uniground_core::scene::{
     FrameRef, Instance, InstanceId, Owners, PointCloud, correct, read_instance_of_point,
 };

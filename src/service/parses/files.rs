@@ -7,15 +7,15 @@ use image::RgbImage;
 use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io;
-use uniground_core::parse::ParsedScan;
+use uniground_core::parsing::evidence::Picture;
+use uniground_core::parsing::{ParseError, report_pictures};
 use uniground_core::progress::Progress;
 use uniground_core::render::{RenderScene, jpeg};
+use uniground_core::scan::ParsedScan;
 use uniground_core::scene::{
     Embeddings, FrameEmbeddings, FrameIndex, FrameRef, InstanceId, write_cloud_ply,
     write_even_points, write_instances_ply,
 };
-use uniground_core::scene_parsing::evidence::Picture;
-use uniground_core::scene_parsing::{ParseError, report_pictures};
 
 /// A file a caller can have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -15,11 +15,11 @@ use std::time::{Duration, Instant};
 use tokio::task::spawn_blocking;
 use tokio::time::{sleep, timeout};
 use uniground_core::ingest::Grown;
-use uniground_core::parse::{
+use uniground_core::parsing::checkpoints::Checkpoints;
+use uniground_core::progress::Progress;
+use uniground_core::scan::{
     ImportedScan, ParsedScan, STAGE_1_VERSION, chosen, cut_scan, share_of_import, stored_import,
 };
-use uniground_core::progress::Progress;
-use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_types::settings::{ParseSettings, with_names_of_today};
 
 /// Parses scenes, one at a time: a parse uses every core it gets.

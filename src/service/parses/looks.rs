@@ -13,11 +13,11 @@ use std::io::BufReader;
 use std::sync::Arc;
 use tokio::task::spawn_blocking;
 use uniground_core::grounding::pipeline::SceneSource;
+use uniground_core::parsing::evidence::{self, Picture};
+use uniground_core::parsing::{ParseError, report_pictures};
 use uniground_core::scene::{
     FrameRef, Instance, InstanceId, Intrinsics, Owners, read_instance_of_point, write_even_points,
 };
-use uniground_core::scene_parsing::evidence::{self, Picture};
-use uniground_core::scene_parsing::{ParseError, report_pictures};
 use uniground_types::scene::{FrameList, FrameView};
 
 impl Service {

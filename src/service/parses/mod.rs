@@ -26,7 +26,7 @@ use std::sync::Arc;
 use tokio::task::spawn_blocking;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::NameIndex;
-use uniground_core::parse::{STAGE_1_VERSION, chosen, names_of};
+use uniground_core::scan::{STAGE_1_VERSION, chosen, names_of};
 use uniground_core::scene::correct;
 use uniground_types::corrections::{Change, Correction};
 use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};

@@ -8,7 +8,7 @@ use camino::{Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use tokio::task::spawn_blocking;
-use uniground_core::scene_parsing::report_pictures::ReportPicture;
+use uniground_core::parsing::report_pictures::ReportPicture;
 
 const FOLDER: &str = "report";
 const INDEX: &str = "index.json";

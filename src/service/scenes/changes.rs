@@ -12,10 +12,10 @@ use tokio_util::sync::CancellationToken;
 use uniground_core::changes::{Aligned, Counterparts, Look, SAME_PLACE_M, align, compare, pairs};
 use uniground_core::geometry::{Isometry3, Vector3};
 use uniground_core::grounding::pipeline::SceneSource;
+use uniground_core::parsing::ParseError;
 use uniground_core::progress::Progress;
 use uniground_core::render::RenderScene;
 use uniground_core::scene::{FrameRef, InstanceId, Owners};
-use uniground_core::scene_parsing::ParseError;
 use uniground_types::changes::{Changes, ScanAlignment, SceneChanges, SceneVersion};
 use uniground_types::placement::SceneToFrame;
 

@@ -1,0 +1,26 @@
+//! Boxes, poses, voxels, statistics and colors, and the vocabulary of a 3D scan ([`scene`]).
+//!
+//! Lengths are metres, angles are radians and the world is right-handed with Z up, unless a name
+//! says otherwise.
+
+#![warn(missing_docs)]
+
+pub mod background;
+pub mod colour;
+pub mod least_axis;
+pub mod moments;
+pub mod pose;
+pub mod progress;
+pub mod recent;
+pub mod rotated_box;
+pub mod scene;
+pub mod statistics;
+pub mod union_find;
+pub mod voxels;
+
+/// Nothing may lie further from the origin than this, metres: single precision and voxel keys end
+/// here. Map coordinates (UTM) need an offset taken off first.
+pub const MAX_COORDINATE_M: f32 = 10_000.0;
+
+pub use nalgebra::{Isometry3, Matrix3, Matrix4, Point2, Point3, Vector2, Vector3};
+pub use uniground_types::geometry::{boxes, up_axis};

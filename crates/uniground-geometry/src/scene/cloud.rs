@@ -1,0 +1,27 @@
+//! Coloured point clouds.
+
+use crate::Point3;
+use serde::{Deserialize, Serialize};
+
+/// Points and their colours, same length. Metres, world frame.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct PointCloud {
+    /// Coordinates, metres, Z up.
+    pub positions: Vec<Point3<f32>>,
+    /// 8-bit sRGB.
+    pub colours: Vec<[u8; 3]>,
+}
+
+impl PointCloud {
+    /// Number of points.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Whether there are no points.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+}

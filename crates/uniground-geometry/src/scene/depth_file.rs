@@ -1,0 +1,106 @@
+//! Depth pictures as files: grey pictures (PNG, PGM, TIFF) of 16 bits, or of 8 with a unit that
+//! reaches across a room, and floats (EXR, TIFF; compressed with LZFSE: Record3D).
+
+use super::float_pictures::{Grey, Numbers, read_grey};
+use super::{DepthImage, FrameError, FrameRef};
+use crate::MAX_COORDINATE_M;
+use camino::Utf8Path;
+use image::DynamicImage;
+use std::fs::File;
+use std::io::{self, BufReader, Read};
+
+/// What a block of LZFSE begins with.
+const LZFSE_MAGIC: &[u8; 3] = b"bvx";
+
+/// With this unit 8 bits reach a metre. With a smaller one they are a picture to look at, stretched
+/// over whatever was there.
+const LEAST_UNIT_OF_BYTES_M: f32 = 0.004;
+
+/// Whether a file is LZFSE: its size in pixels stands elsewhere.
+///
+/// # Errors
+/// Those of the file system.
+pub fn is_compressed_floats(file: &Utf8Path) -> io::Result<bool> {
+    let mut magic = [0; 3];
+    Ok(File::open(file)?.read_exact(&mut magic).is_ok() && &magic == LZFSE_MAGIC)
+}
+
+/// The picture as the file holds it, metres; 0 where the file holds nothing that is a distance.
+/// `size` is that of floats without one.
+pub(super) fn read(frame: &FrameRef, size: (u32, u32)) -> Result<DepthImage, FrameError> {
+    let Grey { size: (width, height), numbers } = numbers_of(frame, size)?;
+    let scale_m = frame.depth_scale_m;
+    // The largest integer is what sensors write where they measured nothing, or too far (7-Scenes,
+    // 3RScan).
+    let depth_m = match numbers {
+        Numbers::Floats(floats) => floats.into_iter().map(|z| distance_m(z * scale_m)).collect(),
+        Numbers::Words(words) => words
+            .into_iter()
+            .map(|unit| if unit == u16::MAX { 0.0 } else { f32::from(unit) * scale_m })
+            .collect(),
+        Numbers::Bytes(bytes) if scale_m >= LEAST_UNIT_OF_BYTES_M => bytes
+            .into_iter()
+            .map(|unit| if unit == u8::MAX { 0.0 } else { f32::from(unit) * scale_m })
+            .collect(),
+        Numbers::Bytes(_) => {
+            return Err(not_depth(frame, "8-bit grey in units that do not reach a metre".into()));
+        }
+    };
+    Ok(DepthImage { width, height, depth_m })
+}
+
+/// Renderers write huge numbers or infinity where there is nothing.
+fn distance_m(z: f32) -> f32 {
+    if z > 0.0 && z <= MAX_COORDINATE_M { z } else { 0.0 }
+}
+
+fn numbers_of(frame: &FrameRef, size: (u32, u32)) -> Result<Grey, FrameError> {
+    let unreadable = |source| FrameError::Unreadable {
+        frame: frame.index,
+        file: super::frame::in_scene(&frame.depth),
+        source,
+    };
+    if is_compressed_floats(&frame.depth).map_err(unreadable)? {
+        let floats = read_floats(&frame.depth, size.0, size.1).map_err(unreadable)?;
+        return Ok(Grey { size, numbers: Numbers::Floats(floats) });
+    }
+    if let Some(grey) = read_grey(&frame.depth).map_err(unreadable)? {
+        return Ok(grey);
+    }
+    match frame.read_picture(&frame.depth)? {
+        DynamicImage::ImageLuma16(image) => {
+            Ok(Grey { size: image.dimensions(), numbers: Numbers::Words(image.into_raw()) })
+        }
+        DynamicImage::ImageLuma8(image) => {
+            Ok(Grey { size: image.dimensions(), numbers: Numbers::Bytes(image.into_raw()) })
+        }
+        // Colours mixed of distances are none.
+        other => Err(not_depth(frame, format!("{:?}", other.color()))),
+    }
+}
+
+fn not_depth(frame: &FrameRef, found: String) -> FrameError {
+    FrameError::NotDepth { frame: frame.index, file: super::frame::in_scene(&frame.depth), found }
+}
+
+/// Row-major floats; exactly as many as the picture has pixels, whatever the file unpacks to.
+fn read_floats(file: &Utf8Path, width: u32, height: u32) -> io::Result<Vec<f32>> {
+    let bytes = read_compressed(file, u64::from(width) * u64::from(height) * 4)?;
+    Ok(bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect())
+}
+
+/// A file of LZFSE that holds so many bytes and no other number of them.
+pub(super) fn read_compressed(file: &Utf8Path, expected: u64) -> io::Result<Vec<u8>> {
+    let mut decoder = lzfse_rust::LzfseRingDecoder::default();
+    let mut bytes = Vec::new();
+    decoder.reader(BufReader::new(File::open(file)?)).take(expected + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 == expected {
+        return Ok(bytes);
+    }
+    let (found, more) =
+        (bytes.len(), if bytes.len() as u64 > expected { "more than " } else { "" });
+    Err(io::Error::new(
+        io::ErrorKind::InvalidData,
+        format!("it unpacks to {more}{found} bytes, its picture has {expected}"),
+    ))
+}

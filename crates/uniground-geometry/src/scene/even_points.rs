@@ -1,0 +1,198 @@
+//! The cloud for whoever looks at it over a network: twelve bytes a point, in an order of which
+//! every beginning is an even sample.
+//!
+//! ```text
+//!  0  4 bytes  "UGP1"
+//!  4  u32      number of points
+//!  8  u32      bytes per point: 12
+//! 12  u32      0
+//! 16  3 f32    origin, metres
+//! 28  f32      step, metres
+//! 32  points   3 u16: position = origin + step * (x, y, z); 3 u8: red, green, blue; u24: id of the thing it belongs to, 0 for none
+//! ```
+//! Little endian, world frame (Z up). The step is the longest side of the cloud's box over 65,535:
+//! a seventh of a millimetre in a room.
+
+use super::{InstanceId, PointCloud};
+use crate::Point3;
+use crate::boxes::Aabb;
+use rayon::prelude::*;
+use std::io::{self, Write};
+
+/// Steps along the longest side.
+const STEPS: f32 = 65_535.0;
+const BYTES_PER_POINT: u32 = 12;
+/// Used where all points are in one place.
+const SMALLEST_STEP_M: f32 = 1e-6;
+
+/// Writes the cloud with the things its points belong to, by index.
+///
+/// # Errors
+/// Those of `out`.
+pub fn write_even_points(
+    cloud: &PointCloud,
+    instance_of_point: &[InstanceId],
+    out: impl Write,
+) -> io::Result<()> {
+    let steps = Steps::over(&cloud.positions);
+    let Steps { origin, step } = steps;
+    let mut out = io::BufWriter::new(out);
+    out.write_all(b"UGP1")?;
+    for word in [cloud.len() as u32, BYTES_PER_POINT, 0] {
+        out.write_all(&word.to_le_bytes())?;
+    }
+    for number in [origin.x, origin.y, origin.z, step] {
+        out.write_all(&number.to_le_bytes())?;
+    }
+    for point in evenly(&cloud.positions) {
+        for steps in steps.to(&cloud.positions[point]) {
+            out.write_all(&steps.to_le_bytes())?;
+        }
+        out.write_all(&cloud.colours[point])?;
+        out.write_all(&instance_of_point[point].0.to_le_bytes()[..3])?;
+    }
+    out.flush()
+}
+
+/// All points by index, in an order of which every beginning is an even sample of the whole; always
+/// the same.
+pub fn evenly(positions: &[Point3<f32>]) -> impl Iterator<Item = usize> {
+    let steps = Steps::over(positions);
+    let mut along_curve: Vec<(u64, u32)> =
+        positions.par_iter().map(|p| morton(steps.to(p))).zip(0..positions.len() as u32).collect();
+    along_curve.par_sort_unstable();
+    every_nth_first(positions.len()).map(move |place| along_curve[place].1 as usize)
+}
+
+/// Steps from the least corner of a cloud's box.
+#[derive(Clone, Copy)]
+struct Steps {
+    origin: Point3<f32>,
+    step: f32,
+}
+
+impl Steps {
+    fn over(positions: &[Point3<f32>]) -> Self {
+        let extent = Aabb::around(positions)
+            .unwrap_or(Aabb { center: Point3::origin(), size: crate::Vector3::zeros() });
+        Self { origin: extent.min(), step: (extent.size.max() / STEPS).max(SMALLEST_STEP_M) }
+    }
+
+    fn to(&self, p: &Point3<f32>) -> [u16; 3] {
+        <[f32; 3]>::from((p - self.origin) / self.step)
+            .map(|steps| steps.round().clamp(0.0, STEPS) as u16)
+    }
+}
+
+/// Place along a space-filling curve: neighbours on it are neighbours in space. Bits of the three
+/// numbers in turns.
+fn morton(steps: [u16; 3]) -> u64 {
+    let spread = |number: u16| {
+        let mut bits = u64::from(number);
+        for (shift, mask) in
+            [(16, 0xff00_00ff), (8, 0x00f0_0f00_f00f), (4, 0x0c30_c30c_30c3), (2, 0x2492_4924_9249)]
+        {
+            bits = (bits | bits << shift) & mask;
+        }
+        bits
+    };
+    let [x, y, z] = steps.map(spread);
+    x | y << 1 | z << 2
+}
+
+/// `0..count` in an order of which every beginning is spread evenly over the whole: bits of a
+/// counter, last one first.
+fn every_nth_first(count: usize) -> impl Iterator<Item = usize> {
+    let bits = usize::BITS - count.saturating_sub(1).leading_zeros();
+    let reversed = move |counter: usize| {
+        if bits == 0 { 0 } else { counter.reverse_bits() >> (usize::BITS - bits) }
+    };
+    (0..1_usize << bits).map(reversed).filter(move |&place| place < count)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Vector3;
+    use proptest::prelude::*;
+
+    /// What a reader makes of a file: positions, colours and ids.
+    fn read(bytes: &[u8]) -> Vec<(Point3<f32>, [u8; 3], u32)> {
+        let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+        let number = |at: usize| f32::from_bits(word(at));
+        assert_eq!((&bytes[..4], word(8), word(12)), (&b"UGP1"[..], 12, 0));
+        let (origin, step) = (Vector3::new(number(16), number(20), number(24)), number(28));
+        let points: Vec<_> = bytes[32..].chunks_exact(12).collect();
+        assert_eq!(points.len(), word(4) as usize);
+        let read = |p: &&[u8]| {
+            let steps: [f32; 3] = std::array::from_fn(|axis| {
+                f32::from(u16::from_le_bytes([p[axis * 2], p[axis * 2 + 1]]))
+            });
+            let id = u32::from_le_bytes([p[9], p[10], p[11], 0]);
+            (Point3::from(origin + Vector3::from(steps) * step), [p[6], p[7], p[8]], id)
+        };
+        points.iter().map(read).collect()
+    }
+
+    fn written(cloud: &PointCloud, ids: &[InstanceId]) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        write_even_points(cloud, ids, &mut bytes).unwrap();
+        bytes
+    }
+
+    #[test]
+    fn every_beginning_covers_the_whole_evenly() {
+        // A floor of 64 x 64 points, listed row by row.
+        let positions: Vec<Point3<f32>> =
+            (0..4096).map(|i| Point3::new((i % 64) as f32, (i / 64) as f32, 0.0)).collect();
+        let cloud = PointCloud { colours: vec![[1, 2, 3]; positions.len()], positions };
+        let ids: Vec<InstanceId> = (0..4096).map(InstanceId).collect();
+        let points = read(&written(&cloud, &ids));
+        for beginning in [64, 300, 1000] {
+            let mut squares = [0; 16];
+            for (p, ..) in &points[..beginning] {
+                squares[p.x.round() as usize / 16 + p.y.round() as usize / 16 * 4] += 1;
+            }
+            let even = beginning as f32 / 16.0;
+            assert!(
+                squares.iter().all(|&n| (n as f32) > even * 0.6 && (n as f32) < even * 1.5),
+                "{beginning}: {squares:?}"
+            );
+        }
+        // Ids go with their points.
+        assert!(
+            points.iter().all(|(p, _, id)| (p.x.round() as u32 + 64 * p.y.round() as u32) == *id)
+        );
+    }
+
+    #[test]
+    fn nothing_and_one_point_are_files_too() {
+        assert_eq!(read(&written(&PointCloud::default(), &[])), []);
+        let one = PointCloud {
+            positions: vec![Point3::new(1.0, 2.0, 3.0); 3],
+            colours: vec![[9, 8, 7]; 3],
+        };
+        let points = read(&written(&one, &[InstanceId(0), InstanceId(70_000), InstanceId(2)]));
+        assert!(
+            points
+                .iter()
+                .all(|(p, rgb, _)| (p - one.positions[0]).norm() < 1e-5 && *rgb == [9, 8, 7])
+        );
+        assert_eq!(points.iter().map(|(.., id)| id).max(), Some(&70_000));
+    }
+
+    proptest! {
+        #[test]
+        fn all_points_come_once_and_in_place(positions in prop::collection::vec(prop::array::uniform3(-50.0_f32..50.0), 1..200)) {
+            let positions: Vec<Point3<f32>> = positions.into_iter().map(Point3::from).collect();
+            let ids: Vec<InstanceId> = (0..positions.len() as u32).map(InstanceId).collect();
+            let cloud = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
+            let mut points = read(&written(&cloud, &ids));
+            points.sort_by_key(|(.., id)| *id);
+            prop_assert_eq!(points.len(), cloud.len());
+            for ((p, ..), original) in points.iter().zip(&cloud.positions) {
+                prop_assert!((p - original).norm() < 100.0 / STEPS * 1.8);
+            }
+        }
+    }
+}

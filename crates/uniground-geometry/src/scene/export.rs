@@ -1,0 +1,122 @@
+//! Clouds as binary little-endian PLY, for any viewer.
+
+use super::{InstanceId, ParsedScene, PointCloud};
+use crate::Point3;
+use std::io::{self, BufRead, Read, Write};
+
+/// Writes the cloud in its own colours.
+///
+/// # Errors
+/// Those of `out`.
+pub fn write_cloud_ply(cloud: &PointCloud, out: impl Write) -> io::Result<()> {
+    write(&[], &cloud.positions, |i| (cloud.colours[i], None), out)
+}
+
+/// Writes the cloud with one colour per instance and the id as the property `instance`.
+///
+/// # Errors
+/// Those of `out`.
+pub fn write_instances_ply(scene: &ParsedScene, out: impl Write) -> io::Result<()> {
+    write(
+        &[],
+        &scene.cloud.positions,
+        |i| (id_colour(scene.instance_of_point[i].0), Some(scene.instance_of_point[i])),
+        out,
+    )
+}
+
+/// Writes points with a line of the header for each comment, which are short and ASCII: programs
+/// read it as such.
+pub fn write<'a>(
+    comments: &[String],
+    positions: impl IntoIterator<Item = &'a Point3<f32>, IntoIter: ExactSizeIterator>,
+    of_point: impl Fn(usize) -> ([u8; 3], Option<InstanceId>),
+    out: impl Write,
+) -> io::Result<()> {
+    let mut out = io::BufWriter::new(out);
+    let positions = positions.into_iter();
+    let labelled = positions.len() > 0 && of_point(0).1.is_some();
+    write!(out, "ply\nformat binary_little_endian 1.0\ncomment metres, Z up\n")?;
+    comments.iter().try_for_each(|comment| writeln!(out, "comment {comment}"))?;
+    writeln!(out, "element vertex {}", positions.len())?;
+    write!(
+        out,
+        "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n"
+    )?;
+    writeln!(out, "{}end_header", if labelled { "property int instance\n" } else { "" })?;
+    for (i, p) in positions.enumerate() {
+        let (colour, instance) = of_point(i);
+        for c in [p.x, p.y, p.z] {
+            out.write_all(&c.to_le_bytes())?;
+        }
+        out.write_all(&colour)?;
+        if let Some(InstanceId(id)) = instance {
+            out.write_all(&id.to_le_bytes())?;
+        }
+    }
+    out.flush()
+}
+
+/// The thing each point belongs to, of what [`write_instances_ply`] wrote.
+///
+/// # Errors
+/// Those of `file`; something else than was written.
+pub fn read_instance_of_point(mut file: impl BufRead) -> io::Result<Vec<InstanceId>> {
+    let malformed = || io::Error::new(io::ErrorKind::InvalidData, "this is no cloud by instance");
+    let (mut line, mut count) = (String::new(), None);
+    while line != "end_header\n" {
+        line.clear();
+        if Read::by_ref(&mut file).take(LONGEST_LINE).read_line(&mut line)? == 0 {
+            return Err(malformed());
+        }
+        if let Some(number) = line.strip_prefix("element vertex ") {
+            count = number.trim_end().parse::<usize>().ok();
+        }
+    }
+    let mut bytes = Vec::new();
+    file.read_to_end(&mut bytes)?;
+    let (points, rest) = bytes.as_chunks::<LABELLED_BYTES>();
+    if !rest.is_empty() || Some(points.len()) != count {
+        return Err(malformed());
+    }
+    Ok(points
+        .iter()
+        .map(|&[.., a, b, c, d]| InstanceId(u32::from_le_bytes([a, b, c, d])))
+        .collect())
+}
+
+/// Of a header.
+const LONGEST_LINE: u64 = 200;
+/// Three coordinates, three colours, an id.
+const LABELLED_BYTES: usize = 19;
+
+/// A colour per id: steps of the golden angle around the hue circle, so that neighbours in number
+/// differ.
+#[must_use]
+pub fn id_colour(id: u32) -> [u8; 3] {
+    let hue = (id as f32 * 0.618_034).fract() * 6.0;
+    let value = if id.is_multiple_of(2) { 0.95 } else { 0.75 };
+    [5.0, 3.0, 1.0].map(|n: f32| {
+        let k = (n + hue) % 6.0;
+        ((value - value * 0.7 * k.min(4.0 - k).clamp(0.0, 1.0)) * 255.0) as u8
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Point3;
+
+    #[test]
+    fn whose_points_they_are_can_be_read_back() {
+        let positions: Vec<Point3<f32>> = (0..3).map(|i| Point3::new(i as f32, 0.0, 1.0)).collect();
+        let ids = [0, 70_000, 2].map(InstanceId);
+        let mut bytes = Vec::new();
+        write(&[], &positions, |i| (id_colour(ids[i].0), Some(ids[i])), &mut bytes).unwrap();
+        assert_eq!(read_instance_of_point(&*bytes).unwrap(), ids);
+        assert!(
+            read_instance_of_point(&bytes[..bytes.len() - 1]).is_err()
+                && read_instance_of_point(&b"ply\n"[..]).is_err()
+        );
+    }
+}

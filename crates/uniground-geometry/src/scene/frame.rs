@@ -1,0 +1,315 @@
+//! Posed RGB-D frames: references on disk and decoded pictures, one at a time.
+
+use super::{Camera, Confidence, FrameIndex, Intrinsics, Optics, depth_file};
+use crate::Isometry3;
+use camino::{Utf8Path, Utf8PathBuf};
+use image::{DynamicImage, GrayImage, ImageReader, Limits, RgbImage};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::io;
+
+/// Where one frame lies and how it was taken. Decoding happens in [`FrameRef::decode`].
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct FrameRef {
+    /// Position in the scan's own list, from 0; skipped frames leave gaps.
+    pub index: FrameIndex,
+    /// Path of the colour picture.
+    pub colour: Utf8PathBuf,
+    /// Path of the depth picture: 16-bit grey, or floats.
+    pub depth: Utf8PathBuf,
+    /// At the resolution of the colour picture.
+    pub colour_intrinsics: Intrinsics,
+    /// At the resolution of the depth picture; where the depth camera stands beside the colour
+    /// camera, that of the picture made of it.
+    pub depth_intrinsics: Intrinsics,
+    /// Metres per unit of the depth image.
+    pub depth_scale_m: f32,
+    /// Camera-to-world, OpenCV camera axes, Z-up world, metres.
+    pub camera_to_world: Isometry3<f32>,
+    /// What the files need before they are pinhole pictures.
+    pub optics: Optics,
+}
+
+/// A frame that could not be read.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // Every message says what it is about.
+pub enum FrameError {
+    #[error("frame {frame}: {file}: {source}")]
+    Unreadable {
+        frame: FrameIndex,
+        file: Utf8PathBuf,
+        #[source]
+        source: io::Error,
+    },
+    #[error("frame {frame}: {file} can not be decoded: {source}")]
+    Undecodable {
+        frame: FrameIndex,
+        file: Utf8PathBuf,
+        #[source]
+        source: image::ImageError,
+    },
+    #[error(
+        "frame {frame}: {file} is no depth picture: it must be 16-bit grey, floats (EXR, TIFF), or 8-bit grey with a `depth_scale_m` of 0.004 or more; this is {found}"
+    )]
+    NotDepth { frame: FrameIndex, file: Utf8PathBuf, found: String },
+    #[error(
+        "frame {frame}: {file} is {found_width}x{found_height}, its intrinsics say {width}x{height}"
+    )]
+    WrongSize {
+        frame: FrameIndex,
+        file: Utf8PathBuf,
+        found_width: u32,
+        found_height: u32,
+        width: u32,
+        height: u32,
+    },
+}
+
+/// Depth along the optical axis, metres; 0 = no measurement. Row-major.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DepthImage {
+    /// Number of columns.
+    pub width: u32,
+    /// Number of rows.
+    pub height: u32,
+    /// `width * height` values, top row first.
+    pub depth_m: Vec<f32>,
+}
+
+impl DepthImage {
+    /// Depth at a pixel; 0 where nothing was measured.
+    #[must_use]
+    pub fn at(&self, (column, row): (u32, u32)) -> f32 {
+        self.depth_m[(row * self.width + column) as usize]
+    }
+}
+
+/// A decoded frame. Colour and depth may have different resolutions; both are seen from the same
+/// pose.
+#[derive(Debug, Clone)]
+pub struct Frame {
+    /// Position in the scan's own list, from 0; skipped frames leave gaps.
+    pub index: FrameIndex,
+    /// 8-bit sRGB.
+    pub colour: RgbImage,
+    /// On a grid of its own, see [`colour_on_depth_grid`](Self::colour_on_depth_grid).
+    pub depth: DepthImage,
+    /// Projects into pixels of `colour`.
+    pub colour_camera: Camera,
+    /// Projects into pixels of `depth`.
+    pub depth_camera: Camera,
+}
+
+impl FrameRef {
+    /// The same frame with the paths of its files changed.
+    #[must_use]
+    pub fn with_paths(mut self, path: impl Fn(&Utf8Path) -> Utf8PathBuf) -> Self {
+        self.colour = path(&self.colour);
+        self.depth = path(&self.depth);
+        if let Some(confidence) = &mut self.optics.confidence {
+            confidence.file = path(&confidence.file);
+        }
+        self
+    }
+
+    /// Projects world points into pixels of the colour picture.
+    #[must_use]
+    pub fn colour_camera(&self) -> Camera {
+        Camera::new(self.colour_intrinsics, &self.camera_to_world)
+    }
+
+    /// Projects world points into pixels of the depth picture.
+    #[must_use]
+    pub fn depth_camera(&self) -> Camera {
+        Camera::new(self.depth_intrinsics, &self.camera_to_world)
+    }
+
+    /// Reads both pictures of this frame.
+    ///
+    /// # Errors
+    /// [`FrameError`] naming the frame and the file.
+    pub fn decode(&self) -> Result<Frame, FrameError> {
+        Ok(Frame {
+            index: self.index,
+            colour: self.decode_colour()?,
+            depth: self.decode_depth()?,
+            colour_camera: self.colour_camera(),
+            depth_camera: self.depth_camera(),
+        })
+    }
+
+    /// The colour picture, rectified.
+    ///
+    /// # Errors
+    /// [`FrameError`] naming the frame and the file.
+    pub fn decode_colour(&self) -> Result<RgbImage, FrameError> {
+        let image = self.read_picture(&self.colour)?.into_rgb8();
+        self.expect_size(&self.colour, image.dimensions(), &self.colour_intrinsics)?;
+        Ok(match &self.optics.colour_lens {
+            Some(lens) => lens.rectified(&image, &self.colour_intrinsics),
+            None => image,
+        })
+    }
+
+    /// The depth picture, rectified and seen from the colour camera; what is not sure enough is
+    /// left out.
+    ///
+    /// # Errors
+    /// [`FrameError`] naming the frame and the file.
+    pub fn decode_depth(&self) -> Result<DepthImage, FrameError> {
+        let Optics { colour_lens: _, depth_lens, depth_sensor, confidence } = &self.optics;
+        let camera = depth_sensor.map_or(self.depth_intrinsics, |sensor| sensor.intrinsics);
+        let mut depth = depth_file::read(self, (camera.width, camera.height))?;
+        self.expect_size(&self.depth, (depth.width, depth.height), &camera)?;
+        if let Some(Confidence { file, at_least }) = confidence {
+            self.leave_out_unsure(&mut depth, file, *at_least)?;
+        }
+        if let Some(lens) = depth_lens {
+            depth = lens.rectified_depth(&depth, &camera);
+        }
+        Ok(match depth_sensor {
+            Some(sensor) => sensor.registered(&depth, &self.depth_intrinsics),
+            None => depth,
+        })
+    }
+
+    fn leave_out_unsure(
+        &self,
+        depth: &mut DepthImage,
+        file: &Utf8Path,
+        at_least: u8,
+    ) -> Result<(), FrameError> {
+        let unreadable =
+            |source| FrameError::Unreadable { frame: self.index, file: in_scene(file), source };
+        let sure = if depth_file::is_compressed_floats(file).map_err(unreadable)? {
+            // Of the depth picture's own size.
+            let bytes =
+                depth_file::read_compressed(file, u64::from(depth.width) * u64::from(depth.height))
+                    .map_err(unreadable)?;
+            GrayImage::from_raw(depth.width, depth.height, bytes).unwrap_or_default()
+        } else {
+            self.read_picture(file)?.into_luma8()
+        };
+        let (width, height) = sure.dimensions();
+        if width == 0 || height == 0 {
+            return Ok(());
+        }
+        for (i, z) in depth.depth_m.iter_mut().enumerate() {
+            let (u, v) = (i as u32 % depth.width, i as u32 / depth.width);
+            let scaled = |at: u32, from: u32, to: u32| {
+                (u64::from(at) * u64::from(to) / u64::from(from)) as u32
+            };
+            if sure.get_pixel(scaled(u, depth.width, width), scaled(v, depth.height, height)).0[0]
+                < at_least
+            {
+                *z = 0.0;
+            }
+        }
+        Ok(())
+    }
+
+    pub(super) fn read_picture(&self, file: &Utf8Path) -> Result<DynamicImage, FrameError> {
+        let unreadable =
+            |source| FrameError::Unreadable { frame: self.index, file: in_scene(file), source };
+        let mut reader = ImageReader::open(file)
+            .map_err(unreadable)?
+            .with_guessed_format()
+            .map_err(unreadable)?;
+        let mut limits = Limits::default();
+        limits.max_alloc = Some(MAX_PICTURE_BYTES);
+        reader.limits(limits);
+        reader.decode().map_err(|source| FrameError::Undecodable {
+            frame: self.index,
+            file: in_scene(file),
+            source,
+        })
+    }
+
+    fn expect_size(
+        &self,
+        file: &Utf8Path,
+        (found_width, found_height): (u32, u32),
+        expected: &Intrinsics,
+    ) -> Result<(), FrameError> {
+        let &Intrinsics { width, height, .. } = expected;
+        if (found_width, found_height) == (width, height) {
+            return Ok(());
+        }
+        Err(FrameError::WrongSize {
+            frame: self.index,
+            file: in_scene(file),
+            found_width,
+            found_height,
+            width,
+            height,
+        })
+    }
+}
+
+/// Memory a picture may take while it is decoded: 40 megapixels with room to spare.
+const MAX_PICTURE_BYTES: u64 = 256 << 20;
+
+/// The last two components: what the uploader knows the file as, without the server's own folders.
+pub(super) fn in_scene(file: &Utf8Path) -> Utf8PathBuf {
+    let mut tail: Vec<_> = file.components().rev().take(2).collect();
+    tail.reverse();
+    tail.into_iter().collect()
+}
+
+impl Frame {
+    /// Where the ray through a depth pixel (column, row) meets the colour picture, pixels; it may
+    /// lie outside.
+    #[must_use]
+    pub fn colour_position(&self, u: f32, v: f32) -> (f32, f32) {
+        let (depth, colour) = (&self.depth_camera.intrinsics, &self.colour_camera.intrinsics);
+        if depth == colour {
+            return (u, v);
+        }
+        (
+            (u - depth.cx) / depth.fx * colour.fx + colour.cx,
+            (v - depth.cy) / depth.fy * colour.fy + colour.cy,
+        )
+    }
+
+    /// Colour of each depth pixel, row-major: the colour image resampled (nearest) onto the depth
+    /// grid.
+    #[must_use]
+    pub fn colour_on_depth_grid(&self) -> Vec<[u8; 3]> {
+        let (depth, colour) = (&self.depth_camera.intrinsics, &self.colour_camera.intrinsics);
+        if depth == colour {
+            return self.colour.pixels().map(|p| p.0).collect();
+        }
+        let clamp = |at: f32, len: u32| (at + 0.5).clamp(0.0, len as f32 - 1.0) as u32;
+        let columns: Vec<u32> = (0..depth.width)
+            .map(|u| clamp(self.colour_position(u as f32, 0.0).0, colour.width))
+            .collect();
+        (0..depth.height)
+            .flat_map(|v| {
+                let row = clamp(self.colour_position(0.0, v as f32).1, colour.height);
+                columns.iter().map(move |&column| self.colour.get_pixel(column, row).0)
+            })
+            .collect()
+    }
+}
+
+/// Works on frames in parallel, a few at a time, and folds the results in frame order.
+///
+/// At most as many frames as there are threads are in memory, and what `fold` sees does not depend
+/// on that number.
+///
+/// # Errors
+/// The first error of `work` or `fold`, in frame order.
+pub fn stream_frames<T: Send, E: Send>(
+    frames: &[FrameRef],
+    work: impl Fn(&FrameRef) -> Result<T, E> + Sync,
+    mut fold: impl FnMut(usize, T) -> Result<(), E>,
+) -> Result<(), E> {
+    let at_once = rayon::current_num_threads();
+    for (batch, refs) in frames.chunks(at_once).enumerate() {
+        let results: Vec<_> = refs.par_iter().map(&work).collect();
+        for (i, result) in results.into_iter().enumerate() {
+            fold(batch * at_once + i, result?)?;
+        }
+    }
+    Ok(())
+}

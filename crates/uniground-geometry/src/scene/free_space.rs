@@ -1,0 +1,141 @@
+//! What frames say of points that were known before: measured where they are, or looked through.
+
+use super::{DepthImage, FrameError, FrameRef, stream_frames};
+use crate::Point3;
+use rayon::prelude::*;
+
+/// A point counts as measured, or as looked through, from this far before or behind it on, metres,
+/// and this share of the depth: poses drift by centimetres, and noise grows with the distance.
+const MARGIN_M: f32 = 0.05;
+const MARGIN: f32 = 0.025;
+/// Nothing in this many pixels around may be near the point, in pictures of this width; more in
+/// larger ones. Silhouettes smear and poses are off by a pixel or two.
+const AROUND_PX: u32 = 2;
+const AT_WIDTH_PX: u32 = 640;
+/// Share of the pixels around that must be measured: what is shiny or black leaves holes, and must
+/// not be taken for gone.
+const MEASURED: f32 = 0.75;
+
+/// How many frames measured something at a point, and how many looked through it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Looks {
+    /// Frames that measured a surface there.
+    pub hits: u32,
+    /// Frames that measured only what lies well behind it.
+    pub through: u32,
+}
+
+impl Looks {
+    /// Whether nothing is there any more: `enough` frames looked through, and many more than found
+    /// something.
+    #[must_use]
+    pub fn is_gone(&self, enough: u32) -> bool {
+        self.through >= enough && self.through > 2 * self.hits
+    }
+
+    /// Whether any frame tells.
+    #[must_use]
+    pub fn is_known(&self) -> bool {
+        self.hits + self.through > 0
+    }
+}
+
+/// What frames say of points (metres, world frame, Z up); one answer a point. Points behind what
+/// was measured are hidden: nothing is said.
+///
+/// # Errors
+/// [`FrameError`] for a depth picture that can not be read, and those of `check`, which is called
+/// once a frame.
+pub fn look_at<E: From<FrameError> + Send>(
+    positions: &[Point3<f32>],
+    frames: &[FrameRef],
+    mut check: impl FnMut(usize) -> Result<(), E>,
+) -> Result<Vec<Looks>, E> {
+    let mut looks = vec![Looks::default(); positions.len()];
+    stream_frames(
+        frames,
+        |frame| Ok::<_, E>(frame.decode_depth()?),
+        |i, depth| {
+            let camera = frames[i].depth_camera();
+            looks.par_iter_mut().zip(positions).for_each(|(looks, position)| {
+                let Some(pixel) = camera.project(position) else { return };
+                match sight(&depth, pixel.cell(), pixel.z_m) {
+                    Some(true) => looks.hits += 1,
+                    Some(false) => looks.through += 1,
+                    None => {}
+                }
+            });
+            check(i)
+        },
+    )?;
+    Ok(looks)
+}
+
+/// `true`: a surface was measured there; `false`: it was looked through; `None`: hidden or not
+/// measured.
+fn sight(depth: &DepthImage, (column, row): (u32, u32), z_m: f32) -> Option<bool> {
+    let measured_m = depth.at((column, row));
+    if measured_m <= 0.0 {
+        return None;
+    }
+    let margin_m = (MARGIN * measured_m).max(MARGIN_M);
+    if (measured_m - z_m).abs() <= margin_m {
+        return Some(true);
+    }
+    if measured_m < z_m {
+        return None;
+    }
+    let around = AROUND_PX * depth.width.div_ceil(AT_WIDTH_PX).max(1);
+    let columns = column.saturating_sub(around)..(column + around + 1).min(depth.width);
+    let rows = row.saturating_sub(around)..(row + around + 1).min(depth.height);
+    let (mut measured, mut all) = (0_u32, 0_u32);
+    for at in rows.flat_map(|row| columns.clone().map(move |column| (column, row))) {
+        let around_m = depth.at(at);
+        all += 1;
+        if around_m > 0.0 {
+            measured += 1;
+            if around_m <= z_m + margin_m {
+                return None;
+            }
+        }
+    }
+    (measured as f32 >= MEASURED * all as f32).then_some(false)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn wall(at_m: impl Fn(u32, u32) -> f32) -> DepthImage {
+        let (width, height) = (32, 24);
+        let depth_m = (0..width * height).map(|i| at_m(i % width, i / width)).collect();
+        DepthImage { width, height, depth_m }
+    }
+
+    #[test]
+    fn what_lies_well_before_a_surface_is_looked_through() {
+        let depth = wall(|_, _| 3.0);
+        assert_eq!(sight(&depth, (16, 12), 3.05), Some(true));
+        assert_eq!(sight(&depth, (16, 12), 2.93), Some(true), "within the noise at three metres");
+        assert_eq!(sight(&depth, (16, 12), 2.0), Some(false));
+        assert_eq!(sight(&depth, (16, 12), 3.5), None, "hidden behind the wall");
+        assert_eq!(sight(&depth, (0, 0), 2.0), Some(false), "at the rim of the picture too");
+    }
+
+    #[test]
+    fn beside_a_silhouette_or_in_holes_nothing_is_said() {
+        let edge = wall(|u, _| if u < 15 { 2.0 } else { 3.0 });
+        assert_eq!(sight(&edge, (16, 12), 2.0), None, "what stands two pixels beside may be it");
+        assert_eq!(sight(&edge, (18, 12), 2.0), Some(false));
+        let holes = wall(|u, _| if u % 2 == 0 { 3.0 } else { 0.0 });
+        assert_eq!(sight(&holes, (16, 12), 2.0), None);
+        assert_eq!(sight(&holes, (17, 12), 2.0), None);
+    }
+
+    #[test]
+    fn gone_is_what_frames_agree_on() {
+        let looks = |hits, through| Looks { hits, through };
+        assert!(looks(0, 2).is_gone(2) && looks(1, 3).is_gone(2));
+        assert!(!looks(0, 1).is_gone(2) && !looks(1, 2).is_gone(2) && !looks(0, 0).is_gone(1));
+    }
+}

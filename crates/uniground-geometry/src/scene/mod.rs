@@ -1,0 +1,48 @@
+//! The vocabulary of a scan: clouds, cameras, frames, instances. Everything above speaks in these
+//! types.
+//!
+//! Canonical inside: metres, right-handed world with Z up, OpenCV cameras (x right, y down, z
+//! forward), poses are camera-to-world. [`ingest`](uniground_ingest) converts once; nobody swaps axes
+//! again.
+
+mod bundle;
+mod camera;
+mod cell_mask;
+mod cloud;
+mod corrected;
+mod depth_file;
+mod embeddings;
+mod even_points;
+mod export;
+mod float_pictures;
+mod frame;
+mod frame_embeddings;
+mod free_space;
+mod instance;
+mod npy;
+mod optics;
+mod owners;
+mod parsed;
+
+pub use bundle::{Addition, SceneBundle};
+pub use camera::{Camera, Intrinsics, Pixel};
+pub use cell_mask::CellMask;
+pub use cloud::PointCloud;
+pub use corrected::{correct, parts_of, views_of_all};
+pub use depth_file::is_compressed_floats;
+pub use embeddings::{Embeddings, Norms};
+pub use even_points::{evenly, write_even_points};
+pub use export::write as write_ply;
+pub use export::{id_colour, read_instance_of_point, write_cloud_ply, write_instances_ply};
+pub use float_pictures::{float_picture_size, is_float_picture};
+pub use frame::{DepthImage, Frame, FrameError, FrameRef, stream_frames};
+pub use frame_embeddings::FrameEmbeddings;
+pub use free_space::{Looks, look_at};
+pub use instance::Instance;
+pub use optics::{Confidence, DepthSensor, Lens, Optics};
+pub use owners::Owners;
+pub use parsed::ParsedScene;
+pub use uniground_types::scene::{
+    FrameIndex, ImportReport, InstanceId, Level, Levelling, NameGuess, ParseReport, PoseConvention,
+    SourceToScene, StageReport, Structure, Support, View, ViewMask,
+};

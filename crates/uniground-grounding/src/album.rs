@@ -1,0 +1,200 @@
+//! A parsed scene in memory as the question pipeline sees it: for evaluation, and for a robot's own
+//! process.
+
+use super::names::NameIndex;
+use super::picture_cache::PictureCache;
+use super::scene_source::{QuestionError, SceneSource};
+use image::RgbImage;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::scene::{
+    Embeddings, FrameEmbeddings, FrameIndex, FrameRef, Instance, InstanceId, View,
+};
+use uniground_models::neural::{DualEncoder, Models, Segmenter};
+use uniground_parsing::pointed::{Place, Pointing};
+use uniground_parsing::scan::ParsedScan;
+use uniground_render::{RenderScene, Shot};
+use uniground_types::settings::ParsingSettings;
+
+/// What all questions about a scene share.
+pub struct Album {
+    /// Box of all points, metres, world frame (Z up).
+    pub extent: Aabb,
+    /// The cloud, ready to be drawn.
+    pub render_scene: Arc<RenderScene>,
+    /// The encoder that has seen the scene, and what it saw; `None` without an encoder.
+    pub seen: Option<(Arc<DualEncoder>, Embeddings)>,
+    /// Name and version of the encoder that has seen the instances, or of the built-in attributes
+    /// in its place.
+    pub encoder: String,
+    /// What frames look like as a whole to that encoder, where it has looked at them.
+    pub frame_embeddings: Option<FrameEmbeddings>,
+    /// The scan's frames. Their picture files must stay in place as long as a model may be shown
+    /// them.
+    pub frames: Vec<FrameRef>,
+    /// Cuts out what a model saw in a photograph; `None`: the built-in masks do.
+    pub segmenter: Option<Arc<Segmenter>>,
+    pictures: PictureCache,
+    /// Names a model gave.
+    names: Mutex<BTreeMap<u32, String>>,
+}
+
+/// An album with the instances that a question is about.
+pub struct AlbumScene {
+    album: Arc<Album>,
+    instances: Arc<[Instance]>,
+    name_index: NameIndex,
+}
+
+impl Album {
+    /// An album without pictures and names yet: questions add them. Arguments are the fields of the
+    /// same names.
+    #[must_use]
+    pub fn new(
+        extent: Aabb,
+        render_scene: RenderScene,
+        seen: Option<(Arc<DualEncoder>, Embeddings)>,
+        encoder: String,
+        frames: Vec<FrameRef>,
+    ) -> Self {
+        let render_scene = Arc::new(render_scene);
+        let (pictures, names) = (PictureCache::default(), Mutex::default());
+        Self {
+            extent,
+            render_scene,
+            seen,
+            encoder,
+            frame_embeddings: None,
+            frames,
+            segmenter: None,
+            pictures,
+            names,
+        }
+    }
+
+    /// With a segmenter that cuts out what a model saw in a photograph.
+    #[must_use]
+    pub fn with_segmenter(self, segmenter: Option<Arc<Segmenter>>) -> Self {
+        Self { segmenter, ..self }
+    }
+
+    /// With what an encoder has seen of frames as a whole.
+    #[must_use]
+    pub fn with_frame_embeddings(self, frame_embeddings: Option<FrameEmbeddings>) -> Self {
+        Self { frame_embeddings, ..self }
+    }
+
+    /// These instances in this album.
+    #[must_use]
+    pub fn scene(self: &Arc<Self>, instances: Arc<[Instance]>) -> Arc<AlbumScene> {
+        Arc::new(AlbumScene {
+            album: self.clone(),
+            name_index: NameIndex::of(&instances),
+            instances,
+        })
+    }
+}
+
+impl AlbumScene {
+    /// A scan as it was parsed, with these models.
+    #[must_use]
+    pub fn of(scan: ParsedScan, models: &Models) -> Arc<Self> {
+        let ParsedScan { scene, frames, models: used, .. } = scan;
+        let seen = models.encoder.clone().zip(scene.embeddings);
+        let render_scene = RenderScene::of_parsed(scene.cloud, &scene.instances);
+        let album = Album::new(scene.extent, render_scene, seen, used.encoder, frames)
+            .with_frame_embeddings(scene.frame_embeddings);
+        Arc::new(album.with_segmenter(models.segmenters.first().cloned()))
+            .scene(scene.instances.into())
+    }
+}
+
+impl SceneSource for AlbumScene {
+    type Error = QuestionError;
+
+    fn instances(&self) -> &[Instance] {
+        &self.instances
+    }
+
+    fn name_index(&self) -> &NameIndex {
+        &self.name_index
+    }
+
+    fn extent(&self) -> Aabb {
+        self.album.extent
+    }
+
+    fn encoder_name(&self) -> String {
+        self.album.encoder.clone()
+    }
+
+    fn embeddings(&self) -> Result<Option<(&DualEncoder, &Embeddings)>, QuestionError> {
+        Ok(self.album.seen.as_ref().map(|(encoder, embeddings)| (encoder.as_ref(), embeddings)))
+    }
+
+    fn frame_embeddings(&self) -> Option<&FrameEmbeddings> {
+        self.album.frame_embeddings.as_ref()
+    }
+
+    fn photograph(&self, frame: FrameIndex) -> Option<RgbImage> {
+        self.album.frames.iter().find(|of| of.index == frame)?.decode_colour().ok()
+    }
+
+    fn render_scene(&self) -> Result<Arc<RenderScene>, QuestionError> {
+        Ok(self.album.render_scene.clone())
+    }
+
+    fn photographs(&self, instance: &Instance, most: usize) -> Vec<Shot> {
+        let shot = |view: &View| Some(Shot::of_view(self.photograph(view.frame)?, view));
+        instance.views.iter().filter_map(shot).take(most).collect()
+    }
+
+    fn pictures(&self) -> (&PictureCache, &str) {
+        (&self.album.pictures, "")
+    }
+
+    async fn names(&self) -> Result<BTreeMap<u32, String>, QuestionError> {
+        Ok(self.album.names.lock().unwrap_or_else(PoisonError::into_inner).clone())
+    }
+
+    async fn keep_names(&self, names: &BTreeMap<u32, String>) -> Result<(), QuestionError> {
+        self.album.names.lock().unwrap_or_else(PoisonError::into_inner).extend(names.clone());
+        Ok(())
+    }
+
+    fn cut_out(
+        &self,
+        place: Place,
+        is_not: &[InstanceId],
+    ) -> Result<Option<Instance>, QuestionError> {
+        let Album { render_scene, frames, segmenter, .. } = &*self.album;
+        let settings = ParsingSettings::default();
+        let pointing = Pointing {
+            cloud: &render_scene.cloud,
+            frames,
+            segmenter: segmenter.as_deref(),
+            settings: &settings,
+        };
+        Ok(pointing.find(place, &self.instances, is_not)?)
+    }
+
+    /// For this question only: what one question finds does not change what another is answered in
+    /// an evaluation.
+    async fn keep_found(
+        self: &Arc<Self>,
+        found: Instance,
+    ) -> Result<(Arc<Self>, InstanceId), QuestionError> {
+        let id = found.id;
+        let instances: Vec<Instance> = self.instances.iter().cloned().chain([found]).collect();
+        Ok((self.album.scene(instances.into()), id))
+    }
+
+    /// At once, on the thread that drives the question.
+    async fn compute<T: Send + 'static>(
+        self: &Arc<Self>,
+        work: impl FnOnce(&Self) -> Result<T, QuestionError> + Send + 'static,
+    ) -> Result<T, QuestionError> {
+        work(self)
+    }
+}

@@ -1,0 +1,306 @@
+//! The answer: six fields, both boxes, status, and what led there.
+
+use super::reasoner::Verdict;
+use super::shortlist;
+use super::vlm::PromptContext;
+use super::{
+    Alternative, Candidate, NoMatchReason, ParsedQuerySummary, Question, SceneView, Seen,
+    SixFields, Status, Target, Timings,
+};
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+use uniground_geometry::boxes::{Aabb, OrientedBox};
+use uniground_geometry::colour::ColourName;
+use uniground_geometry::scene::{Instance, Level};
+use uniground_language::{Meaning, ParsedQuery, Phrase, Quantity, Superlative};
+
+/// Milliseconds of each step; the arguments are the times from the start to the end of a step.
+pub(super) fn timings(parsed: Duration, shortlisted: Duration, total: Duration) -> Timings {
+    let ms = |d: Duration| (d.as_secs_f64() * 1e6).round() / 1e3;
+    Timings {
+        parse_query: ms(parsed),
+        shortlist: ms(shortlisted.saturating_sub(parsed)),
+        evidence: 0.0,
+        reason: ms(total.saturating_sub(shortlisted)),
+        total: ms(total),
+    }
+}
+
+/// Everything stage 2 has to say about a question.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Grounding {
+    /// The question as it was asked.
+    pub query: String,
+    /// Only `grounded` and `uncertain` have a box.
+    pub status: Status,
+    /// Why nothing is chosen; `None` unless `no_match`.
+    #[serde(default)]
+    pub no_match_reason: Option<NoMatchReason>,
+    /// Where a vision-language model sees what no instance is; `None` unless the reason is
+    /// `not_listed`.
+    #[serde(default)]
+    pub seen: Option<Seen>,
+    /// The paper's six fields (App. B.1).
+    pub answer: SixFields,
+    /// Axis-aligned box of the answer; `null` unless `grounded` or `uncertain`.
+    #[serde(rename = "box")]
+    pub aabb: Option<Aabb>,
+    /// Yaw-oriented box of the answer; `null` unless `grounded` or `uncertain`.
+    pub oriented_box: Option<OrientedBox>,
+    /// Belief in the answer, `0..=1`; for `no_match`, the belief that nothing fits: 0.5 where it
+    /// is not known what is asked for.
+    pub confidence: f32,
+    /// The best candidates, best first.
+    pub candidates: Vec<Candidate>,
+    /// Other instances the question may mean, best first; for `ambiguous`, the tied ones are among
+    /// them.
+    pub alternatives: Vec<Alternative>,
+    /// All things the question means, best first: several where it asks for several, else the
+    /// answer's own or none.
+    #[serde(default)]
+    pub targets: Vec<Target>,
+    /// How many there are, where the question asks for several; for `no_match`, 0.
+    #[serde(default)]
+    pub count: Option<u32>,
+    /// How the question was read.
+    pub parsed_query: ParsedQuerySummary,
+    /// What left, right, front and back go by: `paper`, `viewer`, or `observer` when the request
+    /// has one. Words of the question that tell ("facing the desk") override it.
+    pub direction_convention: String,
+    /// Milliseconds; the time a model takes to review the answer counts as `reason`.
+    pub timings_ms: Timings,
+}
+
+/// Belief that nothing fits, where it is not known what is asked for.
+const NOBODY_KNOWS: f32 = 0.5;
+/// How many alternatives are told.
+const MAX_ALTERNATIVES: usize = 5;
+/// Alternatives below this share of the belief are not worth telling.
+const MIN_ALTERNATIVE: f32 = 0.05;
+
+pub(super) fn assemble(
+    scene: SceneView,
+    question: &Question,
+    parsed: &ParsedQuery,
+    verdict: Verdict,
+    timings_ms: Timings,
+) -> Grounding {
+    let Verdict {
+        status,
+        reason,
+        scores,
+        beliefs,
+        several,
+        explanation,
+        anchor,
+        relation_used,
+        target_name_matches,
+    } = verdict;
+    let candidates = shortlist::rank(scene, &scores, question.top_k);
+    let chosen = candidates
+        .first()
+        .filter(|_| status == Status::Grounded)
+        .map(|c| &scene.instances[c.id.0 as usize - 1]);
+    let confidence = match (status, candidates.first()) {
+        (Status::NoMatch, _)
+            if matches!(reason, Some(NoMatchReason::NotRecognised | NoMatchReason::NotEnglish)) =>
+        {
+            NOBODY_KNOWS
+        }
+        (Status::NoMatch, Some(best)) => 1.0 - best.score,
+        (Status::NoMatch, None) => 1.0,
+        (_, Some(best)) => beliefs[best.id.0 as usize - 1],
+        (_, None) => 0.0,
+    };
+    let asks_for_several = parsed.quantity != Quantity::One;
+    let targets = match chosen {
+        Some(_) if asks_for_several => {
+            several.iter().map(|&i| target(&scene.instances[i], beliefs[i])).collect()
+        }
+        Some(chosen) => vec![target(chosen, confidence)],
+        None => Vec::new(),
+    };
+    let mut rivals: Vec<&Instance> = match status {
+        Status::NoMatch => Vec::new(),
+        _ => scene.instances.iter().filter(|i| targets.iter().all(|t| t.id != i.id)).collect(),
+    };
+    let belief = |i: &Instance| beliefs[i.id.0 as usize - 1];
+    rivals.retain(|i| belief(i) >= MIN_ALTERNATIVE);
+    rivals.sort_by(|a, b| belief(b).total_cmp(&belief(a)).then(a.id.cmp(&b.id)));
+    Grounding {
+        query: question.query.clone(),
+        status,
+        no_match_reason: reason,
+        seen: None,
+        answer: SixFields {
+            predicted_id: chosen.map(|i| i.id),
+            explanation,
+            candidate_names: candidates
+                .iter()
+                .map(|c| (c.id.0, described(&scene.instances[c.id.0 as usize - 1])))
+                .collect(),
+            target_name_matches: chosen.and(target_name_matches),
+            anchor_id: anchor,
+            relation_used,
+        },
+        aabb: chosen.map(|i| i.aabb),
+        oriented_box: chosen.map(|i| i.oriented_box),
+        confidence,
+        candidates,
+        alternatives: rivals
+            .iter()
+            .take(MAX_ALTERNATIVES)
+            .map(|i| alternative(i, described(i), belief(i)))
+            .collect(),
+        count: asks_for_several.then_some(targets.len() as u32),
+        targets,
+        parsed_query: summarise(parsed),
+        direction_convention: if question.observer.is_some() {
+            "observer".into()
+        } else {
+            question.convention.name().into()
+        },
+        timings_ms,
+    }
+}
+
+impl Grounding {
+    /// Takes up as candidates what was found since the others were chosen.
+    pub(super) fn offer(&mut self, context: &PromptContext, instances: &[Instance]) {
+        for (shown, rank) in context.candidates.iter().zip(1..) {
+            let Some(instance) =
+                instances.get(shown.id.0 as usize - 1).filter(|i| i.found_for.is_some())
+            else {
+                continue;
+            };
+            if self.candidates.iter().all(|c| c.id != shown.id) {
+                self.candidates.push(candidate(instance, rank, shown.score));
+                self.answer.candidate_names.insert(shown.id.0, described(instance));
+            }
+        }
+    }
+}
+
+/// An instance as a candidate.
+pub(super) fn candidate(instance: &Instance, rank: u32, score: f32) -> Candidate {
+    let &Instance { id, aabb, oriented_box, .. } = instance;
+    Candidate {
+        id,
+        rank,
+        score,
+        name: described(instance),
+        aabb,
+        oriented_box: Some(oriented_box),
+        view: None,
+    }
+}
+
+/// An instance as an alternative.
+pub(super) fn alternative(instance: &Instance, name: String, confidence: f32) -> Alternative {
+    let &Instance { id, aabb, oriented_box, .. } = instance;
+    Alternative { id, name, confidence, aabb, oriented_box: Some(oriented_box), view: None }
+}
+
+/// An instance as a target.
+pub(super) fn target(instance: &Instance, confidence: f32) -> Target {
+    let &Instance { id, aabb, oriented_box, support, level, .. } = instance;
+    let parent = instance.things.first().copied().filter(|_| level == Level::Part);
+    Target {
+        id,
+        name: described(instance),
+        confidence,
+        aabb,
+        oriented_box,
+        support: Some(support),
+        parent,
+    }
+}
+
+impl Grounding {
+    /// The same answer for somebody who acts only on a belief of at least `least`: what is less
+    /// likely is uncertain.
+    pub(super) fn hold_to(&mut self, least: f32) {
+        if self.status == Status::Grounded && self.confidence < least {
+            self.status = Status::Uncertain;
+        }
+    }
+}
+
+/// "red sofa": dominant colour and best name, whatever the question says.
+pub(super) fn described(instance: &Instance) -> String {
+    let says_colour = |name: &String| {
+        name.split_whitespace()
+            .any(|word| ColourName::ALL.iter().any(|colour| colour.word() == word))
+    };
+    if let Some(name) = instance.given_name.as_ref().filter(|name| says_colour(name)) {
+        return name.clone();
+    }
+    match instance.colours.dominant().first() {
+        Some((colour, _)) => format!("{} {}", colour.word(), instance.label()),
+        None => instance.label().to_owned(),
+    }
+}
+
+fn summarise(parsed: &ParsedQuery) -> ParsedQuerySummary {
+    let target = &parsed.target;
+    let traits = target.traits.iter().map(|s| s.word().to_owned());
+    let colours = target.colours.iter().map(|c| c.word().to_owned());
+    let other_than = target.other_than.iter().map(|c| format!("not {}", c.word()));
+    let with = target.with.iter().map(|w| {
+        let count = w.phrase.count.map_or_else(String::new, |n| format!("{n} "));
+        format!("{} {count}{}", if w.absent { "without" } else { "with" }, w.phrase.text())
+    });
+    let uses = target.uses.iter().map(|spoken| format!("to {spoken}"));
+    let superlative = target.superlative.map(|s| superlative_words(&s));
+    let mut summary = ParsedQuerySummary {
+        target: if target.meaning() == Meaning::Anything && target.head.is_empty() {
+            "thing".into()
+        } else {
+            target.head.clone()
+        },
+        attributes: traits
+            .chain(colours)
+            .chain(other_than)
+            .chain(with)
+            .chain(uses)
+            .chain(superlative)
+            .collect(),
+        anchors: Vec::new(),
+        relations: Vec::new(),
+        not_understood: parsed.not_understood.iter().chain(&parsed.passed_over).cloned().collect(),
+    };
+    collect_anchors(target, &mut summary);
+    let looked_at = parsed.viewpoint.iter().map(|v| &v.anchor);
+    let stands_at = parsed
+        .standpoint
+        .iter()
+        .filter(|stands_at| parsed.viewpoint.as_ref().is_none_or(|v| v.anchor != **stands_at));
+    summary.anchors.extend(looked_at.chain(stands_at).map(Phrase::text));
+    summary
+}
+
+/// Adds the relations and anchors of a phrase, then those of the phrases within it.
+fn collect_anchors(phrase: &Phrase, summary: &mut ParsedQuerySummary) {
+    for relation in &phrase.relations {
+        summary.relations.push(if relation.negated {
+            format!("not {}", relation.text)
+        } else {
+            relation.text.clone()
+        });
+        summary.anchors.extend(relation.anchors.iter().map(Phrase::text));
+    }
+    let within = phrase
+        .relations
+        .iter()
+        .flat_map(|r| &r.anchors)
+        .chain(phrase.with.iter().map(|w| &w.phrase));
+    within.for_each(|inner| collect_anchors(inner, summary));
+}
+
+/// "tallest", "leftmost, number 2"
+pub(super) fn superlative_words(superlative: &Superlative) -> String {
+    match superlative.rank {
+        0 | 1 => superlative.measure.word().to_owned(),
+        rank => format!("{}, number {rank}", superlative.measure.word()),
+    }
+}

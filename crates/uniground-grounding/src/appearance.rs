@@ -1,0 +1,167 @@
+//! The words of one question compared with what every instance looks like.
+//!
+//! All texts are embedded before anything is decided, so a model can fail here but not during the
+//! decision.
+
+use std::collections::HashMap;
+use uniground_geometry::scene::{Embeddings, Norms};
+use uniground_language::{Meaning, ParsedQuery, Phrase};
+use uniground_models::calibration;
+use uniground_models::neural::{DualEncoder, ModelError, TextEmbedding};
+use uniground_types::question::{CandidateSource, QueryText};
+
+/// How a shortlist is made.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct ShortlistScoring {
+    /// Who chooses; what follows is the encoder's part, where one has seen the scene.
+    pub from: CandidateSource,
+    /// The words whose vector is compared with the instances.
+    pub query_text: QueryText,
+    /// Compare the cosine with those of all nouns of the lexicon, so that an instance near every
+    /// word gains nothing by it (docs/METHOD.md, section 2); otherwise the plain cosine
+    /// counts.
+    pub calibrated: bool,
+}
+
+/// Cosines of a question's words with every instance.
+#[derive(Debug, Clone)]
+pub struct Appearance {
+    logit_scale: f32,
+    norms: Vec<Norms>,
+    seen: Vec<bool>,
+    /// Cosines by word, then by instance index; words the text tower does not know are missing.
+    of_word: HashMap<String, Vec<f32>>,
+    shortlist: Option<Vec<f32>>,
+    /// Whether the sentence is longer than the text tower reads.
+    pub cut: bool,
+}
+
+impl Appearance {
+    /// Looks up every noun of a question, and the question itself.
+    ///
+    /// # Errors
+    /// [`ModelError`]: a failed call.
+    pub fn of(
+        query: &str,
+        parsed: &ParsedQuery,
+        encoder: &DualEncoder,
+        embeddings: &Embeddings,
+        scoring: ShortlistScoring,
+    ) -> Result<Self, ModelError> {
+        let mut words = Vec::new();
+        let mut phrases = vec![&parsed.target];
+        phrases.extend(parsed.other_reading.as_ref());
+        phrases.extend(parsed.viewpoint.as_ref().map(|viewpoint| &viewpoint.anchor));
+        phrases.into_iter().for_each(|phrase| nouns_within(phrase, &mut words));
+        words.sort_unstable();
+        words.dedup();
+        let mut of_word = HashMap::new();
+        for word in words {
+            if let Some(vector) = encoder.embed_name(&word)?.vector {
+                of_word.insert(word, embeddings.cosines(&vector));
+            }
+        }
+        let TextEmbedding { vector, cut } =
+            sentence(query, &parsed.target, encoder, scoring.query_text)?;
+        let (logit_scale, norms) = (encoder.logit_scale(), embeddings.norms().to_vec());
+        let calibrated = |cosines: Vec<f32>| match scoring.calibrated {
+            true => cosines
+                .iter()
+                .zip(&norms)
+                .map(|(cosine, n)| (logit_scale * cosine - n.appearance).exp())
+                .collect(),
+            false => cosines,
+        };
+        let seen: Vec<bool> = (0..embeddings.len()).map(|i| embeddings.is_seen(i)).collect();
+        // Without a single picture every cosine is zero, and names tell more.
+        let vector = vector.filter(|_| seen.contains(&true));
+        let shortlist = vector.map(|vector| calibrated(embeddings.cosines(&vector)));
+        Ok(Self { logit_scale, norms, seen, of_word, shortlist, cut })
+    }
+
+    /// Fit of a word to the instance at an index; `None` for an instance without pictures and for a
+    /// word the tower does not know.
+    pub(super) fn fit(&self, word: &str, index: usize, measured: Option<f32>) -> Option<f32> {
+        if !*self.seen.get(index)? {
+            return None;
+        }
+        Some(calibration::fit(
+            self.of_word.get(word)?[index],
+            self.logit_scale,
+            measured,
+            self.norms[index],
+        ))
+    }
+
+    /// Scores of the shortlist, by index; `None` when the tower knows none of the words, or nothing
+    /// has been seen.
+    pub(super) fn shortlist(&self) -> Option<&[f32]> {
+        self.shortlist.as_deref()
+    }
+}
+
+/// The nouns a phrase and the phrases within may mean.
+fn nouns_within(phrase: &Phrase, words: &mut Vec<String>) {
+    match phrase.meaning() {
+        Meaning::Nouns(nouns) => words.extend(nouns.iter().map(|noun| noun.name.clone())),
+        Meaning::Unknown => words.push(phrase.head.clone()),
+        Meaning::Anything | Meaning::Structure(_) => {}
+    }
+    for other in phrase.could_be.iter().chain(&phrase.other_things) {
+        nouns_within(&Phrase { head: other.clone(), ..Phrase::default() }, words);
+    }
+    let anchors = phrase.relations.iter().flat_map(|relation| &relation.anchors);
+    anchors
+        .chain(phrase.with.iter().map(|with| &with.phrase))
+        .for_each(|inner| nouns_within(inner, words));
+}
+
+/// The words the shortlist goes by as one unit vector, and whether the end of the sentence was not
+/// read.
+fn sentence(
+    query: &str,
+    target: &Phrase,
+    encoder: &DualEncoder,
+    text: QueryText,
+) -> Result<TextEmbedding, ModelError> {
+    let full = encoder.embed_text(query)?;
+    let target = match text {
+        QueryText::Full => None,
+        QueryText::Target | QueryText::Mean => encoder.embed_name(&target.text())?.vector,
+    };
+    let vector = match (text, full.vector, target) {
+        (QueryText::Mean, Some(a), Some(b)) => {
+            let sum: Vec<f32> = a.iter().zip(b.iter()).map(|(x, y)| x + y).collect();
+            let norm = sum.iter().map(|v| v * v).sum::<f32>().sqrt();
+            if norm > 0.0 { Some(sum.iter().map(|v| v / norm).collect()) } else { Some(a) }
+        }
+        (QueryText::Target, full, None) => full,
+        (QueryText::Target, _, target) => target,
+        (_, full, target) => full.or(target),
+    };
+    Ok(TextEmbedding { vector, cut: full.cut && text != QueryText::Target })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use uniground_language::parse;
+    use uniground_testing::tiny_encoder;
+
+    #[test]
+    fn without_a_single_picture_names_decide_the_shortlist() {
+        let (encoder, query) = (tiny_encoder(), "the red chair");
+        let looked = |rows: &[f32]| {
+            let embeddings =
+                Embeddings::new(encoder.dim(), rows).with_norms(vec![Norms::default(); 2]);
+            Appearance::of(query, &parse(query), &encoder, &embeddings, ShortlistScoring::default())
+                .unwrap()
+        };
+        let mut rows = vec![0.0; encoder.dim() * 2];
+        assert!(looked(&rows).shortlist().is_none());
+        rows[0] = 1.0;
+        let half_seen = looked(&rows);
+        assert_eq!(half_seen.shortlist().map(<[f32]>::len), Some(2));
+        assert_eq!(half_seen.fit("chair", 1, None), None, "what was never seen has no appearance");
+    }
+}

@@ -1,0 +1,112 @@
+//! From an instance to a place to stand: where a robot sees it, reaches it, and gets to.
+//!
+//! [`Occupancy`] is made once per parse: the cloud in columns of voxels above a 5 cm grid. For a
+//! robot, [`Floor`] reads of it which cells are floor, obstacle or unknown; cells at least its
+//! radius away from obstacles (`clearance`) are free. Of the free cells around the
+//! `target`, `poses` keeps those within reach and with a way to them (`path`), looks at the thing
+//! from there (`visibility`), and tells the best, apart from each other. What a thing stands on is
+//! an obstacle like any other: for a mug on a table one stands at the table.
+//!
+//! Nothing is supposed of what was not seen: a robot never stands on unknown floor, nor drives over
+//! it.
+
+mod clearance;
+mod floor;
+mod occupancy;
+mod path;
+mod poses;
+mod target;
+mod visibility;
+
+pub use floor::Floor;
+pub use occupancy::Occupancy;
+pub use poses::{Places, Wish};
+
+use target::Target;
+use uniground_geometry::scene::{Instance, InstanceId, Support};
+use uniground_types::approach::{CellCounts, FailedCondition, StandingPose};
+
+/// Finds places to stand for an instance. `instances` are those of the parse, as corrected, in
+/// order of id; `None` where there is no such instance.
+#[must_use]
+pub fn approach(
+    occupancy: &Occupancy,
+    instances: &[Instance],
+    id: InstanceId,
+    wish: &Wish,
+) -> Option<Places> {
+    let instance = instances.get((id.0 as usize).checked_sub(1)?)?;
+    let Some(target) = Target::of(occupancy, instances, id) else {
+        return Some(Places {
+            poses: Err(FailedCondition::NotVisible),
+            start: None,
+            cells: CellCounts::default(),
+        });
+    };
+    let mut places = poses::places(occupancy, &target, wish);
+    let place = place_of(instance, instances);
+    places
+        .poses
+        .iter_mut()
+        .flatten()
+        .for_each(|pose| pose.why = why(pose, instance.label(), &place));
+    Some(places)
+}
+
+/// What a thing stands or hangs on, as an addition to its name.
+fn place_of(instance: &Instance, instances: &[Instance]) -> String {
+    let name = |id: InstanceId| {
+        instances.get((id.0 as usize).wrapping_sub(1)).map_or("object", Instance::label)
+    };
+    match instance.support {
+        Support::Instance { id } => format!(" on the {}", name(id)),
+        Support::Wall { .. } => " on the wall".into(),
+        Support::Floor | Support::Nothing => String::new(),
+    }
+}
+
+fn why(pose: &StandingPose, name: &str, place: &str) -> String {
+    let StandingPose { distance_m, reach_m, visible_share, clearance_m, path_m, .. } = pose;
+    let way = path_m.map_or_else(String::new, |metres| format!("{metres:.1} m to drive, "));
+    let room = clearance_m.map_or_else(
+        || "no obstacle near".into(),
+        |metres| format!("the nearest obstacle is {metres:.2} m away"),
+    );
+    let sight = (visible_share * 100.0).round();
+    format!(
+        "{way}{distance_m:.2} m from the {name}{place} ({reach_m:.2} m to reach), {sight} % of it not hidden, {room}"
+    )
+}
+
+/// Why there is no place to stand, in words.
+#[must_use]
+pub fn explanation(failed: FailedCondition, name: &str, cells: &CellCounts) -> String {
+    let CellCounts { near, floor, clear, connected, in_reach, looked_from, visible: _ } = cells;
+    match failed {
+        FailedCondition::StartNotFree => {
+            "the robot can not stand where it is said to be, nor within 0.5 m of it".into()
+        }
+        FailedCondition::NoFloor => format!(
+            "no free floor was seen near the {name}: none of {near} cells within the limits of distance"
+        ),
+        FailedCondition::NoRoom => format!(
+            "obstacles near the {name} leave this robot no room: none of {floor} cells of free floor"
+        ),
+        FailedCondition::NotReachable => {
+            format!(
+                "there is no way to where the {name} can be seen and reached: of {clear} cells with room {connected} can be got to"
+            )
+        }
+        FailedCondition::OutOfReach => {
+            format!("the {name} is out of reach from all {connected} cells the robot can get to")
+        }
+        FailedCondition::NotVisible => {
+            format!(
+                "other things hide the {name} from all {looked_from} places that were looked from, of {in_reach} cells"
+            )
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

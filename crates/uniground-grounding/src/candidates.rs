@@ -1,0 +1,216 @@
+//! Which instances a question's candidates are: what a vision-language model is shown and may
+//! choose from.
+//!
+//! Three ways ([`CandidateSource`]). The fused one asks everybody who knows something: names
+//! somebody gave, the encoder, measures, and the geometry of relations. What is called the right
+//! thing comes before what only stands in the right place; among those, place counts more
+//! than colour; what nobody speaks for by name is ordered by rank fusion.
+
+use super::answer::candidate;
+use super::assess::{Assessment, Assessor};
+use super::place::one_per_place;
+use super::readings::Readings;
+use super::{Appearance, Candidate, CandidateSource};
+use uniground_geometry::statistics::largest;
+use uniground_language::{Meaning, ParsedQuery, Phrase};
+
+/// Names that fit the noun at least this well make their bearers members of the class.
+const CALLED_SO: f32 = 0.3;
+/// How soon a lower rank counts little (rank fusion: `1 / (RANK + rank)`).
+const RANK: f32 = 5.0;
+/// Weights of the rankings that are fused: the thing and its relations together, the thing itself,
+/// its looks beside the whole question, and its place alone.
+const WEIGHTS: [f32; 4] = [1.0, 1.0, 1.0, 0.5];
+/// What a colour that is not there leaves of a member's place: colours are the least certain.
+const WITHOUT_COLOUR: f32 = 0.4;
+/// Things with no side of this length are specks, metres.
+const SPECK_M: f32 = 0.04;
+
+/// The `top_k` candidates of a question, best first; `scores` are the built-in reasoner's, by
+/// index, and told as the candidates' own.
+pub(super) fn choose(
+    assessor: &Assessor,
+    parsed: &ParsedQuery,
+    scores: &[f32],
+    from: CandidateSource,
+    top_k: usize,
+) -> Vec<Candidate> {
+    let scene = assessor.scene;
+    let order = match from {
+        CandidateSource::Encoder => best(&looks(assessor, &parsed.target), top_k),
+        CandidateSource::Reasoner => reasoned(assessor, parsed, scores, top_k),
+        CandidateSource::Fused => fused(assessor, parsed, scores, top_k),
+    };
+    order
+        .into_iter()
+        .zip(1..)
+        .map(|(i, rank)| candidate(&scene.instances[i], rank, scores[i]))
+        .collect()
+}
+
+/// How alike an instance's looks and the question's words are, by index, one instance for each
+/// place; names and measures where no encoder has seen the scene.
+pub(super) fn looks(assessor: &Assessor, target: &Phrase) -> Vec<f32> {
+    let scene = assessor.scene;
+    let Some(looks) = scene.appearance.and_then(Appearance::shortlist) else {
+        return assessor.own_fits(target).1;
+    };
+    let mut looks = looks.to_vec();
+    one_per_place(scene.instances, &mut looks);
+    looks
+}
+
+/// Indices of what scores anything, best first.
+fn best(scores: &[f32], top_k: usize) -> Vec<usize> {
+    largest(scores, top_k).into_iter().filter(|&i| scores[i] > 0.0).collect()
+}
+
+/// What fits the whole question, then what stands where it says, whatever it is called.
+fn reasoned(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: usize) -> Vec<usize> {
+    let mut order = best(scores, top_k);
+    let placed = assessor.assess(&unnamed(&parsed.target)).total;
+    let others = best(&placed, placed.len())
+        .into_iter()
+        .filter(|i| !order.contains(i))
+        .take(top_k - order.len());
+    order.extend(others.collect::<Vec<_>>());
+    order
+}
+
+/// A phrase without its noun.
+fn unnamed(target: &Phrase) -> Phrase {
+    Phrase { head: String::new(), could_be: Vec::new(), uses: Vec::new(), ..target.clone() }
+}
+
+fn fused(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: usize) -> Vec<usize> {
+    let (scene, target) = (assessor.scene, &parsed.target);
+    let meaning = target.meaning();
+    let read = assessor.assess(target);
+    let placed = assessor.assess(&unnamed(target)).total;
+    let looks = scene.appearance.and_then(Appearance::shortlist);
+    let asks_for_structure = matches!(meaning, Meaning::Structure(_));
+    let may_be = |i: usize| {
+        let instance = &scene.instances[i];
+        let is_thing = instance.structure.is_none()
+            && scene.names.get(i).is_none_or(super::GivenName::is_thing);
+        (is_thing || asks_for_structure)
+            && !instance.dismissed
+            && instance.aabb.size.max() >= SPECK_M
+    };
+    let readings = Readings::of(target);
+    let is_called_so = |i: usize| {
+        meaning != Meaning::Anything
+            && scene.names.get(i).is_some_and(|name| readings.called(name) >= CALLED_SO)
+    };
+    let rankings: [Option<&[f32]>; 4] = [Some(scores), Some(&read.own), looks, Some(&placed)];
+    let mut fusion = vec![0.0_f32; scores.len()];
+    for (scores, weight) in
+        rankings.into_iter().zip(WEIGHTS).filter_map(|(scores, weight)| Some((scores?, weight)))
+    {
+        for (i, rank) in best(scores, scores.len()).into_iter().filter(|&i| may_be(i)).zip(0_u16..)
+        {
+            fusion[i] += weight / (RANK + f32::from(rank));
+        }
+    }
+    let most = fusion.iter().copied().fold(f32::EPSILON, f32::max);
+    // Members of the class come before everything else, so they start above the best fusion.
+    let mut worth: Vec<f32> = fusion.iter().map(|f| f / most).collect();
+    for i in (0..worth.len()).filter(|&i| may_be(i)) {
+        if is_called_so(i) {
+            worth[i] += 1.0 + member(&read, i);
+        } else if scene.names.get(i).is_some_and(|name| name.carries(target, &meaning)) {
+            worth[i] += 1.0;
+        }
+    }
+    one_per_place(scene.instances, &mut worth);
+    best(&worth, top_k)
+}
+
+/// Worth of a member of the class, `0..=1`: name and relations, then colours.
+fn member(read: &Assessment, i: usize) -> f32 {
+    let colour = if read.nouns[i] > 0.0 { read.own[i] / read.nouns[i] } else { 0.0 };
+    let related = if read.own[i] > 0.0 { read.total[i] / read.own[i] } else { 0.0 };
+    read.nouns[i] * related * (WITHOUT_COLOUR + (1.0 - WITHOUT_COLOUR) * colour)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::direction::DirectionConvention;
+    use crate::{NameIndex, SceneView, rank_candidates};
+    use uniground_geometry::boxes::Aabb;
+    use uniground_geometry::scene::{Instance, Structure, Support};
+    use uniground_geometry::{Point3, Vector3};
+    use uniground_models::attributes::name_guesses;
+    use uniground_testing::thing;
+
+    /// Things of one size in a row, named; a wall behind them.
+    fn room(names: &[&str]) -> Vec<Instance> {
+        let named = |(i, name): (usize, &&str)| {
+            let at = [i as f32, 0.0];
+            Instance {
+                given_name: Some((*name).to_owned()),
+                ..thing(i as u32 + 1, at, [0.5, 0.5, 0.6], 0.0, Support::Floor, [120; 3])
+            }
+        };
+        let mut instances: Vec<Instance> = names.iter().enumerate().map(named).collect();
+        let wall = thing(
+            instances.len() as u32 + 1,
+            [2.0, 2.0],
+            [6.0, 0.1, 2.6],
+            0.0,
+            Support::Floor,
+            [200; 3],
+        );
+        instances.push(Instance { structure: Some(Structure::Wall), ..wall });
+        instances.iter_mut().for_each(|i| i.names = name_guesses(i));
+        instances
+    }
+
+    fn ids(instances: &[Instance], words: &str, top_k: usize) -> Vec<u32> {
+        let extent = Aabb { center: Point3::new(2.0, 1.0, 1.3), size: Vector3::new(8.0, 5.0, 2.6) };
+        let scene =
+            SceneView { instances, extent, names: &NameIndex::of(instances), appearance: None };
+        rank_candidates(scene, &uniground_language::parse(words), CandidateSource::Fused, top_k)
+            .iter()
+            .map(|c| c.id.0)
+            .collect()
+    }
+
+    #[test]
+    fn what_is_called_so_comes_before_what_stands_there() {
+        let names = [
+            "grey trash can",
+            "small wooden stool",
+            "lime green bean bag chair",
+            "white bean bag",
+            "tall floor lamp",
+        ];
+        let room = room(&names);
+        assert_eq!(
+            ids(&room, "the white beanbag next to the lamp", 2),
+            [4, 3],
+            "colour tells members apart, class comes first"
+        );
+        assert_eq!(ids(&room, "the beanbag next to the stool", 2), [3, 4], "place before colour");
+        let all = ids(&room, "the beanbag", 24);
+        assert!(all.len() <= names.len() && !all.contains(&6), "no wall unless asked for: {all:?}");
+        assert_eq!(ids(&room, "the wall", 1), [6]);
+    }
+
+    #[test]
+    fn the_reasoner_s_candidates_are_those_that_fit_and_then_those_that_stand_there() {
+        let instances = room(&["red mug", "blue mug"]);
+        let extent = Aabb { center: Point3::new(2.0, 1.0, 1.3), size: Vector3::new(8.0, 5.0, 2.6) };
+        let scene = SceneView {
+            instances: &instances,
+            extent,
+            names: &NameIndex::of(&instances),
+            appearance: None,
+        };
+        let assessor = Assessor::new(scene, DirectionConvention::Paper.into());
+        let parsed = uniground_language::parse("the mug");
+        let chosen = choose(&assessor, &parsed, &[0.9, 0.5, 0.0], CandidateSource::Reasoner, 2);
+        assert_eq!(chosen.iter().map(|c| (c.id.0, c.rank)).collect::<Vec<_>>(), [(1, 1), (2, 2)]);
+    }
+}

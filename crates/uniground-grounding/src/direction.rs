@@ -1,0 +1,141 @@
+//! Direction words as data: what "left" and "in front" mean in the world.
+
+use super::solid::Solid;
+use uniground_geometry::{Point3, Vector3};
+use uniground_language::Look;
+pub use uniground_types::question::{DirectionConvention, Observer};
+
+/// The horizontal directions a query's words are read in.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Directions {
+    /// Where something stands that is "to the right"; left is the opposite. Unit length, world
+    /// frame.
+    pub right: Vector3<f32>,
+    /// Where something stands that is "in front": towards the viewer; back is the opposite. Unit
+    /// length, world frame.
+    pub front: Vector3<f32>,
+    /// Whether this is somebody's view (an observer's, or told by the question) and not a
+    /// convention.
+    pub of_somebody: bool,
+    /// Whether nobody chose them: what people see from where they would stand comes first.
+    pub by_default: bool,
+}
+
+impl From<DirectionConvention> for Directions {
+    fn from(convention: DirectionConvention) -> Self {
+        match convention {
+            DirectionConvention::Paper => Self {
+                right: -Vector3::x(),
+                front: -Vector3::y(),
+                of_somebody: false,
+                by_default: true,
+            },
+            DirectionConvention::Viewer => Self {
+                right: Vector3::x(),
+                front: -Vector3::y(),
+                of_somebody: false,
+                by_default: false,
+            },
+        }
+    }
+}
+
+impl Directions {
+    /// As seen by somebody who looks along `forward` (only its horizontal part counts); `None` when
+    /// it points straight up or down.
+    #[must_use]
+    pub fn looking_along(forward: Vector3<f32>) -> Option<Self> {
+        let forward = Vector3::new(forward.x, forward.y, 0.0).try_normalize(1e-3)?;
+        Some(Self {
+            right: forward.cross(&Vector3::z()),
+            front: -forward,
+            of_somebody: true,
+            by_default: false,
+        })
+    }
+
+    /// As seen by an observer; only the yaw counts, not where the observer stands.
+    #[must_use]
+    pub fn of_observer(observer: &Observer) -> Self {
+        let forward = Vector3::new(observer.yaw_rad.cos(), observer.yaw_rad.sin(), 0.0);
+        Self {
+            right: forward.cross(&Vector3::z()),
+            front: -forward,
+            of_somebody: true,
+            by_default: false,
+        }
+    }
+
+    /// As seen by a person in the room who looks as the words say. Things that are longer than deep
+    /// are faced squarely: a window across the wall, a desk across its long side.
+    #[must_use]
+    pub fn of_look(look: Look, anchor: &Solid, room_center: &Point3<f32>) -> Option<Self> {
+        let towards = anchor.center - room_center;
+        match look {
+            Look::Facing => Self::looking_along(squarely(anchor, &towards).unwrap_or(towards)),
+            Look::From | Look::BackTo => {
+                Self::looking_along(-squarely(anchor, &towards).unwrap_or(towards))
+            }
+        }
+    }
+}
+
+/// The direction across a long thing, on the side `towards` points to; `None` for things about as
+/// deep as long, or seen end on.
+fn squarely(anchor: &Solid, towards: &Vector3<f32>) -> Option<Vector3<f32>> {
+    const LONGER_THAN_DEEP: f32 = 1.3;
+    const MIN_SQUARE: f32 = 0.35;
+    let (long, short) = anchor.sides();
+    if long < LONGER_THAN_DEEP * short {
+        return None;
+    }
+    let along = anchor.along();
+    let across = Vector3::new(-along.y, along.x, 0.0);
+    let towards = Vector3::new(towards.x, towards.y, 0.0).try_normalize(1e-3)?;
+    let square = across.dot(&towards);
+    (square.abs() >= MIN_SQUARE).then(|| across * square.signum())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn somebody_looking_along_y_has_x_to_the_right() {
+        let seen = Directions::looking_along(Vector3::new(0.0, 2.0, -0.5)).unwrap();
+        assert!(
+            (seen.right - Vector3::x()).norm() < 1e-6 && (seen.front + Vector3::y()).norm() < 1e-6
+        );
+        assert_eq!(seen.right, Directions::from(DirectionConvention::Viewer).right);
+        let observer = Observer { position: [0.0; 3], yaw_rad: std::f32::consts::FRAC_PI_2 };
+        assert!((Directions::of_observer(&observer).right - seen.right).norm() < 1e-6);
+        assert_eq!(Directions::looking_along(Vector3::z()), None);
+    }
+
+    #[test]
+    fn windows_are_faced_across_the_wall() {
+        use uniground_geometry::boxes::Aabb;
+        // A window in the wall at +X, far to one side: the line to its middle is oblique, the view
+        // is not.
+        let window = Solid::from(Aabb {
+            center: Point3::new(3.0, 2.0, 1.5),
+            size: Vector3::new(0.1, 1.4, 1.2),
+        });
+        let seen = Directions::of_look(Look::Facing, &window, &Point3::origin()).unwrap();
+        assert!((seen.right + Vector3::y()).norm() < 1e-5, "{seen:?}");
+        let from = Directions::of_look(Look::From, &window, &Point3::origin()).unwrap();
+        assert!((from.right - Vector3::y()).norm() < 1e-5, "{from:?}");
+        // A round table is faced along the line to it.
+        let table = Solid::from(Aabb {
+            center: Point3::new(1.0, 1.0, 0.4),
+            size: Vector3::new(1.0, 1.0, 0.7),
+        });
+        let seen = Directions::of_look(Look::Facing, &table, &Point3::origin()).unwrap();
+        assert!((seen.front + Vector3::new(1.0, 1.0, 0.0).normalize()).norm() < 1e-5, "{seen:?}");
+    }
+
+    #[test]
+    fn the_paper_mirrors_left_and_right() {
+        assert_eq!(Directions::from(DirectionConvention::Paper).right, -Vector3::x());
+    }
+}

@@ -1,0 +1,144 @@
+//! How well one noun stands for another: synonyms, broader and narrower words, things that serve
+//! the same use.
+
+use uniground_language::{Meaning, Phrase};
+use uniground_models::attributes::{Kinship, Lexicon, Noun, WordNet};
+
+/// A broader word ("seat" for a sofa) fits a little less than the thing's own name.
+const BROADER_WORD: f32 = 0.9;
+/// How much less a kind fits a broader word that is hardly ever met, against one that is met
+/// everywhere.
+const EXOTIC: f32 = 0.125;
+/// A thing that was given a broader name than the one asked for may be meant.
+pub(super) const BROADER_NAME: f32 = 0.5;
+/// The same where the name is the last word of what is asked for: "stool" for a bar stool.
+const ITS_LAST_WORD: f32 = 0.7;
+/// The same where the name says what else it is for: a "salad bowl" for a dog bowl; "picture frame"
+/// and "photo frame" may be one.
+const OTHER_COMPOUND: f32 = 0.3;
+/// Another word for the name that was given.
+const SYNONYM: f32 = 0.95;
+/// A thing that serves a use as others do; one that is named after the use has 1.
+const SERVES_ALIKE: f32 = 0.93;
+
+/// Weight of the `i`-th meaning of a phrase's noun: 1 for the thing of that name, less for things
+/// it is a broader word for, the less the more seldom they are met. Things that serve a use weigh
+/// the same, except those named after it: tea is poured from a teapot.
+pub(super) fn breadth(phrase: &Phrase, noun: &Noun, i: usize) -> f32 {
+    let names =
+        || std::iter::once(&noun.name).chain(&noun.synonyms).flat_map(|name| name.split(' '));
+    match phrase.uses.is_empty() {
+        true if i == 0 => 1.0,
+        true => BROADER_WORD * (1.0 - EXOTIC * (1.0 - noun.prior)),
+        false if names().any(|word| phrase.purpose.iter().any(|said| said == word)) => 1.0,
+        false => SERVES_ALIKE,
+    }
+}
+
+/// How well a noun that names a thing fits the noun asked for: the same thing in other words fits
+/// fully, a broader word a little less.
+pub(super) fn kind_fit(given: &str, phrase: &Phrase, meaning: &Meaning) -> f32 {
+    // "kitchen chair" is one name where somebody gave it.
+    if phrase.unchecked.iter().any(|before| {
+        given.strip_suffix(&phrase.head).and_then(|rest| rest.strip_suffix(' ')) == Some(before)
+    }) {
+        return 1.0;
+    }
+    let fit = match (meaning, Lexicon::get().find(given)) {
+        (Meaning::Nouns(asked), Some(own)) => {
+            match asked.iter().position(|noun| noun.name == own.name) {
+                // The very word is meant before its synonyms.
+                Some(i) => {
+                    breadth(phrase, own, i)
+                        * if i > 0
+                            || !phrase.uses.is_empty()
+                            || given == phrase.head
+                            || own.name == phrase.head
+                        {
+                            1.0
+                        } else {
+                            SYNONYM
+                        }
+                }
+                // "table" was given and "side table" is asked for: it may be one.
+                None if phrase.uses.is_empty()
+                    && asked.first().is_some_and(|noun| noun.kinds.contains(&own.name)) =>
+                {
+                    match given.contains(' ') && phrase.head.contains(' ') {
+                        _ if is_last_word(given, phrase) => ITS_LAST_WORD,
+                        // A salad bowl is hardly a dog bowl.
+                        true => OTHER_COMPOUND,
+                        false => BROADER_NAME,
+                    }
+                }
+                None => 0.0,
+            }
+        }
+        _ => f32::from(u8::from(last(given) == last(&phrase.head))),
+    };
+    if fit > 0.0 || phrase.head.is_empty() || !phrase.uses.is_empty() {
+        fit
+    } else {
+        kinship_fit(given, &phrase.head)
+    }
+}
+
+fn is_last_word(given: &str, phrase: &Phrase) -> bool {
+    let singular = Lexicon::get().find(&phrase.head).map_or(&phrase.head, |noun| &noun.name);
+    singular.strip_suffix(given).is_some_and(|before| before.ends_with(' '))
+}
+
+fn last(words: &str) -> Option<&str> {
+    words.split_whitespace().next_back()
+}
+
+/// The same for words that the lexicon does not put together.
+fn kinship_fit(given: &str, asked: &str) -> f32 {
+    // Of a compound that the lexicon tells from others, the last word alone says too little: a high
+    // chair is no dining chair.
+    if Lexicon::get().knows(asked) && !WordNet::get().names(asked) {
+        return 0.0;
+    }
+    match WordNet::get().kinship(given, asked) {
+        Some(Kinship::Same) => SYNONYM,
+        Some(Kinship::Narrower(steps)) => {
+            (BROADER_WORD - 0.1 * steps as f32) * WordNet::get().commonness(given)
+        }
+        Some(Kinship::Broader(steps)) => BROADER_NAME - 0.1 * steps as f32,
+        None => 0.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_matched_by_kind_not_by_their_last_word() {
+        let fit = |given: &str, asked: &str| {
+            let phrase = Phrase { head: asked.into(), ..Phrase::default() };
+            kind_fit(given, &phrase, &phrase.meaning())
+        };
+        assert_eq!(
+            (fit("stool", "bar stool"), fit("stool", "bar stools"), fit("chair", "bar stool")),
+            (ITS_LAST_WORD, ITS_LAST_WORD, BROADER_NAME)
+        );
+        assert!(
+            fit("trash can", "dustbin") >= SYNONYM
+                && fit("acoustic guitar", "musical instrument") > 0.5
+        );
+        // Of kinds as near, what people speak of comes first.
+        assert!(
+            fit("fedora", "hat") > 1.02 * fit("deerstalker", "hat"),
+            "{}",
+            fit("deerstalker", "hat")
+        );
+        for (given, asked) in [
+            ("high chair", "dining chair"),
+            ("coffee table", "dining table"),
+            ("washing machine", "fridge"),
+        ] {
+            assert_eq!(fit(given, asked), 0.0, "{given} {asked}");
+        }
+    }
+}

@@ -1,0 +1,210 @@
+//! Stage 2, Contextual Precision Grounding: instances and a question to six fields and a box
+//! (paper, section 3.3; docs/METHOD.md, sections 2 to 4).
+//!
+//! [`pipeline`] is the whole way from words to an answer. No model is needed: the built-in reasoner
+//! scores names, attributes and relations by geometry, and a vision-language model, where there is
+//! one, reviews what it found. The language never changes the geometry.
+
+#![warn(missing_docs)]
+
+pub mod album;
+mod answer;
+mod appearance;
+pub mod approach;
+mod assess;
+mod candidates;
+pub mod direction;
+mod fit;
+pub mod graph;
+mod kinds;
+mod names;
+mod picture_cache;
+pub mod pipeline;
+mod place;
+mod readings;
+pub mod reasoner;
+pub mod relations;
+pub mod room;
+pub mod room_index;
+mod scene_source;
+mod settled;
+mod shortlist;
+pub mod solid;
+mod unlisted;
+pub mod vlm;
+
+pub use answer::Grounding;
+pub use appearance::{Appearance, ShortlistScoring};
+use assess::Assessor;
+use direction::{DirectionConvention, Directions, Observer};
+pub use names::{GivenName, NameIndex};
+pub use picture_cache::PictureCache;
+pub use settled::settled;
+use std::time::{Duration, Instant};
+pub use uniground_types::answer::{
+    Alternative, Candidate, NoMatchReason, ParsedQuerySummary, Seen, SixFields, Status, Target,
+    Timings,
+};
+pub use uniground_types::question::{CandidateSource, QueryText};
+
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::scene::Instance;
+
+/// A parsed scene as stage 2 needs it.
+#[derive(Debug, Clone, Copy)]
+pub struct SceneView<'a> {
+    /// In order of id, which counts from 1.
+    pub instances: &'a [Instance],
+    /// Box of all points, metres, world frame (Z up).
+    pub extent: Aabb,
+    /// The names that somebody who has seen them gave the instances, read.
+    pub names: &'a NameIndex,
+    /// How the question's words compare with what the instances look like; `None` where no encoder
+    /// has seen them.
+    pub appearance: Option<&'a Appearance>,
+}
+
+/// A question.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Question {
+    /// What to find, in plain English.
+    pub query: String,
+    /// How many candidates to keep (paper: 5 for `ScanRefer`, 10 for `EmbodiedScan`).
+    pub top_k: usize,
+    /// What left, right, front and back mean, unless there is an observer or the words tell
+    /// ("facing the desk").
+    pub convention: DirectionConvention,
+    /// Whose left, right, front and back are meant, and who "me" is; overrides `convention`.
+    pub observer: Option<Observer>,
+    /// The target's class, where it is given with the question: only in an evaluation done the
+    /// paper's way.
+    pub target_name: Option<String>,
+    /// Who chooses what a vision-language model is shown.
+    pub candidates: CandidateSource,
+    /// Which words are compared with the instances' looks.
+    pub query_text: QueryText,
+    /// Least belief for an answer, `0..=1`; below it the answer is uncertain.
+    pub min_confidence: f32,
+}
+
+impl Question {
+    /// A question with the paper's five candidates and directions.
+    #[must_use]
+    pub fn of(query: impl Into<String>) -> Self {
+        Self {
+            query: query.into(),
+            top_k: 5,
+            convention: DirectionConvention::default(),
+            observer: None,
+            target_name: None,
+            candidates: CandidateSource::default(),
+            query_text: QueryText::default(),
+            min_confidence: 0.0,
+        }
+    }
+}
+
+/// The `top_k` best candidates for a question, without a decision (paper, section 3.2: by the
+/// encoder).
+#[must_use]
+pub fn rank_candidates(
+    scene: SceneView,
+    parsed: &uniground_language::ParsedQuery,
+    from: CandidateSource,
+    top_k: usize,
+) -> Vec<Candidate> {
+    let mut assessor = Assessor::new(scene, DirectionConvention::Paper.into());
+    if from == CandidateSource::Encoder {
+        return shortlist::rank(scene, &candidates::looks(&assessor, &parsed.target), top_k);
+    }
+    let scores = reasoner::builtin::decide(&mut assessor, parsed).scores;
+    candidates::choose(&assessor, parsed, &scores, from, top_k)
+}
+
+/// Answers a question, read by the built-in grammar.
+#[must_use]
+pub fn ground(scene: SceneView, question: &Question) -> Grounding {
+    let start = Instant::now();
+    let parsed = uniground_language::parse(&question.query);
+    ground_read(scene, question, parsed, start.elapsed())
+}
+
+/// Answers a question that has been read already; `reading` is how long that took.
+#[must_use]
+pub fn ground_read(
+    scene: SceneView,
+    question: &Question,
+    parsed: uniground_language::ParsedQuery,
+    reading: Duration,
+) -> Grounding {
+    decided(scene, question, settled(scene, parsed), reading).1
+}
+
+/// Answers a question, and gathers what a vision-language model is told so that it can decide
+/// better. The answer has the `top_k` candidates that the question's [`CandidateSource`] chooses.
+#[must_use]
+pub fn ground_with_context(
+    scene: SceneView,
+    question: &Question,
+    parsed: uniground_language::ParsedQuery,
+    reading: Duration,
+) -> (Grounding, vlm::PromptContext) {
+    let (decided, mut grounding) = decided(scene, question, parsed, reading);
+    let Decided { assessor, parsed, scores, beliefs } = decided;
+    grounding.candidates =
+        candidates::choose(&assessor, &parsed, &scores, question.candidates, question.top_k);
+    for candidate in &grounding.candidates {
+        let name = || answer::described(&scene.instances[candidate.id.0 as usize - 1]);
+        grounding.answer.candidate_names.entry(candidate.id.0).or_insert_with(name);
+    }
+    let context = vlm::PromptContext::of(&assessor, &parsed, &grounding, &beliefs);
+    (grounding, context)
+}
+
+/// What led to a decision.
+struct Decided<'a> {
+    assessor: Assessor<'a>,
+    parsed: uniground_language::ParsedQuery,
+    /// By instance index.
+    scores: Vec<f32>,
+    /// By instance index.
+    beliefs: Vec<f32>,
+}
+
+fn decided<'a>(
+    scene: SceneView<'a>,
+    question: &Question,
+    mut parsed: uniground_language::ParsedQuery,
+    reading: Duration,
+) -> (Decided<'a>, Grounding) {
+    let start = Instant::now();
+    if let Some(name) = &question.target_name {
+        parsed.target.head.clone_from(name);
+    }
+    let directions = question
+        .observer
+        .as_ref()
+        .map_or_else(|| question.convention.into(), Directions::of_observer);
+    let mut assessor = Assessor::new(scene, directions);
+    if let Some(observer) = &question.observer {
+        assessor.observer = Some(
+            Aabb {
+                center: observer.position.map(|v| v as f32).into(),
+                size: uniground_geometry::Vector3::zeros(),
+            }
+            .into(),
+        );
+        let of_me = parsed.of_me();
+        parsed.not_understood.retain(|word| !of_me.contains(word));
+    }
+    let prepared = start.elapsed();
+    let verdict = reasoner::builtin::decide(&mut assessor, &parsed);
+    let total = start.elapsed();
+    let timings_ms = answer::timings(reading, reading + prepared, reading + total);
+    let (scores, beliefs) = (verdict.scores.clone(), verdict.beliefs.clone());
+    let grounding = answer::assemble(scene, question, &parsed, verdict, timings_ms);
+    (Decided { assessor, parsed, scores, beliefs }, grounding)
+}
+
+#[cfg(test)]
+mod driving;

@@ -1,0 +1,285 @@
+//! Names that somebody who has seen the instances gave them, as an index: free phrases ("lime green
+//! bean bag chair"), read by the grammar once and compared with what a question asks for.
+
+use super::kinds::kind_fit;
+use uniground_geometry::colour::ColourName;
+use uniground_geometry::scene::{Instance, Structure};
+use uniground_language::{self, Meaning, Phrase};
+use uniground_models::attributes::{Lexicon, WordNet};
+
+/// The names of a scene's instances.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct NameIndex {
+    /// By instance index; `None` for those without a name.
+    of: Vec<Option<GivenName>>,
+}
+
+impl NameIndex {
+    /// Reads the names that the instances were given.
+    #[must_use]
+    pub fn of(instances: &[Instance]) -> Self {
+        if instances.iter().all(|i| i.given_name.is_none()) {
+            return Self::default();
+        }
+        Self {
+            of: instances
+                .iter()
+                .map(|i| i.given_name.as_deref().and_then(GivenName::read))
+                .collect(),
+        }
+    }
+
+    /// The name of the instance at an index.
+    #[must_use]
+    pub fn get(&self, index: usize) -> Option<&GivenName> {
+        self.of.get(index)?.as_ref()
+    }
+
+    /// Whether nothing has a name.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.of.is_empty()
+    }
+}
+
+/// What a name says of its bearer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Thing,
+    /// "part of a bed": not the bed itself.
+    Part,
+    /// A piece of the building.
+    Structure(Structure),
+    /// Noise of the scan.
+    NotAThing,
+}
+
+/// A name, read.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GivenName {
+    kind: Kind,
+    /// What it names: of a part, the thing it belongs to.
+    phrase: Phrase,
+    /// The words that name the thing itself, in the singular, before any that lead elsewhere ("on
+    /// the desk").
+    words: Vec<String>,
+}
+
+/// What a part of a thing is of the thing.
+const PART: f32 = 0.35;
+/// A name that has all words asked for, its noun among them.
+const SAME_WORDS: f32 = 0.9;
+/// A name that has all words asked for beside its noun: a "bean bag chair" for "bean bag".
+const WORDS_BESIDE_ITS_NOUN: f32 = 0.6;
+/// Words after which a name speaks of other things.
+const ELSEWHERE: [&str; 17] = [
+    "with", "under", "on", "in", "near", "next", "behind", "beside", "above", "below", "against",
+    "at", "by", "beneath", "of", "from", "holding",
+];
+/// Words for a stretch of a wall, a floor or a ceiling.
+const STRETCH: [&str; 14] = [
+    "section", "panel", "corner", "area", "surface", "edge", "patch", "piece", "portion", "trim",
+    "segment", "strip", "part", "fragment",
+];
+const NOTHING: [&str; 7] =
+    ["not a thing", "nothing", "no object", "noise", "artifact", "artefact", "empty"];
+const UNCLEAR: [&str; 7] = [
+    "unclear",
+    "unknown",
+    "unidentified",
+    "unidentifiable",
+    "unrecognizable",
+    "unrecognisable",
+    "n/a",
+];
+
+impl GivenName {
+    /// Reads a name; `None` where it says that its giver could not tell.
+    #[must_use]
+    pub fn read(text: &str) -> Option<Self> {
+        let text = text.trim().trim_end_matches('.').to_lowercase();
+        if text.is_empty() || UNCLEAR.iter().any(|word| text.starts_with(word)) {
+            return None;
+        }
+        if NOTHING.iter().any(|word| text.starts_with(word)) {
+            return Some(Self {
+                kind: Kind::NotAThing,
+                phrase: Phrase::default(),
+                words: Vec::new(),
+            });
+        }
+        let (kind, text) = match text.strip_prefix("part of ") {
+            Some(whole) => (Kind::Part, whole.to_owned()),
+            None => (Kind::Thing, text),
+        };
+        let named = text
+            .strip_prefix("structure")
+            .map_or(text.as_str(), |rest| rest.trim_start_matches([':', ' ', '-']));
+        let words: Vec<String> = main_words(named).map(|word| singular(&word).to_owned()).collect();
+        let kind = structure_in(&words).map_or(kind, Kind::Structure);
+        Some(Self { kind, phrase: uniground_language::parse(named).target, words })
+    }
+
+    /// How well the name fits the noun asked for, `0..=1`.
+    #[must_use]
+    pub fn fit(&self, asked: &Phrase, meaning: &Meaning) -> f32 {
+        match (self.kind, meaning) {
+            (Kind::Structure(own), Meaning::Structure(wanted)) => {
+                f32::from(u8::from(own == *wanted))
+            }
+            (Kind::NotAThing | Kind::Structure(_), _) | (_, Meaning::Structure(_)) => 0.0,
+            (Kind::Part, Meaning::Anything) => PART,
+            (Kind::Thing, Meaning::Anything) => 1.0,
+            (Kind::Part, _) => PART * self.noun_fit(asked, meaning),
+            (Kind::Thing, _) => self.noun_fit(asked, meaning),
+        }
+    }
+
+    fn noun_fit(&self, asked: &Phrase, meaning: &Meaning) -> f32 {
+        let by_noun = self.noun().map_or(0.0, |noun| kind_fit(&noun, asked, meaning));
+        if by_noun > 0.0 { by_noun } else { self.by_words(asked) }
+    }
+
+    /// Its noun: the last words that a dictionary knows together, the most of them; what the
+    /// grammar takes for it where none does.
+    fn noun(&self) -> Option<String> {
+        let known =
+            |words: &String| Lexicon::get().find(words).is_some() || WordNet::get().names(words);
+        let runs = (1..=self.words.len())
+            .rev()
+            .flat_map(|end| (0..end).map(move |from| self.words[from..end].join(" ")));
+        runs.into_iter()
+            .find(known)
+            .or_else(|| Some(self.phrase.head.clone()).filter(|head| !head.is_empty()))
+    }
+
+    /// By the words alone, where no dictionary helps.
+    fn by_words(&self, asked: &Phrase) -> f32 {
+        let wanted: Vec<&str> = asked.head.split_whitespace().map(singular).collect();
+        if wanted.is_empty() || !wanted.iter().all(|word| self.words.iter().any(|own| own == word))
+        {
+            return 0.0;
+        }
+        if self.words.last().map(String::as_str) == wanted.last().copied() {
+            SAME_WORDS
+        } else {
+            WORDS_BESIDE_ITS_NOUN
+        }
+    }
+
+    /// Whether it says that its bearer carries what is asked for: "candlestick with pink candle".
+    #[must_use]
+    pub fn carries(&self, asked: &Phrase, meaning: &Meaning) -> bool {
+        let carried = self.phrase.with.iter().filter(|with| !with.absent);
+        self.kind == Kind::Thing
+            && carried.into_iter().any(|with| kind_fit(&with.phrase.head, asked, meaning) > 0.0)
+    }
+
+    /// Whether it is a thing at all, rather than a stretch of a wall or noise.
+    #[must_use]
+    pub fn is_thing(&self) -> bool {
+        matches!(self.kind, Kind::Thing | Kind::Part)
+    }
+
+    /// Colours it says.
+    #[must_use]
+    pub fn colours(&self) -> &[ColourName] {
+        &self.phrase.colours
+    }
+
+    /// Whether it has a word: "leather", "striped".
+    #[must_use]
+    pub fn says(&self, word: &str) -> bool {
+        let word = singular(word);
+        self.words.iter().any(|own| own == word)
+    }
+}
+
+/// The part of the building that a name is a stretch of: "beige wall section", "ceiling".
+fn structure_in(words: &[String]) -> Option<Structure> {
+    let end = words.iter().rposition(|word| !STRETCH.contains(&word.as_str()))?;
+    match words[end].as_str() {
+        "wall" => Some(Structure::Wall),
+        "floor" | "flooring" => Some(Structure::Floor),
+        "ceiling" => Some(Structure::Ceiling),
+        _ => None,
+    }
+}
+
+/// Words of a name up to the first that leads to another thing; "and" does, but for one between
+/// colours.
+fn main_words(name: &str) -> impl Iterator<Item = String> {
+    let is_colour = |word: &String| ColourName::ALL.iter().any(|colour| colour.word() == word);
+    let mut words: Vec<String> = Vec::new();
+    for word in name
+        .split(|c: char| !c.is_alphanumeric())
+        .filter(|word| !word.is_empty())
+        .map(str::to_lowercase)
+    {
+        match word.as_str() {
+            "and" if words.last().is_some_and(is_colour) => {}
+            "and" => break,
+            word if ELSEWHERE.contains(&word) => break,
+            _ => words.push(word),
+        }
+    }
+    words.into_iter()
+}
+
+fn singular(word: &str) -> &str {
+    word.strip_suffix('s').filter(|rest| rest.len() > 2 && !rest.ends_with('s')).unwrap_or(word)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fit(name: &str, query: &str) -> f32 {
+        let asked = uniground_language::parse(query).target;
+        GivenName::read(name).map_or(-1.0, |name| name.fit(&asked, &asked.meaning()))
+    }
+
+    #[test]
+    fn free_phrases_name_what_is_asked_for() {
+        for (name, query) in [
+            ("lime green bean bag chair", "the beanbag"),
+            ("white two-door wardrobe", "the wardrobe"),
+            ("blue and white abstract framed painting", "the picture on the wall"),
+            ("black round digital alarm clock", "the alarm clock"),
+            ("brown wooden chest of drawers", "the dresser"),
+            ("tall white bookcase with books", "the bookshelf"),
+            ("grey metal trash can", "the bin"),
+            ("small white lamp on a desk", "the lamp"),
+            ("acoustic guitar leaning on wall", "the guitar"),
+            ("brown leather sofa", "the couch"),
+            ("window with air conditioner", "the window"),
+            ("wooden theremin", "the theremin"),
+            ("beige wall section", "the wall"),
+            ("structure: floor", "the floor"),
+        ] {
+            assert!(fit(name, query) >= 0.5, "{name} for {query}: {}", fit(name, query));
+        }
+    }
+
+    #[test]
+    fn and_nothing_else() {
+        for (name, query) in [
+            ("small white lamp on a desk", "the desk"),
+            ("white radiator cabinet under window", "the window"),
+            ("beige wall section", "the window"),
+            ("not a thing", "the thing next to the bed"),
+            ("structure: wall", "the table"),
+            ("white washing machine", "the fridge"),
+        ] {
+            assert_eq!(fit(name, query), 0.0, "{name} for {query}");
+        }
+        let candle = uniground_language::parse("the candle").target;
+        let carries =
+            |name: &str| GivenName::read(name).unwrap().carries(&candle, &candle.meaning());
+        assert!(
+            carries("white candlestick with pink candle") && !carries("white shelf with books")
+        );
+        assert_eq!(fit("unclear", "the table"), -1.0);
+        assert!((0.1..0.5).contains(&fit("part of wooden bed frame", "the bed")));
+    }
+}

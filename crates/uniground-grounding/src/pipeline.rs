@@ -1,0 +1,448 @@
+//! One question, from words to an answer: the only way there, for the service, for evaluation and
+//! for a robot's own process.
+//!
+//! ```text
+//! read -> settle -> appearance -> decide -> evidence -> review -> answer
+//!         \_______ one step of computing _____/   \_ where a vision-language model reviews _/
+//! ```
+//! The pipeline is a future that its caller drives; it needs no runtime of its own. Where a scene's
+//! pictures, embeddings and names come from, and on which threads computing happens, is the
+//! business of a [`SceneSource`].
+
+use super::appearance::{Appearance, ShortlistScoring};
+use super::reasoner::builtin;
+pub use super::scene_source::{QuestionError, SceneSource};
+use super::unlisted::{Found, look_up};
+use super::vlm::{
+    self, Conversation, Decision, EvidenceMode, MAX_CALLS, Options, Outcome, PictureSettings,
+    PromptVersion, Undecided, naming,
+};
+use super::{
+    Candidate, Grounding, Question, SceneView, decided, ground_with_context, rank_candidates,
+    settled,
+};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use uniground_geometry::scene::{Embeddings, InstanceId};
+use uniground_language::{BuiltinParser, FellBack, ParsedQuery, QueryParser, Reading, parse};
+use uniground_models::attributes;
+use uniground_models::chat::{Budget, CallRecord, ChatModel, Session};
+use uniground_models::neural::DualEncoder;
+
+/// What happens when a chat model can not be used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WithoutModel {
+    /// Grammar and geometry do its part; the answer says so.
+    BuiltIn,
+    /// There is no answer.
+    Fail,
+}
+
+/// A question, and who takes part in answering it.
+pub struct Ask {
+    /// The words, and how they are to be taken.
+    pub question: Question,
+    /// Who reads the question.
+    pub parser: Arc<dyn QueryParser>,
+    /// What happens when `parser` can not use its model.
+    pub without_parser: WithoutModel,
+    /// Where the encoder fails, or is not the one that has seen the scene, names and measures
+    /// answer; the answer says so.
+    pub allow_builtin_encoder: bool,
+    /// A vision-language model that reviews what geometry has found.
+    pub review: Option<Review>,
+}
+
+impl Ask {
+    /// A question for grammar, geometry and what the encoder has seen, without a chat model.
+    #[must_use]
+    pub fn of(question: Question) -> Self {
+        let (parser, without_parser) = (Arc::new(BuiltinParser), WithoutModel::BuiltIn);
+        Self { question, parser, without_parser, allow_builtin_encoder: false, review: None }
+    }
+}
+
+/// A vision-language model and how it is asked.
+pub struct Review {
+    /// The model that is shown the candidates.
+    pub model: Arc<dyn ChatModel>,
+    /// What pays for its calls: every call is charged to each of these.
+    pub budgets: Vec<Budget>,
+    /// How the prompt is built: ablation, pictures, format.
+    pub options: Options,
+    /// What happens when the model can not be asked.
+    pub without_model: WithoutModel,
+}
+
+/// What came of a question, and how.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Answered {
+    /// Six fields, boxes, status and candidates.
+    pub grounding: Grounding,
+    /// What was understood of the question.
+    pub parsed: ParsedQuery,
+    /// Name and version of who read the question.
+    pub parser: String,
+    /// Name and version of what compared pictures and words: an encoder, or the built-in
+    /// attributes.
+    pub encoder: String,
+    /// Name and version of who decided: the built-in reasoner, or the model with its prompt.
+    pub reasoner: String,
+    /// A built-in part took the place of a model that was counted on and could not be used, or
+    /// that never chose a candidate; `corrections` says why.
+    pub degraded: bool,
+    /// What went wrong on the way, in order.
+    pub corrections: Vec<String>,
+    /// Every call of a model, in order: at most [`MAX_CALLS`], and one more where the model saw
+    /// what was not listed.
+    pub calls: Vec<CallRecord>,
+}
+
+/// Answers a question.
+///
+/// # Errors
+/// Those of the source; [`QuestionError`] where a model was demanded that can not be used.
+pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answered, S::Error> {
+    let Ask { question, parser, without_parser, allow_builtin_encoder, review } = ask;
+    let least = question.min_confidence;
+    let start = Instant::now();
+    let query = question.query.clone();
+    let grammar = source.compute(move |_| Ok(parse(&query))).await?;
+    let Reading { parsed, by, mut calls, fell_back } = parser.read(&question.query, grammar).await;
+    let (mut corrections, mut degraded) = (Vec::new(), false);
+    if let Some(FellBack { why, was_demanded }) = fell_back {
+        // A model that said something nobody can use was asked all the same.
+        let was_asked = calls.iter().any(|call| call.outcome.is_ok());
+        if without_parser == WithoutModel::Fail && !was_asked {
+            return Err(QuestionError::Unread(why).into());
+        }
+        corrections.push(format!("the built-in parser read the question: {why}"));
+        degraded = was_demanded;
+    }
+    let took = start.elapsed();
+
+    let with_review = review.is_some();
+    let (grounding, context, parsed, used) = source
+        .compute(move |source| {
+            let parsed = settled(scene_view(source, None), parsed);
+            let scoring =
+                ShortlistScoring { query_text: question.query_text, ..ShortlistScoring::default() };
+            let (appearance, used) =
+                appearance(source, &question.query, &parsed, scoring, allow_builtin_encoder)?;
+            let scene = scene_view(source, appearance.as_ref());
+            if !with_review {
+                return Ok((decided(scene, &question, parsed.clone(), took).1, None, parsed, used));
+            }
+            let (grounding, context) = ground_with_context(scene, &question, parsed.clone(), took);
+            Ok((grounding, Some(context), parsed, used))
+        })
+        .await?;
+    if let Some(why) = used.missing {
+        corrections.push(format!("names and measures answered, not the encoder: {why}"));
+        degraded = true;
+    }
+    let mut answered = Answered {
+        grounding,
+        parsed,
+        parser: by,
+        encoder: used.name,
+        reasoner: builtin::NAME.into(),
+        degraded,
+        corrections,
+        calls: Vec::new(),
+    };
+    if let Some((review, context)) =
+        review.zip(context).filter(|(_, context)| !context.candidates.is_empty())
+    {
+        reviewed(source, &mut answered, review, context, &mut calls, start).await?;
+    }
+    answered.grounding.hold_to(least);
+    answered.calls = calls;
+    Ok(answered)
+}
+
+/// Shows the model what geometry has found, hears it out, and makes what it says the answer.
+async fn reviewed<S: SceneSource>(
+    source: &Arc<S>,
+    answered: &mut Answered,
+    Review { model, budgets, options, without_model }: Review,
+    context: vlm::PromptContext,
+    calls: &mut Vec<CallRecord>,
+    start: Instant,
+) -> Result<(), S::Error> {
+    let before = start.elapsed();
+    let mut names = if options.uses_names() { source.names().await? } else { BTreeMap::new() };
+    names.retain(|id, _| context.is_candidate(*id));
+    let known = names.clone();
+    let mut session =
+        Session::new(model.as_ref(), budgets, MAX_CALLS.saturating_sub(calls.len() as u32));
+    let context = if options.prompt == PromptVersion::Paper {
+        context.without_shown_anchors()
+    } else {
+        context
+    };
+    let context = match options.evidence {
+        EvidenceMode::TwoStep => narrowed(source, context, &mut session).await?,
+        _ => context,
+    };
+    let (context, evidence, unnamed) = source
+        .compute(move |source| {
+            let photographs = vlm::offered(source, &context, options)?;
+            let evidence = vlm::VisualEvidence {
+                photographs,
+                ..vlm::collect(source, &context, &PictureSettings::of(options))?
+            };
+            let mut unnamed = context.unnamed(&known, options.evidence);
+            unnamed.truncate(naming::PER_SHEET);
+            let unnamed = naming::sheet_of(source, 1, &unnamed)?;
+            Ok((context, evidence, unnamed))
+        })
+        .await?;
+    let evidence_took = start.elapsed().saturating_sub(before);
+    let conversation = Conversation {
+        context: &context,
+        evidence: &evidence,
+        options,
+        names: names.clone(),
+        unnamed,
+    };
+    let decision = vlm::decide(&conversation, &mut session).await;
+    let (Ok(Decision { new_names, .. }) | Err(Undecided { new_names, .. })) = &decision;
+    if !new_names.is_empty() {
+        source.keep_names(new_names).await?;
+    }
+    let mut shown = Shown { source: source.clone(), context, evidence, options, names };
+    let decision = match decision {
+        Ok(decision) => Ok(shown.looked_up(decision, &mut session).await?),
+        undecided => undecided,
+    };
+    calls.extend(session.into_records());
+    let Shown { source, context, .. } = shown;
+    match decision {
+        Ok(decision) => {
+            answered.grounding.offer(&context, source.instances());
+            decision.apply(&mut answered.grounding, &context, source.instances());
+            // The geometry had to choose, because the model did not.
+            answered.degraded |=
+                matches!(decision.outcome, Outcome::Projected(_) | Outcome::Unknown);
+            if decision.outcome != Outcome::Unknown {
+                answered.reasoner = vlm::reasoner_name(model.name(), options.prompt);
+            }
+            answered.corrections.extend(decision.corrections);
+        }
+        Err(undecided) if without_model == WithoutModel::Fail => {
+            return Err(QuestionError::Review(undecided.error).into());
+        }
+        Err(undecided) => {
+            answered.degraded = true;
+            answered.corrections.push(format!("the built-in reasoner answered: {undecided}"));
+        }
+    }
+    let ms = |took: Duration| took.as_secs_f64() * 1e3;
+    let (total, timings) = (start.elapsed(), &mut answered.grounding.timings_ms);
+    timings.evidence = ms(evidence_took);
+    timings.reason += ms(total.saturating_sub(before).saturating_sub(evidence_took));
+    timings.total = ms(total);
+    Ok(())
+}
+
+/// What a model was shown, and of which scene.
+struct Shown<S> {
+    source: Arc<S>,
+    context: vlm::PromptContext,
+    evidence: vlm::VisualEvidence,
+    options: Options,
+    names: BTreeMap<u32, String>,
+}
+
+impl<S: SceneSource> Shown<S> {
+    /// Where a model saw in a photograph what was not listed: that place as an instance, and the
+    /// model asked again with it. What was decided before stands where nothing comes of that.
+    async fn looked_up(
+        &mut self,
+        decision: Decision,
+        session: &mut Session<'_>,
+    ) -> Result<Decision, S::Error> {
+        let Some(seen) = decision.seen.clone().filter(|_| decision.outcome == Outcome::NotListed)
+        else {
+            return Ok(decision);
+        };
+        let (context, evidence, settings) =
+            (self.context.clone(), self.evidence.clone(), PictureSettings::of(self.options));
+        let place =
+            format!("the model saw \"{}\" in {}, which is not listed", seen.name, seen.picture);
+        let found = self
+            .source
+            .compute(move |source| look_up(source, &context, &seen, &evidence, &settings))
+            .await?;
+        match found {
+            None => Ok(decision),
+            Some(Found::Known(id)) => {
+                Ok(decision.found(id, format!("{place}: it is instance {id}")))
+            }
+            Some(Found::New(found)) => {
+                let (source, id) = self.source.keep_found(*found).await?;
+                self.source = source;
+                let why = format!("{place}: instance {id} was made of it");
+                self.asked_again(decision.noted(why), id, session).await
+            }
+        }
+    }
+
+    /// Asks again with an instance that was found; what was decided before stands where the model
+    /// chooses nothing of the list.
+    async fn asked_again(
+        &mut self,
+        before: Decision,
+        id: InstanceId,
+        session: &mut Session<'_>,
+    ) -> Result<Decision, S::Error> {
+        let Some(found) = self.source.instances().get(id.0 as usize - 1) else { return Ok(before) };
+        let (context, settings) =
+            (self.context.clone().with_found(found), PictureSettings::of(self.options));
+        let (context, evidence) = self
+            .source
+            .compute(move |source| {
+                vlm::collect(source, &context, &settings).map(|evidence| (context, evidence))
+            })
+            .await?;
+        session.allow_one_more();
+        let conversation = Conversation {
+            context: &context,
+            evidence: &evidence,
+            options: self.options,
+            names: self.names.clone(),
+            unnamed: None,
+        };
+        let again = vlm::decide(&conversation, session).await;
+        (self.context, self.evidence) = (context, evidence);
+        Ok(match again {
+            Ok(again) if matches!(again.outcome, Outcome::Chosen(_)) => before.replaced_by(again),
+            Ok(_) => before,
+            Err(undecided) => before.noted(format!("asking again failed: {undecided}")),
+        })
+    }
+}
+
+/// The first of two steps: the candidates that remain when the model has seen one photograph of
+/// each. A call that fails is told by the next one, which will fail as well; where the model finds
+/// none, the best ones remain.
+async fn narrowed<S: SceneSource>(
+    source: &Arc<S>,
+    context: vlm::PromptContext,
+    session: &mut Session<'_>,
+) -> Result<vlm::PromptContext, S::Error> {
+    let (context, sheets) = source
+        .compute(move |source| {
+            let ids: Vec<InstanceId> = context.candidates.iter().map(|c| c.id).collect();
+            let sheets = vlm::contact_sheets(source, &ids)?;
+            Ok((context, vlm::VisualEvidence { sheets, ..vlm::VisualEvidence::default() }))
+        })
+        .await?;
+    let mut ids = vlm::narrow(&context, &sheets, session).await.unwrap_or_default();
+    if ids.is_empty() {
+        ids = context.candidates.iter().map(|c| c.id.0).take(vlm::REMAINING).collect();
+    }
+    Ok(context.narrowed_to(&ids))
+}
+
+/// A scene as stage 2 needs it.
+fn scene_view<'a, S: SceneSource>(
+    source: &'a S,
+    appearance: Option<&'a Appearance>,
+) -> SceneView<'a> {
+    SceneView {
+        instances: source.instances(),
+        extent: source.extent(),
+        names: source.name_index(),
+        appearance,
+    }
+}
+
+/// Who compared pictures and words.
+struct UsedEncoder {
+    name: String,
+    /// Why it is not the encoder that has seen the scene; `None` when it is, or none has.
+    missing: Option<String>,
+}
+
+/// The question's words beside what the instances look like; nothing where no encoder has seen
+/// them.
+fn appearance<S: SceneSource>(
+    source: &S,
+    query: &str,
+    parsed: &ParsedQuery,
+    scoring: ShortlistScoring,
+    allow_builtin_encoder: bool,
+) -> Result<(Option<Appearance>, UsedEncoder), S::Error> {
+    let seen = source.embeddings().and_then(|seen| {
+        let looks = |(encoder, embeddings): (&DualEncoder, &Embeddings)| {
+            Appearance::of(query, parsed, encoder, embeddings, scoring)
+        };
+        seen.map(looks).transpose().map_err(|error| QuestionError::Encoder(error).into())
+    });
+    match seen {
+        Err(error) if allow_builtin_encoder => Ok((
+            None,
+            UsedEncoder { name: attributes::NAME.into(), missing: Some(error.to_string()) },
+        )),
+        seen => Ok((seen?, UsedEncoder { name: source.encoder_name(), missing: None })),
+    }
+}
+
+/// The candidates for a query, without reasoning over relations.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Shortlist {
+    /// Best first; instances that do not fit at all are left out.
+    pub candidates: Vec<Candidate>,
+    /// Name and version of what compared them.
+    pub encoder: String,
+    /// The sentence is longer than the encoder reads: its end does not count.
+    pub cut: bool,
+}
+
+/// The `top_k` best candidates for a query (paper: by the encoder), read by the built-in grammar.
+///
+/// # Errors
+/// Those of the source; [`QuestionError::Encoder`].
+pub async fn shortlist<S: SceneSource>(
+    source: &Arc<S>,
+    query: String,
+    scoring: ShortlistScoring,
+    allow_builtin_encoder: bool,
+    top_k: usize,
+) -> Result<Shortlist, S::Error> {
+    source
+        .compute(move |source| {
+            let parsed = settled(scene_view(source, None), parse(&query));
+            shortlist_of(source, &query, &parsed, scoring, allow_builtin_encoder, top_k)
+        })
+        .await
+}
+
+/// The `top_k` best candidates for a query that has been read already; computed on the calling
+/// thread.
+///
+/// # Errors
+/// As [`shortlist`].
+pub fn shortlist_of<S: SceneSource>(
+    source: &S,
+    query: &str,
+    parsed: &ParsedQuery,
+    scoring: ShortlistScoring,
+    allow_builtin_encoder: bool,
+    top_k: usize,
+) -> Result<Shortlist, S::Error> {
+    let (appearance, used) = appearance(source, query, parsed, scoring, allow_builtin_encoder)?;
+    let scene = scene_view(source, appearance.as_ref());
+    let cut = appearance.as_ref().is_some_and(|appearance| appearance.cut);
+    Ok(Shortlist {
+        candidates: rank_candidates(scene, parsed, scoring.from, top_k),
+        encoder: used.name,
+        cut,
+    })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,334 @@
+//! The pipeline from end to end over a few things in memory, with a model that says what it is told
+//! to.
+
+use super::*;
+use crate::Status;
+use crate::album::{Album, AlbumScene};
+use camino::Utf8Path;
+use futures::FutureExt;
+use futures::executor::block_on;
+use futures::future::BoxFuture;
+use image::RgbImage;
+use std::sync::Mutex;
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::scene::{
+    FrameEmbeddings, FrameIndex, FrameRef, Instance, InstanceId, Intrinsics, PointCloud, Support,
+};
+use uniground_geometry::{Isometry3, Point3};
+use uniground_language::{AutoParser, VlmParser};
+use uniground_models::chat::{ChatError, ChatFailure, ChatReply, ChatRequest, Part, Prices};
+use uniground_render::RenderScene;
+use uniground_testing::thing;
+use uniground_testing::tiny_encoder;
+
+/// Answers in order, the last one for ever; `None`: it can not be asked.
+struct Scripted {
+    replies: Mutex<Vec<Option<&'static str>>>,
+    asked: Mutex<u32>,
+    /// Names of the pictures of every call.
+    shown: Mutex<Vec<String>>,
+}
+
+impl Scripted {
+    fn new(replies: &[Option<&'static str>]) -> Arc<Self> {
+        Arc::new(Self {
+            replies: Mutex::new(replies.to_vec()),
+            asked: Mutex::new(0),
+            shown: Mutex::default(),
+        })
+    }
+
+    fn asked(&self) -> u32 {
+        *self.asked.lock().unwrap()
+    }
+}
+
+impl ChatModel for Scripted {
+    fn name(&self) -> &'static str {
+        "scripted"
+    }
+
+    fn prices(&self) -> Prices {
+        Prices::default()
+    }
+
+    fn ask<'a>(
+        &'a self,
+        request: &'a ChatRequest,
+    ) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
+        async move {
+            *self.asked.lock().unwrap() += 1;
+            self.shown.lock().unwrap().extend(request.user.iter().filter_map(|part| match part {
+                Part::Picture(picture) => Some(picture.name.clone()),
+                Part::Text(_) => None,
+            }));
+            let mut replies = self.replies.lock().unwrap();
+            let reply = if replies.len() > 1 { replies.remove(0) } else { replies[0] };
+            let down = || ChatFailure {
+                error: ChatError::Transport("down".into()),
+                attempts: 1,
+                lost: 0,
+                latency_ms: 0.0,
+            };
+            let said = |text: &str| ChatReply {
+                text: text.into(),
+                prompt_tokens: 1,
+                completion_tokens: 1,
+                attempts: 1,
+                lost: 0,
+                latency_ms: 0.0,
+            };
+            reply.map(said).ok_or_else(down)
+        }
+        .boxed()
+    }
+}
+
+/// Two red chairs of which one stands by the table.
+fn room() -> Arc<AlbumScene> {
+    let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
+    Arc::new(Album::new(
+        extent,
+        RenderScene::of(PointCloud::default()),
+        None,
+        "attributes".into(),
+        Vec::new(),
+    ))
+    .scene(things().into())
+}
+
+fn things() -> Vec<Instance> {
+    vec![
+        thing(1, [0.0, 0.0], [1.4, 0.8, 0.75], 0.0, Support::Floor, [120, 80, 40]),
+        thing(2, [1.2, 0.0], [0.45, 0.45, 0.9], 0.0, Support::Floor, [200, 30, 30]),
+        thing(3, [4.0, 2.0], [0.45, 0.45, 0.9], 0.0, Support::Floor, [200, 30, 30]),
+    ]
+}
+
+const QUERY: &str = "the red chair next to the table";
+const CHOOSES_THREE: &str = "Predicted ID: 3\nExplanation: it is red\nCandidate Names: 2 -> red chair, 3 -> red chair\nTarget name matches?: true\n\
+                             Anchor ID: 1\nRelation used: next to";
+
+fn asked_of(model: &Arc<Scripted>, without_model: WithoutModel) -> Ask {
+    let review = Review {
+        model: model.clone(),
+        budgets: Vec::new(),
+        options: Options::default(),
+        without_model,
+    };
+    Ask { review: Some(review), ..Ask::of(Question::of(QUERY)) }
+}
+
+#[test]
+fn grammar_and_geometry_answer_where_nobody_reviews() {
+    let answered = block_on(answer(&room(), Ask::of(Question::of(QUERY)))).unwrap();
+    assert_eq!(
+        (answered.grounding.status, answered.grounding.answer.predicted_id),
+        (Status::Grounded, Some(InstanceId(2)))
+    );
+    assert!(!answered.degraded && answered.calls.is_empty() && answered.reasoner == builtin::NAME);
+}
+
+#[test]
+fn the_model_has_the_last_word() {
+    let model = Scripted::new(&[Some(CHOOSES_THREE)]);
+    let answered = block_on(answer(&room(), asked_of(&model, WithoutModel::Fail))).unwrap();
+    assert_eq!(answered.grounding.answer.predicted_id, Some(InstanceId(3)));
+    assert!(answered.reasoner.starts_with("scripted") && !answered.degraded, "{answered:?}");
+}
+
+/// Reading the question counts: whoever reads with the model and hears only nonsense afterwards has
+/// asked three times, not four.
+#[test]
+fn three_calls_are_made_at_most_reading_included() {
+    for (with_parser, replies) in [
+        (true, [Some("no JSON"), Some("hm"), Some("hm")]),
+        (false, [Some("hm"), Some("hm"), Some("hm")]),
+    ] {
+        let model = Scripted::new(&replies);
+        let mut ask = asked_of(&model, WithoutModel::BuiltIn);
+        if with_parser {
+            ask.parser = Arc::new(VlmParser { model: model.clone(), budgets: Vec::new() });
+        }
+        let answered = block_on(answer(&room(), ask)).unwrap();
+        assert_eq!(
+            (model.asked(), answered.calls.len()),
+            (MAX_CALLS, MAX_CALLS as usize),
+            "{:?}",
+            answered.corrections
+        );
+        // What geometry has found stands.
+        assert_eq!(
+            (answered.grounding.answer.predicted_id, answered.degraded),
+            (Some(InstanceId(2)), true)
+        );
+    }
+}
+
+#[test]
+fn a_model_that_can_not_be_asked_is_replaced_or_told() {
+    let model = Scripted::new(&[None]);
+    let answered = block_on(answer(&room(), asked_of(&model, WithoutModel::BuiltIn))).unwrap();
+    assert_eq!(
+        (answered.grounding.answer.predicted_id, answered.degraded),
+        (Some(InstanceId(2)), true)
+    );
+    assert!(
+        answered.corrections[0].contains("the built-in reasoner answered"),
+        "{:?}",
+        answered.corrections
+    );
+    let failed = block_on(answer(&room(), asked_of(&model, WithoutModel::Fail)));
+    assert!(matches!(failed, Err(QuestionError::Review(_))), "{failed:?}");
+    let parser = Arc::new(VlmParser { model: model.clone(), budgets: Vec::new() });
+    let unread = Ask { parser, without_parser: WithoutModel::Fail, ..Ask::of(Question::of(QUERY)) };
+    assert!(matches!(block_on(answer(&room(), unread)), Err(QuestionError::Unread(_))));
+    // What it said can not be used, but it was asked: the grammar reads.
+    let model = Scripted::new(&[Some("no JSON")]);
+    let parser = Arc::new(VlmParser { model, budgets: Vec::new() });
+    let misread =
+        Ask { parser, without_parser: WithoutModel::Fail, ..Ask::of(Question::of(QUERY)) };
+    assert!(block_on(answer(&room(), misread)).unwrap().degraded);
+}
+
+const READS_A_CHAIR: &str = r#"{"target": {"noun": "chair", "relations": [{"kind": "near", "words": "by", "anchors": [{"noun": "table"}]}]}}"#;
+
+/// "perched" means nothing to the grammar: whoever reads by themselves where they can wants help
+/// with it.
+#[test]
+fn a_model_reads_what_the_grammar_is_in_doubt_about() {
+    let asked = |query: &str, replies: &[Option<&'static str>], without_parser| {
+        let model = Scripted::new(replies);
+        let parser = Arc::new(AutoParser(VlmParser { model: model.clone(), budgets: Vec::new() }));
+        let ask = Ask { parser, without_parser, ..Ask::of(Question::of(query)) };
+        (block_on(answer(&room(), ask)), model.asked())
+    };
+    let (plain, calls) = asked(QUERY, &[None], WithoutModel::Fail);
+    assert_eq!((plain.unwrap().parser, calls), ("builtin-3".to_owned(), 0));
+
+    let doubtful = "the chair perched by the table";
+    let (read, calls) = asked(doubtful, &[Some(READS_A_CHAIR)], WithoutModel::BuiltIn);
+    let read = read.unwrap();
+    assert!(
+        calls == 1 && read.parser.starts_with("scripted") && read.parsed.not_understood.is_empty(),
+        "{read:?}"
+    );
+    assert!(read.corrections.is_empty() && !read.degraded, "{read:?}");
+
+    // Nobody was promised a model: what the grammar read stands, and that is told.
+    for reply in [None, Some("no JSON")] {
+        let (stood, calls) = asked(doubtful, &[reply], WithoutModel::BuiltIn);
+        let stood = stood.unwrap();
+        assert!(calls == 1 && stood.parser == "builtin-3" && !stood.degraded, "{stood:?}");
+        assert!(
+            stood.corrections.len() == 1
+                && stood.corrections[0].contains("not understood: perched"),
+            "{stood:?}"
+        );
+    }
+    // How many are asked for is no part of what a model says.
+    let (counted, _) = asked(
+        "how many chairs are perched by the table",
+        &[Some(READS_A_CHAIR)],
+        WithoutModel::BuiltIn,
+    );
+    assert_eq!(counted.unwrap().grounding.count, Some(1));
+    // A measurement wants to know.
+    let (failed, _) = asked(doubtful, &[None], WithoutModel::Fail);
+    assert!(matches!(failed, Err(QuestionError::Unread(_))), "{failed:?}");
+}
+
+/// The room with a photograph that an encoder has seen, without having seen the things.
+fn photographed(folder: &Utf8Path) -> Arc<AlbumScene> {
+    let colour = folder.join("0.png");
+    RgbImage::from_pixel(1600, 1200, image::Rgb([10, 200, 30])).save(&colour).unwrap();
+    let intrinsics =
+        Intrinsics { width: 1600, height: 1200, fx: 800.0, fy: 800.0, cx: 800.0, cy: 600.0 };
+    let frame = FrameRef {
+        index: FrameIndex(7),
+        depth: colour.clone(),
+        colour,
+        colour_intrinsics: intrinsics,
+        depth_intrinsics: intrinsics,
+        depth_scale_m: 0.001,
+        camera_to_world: Isometry3::identity(),
+        optics: uniground_geometry::scene::Optics::default(),
+    };
+    let (encoder, things) = (tiny_encoder(), things());
+    let dim = encoder.dim();
+    let unseen = Embeddings::new(dim, &vec![0.0; dim * things.len()]);
+    let mut of_frame = vec![0.0; dim];
+    of_frame[0] = 1.0;
+    let seen = Some((encoder, unseen));
+    let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
+    let album = Album::new(
+        extent,
+        RenderScene::of(PointCloud::default()),
+        seen,
+        "tiny".into(),
+        vec![frame],
+    );
+    Arc::new(album.with_frame_embeddings(Some(FrameEmbeddings::new(
+        dim,
+        vec![FrameIndex(7)],
+        &of_frame,
+    ))))
+    .scene(things.into())
+}
+
+#[test]
+fn photographs_are_offered_where_no_candidate_fits_and_the_model_may_say_what_is_not_listed() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = photographed(Utf8Path::from_path(folder.path()).unwrap());
+    let shown = |query: &str, options: Options| {
+        let model = Scripted::new(&[Some("Predicted ID: none\nExplanation: there is none")]);
+        let review = Review {
+            model: model.clone(),
+            budgets: Vec::new(),
+            options,
+            without_model: WithoutModel::Fail,
+        };
+        block_on(answer(&scene, Ask { review: Some(review), ..Ask::of(Question::of(query)) }))
+            .unwrap();
+        let shown = model.shown.lock().unwrap();
+        shown.iter().filter(|name| name.starts_with("photograph-")).count()
+    };
+    assert_eq!(shown("the accordion", Options::default()), 1, "nothing in the room fits");
+    assert_eq!(shown("the red chair", Options::default()), 0, "two things do");
+    assert_eq!(
+        shown("the accordion", Options { prompt: PromptVersion::Paper, ..Options::default() }),
+        0
+    );
+    assert_eq!(
+        shown(
+            "the accordion",
+            Options { ablation: vlm::Ablation::SimplePrompt, ..Options::default() }
+        ),
+        0
+    );
+}
+
+#[test]
+fn a_place_in_an_offered_photograph_is_one_in_its_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = photographed(Utf8Path::from_path(folder.path()).unwrap());
+    let context = scene_view(&*scene, None);
+    let (_, context) = ground_with_context(
+        context,
+        &Question::of("the accordion"),
+        parse("the accordion"),
+        Duration::ZERO,
+    );
+    let photographs = vlm::offered(&*scene, &context, Options::default()).unwrap();
+    let offered = &photographs[0];
+    assert_eq!(
+        (offered.frame, offered.taken_px, offered.picture.width, offered.picture.height),
+        (FrameIndex(7), (1600, 1200), 768, 576)
+    );
+    let seen =
+        crate::Seen { picture: "photograph-1".into(), at: [0.25, 0.5], name: "accordion".into() };
+    let evidence = vlm::VisualEvidence { photographs, ..vlm::VisualEvidence::default() };
+    let place =
+        evidence.place(&*scene, &seen, &PictureSettings::of(Options::default())).unwrap().unwrap();
+    assert_eq!((place.frame, place.at), (FrameIndex(7), (400.0, 600.0)));
+}

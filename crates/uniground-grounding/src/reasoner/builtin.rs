@@ -1,0 +1,686 @@
+//! The built-in reasoner: deterministic, milliseconds, no model.
+//!
+//! Scores come from [`assess`](crate::assess); here they become a decision: the best
+//! instance, a tie, or nothing.
+
+use super::Verdict;
+use super::confidence::{NamesFrom, share_right};
+use super::explanation::{explain, explain_several, explain_tie, relation_words, why_nothing_fits};
+use super::views::{View, views};
+use crate::assess::{Assessment, Assessor};
+use crate::fit::{colours_fit, most_plausible};
+use crate::kinds::BROADER_NAME;
+use crate::readings::Readings;
+use crate::{NoMatchReason, SceneView, Status};
+use uniground_language::{Meaning, ParsedQuery, Phrase, Quantity};
+use uniground_models::attributes::Noun;
+
+/// Name and version, recorded with answers.
+pub const NAME: &str = "builtin-3";
+
+/// Below this, the best instance is nothing that the target's noun may mean.
+const MIN_FIT: f32 = 0.25;
+/// The same for an instance none of whose names is the one asked for.
+const MIN_UNNAMED_FIT: f32 = 0.35;
+/// Below this, no likely thing has the colour asked for.
+const MIN_COLOUR: f32 = 0.42;
+/// Below this, the best instance contradicts the relations.
+const MIN_SCORE: f32 = 0.12;
+/// Share of the belief that is left where words of the question could not be used: they may have
+/// told the thing from its like.
+const NOT_ALL_UNDERSTOOD: f32 = 0.6;
+/// The same where no noun tells what the thing is: anything may stand there.
+const NO_NOUN: f32 = 0.6;
+/// The same where what somebody called the thing is only a broader word for what is asked for: a
+/// "pot" for a frying pan.
+const CALLED_BROADER: f32 = 0.6;
+/// A measured relation that holds less than this does not hold.
+const PLAINLY_AGAINST: f32 = 0.15;
+/// A rival this close in score is as good.
+const TIE: f32 = 0.97;
+/// Where several are asked for, a thing with this share of the best score is one of them.
+const ALSO_MEANT: f32 = 0.5;
+/// Weight of a score under the less likely reading of the words; the other has 1.
+const OTHER_READING: f32 = 0.92;
+/// Power of the scores that share the belief: the higher, the more the best one has.
+const BELIEF_POWER: i32 = 4;
+
+/// Decides for one question.
+#[must_use]
+pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
+    if parsed.foreign {
+        let why = "The question is not in English, the one language the built-in parser reads; a chat model may read it.".to_owned();
+        return no_match(vec![0.0; assessor.scene.instances.len()], NoMatchReason::NotEnglish, why);
+    }
+    let read: Vec<Read> =
+        views(assessor, parsed).into_iter().map(|view| Read::of(view, assessor, parsed)).collect();
+    let scores: Vec<f32> = (0..assessor.scene.instances.len())
+        .map(|i| read.iter().map(|read| read.score(i)).fold(0.0, f32::max))
+        .collect();
+    let mut order: Vec<usize> = (0..scores.len()).collect();
+    order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
+    // The view that won is the one to explain, and that others are told of.
+    let score_of_best = |read: &Read| order.first().map_or(0.0, |&best| read.score(best));
+    let won = (0..read.len()).reduce(|best, next| {
+        if score_of_best(&read[next]) > score_of_best(&read[best]) { next } else { best }
+    });
+    let Read { view, assessment, other, counts, .. } = &read[won.unwrap_or(0)];
+    view.take(assessor);
+    let instances = assessor.scene.instances;
+    let best_fit = assessment.nouns.iter().copied().fold(0.0, f32::max);
+    if best_fit < MIN_FIT {
+        let is_unknown =
+            Readings::of(&parsed.target).iter().all(|reading| reading.meaning == Meaning::Unknown);
+        let reason = if is_unknown { NoMatchReason::NotRecognised } else { NoMatchReason::Absent };
+        return no_match(assessment.own.clone(), reason, why_nothing_fits(parsed));
+    }
+    if !colours_agree(assessment, &parsed.target, assessor.scene) {
+        return no_match(assessment.own.clone(), NoMatchReason::Absent, why_nothing_fits(parsed));
+    }
+    let best = order[0];
+    if scores[best] < MIN_SCORE && contradicted(&parsed.target, assessment, best) {
+        let why = format!("No {} stands in the relations asked for.", parsed.target.text());
+        return no_match(scores, NoMatchReason::Elsewhere, why);
+    }
+    // Green and of some size, but nothing that measures like a fridge, and what may be one is
+    // called otherwise first. An encoder has weighed the names already.
+    let is_named = name_matches(assessor.scene, &parsed.target, best)
+        && is_called(&parsed.target, assessor.scene)(best);
+    if assessor.scene.appearance.is_none() && assessment.nouns[best] < MIN_UNNAMED_FIT && !is_named
+    {
+        return no_match(scores, NoMatchReason::Absent, why_nothing_fits(parsed));
+    }
+    let several =
+        several(&scores, &order, parsed.quantity, &is_called(&parsed.target, assessor.scene));
+    let tied: Vec<usize> =
+        order.iter().copied().take_while(|&i| scores[i] >= TIE * scores[best]).collect();
+    let status =
+        if several.is_empty() && tied.len() > 1 { Status::Ambiguous } else { Status::Grounded };
+    // The reading that won is the one to explain.
+    let (phrase, assessed) = match (&parsed.other_reading, other) {
+        (Some(phrase), Some(other))
+            if counts[1] * other.total[best] > counts[0] * assessment.total[best] =>
+        {
+            (phrase, other)
+        }
+        _ => (&parsed.target, assessment),
+    };
+    let explanation = match status {
+        Status::Ambiguous => explain_tie(assessor.scene, &parsed.target, &tied),
+        _ if several.len() > 1 => explain_several(assessor.scene, &parsed.target, &several),
+        _ => explain(assessor, phrase, assessed, best, &looked_by(view, &read)),
+    };
+    // Several do not share one belief.
+    let mut beliefs =
+        if parsed.quantity == Quantity::One { beliefs(&scores) } else { scores.clone() };
+    let understood = if parsed.not_understood.is_empty() { 1.0 } else { NOT_ALL_UNDERSTOOD };
+    let named = if parsed.target.meaning() == Meaning::Anything { NO_NOUN } else { 1.0 };
+    for (i, belief) in beliefs.iter_mut().enumerate() {
+        let called = if assessor.scene.names.get(i).is_some() && assessment.nouns[i] <= BROADER_NAME
+        {
+            CALLED_BROADER
+        } else {
+            1.0
+        };
+        *belief =
+            called * understood * named * share_right(*belief, NamesFrom::of(assessor.scene, i));
+    }
+    Verdict {
+        status,
+        reason: None,
+        beliefs,
+        scores,
+        several,
+        explanation,
+        anchor: assessed
+            .bonds
+            .iter()
+            .find_map(|bond| bond[best].anchor)
+            .or(view.by.map(|i| instances[i].id)),
+        relation_used: relation_words(phrase),
+        target_name_matches: Some(name_matches(assessor.scene, &parsed.target, best)),
+    }
+}
+
+/// Whether any of the things that may be meant has the colours asked for; a related colour alone
+/// ("orange" for yellow) is not enough.
+fn colours_agree(assessment: &Assessment, target: &Phrase, scene: SceneView) -> bool {
+    let likely = most_plausible(&assessment.nouns, usize::MAX);
+    target.colours.is_empty()
+        || target.roughly
+        || likely.iter().any(|&(i, _)| colours_fit(scene, target, i) >= MIN_COLOUR)
+}
+
+/// A question, read from one view.
+struct Read {
+    view: View,
+    assessment: Assessment,
+    /// By the second reading of its words.
+    other: Option<Assessment>,
+    /// What the scores under the first and the second reading count.
+    counts: [f32; 2],
+    scores: Vec<f32>,
+}
+
+impl Read {
+    fn of(view: View, assessor: &mut Assessor, parsed: &ParsedQuery) -> Self {
+        view.take(assessor);
+        let assessment = assessor.assess(&parsed.target);
+        let other = parsed.other_reading.as_ref().map(|phrase| assessor.assess(phrase));
+        let second_first = other.is_some() && says_it_of_nothing(assessor, &parsed.target);
+        let counts = if second_first { [OTHER_READING, 1.0] } else { [1.0, OTHER_READING] };
+        let mut scores = joint_scores(&assessment, other.as_ref(), counts);
+        // "facing the desk, the thing on the left" is not the desk.
+        if let Some(by) = view.by.filter(|_| parsed.target.meaning() == Meaning::Anything) {
+            scores[by] = 0.0;
+        }
+        Self { view, assessment, other, counts, scores }
+    }
+
+    /// What speaks for an instance if it is this view that is meant, and how sure that is.
+    fn score(&self, index: usize) -> f32 {
+        self.view.sure * self.scores[index]
+    }
+}
+
+/// Indices of the things that somebody may look by, that of the view that won first.
+fn looked_by(won: &View, read: &[Read]) -> Vec<usize> {
+    let others = read.iter().filter_map(|read| read.view.by).filter(|by| Some(*by) != won.by);
+    won.by.into_iter().chain(others).collect()
+}
+
+/// The better of the two readings, instance by instance.
+fn joint_scores(first: &Assessment, other: Option<&Assessment>, counts: [f32; 2]) -> Vec<f32> {
+    match other {
+        None => first.total.clone(),
+        Some(other) => first
+            .total
+            .iter()
+            .zip(&other.total)
+            .map(|(a, b)| (counts[0] * a).max(counts[1] * b))
+            .collect(),
+    }
+}
+
+/// "The thing with candles between the till and the door": of candles that nobody found there,
+/// where they are tells nothing.
+fn says_it_of_nothing(assessor: &Assessor, phrase: &Phrase) -> bool {
+    let anchors = phrase.relations.iter().flat_map(|relation| &relation.anchors);
+    let mut related = phrase
+        .with
+        .iter()
+        .map(|with| &with.phrase)
+        .chain(anchors)
+        .filter(|said| !said.relations.is_empty());
+    related.any(|said| assessor.assess(said).total.iter().all(|score| *score < MIN_FIT))
+}
+
+/// Whether what can be measured for sure speaks against an instance: where it rests and what it
+/// touches, not what depends on who looks.
+fn contradicted(target: &Phrase, read: &Assessment, instance: usize) -> bool {
+    let measured = target
+        .relations
+        .iter()
+        .zip(&read.bonds)
+        .filter(|(relation, _)| !relation.kind.depends_on_who_looks());
+    let against =
+        measured.map(|(_, bonds)| bonds[instance].score).any(|score| score < PLAINLY_AGAINST);
+    against || read.own[instance] < MIN_SCORE * read.nouns[instance]
+}
+
+/// All things that are meant where several are asked for: those whose score comes near the best,
+/// best first; where some are called what is asked for before anything else, only those.
+fn several(
+    scores: &[f32],
+    order: &[usize],
+    quantity: Quantity,
+    is_called: &dyn Fn(usize) -> bool,
+) -> Vec<usize> {
+    let most = match quantity {
+        Quantity::One => return Vec::new(),
+        Quantity::Exactly(count) => count as usize,
+        Quantity::All => usize::MAX,
+    };
+    let best = order.first().map_or(0.0, |&i| scores[i]);
+    let near_best = || order.iter().copied().take_while(|&i| scores[i] >= ALSO_MEANT * best);
+    let some_are_called_so = near_best().any(is_called);
+    near_best().filter(|&i| is_called(i) || !some_are_called_so).take(most).collect()
+}
+
+fn no_match(scores: Vec<f32>, reason: NoMatchReason, explanation: String) -> Verdict {
+    Verdict {
+        status: Status::NoMatch,
+        reason: Some(reason),
+        beliefs: vec![0.0; scores.len()],
+        several: Vec::new(),
+        scores,
+        explanation,
+        anchor: None,
+        relation_used: None,
+        target_name_matches: None,
+    }
+}
+
+fn beliefs(scores: &[f32]) -> Vec<f32> {
+    let total: f32 = scores.iter().map(|s| s.powi(BELIEF_POWER)).sum();
+    let best = scores.iter().copied().fold(0.0, f32::max);
+    scores
+        .iter()
+        .map(|s| if total > 0.0 { s.powi(BELIEF_POWER) / total * best.sqrt() } else { 0.0 })
+        .collect()
+}
+
+/// Whether the name of the instance at an index, or one of its guesses, is what the phrase may
+/// mean.
+fn name_matches(scene: SceneView, target: &Phrase, index: usize) -> bool {
+    match (target.meaning(), scene.names.get(index)) {
+        (Meaning::Anything, _) => true,
+        (Meaning::Structure(structure), _)
+            if scene.instances[index].structure == Some(structure) =>
+        {
+            true
+        }
+        (_, Some(name)) => Readings::of(target).called(name) > 0.0,
+        (_, None) => {
+            let guessed = |noun: &Noun| {
+                scene.instances[index].names.iter().any(|guess| guess.name == noun.name)
+            };
+            Readings::of(target)
+                .iter()
+                .any(|reading| reading.nouns().iter().any(|noun| guessed(noun)))
+        }
+    }
+}
+
+/// Whether the name of the instance at an index, given or first among its guesses, is what the
+/// phrase may mean.
+fn is_called<'a>(target: &Phrase, scene: SceneView<'a>) -> impl Fn(usize) -> bool + 'a {
+    let nouns: Vec<&Noun> =
+        Readings::of(target).iter().flat_map(|reading| reading.nouns().to_vec()).collect();
+    move |i| match scene.instances[i].names.first() {
+        _ if nouns.is_empty() || scene.names.get(i).is_some() => true,
+        guess => guess.is_some_and(|guess| nouns.iter().any(|noun| noun.name == guess.name)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::direction::{DirectionConvention, Observer};
+    use crate::{Grounding, NameIndex, Question, SceneView, SixFields, Timings, ground};
+    use uniground_geometry::boxes::Aabb;
+    use uniground_geometry::scene::{Instance, InstanceId, NameGuess, Structure, Support};
+    use uniground_geometry::{Point3, Vector3};
+    use uniground_models::attributes;
+    use uniground_testing::thing;
+
+    /// A small room: two sofas, a table with two mugs, a rug.
+    fn room() -> Vec<Instance> {
+        let on_table = Support::Instance { id: InstanceId(3) };
+        let mut instances = vec![
+            thing(1, [-2.0, 0.0], [2.1, 0.9, 0.8], 0.0, Support::Floor, [180, 40, 40]),
+            thing(2, [2.0, 0.0], [2.0, 0.9, 0.8], 0.0, Support::Floor, [40, 60, 170]),
+            thing(3, [0.0, 1.5], [1.25, 0.8, 0.74], 0.0, Support::Floor, [110, 75, 45]),
+            thing(4, [-0.5, 1.5], [0.11, 0.09, 0.1], 0.74, on_table, [200, 30, 30]),
+            thing(5, [0.5, 1.5], [0.11, 0.09, 0.1], 0.74, on_table, [30, 60, 180]),
+            thing(6, [0.0, -0.5], [2.0, 1.4, 0.01], 0.0, Support::Floor, [120, 60, 60]),
+        ];
+        instances.iter_mut().for_each(|i| i.names = attributes::name_guesses(i));
+        instances
+    }
+
+    fn ask_with(
+        query: &str,
+        convention: DirectionConvention,
+        observer: Option<Observer>,
+    ) -> Grounding {
+        let instances = room();
+        let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
+        let question = Question { convention, observer, ..Question::of(query) };
+        ground(
+            SceneView {
+                instances: &instances,
+                extent,
+                names: &NameIndex::default(),
+                appearance: None,
+            },
+            &question,
+        )
+    }
+
+    fn ask(query: &str) -> Grounding {
+        ask_with(query, DirectionConvention::Paper, None)
+    }
+
+    #[test]
+    fn names_attributes_and_relations_pick_the_right_thing() {
+        for (query, expected) in [
+            ("the rug", 6),
+            ("the red sofa", 1),
+            ("the blue mug on the table", 5),
+            ("the mug closest to the red sofa", 4),
+            ("the sofa nearest to the blue mug", 2),
+            ("the mug farthest from the red sofa", 5),
+            ("the sofa that is not red", 2),
+            ("the mug that is not blue on the table", 4),
+            ("the table with two mugs", 3),
+            ("the mug closest to the table and the red sofa", 4),
+            ("the second closest mug to the blue sofa", 4),
+            ("standing at the blue sofa, the nearest mug", 5),
+            ("as seen from the table, the sofa on the left", 2),
+            ("something to sit on that is blue", 2),
+            ("the sofa, but not the red one", 2),
+        ] {
+            let answer = ask(query);
+            assert_eq!(
+                answer.answer.predicted_id,
+                Some(InstanceId(expected)),
+                "{query}: {}",
+                answer.answer.explanation
+            );
+            assert_eq!(answer.status, Status::Grounded);
+            assert!(answer.aabb.is_some() && answer.oriented_box.is_some());
+        }
+    }
+
+    #[test]
+    fn the_anchor_and_the_relation_are_told() {
+        let answer = ask("the blue mug on the table").answer;
+        assert_eq!(
+            (answer.anchor_id, answer.relation_used.as_deref()),
+            (Some(InstanceId(3)), Some("on the table"))
+        );
+        assert!(answer.explanation.contains("instance 3"), "{}", answer.explanation);
+    }
+
+    #[test]
+    fn what_an_answer_stands_on_is_told_where_it_is_called_otherwise() {
+        // No cabinet is there: the table has the size of one.
+        let answer = ask("the blue mug on the cabinet").answer;
+        assert_eq!(
+            (answer.predicted_id, answer.anchor_id),
+            (Some(InstanceId(5)), Some(InstanceId(3))),
+            "{}",
+            answer.explanation
+        );
+        assert!(answer.explanation.contains(", taken for \"cabinet\")"), "{}", answer.explanation);
+        let as_called = ask("the blue mug on the table").answer.explanation;
+        assert!(!as_called.contains("taken for \"table\""), "{as_called}");
+    }
+
+    #[test]
+    fn whose_left_is_meant_is_told_where_it_is_not_the_convention_s() {
+        // By the paper's convention +X is left; who faces the table from the middle of the room has
+        // +X on the right.
+        for (query, faced) in
+            [("the red sofa left of the table", true), ("the red sofa right of the table", false)]
+        {
+            let SixFields { predicted_id, explanation, .. } = ask(query).answer;
+            assert_eq!(predicted_id, Some(InstanceId(1)), "{query}: {explanation}");
+            assert_eq!(
+                explanation.contains("as who faces it sees it"),
+                faced,
+                "{query}: {explanation}"
+            );
+        }
+    }
+
+    #[test]
+    fn absent_and_unknown_things_get_no_box() {
+        for query in ["the fridge", "the green sofa", "the theremin", "the green mug on the table"]
+        {
+            let answer = ask(query);
+            assert_eq!(
+                (answer.status, answer.aabb, answer.answer.predicted_id),
+                (Status::NoMatch, None, None),
+                "{query}: {answer:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_tie_is_called_one() {
+        let answer = ask("the mug");
+        assert_eq!((answer.status, answer.aabb), (Status::Ambiguous, None));
+        let mut tied: Vec<_> = answer.alternatives.iter().take(2).map(|a| a.id.0).collect();
+        tied.sort_unstable();
+        assert_eq!(tied, [4, 5]);
+    }
+
+    #[test]
+    fn left_depends_on_who_looks() {
+        // Mugs 4 (x = -0.5) and 5 (x = 0.5) stand side by side along X.
+        let predicted = |answer: Grounding| answer.answer.predicted_id.map(|id| id.0);
+        assert_eq!(
+            predicted(ask_with("the leftmost mug", DirectionConvention::Viewer, None)),
+            Some(4)
+        );
+        // Nobody chose a convention, and nobody stands behind the table, where the room ends.
+        assert_eq!(
+            predicted(ask_with("the leftmost mug", DirectionConvention::Paper, None)),
+            Some(4)
+        );
+        let from_behind =
+            Observer { position: [0.0, 4.0, 1.5], yaw_rad: -std::f32::consts::FRAC_PI_2 };
+        let answer = ask_with("the leftmost mug", DirectionConvention::Viewer, Some(from_behind));
+        assert_eq!(answer.direction_convention, "observer");
+        assert_eq!(predicted(answer), Some(5));
+        assert_eq!(predicted(ask("facing the table, the mug on the left")), Some(4));
+    }
+
+    #[test]
+    fn several_things_are_several_targets_with_their_count() {
+        for (query, ids) in [
+            ("how many mugs are there?", vec![4, 5]),
+            ("both sofas", vec![1, 2]),
+            ("all the mugs on the table", vec![4, 5]),
+            ("the red mugs", vec![4]),
+            ("the tables", vec![3]),
+        ] {
+            let answer = ask(query);
+            let mut found: Vec<u32> = answer.targets.iter().map(|target| target.id.0).collect();
+            found.sort_unstable();
+            assert_eq!(
+                (answer.status, &found, answer.count),
+                (Status::Grounded, &ids, Some(ids.len() as u32)),
+                "{query}"
+            );
+            assert_eq!(answer.answer.predicted_id, answer.targets.first().map(|target| target.id));
+        }
+        assert_eq!(
+            (ask("how many fridges do we have").status, ask("the fridges").count),
+            (Status::NoMatch, Some(0))
+        );
+        let one = ask("the rug");
+        assert_eq!((one.count, one.targets.len(), one.targets[0].id), (None, 1, InstanceId(6)));
+    }
+
+    #[test]
+    fn what_is_on_a_wall_hangs_there() {
+        let mut instances = room();
+        // Books on the table reach higher than the clock on the wall behind them.
+        let wall = Instance {
+            structure: Some(Structure::Wall),
+            ..thing(7, [0.0, 2.1], [6.0, 0.1, 2.6], 0.0, Support::Floor, [200; 3])
+        };
+        let books = thing(
+            8,
+            [0.0, 1.9],
+            [0.4, 0.25, 1.3],
+            0.74,
+            Support::Instance { id: InstanceId(3) },
+            [90, 60, 40],
+        );
+        let clock = thing(
+            9,
+            [1.5, 2.0],
+            [0.3, 0.05, 0.3],
+            1.4,
+            Support::Wall { id: InstanceId(7) },
+            [90, 60, 40],
+        );
+        instances.extend([wall, books, clock]);
+        instances.iter_mut().for_each(|i| i.names = attributes::name_guesses(i));
+        let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
+        let scene = SceneView {
+            instances: &instances,
+            extent,
+            names: &NameIndex::default(),
+            appearance: None,
+        };
+        let answer = ground(scene, &Question::of("the highest thing hanging on the wall"));
+        assert_eq!(
+            answer.answer.predicted_id,
+            Some(InstanceId(9)),
+            "{}",
+            answer.answer.explanation
+        );
+    }
+
+    #[test]
+    fn the_place_by_a_thing_on_it_and_a_seat_at_it() {
+        // Sitting at the table on the only seat, which is behind it, +X is on the left.
+        let mut instances = room();
+        let chair = thing(7, [0.0, 2.3], [0.45, 0.45, 0.9], 0.0, Support::Floor, [90, 60, 40]);
+        instances.push(chair);
+        instances.iter_mut().for_each(|i| i.names = attributes::name_guesses(i));
+        let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
+        let scene = SceneView {
+            instances: &instances,
+            extent,
+            names: &NameIndex::default(),
+            appearance: None,
+        };
+        let id =
+            |query: &str| ground(scene, &Question::of(query)).answer.predicted_id.map(|id| id.0);
+        assert_eq!(id("sitting at the table, the mug on the left"), Some(5));
+        assert_eq!(
+            id("facing the table, the mug on the left"),
+            Some(4),
+            "from the middle of the room"
+        );
+        assert_eq!(id("facing the table, the mug on the left side of the table"), Some(4));
+        // A piano is nowhere: whoever faces it looks at the mugs.
+        assert_eq!(id("facing the piano, the mug on the left"), Some(4));
+    }
+
+    #[test]
+    fn the_one_who_asks_has_a_place() {
+        let from = |query: &str, x: f32, yaw_rad: f32| {
+            ask_with(
+                query,
+                DirectionConvention::Paper,
+                Some(Observer { position: [f64::from(x), 0.5, 1.5], yaw_rad }),
+            )
+        };
+        let predicted = |answer: &Grounding| answer.answer.predicted_id.map(|id| id.0);
+        for (query, x, yaw_rad, expected) in [
+            ("the sofa closest to me", -1.0, 0.0, 1),
+            ("the sofa closest to me", 1.0, 0.0, 2),
+            ("the nearest sofa", 1.0, 0.0, 2),
+            ("the sofa in front of me", 0.0, 0.0, 2),
+            ("the sofa behind me", 0.0, 0.0, 1),
+            ("the sofa in front of me", 0.0, std::f32::consts::PI, 1),
+        ] {
+            let answer = from(query, x, yaw_rad);
+            assert_eq!(
+                predicted(&answer),
+                Some(expected),
+                "{query} from {x} along {yaw_rad}: {}",
+                answer.answer.explanation
+            );
+            assert!(
+                answer.parsed_query.not_understood.is_empty(),
+                "{query}: {:?}",
+                answer.parsed_query
+            );
+        }
+        assert_eq!(
+            ask("the sofa closest to me").parsed_query.not_understood,
+            ["me"],
+            "nobody knows where"
+        );
+    }
+
+    #[test]
+    fn an_absence_has_a_reason() {
+        for (query, reason) in [
+            ("the fridge", NoMatchReason::Absent),
+            ("the green sofa", NoMatchReason::Absent),
+            ("the quux", NoMatchReason::NotRecognised),
+            ("das blaue Sofa neben dem Tisch", NoMatchReason::NotEnglish),
+            ("the sofa on the table", NoMatchReason::Elsewhere),
+        ] {
+            assert_eq!(ask(query).no_match_reason, Some(reason), "{query}");
+        }
+        assert_eq!(ask("the rug").no_match_reason, None);
+    }
+
+    #[test]
+    fn what_is_hardly_such_a_thing_must_be_called_so_before_anything_else() {
+        let guess = |name: &str, score: f32| NameGuess { name: name.to_owned(), score };
+        let asked = |names: [NameGuess; 2]| {
+            let mut instances = room();
+            let green = thing(
+                7,
+                [2.7, 1.4],
+                [0.715, 0.616, 0.49],
+                0.85,
+                Support::Instance { id: InstanceId(3) },
+                [40, 140, 50],
+            );
+            instances.push(Instance { names: names.to_vec(), ..green });
+            let extent =
+                Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
+            let scene = SceneView {
+                instances: &instances,
+                extent,
+                names: &NameIndex::default(),
+                appearance: None,
+            };
+            ground(scene, &Question::of("the green fridge"))
+        };
+        let plant = asked([guess("plant", 0.5), guess("mini fridge", 0.3)]);
+        assert_eq!(
+            (plant.status, plant.no_match_reason),
+            (Status::NoMatch, Some(NoMatchReason::Absent)),
+            "{plant:?}"
+        );
+        let fridge = asked([guess("mini fridge", 0.5), guess("plant", 0.3)]);
+        assert_eq!(fridge.answer.predicted_id, Some(InstanceId(7)), "{fridge:?}");
+    }
+
+    #[test]
+    fn what_can_not_be_checked_denies_nothing_and_lowers_the_belief() {
+        let (plain, with_more) =
+            (ask("the red sofa"), ask("the red sofa with the brass studs by the quux"));
+        assert_eq!(plain.answer.predicted_id, with_more.answer.predicted_id);
+        assert!(
+            with_more.status == Status::Grounded && with_more.confidence < 0.7 * plain.confidence,
+            "{}",
+            with_more.confidence
+        );
+    }
+
+    #[test]
+    fn less_sure_than_asked_is_uncertain_and_else_the_same() {
+        let sure = ask("the red sofa with the brass studs by the quux");
+        let mut answer = sure.clone();
+        answer.hold_to(sure.confidence);
+        assert_eq!(answer, sure);
+        answer.hold_to(sure.confidence + 0.01);
+        assert_eq!(answer, Grounding { status: Status::Uncertain, ..sure });
+    }
+
+    #[test]
+    fn the_same_question_gives_the_same_answer() {
+        let strip = |mut answer: Grounding| {
+            answer.timings_ms = Timings::default();
+            answer
+        };
+        assert_eq!(
+            strip(ask("the mug closest to the red sofa")),
+            strip(ask("the mug closest to the red sofa"))
+        );
+    }
+}

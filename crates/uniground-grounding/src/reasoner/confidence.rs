@@ -1,0 +1,88 @@
+//! How often an answer of a belief is right: beliefs come from scores, and scores from different
+//! sources of names deserve different trust.
+//!
+//! `confidence.tsv` is fitted by `scripts/fit-confidence.py` to the answers of `uniground eval`.
+
+use crate::SceneView;
+use std::sync::LazyLock;
+
+/// Who tells what a thing is called.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum NamesFrom {
+    /// Sizes, places and colours.
+    Measures,
+    /// An image and text encoder.
+    Encoder,
+    /// Somebody who looked: a person, or a vision-language model. Their beliefs are kept as they
+    /// are.
+    Given,
+}
+
+impl NamesFrom {
+    /// Of the instance at an index.
+    pub fn of(scene: SceneView, index: usize) -> Self {
+        match scene.names.get(index) {
+            Some(_) => Self::Given,
+            None if scene.appearance.is_some() => Self::Encoder,
+            None => Self::Measures,
+        }
+    }
+
+    fn curve(self) -> &'static [(f32, f32)] {
+        static CURVES: LazyLock<[Vec<(f32, f32)>; 2]> =
+            LazyLock::new(|| ["measures", "encoder"].map(read));
+        match self {
+            Self::Measures => &CURVES[0],
+            Self::Encoder => &CURVES[1],
+            Self::Given => &[],
+        }
+    }
+}
+
+/// Belief and share of right answers, of one source.
+fn read(source: &str) -> Vec<(f32, f32)> {
+    let lines = include_str!("confidence.tsv").lines();
+    let of_source =
+        lines.filter_map(|line| line.strip_prefix(source)?.strip_prefix('\t')?.split_once('\t'));
+    of_source
+        .filter_map(|(belief, share)| Some((belief.parse().ok()?, share.parse().ok()?)))
+        .collect()
+}
+
+/// The share of answers of this belief that are right.
+pub(super) fn share_right(belief: f32, names: NamesFrom) -> f32 {
+    let curve = names.curve();
+    let after = curve.partition_point(|(at, _)| *at <= belief);
+    match (after.checked_sub(1).and_then(|before| curve.get(before)), curve.get(after)) {
+        (Some((x, low)), Some((next, high))) => low + (high - low) * (belief - x) / (next - x),
+        (Some((_, share)), None) => *share,
+        (None, _) => belief,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn more_belief_is_never_less_confidence() {
+        for names in [NamesFrom::Measures, NamesFrom::Encoder, NamesFrom::Given] {
+            let shares: Vec<f32> =
+                (0..=100_u8).map(|i| share_right(f32::from(i) / 100.0, names)).collect();
+            assert!(shares.windows(2).all(|pair| pair[0] <= pair[1]), "{names:?}: {shares:?}");
+            assert!(
+                shares[0] == 0.0 && shares[100] <= 1.0 && shares[100] > 0.4,
+                "{names:?}: {shares:?}"
+            );
+        }
+        assert_eq!(share_right(0.7, NamesFrom::Given), 0.7);
+        assert!(share_right(0.9, NamesFrom::Measures) < 0.9, "measures are never that sure");
+    }
+
+    #[test]
+    fn every_line_of_the_table_is_read() {
+        let lines =
+            include_str!("confidence.tsv").lines().filter(|line| !line.starts_with('#')).count();
+        assert_eq!(lines, read("measures").len() + read("encoder").len());
+    }
+}

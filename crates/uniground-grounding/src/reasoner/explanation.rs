@@ -1,0 +1,197 @@
+//! Why, in words a person can check against the room.
+
+use crate::SceneView;
+use crate::answer::{described, superlative_words};
+use crate::assess::{Assessment, Assessor};
+use crate::fit::{colours_fit, most_plausible};
+use crate::readings::Readings;
+use crate::relations::SeenBy;
+use std::fmt::Write;
+use uniground_geometry::scene::Instance;
+use uniground_language::{Meaning, ParsedQuery, Phrase, Relation, RelationKind};
+use uniground_models::attributes;
+
+/// "Instance 13 (brown chair, 0.45 x 0.48 x 0.90 m) is taken for "chair" (0.93), is brown (0.80);
+/// closest to instance 2 (brown table), 0.40 m apart, of 4 chairs (1.00)."
+// Writing to a String can not fail.
+pub(super) fn explain(
+    assessor: &Assessor,
+    phrase: &Phrase,
+    read: &Assessment,
+    best: usize,
+    looked_by: &[usize],
+) -> String {
+    let instances = assessor.scene.instances;
+    let instance = &instances[best];
+    let size = instance.aabb.size;
+    let mut text = format!(
+        "Instance {} ({}, {:.2} x {:.2} x {:.2} m)",
+        instance.id,
+        described(instance),
+        size.x,
+        size.y,
+        size.z
+    );
+    let taken = match (&phrase.head, phrase.uses.is_empty()) {
+        (_, false) => format!("is {}", phrase.text()),
+        (head, true) if head.is_empty() => "is a thing".into(),
+        (head, true) => match assessor.scene.names.get(best) {
+            Some(name) => format!("is named as \"{}\"", Readings::of(phrase).best_noun(name)),
+            None => format!("is taken for \"{head}\""),
+        },
+    };
+    let _ = write!(text, " {taken} ({:.2})", read.nouns[best]);
+    for &colour in &phrase.colours {
+        let _ = write!(
+            text,
+            ", is {} ({:.2})",
+            colour.word(),
+            attributes::colour_fit(colour, instance)
+        );
+    }
+    if !phrase.other_than.is_empty() {
+        let names: Vec<_> = phrase.other_than.iter().map(|c| c.word()).collect();
+        let _ = write!(
+            text,
+            ", is not {} ({:.2})",
+            names.join(" or "),
+            colours_fit(assessor.scene, phrase, best)
+        );
+    }
+    let rivals = || most_plausible(&read.own, usize::MAX).len();
+    for (relation, bonds) in phrase.relations.iter().zip(&read.bonds) {
+        let bond = bonds[best];
+        let not = if relation.negated { "not " } else { "" };
+        let of = if relation.kind.is_comparison() {
+            format!(", of {}", rivals())
+        } else {
+            String::new()
+        };
+        match bond.anchor.map(|id| id.0 as usize - 1) {
+            Some(a) => {
+                let anchor = &instances[a];
+                let gap = assessor.solids[best].gap(&assessor.solids[a]);
+                let (name, score) = (described(anchor), bond.score);
+                // "(grey wall, taken for "door")": whoever reads it sees what the answer stands on.
+                let mistaken = relation.anchors.first().filter(|said| {
+                    assessor.scene.names.get(a).is_none() && !is_called(anchor, said)
+                });
+                let taken = mistaken
+                    .map_or_else(String::new, |said| format!(", taken for \"{}\"", said.head));
+                let faced = relation.kind.is_a_side()
+                    && assessor.at_side(relation.kind, best, a).1 == SeenBy::WhoFacesIt;
+                let seen = if faced { " as who faces it sees it" } else { "" };
+                let _ = write!(
+                    text,
+                    "; {not}{} instance {} ({name}{taken}){seen}, {gap:.2} m apart{of} ({score:.2})",
+                    in_words(relation),
+                    anchor.id
+                );
+            }
+            // Said of nothing: it can not have decided.
+            None if relation.anchors.is_empty() && !relation.kind.is_of_the_room() => {}
+            None => {
+                let _ = write!(text, "; {not}{} ({:.2})", relation.text, bond.score);
+            }
+        }
+    }
+    for with in &phrase.with {
+        let _ = write!(
+            text,
+            "; {} {}",
+            if with.absent { "without" } else { "with" },
+            with.phrase.text()
+        );
+    }
+    if let Some(superlative) = phrase.superlative {
+        let seen = if read.place_seen_by[best] == SeenBy::WhoFacesIt {
+            " as who stands before them sees them"
+        } else {
+            ""
+        };
+        let _ = write!(text, "; {} of {}{seen}", superlative_words(&superlative), rivals());
+    }
+    if let [by, others @ ..] = looked_by {
+        let _ = write!(
+            text,
+            "; seen with regard to instance {} ({})",
+            instances[*by].id,
+            described(&instances[*by])
+        );
+        let others: Vec<String> = others.iter().map(|&i| instances[i].id.to_string()).collect();
+        let _ = if others.is_empty() {
+            Ok(())
+        } else {
+            write!(text, ", though {} may be meant", others.join(" or "))
+        };
+    }
+    text.push('.');
+    text
+}
+
+/// "further away" is further away from something.
+fn in_words(relation: &Relation) -> String {
+    let preposition = match relation.kind {
+        RelationKind::Closest => " to",
+        RelationKind::Farthest => " from",
+        _ => "",
+    };
+    let ends = [" to", " from", " of", " by"].iter().any(|word| relation.text.ends_with(word));
+    format!("{}{}", relation.text, if ends { "" } else { preposition })
+}
+
+/// Whether measures call a thing what a phrase says, before anything else.
+fn is_called(instance: &Instance, said: &Phrase) -> bool {
+    match said.meaning() {
+        Meaning::Anything | Meaning::Unknown => true,
+        Meaning::Structure(structure) => instance.structure == Some(structure),
+        Meaning::Nouns(nouns) => instance
+            .names
+            .first()
+            .is_none_or(|guess| nouns.iter().any(|noun| noun.name == guess.name)),
+    }
+}
+
+pub(super) fn explain_several(scene: SceneView, target: &Phrase, several: &[usize]) -> String {
+    let ids: Vec<String> = several.iter().map(|&i| scene.instances[i].id.to_string()).collect();
+    format!("{} instances fit \"{}\": {}.", several.len(), target.text(), ids.join(", "))
+}
+
+pub(super) fn explain_tie(scene: SceneView, target: &Phrase, tied: &[usize]) -> String {
+    let ids: Vec<String> =
+        tied.iter().take(6).map(|&i| scene.instances[i].id.to_string()).collect();
+    format!(
+        "{} instances fit \"{}\" alike: {}. Say more about the one you mean.",
+        tied.len(),
+        target.text(),
+        ids.join(", ")
+    )
+}
+
+pub(super) fn why_nothing_fits(parsed: &ParsedQuery) -> String {
+    match parsed.target.meaning() {
+        Meaning::Unknown => {
+            format!(
+                "The built-in encoder does not know what \"{}\" looks like; a model-backed encoder may.",
+                parsed.target.head
+            )
+        }
+        _ => format!("Nothing in the room fits \"{}\".", parsed.target.text()),
+    }
+}
+
+/// The relations in the question's words; `None` when it has none.
+pub(super) fn relation_words(phrase: &Phrase) -> Option<String> {
+    let relations = phrase.relations.iter().map(|r| {
+        let anchors: Vec<String> = r.anchors.iter().map(Phrase::text).collect();
+        let words = if anchors.is_empty() {
+            r.text.clone()
+        } else {
+            format!("{} the {}", r.text, anchors.join(" and the "))
+        };
+        if r.negated { format!("not {words}") } else { words }
+    });
+    let words: Vec<String> =
+        relations.chain(phrase.superlative.map(|s| superlative_words(&s))).collect();
+    (!words.is_empty()).then(|| words.join("; "))
+}

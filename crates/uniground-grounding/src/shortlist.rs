@@ -1,0 +1,16 @@
+//! Candidates by score: top-k, ties by id.
+
+use super::answer::candidate;
+use super::{Candidate, SceneView};
+use uniground_geometry::statistics::largest;
+
+/// The `top_k` best instances by `scores` (by index); instances that score nothing are no
+/// candidates.
+pub(super) fn rank(scene: SceneView, scores: &[f32], top_k: usize) -> Vec<Candidate> {
+    largest(scores, top_k)
+        .into_iter()
+        .filter(|&i| scores[i] > 0.0)
+        .enumerate()
+        .map(|(rank, i)| candidate(&scene.instances[i], rank as u32 + 1, scores[i]))
+        .collect()
+}

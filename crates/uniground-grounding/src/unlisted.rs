@@ -1,0 +1,45 @@
+//! What a model sees in a photograph and nobody has listed: the place becomes an instance
+//! (docs/METHOD.md, section 4, "Not listed").
+
+use super::Seen;
+use super::scene_source::SceneSource;
+use super::vlm::{PictureSettings, PromptContext, VisualEvidence};
+use uniground_geometry::scene::{Instance, InstanceId};
+use uniground_parsing::pointed::known_as;
+
+/// What lies where a model saw something.
+pub(super) enum Found {
+    /// An instance of the scene, which was not offered.
+    Known(InstanceId),
+    /// A thing that stage 1 has not cut out.
+    New(Box<Instance>),
+}
+
+/// Cuts out what a model saw; `None` where it did not point into a photograph, or nothing can be
+/// cut out there.
+///
+/// # Errors
+/// Those of the source.
+pub(super) fn look_up<S: SceneSource>(
+    source: &S,
+    context: &PromptContext,
+    seen: &Seen,
+    evidence: &VisualEvidence,
+    settings: &PictureSettings,
+) -> Result<Option<Found>, S::Error> {
+    let Some(place) = evidence.place(source, seen, settings)? else { return Ok(None) };
+    // What was listed is not meant, as the model says.
+    let listed: Vec<InstanceId> = context.shown().collect();
+    let Some(found) = source.cut_out(place, &listed)? else { return Ok(None) };
+    if let Some(known) = known_as(source.instances(), &found) {
+        let may_be =
+            known.structure.is_none() && !known.dismissed && !context.is_candidate(known.id.0);
+        return Ok(may_be.then_some(Found::Known(known.id)));
+    }
+    let given_name = Some(seen.name.clone()).filter(|name| !name.is_empty());
+    Ok(Some(Found::New(Box::new(Instance {
+        given_name,
+        found_for: Some(context.query.clone()),
+        ..found
+    }))))
+}

@@ -1,0 +1,268 @@
+//! Stage 2 with a vision-language model: contextual semantic-spatial reasoning in a closed loop
+//! (paper, Algorithm 1; docs/METHOD.md, section 4).
+//!
+//! ```text
+//! context (candidates, anchors, directions) -> evidence (render, collages) -> prompt -> model -> reply -> checks
+//!                                                                              ^------- what was wrong -----|
+//! ```
+//! The built-in reasoner has run before: candidates, anchors and directions come from it. The model
+//! decides. Its reply is checked, and where the reply does not hold together the model is asked
+//! again. Every call is remembered by its [`Session`].
+
+mod consistency;
+mod decision;
+pub mod naming;
+mod photographs;
+mod prompt;
+mod prompt_context;
+pub mod reply;
+mod visual_evidence;
+
+pub use decision::{Decision, Outcome};
+pub use photographs::offered;
+pub use prompt::{REMAINING, narrowing, reasoner_name};
+pub use prompt_context::{PromptAnchor, PromptCandidate, PromptContext};
+pub use uniground_types::question::{Ablation, EvidenceMode, PromptVersion};
+pub use visual_evidence::{Photograph, PictureSettings, VisualEvidence, collect, contact_sheets};
+
+use prompt::Correction;
+use reply::{Choice, Reply};
+use std::collections::BTreeMap;
+use uniground_models::chat::{AskError, ChatRequest, Part, Picture, Session};
+
+/// Calls one question may take, reading it included (docs/METHOD.md, section 4).
+pub const MAX_CALLS: u32 = 3;
+
+/// How a model is asked.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Options {
+    /// Which part of the paper's prompt is left out (App. C.3).
+    pub ablation: Ablation,
+    /// Whether photographs of all candidates are sent, or names in their place.
+    pub evidence: EvidenceMode,
+    /// What the model is told.
+    pub prompt: PromptVersion,
+    /// Ask for JSON by schema instead of six lines.
+    pub json: bool,
+}
+
+/// What one question is decided from.
+#[derive(Debug, Clone)]
+pub struct Conversation<'a> {
+    /// What the prompt tells.
+    pub context: &'a PromptContext,
+    /// All pictures at hand; ablation and names decide which of them are sent.
+    pub evidence: &'a VisualEvidence,
+    /// How the model is asked.
+    pub options: Options,
+    /// Names that were given before, by id.
+    pub names: BTreeMap<u32, String>,
+    /// A sheet of candidates without a name, to be named first; only with
+    /// [`EvidenceMode::CachedNames`].
+    pub unnamed: Option<(Picture, Vec<u32>)>,
+}
+
+/// Why the model could not decide, with the names that were paid for before that.
+#[derive(Debug, thiserror::Error)]
+#[error("{error}")]
+pub struct Undecided {
+    /// Why the call failed or was not made.
+    #[source]
+    pub error: AskError,
+    /// Names to keep, by id; "" for what the model did not name.
+    pub new_names: BTreeMap<u32, String>,
+}
+
+/// Asks until the answer holds together, at most as often as the session allows.
+///
+/// # Errors
+/// [`Undecided`] when a call fails and no reply before it can be used.
+pub async fn decide(
+    conversation: &Conversation<'_>,
+    session: &mut Session<'_>,
+) -> Result<Decision, Undecided> {
+    let Conversation { context, options, .. } = conversation;
+    let mut decision = Decision::default();
+    let mut names = conversation.names.clone();
+    if let Some((sheet, ids)) = conversation.unnamed.clone().filter(|_| options.uses_names()) {
+        let named = session.ask("naming", naming::request(sheet, &ids)).await;
+        let text = named.map_err(|error| Undecided { error, new_names: BTreeMap::new() })?;
+        decision.new_names = naming::read(&text, &ids);
+        names.extend(decision.new_names.clone());
+    }
+    // What could not be named is shown instead.
+    names.retain(|_, name| options.uses_names() && !name.is_empty());
+    let shown = conversation.shown(&names);
+    let mut request = prompt::spatial(conversation, &shown, &names);
+    let (mut purpose, mut looked_again) = ("spatial", false);
+    loop {
+        let sent = pictures_of(&request);
+        let text = match session.ask(purpose, request).await {
+            Ok(text) => text,
+            Err(error) if decision.settle(&error) => break,
+            Err(error) => return Err(Undecided { error, new_names: decision.new_names }),
+        };
+        let mut reply = reply::read_answer(&text, &context.query, options.json);
+        // The simple prompt asks for no format.
+        if options.is_simple() && reply.predicted == Choice::Missing {
+            reply.predicted = reply::only_id(&text, |id| context.is_candidate(id))
+                .map_or(Choice::Missing, Choice::Id);
+        }
+        names.extend(
+            reply
+                .candidate_names
+                .iter()
+                .filter(|(id, _)| context.is_candidate(**id))
+                .map(|(id, name)| (*id, name.clone())),
+        );
+        let correction = wrong_with(&reply, context, &names, looked_again);
+        decision.take(reply, context, &sent);
+        let Some(correction) = correction else { break };
+        decision.corrections.push(told(&correction));
+        if session.calls_left() == 0 || options.ablation == Ablation::NoLoop {
+            break;
+        }
+        looked_again |= matches!(correction, Correction::Inconsistent { .. });
+        purpose = correction.purpose();
+        request = prompt::corrected(
+            conversation,
+            &conversation.shown_again(&correction, &shown),
+            &names,
+            &correction,
+        );
+    }
+    decision.names = names;
+    decision.project(context);
+    Ok(decision)
+}
+
+impl Options {
+    /// Whether names take part. They stand for photographs, so the ablation that leaves those out
+    /// leaves out names as well.
+    #[must_use]
+    pub fn uses_names(self) -> bool {
+        self.evidence == EvidenceMode::CachedNames
+            && !matches!(self.ablation, Ablation::NoCandidate | Ablation::RawRender)
+    }
+
+    /// Whether the prompt is the paper's bare one.
+    fn is_simple(self) -> bool {
+        matches!(self.ablation, Ablation::SimplePrompt | Ablation::RawRender)
+    }
+}
+
+impl Conversation<'_> {
+    /// The first request for a decision, with the names that were known before.
+    #[must_use]
+    pub fn first_request(&self) -> ChatRequest {
+        let mut names = self.names.clone();
+        names.retain(|_, name| self.options.uses_names() && !name.is_empty());
+        prompt::spatial(self, &self.shown(&names), &names)
+    }
+
+    /// The pictures of the first call.
+    fn shown(&self, names: &BTreeMap<u32, String>) -> VisualEvidence {
+        let mut shown = self.evidence.clone();
+        match self.options.ablation {
+            Ablation::NoGlobal => shown.global = None,
+            Ablation::NoCandidate | Ablation::RawRender => {
+                shown.collages.clear();
+                shown.sheets.clear();
+                shown.photographs.clear();
+            }
+            Ablation::Full | Ablation::SimplePrompt | Ablation::NoLoop => {}
+        }
+        if self.options.uses_names() {
+            let needed = consistency::to_be_looked_at(self.context, names);
+            shown.collages.retain(|id, _| needed.contains(id) || self.context.is_shown_anchor(*id));
+        }
+        shown
+    }
+
+    /// The pictures of another call. Paper: the renders and the images of the candidate that was
+    /// chosen.
+    fn shown_again(&self, correction: &Correction, shown: &VisualEvidence) -> VisualEvidence {
+        match correction {
+            Correction::Inconsistent { id, .. } => {
+                let shows =
+                    !matches!(self.options.ablation, Ablation::NoCandidate | Ablation::RawRender);
+                let of_chosen = self.evidence.collages.get_key_value(id).filter(|_| shows);
+                let collages = of_chosen.map(|(id, p)| (*id, p.clone())).into_iter().collect();
+                VisualEvidence { collages, ..shown.clone() }
+            }
+            Correction::OutOfSet { .. } | Correction::Unreadable { .. } => shown.clone(),
+        }
+    }
+}
+
+/// Names of the pictures in a request, in order.
+fn pictures_of(request: &ChatRequest) -> Vec<String> {
+    let name = |part: &Part| match part {
+        Part::Picture(picture) => Some(picture.name.clone()),
+        Part::Text(_) => None,
+    };
+    request.user.iter().filter_map(name).collect()
+}
+
+/// Asks which of many candidates, shown on contact sheets, may be meant: at most three, the
+/// likeliest first.
+///
+/// # Errors
+/// [`AskError`]: the call failed.
+pub async fn narrow(
+    context: &PromptContext,
+    evidence: &VisualEvidence,
+    session: &mut Session<'_>,
+) -> Result<Vec<u32>, AskError> {
+    let text = session.ask("sheet", prompt::narrowing(context, evidence)).await?;
+    let mut ids = reply::shortlist(&text, |id| context.is_candidate(id));
+    ids.truncate(prompt::REMAINING);
+    Ok(ids)
+}
+
+/// What is to be asked again, and why.
+fn wrong_with(
+    reply: &Reply,
+    context: &PromptContext,
+    names: &BTreeMap<u32, String>,
+    looked_again: bool,
+) -> Option<Correction> {
+    match reply.predicted {
+        Choice::Nothing | Choice::NotListed => None,
+        Choice::Missing => {
+            Some(Correction::Unreadable { why: "no \"Predicted ID\" could be read".into() })
+        }
+        Choice::Contradiction(a, b) if a == b => {
+            Some(Correction::Unreadable { why: format!("the ID is both {a} and none") })
+        }
+        Choice::Contradiction(a, b) => {
+            Some(Correction::Unreadable { why: format!("the ID is both {a} and {b}") })
+        }
+        Choice::Id(id) if !context.is_candidate(id) => Some(Correction::OutOfSet { id }),
+        Choice::Id(_) if looked_again => None,
+        Choice::Id(id) => consistency::disagreement(&context.target, names, id, reply)
+            .map(|why| Correction::Inconsistent { id, why }),
+    }
+}
+
+impl Correction {
+    fn purpose(&self) -> &'static str {
+        match self {
+            Self::OutOfSet { .. } => "out_of_set",
+            Self::Unreadable { .. } => "unreadable",
+            Self::Inconsistent { .. } => "inconsistent",
+        }
+    }
+}
+
+/// For the trace.
+fn told(correction: &Correction) -> String {
+    match correction {
+        Correction::OutOfSet { id } => format!("the model answered ID {id}, which is no candidate"),
+        Correction::Unreadable { why } => format!("the model answered something of which {why}"),
+        Correction::Inconsistent { id, why } => format!("the model answered ID {id}, but {why}"),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,61 @@
+//! Photographs that are offered without being asked for: where no candidate fits, what is meant may
+//! be in no instance, and yet in a picture.
+
+use super::prompt_context::PromptContext;
+use super::visual_evidence::{Photograph, encoded};
+use super::{Ablation, Options, PromptVersion};
+use crate::pipeline::QuestionError;
+use crate::scene_source::SceneSource;
+use image::{RgbImage, imageops};
+
+/// Photographs offered; each costs as much as a candidate's collage.
+const OFFERED: usize = 2;
+/// The longer side of a photograph that is offered, pixels.
+const MOST_PX: u32 = 768;
+/// Candidates that fit worse than this, the best one of them included, do not fit. Where rooms 1
+/// and 2 list the target the best one is above it nine times in ten.
+const FITS: f32 = 0.5;
+
+/// The photographs of a scene that look most like the target, where no candidate fits it and the
+/// model may say what is not listed; none where no encoder has seen the frames.
+///
+/// # Errors
+/// The encoder fails.
+pub fn offered<S: SceneSource>(
+    source: &S,
+    context: &PromptContext,
+    options: Options,
+) -> Result<Vec<Photograph>, S::Error> {
+    let may_be_told = options.prompt == PromptVersion::Revised
+        && !matches!(options.ablation, Ablation::SimplePrompt | Ablation::RawRender);
+    let fits = context.candidates.iter().any(|candidate| candidate.score >= FITS);
+    // Without the encoder that has seen the scene the answer says so already.
+    let (Some(frames), Ok(Some((encoder, _)))) = (source.frame_embeddings(), source.embeddings())
+    else {
+        return Ok(Vec::new());
+    };
+    if fits || !may_be_told {
+        return Ok(Vec::new());
+    }
+    let words = encoder.embed_name(&context.target.text()).map_err(QuestionError::Encoder)?;
+    let Some(vector) = words.vector else { return Ok(Vec::new()) };
+    let taken = frames.nearest(&vector, OFFERED).into_iter();
+    let taken = taken.filter_map(|frame| Some((frame, source.photograph(frame)?)));
+    let offered = taken.zip(1..).map(|((frame, photograph), number)| Photograph {
+        frame,
+        taken_px: photograph.dimensions(),
+        picture: encoded(format!("photograph-{number}"), &smaller(photograph)),
+    });
+    Ok(offered.collect())
+}
+
+/// A picture of at most [`MOST_PX`] along its longer side.
+fn smaller(picture: RgbImage) -> RgbImage {
+    let (width, height) = picture.dimensions();
+    let longer = width.max(height);
+    if longer <= MOST_PX {
+        return picture;
+    }
+    let scaled = |length: u32| (length * MOST_PX).div_ceil(longer).max(1);
+    imageops::resize(&picture, scaled(width), scaled(height), imageops::FilterType::Triangle)
+}

@@ -1,0 +1,378 @@
+//! The prompt, block by block in the paper's order (appendix, "Details of Textual Prompt Design").
+//! A block whose input is absent is left out; that is all the ablations do.
+
+use super::prompt_context::{PromptAnchor, PromptCandidate, PromptContext, axis};
+use super::reply::Field;
+use super::visual_evidence::VisualEvidence;
+use super::{Conversation, PromptVersion};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use uniground_geometry::boxes::Aabb;
+use uniground_models::chat::{ChatRequest, Part};
+
+/// Name of a model as it reasons, with the number of its prompt, recorded with answers. A number is
+/// raised when what models are told changes.
+#[must_use]
+pub fn reasoner_name(model: &str, prompt: PromptVersion) -> String {
+    let number = match prompt {
+        PromptVersion::Paper => 2,
+        PromptVersion::Revised => 6,
+    };
+    format!("{model} (prompt {number})")
+}
+
+const SYSTEM: &str =
+    "You are a helpful assistant designed to identify objects based on images and descriptions.";
+const SIMPLE_SYSTEM: &str =
+    "You are a helpful assistant. Identify the object ID that matches the description.";
+
+/// Candidates that remain after the first step of two.
+pub const REMAINING: usize = 3;
+
+/// Why a model is asked once more.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Correction {
+    /// The id is none of the candidates'.
+    OutOfSet { id: u32 },
+    /// No id, or two.
+    Unreadable { why: String },
+    /// The name of the chosen candidate and the question disagree.
+    Inconsistent { id: u32, why: String },
+}
+
+/// The first question about a scene.
+pub(super) fn spatial(
+    conversation: &Conversation,
+    shown: &VisualEvidence,
+    names: &BTreeMap<u32, String>,
+) -> ChatRequest {
+    request(conversation, shown, names, None)
+}
+
+/// The question again, saying what was wrong.
+pub(super) fn corrected(
+    conversation: &Conversation,
+    shown: &VisualEvidence,
+    names: &BTreeMap<u32, String>,
+    correction: &Correction,
+) -> ChatRequest {
+    request(conversation, shown, names, Some(correction))
+}
+
+fn request(
+    conversation: &Conversation,
+    shown: &VisualEvidence,
+    names: &BTreeMap<u32, String>,
+    correction: Option<&Correction>,
+) -> ChatRequest {
+    let context = conversation.context;
+    let (prompt, sheets) =
+        (conversation.options.prompt, shown.sheets.iter().map(|(sheet, _)| sheet));
+    let photographs = shown.photographs.iter().map(|photograph| &photograph.picture);
+    let pictures =
+        shown.global.iter().chain(shown.collages.values()).chain(sheets).chain(photographs);
+    let mut user: Vec<Part> = pictures.cloned().map(Part::Picture).collect();
+    if conversation.options.is_simple() {
+        let mut text = format!(
+            "Query: {}\nCandidate Objects: {}\nPlease identify which object ID best matches the query and explain why.",
+            quoted(&context.query),
+            candidates(context, names, prompt, "; ")
+        );
+        if let Some(correction) = correction {
+            let _ = write!(text, "\n{}", what_was_wrong(context, correction));
+        }
+        user.push(Part::Text(text));
+        return ChatRequest { system: SIMPLE_SYSTEM.into(), user, schema: None };
+    }
+    let blocks = [
+        Some(images(context, shown)),
+        Some(directions(context, prompt)),
+        anchors(context, prompt),
+        Some(format!(
+            "Candidates (metres, world frame, Z up):\n{}",
+            candidates(context, names, prompt, "\n")
+        )),
+        Some(naming(shown, names)),
+        Some(protocol(shown, prompt)),
+        correction.map(|correction| what_was_wrong(context, correction)),
+        Some(format(conversation.options.json, prompt)),
+        Some(format!("Query: {}", quoted(&context.query))),
+    ];
+    let text = blocks
+        .into_iter()
+        .flatten()
+        .filter(|block| !block.is_empty())
+        .collect::<Vec<_>>()
+        .join("\n\n");
+    user.push(Part::Text(text));
+    let schema = conversation.options.json.then(|| ("grounding", schema(prompt)));
+    ChatRequest { system: SYSTEM.into(), user, schema }
+}
+
+/// A question as one line between quotes: it can not pass for lines of the prompt.
+fn quoted(query: &str) -> String {
+    Value::from(query.split_whitespace().collect::<Vec<_>>().join(" ")).to_string()
+}
+
+/// What each picture is.
+fn images(context: &PromptContext, shown: &VisualEvidence) -> String {
+    let mut text = String::new();
+    let mut next = 1;
+    if shown.global.is_some() {
+        let _ = writeln!(
+            text,
+            "Image 1 is a global render of the scene: views of the same room from above, side by side, from different sides. Candidates are \
+             boxes with their IDs{}; dashed edges lie behind other things. Direction words at the rims and the axes show where \
+             each direction lies in each view.",
+            if context.anchors.is_empty() { "" } else { ", predicted anchors are red" }
+        );
+        next += 1;
+    }
+    let of = |id: &u32| {
+        if context.is_shown_anchor(*id) {
+            format!("ID {id} (a predicted anchor)")
+        } else {
+            format!("ID {id}")
+        }
+    };
+    let ids: Vec<String> = shown.collages.keys().map(of).collect();
+    if let Some(first) = ids.first() {
+        let _ = match ids.len() {
+            1 => write!(text, "Image {next} shows the candidate {first}"),
+            n => write!(
+                text,
+                "Images {next} to {} show one candidate each, in this order: {}",
+                next + n - 1,
+                ids.join(", ")
+            ),
+        };
+        let _ = text.write_str(". Above: close crops of the object from up to three viewpoints, a yellow line around it and its surroundings darker. Below: the pictures they come from, with the object in a red box.");
+        next += ids.len();
+    }
+    for ((_, ids), number) in shown.sheets.iter().zip(next..) {
+        let ids = ids.iter().map(of).collect::<Vec<_>>().join(", ");
+        let _ = write!(
+            text,
+            "\nImage {number} is a contact sheet: one photograph of each candidate under its ID, a yellow line around it, row by row: {ids}."
+        );
+    }
+    next += shown.sheets.len();
+    if let count @ 1.. = shown.photographs.len() {
+        let (numbers, verb) = match count {
+            1 => (format!("Image {next}"), "is a photograph"),
+            n => (format!("Images {next} to {}", next + n - 1), "are photographs"),
+        };
+        let _ = write!(
+            text,
+            "\n{numbers} {verb} of the room with nothing drawn in, in case no candidate is what the query asks for: it may be seen \
+             there without being listed."
+        );
+    }
+    text.trim().to_owned()
+}
+
+/// The convention in force, the same words as in the render.
+fn directions(context: &PromptContext, prompt: PromptVersion) -> String {
+    let meaning =
+        |(word, direction): (&str, uniground_geometry::Vector3<f32>)| match axis(direction) {
+            Some(axis) => format!("{word} = {axis}"),
+            None => {
+                format!("{word} = ({:+.2}, {:+.2}, {:+.2})", direction.x, direction.y, direction.z)
+            }
+        };
+    let towards = match prompt {
+        PromptVersion::Revised if context.is_of_a_viewer() => {
+            " They are a viewer's: in front of a thing is on the viewer's side of it, behind it is the far side."
+        }
+        _ => "",
+    };
+    format!(
+        "Directions {}: {}. Read left, right, front and back in the query in this way, from whichever side a picture is taken.{towards}",
+        context.seen_by,
+        context.words().map(meaning).join(", ")
+    )
+}
+
+fn anchors(context: &PromptContext, prompt: PromptVersion) -> Option<String> {
+    let others =
+        |a: &PromptAnchor| match a.alternatives.is_empty() || prompt == PromptVersion::Paper {
+            true => String::new(),
+            false => format!(
+                "; it may also be {}",
+                a.alternatives.iter().map(|id| format!("ID {id}")).collect::<Vec<_>>().join(" or ")
+            ),
+        };
+    let told = context
+        .anchors
+        .iter()
+        .map(|a| format!("\"{}\" -> ID {}, {}{}", a.words, a.id, place(&a.aabb), others(a)));
+    let told = told.collect::<Vec<_>>().join("\n");
+    let warning = match prompt {
+        PromptVersion::Paper => "predicted by geometry, not certain",
+        PromptVersion::Revised => {
+            "predicted by geometry, may be wrong: look whether the pictures agree. What is shown here may itself be what the query asks for, \
+             and may be chosen"
+        }
+    };
+    (!told.is_empty()).then(|| format!("Anchors in the query ({warning}):\n{told}"))
+}
+
+fn candidates(
+    context: &PromptContext,
+    names: &BTreeMap<u32, String>,
+    prompt: PromptVersion,
+    separator: &str,
+) -> String {
+    let line = |c: &PromptCandidate| {
+        let name = names.get(&c.id.0).map_or(String::new(), |name| format!(", \"{name}\""));
+        // What geometry thinks of a candidate is no reason for somebody who can see it.
+        let score = if prompt == PromptVersion::Paper {
+            format!("score {:.2}, ", c.score)
+        } else {
+            String::new()
+        };
+        format!("ID {}: {score}{}{name}", c.id, place(&c.aabb))
+    };
+    context.candidates.iter().map(line).collect::<Vec<_>>().join(separator)
+}
+
+fn place(aabb: &Aabb) -> String {
+    let (c, s) = (aabb.center, aabb.size);
+    format!(
+        "center ({:.2}, {:.2}, {:.2}), size ({:.2}, {:.2}, {:.2})",
+        c.x, c.y, c.z, s.x, s.y, s.z
+    )
+}
+
+fn naming(shown: &VisualEvidence, names: &BTreeMap<u32, String>) -> String {
+    let mut text = String::new();
+    if !shown.collages.is_empty() || !shown.sheets.is_empty() {
+        text.push_str(
+            "Name first: before anything else give each candidate that has an image a descriptive name of three to eight words, from its \
+             own image only, without regard to the query.",
+        );
+    }
+    if !names.is_empty() {
+        text.push_str(if text.is_empty() { "" } else { " " });
+        text.push_str(
+            "Names in quotation marks were given by somebody who has looked at the object alone; use them for candidates without an image.",
+        );
+    }
+    text
+}
+
+fn protocol(shown: &VisualEvidence, prompt: PromptVersion) -> String {
+    let verify = if shown.global.is_some() {
+        "the global render and the 3D coordinates"
+    } else {
+        "the 3D coordinates"
+    };
+    format!(
+        "Decide in this order:\n\
+         1. Match the candidates' names with the object the query asks for.\n\
+         2. Verify the relations in the query with {verify}.\n\
+         3. If no name matches, or several remain plausible, find the anchor first and resolve the target by the stated relation.\n\
+         {}",
+        match prompt {
+            PromptVersion::Paper =>
+                "4. Choose one candidate. Only if it is certain that no candidate can be meant, answer none.",
+            PromptVersion::Revised => {
+                "4. Choose one candidate. One of another kind, or plainly of another colour, than the query says is not meant. Where several \
+                 are pieces of the object, choose the one that holds most of it.\n\
+                 5. If no candidate is meant, look for the object in the images: where you see it, answer not listed and say where, in a \
+                 photograph rather than in the render. Else answer none."
+            }
+        }
+    )
+}
+
+fn format(json: bool, prompt: PromptVersion) -> String {
+    let revised = prompt == PromptVersion::Revised;
+    if json {
+        let seen = if revised { SEEN_AS_JSON } else { "" };
+        let told = "Answer with one JSON object with the fields \"Predicted ID\" (a candidate's ID or null), \"Explanation\", \"Candidate Names\" \
+                (list of \"ID -> short name\"), \"Target name matches?\" (true or false: does the chosen candidate's name mean what the query asks \
+                for), \"Anchor ID\" (an ID or null), \"Relation used\" (words of the query or null).";
+        return format!("{told}{seen}");
+    }
+    let (or_not_listed, seen) = if revised { (", or not listed", SEEN_AS_LINE) } else { ("", "") };
+    format!(
+        "Answer with exactly these six lines:\n\
+     Predicted ID: <a candidate's ID, or none{or_not_listed}>\n\
+     Explanation: <appearance and spatial cues, short>\n\
+     Candidate Names: <ID -> short name, ID -> short name, ...>\n\
+     Target name matches?: <true or false: does the chosen candidate's name mean what the query asks for>\n\
+     Anchor ID: <ID or unknown>\n\
+     Relation used: <the relation in the words of the query, or none>{seen}"
+    )
+}
+
+/// What is asked of a model that sees the object, but not among the candidates.
+const SEEN_AS_LINE: &str = "\n\
+     Only if it is not listed, a seventh line:\n\
+     Seen at: <image number, x, y, short name; x and y are 0 at the left and upper rim of that image and 1000 at the right and lower one>";
+const SEEN_AS_JSON: &str = " Where the object is seen but not listed, \"Predicted ID\" is \"not listed\" and \"Seen at\" is \"image number, x, y, \
+     short name\" (x and y are 0 at the left and upper rim of that image and 1000 at the right and lower one); else \"Seen at\" is null.";
+
+fn schema(prompt: PromptVersion) -> Value {
+    let id = || json!({"type": ["integer", "null"]});
+    let properties = json!({
+        "Predicted ID": id(), "Explanation": {"type": "string"}, "Candidate Names": {"type": "array", "items": {"type": "string"}},
+        "Target name matches?": {"type": "boolean"}, "Anchor ID": id(), "Relation used": {"type": ["string", "null"]},
+    });
+    let (mut properties, mut required) = (properties, Field::ALL.map(Field::title).to_vec());
+    if prompt == PromptVersion::Revised {
+        properties[Field::PredictedId.title()] = json!({"type": ["integer", "string", "null"]});
+        properties[Field::SeenAt.title()] = json!({"type": ["string", "null"]});
+        required.push(Field::SeenAt.title());
+    }
+    json!({"type": "object", "additionalProperties": false, "required": required, "properties": properties})
+}
+
+fn what_was_wrong(context: &PromptContext, correction: &Correction) -> String {
+    let ids = context.shown().map(|id| id.to_string()).collect::<Vec<_>>().join(", ");
+    let wrong = match correction {
+        Correction::OutOfSet { id } => format!("ID {id}, which is no candidate"),
+        Correction::Unreadable { why } => format!("something of which {why}"),
+        Correction::Inconsistent { id, why } => {
+            format!("ID {id}, but {why}. Look again at its image, the relations and the render")
+        }
+    };
+    let relations = match context.summary.relations.is_empty() {
+        true => String::new(),
+        false => format!(
+            " Relations in the query: {}; anchors: {}.",
+            context.summary.relations.join(", "),
+            context.summary.anchors.join(", ")
+        ),
+    };
+    format!("You answered before with {wrong}. Candidates are {ids} and no others.{relations}")
+}
+
+/// The first step of two: contact sheets of all candidates, of which three at most remain.
+#[must_use]
+pub fn narrowing(context: &PromptContext, evidence: &VisualEvidence) -> ChatRequest {
+    let mut user: Vec<Part> =
+        evidence.sheets.iter().map(|(sheet, _)| Part::Picture(sheet.clone())).collect();
+    let blocks = [
+        images(
+            context,
+            &VisualEvidence { sheets: evidence.sheets.clone(), ..VisualEvidence::default() },
+        ),
+        anchors(context, PromptVersion::Revised).unwrap_or_default(),
+        format!(
+            "Candidates (metres, world frame, Z up):\n{}",
+            candidates(context, &BTreeMap::new(), PromptVersion::Revised, "\n")
+        ),
+        format!(
+            "Which candidates may the query mean? Go by what they look like first, by where they are second. Answer with one line, at most \
+             {REMAINING} of the IDs, the likeliest first:\nShortlist: <ID, ID, ID, or none>"
+        ),
+        format!("Query: {}", quoted(&context.query)),
+    ];
+    user.push(Part::Text(
+        blocks.into_iter().filter(|block| !block.is_empty()).collect::<Vec<_>>().join("\n\n"),
+    ));
+    ChatRequest { system: SYSTEM.into(), user, schema: None }
+}

@@ -1,0 +1,273 @@
+//! What a model is told about a question: candidates, anchors, directions. Nothing of it depends on
+//! the model.
+
+use super::EvidenceMode;
+use crate::assess::Assessor;
+use crate::direction::Directions;
+use crate::{Grounding, ParsedQuerySummary};
+use std::collections::BTreeMap;
+use uniground_geometry::Vector3;
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::scene::{Instance, InstanceId};
+use uniground_language::{ParsedQuery, Phrase};
+use uniground_render::{BoxStyle, DirectionWord, LabelledBox, Subjects};
+
+/// A question and what is known before a model is asked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PromptContext {
+    /// The question as it was asked.
+    pub query: String,
+    /// How the question was read; its relations and anchors are told when the model is asked
+    /// again.
+    pub summary: ParsedQuerySummary,
+    pub(super) target: Phrase,
+    /// Best first.
+    pub candidates: Vec<PromptCandidate>,
+    /// The geometry's guesses, and the prompt says that they are.
+    pub anchors: Vec<PromptAnchor>,
+    /// Anchors that are no candidates but are shown like them, and may be chosen.
+    pub(super) shown_anchors: Vec<InstanceId>,
+    /// Axis-aligned boxes of every instance, in order of id.
+    pub(super) boxes: Vec<Aabb>,
+    pub(super) directions: Directions,
+    /// Whose left and right these are.
+    pub(super) seen_by: String,
+}
+
+/// A candidate as the prompt lists it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PromptCandidate {
+    /// The id the model is to answer with.
+    pub id: InstanceId,
+    /// Fit to the whole question, `0..=1`; 0 for a thing that only stands in the right place.
+    pub score: f32,
+    /// Share of the geometry's belief, `0..=1`.
+    pub belief: f32,
+    /// Axis-aligned box, metres, world frame (Z up).
+    pub aabb: Aabb,
+}
+
+/// What the geometry takes for a thing the question measures its target against.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PromptAnchor {
+    /// The question's words for it.
+    pub words: String,
+    /// The likeliest instance; may be a candidate as well.
+    pub id: InstanceId,
+    /// Axis-aligned box, metres, world frame (Z up).
+    pub aabb: Aabb,
+    /// Other instances it may be, best first.
+    pub alternatives: Vec<InstanceId>,
+}
+
+/// Anchors that are shown beside the candidates.
+const MAX_SHOWN_ANCHORS: usize = 2;
+/// Other instances told for an anchor.
+const MAX_ALTERNATIVES: usize = 2;
+
+impl PromptContext {
+    /// `assessor` has the directions the question is read in; `grounding` the candidates.
+    pub(crate) fn of(
+        assessor: &Assessor,
+        parsed: &ParsedQuery,
+        grounding: &Grounding,
+        beliefs: &[f32],
+    ) -> Self {
+        let mut phrases = Vec::new();
+        anchor_phrases(&parsed.target, &mut phrases);
+        phrases.extend(parsed.viewpoint.iter().map(|viewpoint| &viewpoint.anchor));
+        phrases.extend(parsed.standpoint.as_ref());
+        let mut anchors: Vec<PromptAnchor> = Vec::new();
+        for phrase in phrases {
+            let likely = assessor.likely(phrase, 1 + MAX_ALTERNATIVES);
+            let Some((&(first, _), others)) = likely.split_first() else { continue };
+            let instance = &assessor.scene.instances[first];
+            if anchors.iter().all(|a| a.id != instance.id) {
+                let alternatives =
+                    others.iter().map(|&(i, _)| assessor.scene.instances[i].id).collect();
+                anchors.push(PromptAnchor {
+                    words: phrase.text(),
+                    id: instance.id,
+                    aabb: instance.aabb,
+                    alternatives,
+                });
+            }
+        }
+        let is_candidate = |id: InstanceId| grounding.candidates.iter().any(|c| c.id == id);
+        let others = anchors.iter().map(|a| a.id).filter(|id| !is_candidate(*id));
+        let shown_anchors = others.take(MAX_SHOWN_ANCHORS).collect();
+        let directions = assessor.directions;
+        let seen_by = match &parsed.viewpoint {
+            Some(viewpoint)
+                if directions.of_somebody && assessor.best(&viewpoint.anchor).is_some() =>
+            {
+                format!(
+                    "as seen by somebody {} the {}",
+                    viewpoint.look.phrase(),
+                    viewpoint.anchor.text()
+                )
+            }
+            _ if directions.of_somebody => "as seen by the observer who asks".into(),
+            _ => format!("by the convention \"{}\"", grounding.direction_convention),
+        };
+        Self {
+            query: grounding.query.clone(),
+            summary: grounding.parsed_query.clone(),
+            target: parsed.target.clone(),
+            candidates: grounding
+                .candidates
+                .iter()
+                .map(|c| PromptCandidate {
+                    id: c.id,
+                    score: c.score,
+                    belief: beliefs[c.id.0 as usize - 1],
+                    aabb: c.aabb,
+                })
+                .collect(),
+            anchors,
+            shown_anchors,
+            boxes: assessor.scene.instances.iter().map(|i| i.aabb).collect(),
+            directions,
+            seen_by,
+        }
+    }
+
+    /// Candidates to be named before they are decided on: where names are used, the first that have
+    /// none.
+    #[must_use]
+    pub fn unnamed(
+        &self,
+        names: &BTreeMap<u32, String>,
+        evidence: EvidenceMode,
+    ) -> Vec<InstanceId> {
+        let without = self
+            .candidates
+            .iter()
+            .map(|c| c.id)
+            .filter(|id| evidence == EvidenceMode::CachedNames && !names.contains_key(&id.0));
+        without.collect()
+    }
+
+    /// Whether an id, as a model gives it, is one of those it may choose.
+    #[must_use]
+    pub fn is_candidate(&self, id: u32) -> bool {
+        self.shown().any(|shown| shown.0 == id)
+    }
+
+    /// What the model is shown by itself and may choose: candidates, then anchors.
+    pub fn shown(&self) -> impl Iterator<Item = InstanceId> {
+        self.candidates.iter().map(|c| c.id).chain(self.shown_anchors.iter().copied())
+    }
+
+    /// Whether it is an anchor that is shown beside the candidates.
+    #[must_use]
+    pub(super) fn is_shown_anchor(&self, id: u32) -> bool {
+        self.shown_anchors.iter().any(|anchor| anchor.0 == id)
+    }
+
+    /// Whether right and front are those of somebody who looks from the front to the back. The
+    /// paper's left and right are not.
+    pub(super) fn is_of_a_viewer(&self) -> bool {
+        let Directions { right, front, .. } = self.directions;
+        (-front).cross(&Vector3::z()).dot(&right) > 0.0
+    }
+
+    /// As the paper has it: anchors are told, not shown, and no answer.
+    #[must_use]
+    pub fn without_shown_anchors(self) -> Self {
+        Self { shown_anchors: Vec::new(), ..self }
+    }
+
+    /// With one more candidate, of which nothing is known but that a model saw it: the last of the
+    /// scene's instances.
+    #[must_use]
+    pub fn with_found(mut self, found: &Instance) -> Self {
+        self.boxes.truncate(found.id.0 as usize - 1);
+        self.boxes.push(found.aabb);
+        self.candidates.push(PromptCandidate {
+            id: found.id,
+            score: 0.0,
+            belief: 0.0,
+            aabb: found.aabb,
+        });
+        self
+    }
+
+    /// With these candidates only, in their order.
+    #[must_use]
+    pub fn narrowed_to(&self, ids: &[u32]) -> Self {
+        let candidates =
+            self.candidates.iter().filter(|c| ids.contains(&c.id.0)).cloned().collect();
+        Self { candidates, ..self.clone() }
+    }
+
+    /// The six direction words and what they mean here. Named by the axis where they lie along one.
+    pub(super) fn words(&self) -> [(&'static str, Vector3<f32>); 6] {
+        let Directions { right, front, .. } = self.directions;
+        [
+            ("left", -right),
+            ("right", right),
+            ("front", front),
+            ("back", -front),
+            ("above", Vector3::z()),
+            ("below", -Vector3::z()),
+        ]
+    }
+
+    /// What the global render shows: candidates in blue, anchors in red on top, horizontal
+    /// direction words at the rims.
+    #[must_use]
+    pub fn subjects(&self) -> Subjects {
+        let is_anchor = |id: InstanceId| self.anchors.iter().any(|a| a.id == id);
+        let candidate = |c: &PromptCandidate| LabelledBox {
+            aabb: c.aabb,
+            label: c.id.to_string(),
+            style: if is_anchor(c.id) { BoxStyle::Anchor } else { BoxStyle::Candidate },
+        };
+        let anchor = |a: &PromptAnchor| LabelledBox {
+            aabb: a.aabb,
+            label: format!("{} anchor", a.id),
+            style: BoxStyle::Anchor,
+        };
+        let listed = |id: InstanceId| self.candidates.iter().any(|c| c.id == id);
+        let others = self.anchors.iter().filter(|a| !listed(a.id)).map(anchor);
+        let mut boxes: Vec<LabelledBox> =
+            self.candidates.iter().rev().map(candidate).chain(others).collect();
+        boxes.sort_by_key(|b| b.style == BoxStyle::Anchor);
+        let centers = self.candidates.iter().map(|c| c.aabb.center.coords).sum::<Vector3<f32>>()
+            / self.candidates.len().max(1) as f32;
+        let words = self
+            .words()
+            .into_iter()
+            .take(4)
+            .map(|(word, direction)| DirectionWord { word: named(word, direction), direction });
+        Subjects { boxes, words: words.collect(), target: centers.into() }
+    }
+}
+
+/// "left (+X)", or the word alone where it lies along no axis.
+fn named(word: &str, direction: Vector3<f32>) -> String {
+    axis(direction).map_or_else(|| word.to_owned(), |axis| format!("{word} ({axis})"))
+}
+
+/// "+X" for a direction along an axis.
+pub(super) fn axis(direction: Vector3<f32>) -> Option<&'static str> {
+    const ALONG: f32 = 0.9999;
+    let axes = [
+        ("+X", Vector3::x()),
+        ("-X", -Vector3::x()),
+        ("+Y", Vector3::y()),
+        ("-Y", -Vector3::y()),
+        ("+Z", Vector3::z()),
+        ("-Z", -Vector3::z()),
+    ];
+    axes.into_iter().find(|(_, axis)| axis.dot(&direction) > ALONG).map(|(name, _)| name)
+}
+
+/// Anchors of a phrase's relations, and theirs.
+fn anchor_phrases<'a>(phrase: &'a Phrase, found: &mut Vec<&'a Phrase>) {
+    for anchor in phrase.relations.iter().flat_map(|relation| &relation.anchors) {
+        found.push(anchor);
+        anchor_phrases(anchor, found);
+    }
+}

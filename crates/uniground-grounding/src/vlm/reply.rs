@@ -1,0 +1,486 @@
+//! A model's words as six fields (docs/METHOD.md, section 4, "Parser").
+//!
+//! Models are asked for six lines and send lines in another order, in one line, in Markdown, as a
+//! list, as a table, as JSON. All of these are read. An id is only ever taken from the field that
+//! holds it, or from a reply that is nothing but an id, never from an explanation.
+
+mod json;
+mod labels;
+mod names;
+
+use names::names;
+pub use names::names_in;
+use std::collections::BTreeMap;
+
+/// What a reply says about the object asked for.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Choice {
+    /// This id, which need not be a candidate's.
+    Id(u32),
+    /// The model says that no candidate fits.
+    Nothing,
+    /// The model sees the object, but not among the candidates.
+    NotListed,
+    /// Two ids that contradict each other.
+    Contradiction(u32, u32),
+    /// No id could be read.
+    #[default]
+    Missing,
+}
+
+/// The six fields as a model gave them; what could not be read is empty and listed.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Reply {
+    /// "Predicted ID".
+    pub predicted: Choice,
+    /// "Explanation", on one line.
+    pub explanation: Option<String>,
+    /// "Candidate Names", by id; the ids need not be candidates'.
+    pub candidate_names: BTreeMap<u32, String>,
+    /// "Target name matches?", for the chosen candidate.
+    pub target_name_matches: Option<bool>,
+    /// `None` for "unknown" as well.
+    pub anchor_id: Option<u32>,
+    /// "Relation used"; `None` for "none" as well.
+    pub relation_used: Option<String>,
+    /// "Seen at": where the object is seen that is not listed.
+    pub seen_at: Option<SeenAt>,
+    /// Fields of which nothing could be made.
+    pub not_read: Vec<&'static str>,
+}
+
+/// A place in a picture that a model was shown.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SeenAt {
+    /// From 1, in the order the pictures were sent.
+    pub image: usize,
+    /// From the left and the upper rim, shares of the picture's width and height, `0..=1`.
+    pub at: [f32; 2],
+    /// What is seen there.
+    pub name: String,
+}
+
+/// One of the six fields, or the place that goes with "not listed".
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub(in crate::vlm) enum Field {
+    PredictedId,
+    Explanation,
+    CandidateNames,
+    TargetNameMatches,
+    AnchorId,
+    RelationUsed,
+    SeenAt,
+}
+
+impl Field {
+    /// The six that every reply has.
+    pub const ALL: [Self; 6] = [
+        Self::PredictedId,
+        Self::Explanation,
+        Self::CandidateNames,
+        Self::TargetNameMatches,
+        Self::AnchorId,
+        Self::RelationUsed,
+    ];
+
+    /// The paper's name of the field.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::PredictedId => "Predicted ID",
+            Self::Explanation => "Explanation",
+            Self::CandidateNames => "Candidate Names",
+            Self::TargetNameMatches => "Target name matches?",
+            Self::AnchorId => "Anchor ID",
+            Self::RelationUsed => "Relation used",
+            Self::SeenAt => "Seen at",
+        }
+    }
+}
+
+/// Reads a reply to a question. What the question itself says is no answer, wherever the model
+/// repeats it. JSON is looked for among words only where it was asked for (`json`). Never fails:
+/// what is not there is missing.
+#[must_use]
+pub fn read_answer(text: &str, query: &str, json: bool) -> Reply {
+    let text = without_query(&normalised(text), &normalised(query));
+    let told = without_thoughts(&text);
+    let lines = labels::leading_fields(told);
+    if lines > 1 && !json && !is_all_json(told) {
+        return of_labels(told);
+    }
+    read(told)
+}
+
+/// Reads a reply. Never fails: what is not there is missing.
+#[must_use]
+pub fn read(text: &str) -> Reply {
+    let text = normalised(text);
+    let text = without_thoughts(&text);
+    json::read(text).unwrap_or_else(|| of_labels(text))
+}
+
+/// Whether a reply is JSON and nothing else, but for a fence around it.
+fn is_all_json(text: &str) -> bool {
+    let text = text.trim().trim_matches('`').trim();
+    let text = prefix(text, "json").unwrap_or(text).trim();
+    text.starts_with('{') && text.ends_with('}')
+}
+
+/// A reply without repetitions of a question that could be taken for an answer. Others stay: their
+/// words may be a candidate's name.
+fn without_query(text: &str, query: &str) -> String {
+    let could_be_read = query.contains(['{', '\n'])
+        || !labels::fields(query).is_empty()
+        || !names(query).is_empty()
+        || bare(query) != Choice::Missing;
+    if !could_be_read {
+        return text.to_owned();
+    }
+    // As it is, on one line, and with its quotes escaped, as the prompt has it.
+    let one_line = query.split_whitespace().collect::<Vec<_>>().join(" ");
+    let quoted = serde_json::Value::from(one_line.as_str()).to_string();
+    let escaped = &quoted[1..quoted.len() - 1];
+    [query, &one_line, escaped].into_iter().filter(|shape| !shape.trim().is_empty()).fold(
+        text.to_owned(),
+        |text, shape| {
+            if text.trim() == shape { text } else { text.replace(shape, "(the query)") }
+        },
+    )
+}
+
+fn of_labels(text: &str) -> Reply {
+    let fields = labels::fields(text);
+    if fields.is_empty() {
+        return Reply {
+            predicted: bare(text),
+            not_read: Field::ALL[1..].iter().map(|f| f.title()).collect(),
+            ..Reply::default()
+        };
+    }
+    let mut reply = Reply::default();
+    for (field, value) in &fields {
+        match field {
+            Field::PredictedId => reply.predicted = joined(reply.predicted, choice(value)),
+            Field::Explanation => reply.explanation = reply.explanation.or_else(|| words(value)),
+            Field::CandidateNames => reply.candidate_names.extend(names(value)),
+            Field::TargetNameMatches => {
+                reply.target_name_matches = reply.target_name_matches.or_else(|| truth(value))
+            }
+            Field::AnchorId => reply.anchor_id = reply.anchor_id.or_else(|| anchor(value)),
+            Field::RelationUsed => {
+                reply.relation_used =
+                    reply.relation_used.or_else(|| words(value).filter(|w| !is_nothing(w)))
+            }
+            Field::SeenAt => reply.seen_at = reply.seen_at.or_else(|| seen_at(value)),
+        }
+    }
+    let told = |field: Field| fields.iter().any(|(f, _)| *f == field);
+    reply.note_unread(told);
+    reply
+}
+
+impl Reply {
+    /// Lists fields that are missing, or that say nothing that can be read.
+    fn note_unread(&mut self, told: impl Fn(Field) -> bool) {
+        let read = |field| match field {
+            Field::PredictedId => {
+                !matches!(self.predicted, Choice::Missing | Choice::Contradiction(..))
+            }
+            Field::Explanation => self.explanation.is_some(),
+            Field::CandidateNames => !self.candidate_names.is_empty(),
+            Field::TargetNameMatches => self.target_name_matches.is_some(),
+            // "unknown" is an answer.
+            Field::AnchorId | Field::RelationUsed => told(field),
+            // Most replies have none.
+            Field::SeenAt => true,
+        };
+        self.not_read =
+            Field::ALL.into_iter().filter(|field| !read(*field)).map(Field::title).collect();
+    }
+}
+
+/// Punctuation and digits of other scripts as ASCII, so that everything below knows one kind.
+fn normalised(text: &str) -> String {
+    let mut plain = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '\u{ff01}'..='\u{ff5e}' => plain.extend(char::from_u32(u32::from(c) - 0xfee0)),
+            '\u{3002}' => plain.push('.'),
+            '\u{3001}' => plain.push(','),
+            '\u{201c}' | '\u{201d}' | '\u{201e}' | '\u{ab}' | '\u{bb}' => plain.push('"'),
+            '\u{2018}' | '\u{2019}' => plain.push('\''),
+            '\u{2192}' | '\u{21d2}' | '\u{27a1}' => plain.push_str("->"),
+            '\u{2013}' | '\u{2014}' => plain.push('-'),
+            '\u{2022}' | '\u{25cf}' | '\u{25aa}' => plain.push('*'),
+            '\u{a0}' | '\u{3000}' | '\u{202f}' => plain.push(' '),
+            '\r' | '\u{feff}' | '\u{200b}' => {}
+            c => plain.push(c),
+        }
+    }
+    // Marks some models put around what they mean.
+    for mark in ["<|begin_of_box|>", "<|end_of_box|>"] {
+        plain = plain.replace(mark, "");
+    }
+    plain
+}
+
+/// What follows the model's thinking; all of it may be thinking, if the reply broke off.
+fn without_thoughts(text: &str) -> &str {
+    let lower = text.to_ascii_lowercase();
+    let end = ["</think>", "</thinking>", "</thought>"]
+        .into_iter()
+        .filter_map(|tag| lower.rfind(tag).map(|at| at + tag.len()))
+        .max();
+    if let Some(end) = end {
+        return without_thoughts_begun(&text[end..]);
+    }
+    without_thoughts_begun(text)
+}
+
+/// Drops a thought that never ends.
+fn without_thoughts_begun(text: &str) -> &str {
+    let lower = text.to_ascii_lowercase();
+    let start =
+        ["<think>", "<thinking>", "<thought>"].into_iter().filter_map(|tag| lower.find(tag)).min();
+    &text[..start.unwrap_or(text.len())]
+}
+
+fn joined(before: Choice, now: Choice) -> Choice {
+    match (before, now) {
+        (Choice::Missing, now) => now,
+        (Choice::Id(a), Choice::Id(b)) if a != b => Choice::Contradiction(a, b),
+        (Choice::Id(a), Choice::Nothing | Choice::NotListed)
+        | (Choice::Nothing | Choice::NotListed, Choice::Id(a)) => Choice::Contradiction(a, a),
+        (before, _) => before,
+    }
+}
+
+const DECORATION: [char; 15] =
+    ['*', '_', '`', '#', '<', '>', '[', ']', '(', ')', '{', '}', '"', '\'', '|'];
+
+/// The id a field holds: `22`, `<22>`, `ID 22`, `22.`, `**22** (the window)`; or that there is
+/// none.
+pub(super) fn choice(value: &str) -> Choice {
+    let line = value.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or_default();
+    let line = line.replace("\\boxed", "").replace('$', "");
+    let mut rest = stripped(&line);
+    // Words that may stand before an id.
+    while let Some(after) = [
+        "the",
+        "is",
+        "object",
+        "candidate",
+        "instance",
+        "id",
+        "no.",
+        "number",
+        "answer",
+        "=",
+        ":",
+        "- ",
+    ]
+    .into_iter()
+    .find_map(|word| prefix(rest, word))
+    {
+        rest = stripped(after);
+    }
+    if is_not_listed(rest) {
+        return Choice::NotListed;
+    }
+    if is_nothing(rest) {
+        return Choice::Nothing;
+    }
+    let Some((id, after)) = leading_number(rest) else { return Choice::Missing };
+    match another_number(after) {
+        Some(other) if other != id => Choice::Contradiction(id, other),
+        _ => Choice::Id(id),
+    }
+}
+
+fn stripped(text: &str) -> &str {
+    text.trim_start_matches(|c: char| c.is_whitespace() || DECORATION.contains(&c))
+}
+
+/// What follows a word, in any case, if the text begins with it.
+fn prefix<'a>(text: &'a str, word: &str) -> Option<&'a str> {
+    let head = text.get(..word.len())?;
+    let after = &text[word.len()..];
+    let ends = !word.ends_with(|c: char| c.is_ascii_alphabetic())
+        || !after.starts_with(|c: char| c.is_alphabetic());
+    (head.eq_ignore_ascii_case(word) && ends).then_some(after)
+}
+
+/// A whole number at the start and what follows it; "22.5" and "22nd" are none.
+fn leading_number(text: &str) -> Option<(u32, &str)> {
+    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let (number, after) = text.split_at(digits);
+    // Some write whole numbers as 22.0.
+    let after = after
+        .strip_prefix(".0")
+        .filter(|rest| !rest.starts_with(|c: char| c.is_ascii_digit()))
+        .unwrap_or(after);
+    let goes_on = after.starts_with(|c: char| c.is_alphanumeric())
+        || after
+            .strip_prefix('.')
+            .is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
+    (!goes_on).then(|| number.parse().ok()).flatten().map(|number| (number, after))
+}
+
+/// The 7 of "22 or 7", "22, 7", "22 / 7": right after an id another number contradicts it.
+fn another_number(after: &str) -> Option<u32> {
+    let after = after.trim_start_matches(|c: char| c == ' ' || DECORATION.contains(&c));
+    let (word, after) = ["or", "and", "/", ",", "&", "vs."]
+        .into_iter()
+        .find_map(|word| Some((word, prefix(after, word)?)))?;
+    let after = stripped(after);
+    let after = prefix(after, "id").map_or(after, stripped);
+    let (number, after) = leading_number(after)?;
+    // "9, 2 metres left of it" has one id.
+    let is_measure = word == "," && after.trim_start().starts_with(|c: char| c.is_alphabetic());
+    (!is_measure).then_some(number)
+}
+
+/// A reply that is nothing but an id (paper's fallback).
+fn bare(text: &str) -> Choice {
+    const LONGEST: usize = 40;
+    let text = text.trim();
+    let text = text
+        .strip_prefix("<answer>")
+        .and_then(|t| t.strip_suffix("</answer>"))
+        .unwrap_or(text)
+        .trim();
+    let text = prefix(text, "answer").map_or(text, |after| after.trim_start_matches([':', ' ']));
+    if text.len() > LONGEST || text.lines().count() > 1 {
+        return Choice::Missing;
+    }
+    let rest = stripped(text);
+    let rest = prefix(rest, "id")
+        .map_or(rest, |after| stripped(after.trim_start_matches([':', '=', ' '])));
+    match leading_number(rest) {
+        Some((id, after))
+            if after.chars().all(|c| c.is_whitespace() || c == '.' || DECORATION.contains(&c)) =>
+        {
+            Choice::Id(id)
+        }
+        _ => Choice::Missing,
+    }
+}
+
+/// Whether a value says that there is none: "none", "None - no candidate is a fridge", "No matching
+/// candidate".
+fn is_nothing(value: &str) -> bool {
+    let value = stripped(value).trim_start_matches(['-', ' ']).to_ascii_lowercase();
+    let word: String = value.chars().take_while(|c| c.is_ascii_alphabetic() || *c == '/').collect();
+    let after = value[word.len()..].trim_start();
+    match word.as_str() {
+        "none" | "nothing" | "null" | "unknown" | "n/a" | "na" | "nil" => true,
+        // "No. 22" is an id.
+        "no" | "not" => {
+            !after.trim_start_matches(['.', ' ', '#']).starts_with(|c: char| c.is_ascii_digit())
+        }
+        _ => false,
+    }
+}
+
+/// Whether a value says that the object is seen, but not among the candidates.
+fn is_not_listed(value: &str) -> bool {
+    let value = value.to_ascii_lowercase();
+    ["not listed", "not_listed", "unlisted", "visible, not listed", "visible but not listed"]
+        .iter()
+        .any(|words| value.starts_with(words))
+}
+
+/// "Image 3, 512, 640, black alarm clock": three numbers and a name.
+pub(super) fn seen_at(value: &str) -> Option<SeenAt> {
+    const PER_MILLE: f32 = 1000.0;
+    let line = value.lines().map(str::trim).find(|line| !line.is_empty())?;
+    let mut numbers = Vec::new();
+    let mut rest = line;
+    while numbers.len() < 3 {
+        let start = rest.find(|c: char| c.is_ascii_digit())?;
+        let end = rest[start..]
+            .find(|c: char| !c.is_ascii_digit() && c != '.')
+            .map_or(rest.len(), |length| start + length);
+        numbers.push(rest[start..end].trim_end_matches('.').parse::<f32>().ok()?);
+        rest = &rest[end..];
+    }
+    let at = [numbers[1] / PER_MILLE, numbers[2] / PER_MILLE];
+    let name = words(rest.trim_start_matches(|c: char| !c.is_alphanumeric())).unwrap_or_default();
+    (numbers[0] >= 1.0 && at.iter().all(|share| (0.0..=1.0).contains(share))).then(|| SeenAt {
+        image: numbers[0] as usize,
+        at,
+        name,
+    })
+}
+
+/// Words without what Markdown put around them; `None` when there are none.
+pub(super) fn words(value: &str) -> Option<String> {
+    let ends = |c: char| c.is_whitespace() || matches!(c, '*' | '_' | '`' | '|' | '#' | ',' | ';');
+    let trimmed = value.trim_matches(ends);
+    let inner = trimmed.strip_prefix('"').and_then(|t| t.strip_suffix('"')).unwrap_or(trimmed);
+    let joined = inner.split_whitespace().collect::<Vec<_>>().join(" ");
+    (!joined.is_empty()).then_some(joined)
+}
+
+pub(super) fn truth(value: &str) -> Option<bool> {
+    let word: String = stripped(value).chars().take_while(char::is_ascii_alphabetic).collect();
+    match word.to_ascii_lowercase().as_str() {
+        "true" | "yes" | "y" | "matches" => Some(true),
+        "false" | "no" | "n" => Some(false),
+        _ => None,
+    }
+}
+
+pub(super) fn anchor(value: &str) -> Option<u32> {
+    match choice(value) {
+        // "20, 31": the first of several anchors.
+        Choice::Id(id) | Choice::Contradiction(id, _) => Some(id),
+        Choice::Nothing | Choice::NotListed | Choice::Missing => None,
+    }
+}
+
+/// The ids of a shortlist, in order and each once, of those that may be on it.
+#[must_use]
+pub fn shortlist(text: &str, is_candidate: impl Fn(u32) -> bool) -> Vec<u32> {
+    let text = normalised(text);
+    let text = without_thoughts(&text);
+    let line = text
+        .lines()
+        .rev()
+        .find(|line| line.to_ascii_lowercase().contains("shortlist"))
+        .unwrap_or(text);
+    let mut ids = Vec::new();
+    for number in line.split(|c: char| !c.is_ascii_digit()).filter_map(|digits| digits.parse().ok())
+    {
+        if is_candidate(number) && !ids.contains(&number) {
+            ids.push(number);
+        }
+    }
+    ids
+}
+
+/// The one id written as "ID 7" in a reply that was asked for no format; `None` when there are
+/// several, or none.
+#[must_use]
+pub fn only_id(text: &str, is_candidate: impl Fn(u32) -> bool) -> Option<u32> {
+    let text = normalised(text);
+    let text = without_thoughts(&text);
+    let lower = text.to_ascii_lowercase();
+    let mut ids: Vec<u32> = lower
+        .match_indices("id")
+        .filter(|(at, _)| !lower[..*at].ends_with(|c: char| c.is_ascii_alphanumeric()))
+        .filter_map(|(at, _)| {
+            leading_number(stripped(text[at + 2..].trim_start_matches([':', ' ', '#', '*'])))
+        })
+        .map(|(id, _)| id)
+        .filter(|id| is_candidate(*id))
+        .collect();
+    ids.dedup();
+    match ids.as_slice() {
+        [id] => Some(*id),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,239 @@
+//! The pictures a model gets: the global render and a collage for every candidate.
+
+use super::{Ablation, EvidenceMode, Options, PromptContext, naming};
+use crate::Seen;
+use crate::scene_source::SceneSource;
+use image::RgbImage;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::scene::{FrameIndex, InstanceId};
+use uniground_models::chat::Picture;
+use uniground_parsing::pointed::Place;
+use uniground_render::{Collage, GlobalView, ROOM_VIEW, RenderScene, Shot, jpeg, scene_picture};
+
+/// Pictures for one question. Any may be missing: a scene without points has no render.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct VisualEvidence {
+    /// The global render: all views side by side. `None` without points or candidates, or where an
+    /// ablation leaves it out.
+    pub global: Option<Picture>,
+    /// By id, of candidates and of anchors that are shown beside them.
+    pub collages: BTreeMap<u32, Picture>,
+    /// Contact sheets, each with the ids on it; in place of collages.
+    pub sheets: Vec<(Picture, Vec<u32>)>,
+    /// Photographs in which the target may be seen, where the candidates do not fit it.
+    pub photographs: Vec<Photograph>,
+}
+
+/// A photograph as it was taken, offered for what it may show.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Photograph {
+    /// The frame it was taken with.
+    pub frame: FrameIndex,
+    /// Width and height of the frame's picture, pixels.
+    pub taken_px: (u32, u32),
+    /// The same picture, or a smaller copy.
+    pub picture: Picture,
+}
+
+/// How large pictures are. Pictures cost money: a provider charges by the tile.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PictureSettings {
+    /// The picture of the whole room.
+    pub global: Global,
+    /// Size and number of photographs of a candidate's collage; `None` where contact sheets stand
+    /// in for collages.
+    pub collage: Option<Collage>,
+}
+
+/// A picture of the whole room.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Global {
+    /// Views from several sides with boxes, IDs and direction words.
+    Views(GlobalView),
+    /// One view with nothing drawn in.
+    Raw,
+}
+
+impl PictureSettings {
+    /// Large pictures where they are all a model has to go by, smaller and fewer ones where names
+    /// help.
+    #[must_use]
+    pub fn of(options: Options) -> Self {
+        let settings = match options.evidence {
+            EvidenceMode::Full | EvidenceMode::TwoStep => Self::full(),
+            EvidenceMode::CachedNames => Self::frugal(),
+            EvidenceMode::Sheet => Self { collage: None, ..Self::full() },
+        };
+        if options.ablation == Ablation::RawRender {
+            Self { global: Global::Raw, ..settings }
+        } else {
+            settings
+        }
+    }
+
+    /// Paper: three views of 680 x 680 pixels, collages of three pairs.
+    fn full() -> Self {
+        Self { global: Global::Views(GlobalView::default()), collage: Some(Collage::default()) }
+    }
+
+    /// For use with names: three views that take three of a provider's tiles, and one photograph of
+    /// a candidate that takes one.
+    fn frugal() -> Self {
+        let collage = Some(Collage { max_shots: 1, ..Collage::default() });
+        Self {
+            global: Global::Views(GlobalView { view_px: 508, ..GlobalView::default() }),
+            collage,
+        }
+    }
+}
+
+/// All pictures a question may need; what was drawn before is not drawn again.
+///
+/// # Errors
+/// The cloud can not be read.
+pub fn collect<S: SceneSource>(
+    source: &S,
+    context: &PromptContext,
+    settings: &PictureSettings,
+) -> Result<VisualEvidence, S::Error> {
+    let (cache, scene) = source.pictures();
+    let key_of_global = match &settings.global {
+        Global::Views(view) => format!("{scene} {view:?} {:?}", context.subjects()),
+        Global::Raw => format!("{scene} raw"),
+    };
+    // By the box as well: what was found for one question alone may have the id of what another
+    // found.
+    let key = |id: u32| {
+        format!("{scene} {id} {:?} {:?}", context.boxes.get(id as usize - 1), settings.collage)
+    };
+    let mut evidence =
+        VisualEvidence { global: cache.globals.get(&key_of_global), ..VisualEvidence::default() };
+    let mut missing = Vec::new();
+    for id in context.shown() {
+        match cache.collages.get(&key(id.0)).filter(|_| settings.collage.is_some()) {
+            Some(known) => drop(evidence.collages.insert(id.0, known)),
+            None => missing.push(id),
+        }
+    }
+    if evidence.global.is_some() && missing.is_empty() {
+        return Ok(evidence);
+    }
+    let render_scene = source.render_scene()?;
+    let (global, drawn) = rayon::join(
+        || match evidence.global.take() {
+            None => draw_global(context, &render_scene, &source.extent(), &settings.global),
+            known => known,
+        },
+        || match settings.collage {
+            Some(collage) => Ok((
+                draw_collages(
+                    &missing,
+                    |id| source.shots(id, collage.max_shots, &render_scene),
+                    collage,
+                ),
+                Vec::new(),
+            )),
+            None => contact_sheets(source, &missing).map(|sheets| (BTreeMap::new(), sheets)),
+        },
+    );
+    let (collages, sheets) = drawn?;
+    evidence.sheets = sheets;
+    if let Some(picture) = &global {
+        cache.globals.put(key_of_global, picture.clone(), picture.jpeg.len());
+    }
+    evidence.global = global;
+    for (id, collage) in collages {
+        cache.collages.put(key(id), collage.clone(), collage.jpeg.len());
+        evidence.collages.insert(id, collage);
+    }
+    Ok(evidence)
+}
+
+impl VisualEvidence {
+    /// The place in a photograph that a model means by a place in a picture it was shown; `None`
+    /// where that shows no photograph there.
+    ///
+    /// # Errors
+    /// The cloud can not be read.
+    pub fn place<S: SceneSource>(
+        &self,
+        source: &S,
+        seen: &Seen,
+        settings: &PictureSettings,
+    ) -> Result<Option<Place>, S::Error> {
+        let share =
+            |(width, height): (u32, u32)| (seen.at[0] * width as f32, seen.at[1] * height as f32);
+        if let Some(Photograph { frame, taken_px, .. }) =
+            self.photographs.iter().find(|offered| offered.picture.name == seen.picture)
+        {
+            return Ok(Some(Place { frame: *frame, at: share(*taken_px) }));
+        }
+        let of_candidate = self.collages.iter().find(|(_, picture)| picture.name == seen.picture);
+        let of_sheet = self.sheets.iter().find(|(picture, _)| picture.name == seen.picture);
+        let (picture, tiles) = match (of_candidate, settings.collage, of_sheet) {
+            (Some((&id, picture)), Some(collage), _) => {
+                let shots =
+                    source.shots(InstanceId(id), collage.max_shots, &*source.render_scene()?);
+                (picture, collage.tiles(&shots))
+            }
+            (_, _, Some((picture, ids))) => {
+                let ids: Vec<InstanceId> = ids.iter().copied().map(InstanceId).collect();
+                (picture, naming::tiles(source, &ids)?)
+            }
+            _ => return Ok(None),
+        };
+        let at = share((picture.width, picture.height));
+        Ok(tiles.iter().find_map(|tile| Some(Place { frame: tile.frame, at: tile.place(at)? })))
+    }
+}
+
+/// The global render of a question; `None` where there are no points or no candidates.
+fn draw_global(
+    context: &PromptContext,
+    render_scene: &RenderScene,
+    extent: &Aabb,
+    global: &Global,
+) -> Option<Picture> {
+    if render_scene.cloud.is_empty() || context.candidates.is_empty() {
+        return None;
+    }
+    let picture = match global {
+        Global::Views(view) => view.draw(render_scene, extent, &context.subjects()),
+        Global::Raw => scene_picture(render_scene, extent, &ROOM_VIEW, &[]),
+    };
+    Some(encoded("global".into(), &picture))
+}
+
+/// One photograph of each instance, on as few sheets as hold them.
+///
+/// # Errors
+/// The cloud can not be read.
+pub fn contact_sheets<S: SceneSource>(
+    source: &S,
+    ids: &[InstanceId],
+) -> Result<Vec<(Picture, Vec<u32>)>, S::Error> {
+    let sheets = ids.chunks(naming::PER_SHEET).zip(1..);
+    sheets
+        .filter_map(|(ids, number)| {
+            naming::contact_sheet(source, format!("sheet-{number}"), ids).transpose()
+        })
+        .collect()
+}
+
+/// A collage of each instance, from its photographs.
+fn draw_collages(
+    of: &[InstanceId],
+    shots: impl Fn(InstanceId) -> Vec<Shot> + Sync,
+    collage: Collage,
+) -> BTreeMap<u32, Picture> {
+    of.par_iter()
+        .map(|&id| (id.0, encoded(format!("candidate-{id}"), &collage.draw(id.0, &shots(id)))))
+        .collect()
+}
+
+pub(super) fn encoded(name: String, picture: &RgbImage) -> Picture {
+    let (width, height) = picture.dimensions();
+    Picture { name, jpeg: jpeg(picture).into(), width, height }
+}

@@ -1,0 +1,250 @@
+//! The entries of an archive, one after another, whatever its kind. Names and extension headers are
+//! read in bounds.
+
+use super::{ArchiveKind, UnpackLimits};
+use crate::IngestError;
+use crate::bounded::{Allowance, Bounded};
+use camino::Utf8Path;
+use std::fs::File;
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
+
+/// What an entry is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum EntryKind {
+    File,
+    Folder,
+}
+
+/// Is shown every entry: its name, its kind, and its content.
+pub(super) trait Visit {
+    fn entry(
+        &mut self,
+        name: &str,
+        kind: EntryKind,
+        content: &mut dyn Read,
+    ) -> Result<(), IngestError>;
+}
+
+/// A zip's list of entries: enough for the most entries with names of everyday length.
+const MAX_ZIP_DIRECTORY_BYTES: u64 = 12 << 20;
+/// Headers of a tar, beside the files themselves.
+const TAR_HEADER_BYTES: u64 = 1536;
+/// Extended headers hold a name, times and the like.
+const MAX_EXTENDED_HEADER_BYTES: u64 = 64 << 10;
+/// Memory a compressed tar may want for what it repeats, as a power of two: 64 MiB.
+const MAX_WINDOW_LOG: u32 = 26;
+
+/// Shows `visitor` every entry. `with_content` says whether their content is wanted: only then is a
+/// zip's decompressed.
+pub(super) fn walk(
+    archive: &Utf8Path,
+    kind: ArchiveKind,
+    limits: &UnpackLimits,
+    with_content: bool,
+    visitor: &mut dyn Visit,
+) -> Result<(), IngestError> {
+    let file =
+        File::open(archive).map_err(|source| IngestError::Io { file: "upload".into(), source })?;
+    let packed_bytes = file.metadata().map_or(0, |m| m.len());
+    match kind {
+        ArchiveKind::Zip => walk_zip(file, limits, with_content, visitor),
+        // Names alone are looked at by going from header to header.
+        ArchiveKind::Tar if !with_content => {
+            let mut tar = tar::Archive::new(file);
+            walk_tar_entries(
+                tar.entries_with_seek().map_err(|e| kind.unreadable(e))?,
+                kind,
+                visitor,
+            )
+        }
+        ArchiveKind::Tar => walk_tar(file, kind, limits.unpacked(packed_bytes), limits, visitor),
+        ArchiveKind::TarZst => {
+            let mut decoder = zstd::Decoder::new(file).map_err(|e| kind.unreadable(e))?;
+            decoder.window_log_max(MAX_WINDOW_LOG).map_err(|e| kind.unreadable(e))?;
+            walk_tar(decoder, kind, limits.unpacked(packed_bytes), limits, visitor)
+        }
+    }
+}
+
+fn walk_zip(
+    mut file: File,
+    limits: &UnpackLimits,
+    with_content: bool,
+    visitor: &mut dyn Visit,
+) -> Result<(), IngestError> {
+    let unreadable = |reason: &dyn ToString| ArchiveKind::Zip.unreadable(reason.to_string());
+    let packed_bytes = file.metadata().map_or(0, |m| m.len());
+    if announced_entries(&mut file)
+        .map_err(|e| unreadable(&e))?
+        .is_some_and(|entries| entries > limits.max_entries as u64)
+    {
+        return Err(limits.too_many_entries());
+    }
+    // What is read here is kept: the directory as a whole.
+    let allowance = Allowance::of(MAX_ZIP_DIRECTORY_BYTES);
+    let mut zip =
+        zip::ZipArchive::new(BufReader::new(Bounded::new(file, &allowance))).map_err(|e| {
+            match allowance.is_spent() {
+                true => limits.too_many_entries(),
+                false => unreadable(&e),
+            }
+        })?;
+    if zip.len() > limits.max_entries {
+        return Err(limits.too_many_entries());
+    }
+    allowance.renew(u64::MAX);
+    let unpacked = Allowance::of(limits.unpacked(packed_bytes));
+    for i in 0..zip.len() {
+        let entry = if with_content { zip.by_index(i) } else { zip.by_index_raw(i) };
+        let mut entry = entry.map_err(|e| unreadable(&e))?;
+        let name = entry.name().map_err(|e| unreadable(&e))?.into_owned();
+        if entry.is_symlink() {
+            return Err(IngestError::unsafe_entry(
+                &name,
+                "is a link; only plain files and folders are accepted",
+            ));
+        }
+        let kind = if entry.is_dir() { EntryKind::Folder } else { EntryKind::File };
+        let visited = visitor.entry(&name, kind, &mut Bounded::new(&mut entry, &unpacked));
+        if unpacked.is_spent() {
+            return Err(limits.too_many_bytes());
+        }
+        visited?;
+    }
+    Ok(())
+}
+
+/// How many entries a zip says it has, by the record at its end; `None` where there is none. It is
+/// looked at before the directory is read: of that, all is kept. The file is at its start again
+/// afterwards.
+fn announced_entries(file: &mut File) -> io::Result<Option<u64>> {
+    // The record, the longest comment after it, and before it where the record of large archives
+    // is.
+    const RECORD: usize = 22;
+    const LOCATOR: usize = 20;
+    const LONGEST_TAIL: usize = LOCATOR + RECORD + u16::MAX as usize;
+    let length = file.seek(SeekFrom::End(0))?;
+    file.seek(SeekFrom::Start(length.saturating_sub(LONGEST_TAIL as u64)))?;
+    let mut tail = Vec::new();
+    file.take(LONGEST_TAIL as u64).read_to_end(&mut tail)?;
+    let mut entries = None;
+    if let Some(at) = tail.windows(4).rposition(|four| four == b"PK\x05\x06")
+        && let Some(count) = tail.get(at + 10..at + 12)
+    {
+        entries = Some(u64::from(u16::from_le_bytes([count[0], count[1]])));
+        let locator = at
+            .checked_sub(LOCATOR)
+            .map(|start| &tail[start..at])
+            .filter(|locator| locator.starts_with(b"PK\x06\x07"));
+        if let Some(offset) =
+            locator.and_then(|locator| locator[8..16].try_into().ok()).map(u64::from_le_bytes)
+        {
+            let mut large = [0; 40];
+            file.seek(SeekFrom::Start(offset))?;
+            if file.read_exact(&mut large).is_ok() && large.starts_with(b"PK\x06\x06") {
+                entries = large[32..40].try_into().ok().map(u64::from_le_bytes);
+            }
+        }
+    }
+    file.rewind()?;
+    Ok(entries)
+}
+
+fn walk_tar(
+    source: impl Read,
+    kind: ArchiveKind,
+    bytes: u64,
+    limits: &UnpackLimits,
+    visitor: &mut dyn Visit,
+) -> Result<(), IngestError> {
+    // Headers count too: a tar of nothing but headers is as large as one says.
+    let allowance =
+        Allowance::of(bytes.saturating_add(limits.max_entries as u64 * TAR_HEADER_BYTES));
+    let mut tar = tar::Archive::new(Bounded::new(source, &allowance));
+    let walked = tar
+        .entries()
+        .map_err(|e| kind.unreadable(e))
+        .and_then(|entries| walk_tar_entries(entries, kind, visitor));
+    if allowance.is_spent() { Err(limits.too_many_bytes()) } else { walked }
+}
+
+/// Extended headers come as entries of their own here: left to itself, the reader takes them to
+/// memory whatever their size.
+fn walk_tar_entries(
+    entries: tar::Entries<'_, impl Read>,
+    kind: ArchiveKind,
+    visitor: &mut dyn Visit,
+) -> Result<(), IngestError> {
+    use tar::EntryType::{
+        Continuous, Directory, GNULongLink, GNULongName, Regular, XGlobalHeader, XHeader,
+    };
+    let mut seen_any = false;
+    let mut long_name: Option<Vec<u8>> = None;
+    for entry in entries.raw(true) {
+        let mut entry = entry.map_err(|e| kind.unreadable(e))?;
+        seen_any = true;
+        let entry_type = entry.header().entry_type();
+        match entry_type {
+            GNULongName => {
+                let mut name = extended_header(&mut entry, kind)?;
+                name.truncate(name.iter().position(|byte| *byte == 0).unwrap_or(name.len()));
+                long_name = Some(name);
+                continue;
+            }
+            XHeader => {
+                let header = extended_header(&mut entry, kind)?;
+                if let Some(name) = pax_path(&header, kind)? {
+                    long_name = Some(name);
+                }
+                continue;
+            }
+            XGlobalHeader | GNULongLink => continue,
+            _ => {}
+        }
+        let name = long_name.take().unwrap_or_else(|| entry.path_bytes().into_owned());
+        let name = String::from_utf8_lossy(&name).into_owned();
+        match entry_type {
+            Directory => visitor.entry(&name, EntryKind::Folder, &mut entry)?,
+            // The oldest kind of tar marks folders by their name.
+            Regular if name.ends_with('/') => {
+                visitor.entry(&name, EntryKind::Folder, &mut entry)?
+            }
+            Regular | Continuous => visitor.entry(&name, EntryKind::File, &mut entry)?,
+            _ => return Err(IngestError::unsafe_entry(&name, "is not a plain file or folder")),
+        }
+    }
+    if seen_any { Ok(()) } else { Err(kind.unreadable("it has no entries")) }
+}
+
+fn extended_header(
+    entry: &mut tar::Entry<'_, impl Read>,
+    kind: ArchiveKind,
+) -> Result<Vec<u8>, IngestError> {
+    let size = entry.size();
+    if size > MAX_EXTENDED_HEADER_BYTES {
+        return Err(kind.unreadable(format!(
+            "an extended header has {size} bytes, {MAX_EXTENDED_HEADER_BYTES} at most"
+        )));
+    }
+    let mut bytes = Vec::new();
+    entry.read_to_end(&mut bytes).map_err(|e| kind.unreadable(e))?;
+    Ok(bytes)
+}
+
+/// The name an extended header gives to the entry after it. One that changes its size is refused:
+/// readers would disagree on what is inside.
+fn pax_path(header: &[u8], kind: ArchiveKind) -> Result<Option<Vec<u8>>, IngestError> {
+    let mut path = None;
+    for extension in tar::PaxExtensions::new(header) {
+        let extension = extension.map_err(|e| kind.unreadable(e))?;
+        match extension.key_bytes() {
+            b"path" => path = Some(extension.value_bytes().to_owned()),
+            b"size" => return Err(kind.unreadable("a file of 8 GiB or more, or with two sizes")),
+            key if key.starts_with(b"GNU.sparse.") => {
+                return Err(kind.unreadable("sparse files are not read"));
+            }
+            _ => {}
+        }
+    }
+    Ok(path)
+}

@@ -1,0 +1,94 @@
+//! LAS and LAZ: surveyors' clouds, with Z up and often in map coordinates. LAZ is unpacked by the
+//! `las` crate; the records of LAS are read here, five times as fast.
+
+mod lengths;
+mod records;
+
+use super::gathered::{Bounds, GREY};
+use super::{Gathered, guarded};
+use crate::IngestError;
+use camino::Utf8Path;
+use std::fs::File;
+use std::io::{BufReader, Seek};
+use std::panic::AssertUnwindSafe;
+
+/// LAZ stores a point in a byte or two at best; a count far beyond that is a lie.
+const LEAST_BYTES_PER_100_POINTS: u64 = 20;
+
+pub(super) fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(), IngestError> {
+    match records::Records::open(root, file)? {
+        Some(records) => records.check(file, bounds),
+        None => guarded(file, AssertUnwindSafe(|| open(root, file, bounds).map(drop))),
+    }
+}
+
+pub(super) fn read(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    gathered: Gathered,
+) -> Result<Gathered, IngestError> {
+    match records::Records::open(root, file)? {
+        Some(records) => records.read(file, gathered),
+        None => read_compressed(root, file, gathered),
+    }
+}
+
+fn read_compressed(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    mut gathered: Gathered,
+) -> Result<Gathered, IngestError> {
+    let read = AssertUnwindSafe(move || {
+        let mut reader = open(root, file, &Bounds::OWN)?;
+        let header = reader.header();
+        let (points, coloured) = (header.number_of_points(), header.point_format().has_color);
+        gathered.expect(file, usize::try_from(points).unwrap_or(usize::MAX))?;
+        gathered.coloured(coloured);
+        let mut wide: Vec<[u16; 3]> = Vec::new();
+        for (row, point) in reader.points().enumerate() {
+            let point =
+                point.map_err(|e| IngestError::malformed(file, format!("point {row}: {e}")))?;
+            let colour = point.color.map(|c| [c.red, c.green, c.blue]);
+            let before = gathered.len();
+            gathered.push([point.x, point.y, point.z], GREY);
+            if coloured && gathered.len() > before {
+                wide.push(colour.unwrap_or_default());
+            }
+        }
+        if (gathered.seen() as u64) < points {
+            return Err(IngestError::malformed(
+                file,
+                format!("truncated: {} of {points} points", gathered.seen()),
+            ));
+        }
+        if coloured {
+            recolour(&mut gathered, &wide);
+        }
+        Ok(gathered)
+    });
+    guarded(file, read)
+}
+
+/// Sixteen bits by the standard; many writers leave eight bits as they are. Which of them shows in
+/// the largest value.
+fn recolour(gathered: &mut Gathered, wide: &[[u16; 3]]) {
+    let shift = if wide.iter().flatten().any(|c| *c > 255) { 8 } else { 0 };
+    gathered.recolour(wide.iter().map(|c| c.map(|c| (c >> shift) as u8)));
+}
+
+fn open(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<las::Reader, IngestError> {
+    let reading = |source| IngestError::reading(file, source);
+    let mut source = File::open(root.join(file)).map_err(reading)?;
+    let bytes = source.metadata().map_or(0, |m| m.len());
+    let malformed = |reason: String| IngestError::malformed(file, reason);
+    lengths::check(&mut source).map_err(reading)?.map_err(|reason| malformed(reason.into()))?;
+    source.rewind().map_err(reading)?;
+    let reader = las::Reader::new(BufReader::new(source))
+        .map_err(|e| malformed(format!("not a LAS file: {e}")))?;
+    let points = reader.header().number_of_points();
+    bounds.check(file, points)?;
+    if points / 100 * LEAST_BYTES_PER_100_POINTS > bytes {
+        return Err(malformed(format!("it announces {points} points but has only {bytes} bytes")));
+    }
+    Ok(reader)
+}

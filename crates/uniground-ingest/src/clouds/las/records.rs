@@ -1,0 +1,213 @@
+//! Point records of an uncompressed LAS file (ASPRS, 1.0 to 1.4).
+
+use crate::IngestError;
+use crate::clouds::Gathered;
+use crate::clouds::gathered::{Bounds, GREY};
+use camino::Utf8Path;
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+
+/// The header of version 1.0; of 1.4, with the 64-bit count.
+const SHORT_HEADER: usize = 227;
+const LONG_HEADER: usize = 375;
+const BLOCK_BYTES: usize = 256 << 10;
+
+/// An opened file, at its first record.
+pub(super) struct Records {
+    source: BufReader<File>,
+    points: u64,
+    bytes: usize,
+    /// Of the file, from its first record on.
+    file_bytes: u64,
+    /// Where red, green and blue are, sixteen bits each.
+    colour: Option<usize>,
+    scale: [f64; 3],
+    offset: [f64; 3],
+}
+
+impl Records {
+    /// `None` for a compressed file.
+    pub fn open(root: &Utf8Path, file: &Utf8Path) -> Result<Option<Self>, IngestError> {
+        let io = |source| IngestError::reading(file, source);
+        let malformed = |reason: &str| IngestError::malformed(file, reason);
+        let mut source = File::open(root.join(file)).map_err(io)?;
+        let mut header = Vec::new();
+        (&mut source).take(LONG_HEADER as u64).read_to_end(&mut header).map_err(io)?;
+        if header.len() < SHORT_HEADER {
+            return Err(malformed("not a LAS file: it ends within its header"));
+        }
+        let format = header[104];
+        if format & 0b1100_0000 != 0 {
+            return Ok(None);
+        }
+        fn at<const N: usize>(header: &[u8], from: usize) -> [u8; N] {
+            std::array::from_fn(|i| header[from + i])
+        }
+        let three = |from: usize| [0, 1, 2].map(|i| f64::from_le_bytes(at(&header, from + 8 * i)));
+        let bytes = usize::from(u16::from_le_bytes(at(&header, 105)));
+        let colour = match format {
+            2 => Some(20),
+            3 | 5 => Some(28),
+            7 | 8 | 10 => Some(30),
+            0 | 1 | 4 | 6 | 9 => None,
+            _ => return Err(malformed("its points are of a format that is not read")),
+        };
+        if bytes < colour.map_or(20, |colour| colour + 6) {
+            return Err(malformed("its point records are too short"));
+        }
+        let is_long = header[25] >= 4 && header.len() == LONG_HEADER;
+        let points = match is_long {
+            true => u64::from_le_bytes(at(&header, 247)),
+            false => u64::from(u32::from_le_bytes(at(&header, 107))),
+        };
+        let start = u64::from(u32::from_le_bytes(at(&header, 96)));
+        let file_bytes = source.metadata().map_err(io)?.len().saturating_sub(start);
+        source.seek(SeekFrom::Start(start)).map_err(io)?;
+        let source = BufReader::with_capacity(BLOCK_BYTES, source);
+        Ok(Some(Self {
+            source,
+            points,
+            bytes,
+            file_bytes,
+            colour,
+            scale: three(131),
+            offset: three(155),
+        }))
+    }
+
+    /// Whether as many points as are announced may be read, and can be there.
+    pub fn check(&self, file: &Utf8Path, bounds: &Bounds) -> Result<(), IngestError> {
+        bounds.check(file, self.points)?;
+        match self.points.saturating_mul(self.bytes as u64) > self.file_bytes {
+            true => {
+                let reason = format!(
+                    "it announces {} points but has only {} bytes of them",
+                    self.points, self.file_bytes
+                );
+                Err(IngestError::malformed(file, reason))
+            }
+            false => Ok(()),
+        }
+    }
+
+    pub fn read(
+        mut self,
+        file: &Utf8Path,
+        mut gathered: Gathered,
+    ) -> Result<Gathered, IngestError> {
+        gathered.expect(file, usize::try_from(self.points).unwrap_or(usize::MAX))?;
+        gathered.coloured(self.colour.is_some());
+        let per_block = (BLOCK_BYTES / self.bytes).max(1);
+        let mut block = vec![0; per_block * self.bytes];
+        let mut wide: Vec<[u16; 3]> = Vec::new();
+        let mut left = self.points;
+        while left > 0 {
+            let rows = left.min(per_block as u64) as usize;
+            let block = &mut block[..rows * self.bytes];
+            let done = self.points - left;
+            let truncated = |_| {
+                IngestError::malformed(
+                    file,
+                    format!("truncated: about {done} of {} points", self.points),
+                )
+            };
+            self.source.read_exact(block).map_err(truncated)?;
+            for row in block.chunks_exact(self.bytes) {
+                let axis = |i: usize| {
+                    let raw = i32::from_le_bytes(std::array::from_fn(|k| row[4 * i + k]));
+                    f64::from(raw) * self.scale[i] + self.offset[i]
+                };
+                let before = gathered.len();
+                gathered.push([axis(0), axis(1), axis(2)], GREY);
+                if let Some(colour) = self.colour
+                    && gathered.len() > before
+                {
+                    wide.push(
+                        [0, 2, 4]
+                            .map(|i| u16::from_le_bytes([row[colour + i], row[colour + i + 1]])),
+                    );
+                }
+            }
+            left -= rows as u64;
+        }
+        if self.colour.is_some() {
+            super::recolour(&mut gathered, &wide);
+        }
+        Ok(gathered)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::clouds::{self, Bounds, Origin};
+    use camino::Utf8Path;
+    use proptest::prelude::*;
+
+    /// Version 1.2, format 2, two points.
+    fn las() -> Vec<u8> {
+        let mut bytes = vec![0; 227];
+        bytes[..4].copy_from_slice(b"LASF");
+        (bytes[24], bytes[25], bytes[104]) = (1, 2, 2);
+        bytes[94..96].copy_from_slice(&227_u16.to_le_bytes());
+        bytes[96..100].copy_from_slice(&227_u32.to_le_bytes());
+        bytes[105..107].copy_from_slice(&26_u16.to_le_bytes());
+        bytes[107..111].copy_from_slice(&2_u32.to_le_bytes());
+        for i in 0..3 {
+            bytes[131 + 8 * i..139 + 8 * i].copy_from_slice(&0.001_f64.to_le_bytes());
+        }
+        for p in [[1000_i32, 2000, 3000], [1500, 2500, 3500]] {
+            p.iter().for_each(|v| bytes.extend(v.to_le_bytes()));
+            bytes.extend([0; 8]);
+            [10_u16, 20, 200].iter().for_each(|v| bytes.extend(v.to_le_bytes()));
+        }
+        bytes
+    }
+
+    fn read(bytes: &[u8]) -> Result<clouds::Loaded, crate::IngestError> {
+        let folder = tempfile::tempdir().unwrap();
+        let root = Utf8Path::from_path(folder.path()).unwrap();
+        std::fs::write(root.join("a.las"), bytes).unwrap();
+        let (file, bounds) = (Utf8Path::new("a.las"), Bounds { announced: 1000, kept: 1000 });
+        clouds::check(root, file, &bounds)?;
+        clouds::read(root, file, &bounds, Origin::Free)
+    }
+
+    #[test]
+    fn colours_of_eight_bits_are_taken_as_such() {
+        let loaded = read(&las()).unwrap();
+        assert_eq!((loaded.cloud.positions[1].z, loaded.cloud.colours[0]), (3.5, [10, 20, 200]));
+    }
+
+    #[test]
+    fn counts_that_lie_are_told_by_the_header() {
+        let mut many = las();
+        many[107..111].copy_from_slice(&900_u32.to_le_bytes());
+        assert!(
+            read(&many)
+                .unwrap_err()
+                .to_string()
+                .contains("announces 900 points but has only 52 bytes")
+        );
+        // Found by fuzzing: a count of version 1.4 that is no number of bytes any more.
+        let mut endless = las();
+        endless.splice(227..227, [0; 148]);
+        endless[25] = 4;
+        endless[94..96].copy_from_slice(&375_u16.to_le_bytes());
+        endless[96..100].copy_from_slice(&375_u32.to_le_bytes());
+        endless[247..255].copy_from_slice(&(u64::MAX / 2).to_le_bytes());
+        assert!(read(&endless).unwrap_err().to_string().contains("1000 are read at most"));
+    }
+
+    proptest! {
+        #[test]
+        fn noise_never_panics(at in 0_usize..280, with in prop::collection::vec(any::<u8>(), 1..8)) {
+            let mut bytes = las();
+            for (i, byte) in with.iter().enumerate() {
+                if let Some(own) = bytes.get_mut(at + i) {
+                    *own = *byte;
+                }
+            }
+            let _ = read(&bytes);
+        }
+    }
+}

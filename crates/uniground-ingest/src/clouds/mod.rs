@@ -1,0 +1,180 @@
+//! Point clouds and meshes as files, recognised by what they begin with. Each file of this folder
+//! reads one format; all of them hand points to a [`Gathered`], which drops what is no point, thins
+//! out what is too much, and takes off an offset of map coordinates.
+
+mod e57;
+mod gathered;
+mod gltf;
+mod las;
+mod mesh;
+mod obj;
+mod pcd;
+mod ply;
+mod text;
+mod texture;
+
+use super::IngestError;
+use camino::Utf8Path;
+use gathered::Gathered;
+pub(super) use gathered::{Bounds, Loaded, Origin};
+use std::fs::File;
+use std::io::Read;
+use uniground_geometry::up_axis::UpAxis;
+
+/// A format of clouds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum CloudKind {
+    Ply,
+    Pcd,
+    /// And LAZ.
+    Las,
+    E57,
+    /// Lines of numbers: XYZ, PTS, TXT, CSV.
+    Text,
+    Obj,
+    /// And GLB.
+    Gltf,
+}
+
+/// Bytes that are enough to know a format by.
+const HEAD_BYTES: u64 = 4096;
+
+impl CloudKind {
+    /// By a file's first bytes; where those are only numbers, by its ending. `None`: no cloud that
+    /// is read.
+    pub fn of(file: &Utf8Path) -> Option<Self> {
+        let mut head = Vec::new();
+        File::open(file).ok()?.take(HEAD_BYTES).read_to_end(&mut head).ok()?;
+        Self::of_head(&head, file.extension().unwrap_or_default())
+    }
+
+    /// By first bytes; where those are only numbers, by an ending.
+    pub fn of_head(head: &[u8], extension: &str) -> Option<Self> {
+        if head.starts_with(b"ply") {
+            return Some(Self::Ply);
+        }
+        if head.starts_with(b"LASF") {
+            return Some(Self::Las);
+        }
+        if head.starts_with(b"ASTM-E57") {
+            return Some(Self::E57);
+        }
+        if head.starts_with(b"glTF") {
+            return Some(Self::Gltf);
+        }
+        let first = head.split(|b| *b == b'\n').find(|line| !line.trim_ascii().is_empty())?;
+        if first.starts_with(b"# .PCD")
+            || (first.starts_with(b"VERSION") && head.windows(6).any(|w| w == b"FIELDS"))
+        {
+            return Some(Self::Pcd);
+        }
+        // Binary files of other kinds are no text, whatever they are called.
+        let is_text = !head.contains(&0);
+        match extension.to_ascii_lowercase().as_str() {
+            "gltf" if is_text => Some(Self::Gltf),
+            "obj" if is_text => Some(Self::Obj),
+            "xyz" | "xyzn" | "xyzrgb" | "pts" | "txt" | "csv" | "asc"
+                if is_text && text::recognises(head) =>
+            {
+                Some(Self::Text)
+            }
+            _ => None,
+        }
+    }
+
+    /// The axis that is up by the format's own word.
+    pub fn up(self) -> Option<UpAxis> {
+        match self {
+            Self::Gltf => Some(UpAxis::Y),
+            // Surveyors' formats: heights are z.
+            Self::Las | Self::E57 => Some(UpAxis::Z),
+            Self::Ply | Self::Pcd | Self::Text | Self::Obj => None,
+        }
+    }
+
+    /// Whether lengths are metres by the format's own word.
+    pub fn is_metric(self) -> bool {
+        match self {
+            Self::Gltf | Self::Las | Self::E57 => true,
+            Self::Ply | Self::Pcd | Self::Text | Self::Obj => false,
+        }
+    }
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ply => "ply",
+            Self::Pcd => "pcd",
+            Self::Las => "las",
+            Self::E57 => "e57",
+            Self::Text => "xyz",
+            Self::Obj => "obj",
+            Self::Gltf => "gltf",
+        }
+    }
+}
+
+/// Looks at the header of a cloud: whether its points can be read, and how many it announces.
+///
+/// # Errors
+/// [`IngestError`] naming `file` (a path below `root`).
+pub(super) fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(), IngestError> {
+    match kind_of(root, file)? {
+        CloudKind::Ply => ply::check(root, file, bounds),
+        CloudKind::Pcd => pcd::check(root, file, bounds),
+        CloudKind::Las => las::check(root, file, bounds),
+        CloudKind::E57 => e57::check(root, file, bounds),
+        // Nothing is announced: they are looked at while they are read.
+        CloudKind::Text | CloudKind::Obj => Ok(()),
+        CloudKind::Gltf => gltf::check(root, file),
+    }
+}
+
+/// Reads a cloud. Points without colour come out mid-grey; meshes are sampled evenly, always at the
+/// same places.
+///
+/// # Errors
+/// [`IngestError`] naming `file` (a path below `root`).
+pub(super) fn read(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    bounds: &Bounds,
+    origin: Origin,
+) -> Result<Loaded, IngestError> {
+    let kind = kind_of(root, file)?;
+    let gathered = Gathered::new(kind, bounds, origin);
+    let gathered = match kind {
+        CloudKind::Ply => ply::read(root, file, gathered),
+        CloudKind::Pcd => pcd::read(root, file, gathered),
+        CloudKind::Las => las::read(root, file, gathered),
+        CloudKind::E57 => e57::read(root, file, gathered),
+        CloudKind::Text => text::read(root, file, gathered),
+        CloudKind::Obj => obj::read(root, file, gathered),
+        CloudKind::Gltf => gltf::read(root, file, gathered),
+    };
+    gathered?.finish(file)
+}
+
+fn kind_of(root: &Utf8Path, file: &Utf8Path) -> Result<CloudKind, IngestError> {
+    let path = root.join(file);
+    if !path.is_file() {
+        return Err(IngestError::MissingFile { file: file.to_owned() });
+    }
+    match CloudKind::of(&path) {
+        Some(kind) => Ok(kind),
+        // What is called PLY is read as such: its reader says what is wrong with it.
+        None if file.extension() == Some("ply") => Ok(CloudKind::Ply),
+        None => Err(IngestError::malformed(
+            file,
+            "not a cloud that is read: PLY, PCD, LAS, LAZ, E57, XYZ, PTS, TXT, CSV, OBJ, glTF and GLB are",
+        )),
+    }
+}
+
+/// Runs a reader of somebody else's making, whose panics over damaged files become refusals.
+fn guarded<T>(
+    file: &Utf8Path,
+    read: impl FnOnce() -> Result<T, IngestError> + std::panic::UnwindSafe,
+) -> Result<T, IngestError> {
+    std::panic::catch_unwind(read)
+        .unwrap_or_else(|_| Err(IngestError::malformed(file, "it is damaged: its reader gave up")))
+}

@@ -1,0 +1,472 @@
+//! PCD 0.7 (Point Cloud Library): ascii, binary and `binary_compressed`, with the fields in any
+//! order and of any type.
+//!
+//! Colour is `rgb` or `rgba`, packed into the four bytes of a float or an integer. The viewpoint is
+//! where the sensor stood; it moves nothing.
+
+use super::Gathered;
+use super::gathered::{Bounds, GREY};
+use crate::IngestError;
+use crate::bounded::read_line;
+use camino::Utf8Path;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
+
+/// A line of the header, or of an ascii body.
+const MAX_LINE_BYTES: u64 = 16 << 10;
+const MAX_HEADER_LINES: usize = 64;
+const MAX_FIELDS: usize = 128;
+/// Bytes of rows read at once.
+const BLOCK_BYTES: usize = 256 << 10;
+/// LZF stores at best 264 bytes in three.
+const BEST_RATIO: u64 = 100;
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Kind {
+    Float,
+    Signed,
+    Unsigned,
+}
+
+/// A field of a point; `count` numbers of `size` bytes.
+#[derive(Debug, Clone)]
+struct Field {
+    name: String,
+    size: usize,
+    kind: Kind,
+    count: usize,
+    /// Where it begins in a row.
+    offset: usize,
+}
+
+impl Field {
+    fn bytes(&self) -> usize {
+        self.size * self.count
+    }
+
+    fn number(&self, bytes: &[u8]) -> f64 {
+        fn first<const N: usize>(bytes: &[u8]) -> [u8; N] {
+            std::array::from_fn(|i| bytes[i])
+        }
+        match (self.kind, self.size) {
+            (Kind::Float, 4) => f64::from(f32::from_le_bytes(first(bytes))),
+            (Kind::Float, _) => f64::from_le_bytes(first(bytes)),
+            (Kind::Signed, 1) => f64::from(bytes[0].cast_signed()),
+            (Kind::Signed, 2) => f64::from(i16::from_le_bytes(first(bytes))),
+            (Kind::Signed, 4) => f64::from(i32::from_le_bytes(first(bytes))),
+            (Kind::Signed, _) => i64::from_le_bytes(first(bytes)) as f64,
+            (Kind::Unsigned, 1) => f64::from(bytes[0]),
+            (Kind::Unsigned, 2) => f64::from(u16::from_le_bytes(first(bytes))),
+            (Kind::Unsigned, 4) => f64::from(u32::from_le_bytes(first(bytes))),
+            (Kind::Unsigned, _) => u64::from_le_bytes(first(bytes)) as f64,
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Data {
+    Ascii,
+    Binary,
+    Compressed,
+}
+
+struct Header {
+    fields: Vec<Field>,
+    points: usize,
+    data: Data,
+    row_bytes: usize,
+}
+
+impl Header {
+    fn field(&self, name: &str) -> Option<&Field> {
+        self.fields.iter().find(|field| field.name == name)
+    }
+
+    /// Where x, y, z and the packed colour are.
+    fn wanted(&self) -> Option<([&Field; 3], Option<&Field>)> {
+        let xyz = [self.field("x")?, self.field("y")?, self.field("z")?];
+        let packed =
+            self.field("rgb").or_else(|| self.field("rgba")).filter(|field| field.size == 4);
+        Some((xyz, packed))
+    }
+}
+
+/// Whether the header can be read, and how many points it announces.
+pub(super) fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(), IngestError> {
+    let (header, _) = open(root, file)?;
+    bounds.check(file, header.points as u64)
+}
+
+pub(super) fn read(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    mut gathered: Gathered,
+) -> Result<Gathered, IngestError> {
+    let malformed = |reason: String| IngestError::malformed(file, reason);
+    let (header, mut source) = open(root, file)?;
+    let (xyz, packed) =
+        header.wanted().ok_or_else(|| malformed("its points have no fields x, y and z".into()))?;
+    gathered.coloured(packed.is_some());
+    if header.data != Data::Ascii && xyz.iter().all(|field| field.size < 8) {
+        gathered.single_precision();
+    }
+    gathered.expect(file, header.points)?;
+    match header.data {
+        Data::Ascii => read_ascii(&header, &mut source, &mut gathered),
+        Data::Binary => read_binary(&header, &mut source, &mut gathered),
+        Data::Compressed => read_compressed(&header, &mut source, &mut gathered),
+    }
+    .map_err(malformed)?;
+    Ok(gathered)
+}
+
+fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Header, BufReader<File>), IngestError> {
+    let source =
+        File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
+    let bytes = source.metadata().map_or(u64::MAX, |m| m.len());
+    let mut source = BufReader::with_capacity(1 << 20, source);
+    let header = read_header(&mut source)
+        .map_err(|reason| IngestError::malformed(file, format!("not a PCD file: {reason}")))?;
+    let least = match header.data {
+        Data::Ascii => header.points as u64 * 6,
+        Data::Binary => header.points as u64 * header.row_bytes as u64,
+        Data::Compressed => header.points as u64 * header.row_bytes as u64 / BEST_RATIO,
+    };
+    // A count that can not be there is a lie, not a reason to allocate. The last line may lack its
+    // end.
+    if least > bytes.saturating_add(1) {
+        return Err(IngestError::malformed(
+            file,
+            format!("it announces {} points but has only {bytes} bytes", header.points),
+        ));
+    }
+    Ok((header, source))
+}
+
+fn read_header(source: &mut impl BufRead) -> Result<Header, String> {
+    let mut line = Vec::new();
+    let (mut names, mut sizes, mut kinds, mut counts) =
+        (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let (mut width, mut height, mut points) = (0_u64, 1_u64, None);
+    for _ in 0..MAX_HEADER_LINES {
+        if !read_line(source, &mut line, MAX_LINE_BYTES).map_err(|e| e.to_string())? {
+            return Err("it ends within its header".into());
+        }
+        let text = std::str::from_utf8(&line).map_err(|_| "its header is no text")?;
+        let mut words = text.split_ascii_whitespace();
+        let Some(key) = words.next().filter(|key| !key.starts_with('#')) else { continue };
+        let words: Vec<&str> = words.take(MAX_FIELDS + 1).collect();
+        if words.len() > MAX_FIELDS {
+            return Err(format!("more than {MAX_FIELDS} fields"));
+        }
+        let number = |word: Option<&&str>| {
+            word.and_then(|w| w.parse::<u64>().ok()).ok_or_else(|| format!("{key} is not a number"))
+        };
+        match key {
+            "FIELDS" | "COLUMNS" => names = words.iter().map(|w| (*w).to_owned()).collect(),
+            "SIZE" => sizes = words.iter().map(|w| number(Some(w))).collect::<Result<_, _>>()?,
+            "TYPE" => kinds = words.iter().map(|w| (*w).to_owned()).collect(),
+            "COUNT" => counts = words.iter().map(|w| number(Some(w))).collect::<Result<_, _>>()?,
+            "WIDTH" => width = number(words.first())?,
+            "HEIGHT" => height = number(words.first())?,
+            "POINTS" => points = Some(number(words.first())?),
+            "DATA" => {
+                let data = match words.first() {
+                    Some(&"ascii") => Data::Ascii,
+                    Some(&"binary") => Data::Binary,
+                    Some(&"binary_compressed") => Data::Compressed,
+                    other => return Err(format!("DATA is {other:?}")),
+                };
+                let fields = fields(names, &sizes, &kinds, &counts)?;
+                let row_bytes = fields.iter().map(Field::bytes).sum();
+                let points = points.unwrap_or(width.saturating_mul(height));
+                let points =
+                    usize::try_from(points).ok().filter(|n| n.checked_mul(row_bytes).is_some());
+                return Ok(Header {
+                    fields,
+                    points: points.ok_or("it announces more points than there can be")?,
+                    data,
+                    row_bytes,
+                });
+            }
+            _ => {}
+        }
+    }
+    Err("its header does not end".into())
+}
+
+fn fields(
+    names: Vec<String>,
+    sizes: &[u64],
+    kinds: &[String],
+    counts: &[u64],
+) -> Result<Vec<Field>, String> {
+    if names.is_empty()
+        || sizes.len() != names.len()
+        || kinds.len() != names.len()
+        || (!counts.is_empty() && counts.len() != names.len())
+    {
+        return Err("FIELDS, SIZE, TYPE and COUNT do not have the same number of words".into());
+    }
+    let mut offset = 0;
+    let mut fields = Vec::new();
+    for (i, name) in names.into_iter().enumerate() {
+        let (kind, size) = match (kinds[i].as_str(), sizes[i]) {
+            ("F", 4 | 8) => (Kind::Float, sizes[i] as usize),
+            ("I", 1 | 2 | 4 | 8) => (Kind::Signed, sizes[i] as usize),
+            ("U", 1 | 2 | 4 | 8) => (Kind::Unsigned, sizes[i] as usize),
+            (kind, size) => return Err(format!("{name} is of type {kind} with {size} bytes")),
+        };
+        let count = counts.get(i).copied().unwrap_or(1);
+        if count > 4096 || count == 0 {
+            return Err(format!("{name} has {count} numbers a point"));
+        }
+        let field = Field { name, size, kind, count: count as usize, offset };
+        offset += field.bytes();
+        fields.push(field);
+    }
+    Ok(fields)
+}
+
+/// Blue, green, red: the order of the packed bytes.
+fn unpacked([b, g, r, _]: [u8; 4]) -> [u8; 3] {
+    [r, g, b]
+}
+
+fn read_ascii(
+    header: &Header,
+    source: &mut impl BufRead,
+    gathered: &mut Gathered,
+) -> Result<(), String> {
+    let Some((xyz, packed)) = header.wanted() else { return Ok(()) };
+    // Columns, where fields of several numbers stand before them.
+    let column = |field: &Field| {
+        header.fields.iter().take_while(|f| f.name != field.name).map(|f| f.count).sum::<usize>()
+    };
+    let (xyz, packed) = (xyz.map(column), packed.map(|field| (column(field), field.kind)));
+    let most = xyz.iter().copied().chain(packed.map(|p| p.0)).max().unwrap_or(0);
+    let mut line = Vec::new();
+    for row in 0..header.points {
+        if !read_line(source, &mut line, MAX_LINE_BYTES).map_err(|e| format!("point {row}: {e}"))? {
+            return Err(format!("truncated: {row} of {} points", header.points));
+        }
+        let text = std::str::from_utf8(&line).map_err(|_| format!("point {row}: not text"))?;
+        let (mut position, mut colour, mut found) = ([f64::NAN; 3], GREY, 0);
+        for (i, word) in text.split_ascii_whitespace().enumerate().take(most + 1) {
+            found = i;
+            let number = || {
+                word.parse::<f64>().map_err(|_| format!("point {row}: {word:?} is not a number"))
+            };
+            if let Some(axis) = xyz.iter().position(|c| *c == i) {
+                position[axis] = number()?;
+            } else if let Some((_, kind)) = packed.filter(|(column, _)| *column == i) {
+                // As an integer, or as the float that has these bytes.
+                let bits = match (kind, word.parse::<u32>()) {
+                    (Kind::Float, Ok(bits)) if bits > 0xff => bits,
+                    (Kind::Float, _) => (number()? as f32).to_bits(),
+                    (_, Ok(bits)) => bits,
+                    (_, Err(_)) => number()? as u32,
+                };
+                colour = unpacked(bits.to_le_bytes());
+            }
+        }
+        if found < most {
+            return Err(format!("point {row} has {} values, {} at least", found + 1, most + 1));
+        }
+        gathered.push(position, colour);
+    }
+    Ok(())
+}
+
+fn read_binary(
+    header: &Header,
+    source: &mut impl Read,
+    gathered: &mut Gathered,
+) -> Result<(), String> {
+    let Some((xyz, packed)) = header.wanted() else { return Ok(()) };
+    let per_block = (BLOCK_BYTES / header.row_bytes).max(1);
+    let mut block = vec![0; per_block * header.row_bytes];
+    let mut left = header.points;
+    while left > 0 {
+        let rows = left.min(per_block);
+        let block = &mut block[..rows * header.row_bytes];
+        source.read_exact(block).map_err(|e| format!("truncated: {e}"))?;
+        for row in block.chunks_exact(header.row_bytes) {
+            let position = xyz.map(|field| field.number(&row[field.offset..]));
+            let colour = packed.map_or(GREY, |f| {
+                unpacked([row[f.offset], row[f.offset + 1], row[f.offset + 2], 0])
+            });
+            gathered.push(position, colour);
+        }
+        left -= rows;
+    }
+    Ok(())
+}
+
+/// Compressed as a whole, one field after the other: all x, all y and so on.
+fn read_compressed(
+    header: &Header,
+    source: &mut impl Read,
+    gathered: &mut Gathered,
+) -> Result<(), String> {
+    let Some((xyz, packed)) = header.wanted() else { return Ok(()) };
+    let mut sizes = [0; 8];
+    source.read_exact(&mut sizes).map_err(|e| format!("truncated: {e}"))?;
+    let size = |at: usize| u32::from_le_bytes(std::array::from_fn(|i| sizes[at + i])) as usize;
+    let (compressed, unpacked_bytes) = (size(0), size(4));
+    if unpacked_bytes != header.points * header.row_bytes {
+        return Err(format!(
+            "it unpacks to {unpacked_bytes} bytes, {} points have {}",
+            header.points,
+            header.points * header.row_bytes
+        ));
+    }
+    let mut packed_bytes = Vec::new();
+    source.take(compressed as u64).read_to_end(&mut packed_bytes).map_err(|e| e.to_string())?;
+    if packed_bytes.len() != compressed {
+        return Err(format!("truncated: {} of {compressed} bytes", packed_bytes.len()));
+    }
+    let bytes = lzf(&packed_bytes, unpacked_bytes)?;
+    let column =
+        |field: &Field| &bytes[field.offset * header.points..][..field.bytes() * header.points];
+    let (xyz, packed) = (xyz.map(|field| (field, column(field))), packed.map(column));
+    for i in 0..header.points {
+        let position = xyz.map(|(field, column)| field.number(&column[i * field.bytes()..]));
+        let colour = packed.map_or(GREY, |column| {
+            unpacked([column[i * 4], column[i * 4 + 1], column[i * 4 + 2], 0])
+        });
+        gathered.push(position, colour);
+    }
+    Ok(())
+}
+
+/// LibLZF: runs of literals, and copies of what came before.
+fn lzf(source: &[u8], expected: usize) -> Result<Vec<u8>, String> {
+    let damaged = || "its compressed points are damaged".to_owned();
+    let mut out: Vec<u8> = Vec::with_capacity(expected);
+    let mut at = 0;
+    while let Some(&control) = source.get(at) {
+        at += 1;
+        let control = usize::from(control);
+        if control < 32 {
+            let literals = source.get(at..at + control + 1).ok_or_else(damaged)?;
+            out.extend_from_slice(literals);
+            at += control + 1;
+        } else {
+            let mut length = control >> 5;
+            if length == 7 {
+                length += usize::from(*source.get(at).ok_or_else(damaged)?);
+                at += 1;
+            }
+            let back =
+                ((control & 31) << 8) + usize::from(*source.get(at).ok_or_else(damaged)?) + 1;
+            at += 1;
+            let start = out.len().checked_sub(back).ok_or_else(damaged)?;
+            for i in start..start + length + 2 {
+                out.push(out[i]);
+            }
+        }
+        if out.len() > expected {
+            return Err(damaged());
+        }
+    }
+    if out.len() == expected { Ok(out) } else { Err(damaged()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clouds::{self, Loaded, Origin};
+    use proptest::prelude::*;
+    use uniground_geometry::Point3;
+
+    fn read_bytes(bytes: &[u8]) -> Result<Loaded, IngestError> {
+        let folder = tempfile::tempdir().unwrap();
+        let root = Utf8Path::from_path(folder.path()).unwrap();
+        std::fs::write(root.join("cloud.pcd"), bytes).unwrap();
+        clouds::read(
+            root,
+            Utf8Path::new("cloud.pcd"),
+            &Bounds { announced: 1 << 30, kept: 1 << 30 },
+            Origin::Free,
+        )
+    }
+
+    fn header(points: usize, data: &str) -> Vec<u8> {
+        format!(
+            "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS rgb x y z\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH {points}\nHEIGHT 1\n\
+             VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {points}\nDATA {data}\n"
+        )
+        .into_bytes()
+    }
+
+    #[test]
+    fn the_three_encodings_read_alike() {
+        let points =
+            [([10_u8, 20, 30], [1.0_f32, 2.0, 3.0]), ([40, 50, 60], [-1.0, 0.5, f32::NAN])];
+        let packed = |[r, g, b]: [u8; 3]| u32::from_le_bytes([b, g, r, 0]);
+        let (mut ascii, mut binary, mut columns) =
+            (header(2, "ascii"), header(2, "binary"), Vec::new());
+        for (c, p) in points {
+            ascii.extend(
+                format!("{:e} {} {} {}\n", f32::from_bits(packed(c)), p[0], p[1], p[2]).bytes(),
+            );
+            binary.extend(packed(c).to_le_bytes());
+            p.iter().for_each(|v| binary.extend(v.to_le_bytes()));
+        }
+        points.iter().for_each(|(c, _)| columns.extend(packed(*c).to_le_bytes()));
+        (0..3).for_each(|axis| {
+            points.iter().for_each(|(_, p)| columns.extend(p[axis].to_le_bytes()))
+        });
+        // Literals only: valid LZF.
+        let mut stored = Vec::new();
+        for run in columns.chunks(32) {
+            stored.push(run.len() as u8 - 1);
+            stored.extend(run);
+        }
+        let mut compressed = header(2, "binary_compressed");
+        compressed.extend((stored.len() as u32).to_le_bytes());
+        compressed.extend((columns.len() as u32).to_le_bytes());
+        compressed.extend(stored);
+        for bytes in [ascii, binary, compressed] {
+            let loaded = read_bytes(&bytes).unwrap();
+            assert_eq!(
+                (loaded.cloud.positions, loaded.cloud.colours, loaded.dropped),
+                (vec![Point3::new(1.0, 2.0, 3.0)], vec![[10, 20, 30]], 1)
+            );
+        }
+    }
+
+    #[test]
+    fn copies_repeat_what_came_before() {
+        // "ab", then nine bytes from two back.
+        assert_eq!(lzf(&[1, b'a', b'b', 0b111_00000, 0, 1], 11).unwrap(), b"abababababa");
+        assert!(lzf(&[0b111_00000, 0, 1], 9).is_err(), "nothing to copy from");
+        assert!(lzf(&[1, b'a', b'b', 0b111_00000, 255, 1], 11).is_err(), "longer than announced");
+    }
+
+    #[test]
+    fn lies_are_refused_before_they_are_held() {
+        for (bytes, expected) in [
+            (header(1_000_000_000, "binary"), "announces 1000000000 points"),
+            (header(1_000_000_000, "binary_compressed"), "announces 1000000000 points"),
+            (header(usize::MAX, "ascii"), "more points than there can be"),
+            (header(0, "binary"), "no points"),
+            ([header(2, "ascii"), b"0 1 2 3\n0 1 2 3 4 \xff\n".to_vec()].concat(), "not text"),
+            ([header(3, "ascii"), b"0 1 2 3\n0 1 2 3\n".to_vec()].concat(), "2 of 3 points"),
+        ] {
+            let message = read_bytes(&bytes).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn noise_never_panics(bytes in prop::collection::vec(any::<u8>(), 0..300), count in 0_usize..9) {
+            for data in ["ascii", "binary", "binary_compressed"] {
+                let _ = read_bytes(&[header(count, data), bytes.clone()].concat());
+            }
+            let _ = lzf(&bytes, count * 16);
+        }
+    }
+}

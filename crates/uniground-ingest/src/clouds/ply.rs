@@ -1,0 +1,374 @@
+//! PLY: ascii, little and big endian; properties by name in any order. Scans' meshes are read by
+//! their vertices, coarse ones are sampled.
+//!
+//! The header goes through the `ply-rs-bw` parser. Rows are read here, one block or line at a time:
+//! it is faster, ascii may hold `nan`, and nothing is held in memory because a header says so.
+
+mod faces;
+mod rows;
+
+use super::Gathered;
+use super::gathered::{Bounds, GREY};
+use crate::IngestError;
+use camino::Utf8Path;
+use ply_rs_bw::parser::{Parser, Reader};
+use ply_rs_bw::ply::{DefaultElement, ElementDef, Header, PropertyType, ScalarType};
+use rows::Rows;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read};
+
+const MAX_HEADER_BYTES: usize = 64 << 10;
+/// Properties of all elements together.
+const MAX_PROPERTIES: usize = 256;
+
+/// Looks at the header of a PLY file: whether its vertices can be read, and how many it announces.
+///
+/// # Errors
+/// [`IngestError`] naming `file` (a path below `root`).
+pub fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(), IngestError> {
+    let (header, _) = open(root, file)?;
+    bounds.check(file, header.elements.get("vertex").map_or(0, |vertex| vertex.count as u64))
+}
+
+/// Reads the vertices of a PLY file, or points of its faces where its vertices are sparse. Those
+/// without colour come out mid-grey.
+///
+/// # Errors
+/// [`IngestError`] naming `file` (a path below `root`).
+pub fn read(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    mut gathered: Gathered,
+) -> Result<Gathered, IngestError> {
+    let malformed = |reason: String| IngestError::malformed(file, reason);
+    let (header, mut source) = open(root, file)?;
+    let mut has_vertices = false;
+    for element in header.elements.values() {
+        let rows = Rows::of(element, &header.encoding);
+        let named = |e: String| malformed(format!("{}: {e}", element.name));
+        if has_vertices && rows.has_corners() && element.count > 0 {
+            faces::sample_if_sparse(&rows, &mut source, element.count, &mut gathered)
+                .map_err(named)?;
+            break;
+        }
+        if element.name != "vertex" {
+            rows.skip(&mut source, element.count).map_err(named)?;
+            continue;
+        }
+        gathered
+            .coloured(["red", "green", "blue"].iter().all(|c| element.properties.contains_key(*c)));
+        let in_doubles = |axis: &&str| matches!(element.properties.get(*axis), Some(p) if p.data_type == PropertyType::Scalar(ScalarType::Double));
+        if !["x", "y", "z"].iter().any(in_doubles) {
+            gathered.single_precision();
+        }
+        gathered.expect(file, element.count)?;
+        rows.read(&mut source, element.count, &mut gathered).map_err(malformed)?;
+        has_vertices = true;
+        if !header
+            .elements
+            .values()
+            .any(|element| Rows::of(element, &header.encoding).has_corners())
+        {
+            break;
+        }
+    }
+    Ok(gathered)
+}
+
+/// The header, looked at, and the file where its rows begin.
+fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Header, BufReader<File>), IngestError> {
+    let malformed = |reason: String| IngestError::malformed(file, reason);
+    let source =
+        File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
+    let bytes = source.metadata().map_or(u64::MAX, |m| m.len());
+    let mut source = BufReader::with_capacity(1 << 20, source);
+    let text = header_text(&mut source).map_err(|e| malformed(format!("not a PLY file: {e}")))?;
+    let header = Parser::<DefaultElement>::new()
+        .read_header(&mut Reader::new(&text[..]))
+        .map_err(|e| malformed(format!("not a PLY file: {e}")))?;
+    let properties: usize = header.elements.values().map(|element| element.properties.len()).sum();
+    if properties > MAX_PROPERTIES {
+        return Err(malformed(format!(
+            "it announces {properties} properties, {MAX_PROPERTIES} are read at most"
+        )));
+    }
+    let vertex = header
+        .elements
+        .get("vertex")
+        .ok_or_else(|| malformed("it has no vertex element".into()))?;
+    for axis in ["x", "y", "z"] {
+        if !vertex.properties.contains_key(axis) {
+            return Err(malformed(format!("its vertices have no property {axis}")));
+        }
+    }
+    // Even the tersest row takes three bytes: a count that can not be there is a lie, not a reason
+    // to allocate.
+    if vertex.count as u64 > bytes / 3 {
+        return Err(malformed(format!(
+            "it announces {} vertices but has only {bytes} bytes",
+            vertex.count
+        )));
+    }
+    // The same for what comes before the vertices: those rows are read too.
+    let lies = |e: &&ElementDef| e.count as u64 > bytes || (e.properties.is_empty() && e.count > 0);
+    if let Some(liar) = header.elements.values().find(lies) {
+        return Err(malformed(format!(
+            "it announces {} rows of {:?} but has only {bytes} bytes",
+            liar.count, liar.name
+        )));
+    }
+    Ok((header, source))
+}
+
+/// The lines up to `end_header`, that one included.
+fn header_text(source: &mut impl BufRead) -> io::Result<Vec<u8>> {
+    let mut text = Vec::new();
+    loop {
+        let line_start = text.len();
+        let most = (MAX_HEADER_BYTES - text.len()) as u64;
+        if source.take(most).read_until(b'\n', &mut text)? == 0 {
+            let reason =
+                if most == 0 { "its header does not end" } else { "it ends within its header" };
+            return Err(io::Error::other(reason));
+        }
+        match text[line_start..].trim_ascii() {
+            b"end_header" => return Ok(text),
+            line if line_start == 0 && line != b"ply" => {
+                return Err(io::Error::other("it does not begin with \"ply\""));
+            }
+            _ => {}
+        }
+    }
+}
+
+impl Vertex {
+    fn hand_to(&self, gathered: &mut Gathered) {
+        match self.nan_colour {
+            false => gathered.push(self.position, self.colour),
+            true => gathered.push_discoloured(self.position, self.colour),
+        }
+    }
+}
+
+/// One vertex; what is not said stays mid-grey.
+#[derive(Clone, Copy)]
+struct Vertex {
+    position: [f64; 3],
+    colour: [u8; 3],
+    /// Whether a colour channel was NaN.
+    nan_colour: bool,
+}
+
+/// A property that matters.
+#[derive(Clone, Copy)]
+enum Field {
+    Coordinate(usize),
+    Channel(usize),
+}
+
+impl Field {
+    fn of(name: &str) -> Option<Self> {
+        let at = |names: [&str; 3]| names.iter().position(|known| *known == name);
+        at(["x", "y", "z"])
+            .map(Self::Coordinate)
+            .or_else(|| at(["red", "green", "blue"]).map(Self::Channel))
+    }
+}
+
+impl Vertex {
+    fn new() -> Self {
+        Self { position: [f64::NAN; 3], colour: GREY, nan_colour: false }
+    }
+
+    /// Bytes of a channel are taken as they are, 16 bits by 1/257, floats from `0..=1`.
+    #[inline]
+    fn set(&mut self, field: Field, value: f64, scalar: &ScalarType) {
+        match field {
+            Field::Coordinate(axis) => self.position[axis] = value,
+            Field::Channel(_) if value.is_nan() => self.nan_colour = true,
+            Field::Channel(channel) => {
+                let level = match scalar {
+                    ScalarType::UShort | ScalarType::Short => (value * (1.0 / 257.0)).round(),
+                    ScalarType::Float | ScalarType::Double => (value * 255.0).round(),
+                    _ => value,
+                };
+                // Out-of-range channels saturate: `as` clamps.
+                self.colour[channel] = level as u8;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clouds::{self, Loaded, Origin};
+    use proptest::prelude::*;
+    use uniground_geometry::Point3;
+
+    fn read_bytes(bytes: &[u8]) -> Result<Loaded, IngestError> {
+        let folder = tempfile::tempdir().unwrap();
+        let root = Utf8Path::from_path(folder.path()).unwrap();
+        std::fs::write(root.join("cloud.ply"), bytes).unwrap();
+        clouds::read(
+            root,
+            Utf8Path::new("cloud.ply"),
+            &Bounds { announced: 1 << 30, kept: 1 << 30 },
+            Origin::Free,
+        )
+    }
+
+    fn header(encoding: &str, count: usize, properties: &str) -> Vec<u8> {
+        format!("ply\nformat {encoding} 1.0\nelement vertex {count}\n{properties}end_header\n")
+            .into_bytes()
+    }
+
+    const XYZ_RGB: &str = "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n";
+
+    #[test]
+    fn the_three_encodings_read_alike() {
+        let mut ascii = header("ascii", 2, XYZ_RGB);
+        ascii.extend(b"1 2 3 10 20 30\n-1 0.5 2 40 50 60\n");
+        let points = [([1.0_f32, 2.0, 3.0], [10_u8, 20, 30]), ([-1.0, 0.5, 2.0], [40, 50, 60])];
+        let mut little = header("binary_little_endian", 2, XYZ_RGB);
+        let mut big = header("binary_big_endian", 2, XYZ_RGB);
+        for (p, c) in points {
+            p.iter().for_each(|v| {
+                little.extend(v.to_le_bytes());
+                big.extend(v.to_be_bytes());
+            });
+            little.extend(c);
+            big.extend(c);
+        }
+        for bytes in [ascii, little, big] {
+            let loaded = read_bytes(&bytes).unwrap();
+            assert_eq!(loaded.cloud.positions, points.map(|(p, _)| Point3::from(p)));
+            assert_eq!(loaded.cloud.colours, points.map(|(_, c)| c));
+        }
+    }
+
+    #[test]
+    fn property_order_doubles_and_extra_properties_are_fine() {
+        let mut bytes = header(
+            "binary_little_endian",
+            1,
+            "property uchar blue\nproperty double z\nproperty float nx\nproperty double x\nproperty double y\nproperty uchar red\nproperty uchar green\n",
+        );
+        bytes.push(3);
+        bytes.extend(3.0_f64.to_le_bytes());
+        bytes.extend(9.0_f32.to_le_bytes());
+        bytes.extend(1.0_f64.to_le_bytes());
+        bytes.extend(2.0_f64.to_le_bytes());
+        bytes.extend([1, 2]);
+        let loaded = read_bytes(&bytes).unwrap();
+        assert_eq!(
+            (loaded.cloud.positions[0], loaded.cloud.colours[0]),
+            (Point3::new(1.0, 2.0, 3.0), [1, 2, 3])
+        );
+    }
+
+    #[test]
+    fn points_that_are_not_finite_are_dropped_and_counted() {
+        let mut bytes = header("ascii", 2, XYZ_RGB);
+        bytes.extend(b"nan 2 3 10 20 30\n1 1 1 0 0 0\n");
+        let loaded = read_bytes(&bytes).unwrap();
+        assert_eq!((loaded.cloud.len(), loaded.dropped), (1, 1));
+    }
+
+    #[test]
+    fn colours_that_are_not_numbers_are_grey_and_counted() {
+        let mut bytes = header(
+            "ascii",
+            2,
+            "property float x\nproperty float y\nproperty float z\nproperty float red\nproperty float green\nproperty float blue\n",
+        );
+        bytes.extend(b"1 2 3 nan 0.5 1\n1 1 1 0 0 0\n");
+        let loaded = read_bytes(&bytes).unwrap();
+        assert_eq!((loaded.cloud.len(), loaded.without_colour), (2, 1));
+        assert_eq!(loaded.cloud.colours, [[128, 128, 255], [0; 3]]);
+    }
+
+    /// Lists among the vertices, and faces before them, are read past in all encodings.
+    #[test]
+    fn lists_and_other_elements_are_skipped() {
+        let layout = |encoding: &str| {
+            format!(
+                "ply\nformat {encoding} 1.0\nelement face 2\nproperty list uchar int vertex_indices\nelement vertex 2\nproperty float x\n\
+                 property list uchar float quality\nproperty float y\nproperty float z\nend_header\n"
+            )
+            .into_bytes()
+        };
+        let mut ascii = layout("ascii");
+        ascii.extend(b"3 0 1 0\n0\n1 2 9 9 2 3\n4 0 5 6\n");
+        let mut little = layout("binary_little_endian");
+        little.push(3);
+        little.extend([0_i32, 1, 0].iter().flat_map(|v| v.to_le_bytes()));
+        little.push(0);
+        for (x, quality, y, z) in
+            [(1.0_f32, &[9.0_f32, 9.0][..], 2.0_f32, 3.0_f32), (4.0, &[], 5.0, 6.0)]
+        {
+            little.extend(x.to_le_bytes());
+            little.push(quality.len() as u8);
+            quality.iter().for_each(|q| little.extend(q.to_le_bytes()));
+            little.extend(y.to_le_bytes());
+            little.extend(z.to_le_bytes());
+        }
+        for bytes in [ascii, little] {
+            let loaded = read_bytes(&bytes).unwrap();
+            assert_eq!(
+                loaded.cloud.positions,
+                [Point3::new(1.0, 2.0, 3.0), Point3::new(4.0, 5.0, 6.0)]
+            );
+            assert!(!loaded.has_colour);
+        }
+    }
+
+    /// What a header or a line says is believed only as far as it goes.
+    #[test]
+    fn bombs_are_refused_before_they_are_held() {
+        let columns: String = (0..300).map(|i| format!("property double c{i}\n")).collect();
+        let endless_line = [header("ascii", 1, XYZ_RGB), vec![b'1'; 1 << 20]].concat();
+        let endless_header = [&b"ply\ncomment "[..], &vec![b'x'; 1 << 20]].concat();
+        for (bytes, expected) in [
+            (header("binary_little_endian", 1, &format!("{XYZ_RGB}{columns}")), "306 properties"),
+            (endless_line, "longer than 65536 bytes"),
+            (endless_header, "header does not end"),
+        ] {
+            let message = read_bytes(&bytes).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let root = Utf8Path::from_path(folder.path()).unwrap();
+        std::fs::write(root.join("cloud.ply"), header("binary_little_endian", 9, XYZ_RGB)).unwrap();
+        let message = check(root, Utf8Path::new("cloud.ply"), &Bounds { announced: 8, kept: 8 })
+            .unwrap_err()
+            .to_string();
+        assert!(message.contains("announces 9 points"), "{message}");
+    }
+
+    #[test]
+    fn broken_files_are_named() {
+        for (bytes, expected) in [
+            (b"hello".to_vec(), "not a PLY file"),
+            (header("binary_little_endian", 1_000_000_000, XYZ_RGB), "announces 1000000000 vertices"),
+            ([header("binary_little_endian", 3, XYZ_RGB), vec![0; 20]].concat(), "truncated"),
+            ([header("ascii", 2, XYZ_RGB), b"1 2 3 4 5 6\n".to_vec()].concat(), "1 of 2 rows"),
+            (b"ply\nformat binary_little_endian 1.0\nelement foo 400000000\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n".to_vec(), "400000000 rows"),
+            ([header("ascii", 1, XYZ_RGB), b"500000 5400000 3 4 5 6\n".to_vec()].concat(), "10 km"),
+            ([header("ascii", 1, XYZ_RGB), b"3e38 0 3 4 5 6\n".to_vec()].concat(), "10 km"),
+            ([header("ascii", 1, "property float x\nproperty float y\n"), b"1 2\n".to_vec()].concat(), "no property z"),
+            (header("ascii", 0, XYZ_RGB), "no points"),
+        ] {
+            let message = read_bytes(&bytes).unwrap_err().to_string();
+            assert!(message.contains(expected) && message.contains("cloud.ply"), "{message}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn noise_never_panics(bytes in prop::collection::vec(any::<u8>(), 0..300), count in 0_usize..9) {
+            let _ = read_bytes(&[header("binary_little_endian", count, XYZ_RGB), bytes.clone()].concat());
+            let _ = read_bytes(&[header("ascii", count, XYZ_RGB), bytes].concat());
+        }
+    }
+}

@@ -1,0 +1,322 @@
+//! Rows of an element: of one size or with lists, in binary or ascii, one block or line at a time.
+
+use super::{Field, Vertex};
+use crate::bounded::read_line;
+use crate::clouds::Gathered;
+use ply_rs_bw::ply::{ElementDef, Encoding, PropertyType, ScalarType};
+use std::io::{self, BufRead, Read};
+
+/// A line of an ascii file: one row.
+const MAX_LINE_BYTES: u64 = 64 << 10;
+/// Bytes of rows read at once.
+const BLOCK_BYTES: usize = 64 << 10;
+
+/// A property of a row.
+enum Column {
+    Scalar(ScalarType, Option<Field>),
+    /// Type of the count and of what follows; the list of a face's vertices is of interest.
+    List(ScalarType, ScalarType, ListOf),
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum ListOf {
+    /// Places of vertices, from 0.
+    Corners,
+    Other,
+}
+
+/// Corners of a face that are read; what has more of them is no face of a scan.
+const MAX_CORNERS: usize = 256;
+
+#[derive(Clone, Copy, PartialEq)]
+enum Order {
+    Little,
+    Big,
+}
+
+/// How the rows of an element are written.
+pub(super) struct Rows {
+    columns: Vec<Column>,
+    /// Bytes of a row, where all have as many.
+    bytes: Option<usize>,
+    /// Of the bytes of a number; `None`: the file is ascii.
+    order: Option<Order>,
+}
+
+impl Rows {
+    pub fn of(element: &ElementDef, encoding: &Encoding) -> Self {
+        let column = |name: &str, data_type: &PropertyType| match data_type {
+            PropertyType::Scalar(scalar) => Column::Scalar(scalar.clone(), Field::of(name)),
+            PropertyType::List(count, item)
+                if ["vertex_indices", "vertex_index"].contains(&name) =>
+            {
+                Column::List(count.clone(), item.clone(), ListOf::Corners)
+            }
+            PropertyType::List(count, item) => {
+                Column::List(count.clone(), item.clone(), ListOf::Other)
+            }
+        };
+        let columns: Vec<_> =
+            element.properties.values().map(|p| column(&p.name, &p.data_type)).collect();
+        let width = |column: &Column| match column {
+            Column::Scalar(scalar, _) => Some(size_of_scalar(scalar)),
+            Column::List(..) => None,
+        };
+        let order = match encoding {
+            Encoding::Ascii => None,
+            Encoding::BinaryLittleEndian => Some(Order::Little),
+            Encoding::BinaryBigEndian => Some(Order::Big),
+        };
+        Self { bytes: columns.iter().map(width).sum(), columns, order }
+    }
+
+    /// Whether its rows are faces.
+    pub fn has_corners(&self) -> bool {
+        self.columns.iter().any(|column| matches!(column, Column::List(_, _, ListOf::Corners)))
+    }
+
+    pub fn skip(&self, source: &mut impl BufRead, count: usize) -> Result<(), String> {
+        match (self.order, self.bytes) {
+            (Some(_), Some(bytes)) => skip_bytes(source, bytes as u64 * count as u64),
+            (Some(_), None) => self.each_uneven(source, count, |_, _| Ok(())),
+            (None, _) => {
+                let mut line = Vec::new();
+                (0..count).try_for_each(|row| next_line(source, &mut line, row, count))
+            }
+        }
+    }
+
+    pub fn read(
+        &self,
+        source: &mut impl BufRead,
+        count: usize,
+        gathered: &mut Gathered,
+    ) -> Result<(), String> {
+        if let (Some(order), Some(bytes)) = (self.order, self.bytes) {
+            return self.read_even(source, count, bytes, order, gathered);
+        }
+        self.each_uneven(source, count, |vertex, _| {
+            vertex.hand_to(gathered);
+            Ok(())
+        })
+    }
+
+    /// Shows the corners of every face.
+    pub fn faces(
+        &self,
+        source: &mut impl BufRead,
+        count: usize,
+        mut face: impl FnMut(&[f64]) -> Result<(), String>,
+    ) -> Result<(), String> {
+        self.each_uneven(source, count, |_, corners| face(corners))
+    }
+
+    /// Shows what every row holds: ascii ones, and those with lists.
+    fn each_uneven(
+        &self,
+        source: &mut impl BufRead,
+        count: usize,
+        mut show: impl FnMut(&Vertex, &[f64]) -> Result<(), String>,
+    ) -> Result<(), String> {
+        let (mut line, mut corners) = (Vec::new(), Vec::new());
+        for row in 0..count {
+            let mut vertex = Vertex::new();
+            corners.clear();
+            if let Some(order) = self.order {
+                self.read_uneven(source, order, &mut vertex, &mut corners)?;
+            } else {
+                next_line(source, &mut line, row, count)?;
+                self.read_line(&line, row, &mut vertex, &mut corners)?;
+            }
+            show(&vertex, &corners)?;
+        }
+        Ok(())
+    }
+
+    fn read_line(
+        &self,
+        line: &[u8],
+        row: usize,
+        vertex: &mut Vertex,
+        corners: &mut Vec<f64>,
+    ) -> Result<(), String> {
+        let text = std::str::from_utf8(line).map_err(|e| format!("row {row}: {e}"))?;
+        let mut words = text.split_ascii_whitespace();
+        let too_few = || {
+            let (found, announced) = (text.split_ascii_whitespace().count(), self.columns.len());
+            format!("row {row} has {found} values, its header announces {announced}")
+        };
+        for column in &self.columns {
+            let word = words.next().ok_or_else(too_few)?;
+            let not_a_number = |word: &str| format!("row {row}: {word:?} is not a number");
+            match column {
+                Column::Scalar(scalar, Some(field)) => {
+                    vertex.set(*field, word.parse().map_err(|_| not_a_number(word))?, scalar)
+                }
+                Column::Scalar(_, None) => {}
+                Column::List(_, _, of) => {
+                    let items: usize = word.parse().map_err(|_| not_a_number(word))?;
+                    for i in 0..items {
+                        let word = words.next().ok_or_else(too_few)?;
+                        if *of == ListOf::Corners && i < MAX_CORNERS {
+                            corners.push(word.parse().map_err(|_| not_a_number(word))?);
+                        }
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Rows of one size: a block at a time, and of it one column after the other, whose type is
+    /// then looked at once.
+    fn read_even(
+        &self,
+        source: &mut impl BufRead,
+        count: usize,
+        bytes: usize,
+        order: Order,
+        gathered: &mut Gathered,
+    ) -> Result<(), String> {
+        let mut fields = Vec::new();
+        let mut offset = 0;
+        for column in &self.columns {
+            if let Column::Scalar(scalar, field) = column {
+                fields.extend(field.map(|field| (field, offset, scalar)));
+                offset += size_of_scalar(scalar);
+            }
+        }
+        let per_block = (BLOCK_BYTES / bytes).max(1);
+        let (mut block, mut vertices) =
+            (vec![0; bytes * per_block], vec![Vertex::new(); per_block]);
+        let mut left = count;
+        while left > 0 {
+            let rows = left.min(per_block);
+            let (block, vertices) = (&mut block[..rows * bytes], &mut vertices[..rows]);
+            source.read_exact(block).map_err(|e| format!("truncated: {e}"))?;
+            vertices.fill(Vertex::new());
+            for &(field, offset, scalar) in &fields {
+                let column = block.chunks_exact(bytes).map(|row| &row[offset..]);
+                numbers(column, scalar, order, vertices.iter_mut(), |vertex, value| {
+                    vertex.set(field, value, scalar)
+                });
+            }
+            vertices.iter().for_each(|vertex| vertex.hand_to(gathered));
+            left -= rows;
+        }
+        Ok(())
+    }
+
+    /// A binary row that holds lists.
+    fn read_uneven(
+        &self,
+        source: &mut impl BufRead,
+        order: Order,
+        vertex: &mut Vertex,
+        corners: &mut Vec<f64>,
+    ) -> Result<(), String> {
+        for column in &self.columns {
+            match column {
+                Column::Scalar(scalar, field) => {
+                    let value = next_number(source, scalar, order)?;
+                    if let Some(field) = field {
+                        vertex.set(*field, value, scalar);
+                    }
+                }
+                Column::List(count, item, of) => {
+                    let items = next_number(source, count, order)?;
+                    if items < 0.0 || items.fract() != 0.0 {
+                        return Err(format!("a list of {items} values"));
+                    }
+                    let mut left = items as u64;
+                    while *of == ListOf::Corners && left > 0 && corners.len() < MAX_CORNERS {
+                        corners.push(next_number(source, item, order)?);
+                        left -= 1;
+                    }
+                    if left > 0 {
+                        skip_bytes(source, left.saturating_mul(size_of_scalar(item) as u64))?;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn next_line(
+    source: &mut impl BufRead,
+    line: &mut Vec<u8>,
+    row: usize,
+    count: usize,
+) -> Result<(), String> {
+    match read_line(source, line, MAX_LINE_BYTES) {
+        Ok(true) => Ok(()),
+        Ok(false) => Err(format!("truncated: {row} of {count} rows")),
+        Err(e) => Err(format!("row {row}: {e}")),
+    }
+}
+
+fn skip_bytes(source: &mut impl BufRead, bytes: u64) -> Result<(), String> {
+    match io::copy(&mut source.take(bytes), &mut io::sink()) {
+        Ok(skipped) if skipped == bytes => Ok(()),
+        Ok(_) => Err("truncated".into()),
+        Err(e) => Err(e.to_string()),
+    }
+}
+
+fn size_of_scalar(scalar: &ScalarType) -> usize {
+    match scalar {
+        ScalarType::Char | ScalarType::UChar => 1,
+        ScalarType::Short | ScalarType::UShort => 2,
+        ScalarType::Int | ScalarType::UInt | ScalarType::Float => 4,
+        ScalarType::Double => 8,
+    }
+}
+
+fn next_number(
+    source: &mut impl BufRead,
+    scalar: &ScalarType,
+    order: Order,
+) -> Result<f64, String> {
+    let mut bytes = [0; 8];
+    source
+        .read_exact(&mut bytes[..size_of_scalar(scalar)])
+        .map_err(|e| format!("truncated: {e}"))?;
+    let mut number = 0.0;
+    numbers([&bytes[..]], scalar, order, [&mut number], |number, value| *number = value);
+    Ok(number)
+}
+
+/// Hands the number that each of these bytes begin with to its place.
+#[inline]
+fn numbers<'a, P>(
+    bytes: impl IntoIterator<Item = &'a [u8]>,
+    scalar: &ScalarType,
+    order: Order,
+    places: impl IntoIterator<Item = P>,
+    mut put: impl FnMut(P, f64),
+) {
+    macro_rules! each {
+        ($number:ty) => {
+            for (place, bytes) in places.into_iter().zip(bytes) {
+                let bytes = bytes.first_chunk().copied().unwrap_or_default();
+                let number = if order == Order::Little {
+                    <$number>::from_le_bytes(bytes)
+                } else {
+                    <$number>::from_be_bytes(bytes)
+                };
+                put(place, f64::from(number));
+            }
+        };
+    }
+    match scalar {
+        ScalarType::Char => each!(i8),
+        ScalarType::UChar => each!(u8),
+        ScalarType::Short => each!(i16),
+        ScalarType::UShort => each!(u16),
+        ScalarType::Int => each!(i32),
+        ScalarType::UInt => each!(u32),
+        ScalarType::Float => each!(f32),
+        ScalarType::Double => each!(f64),
+    }
+}

@@ -1,0 +1,272 @@
+//! Lines of numbers: XYZ, PTS, TXT, CSV. Which column is what is told by a heading, or by how many
+//! there are and what they look like.
+
+use super::Gathered;
+use super::gathered::GREY;
+use crate::IngestError;
+use crate::bounded::read_line;
+use camino::Utf8Path;
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+
+const MAX_LINE_BYTES: u64 = 4 << 10;
+/// Lines the columns are told by.
+const LOOKED_AT: usize = 200;
+/// Columns of a line that are looked at.
+const MAX_COLUMNS: usize = 32;
+
+/// How colours are written.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Scale {
+    /// `0..=255`.
+    Bytes,
+    /// `0..=1`.
+    Shares,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Columns {
+    /// The first of x, y, z.
+    position: [usize; 3],
+    colour: Option<([usize; 3], Scale)>,
+}
+
+/// Whether lines of at least three numbers stand at the beginning of a file, after a heading or a
+/// count at most.
+pub(super) fn recognises(head: &[u8]) -> bool {
+    let Ok(text) = std::str::from_utf8(
+        &head[..head.iter().rposition(|b| *b == b'\n').map_or(head.len(), |at| at + 1)],
+    ) else {
+        return false;
+    };
+    let mut lines = text.lines().filter(|line| !line.trim().is_empty()).take(12).peekable();
+    if lines.peek().is_none() {
+        return false;
+    }
+    let (mut rows, mut others) = (0, 0);
+    for line in lines {
+        match numbers(line) {
+            Some(values) if values.len() >= 3 => rows += 1,
+            _ => others += 1,
+        }
+    }
+    rows > 0 && others <= 3
+}
+
+fn words(line: &str) -> impl Iterator<Item = &str> {
+    line.split([' ', '\t', ',', ';', '\r']).filter(|word| !word.is_empty()).take(MAX_COLUMNS)
+}
+
+fn numbers(line: &str) -> Option<Vec<f64>> {
+    words(line).map(|word| word.parse().ok()).collect()
+}
+
+pub(super) fn read(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    mut gathered: Gathered,
+) -> Result<Gathered, IngestError> {
+    let malformed = |reason: String| IngestError::malformed(file, reason);
+    let columns = columns(root, file)?;
+    gathered.coloured(columns.colour.is_some());
+    let mut source = open(root, file)?;
+    let mut line = Vec::new();
+    let (mut number, mut skipped) = (0_usize, 0_usize);
+    while read_line(&mut source, &mut line, MAX_LINE_BYTES)
+        .map_err(|e| malformed(format!("line {}: {e}", number + 1)))?
+    {
+        number += 1;
+        let mut values = [f64::NAN; MAX_COLUMNS];
+        let text = std::str::from_utf8(&line)
+            .map_err(|_| malformed(format!("line {number}: not text")))?;
+        let (mut found, mut readable) = (0, true);
+        for (value, word) in values.iter_mut().zip(words(text)) {
+            match word.parse() {
+                Ok(v) => *value = v,
+                Err(_) => readable = false,
+            }
+            found += 1;
+        }
+        if !readable || found < 3 {
+            // A heading, a count, a comment: at the beginning, not everywhere.
+            skipped += usize::from(found > 0 && !text.trim_start().starts_with(['#', '/']));
+            if skipped > 3 {
+                return Err(malformed(format!(
+                    "line {number} is no line of three or more numbers"
+                )));
+            }
+            continue;
+        }
+        let colour = columns.colour.map_or(GREY, |(at, scale)| {
+            at.map(|i| match scale {
+                Scale::Bytes => values[i].round() as u8,
+                Scale::Shares => (values[i] * 255.0).round() as u8,
+            })
+        });
+        gathered.push(columns.position.map(|i| values[i]), colour);
+        if number.is_multiple_of(1 << 16) {
+            gathered.make_room(file)?;
+        }
+    }
+    gathered.make_room(file)?;
+    Ok(gathered)
+}
+
+fn open(root: &Utf8Path, file: &Utf8Path) -> Result<BufReader<File>, IngestError> {
+    let source =
+        File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
+    Ok(BufReader::with_capacity(1 << 20, source))
+}
+
+fn columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestError> {
+    let mut source = open(root, file)?.take_lines();
+    let mut heading = None;
+    let mut rows: Vec<Vec<f64>> = Vec::new();
+    while let Some(line) = source.next_line(file)? {
+        match numbers(&line) {
+            Some(values) if values.len() >= 3 => rows.push(values),
+            _ if rows.is_empty() && heading.is_none() => heading = by_heading(&line),
+            _ => {}
+        }
+        if rows.len() == LOOKED_AT {
+            break;
+        }
+    }
+    if rows.is_empty() {
+        return Err(IngestError::malformed(file, "it has no lines of three or more numbers"));
+    }
+    let scale = |at: [usize; 3]| {
+        let shares = rows
+            .iter()
+            .all(|row| at.iter().all(|i| row.get(*i).is_none_or(|v| (0.0..=1.0).contains(v))));
+        if shares { Scale::Shares } else { Scale::Bytes }
+    };
+    if let Some((position, colour)) = heading {
+        return Ok(Columns { position, colour: colour.map(|at| (at, scale(at))) });
+    }
+    let count = rows.iter().map(Vec::len).min().unwrap_or(3);
+    // `x y z intensity r g b` (PTS), `x y z r g b`, or normals in that place.
+    let candidates: &[usize] = match count {
+        6 => &[3],
+        7 => &[4, 3],
+        n if n >= 9 => &[3, 6],
+        _ => &[],
+    };
+    let is_colour = |first: &usize| {
+        let triples = || rows.iter().map(|row| [row[*first], row[first + 1], row[first + 2]]);
+        let bytes = triples().flatten().all(|v| (0.0..=255.0).contains(&v) && v.fract() == 0.0);
+        let shares = triples().flatten().all(|v| (0.0..=1.0).contains(&v));
+        let unit = triples().all(|t| (t.iter().map(|v| v * v).sum::<f64>() - 1.0).abs() < 0.02);
+        (bytes || shares) && !unit
+    };
+    let first = candidates.iter().find(|first| is_colour(first));
+    Ok(Columns {
+        position: [0, 1, 2],
+        colour: first.map(|f| [*f, f + 1, f + 2]).map(|at| (at, scale(at))),
+    })
+}
+
+/// Names of columns, as CloudCompare and most tables write them.
+fn by_heading(line: &str) -> Option<([usize; 3], Option<[usize; 3]>)> {
+    let line = line.trim_start_matches(['#', '/', '\u{feff}']).to_ascii_lowercase();
+    let names: Vec<&str> = words(&line).map(|word| word.trim_matches('"')).collect();
+    let of = |wanted: [&[&str]; 3]| -> Option<[usize; 3]> {
+        let at: Vec<usize> = wanted
+            .iter()
+            .filter_map(|known| names.iter().position(|name| known.contains(name)))
+            .collect();
+        at.try_into().ok()
+    };
+    let position = of([&["x"], &["y"], &["z"]])?;
+    Some((position, of([&["r", "red"], &["g", "green"], &["b", "blue"]])))
+}
+
+/// Lines as text, bounded.
+struct Lines<R> {
+    source: R,
+    line: Vec<u8>,
+}
+
+trait TakeLines: Sized {
+    fn take_lines(self) -> Lines<Self>;
+}
+
+impl<R: BufRead> TakeLines for R {
+    fn take_lines(self) -> Lines<Self> {
+        Lines { source: self, line: Vec::new() }
+    }
+}
+
+impl<R: BufRead> Lines<R> {
+    fn next_line(&mut self, file: &Utf8Path) -> Result<Option<String>, IngestError> {
+        match read_line(&mut self.source, &mut self.line, MAX_LINE_BYTES) {
+            Ok(true) => Ok(Some(String::from_utf8_lossy(&self.line).into_owned())),
+            Ok(false) => Ok(None),
+            Err(e) => Err(IngestError::malformed(file, e)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clouds::{self, Bounds, Loaded, Origin};
+    use proptest::prelude::*;
+    use uniground_geometry::Point3;
+
+    fn read_text(name: &str, text: &[u8]) -> Result<Loaded, IngestError> {
+        let folder = tempfile::tempdir().unwrap();
+        let root = Utf8Path::from_path(folder.path()).unwrap();
+        std::fs::write(root.join(name), text).unwrap();
+        clouds::read(
+            root,
+            Utf8Path::new(name),
+            &Bounds { announced: 1 << 30, kept: 1 << 30 },
+            Origin::Free,
+        )
+    }
+
+    #[test]
+    fn columns_are_told_apart() {
+        let (p, c) = (Point3::new(1.0, 2.0, 3.0), [10, 20, 255]);
+        for (name, text, colour) in [
+            ("a.xyz", "1 2 3\n", GREY),
+            ("a.xyz", "1 2 3 10 20 255\n", c),
+            ("a.txt", "1,2,3,0.0392,0.0784,0.502\n", [10, 20, 128]),
+            ("a.xyz", "1 2 3 0 0.6 0.8\n", GREY),
+            ("a.pts", "1\n1 2 3 -1200 10 20 255\n", c),
+            ("a.csv", "r;g;b;x;y;z\n10;20;255;1;2;3\n", c),
+            ("a.asc", "//X Y Z Scalar R G B\n1 2 3 7 10 20 255\n", c),
+        ] {
+            let loaded = read_text(name, text.as_bytes()).unwrap();
+            assert_eq!(
+                (loaded.cloud.positions, loaded.cloud.colours),
+                (vec![p], vec![colour]),
+                "{text}"
+            );
+        }
+    }
+
+    #[test]
+    fn map_coordinates_keep_their_place_in_double_precision() {
+        let loaded =
+            read_text("a.xyz", b"500000.123 5400000.456 101.5\n500001.123 5400001.456 102.5\n")
+                .unwrap();
+        assert_eq!(loaded.offset, [500_000.0, 5_400_000.0, 100.0]);
+        assert!((loaded.cloud.positions[1] - Point3::new(1.123, 1.456, 2.5)).norm() < 1e-6);
+    }
+
+    #[test]
+    fn prose_is_no_cloud() {
+        for text in ["Dear diary,\ntoday 1 2 3\n", "", "1 2\n3 4\n"] {
+            assert!(read_text("a.txt", text.as_bytes()).is_err(), "{text}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn noise_never_panics(text in "[0-9 .,;a-f\\n-]{0,200}") {
+            let _ = read_text("a.txt", text.as_bytes());
+        }
+    }
+}

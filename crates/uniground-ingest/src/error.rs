@@ -1,0 +1,169 @@
+//! What can be wrong with an upload. Messages are for the uploader: the file, frame or field is
+//! named.
+
+use camino::Utf8PathBuf;
+use serde::{Deserialize, Serialize};
+use std::io;
+use uniground_geometry::pose::PoseError;
+use uniground_geometry::progress::Cancelled;
+use uniground_geometry::scene::{FrameError, FrameIndex};
+
+/// Why a scan is refused, could not be read, or was called off.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // Every message says what it is about.
+pub enum IngestError {
+    #[error("the upload is not a readable {kind} archive: {reason}")]
+    ArchiveUnreadable { kind: &'static str, reason: String },
+    #[error("archive entry {entry:?} {reason}")]
+    UnsafeEntry { entry: String, reason: &'static str },
+    #[error("the archive unpacks to more than {limit}")]
+    ArchiveTooLarge { limit: String },
+    #[error(
+        "no known scene layout: expected scene.json, or color/ depth/ pose/ and intrinsic.txt, a scan of one of the known data sets and apps, or a cloud or mesh; the archive holds {found}"
+    )]
+    UnknownLayout { found: String },
+    #[error("{file}: {reason}")]
+    Malformed { file: Utf8PathBuf, reason: String },
+    #[error("{file} is missing")]
+    MissingFile { file: Utf8PathBuf },
+    #[error("{file}: intrinsics are missing")]
+    MissingIntrinsics { file: Utf8PathBuf },
+    #[error("{file}: intrinsics do not fit the picture: {reason}")]
+    BadIntrinsics { file: Utf8PathBuf, reason: String },
+    #[error(
+        "the scan has {colour} colour pictures, {depth} depth pictures and {pose} poses; first without a partner: {first}"
+    )]
+    FrameCountMismatch { colour: usize, depth: usize, pose: usize, first: Utf8PathBuf },
+    #[error("frame {frame}: {file}: {source}")]
+    BadPose {
+        frame: FrameIndex,
+        file: Utf8PathBuf,
+        #[source]
+        source: PoseError,
+    },
+    #[error("{file}: the cloud has no points")]
+    EmptyCloud { file: Utf8PathBuf },
+    #[error("the scene has no frames and no points")]
+    EmptyScene,
+    #[error("no frame can be used: {reason}")]
+    NoUsableFrames { reason: String },
+    #[error(
+        "{damaged} of {total} frames are damaged or incomplete, up to a tenth would be left out; the first: {first}"
+    )]
+    TooManyDamaged { damaged: usize, total: usize, first: Box<IngestError> },
+    #[error("this looks like {looks_like}, but {missing}")]
+    IncompleteLayout { looks_like: &'static str, missing: String },
+    #[error(
+        "which axis of the cloud points up can not be told ({reason}): say it, for example up=z"
+    )]
+    UpUnknown { reason: String },
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    #[error(
+        "cloud, poses and depth do not agree: only {agreement:.0}% of the sampled points fit the depth pictures, and no other reading of poses and depth fits (the best, {hypothesis}: {other_agreement:.0}%)"
+    )]
+    NothingFits { agreement: f32, hypothesis: String, other_agreement: f32 },
+    #[error(
+        "these frames do not lie in this scene: {agreement:.0}% of its points in view fit their depth. Their poses must be told in the scene's world: that of the files it was made of, or say which with world="
+    )]
+    DoesNotBelong { agreement: f32 },
+    #[error("{file}: {source}")]
+    Io {
+        file: Utf8PathBuf,
+        #[source]
+        source: io::Error,
+    },
+    #[error("{file}: reading it takes more than {limit}")]
+    TooCostly { file: Utf8PathBuf, limit: String },
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+    /// The error of a reader in another process, by its kind and its message.
+    #[error("{message}")]
+    Reported { kind: IngestErrorKind, message: String },
+}
+
+/// Kinds of [`IngestError`], without their details: what a stable code is given for. Of many
+/// damaged frames the first one's kind stands for all.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[allow(missing_docs)] // Each is the error of the same name.
+pub enum IngestErrorKind {
+    ArchiveUnreadable,
+    UnsafeEntry,
+    ArchiveTooLarge,
+    UnknownLayout,
+    Malformed,
+    MissingFile,
+    MissingIntrinsics,
+    BadIntrinsics,
+    FrameCountMismatch,
+    BadPose,
+    EmptyCloud,
+    EmptyScene,
+    NoUsableFrames,
+    IncompleteLayout,
+    UpUnknown,
+    Frame,
+    NothingFits,
+    DoesNotBelong,
+    TooCostly,
+    Io,
+    Cancelled,
+}
+
+impl IngestError {
+    /// The kind that a stable code is given for: of many damaged frames the first one's.
+    #[must_use]
+    pub fn kind(&self) -> IngestErrorKind {
+        match self {
+            Self::ArchiveUnreadable { .. } => IngestErrorKind::ArchiveUnreadable,
+            Self::UnsafeEntry { .. } => IngestErrorKind::UnsafeEntry,
+            Self::ArchiveTooLarge { .. } => IngestErrorKind::ArchiveTooLarge,
+            Self::UnknownLayout { .. } => IngestErrorKind::UnknownLayout,
+            Self::Malformed { .. } => IngestErrorKind::Malformed,
+            Self::MissingFile { .. } => IngestErrorKind::MissingFile,
+            Self::MissingIntrinsics { .. } => IngestErrorKind::MissingIntrinsics,
+            Self::BadIntrinsics { .. } => IngestErrorKind::BadIntrinsics,
+            Self::FrameCountMismatch { .. } => IngestErrorKind::FrameCountMismatch,
+            Self::BadPose { .. } => IngestErrorKind::BadPose,
+            Self::EmptyCloud { .. } => IngestErrorKind::EmptyCloud,
+            Self::EmptyScene => IngestErrorKind::EmptyScene,
+            Self::NoUsableFrames { .. } => IngestErrorKind::NoUsableFrames,
+            Self::TooManyDamaged { first, .. } => first.kind(),
+            Self::IncompleteLayout { .. } => IngestErrorKind::IncompleteLayout,
+            Self::UpUnknown { .. } => IngestErrorKind::UpUnknown,
+            Self::Frame(_) => IngestErrorKind::Frame,
+            Self::NothingFits { .. } => IngestErrorKind::NothingFits,
+            Self::DoesNotBelong { .. } => IngestErrorKind::DoesNotBelong,
+            Self::TooCostly { .. } => IngestErrorKind::TooCostly,
+            Self::Io { .. } => IngestErrorKind::Io,
+            Self::Cancelled(_) => IngestErrorKind::Cancelled,
+            Self::Reported { kind, .. } => *kind,
+        }
+    }
+
+    /// A file of the archive that could not be read: the uploader's doing unless the disk failed.
+    pub(super) fn reading(file: impl Into<Utf8PathBuf>, source: io::Error) -> Self {
+        use io::ErrorKind::{
+            InvalidData, InvalidFilename, InvalidInput, IsADirectory, NotADirectory, NotFound,
+            UnexpectedEof,
+        };
+        let file = file.into();
+        match source.kind() {
+            NotFound => Self::MissingFile { file },
+            InvalidData => Self::malformed(file, "not a text file in UTF-8"),
+            UnexpectedEof => Self::malformed(file, "it ends too early"),
+            IsADirectory | NotADirectory | InvalidFilename | InvalidInput => {
+                Self::malformed(file, "not the name of a file")
+            }
+            _ => Self::Io { file, source },
+        }
+    }
+
+    pub(super) fn unsafe_entry(entry: &str, reason: &'static str) -> Self {
+        Self::UnsafeEntry { entry: entry.into(), reason }
+    }
+
+    pub(super) fn malformed(file: impl Into<Utf8PathBuf>, reason: impl ToString) -> Self {
+        Self::Malformed { file: file.into(), reason: reason.to_string() }
+    }
+}

@@ -1,0 +1,30 @@
+//! COLMAP: poses of pictures without depth, in no unit of length and with no up. Its dense cloud
+//! can be read, once somebody says how long its unit is.
+
+use super::files::Folder;
+use super::incomplete;
+use crate::IngestError;
+use crate::scan::Scan;
+
+const LOOKS_LIKE: &str = "a COLMAP reconstruction";
+const CLOUDS: &[&str] = &["fused.ply", "dense/fused.ply", "dense/0/fused.ply"];
+
+pub(super) fn recognises(folder: &Folder) -> bool {
+    ["", "sparse/", "sparse/0/"].iter().any(|at| {
+        ["cameras.bin", "cameras.txt"].iter().any(|name| folder.has_file(&format!("{at}{name}")))
+    })
+}
+
+pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+    let Some(cloud) = folder.first_file(CLOUDS) else {
+        return Err(incomplete(
+            LOOKS_LIKE,
+            "it has no dense cloud (fused.ply): poses without depth are not read. Make one with `colmap stereo_fusion`, and say metres_per_unit",
+        ));
+    };
+    let mut scan = Scan::new(&folder.root, "colmap-dense");
+    scan.warnings.push("its pictures are left aside: they have no depth".into());
+    scan.has_scale = false;
+    scan.cloud = Some(cloud);
+    Ok(scan)
+}

@@ -1,0 +1,237 @@
+//! The plain layout: `color/ depth/ pose/ intrinsic.txt` and, optionally, a cloud. Folders go by
+//! their usual names; files belong together by name, number or time; poses may stand in one file.
+//! Order is by number, so `10` follows `9`.
+
+use super::files::{DEPTHS, Folder, PICTURES};
+use super::numbers::read_pose;
+use super::trajectory::{self, Trajectory};
+use super::{entry, intrinsics, pairing};
+use crate::IngestError;
+use crate::scan::{RawFrame, Scan, usual_depth_scale_m};
+use camino::Utf8PathBuf;
+use uniground_geometry::scene::{Confidence, FrameIndex, Intrinsics, Optics};
+
+const COLOUR: &[&str] = &["color", "colour", "rgb", "image", "images"];
+const DEPTH: &[&str] = &["depth", "depths"];
+const POSE: &[&str] = &["pose", "poses"];
+const CONFIDENCE: &[&str] = &["confidence", "conf"];
+const TRAJECTORIES: &[&str] =
+    &["poses.txt", "pose.txt", "traj.txt", "trajectory.txt", "groundtruth.txt", "trajectory.log"];
+/// Names that a cloud of posed pictures goes by: others may be anything.
+pub(super) const CLOUD: &[&str] =
+    &["cloud.", "pointcloud.", "point_cloud.", "points.", "mesh.", "scene."];
+
+pub(super) fn recognises_posed(folder: &Folder) -> bool {
+    folder.first_folder(COLOUR).is_some()
+        && folder.first_folder(DEPTH).is_some()
+        && (folder.first_folder(POSE).is_some() || folder.first_file(TRAJECTORIES).is_some())
+}
+
+pub(super) fn recognises(folder: &Folder) -> bool {
+    ["color", "depth", "pose"].iter().any(|name| folder.has_folder(name))
+}
+
+pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+    let mut scan = Scan::new(&folder.root, "color-depth-pose");
+    scan.cloud = own_cloud(folder);
+    let list = |names: &[&'static str], endings: &[&str]| {
+        folder.first_folder(names).map_or(Ok(Vec::new()), |name| folder.files(name, endings))
+    };
+    let pictures = Pictures {
+        colour: list(COLOUR, PICTURES)?,
+        depth: list(DEPTH, DEPTHS)?,
+        confidence: list(CONFIDENCE, &["png"])?,
+    };
+    scan.depth_scale_m = usual_depth_scale_m(&folder.root, &pictures.depth);
+    let poses = match folder.first_folder(POSE) {
+        Some(name) => Poses::Files(folder.files(name, &["txt"])?),
+        None => match folder.first_file(TRAJECTORIES) {
+            Some(file) => Poses::List(trajectory::read(&folder.root, &file)?, file),
+            None => Poses::Files(Vec::new()),
+        },
+    };
+    let Some(first) = pictures.colour.first() else {
+        return match pictures.depth.first() {
+            Some(depth) => Err(pictures.mismatch(&poses, depth.clone())),
+            None => Ok(scan),
+        };
+    };
+    let colour = intrinsics::of_colour(folder, first)?;
+    add_frames(&mut scan, &pictures, &poses, &Cameras { colour, depth: None }, Unmatched::Damaged)?;
+    Ok(scan)
+}
+
+/// A cloud beside posed pictures, by its name.
+pub(super) fn own_cloud(folder: &Folder) -> Option<Utf8PathBuf> {
+    folder
+        .clouds(CLOUD)
+        .into_iter()
+        .find(|file| CLOUD.iter().any(|name| file.as_str().starts_with(name)))
+}
+
+/// Pictures of a scan, each list in natural order.
+pub(super) struct Pictures {
+    pub colour: Vec<Utf8PathBuf>,
+    pub depth: Vec<Utf8PathBuf>,
+    /// Of the depth; frames without are fine.
+    pub confidence: Vec<Utf8PathBuf>,
+}
+
+/// Where poses stand.
+pub(super) enum Poses {
+    /// A file for each.
+    Files(Vec<Utf8PathBuf>),
+    /// All in this file.
+    List(Trajectory, Utf8PathBuf),
+}
+
+/// Cameras of all frames; without one of its own the depth camera is the colour camera.
+pub(super) struct Cameras {
+    pub colour: Intrinsics,
+    pub depth: Option<Intrinsics>,
+}
+
+/// What pictures without partners are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Unmatched {
+    /// Damage: every picture should have one.
+    Damaged,
+    /// As usual: cameras that run at their own pace.
+    LeftOut,
+}
+
+/// Confidence below this is no measurement: of three levels the lowest.
+pub(super) const LEAST_CONFIDENCE: u8 = 1;
+
+impl Pictures {
+    fn mismatch(&self, poses: &Poses, first: Utf8PathBuf) -> IngestError {
+        let pose = match poses {
+            Poses::Files(files) => files.len(),
+            Poses::List(Trajectory::Ordered(poses), _) => poses.len(),
+            Poses::List(Trajectory::Timed(poses), _) => poses.len(),
+        };
+        IngestError::FrameCountMismatch {
+            colour: self.colour.len(),
+            depth: self.depth.len(),
+            pose,
+            first,
+        }
+    }
+}
+
+/// Puts colour, depth and pose of each moment together. Confidence of the depth's names is taken
+/// where it is there.
+pub(super) fn add_frames(
+    scan: &mut Scan,
+    pictures: &Pictures,
+    poses: &Poses,
+    cameras: &Cameras,
+    unmatched: Unmatched,
+) -> Result<(), IngestError> {
+    let Pictures { colour, depth, confidence } = pictures;
+    let depth_of = pairing::partners(colour, depth);
+    let pose_of = pose_of_each(colour, poses)?;
+    let confidence_of = pairing::partners(colour, confidence);
+    let mut alone: Vec<Utf8PathBuf> = Vec::new();
+    for (i, picture) in colour.iter().enumerate() {
+        let (Some(depth_at), Some(pose)) = (depth_of[i], &pose_of[i]) else {
+            alone.push(picture.clone());
+            continue;
+        };
+        let root = scan.root.clone();
+        let frame = || {
+            let (pose, pose_file) = match pose {
+                Pose::File(file) => (read_pose(&root, file)?, file.clone()),
+                Pose::At(pose, name) => (*pose, name.clone()),
+            };
+            let confidence = confidence_of[i]
+                .map(|at| Confidence { file: confidence[at].clone(), at_least: LEAST_CONFIDENCE });
+            Ok(RawFrame {
+                index: FrameIndex(0),
+                colour: picture.clone(),
+                depth: depth[depth_at].clone(),
+                pose_file,
+                pose,
+                colour_intrinsics: cameras.colour,
+                depth_intrinsics: cameras.depth.unwrap_or(cameras.colour),
+                optics: Optics { confidence, ..Optics::default() },
+            })
+        };
+        scan.add(frame())?;
+    }
+    let mut seen = vec![false; depth.len()];
+    depth_of.iter().flatten().for_each(|at| seen[*at] = true);
+    alone.extend(depth.iter().zip(&seen).filter(|(_, seen)| !**seen).map(|(file, _)| file.clone()));
+    if let Poses::Files(files) = poses
+        && unmatched == Unmatched::Damaged
+    {
+        let used: std::collections::BTreeSet<&Utf8PathBuf> = pose_of
+            .iter()
+            .flatten()
+            .filter_map(|p| if let Pose::File(file) = p { Some(file) } else { None })
+            .collect();
+        alone.extend(files.iter().filter(|file| !used.contains(file)).cloned());
+    }
+    match unmatched {
+        Unmatched::Damaged => {
+            // A moment counts once, however many of its files are there.
+            let mut moments: Vec<_> =
+                alone.into_iter().map(|file| (pairing::natural(&file), file)).collect();
+            moments.dedup_by(|a, b| a.0 == b.0);
+            for (_, file) in moments {
+                scan.damage.note(pictures.mismatch(poses, file))?;
+            }
+        }
+        Unmatched::LeftOut if scan.frames.is_empty() => {
+            let first = alone.into_iter().next().unwrap_or_default();
+            return Err(pictures.mismatch(poses, first));
+        }
+        Unmatched::LeftOut if !alone.is_empty() => {
+            scan.warnings.push(format!(
+                "{} pictures left out, nothing else was taken at their moment: {} and so on",
+                alone.len(),
+                alone[0]
+            ));
+        }
+        Unmatched::LeftOut => {}
+    }
+    Ok(())
+}
+
+/// Where the pose of a picture stands.
+enum Pose {
+    File(Utf8PathBuf),
+    At(nalgebra::Matrix4<f64>, Utf8PathBuf),
+}
+
+fn pose_of_each(colour: &[Utf8PathBuf], poses: &Poses) -> Result<Vec<Option<Pose>>, IngestError> {
+    Ok(match poses {
+        Poses::Files(files) => {
+            let at = pairing::partners(colour, files);
+            at.into_iter().map(|at| at.map(|at| Pose::File(files[at].clone()))).collect()
+        }
+        Poses::List(Trajectory::Ordered(poses), file) => {
+            if poses.len() != colour.len() {
+                return Err(IngestError::malformed(
+                    file,
+                    format!("it holds {} poses for {} colour pictures", poses.len(), colour.len()),
+                ));
+            }
+            poses
+                .iter()
+                .enumerate()
+                .map(|(i, pose)| Some(Pose::At(*pose, entry(file, format_args!("pose {i}")))))
+                .collect()
+        }
+        Poses::List(Trajectory::Timed(poses), file) => {
+            let mut poses = poses.clone();
+            poses.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let at = |picture: &Utf8PathBuf| {
+                let time = pairing::seconds(picture)?;
+                let pose = trajectory::at(&poses, time, pairing::SAME_MOMENT_S)?;
+                Some(Pose::At(pose, entry(file, format_args!("time {time}"))))
+            };
+            colour.iter().map(at).collect()
+        }
+    })
+}

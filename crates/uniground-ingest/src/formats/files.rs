@@ -1,0 +1,171 @@
+//! A folder's names, as layouts ask for them.
+
+use super::check_frames;
+use crate::IngestError;
+use crate::clouds::CloudKind;
+use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
+use std::fs;
+
+/// A folder of a scan: what lies in it, without hidden files and what operating systems leave
+/// behind.
+pub(super) struct Folder {
+    pub root: Utf8PathBuf,
+    /// Sorted.
+    names: Vec<String>,
+}
+
+/// Endings of colour pictures that are read.
+pub(super) const PICTURES: &[&str] = &["jpg", "jpeg", "png"];
+/// Endings of depth pictures that are read.
+pub(super) const DEPTHS: &[&str] = &["png", "pgm", "exr", "tif", "tiff"];
+/// Endings of clouds and meshes.
+const CLOUDS: &[&str] = &[
+    "ply", "pcd", "las", "laz", "e57", "glb", "gltf", "obj", "xyz", "xyzrgb", "xyzn", "pts", "txt",
+    "csv", "asc",
+];
+
+impl Folder {
+    pub fn open(root: &Utf8Path) -> Result<Self, IngestError> {
+        Ok(Self { root: root.to_owned(), names: names(root)? })
+    }
+
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    pub fn has_file(&self, name: &str) -> bool {
+        self.root.join(name).is_file()
+    }
+
+    pub fn has_folder(&self, name: &str) -> bool {
+        self.root.join(name).is_dir()
+    }
+
+    /// The first of these that is a folder here.
+    pub fn first_folder(&self, names: &[&'static str]) -> Option<&'static str> {
+        names.iter().copied().find(|name| self.has_folder(name))
+    }
+
+    /// The first of these that is a file here.
+    pub fn first_file(&self, names: &[&'static str]) -> Option<Utf8PathBuf> {
+        names.iter().find(|name| self.has_file(name)).map(Utf8PathBuf::from)
+    }
+
+    /// The folder that is all there is.
+    pub fn only_folder(&self) -> Option<&str> {
+        match &self.names[..] {
+            [only] if self.has_folder(only) => Some(only),
+            _ => None,
+        }
+    }
+
+    /// Folders within this one.
+    pub fn folders(&self) -> impl Iterator<Item = &str> {
+        self.names.iter().map(String::as_str).filter(|name| self.has_folder(name))
+    }
+
+    /// Files of a folder below this one (`""`: this one) with one of these endings, in natural
+    /// order. Refused when there are far too many.
+    pub fn files(&self, folder: &str, endings: &[&str]) -> Result<Vec<Utf8PathBuf>, IngestError> {
+        let names =
+            if folder.is_empty() { self.names.clone() } else { names(&self.root.join(folder))? };
+        let wanted = |name: &&String| ending(name).is_some_and(|e| endings.contains(&e.as_str()));
+        let mut files: Vec<Utf8PathBuf> =
+            names.iter().filter(wanted).map(|name| Utf8Path::new(folder).join(name)).collect();
+        check_frames(folder, files.len())?;
+        files.sort_by_cached_key(|file| super::pairing::natural(file));
+        Ok(files)
+    }
+
+    /// Clouds and meshes that lie here, what these names begin or end with first, larger ones
+    /// before smaller ones.
+    pub fn clouds(&self, preferred: &[&str]) -> Vec<Utf8PathBuf> {
+        let mut found: Vec<(usize, u64, &String)> = Vec::new();
+        for name in &self.names {
+            let path = self.root.join(name);
+            if !ending(name).is_some_and(|e| CLOUDS.contains(&e.as_str())) || !path.is_file() {
+                continue;
+            }
+            if is_something_else(name, &path) {
+                continue;
+            }
+            // What is called PLY is meant to be one: what is wrong with it will be said.
+            if ending(name).as_deref() != Some("ply") && CloudKind::of(&path).is_none() {
+                continue;
+            }
+            let rank = preferred
+                .iter()
+                .position(|p| name.starts_with(p) || name.ends_with(p))
+                .unwrap_or(preferred.len());
+            let bytes = path.metadata().map_or(0, |m| m.len());
+            found.push((rank, u64::MAX - bytes, name));
+        }
+        found.sort();
+        found.into_iter().map(|(_, _, name)| Utf8PathBuf::from(name)).collect()
+    }
+
+    /// What lies here, for people.
+    pub fn describe(&self) -> String {
+        let shown = self.names.iter().take(8).cloned().collect::<Vec<_>>().join(", ");
+        match self.names.len() {
+            0 => "nothing".into(),
+            n if n > 8 => format!("{shown} and {} more", n - 8),
+            _ => shown,
+        }
+    }
+}
+
+/// Text files that belong to posed pictures are lines of numbers too.
+const NO_CLOUDS: [&str; 12] = [
+    "pose",
+    "traj",
+    "groundtruth",
+    "intrinsic",
+    "camera",
+    "odometry",
+    "rgb",
+    "depth",
+    "color",
+    "label",
+    "scene0",
+    "_info",
+];
+/// Text of fewer bytes is no cloud, whatever it holds.
+const LEAST_TEXT_BYTES: u64 = 1000;
+
+fn is_something_else(name: &str, path: &Utf8Path) -> bool {
+    let is_text = ending(name).is_some_and(|e| ["txt", "csv", "asc"].contains(&e.as_str()));
+    let lower = name.to_ascii_lowercase();
+    let is_named = lower.starts_with(|c: char| c.is_ascii_digit())
+        || NO_CLOUDS.iter().any(|other| lower.contains(other));
+    is_text && (is_named || path.metadata().is_ok_and(|m| m.len() < LEAST_TEXT_BYTES))
+}
+
+fn ending(name: &str) -> Option<String> {
+    Utf8Path::new(name).extension().map(str::to_ascii_lowercase)
+}
+
+/// Names in a folder, sorted, without hidden files and `__MACOSX`.
+fn names(folder: &Utf8Path) -> Result<Vec<String>, IngestError> {
+    let io =
+        |source| IngestError::Io { file: folder.file_name().unwrap_or("archive").into(), source };
+    let mut names = Vec::new();
+    for entry in fs::read_dir(folder).map_err(io)? {
+        let name = entry.map_err(io)?.file_name().to_string_lossy().into_owned();
+        if !name.starts_with('.') && name != "__MACOSX" {
+            names.push(name);
+        }
+    }
+    names.sort();
+    Ok(names)
+}
+
+/// A manifest may only name files of its own archive.
+pub(super) fn inside(path: &Utf8Path, manifest: &'static str) -> Result<(), IngestError> {
+    let plain =
+        path.components().all(|c| matches!(c, Utf8Component::Normal(_) | Utf8Component::CurDir));
+    if plain && !path.as_str().is_empty() {
+        return Ok(());
+    }
+    Err(IngestError::UnsafeEntry { entry: path.to_string(), reason: manifest })
+}

@@ -1,0 +1,123 @@
+//! Camera matrices in files of their own.
+
+use super::files::Folder;
+use super::numbers::{parse, read_numbers};
+use crate::IngestError;
+use crate::bounded::read_text;
+use crate::scan::picture_size;
+use camino::{Utf8Path, Utf8PathBuf};
+use serde::Deserialize;
+use uniground_geometry::scene::Intrinsics;
+
+/// Names that camera matrices of colour pictures go by, the most usual first.
+const NAMES: [&str; 12] = [
+    "intrinsic.txt",
+    "intrinsics.txt",
+    "intrinsic/intrinsic_color.txt",
+    "intrinsic_color.txt",
+    "intrinsics_color.txt",
+    "color_intrinsic.txt",
+    "camera-intrinsics.txt",
+    "camera_intrinsics.txt",
+    "camera_matrix.txt",
+    "intrinsic.json",
+    "camera_intrinsic.json",
+    "intrinsics.json",
+];
+const MAX_JSON_BYTES: u64 = 64 << 10;
+
+/// Open3D's description of a camera; the matrix stands column by column.
+#[derive(Deserialize)]
+struct Open3d {
+    width: u32,
+    height: u32,
+    intrinsic_matrix: Vec<f32>,
+}
+
+/// The file with the colour camera's matrix.
+pub(super) fn colour_file(folder: &Folder) -> Option<Utf8PathBuf> {
+    folder.first_file(&NAMES)
+}
+
+/// The colour camera; matrices that do not say their size are for the first colour picture's.
+pub(super) fn of_colour(
+    folder: &Folder,
+    first_colour: &Utf8Path,
+) -> Result<Intrinsics, IngestError> {
+    match colour_file(folder) {
+        Some(file) => of_file(&folder.root, &file, first_colour),
+        None => Err(IngestError::MissingIntrinsics { file: NAMES[0].into() }),
+    }
+}
+
+/// A 3x3 or 4x4 matrix, four numbers `fx fy cx cy`, or Open3D's JSON. Without a size of its own it
+/// is the picture's.
+pub(super) fn of_file(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    picture: &Utf8Path,
+) -> Result<Intrinsics, IngestError> {
+    if file.extension() == Some("json") {
+        let text = read_text(root, file, MAX_JSON_BYTES)?;
+        let camera: Open3d =
+            serde_json::from_str(&text).map_err(|e| IngestError::malformed(file, e))?;
+        let Open3d { width, height, intrinsic_matrix } = camera;
+        return match intrinsic_matrix[..] {
+            [fx, _, _, _, fy, _, cx, cy, _] => Ok(Intrinsics { width, height, fx, fy, cx, cy }),
+            _ => Err(IngestError::malformed(
+                file,
+                format!("intrinsic_matrix has {} numbers, 9 are expected", intrinsic_matrix.len()),
+            )),
+        };
+    }
+    let values = read_numbers(root, file)?;
+    of_values(root, file, &values, picture)
+}
+
+/// The same from numbers at hand.
+pub(super) fn of_values(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    values: &[f64],
+    picture: &Utf8Path,
+) -> Result<Intrinsics, IngestError> {
+    let at = match values.len() {
+        9 => [0, 4, 2, 5],
+        16 => [0, 5, 2, 6],
+        4 => [0, 1, 2, 3],
+        n => {
+            return Err(IngestError::malformed(
+                file,
+                format!("a camera matrix has 9 or 16 numbers, this file has {n}"),
+            ));
+        }
+    };
+    let [fx, fy, cx, cy] = at.map(|i| values[i] as f32);
+    let (width, height) = picture_size(root, picture)?
+        .ok_or_else(|| IngestError::malformed(picture, "it does not say its size"))?;
+    Ok(Intrinsics { width, height, fx, fy, cx, cy })
+}
+
+/// `width height fx fy cx cy`, as ARKitScenes writes it.
+pub(super) fn of_pincam(root: &Utf8Path, file: &Utf8Path) -> Result<Intrinsics, IngestError> {
+    let text = read_text(root, file, MAX_JSON_BYTES)?;
+    let values = parse(&text)
+        .map_err(|word| IngestError::malformed(file, format!("{word:?} is not a number")))?;
+    let [w, h, fx, fy, cx, cy] = values[..] else {
+        return Err(IngestError::malformed(
+            file,
+            format!(
+                "a camera has 6 numbers (width height fx fy cx cy), this file has {}",
+                values.len()
+            ),
+        ));
+    };
+    Ok(Intrinsics {
+        width: w as u32,
+        height: h as u32,
+        fx: fx as f32,
+        fy: fy as f32,
+        cx: cx as f32,
+        cy: cy as f32,
+    })
+}

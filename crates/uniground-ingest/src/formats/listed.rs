@@ -1,0 +1,69 @@
+//! Lists of frames in JSON files.
+
+use crate::MAX_FRAMES;
+use serde::de::{Deserialize, Deserializer, Error, SeqAccess, Visitor};
+use std::fmt;
+use std::marker::PhantomData;
+
+/// Deserialises a list with an entry for each frame. One that holds more than are read is given up
+/// on there, before the rest takes memory.
+pub(super) fn frames<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
+    deserializer: D,
+) -> Result<Vec<T>, D::Error> {
+    deserializer.deserialize_seq(Frames(PhantomData))
+}
+
+struct Frames<T>(PhantomData<T>);
+
+impl<'de, T: Deserialize<'de>> Visitor<'de> for Frames<T> {
+    type Value = Vec<T>;
+
+    fn expecting(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
+        formatter.write_str("a list of frames")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut entries: A) -> Result<Vec<T>, A::Error> {
+        let mut frames = Vec::new();
+        while let Some(frame) = entries.next_element()? {
+            if frames.len() == MAX_FRAMES {
+                return Err(A::Error::custom(format!(
+                    "more than {MAX_FRAMES} frames, as many are read at most: leave some out"
+                )));
+            }
+            frames.push(frame);
+        }
+        Ok(frames)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(serde::Deserialize)]
+    struct Listing {
+        #[serde(deserialize_with = "frames")]
+        frames: Vec<u32>,
+    }
+
+    fn listing(frames: usize, rest: &str) -> Result<Listing, serde_json::Error> {
+        serde_json::from_str(&format!("{{\"frames\":[{}{rest}]}}", vec!["1"; frames].join(",")))
+    }
+
+    #[test]
+    fn as_many_as_are_read_are_read() {
+        assert_eq!(listing(MAX_FRAMES, "").unwrap().frames.len(), MAX_FRAMES);
+    }
+
+    #[test]
+    fn one_more_is_refused_before_what_follows_is_looked_at() {
+        let error = listing(MAX_FRAMES, ",2,this is no JSON").err().unwrap().to_string();
+        assert!(error.starts_with("more than 54000 frames"), "{error}");
+    }
+
+    #[test]
+    fn what_is_no_list_is_told() {
+        let error = serde_json::from_str::<Listing>(r#"{"frames": 3}"#).err().unwrap().to_string();
+        assert!(error.contains("expected a list of frames"), "{error}");
+    }
+}

@@ -1,0 +1,31 @@
+//! A cloud or a mesh and nothing else.
+
+use super::color_depth_pose::CLOUD;
+use super::files::Folder;
+use crate::IngestError;
+use crate::clouds::CloudKind;
+use crate::scan::Scan;
+
+pub(super) fn recognises(folder: &Folder) -> bool {
+    let posed = ["color", "depth", "pose"].iter().any(|name| folder.has_folder(name));
+    !posed && !folder.clouds(&[]).is_empty()
+}
+
+/// The cloud called so, or the largest file.
+pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+    let clouds = folder.clouds(CLOUD);
+    let Some(cloud) = clouds.first() else { return Err(IngestError::EmptyScene) };
+    let mut scan = Scan::new(
+        &folder.root,
+        CloudKind::of(&folder.root.join(cloud)).map_or("ply", CloudKind::name),
+    );
+    if clouds.len() > 1 {
+        scan.warnings.push(format!(
+            "{cloud} is read; {} other clouds lie beside it: {} and so on",
+            clouds.len() - 1,
+            clouds[1]
+        ));
+    }
+    scan.cloud = Some(cloud.clone());
+    Ok(scan)
+}

@@ -1,0 +1,204 @@
+//! nerfstudio and instant-ngp: `transforms.json`, OpenGL cameras, intrinsics for all or for each
+//! frame, with a lens. Depth is optional there and needed here; without it the cloud that the file
+//! names is read alone.
+
+use super::files::{Folder, inside};
+use super::numbers::matrix;
+use super::{entry, incomplete};
+use crate::IngestError;
+use crate::bounded::read_text;
+use crate::scan::{CameraAxes, RawFrame, Scan, picture_size, usual_depth_scale_m};
+use camino::{Utf8Path, Utf8PathBuf};
+use serde::Deserialize;
+use uniground_geometry::scene::{FrameIndex, Intrinsics, Lens, Optics};
+
+const LOOKS_LIKE: &str = "a nerfstudio or instant-ngp scene (transforms.json)";
+const FILE: &str = "transforms.json";
+const NAMED: &str = "named in transforms.json points outside the archive";
+const MAX_BYTES: u64 = 64 << 20;
+
+#[derive(Deserialize)]
+struct Transforms {
+    camera_model: Option<String>,
+    #[serde(flatten)]
+    camera: Camera,
+    /// Metres per unit of depth (instant-ngp).
+    integer_depth_scale: Option<f32>,
+    ply_file_path: Option<Utf8PathBuf>,
+    #[serde(default, deserialize_with = "super::listed::frames")]
+    frames: Vec<Frame>,
+}
+
+#[derive(Deserialize)]
+struct Frame {
+    file_path: Utf8PathBuf,
+    #[serde(alias = "depth_path")]
+    depth_file_path: Option<Utf8PathBuf>,
+    transform_matrix: Vec<Vec<f64>>,
+    #[serde(flatten)]
+    camera: Camera,
+}
+
+/// Whole or in part: what a frame does not say is as for all.
+#[derive(Deserialize, Clone, Copy, Default)]
+#[allow(clippy::struct_field_names)] // Theirs.
+struct Camera {
+    fl_x: Option<f32>,
+    fl_y: Option<f32>,
+    cx: Option<f32>,
+    cy: Option<f32>,
+    w: Option<f32>,
+    h: Option<f32>,
+    camera_angle_x: Option<f32>,
+    k1: Option<f32>,
+    k2: Option<f32>,
+    k3: Option<f32>,
+    k4: Option<f32>,
+    p1: Option<f32>,
+    p2: Option<f32>,
+    is_fisheye: Option<bool>,
+}
+
+impl Camera {
+    fn or(self, all: Self) -> Self {
+        Self {
+            fl_x: self.fl_x.or(all.fl_x),
+            fl_y: self.fl_y.or(all.fl_y),
+            cx: self.cx.or(all.cx),
+            cy: self.cy.or(all.cy),
+            w: self.w.or(all.w),
+            h: self.h.or(all.h),
+            camera_angle_x: self.camera_angle_x.or(all.camera_angle_x),
+            k1: self.k1.or(all.k1),
+            k2: self.k2.or(all.k2),
+            k3: self.k3.or(all.k3),
+            k4: self.k4.or(all.k4),
+            p1: self.p1.or(all.p1),
+            p2: self.p2.or(all.p2),
+            is_fisheye: self.is_fisheye.or(all.is_fisheye),
+        }
+    }
+
+    fn intrinsics(&self, root: &Utf8Path, picture: &Utf8Path) -> Result<Intrinsics, IngestError> {
+        let (width, height) = match (self.w, self.h) {
+            (Some(w), Some(h)) => (w.round() as u32, h.round() as u32),
+            _ => picture_size(root, picture)?
+                .ok_or_else(|| IngestError::malformed(picture, "it does not say its size"))?,
+        };
+        let by_angle = self.camera_angle_x.map(|angle| 0.5 * width as f32 / (0.5 * angle).tan());
+        let fx = self
+            .fl_x
+            .or(self.fl_y)
+            .or(by_angle)
+            .ok_or_else(|| IngestError::MissingIntrinsics { file: FILE.into() })?;
+        let (cx, cy) =
+            (self.cx.unwrap_or(width as f32 / 2.0), self.cy.unwrap_or(height as f32 / 2.0));
+        Ok(Intrinsics { width, height, fx, fy: self.fl_y.unwrap_or(fx), cx, cy })
+    }
+
+    fn lens(&self) -> Option<Lens> {
+        let or_zero = |k: Option<f32>| k.unwrap_or(0.0);
+        // k4 stands in the denominator here, and is nothing but fisheyes' there.
+        let (k1, k2, k3) = (or_zero(self.k1), or_zero(self.k2), or_zero(self.k3));
+        Lens { k1, k2, k3, p1: or_zero(self.p1), p2: or_zero(self.p2), ..Lens::default() }.or_none()
+    }
+}
+
+pub(super) fn recognises(folder: &Folder) -> bool {
+    folder.has_file(FILE)
+}
+
+pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+    let root = &folder.root;
+    let text = read_text(root, Utf8Path::new(FILE), MAX_BYTES)?;
+    let transforms: Transforms =
+        serde_json::from_str(&text).map_err(|e| IngestError::malformed(FILE, e))?;
+    let fisheye = transforms
+        .camera_model
+        .as_deref()
+        .is_some_and(|model| model.contains("FISHEYE") || model == "EQUIRECTANGULAR");
+    if fisheye || transforms.camera.is_fisheye == Some(true) {
+        let model = transforms.camera_model.as_deref().unwrap_or("fisheye");
+        return Err(incomplete(
+            LOOKS_LIKE,
+            format!("its cameras are {model}: undistort the pictures to pinholes first"),
+        ));
+    }
+    let mut scan = Scan::new(root, "nerfstudio");
+    scan.camera_axes = CameraAxes::Opengl;
+    scan.cloud = transforms
+        .ply_file_path
+        .clone()
+        .map(|cloud| inside(&cloud, NAMED).map(|()| cloud))
+        .transpose()?;
+    if scan.cloud.is_none() {
+        scan.cloud = super::color_depth_pose::own_cloud(folder);
+    }
+    let with_depth =
+        transforms.frames.iter().filter(|frame| frame.depth_file_path.is_some()).count();
+    if with_depth == 0 {
+        if scan.cloud.is_none() {
+            return Err(incomplete(
+                LOOKS_LIKE,
+                "its frames have no depth_file_path and there is no cloud: pictures alone are not read, add depth or a cloud in metres",
+            ));
+        }
+        scan.warnings.push(format!(
+            "{} pictures are left aside: they have no depth (depth_file_path), the cloud is read alone",
+            transforms.frames.len()
+        ));
+        return Ok(scan);
+    }
+    if let Some(scale) =
+        transforms.integer_depth_scale.filter(|scale| scale.is_finite() && *scale > 0.0)
+    {
+        scan.depth_scale_m = scale;
+    }
+    for (i, frame) in transforms.frames.iter().enumerate() {
+        scan.add(raw_frame(root, i, frame, transforms.camera))?;
+    }
+    // The scale is one of integers.
+    if usual_depth_scale_m(root, scan.frames.iter().map(|frame| &frame.depth)) == 1.0 {
+        scan.depth_scale_m = 1.0;
+    }
+    Ok(scan)
+}
+
+fn raw_frame(
+    root: &Utf8Path,
+    number: usize,
+    frame: &Frame,
+    all: Camera,
+) -> Result<RawFrame, IngestError> {
+    let pose_file = entry(Utf8Path::new(FILE), format_args!("frame {number}"));
+    let colour = picture(root, &frame.file_path)?;
+    let depth = frame
+        .depth_file_path
+        .as_ref()
+        .ok_or_else(|| IngestError::malformed(&pose_file, "it has no depth_file_path"))?;
+    let depth = picture(root, depth)?;
+    let camera = frame.camera.or(all);
+    let intrinsics = camera.intrinsics(root, &colour)?;
+    let pose = matrix(&frame.transform_matrix.concat())
+        .ok_or_else(|| IngestError::malformed(&pose_file, "its transform_matrix is not 4x4"))?;
+    let lens = camera.lens();
+    Ok(RawFrame {
+        index: FrameIndex(0),
+        colour,
+        depth,
+        pose_file,
+        pose,
+        colour_intrinsics: intrinsics,
+        depth_intrinsics: intrinsics,
+        optics: Optics { colour_lens: lens, depth_lens: lens, ..Optics::default() },
+    })
+}
+
+/// Paths may lack their ending and begin with `./`.
+fn picture(root: &Utf8Path, path: &Utf8Path) -> Result<Utf8PathBuf, IngestError> {
+    inside(path, NAMED)?;
+    let with_ending = ["png", "jpg"].map(|ending| Utf8PathBuf::from(format!("{path}.{ending}")));
+    let found =
+        std::iter::once(path.to_owned()).chain(with_ending).find(|p| root.join(p).is_file());
+    found.ok_or_else(|| IngestError::MissingFile { file: path.to_owned() })
+}

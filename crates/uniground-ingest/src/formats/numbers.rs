@@ -1,0 +1,60 @@
+//! Numbers, matrices and quaternions in text files.
+
+use crate::IngestError;
+use crate::bounded::read_text;
+use camino::Utf8Path;
+use nalgebra::{Matrix4, Quaternion, UnitQuaternion};
+
+/// A matrix of 16 numbers is far shorter.
+const MAX_MATRIX_BYTES: u64 = 16 << 10;
+
+/// Reads a short file of numbers between white space or commas.
+pub(super) fn read_numbers(root: &Utf8Path, file: &Utf8Path) -> Result<Vec<f64>, IngestError> {
+    let text = read_text(root, file, MAX_MATRIX_BYTES)?;
+    parse(&text).map_err(|word| IngestError::malformed(file, format!("{word:?} is not a number")))
+}
+
+/// Numbers between white space or commas; what is none comes back.
+pub(super) fn parse(text: &str) -> Result<Vec<f64>, &str> {
+    let words = text.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty());
+    words.map(|word| word.parse().map_err(|_| word)).collect()
+}
+
+/// Reads a row-major 4x4 pose; 3x4 without its last row is fine.
+pub(super) fn read_pose(root: &Utf8Path, file: &Utf8Path) -> Result<Matrix4<f64>, IngestError> {
+    let values = read_numbers(root, file)?;
+    matrix(&values).ok_or_else(|| {
+        IngestError::malformed(
+            file,
+            format!("a pose has 16 numbers (4x4), this file has {}", values.len()),
+        )
+    })
+}
+
+/// 16 or 12 numbers, row-major.
+pub(super) fn matrix(values: &[f64]) -> Option<Matrix4<f64>> {
+    match values.len() {
+        16 => Some(Matrix4::from_row_slice(values)),
+        12 => Some(Matrix4::from_row_slice(&[values, &[0.0, 0.0, 0.0, 1.0]].concat())),
+        _ => None,
+    }
+}
+
+/// A pose of a position and a quaternion `x y z w`; NaN where the quaternion has no length, which
+/// is found out later, by name.
+pub(super) fn pose_of([x, y, z]: [f64; 3], [qx, qy, qz, qw]: [f64; 4]) -> Matrix4<f64> {
+    let quaternion = Quaternion::new(qw, qx, qy, qz);
+    if !(quaternion.norm() > 0.1 && quaternion.norm() < 10.0) {
+        return Matrix4::from_element(f64::NAN);
+    }
+    let rotation = UnitQuaternion::new_normalize(quaternion).to_homogeneous();
+    Matrix4::new_translation(&nalgebra::Vector3::new(x, y, z)) * rotation
+}
+
+/// `key = values` lines, as ScanNet and 3RScan write them.
+pub(super) fn values_of<'a>(text: &'a str, key: &str) -> Option<&'a str> {
+    text.lines().find_map(|line| {
+        let (name, value) = line.split_once('=')?;
+        (name.trim() == key).then(|| value.trim())
+    })
+}

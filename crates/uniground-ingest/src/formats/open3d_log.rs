@@ -1,0 +1,60 @@
+//! Open3D's reconstruction system: colour and depth pictures beside a trajectory log of five lines
+//! a pose (`trajectory.log`, `scene/integrated.log`), and the camera as JSON. Without one it is a
+//! PrimeSense sensor's, as in Open3D's own examples.
+
+use super::color_depth_pose::{Cameras, Pictures, Poses, Unmatched, add_frames, own_cloud};
+use super::files::{DEPTHS, Folder, PICTURES};
+use super::{incomplete, intrinsics, trajectory};
+use crate::IngestError;
+use crate::scan::Scan;
+use camino::{Utf8Path, Utf8PathBuf};
+use uniground_geometry::scene::Intrinsics;
+
+const LOOKS_LIKE: &str = "an Open3D scene with a trajectory log";
+const COLOUR: &[&str] = &["color", "image", "rgb"];
+const LOGS: &[&str] =
+    &["trajectory.log", "scene/trajectory.log", "scene/integrated.log", "odometry.log"];
+const PRIMESENSE: Intrinsics =
+    Intrinsics { width: 640, height: 480, fx: 525.0, fy: 525.0, cx: 319.5, cy: 239.5 };
+
+fn log(folder: &Folder) -> Option<Utf8PathBuf> {
+    let other = || {
+        folder
+            .names()
+            .iter()
+            .find(|name| Utf8Path::new(name).extension() == Some("log"))
+            .map(Utf8PathBuf::from)
+    };
+    folder.first_file(LOGS).or_else(other)
+}
+
+pub(super) fn recognises(folder: &Folder) -> bool {
+    folder.has_folder("depth")
+        && folder.first_folder(COLOUR).is_some()
+        && !folder.has_folder("pose")
+        && log(folder).is_some()
+}
+
+pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+    let colour = folder.files(folder.first_folder(COLOUR).unwrap_or("color"), PICTURES)?;
+    let pictures =
+        Pictures { colour, depth: folder.files("depth", DEPTHS)?, confidence: Vec::new() };
+    let Some(first) = pictures.colour.first() else {
+        return Err(incomplete(LOOKS_LIKE, "its colour pictures are missing"));
+    };
+    let mut scan = Scan::new(&folder.root, "open3d-log");
+    let colour = if intrinsics::colour_file(folder).is_some() {
+        intrinsics::of_colour(folder, first)?
+    } else {
+        scan.warnings.push(
+            "nothing says which camera it was: taken as a PrimeSense (525 525 319.5 239.5); intrinsic.txt or camera_intrinsic.json says better"
+                .into(),
+        );
+        PRIMESENSE
+    };
+    let file = log(folder).unwrap_or_else(|| LOGS[0].into());
+    let poses = Poses::List(trajectory::read(&folder.root, &file)?, file);
+    add_frames(&mut scan, &pictures, &poses, &Cameras { colour, depth: None }, Unmatched::Damaged)?;
+    scan.cloud = own_cloud(folder);
+    Ok(scan)
+}

@@ -1,0 +1,105 @@
+//! Record3D `.r3d`, unpacked: `rgbd/{i}.jpg|.depth|.conf` and `metadata`. Depth is LZFSE of 32-bit
+//! metres; OpenGL cameras; the first pose is the world, so nothing is level by itself.
+
+use super::color_depth_pose::LEAST_CONFIDENCE;
+use super::files::Folder;
+use super::numbers::pose_of;
+use super::{entry, incomplete};
+use crate::IngestError;
+use crate::bounded::read_text;
+use crate::scan::{CameraAxes, RawFrame, Scan};
+use camino::{Utf8Path, Utf8PathBuf};
+use serde::Deserialize;
+use uniground_geometry::scene::{Confidence, FrameIndex, Intrinsics, Optics};
+
+const LOOKS_LIKE: &str = "a Record3D recording";
+const FILE: &str = "metadata";
+const MAX_BYTES: u64 = 64 << 20;
+/// Depth pictures of phones, where the recording does not say.
+const USUAL_DEPTH: (u32, u32) = (192, 256);
+
+#[derive(Deserialize)]
+struct Metadata {
+    w: u32,
+    h: u32,
+    dw: Option<u32>,
+    dh: Option<u32>,
+    /// 3x3, column by column.
+    #[serde(rename = "K")]
+    k: Vec<f32>,
+    /// Quaternion x y z w, then the position.
+    #[serde(deserialize_with = "super::listed::frames")]
+    poses: Vec<[f64; 7]>,
+    /// `fx fy cx cy` of each frame, where the lens moves.
+    #[serde(
+        rename = "perFrameIntrinsicCoeffs",
+        default,
+        deserialize_with = "super::listed::frames"
+    )]
+    each: Vec<Vec<f32>>,
+}
+
+pub(super) fn recognises(folder: &Folder) -> bool {
+    folder.has_folder("rgbd")
+        && (folder.has_file(FILE)
+            || folder.files("rgbd", &["depth"]).is_ok_and(|files| !files.is_empty()))
+}
+
+pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+    let file = Utf8Path::new(FILE);
+    if !folder.has_file(FILE) {
+        return Err(incomplete(LOOKS_LIKE, "the file metadata is missing"));
+    }
+    let metadata: Metadata = serde_json::from_str(&read_text(&folder.root, file, MAX_BYTES)?)
+        .map_err(|e| IngestError::malformed(file, e))?;
+    let [fx, _, _, _, fy, _, cx, cy, _] = metadata.k[..] else {
+        return Err(IngestError::malformed(
+            file,
+            format!("K has {} numbers, 9 are expected", metadata.k.len()),
+        ));
+    };
+    let whole = Intrinsics { width: metadata.w, height: metadata.h, fx, fy, cx, cy };
+    if whole.width == 0 || whole.height == 0 {
+        return Err(IngestError::malformed(file, "its pictures have no size"));
+    }
+    let (portrait, usual) = (whole.height >= whole.width, USUAL_DEPTH);
+    let usual = if portrait { usual } else { (usual.1, usual.0) };
+    let (dw, dh) = (metadata.dw.unwrap_or(usual.0), metadata.dh.unwrap_or(usual.1));
+    if dw == 0 || dh == 0 || u64::from(dw) * u64::from(dh) > 40_000_000 {
+        return Err(IngestError::malformed(file, format!("depth pictures of {dw}x{dh}")));
+    }
+    let mut scan = Scan::new(&folder.root, "record3d");
+    scan.camera_axes = CameraAxes::Opengl;
+    scan.depth_scale_m = 1.0;
+    for (i, [qx, qy, qz, qw, x, y, z]) in metadata.poses.iter().copied().enumerate() {
+        let camera = match metadata.each.get(i).map(Vec::as_slice) {
+            Some([fx, fy, cx, cy, ..]) => {
+                Intrinsics { fx: *fx, fy: *fy, cx: *cx, cy: *cy, ..whole }
+            }
+            _ => whole,
+        };
+        let [colour, depth, confidence] =
+            ["jpg", "depth", "conf"].map(|ending| Utf8PathBuf::from(format!("rgbd/{i}.{ending}")));
+        let confidence = folder
+            .root
+            .join(&confidence)
+            .is_file()
+            .then_some(Confidence { file: confidence, at_least: LEAST_CONFIDENCE });
+        let missing = [&colour, &depth].into_iter().find(|file| !folder.root.join(file).is_file());
+        let frame = match missing {
+            Some(file) => Err(IngestError::MissingFile { file: file.clone() }),
+            None => Ok(RawFrame {
+                index: FrameIndex(0),
+                colour,
+                depth,
+                pose_file: entry(file, format_args!("pose {i}")),
+                pose: pose_of([x, y, z], [qx, qy, qz, qw]),
+                colour_intrinsics: camera,
+                depth_intrinsics: camera.scaled_to(dw, dh),
+                optics: Optics { confidence, ..Optics::default() },
+            }),
+        };
+        scan.add(frame)?;
+    }
+    Ok(scan)
+}

@@ -1,0 +1,98 @@
+//! RTAB-Map's export: `rgb/ depth/ calib/` (or `<name>_rgb/` and so on) and camera poses with
+//! times, in a world with Z up.
+
+use super::color_depth_pose::{Cameras, Pictures, Poses, Unmatched, add_frames};
+use super::files::{DEPTHS, Folder, PICTURES};
+use super::{incomplete, trajectory};
+use crate::IngestError;
+use crate::bounded::read_text;
+use crate::scan::Scan;
+use camino::{Utf8Path, Utf8PathBuf};
+use uniground_geometry::scene::Intrinsics;
+
+const LOOKS_LIKE: &str = "an RTAB-Map export";
+const MAX_CALIBRATION_BYTES: u64 = 64 << 10;
+
+/// The folder called so, alone or after the database's name.
+fn part(folder: &Folder, name: &str) -> Option<String> {
+    let is = |other: &&str| *other == name || other.ends_with(&format!("_{name}"));
+    folder.folders().find(is).map(str::to_owned)
+}
+
+/// Poses of the camera where they are there: those of the robot's base stand elsewhere.
+fn poses_file(folder: &Folder) -> Option<Utf8PathBuf> {
+    let ends = |ending: &str| {
+        folder.names().iter().find(|name| name.ends_with(ending)).map(Utf8PathBuf::from)
+    };
+    ends("camera_poses.txt").or_else(|| ends("poses.txt"))
+}
+
+pub(super) fn recognises(folder: &Folder) -> bool {
+    part(folder, "calib").is_some() && part(folder, "rgb").is_some()
+}
+
+pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+    let missing = |what: &str| incomplete(LOOKS_LIKE, format!("{what} is missing"));
+    let [rgb, depth, calibration] =
+        ["rgb", "depth", "calib"].map(|name| part(folder, name).ok_or_else(|| missing(name)));
+    let (rgb, depth, calibration) = (rgb?, depth?, calibration?);
+    let file = poses_file(folder).ok_or_else(|| {
+        missing("the file of the camera's poses (rtabmap-export --poses_camera --poses_format 1)")
+    })?;
+    let pictures = Pictures {
+        colour: folder.files(&rgb, PICTURES)?,
+        depth: folder.files(&depth, DEPTHS)?,
+        confidence: Vec::new(),
+    };
+    let calibrations = folder.files(&calibration, &["yaml", "yml"])?;
+    let first = calibrations.first().ok_or_else(|| missing("the camera's calibration"))?;
+    let mut scan = Scan::new(&folder.root, "rtabmap");
+    scan.up = Some(uniground_geometry::up_axis::UpAxis::Z);
+    if !file.as_str().ends_with("camera_poses.txt") {
+        scan.warnings
+            .push(format!("{file} is taken for the camera's poses; those of a robot's base would need its mounting taken off"));
+    }
+    let cameras = Cameras { colour: camera(&folder.root, first)?, depth: None };
+    let poses = Poses::List(trajectory::read(&folder.root, &file)?, file);
+    add_frames(&mut scan, &pictures, &poses, &cameras, Unmatched::LeftOut)?;
+    scan.cloud = folder
+        .clouds(&["_cloud.ply", "cloud.ply", "_mesh.ply"])
+        .into_iter()
+        .find(|file| file.extension() == Some("ply"));
+    Ok(scan)
+}
+
+/// OpenCV's YAML: `image_width`, `image_height`, and the projection matrix, which is that of the
+/// rectified picture.
+fn camera(root: &Utf8Path, file: &Utf8Path) -> Result<Intrinsics, IngestError> {
+    let text = read_text(root, file, MAX_CALIBRATION_BYTES)?;
+    let missing =
+        |key: &str| IngestError::malformed(file, format!("{key} is missing or no number"));
+    let number = |key: &str| -> Result<u32, IngestError> {
+        let line = text.lines().find_map(|line| line.trim().strip_prefix(key)?.strip_prefix(':'));
+        line.and_then(|v| v.trim().parse().ok()).ok_or_else(|| missing(key))
+    };
+    let matrix = |key: &str| -> Option<Vec<f64>> {
+        let after = &text[text.find(key)?..];
+        let data = &after[after.find("data:")?..];
+        super::numbers::parse(&data[data.find('[')? + 1..data.find(']')?]).ok()
+    };
+    let (projection, camera) = (
+        matrix("projection_matrix").filter(|m| m.len() == 12),
+        matrix("camera_matrix").filter(|m| m.len() == 9),
+    );
+    let at = match (&projection, &camera) {
+        (Some(m), _) if m[0] > 0.0 => [m[0], m[5], m[2], m[6]],
+        (_, Some(m)) => [m[0], m[4], m[2], m[5]],
+        _ => return Err(missing("camera_matrix")),
+    };
+    let [fx, fy, cx, cy] = at.map(|v| v as f32);
+    Ok(Intrinsics {
+        width: number("image_width")?,
+        height: number("image_height")?,
+        fx,
+        fy,
+        cx,
+        cy,
+    })
+}

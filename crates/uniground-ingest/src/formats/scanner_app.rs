@@ -1,0 +1,102 @@
+//! 3D Scanner App, "all data": `frame_00000.jpg` with `frame_00000.json`, `depth_00000.png` and
+//! `conf_00000.png` in one folder. OpenGL cameras in a world that ARKit made level, Y up.
+
+use super::color_depth_pose::LEAST_CONFIDENCE;
+use super::files::{DEPTHS, Folder, PICTURES};
+use super::numbers::matrix;
+use super::{incomplete, intrinsics, pairing};
+use crate::IngestError;
+use crate::bounded::read_text;
+use crate::scan::{CameraAxes, RawFrame, Scan};
+use camino::{Utf8Path, Utf8PathBuf};
+use serde::Deserialize;
+use uniground_geometry::scene::{Confidence, FrameIndex, Optics};
+use uniground_geometry::up_axis::UpAxis;
+
+const LOOKS_LIKE: &str = "an export of 3D Scanner App";
+const MAX_BYTES: u64 = 256 << 10;
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Taken {
+    #[serde(rename = "cameraPoseARFrame")]
+    pose: Vec<f64>,
+    intrinsics: Vec<f64>,
+}
+
+fn files(folder: &Folder, start: &str, endings: &[&str]) -> Result<Vec<Utf8PathBuf>, IngestError> {
+    Ok(folder
+        .files("", endings)?
+        .into_iter()
+        .filter(|file| file.as_str().starts_with(start))
+        .collect())
+}
+
+pub(super) fn recognises(folder: &Folder) -> bool {
+    let some = |start: &str, ending: &str| {
+        files(folder, start, &[ending]).is_ok_and(|files| !files.is_empty())
+    };
+    some("frame_", "json") || (some("frame_", "jpg") && some("depth_", "png"))
+}
+
+pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+    let root = &folder.root;
+    let (colour, depth) = (files(folder, "frame_", PICTURES)?, files(folder, "depth_", DEPTHS)?);
+    let (taken, confidence) =
+        (files(folder, "frame_", &["json"])?, files(folder, "conf_", &["png"])?);
+    for (list, what) in [
+        (&colour, "the pictures frame_*.jpg are"),
+        (&depth, "the depth pictures depth_*.png are"),
+        (&taken, "the poses frame_*.json are"),
+    ] {
+        if list.is_empty() {
+            return Err(incomplete(LOOKS_LIKE, format!("{what} missing: export \"all data\"")));
+        }
+    }
+    // More poses than pictures are written; depth comes with pictures.
+    let (depth_of, taken_of, confidence_of) = (
+        pairing::partners(&colour, &depth),
+        pairing::partners(&colour, &taken),
+        pairing::partners(&colour, &confidence),
+    );
+    let mut scan = Scan::new(root, "3d-scanner-app");
+    scan.camera_axes = CameraAxes::Opengl;
+    (scan.up, scan.by_gravity) = (Some(UpAxis::Y), true);
+    for (i, picture) in colour.iter().enumerate() {
+        let frame = || {
+            let (Some(depth_at), Some(taken_at)) = (depth_of[i], taken_of[i]) else {
+                return Err(IngestError::FrameCountMismatch {
+                    colour: colour.len(),
+                    depth: depth.len(),
+                    pose: taken.len(),
+                    first: picture.clone(),
+                });
+            };
+            let file: &Utf8Path = &taken[taken_at];
+            let taken: Taken = serde_json::from_str(&read_text(root, file, MAX_BYTES)?)
+                .map_err(|e| IngestError::malformed(file, e))?;
+            let pose = matrix(&taken.pose).ok_or_else(|| {
+                IngestError::malformed(file, "cameraPoseARFrame has not 16 numbers")
+            })?;
+            let camera = intrinsics::of_values(root, file, &taken.intrinsics, picture)?;
+            Ok(RawFrame {
+                index: FrameIndex(0),
+                colour: picture.clone(),
+                depth: depth[depth_at].clone(),
+                pose_file: file.to_owned(),
+                pose,
+                colour_intrinsics: camera,
+                depth_intrinsics: camera,
+                optics: Optics {
+                    confidence: confidence_of[i].map(|at| Confidence {
+                        file: confidence[at].clone(),
+                        at_least: LEAST_CONFIDENCE,
+                    }),
+                    ..Optics::default()
+                },
+            })
+        };
+        scan.add(frame())?;
+    }
+    Ok(scan)
+}

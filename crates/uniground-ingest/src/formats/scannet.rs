@@ -1,0 +1,109 @@
+//! ScanNet as its own exporter writes it: `color/ depth/ pose/ intrinsic/`, with a depth camera of
+//! its own, beside the scan's mesh and `<scene>.txt`, whose axis alignment applies to poses and
+//! mesh. And the flat `posed_images/` of later toolboxes.
+
+use super::color_depth_pose::{Cameras, Pictures, Poses, Unmatched, add_frames};
+use super::files::{DEPTHS, Folder, PICTURES};
+use super::numbers::{matrix, parse, values_of};
+use super::{incomplete, intrinsics};
+use crate::IngestError;
+use crate::bounded::read_text;
+use crate::scan::Scan;
+use camino::{Utf8Path, Utf8PathBuf};
+use nalgebra::Matrix4;
+
+const LOOKS_LIKE: &str = "a ScanNet export";
+const MAX_META_BYTES: u64 = 1 << 20;
+const COLOUR_CAMERA: &str = "intrinsic/intrinsic_color.txt";
+const DEPTH_CAMERA: &str = "intrinsic/intrinsic_depth.txt";
+const MESHES: &[&str] = &["_vh_clean_2.ply", "_vh_clean.ply", ".aligned.ply"];
+
+pub(super) fn recognises(folder: &Folder) -> bool {
+    folder.has_folder("intrinsic") && (folder.has_folder("color") || folder.has_folder("pose"))
+        || is_flat(folder)
+}
+
+/// `00000.jpg`, `00000.png` and `00000.txt` in one folder.
+fn is_flat(folder: &Folder) -> bool {
+    let has = |ending: &str| {
+        folder
+            .names()
+            .iter()
+            .any(|name| name.ends_with(ending) && name.starts_with(|c: char| c.is_ascii_digit()))
+    };
+    has(".jpg") && has(".png") && has(".txt") && intrinsics::colour_file(folder).is_some()
+}
+
+pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+    let root = &folder.root;
+    let mut scan = Scan::new(root, "scannet-export");
+    let flat = is_flat(folder);
+    let list = |name: &'static str, endings: &[&str]| match (flat, folder.has_folder(name)) {
+        (true, _) => {
+            let numbered =
+                |file: &Utf8PathBuf| file.as_str().starts_with(|c: char| c.is_ascii_digit());
+            Ok(folder.files("", endings)?.into_iter().filter(numbered).collect())
+        }
+        (false, true) => folder.files(name, endings),
+        (false, false) => Err(incomplete(LOOKS_LIKE, format!("{name}/ is missing"))),
+    };
+    let colour_endings = if flat { &["jpg", "jpeg"] } else { PICTURES };
+    let pictures = Pictures {
+        colour: list("color", colour_endings)?,
+        depth: list("depth", DEPTHS)?,
+        confidence: Vec::new(),
+    };
+    let poses = list("pose", &["txt"])?;
+    let (Some(colour), Some(depth)) = (pictures.colour.first(), pictures.depth.first()) else {
+        return Err(incomplete(LOOKS_LIKE, "its pictures are missing"));
+    };
+    let cameras = if flat || !folder.has_file(COLOUR_CAMERA) {
+        Cameras { colour: intrinsics::of_colour(folder, colour)?, depth: None }
+    } else {
+        let depth_camera = folder
+            .has_file(DEPTH_CAMERA)
+            .then(|| intrinsics::of_file(root, Utf8Path::new(DEPTH_CAMERA), depth))
+            .transpose()?;
+        Cameras {
+            colour: intrinsics::of_file(root, Utf8Path::new(COLOUR_CAMERA), colour)?,
+            depth: depth_camera,
+        }
+    };
+    add_frames(&mut scan, &pictures, &Poses::Files(poses), &cameras, Unmatched::Damaged)?;
+    let is_mesh = |file: &Utf8PathBuf| MESHES.iter().any(|ending| file.as_str().ends_with(ending));
+    scan.cloud = folder
+        .clouds(MESHES)
+        .into_iter()
+        .find(is_mesh)
+        .or_else(|| super::color_depth_pose::own_cloud(folder));
+    if let Some((alignment, file)) = alignment(folder)? {
+        scan.warnings.push(format!("{file}: its axis alignment is applied to poses and cloud"));
+        scan.alignment = Some(alignment);
+    }
+    Ok(scan)
+}
+
+/// `axisAlignment` of the scene's own text file, unless it says nothing.
+fn alignment(folder: &Folder) -> Result<Option<(Matrix4<f64>, Utf8PathBuf)>, IngestError> {
+    for name in folder
+        .names()
+        .iter()
+        .filter(|name| name.starts_with("scene") && Utf8Path::new(name).extension() == Some("txt"))
+    {
+        let file = Utf8Path::new(name);
+        let text = read_text(&folder.root, file, MAX_META_BYTES)?;
+        let Some(values) = values_of(&text, "axisAlignment") else { continue };
+        let values = parse(values).map_err(|word| {
+            IngestError::malformed(file, format!("axisAlignment: {word:?} is not a number"))
+        })?;
+        let matrix = matrix(&values).filter(|_| values.len() == 16);
+        let matrix = matrix.ok_or_else(|| {
+            IngestError::malformed(
+                file,
+                format!("axisAlignment has {} numbers, 16 are expected", values.len()),
+            )
+        })?;
+        return Ok((matrix != Matrix4::identity()).then(|| (matrix, file.to_owned())));
+    }
+    Ok(None)
+}

@@ -1,0 +1,116 @@
+//! 7-Scenes and 3RScan: `frame-000000.color.*`, `.depth.*` and `.pose.txt` in one folder. 3RScan
+//! says its cameras in `_info.txt`; 7-Scenes were taken with a Kinect whose depth stands beside its
+//! colour.
+
+use super::color_depth_pose::{Cameras, Pictures, Poses, Unmatched, add_frames};
+use super::files::{DEPTHS, Folder, PICTURES};
+use super::numbers::{parse, values_of};
+use super::{incomplete, intrinsics};
+use crate::IngestError;
+use crate::bounded::read_text;
+use crate::scan::Scan;
+use camino::{Utf8Path, Utf8PathBuf};
+use uniground_geometry::scene::Intrinsics;
+
+const LOOKS_LIKE: &str = "a 7-Scenes or 3RScan sequence";
+const INFO: &str = "_info.txt";
+const MAX_INFO_BYTES: u64 = 1 << 20;
+/// What the authors of 7-Scenes say of their Kinect, at 640x480.
+const KINECT: Intrinsics =
+    Intrinsics { width: 640, height: 480, fx: 585.0, fy: 585.0, cx: 320.0, cy: 240.0 };
+const CLOUDS: &[&str] =
+    &["labels.instances.annotated.v2.ply", "mesh.refined.v2.obj", "mesh.refined.obj", "cloud.ply"];
+
+/// The folder of the frames, below the one that was opened.
+fn frames_in(folder: &Folder) -> Option<&'static str> {
+    let has = |names: &[String]| {
+        names.iter().any(|name| {
+            name.starts_with("frame-") && name.ends_with(".pose.txt") || name.contains(".color.")
+        })
+    };
+    if has(folder.names()) {
+        return Some("");
+    }
+    ["sequence", "seq-01"]
+        .into_iter()
+        .find(|name| Folder::open(&folder.root.join(name)).is_ok_and(|inner| has(inner.names())))
+}
+
+pub(super) fn recognises(folder: &Folder) -> bool {
+    frames_in(folder).is_some()
+}
+
+pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+    let inner = frames_in(folder).unwrap_or_default();
+    let root = &folder.root;
+    let named = |part: &str, endings: &[&str]| -> Result<Vec<Utf8PathBuf>, IngestError> {
+        Ok(folder
+            .files(inner, endings)?
+            .into_iter()
+            .filter(|file| file.as_str().contains(part))
+            .collect())
+    };
+    let pictures = Pictures {
+        colour: named(".color.", PICTURES)?,
+        depth: named(".depth.", DEPTHS)?,
+        confidence: Vec::new(),
+    };
+    let poses = named(".pose.", &["txt"])?;
+    let Some(first) = pictures.colour.first() else {
+        return Err(incomplete(LOOKS_LIKE, "its .color pictures are missing"));
+    };
+    if pictures.depth.is_empty() {
+        return Err(incomplete(LOOKS_LIKE, "its .depth pictures are missing"));
+    }
+    if poses.is_empty() {
+        return Err(incomplete(LOOKS_LIKE, "its .pose.txt files are missing"));
+    }
+    let info = [Utf8Path::new(inner).join(INFO), INFO.into()]
+        .into_iter()
+        .find(|file| root.join(file).is_file());
+    let is_3rscan = info.is_some();
+    let mut scan = Scan::new(root, if is_3rscan { "3rscan" } else { "7-scenes" });
+    let cameras = match info {
+        Some(info) => {
+            let text = read_text(root, &info, MAX_INFO_BYTES)?;
+            if let Some(shift) = values_of(&text, "m_depthShift")
+                .and_then(|v| v.parse::<f32>().ok())
+                .filter(|s| *s > 0.0)
+            {
+                scan.depth_scale_m = 1.0 / shift;
+            }
+            let colour = camera(&info, &text, "Color")?;
+            Cameras { colour, depth: camera(&info, &text, "Depth").ok() }
+        }
+        None if intrinsics::colour_file(folder).is_some() => {
+            Cameras { colour: intrinsics::of_colour(folder, first)?, depth: None }
+        }
+        None => {
+            scan.warnings
+                .push("cameras are taken as the Kinect of 7-Scenes (585 585 320 240); intrinsic.txt says better".into());
+            Cameras { colour: KINECT, depth: None }
+        }
+    };
+    add_frames(&mut scan, &pictures, &Poses::Files(poses), &cameras, Unmatched::Damaged)?;
+    scan.cloud = CLOUDS.iter().find(|name| folder.has_file(name)).map(Utf8PathBuf::from);
+    Ok(scan)
+}
+
+/// `m_colorWidth`, `m_colorHeight` and `m_calibrationColorIntrinsic`, or the same of the depth
+/// camera.
+fn camera(info: &Utf8Path, text: &str, which: &str) -> Result<Intrinsics, IngestError> {
+    let lower = which.to_ascii_lowercase();
+    let missing =
+        |key: &str| IngestError::malformed(info, format!("{key} is missing or no number"));
+    let size = |side: &str| {
+        let key = format!("m_{lower}{side}");
+        values_of(text, &key).and_then(|v| v.parse::<u32>().ok()).ok_or_else(|| missing(&key))
+    };
+    let key = format!("m_calibration{which}Intrinsic");
+    let values = values_of(text, &key)
+        .and_then(|v| parse(v).ok())
+        .filter(|v| v.len() == 16)
+        .ok_or_else(|| missing(&key))?;
+    let [fx, fy, cx, cy] = [0, 5, 2, 6].map(|i| values[i] as f32);
+    Ok(Intrinsics { width: size("Width")?, height: size("Height")?, fx, fy, cx, cy })
+}

@@ -1,0 +1,28 @@
+//! Task folders of the UniGround benchmark: `task.json` beside `full_pcd.ply`, whose height is z.
+
+use super::files::Folder;
+use super::incomplete;
+use crate::IngestError;
+use crate::scan::Scan;
+use uniground_geometry::up_axis::UpAxis;
+
+const CLOUD: &str = "full_pcd.ply";
+
+pub(super) fn recognises(folder: &Folder) -> bool {
+    folder.has_file("task.json")
+        && (folder.has_file("ref.json") || folder.has_file("gt.json") || folder.has_file(CLOUD))
+}
+
+pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+    if !folder.has_file(CLOUD) {
+        return Err(incomplete(
+            "a task folder of the UniGround benchmark",
+            format!("{CLOUD} is missing"),
+        ));
+    }
+    Ok(Scan {
+        cloud: Some(CLOUD.into()),
+        up: Some(UpAxis::Z),
+        ..Scan::new(&folder.root, "uniground-task")
+    })
+}

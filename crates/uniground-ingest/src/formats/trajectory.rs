@@ -1,0 +1,142 @@
+//! Files that hold all poses of a scan: a pose a line (4x4, 3x4, or a time with position and
+//! quaternion), or Open3D's log of five lines each.
+
+use super::numbers::{matrix, parse, pose_of};
+use crate::bounded::read_text;
+use crate::{IngestError, MAX_FRAMES};
+use camino::Utf8Path;
+use nalgebra::Matrix4;
+
+/// The most poses, written with many decimals.
+const MAX_BYTES: u64 = 64 << 20;
+
+/// Poses in the order of the file.
+pub(super) enum Trajectory {
+    /// One a frame.
+    Ordered(Vec<Matrix4<f64>>),
+    /// With the time of each, seconds.
+    Timed(Vec<(f64, Matrix4<f64>)>),
+}
+
+/// Reads any of the kinds; which one shows in the number of values a line.
+pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, IngestError> {
+    let text = read_text(root, file, MAX_BYTES)?;
+    let mut rows: Vec<Vec<f64>> = Vec::new();
+    for (number, line) in text.lines().enumerate() {
+        let line = line.trim();
+        if line.is_empty() || line.starts_with(['#', '%']) {
+            continue;
+        }
+        match parse(line) {
+            Ok(row) => rows.push(row),
+            // A heading names columns; anything later is damage.
+            Err(_) if rows.is_empty() => {}
+            Err(word) => {
+                return Err(IngestError::malformed(
+                    file,
+                    format!("line {}: {word:?} is not a number", number + 1),
+                ));
+            }
+        }
+        // The most poses, five lines each, and many more than that: mocap runs at 200 Hz.
+        if rows.len() > 100 * MAX_FRAMES {
+            return Err(IngestError::malformed(file, "it has too many lines"));
+        }
+    }
+    let strange = |n: usize| {
+        IngestError::malformed(
+            file,
+            format!(
+                "no list of poses: its lines have {n} numbers, 8 (time, position, quaternion), 12 or 16 (matrix) are read"
+            ),
+        )
+    };
+    match rows.first().map_or(0, Vec::len) {
+        3 => log(&rows).map(Trajectory::Ordered).ok_or_else(|| {
+            IngestError::malformed(
+                file,
+                "not a log of poses: three numbers, then four lines of four",
+            )
+        }),
+        12 | 16 => {
+            let poses = rows
+                .iter()
+                .map(|row| matrix(row).ok_or_else(|| strange(row.len())))
+                .collect::<Result<_, _>>()?;
+            Ok(Trajectory::Ordered(poses))
+        }
+        // A ninth number is somebody's index.
+        8 | 9 => {
+            let timed = |row: &Vec<f64>| match row[..] {
+                [t, x, y, z, qx, qy, qz, qw, ..] => Ok((t, pose_of([x, y, z], [qx, qy, qz, qw]))),
+                _ => Err(strange(row.len())),
+            };
+            rows.iter().map(timed).collect::<Result<_, _>>().map(Trajectory::Timed)
+        }
+        n => Err(strange(n)),
+    }
+}
+
+/// Open3D: three numbers that are not needed, then a matrix.
+fn log(rows: &[Vec<f64>]) -> Option<Vec<Matrix4<f64>>> {
+    rows.chunks(5)
+        .map(|chunk| match chunk {
+            [head, rest @ ..] if head.len() == 3 && rest.len() == 4 => matrix(&rest.concat()),
+            _ => None,
+        })
+        .collect()
+}
+
+/// The pose at a time: between the two around it, when they are near enough; else the nearest
+/// within reach.
+pub(super) fn at(poses: &[(f64, Matrix4<f64>)], time: f64, within_s: f64) -> Option<Matrix4<f64>> {
+    let after = poses.partition_point(|(t, _)| *t < time);
+    let near = |i: Option<usize>| {
+        i.and_then(|i| poses.get(i)).filter(|(t, _)| (t - time).abs() <= within_s)
+    };
+    let (before, next) = (near(after.checked_sub(1)), near(Some(after)));
+    match (before, next) {
+        (Some((a, _)), Some((b, pose))) if (b - time).abs() <= (time - a).abs() => Some(*pose),
+        (Some((_, pose)), _) | (None, Some((_, pose))) => Some(*pose),
+        (None, None) => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn read_text_as(text: &str) -> Result<Trajectory, IngestError> {
+        let folder = tempfile::tempdir().unwrap();
+        let root = Utf8Path::from_path(folder.path()).unwrap();
+        std::fs::write(root.join("t.txt"), text).unwrap();
+        read(root, Utf8Path::new("t.txt"))
+    }
+
+    #[test]
+    fn every_kind_of_list_reads_alike() {
+        let expected = Matrix4::new_translation(&nalgebra::Vector3::new(1.0, 2.0, 3.0));
+        for text in [
+            "1 0 0 1 0 1 0 2 0 0 1 3 0 0 0 1\n",
+            "1 0 0 1 0 1 0 2 0 0 1 3\n",
+            "0 0 1\n1 0 0 1\n0 1 0 2\n0 0 1 3\n0 0 0 1\n",
+            "# time x y z qx qy qz qw\n7.5 1 2 3 0 0 0 1\n",
+            "timestamp,x,y,z,qx,qy,qz,qw\n7.5,1,2,3,0,0,0,1\n",
+        ] {
+            let found = match read_text_as(text).unwrap() {
+                Trajectory::Ordered(poses) => poses[0],
+                Trajectory::Timed(poses) => poses[0].1,
+            };
+            assert_eq!(found, expected, "{text}");
+        }
+        assert!(read_text_as("1 2\n").is_err() && read_text_as("1 0 1\n1 0 0 1\n").is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn noise_never_panics(text in "[-0-9. e\\n#,]{0,300}") {
+            let _ = read_text_as(&text);
+        }
+    }
+}

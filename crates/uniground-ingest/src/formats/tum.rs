@@ -1,0 +1,150 @@
+//! TUM RGB-D: `rgb.txt`, `depth.txt` and `groundtruth.txt` list pictures and poses by time; depth
+//! is in 1/5000 m and lies on the colour picture. The cameras are known by the number of the
+//! Kinect, which stands in the sequence's name.
+
+use super::files::Folder;
+use super::trajectory::{self, Trajectory};
+use super::{entry, incomplete, intrinsics, pairing};
+use crate::bounded::read_text;
+use crate::scan::{RawFrame, Scan};
+use crate::{IngestError, MAX_FRAMES};
+use camino::{Utf8Path, Utf8PathBuf};
+use uniground_geometry::scene::{FrameIndex, Intrinsics, Lens, Optics};
+
+const LOOKS_LIKE: &str = "a TUM RGB-D sequence";
+const MAX_LIST_BYTES: u64 = 32 << 20;
+const POSES: &[&str] =
+    &["groundtruth.txt", "CameraTrajectory.txt", "KeyFrameTrajectory.txt", "trajectory.txt"];
+const SIZE: (u32, u32) = (640, 480);
+
+pub(super) fn recognises(folder: &Folder) -> bool {
+    let lists = ["rgb.txt", "depth.txt", "groundtruth.txt"]
+        .iter()
+        .filter(|name| folder.has_file(name))
+        .count();
+    folder.has_folder("depth")
+        && folder.has_folder("rgb")
+        && lists >= 1
+        && (folder.has_file("rgb.txt") || folder.has_file("depth.txt"))
+        || lists == 3
+}
+
+pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+    let root = &folder.root;
+    let [colour, depth] = ["rgb.txt", "depth.txt"].map(|name| match folder.has_file(name) {
+        true => pictures(root, name),
+        false => Err(incomplete(LOOKS_LIKE, format!("{name} is missing"))),
+    });
+    let ((colour, heading), (depth, _)) = (colour?, depth?);
+    let poses_file = folder.first_file(POSES).ok_or_else(|| {
+        incomplete(LOOKS_LIKE, "groundtruth.txt is missing: a trajectory in its format (timestamp tx ty tz qx qy qz qw) will do")
+    })?;
+    let Trajectory::Timed(mut poses) = trajectory::read(root, &poses_file)? else {
+        return Err(IngestError::malformed(
+            poses_file,
+            "its lines must be: timestamp tx ty tz qx qy qz qw",
+        ));
+    };
+    poses.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut scan = Scan::new(root, "tum-rgbd");
+    scan.depth_scale_m = 1.0 / 5000.0;
+    let Some(first) = colour.first() else {
+        return Err(incomplete(LOOKS_LIKE, "rgb.txt lists no pictures"));
+    };
+    let (camera, lens) = camera(folder, &heading, &first.1, &mut scan)?;
+    let times =
+        |list: &[(f64, Utf8PathBuf)]| list.iter().map(|(t, _)| Some(*t)).collect::<Vec<_>>();
+    let partner = pairing::nearest(&times(&colour), &times(&depth), pairing::SAME_MOMENT_S);
+    let (mut alone, mut untracked) = (0, 0);
+    for ((time, picture), partner) in colour.iter().zip(partner) {
+        let Some(partner) = partner else {
+            alone += 1;
+            continue;
+        };
+        let Some(pose) = trajectory::at(&poses, *time, pairing::SAME_MOMENT_S) else {
+            untracked += 1;
+            continue;
+        };
+        scan.frames.push(RawFrame {
+            index: FrameIndex(0),
+            colour: picture.clone(),
+            depth: depth[partner].1.clone(),
+            pose_file: entry(&poses_file, format_args!("time {time}")),
+            pose,
+            colour_intrinsics: camera,
+            depth_intrinsics: camera,
+            optics: Optics { colour_lens: lens, depth_lens: lens, ..Optics::default() },
+        });
+    }
+    if alone + untracked > 0 {
+        scan.warnings.push(format!(
+            "of {} colour pictures {alone} have no depth picture and {untracked} no pose within {} ms: left out",
+            colour.len(),
+            pairing::SAME_MOMENT_S * 1000.0
+        ));
+    }
+    match scan.frames.is_empty() {
+        true => Err(incomplete(
+            LOOKS_LIKE,
+            "no colour picture has a depth picture and a pose at its time",
+        )),
+        false => Ok(scan),
+    }
+}
+
+/// A list of `time file`, and what its heading says.
+fn pictures(root: &Utf8Path, name: &str) -> Result<(Vec<(f64, Utf8PathBuf)>, String), IngestError> {
+    let file = Utf8Path::new(name);
+    let text = read_text(root, file, MAX_LIST_BYTES)?;
+    let (mut list, mut heading) = (Vec::new(), String::new());
+    for (number, line) in text.lines().enumerate() {
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            heading.push_str(line);
+            continue;
+        }
+        let malformed = || {
+            IngestError::malformed(file, format!("line {} is not `timestamp filename`", number + 1))
+        };
+        let (time, path) = line.split_once([' ', '\t']).ok_or_else(malformed)?;
+        let path = Utf8PathBuf::from(path.trim());
+        super::files::inside(&path, "named in a list points outside the archive")?;
+        list.push((time.parse().map_err(|_| malformed())?, path));
+        if list.len() > MAX_FRAMES {
+            return Err(IngestError::malformed(file, format!("more than {MAX_FRAMES} pictures")));
+        }
+    }
+    list.sort_by(|a: &(f64, Utf8PathBuf), b| a.0.total_cmp(&b.0));
+    Ok((list, heading))
+}
+
+/// A camera matrix beside the lists; else that of the benchmark's Kinect, by name.
+fn camera(
+    folder: &Folder,
+    heading: &str,
+    first: &Utf8Path,
+    scan: &mut Scan,
+) -> Result<(Intrinsics, Option<Lens>), IngestError> {
+    if intrinsics::colour_file(folder).is_some() {
+        return Ok((intrinsics::of_colour(folder, first)?, None));
+    }
+    let (width, height) = SIZE;
+    let of = |fx, fy, cx, cy| Intrinsics { width, height, fx, fy, cx, cy };
+    let lens = |k1, k2, p1, p2, k3| Some(Lens { k1, k2, p1, p2, k3, ..Lens::default() });
+    let named = |number: u32| {
+        let name = format!("freiburg{number}");
+        heading.contains(&name) || folder.root.as_str().contains(&name)
+    };
+    Ok(if named(1) {
+        (of(517.3, 516.5, 318.6, 255.3), lens(0.2624, -0.9531, -0.0054, 0.0026, 1.1633))
+    } else if named(2) {
+        (of(520.9, 521.0, 325.1, 249.7), lens(0.2312, -0.7849, -0.0033, -0.0001, 0.9172))
+    } else if named(3) {
+        (of(535.4, 539.2, 320.1, 247.6), None)
+    } else {
+        scan.warnings.push(
+            "nothing says which camera it was: taken as a Kinect (525 525 319.5 239.5); intrinsic.txt beside the lists says better".into(),
+        );
+        (of(525.0, 525.0, 319.5, 239.5), None)
+    })
+}

@@ -1,0 +1,186 @@
+//! What one frame says about the surfaces before it.
+
+use std::collections::HashSet;
+use std::hash::BuildHasherDefault;
+use uniground_geometry::scene::{Camera, Frame};
+use uniground_geometry::voxels::{KeyHasher, VoxelKey};
+use uniground_geometry::{Point3, Vector3};
+use uniground_types::settings::FusionSettings;
+
+/// One frame, ready to be folded in: depth without its smeared rims, and how much each pixel
+/// counts.
+pub(super) struct Look {
+    pub camera: Camera,
+    width: u32,
+    height: u32,
+    /// Row-major, one per pixel of the depth picture.
+    pixels: Vec<Seen>,
+    /// Largest depth of each tile of [`TILE`] by [`TILE`] pixels, row-major; unknown depth counts
+    /// as 0.
+    farthest_m: Vec<f32>,
+    tiles_wide: u32,
+    /// Blocks near a measured surface, ascending.
+    pub blocks: Vec<VoxelKey>,
+}
+
+/// What one pixel measured.
+#[derive(Clone, Copy)]
+pub(super) struct Seen {
+    /// Along the optical axis, metres; 0 = nothing.
+    pub depth_m: f32,
+    /// How much it counts: near and frontal looks most.
+    pub weight: f32,
+    /// How much its colour counts: sharp pictures most.
+    pub colour_weight: f32,
+    pub colour: [u8; 3],
+}
+
+const TILE: u32 = 16;
+
+impl Look {
+    pub fn of(frame: &Frame, settings: &FusionSettings) -> Self {
+        let (width, height) = (frame.depth.width, frame.depth.height);
+        let colours = frame.colour_on_depth_grid();
+        let sharpness = sharpness(&colours, width);
+        let mut pixels = Vec::with_capacity(colours.len());
+        for v in 0..height {
+            for u in 0..width {
+                let z_m = frame.depth.at((u, v));
+                let usable = z_m > 0.0
+                    && z_m <= settings.max_depth_m
+                    && !on_silhouette(frame, u, v, z_m, settings.silhouette_tolerance);
+                let weight =
+                    if usable { facing(frame, u, v, z_m) / (z_m * z_m).max(0.01) } else { 0.0 };
+                let colour = colours[(v * width + u) as usize];
+                pixels.push(Seen {
+                    depth_m: if usable { z_m } else { 0.0 },
+                    weight,
+                    colour_weight: weight * weight * sharpness,
+                    colour,
+                });
+            }
+        }
+        let tiles_wide = width.div_ceil(TILE);
+        let mut farthest_m = vec![0.0_f32; (tiles_wide * height.div_ceil(TILE)) as usize];
+        for (i, seen) in pixels.iter().enumerate() {
+            let (u, v) = (i as u32 % width, i as u32 / width);
+            let farthest = &mut farthest_m[(v / TILE * tiles_wide + u / TILE) as usize];
+            *farthest = farthest.max(seen.depth_m);
+        }
+        let mut look = Self {
+            camera: frame.depth_camera,
+            width,
+            height,
+            pixels,
+            farthest_m,
+            tiles_wide,
+            blocks: Vec::new(),
+        };
+        look.blocks = look.touched(settings);
+        look
+    }
+
+    /// What the pixel that holds this position measured; `None` outside the picture.
+    pub fn at(&self, u: f32, v: f32) -> Option<&Seen> {
+        let (column, row) = ((u + 0.5) as i64, (v + 0.5) as i64);
+        let inside =
+            u > -0.5 && v > -0.5 && column < i64::from(self.width) && row < i64::from(self.height);
+        inside.then(|| &self.pixels[(row * i64::from(self.width) + column) as usize])
+    }
+
+    /// Whether a ball, in camera axes, may be seen or have something seen behind it: neither
+    /// outside the picture nor hidden all over.
+    pub fn may_reach(&self, center: &Point3<f32>, radius_m: f32) -> bool {
+        let near_m = center.z - radius_m;
+        if near_m <= 0.05 {
+            return center.z + radius_m > 0.05;
+        }
+        let camera = &self.camera.intrinsics;
+        let (u, v) = (
+            camera.fx * center.x / center.z + camera.cx,
+            camera.fy * center.y / center.z + camera.cy,
+        );
+        let (ru, rv) = (camera.fx * radius_m / near_m, camera.fy * radius_m / near_m);
+        let tiles = |low: f32, high: f32, len: u32| {
+            let tile = |at: f32| (at.clamp(0.0, len as f32 - 1.0) as u32) / TILE;
+            (high >= 0.0 && low <= len as f32 - 1.0).then(|| tile(low)..=tile(high))
+        };
+        let (Some(columns), Some(rows)) =
+            (tiles(u - ru, u + ru, self.width), tiles(v - rv, v + rv, self.height))
+        else {
+            return false;
+        };
+        rows.flat_map(|row| columns.clone().map(move |column| (row, column))).any(
+            |(row, column)| self.farthest_m[(row * self.tiles_wide + column) as usize] >= near_m,
+        )
+    }
+
+    fn touched(&self, settings: &FusionSettings) -> Vec<VoxelKey> {
+        let block_m = super::volume::SIDE as f32 * settings.voxel_m;
+        let truncation_m = settings.truncation_m();
+        let to_world = self.camera.world_to_camera().inverse();
+        let camera = self.camera.intrinsics;
+        let mut keys: HashSet<VoxelKey, BuildHasherDefault<KeyHasher>> = HashSet::default();
+        let steps = (2.0 * truncation_m / (block_m / 2.0)).ceil().max(1.0);
+        let mut last = None;
+        for (i, seen) in self.pixels.iter().enumerate().filter(|(_, seen)| seen.depth_m > 0.0) {
+            let (u, v) = ((i as u32 % self.width) as f32, (i as u32 / self.width) as f32);
+            // Neighbouring pixels mostly fall into the same block: look there before hashing.
+            let here =
+                VoxelKey::of(&(to_world * camera.unproject(u, v, seen.depth_m)), block_m / 4.0);
+            if last.replace(here) == Some(here) {
+                continue;
+            }
+            for step in 0..=steps as u32 {
+                let z_m = seen.depth_m - truncation_m + 2.0 * truncation_m * step as f32 / steps;
+                if z_m > 0.0 {
+                    keys.insert(VoxelKey::of(&(to_world * camera.unproject(u, v, z_m)), block_m));
+                }
+            }
+        }
+        let mut keys: Vec<_> = keys.into_iter().collect();
+        keys.sort_unstable();
+        keys
+    }
+}
+
+/// Cosine between the view and the surface, by the depths around a pixel; at least a tenth.
+fn facing(frame: &Frame, u: u32, v: u32, z_m: f32) -> f32 {
+    /// Pixels to either side: next to each other, noise decides.
+    const REACH: u32 = 3;
+    let camera = frame.depth_camera.intrinsics;
+    let (width, height) = (frame.depth.width, frame.depth.height);
+    let point = |u: u32, v: u32| {
+        let depth = frame.depth.at((u, v));
+        camera.unproject(u as f32, v as f32, if depth > 0.0 { depth } else { z_m })
+    };
+    let along = point((u + REACH).min(width - 1), v) - point(u.saturating_sub(REACH), v);
+    let down = point(u, (v + REACH).min(height - 1)) - point(u, v.saturating_sub(REACH));
+    let ray = camera.unproject(u as f32, v as f32, 1.0).coords;
+    let normal: Vector3<f32> = along.cross(&down);
+    (normal.dot(&ray).abs() / (normal.norm() * ray.norm()).max(f32::MIN_POSITIVE)).clamp(0.1, 1.0)
+}
+
+/// Mean difference of brightness between neighbouring pixels of a row: pictures taken in motion are
+/// even.
+fn sharpness(colours: &[[u8; 3]], width: u32) -> f32 {
+    let brightness = |c: &[u8; 3]| c.iter().map(|&v| i32::from(v)).sum::<i32>();
+    let differences = |row: &[[u8; 3]]| {
+        row.windows(2)
+            .map(|pair| i64::from((brightness(&pair[0]) - brightness(&pair[1])).abs()))
+            .sum::<i64>()
+    };
+    let sum: i64 = colours.chunks(width.max(1) as usize).map(differences).sum();
+    1.0 + sum as f32 / colours.len().max(1) as f32
+}
+
+fn on_silhouette(frame: &Frame, u: u32, v: u32, z_m: f32, tolerance: f32) -> bool {
+    let differs = |u: u32, v: u32| {
+        let other = frame.depth.at((u, v));
+        other > 0.0 && (other - z_m).abs() > tolerance * z_m
+    };
+    (u > 0 && differs(u - 1, v))
+        || (u + 1 < frame.depth.width && differs(u + 1, v))
+        || (v > 0 && differs(u, v - 1))
+        || (v + 1 < frame.depth.height && differs(u, v + 1))
+}

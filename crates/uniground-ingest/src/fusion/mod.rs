@@ -1,0 +1,204 @@
+//! A cloud from posed depth, for scans that bring none of their own: measurements are averaged
+//! along the view into a truncated signed distance volume (Curless and Levoy 1996), whose zero
+//! crossings are the points. Noise of a depth sensor lies along the view, so a wall becomes one
+//! thin sheet; averaging points where they fall keeps it as a skin of centimetres.
+
+mod look;
+mod volume;
+
+use super::IngestError;
+use look::Look;
+use uniground_geometry::progress::Progress;
+use uniground_geometry::scene::{FrameError, FrameIndex, FrameRef, PointCloud, stream_frames};
+use uniground_types::settings::FusionSettings;
+use volume::{Full, Volume};
+
+/// Where the scan is too large for its voxels they grow by this factor, until it fits.
+const COARSER: f32 = 1.5;
+
+/// Fuses all frames, Z-up world, metres. Frames are folded in one by one in order, so the result
+/// does not depend on threads; one frame per thread and the volume (at most 2 GB) are in memory.
+/// The few that can not be decoded are taken out of `frames`, with a warning.
+///
+/// # Errors
+/// [`IngestError`] for unreadable frames, cancellation, or frames that hold no depth at all.
+pub fn fuse(
+    frames: &mut Vec<FrameRef>,
+    settings: &FusionSettings,
+    warnings: &mut Vec<String>,
+    progress: &Progress,
+) -> Result<PointCloud, IngestError> {
+    let mut settings = *settings;
+    loop {
+        let mut damaged = Vec::new();
+        if let Some(cloud) = fused(frames, &settings, volume::MAX_BLOCKS, &mut damaged, progress)? {
+            leave_out(frames, damaged, warnings)?;
+            return match cloud.is_empty() {
+                true => Err(IngestError::NoUsableFrames {
+                    reason: "no depth picture holds a measurement that others confirm".into(),
+                }),
+                false => Ok(cloud),
+            };
+        }
+        settings.voxel_m *= COARSER;
+        warnings.push(format!(
+            "the scan is large: fused with voxels of {:.0} mm",
+            settings.voxel_m * 1e3
+        ));
+    }
+}
+
+/// `None` when the scan does not fit into so many blocks.
+fn fused(
+    frames: &[FrameRef],
+    settings: &FusionSettings,
+    most_blocks: usize,
+    damaged: &mut Vec<(FrameIndex, FrameError)>,
+    progress: &Progress,
+) -> Result<Option<PointCloud>, IngestError> {
+    let mut volume = Volume::new(settings, most_blocks);
+    let mut full = false;
+    stream_frames(
+        frames,
+        |frame| Ok::<_, IngestError>(frame.decode().map(|frame| Look::of(&frame, settings))),
+        |i, look| {
+            progress.report("fuse_cloud", i as f32 / frames.len() as f32)?;
+            match look {
+                Ok(look) if !full => full = volume.integrate(&look) == Err(Full),
+                Ok(_) => {}
+                Err(error) => damaged.push((frames[i].index, error)),
+            }
+            Ok(())
+        },
+    )?;
+    Ok((!full).then(|| volume.surface()))
+}
+
+/// A tenth of the frames may be damaged; the first few are named.
+fn leave_out(
+    frames: &mut Vec<FrameRef>,
+    damaged: Vec<(FrameIndex, FrameError)>,
+    warnings: &mut Vec<String>,
+) -> Result<(), IngestError> {
+    const MAX_NAMED: usize = 5;
+    let (count, total) = (damaged.len(), frames.len());
+    if count * 10 > total {
+        return Err(damaged
+            .into_iter()
+            .next()
+            .map_or(IngestError::EmptyScene, |(_, error)| error.into()));
+    }
+    if count > 0 {
+        let named: Vec<String> =
+            damaged.iter().take(MAX_NAMED).map(|(_, error)| error.to_string()).collect();
+        warnings.push(format!(
+            "{count} of {total} frames skipped, they can not be decoded: {}",
+            named.join("; ")
+        ));
+        frames.retain(|frame| damaged.iter().all(|(index, _)| *index != frame.index));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use camino::Utf8Path;
+    use image::{ImageBuffer, Luma, RgbImage};
+    use nalgebra::{Translation3, UnitQuaternion, Vector3};
+    use uniground_geometry::Isometry3;
+    use uniground_geometry::scene::Intrinsics;
+
+    const SIZE: u32 = 64;
+
+    /// A frame that looks along +Y at a wall two metres ahead, from this place; its depth shakes by
+    /// `noise_mm` (uniform, to either side).
+    fn frame(
+        folder: &Utf8Path,
+        index: u32,
+        at: Vector3<f32>,
+        noise_mm: u32,
+        depth_mm: impl Fn(u32, u32) -> u32,
+    ) -> FrameRef {
+        let (colour, depth) =
+            (folder.join(format!("{index}.png")), folder.join(format!("{index}-depth.png")));
+        RgbImage::from_pixel(SIZE, SIZE, image::Rgb([10, 200, 30])).save(&colour).unwrap();
+        let shake = |u: u32, v: u32| {
+            (u * 7919 + v * 104_729 + index * 31_337) * 2_654_435 % (2 * noise_mm + 1)
+        };
+        let picture = ImageBuffer::<Luma<u16>, _>::from_fn(SIZE, SIZE, |u, v| {
+            Luma([(depth_mm(u, v) + shake(u, v) - noise_mm) as u16])
+        });
+        picture.save(&depth).unwrap();
+        let intrinsics =
+            Intrinsics { width: SIZE, height: SIZE, fx: 64.0, fy: 64.0, cx: 31.5, cy: 31.5 };
+        // Camera z to world y, camera y down.
+        let turn =
+            UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f32::consts::FRAC_PI_2);
+        FrameRef {
+            index: FrameIndex(index),
+            colour,
+            depth,
+            colour_intrinsics: intrinsics,
+            depth_intrinsics: intrinsics,
+            depth_scale_m: 0.001,
+            camera_to_world: Isometry3::from_parts(Translation3::from(at), turn),
+            optics: uniground_geometry::scene::Optics::default(),
+        }
+    }
+
+    fn settings() -> FusionSettings {
+        FusionSettings { voxel_m: 0.03, ..FusionSettings::default() }
+    }
+
+    #[test]
+    fn noise_along_the_view_is_averaged_away() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = Utf8Path::from_path(folder.path()).unwrap();
+        let mut frames: Vec<_> = (0..12)
+            .map(|i| frame(folder, i, Vector3::new(i as f32 * 0.05, 0.0, 0.0), 40, |_, _| 2000))
+            .collect();
+        let cloud = fuse(&mut frames, &settings(), &mut Vec::new(), &Progress::silent()).unwrap();
+        assert!(cloud.len() > 1000, "{} points", cloud.len());
+        let off = |p: &uniground_geometry::Point3<f32>| (p.y - 2.0).abs();
+        let mean = cloud.positions.iter().map(off).sum::<f32>() / cloud.len() as f32;
+        assert!(mean < 0.01, "{mean} m from the wall on average, each measurement 0.02");
+        assert!(cloud.colours.iter().all(|c| *c == [10, 200, 30]));
+        let again = fuse(&mut frames, &settings(), &mut Vec::new(), &Progress::silent()).unwrap();
+        assert_eq!(cloud, again);
+    }
+
+    #[test]
+    fn what_others_look_through_is_carved() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = Utf8Path::from_path(folder.path()).unwrap();
+        // Somebody walks through one of eight pictures, a metre before the wall.
+        let blob = |u: u32, v: u32| {
+            if (20..44).contains(&u) && (20..44).contains(&v) { 1000 } else { 2000 }
+        };
+        let mut frames: Vec<_> = (0..8)
+            .map(|i| {
+                frame(folder, i, Vector3::zeros(), 5, |u, v| if i == 3 { blob(u, v) } else { 2000 })
+            })
+            .collect();
+        let cloud = fuse(&mut frames, &settings(), &mut Vec::new(), &Progress::silent()).unwrap();
+        assert!(cloud.positions.iter().all(|p| p.y > 1.5), "what stood there once is gone");
+    }
+
+    #[test]
+    fn a_scan_too_large_for_its_voxels_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = Utf8Path::from_path(folder.path()).unwrap();
+        let frames = [frame(folder, 0, Vector3::zeros(), 5, |_, _| 2000)];
+        assert!(
+            fused(&frames, &settings(), 10, &mut Vec::new(), &Progress::silent())
+                .unwrap()
+                .is_none()
+        );
+        assert!(
+            fused(&frames, &settings(), 10_000, &mut Vec::new(), &Progress::silent())
+                .unwrap()
+                .is_some()
+        );
+    }
+}

@@ -1,0 +1,208 @@
+//! A truncated signed distance volume in sparse blocks.
+
+use super::look::{Look, Seen};
+use rayon::prelude::*;
+use uniground_geometry::scene::PointCloud;
+use uniground_geometry::voxels::{VoxelKey, VoxelMap};
+use uniground_geometry::{Point3, Vector3};
+use uniground_types::settings::FusionSettings;
+
+/// Voxels along the edge of a block.
+pub(super) const SIDE: usize = 8;
+const CELLS: usize = SIDE * SIDE * SIDE;
+/// Two gigabytes of blocks: 400 square metres of flat with its furniture at the default voxel.
+pub(super) const MAX_BLOCKS: usize = (2 << 30) / (CELLS * size_of::<Voxel>());
+
+/// Weighted means of what the frames measured at one place.
+#[derive(Clone, Copy, Default)]
+struct Voxel {
+    /// Signed distance to the surface along the view over the truncation distance, positive before
+    /// it, `-1..=1`.
+    distance: f32,
+    weight: f32,
+    colour_weight: f32,
+    /// In 256ths.
+    colour: [u16; 3],
+    /// Frames that saw a surface within the truncation distance.
+    views: u16,
+}
+
+struct Block {
+    key: VoxelKey,
+    voxels: Box<[Voxel; CELLS]>,
+}
+
+/// There are as many blocks as fit into memory.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Full;
+
+pub(super) struct Volume {
+    settings: FusionSettings,
+    most_blocks: usize,
+    number_of: VoxelMap<u32>,
+    blocks: Vec<Block>,
+}
+
+impl Volume {
+    pub fn new(settings: &FusionSettings, most_blocks: usize) -> Self {
+        Self {
+            settings: *settings,
+            most_blocks,
+            number_of: VoxelMap::default(),
+            blocks: Vec::new(),
+        }
+    }
+
+    /// Adds blocks where the frame measured something and folds the frame into all blocks it looks
+    /// at or through.
+    pub fn integrate(&mut self, look: &Look) -> Result<(), Full> {
+        for &key in &look.blocks {
+            if !self.number_of.contains_key(&key) {
+                if self.blocks.len() == self.most_blocks {
+                    return Err(Full);
+                }
+                self.number_of.insert(key, self.blocks.len() as u32);
+                self.blocks.push(Block { key, voxels: Box::new([Voxel::default(); CELLS]) });
+            }
+        }
+        let settings = &self.settings;
+        let block_m = SIDE as f32 * settings.voxel_m;
+        let to_camera = look.camera.world_to_camera();
+        self.blocks.par_iter_mut().with_min_len(64).for_each(|block| {
+            // Half a diagonal.
+            let radius_m = 0.867 * block_m;
+            let center = to_camera * block.key.center(block_m);
+            if look.may_reach(&center, radius_m) {
+                block.integrate(look, settings);
+            }
+        });
+        Ok(())
+    }
+
+    /// The zero crossings between neighbouring voxels, in order of block and voxel.
+    pub fn surface(&self) -> PointCloud {
+        let least = self.least_views();
+        let mut order: Vec<&Block> = self.blocks.iter().collect();
+        order.sort_unstable_by_key(|block| block.key);
+        let parts: Vec<PointCloud> =
+            order.into_par_iter().map(|block| self.crossings(block, least)).collect();
+        let mut cloud = PointCloud::default();
+        for part in parts {
+            cloud.positions.extend(part.positions);
+            cloud.colours.extend(part.colours);
+        }
+        cloud
+    }
+
+    /// How many frames must have seen a place: a share of what is usual in this scan.
+    fn least_views(&self) -> u16 {
+        let (mut views, mut voxels) = (0_u64, 0_u64);
+        for voxel in self.blocks.iter().flat_map(|block| block.voxels.iter()) {
+            if voxel.distance.abs() < 0.5 && voxel.views > 0 {
+                views += u64::from(voxel.views);
+                voxels += 1;
+            }
+        }
+        let mean = views as f32 / voxels.max(1) as f32;
+        ((mean * self.settings.min_share_of_mean).round() as u16).max(1)
+    }
+
+    fn crossings(&self, block: &Block, least: u16) -> PointCloud {
+        let voxel_m = self.settings.voxel_m;
+        // A surface seen from one side falls by a voxel per voxel; between the front of one and the
+        // back of another distances jump.
+        let steepest = 3.0 * voxel_m / self.settings.truncation_m();
+        let next: [Option<&Block>; 3] = std::array::from_fn(|axis| {
+            let step = std::array::from_fn(|i| i64::from(i == axis));
+            self.number_of.get(&block.key.offset(step)).map(|&n| &self.blocks[n as usize])
+        });
+        let corner = block.corner(voxel_m);
+        let mut cloud = PointCloud::default();
+        for (i, here) in block.voxels.iter().enumerate().filter(|(_, voxel)| voxel.views >= least) {
+            let at = place(i);
+            for axis in 0..3 {
+                let stride = SIDE.pow(2 - axis as u32);
+                let there = match at[axis] + 1 < SIDE {
+                    true => Some(&block.voxels[i + stride]),
+                    false => next[axis].map(|block| &block.voxels[i - (SIDE - 1) * stride]),
+                };
+                let Some(there) = there.filter(|voxel| voxel.views >= least) else { continue };
+                let fall = here.distance - there.distance;
+                if (here.distance > 0.0) == (there.distance > 0.0) || fall.abs() > steepest {
+                    continue;
+                }
+                let share = here.distance / fall;
+                let mut position = corner + Vector3::from(at.map(|k| k as f32 + 0.5)) * voxel_m;
+                position[axis] += share * voxel_m;
+                cloud.positions.push(position);
+                cloud.colours.push(std::array::from_fn(|c| {
+                    let mixed = f32::from(here.colour[c]) * (1.0 - share)
+                        + f32::from(there.colour[c]) * share;
+                    (mixed / 256.0).round().min(255.0) as u8
+                }));
+            }
+        }
+        cloud
+    }
+}
+
+/// Position of a voxel within its block along X, Y, Z.
+const fn place(i: usize) -> [usize; 3] {
+    [i / (SIDE * SIDE), i / SIDE % SIDE, i % SIDE]
+}
+
+impl Block {
+    fn corner(&self, voxel_m: f32) -> Point3<f32> {
+        let block_m = SIDE as f32 * voxel_m;
+        self.key.center(block_m) - Vector3::repeat(block_m / 2.0)
+    }
+
+    fn integrate(&mut self, look: &Look, settings: &FusionSettings) {
+        let (voxel_m, truncation_m) = (settings.voxel_m, settings.truncation_m());
+        let to_camera = look.camera.world_to_camera();
+        let rotation = to_camera.rotation.to_rotation_matrix();
+        let steps: [Vector3<f32>; 3] =
+            std::array::from_fn(|axis| rotation.matrix().column(axis) * voxel_m);
+        let first = to_camera * (self.corner(voxel_m) + Vector3::repeat(voxel_m / 2.0));
+        let camera = look.camera.intrinsics;
+        for (i, voxel) in self.voxels.iter_mut().enumerate() {
+            let [x, y, z] = place(i);
+            let p = first + steps[0] * x as f32 + steps[1] * y as f32 + steps[2] * z as f32;
+            if p.z <= 0.0 {
+                continue;
+            }
+            let Some(seen) =
+                look.at(camera.fx * p.x / p.z + camera.cx, camera.fy * p.y / p.z + camera.cy)
+            else {
+                continue;
+            };
+            let distance = (seen.depth_m - p.z) / truncation_m;
+            if seen.depth_m > 0.0 && distance > -1.0 {
+                voxel.fold(seen, distance, voxel_m / truncation_m);
+            }
+        }
+    }
+}
+
+impl Voxel {
+    /// `distance` in truncation distances, `-1` or more; `step` is one voxel in the same unit.
+    fn fold(&mut self, seen: &Seen, distance: f32, step: f32) {
+        // Behind a surface nothing was measured: what is said there fades out, or the back of a
+        // thin thing would push its front away.
+        let weight =
+            seen.weight * if distance < -step { (1.0 + distance) / (1.0 - step) } else { 1.0 };
+        self.weight += weight;
+        self.distance +=
+            (distance.min(1.0) - self.distance) * weight / self.weight.max(f32::MIN_POSITIVE);
+        if distance >= 1.0 {
+            return;
+        }
+        self.views = self.views.saturating_add(1);
+        self.colour_weight += seen.colour_weight;
+        let share = seen.colour_weight / self.colour_weight.max(f32::MIN_POSITIVE);
+        for (mean, &now) in self.colour.iter_mut().zip(&seen.colour) {
+            *mean = (f32::from(*mean) + (f32::from(now) * 256.0 - f32::from(*mean)) * share).round()
+                as u16;
+        }
+    }
+}

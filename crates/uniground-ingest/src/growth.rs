@@ -1,0 +1,287 @@
+//! Frames added to a scan: checked against the scene, fused, and laid into its cloud.
+//!
+//! The newest look counts. Points that new frames look through are gone; a surface that no known
+//! point is near is new; everything else stays exactly as it was, so that superpoints, what frames
+//! saw of them and the instances they became can stay as well.
+
+use super::IngestError;
+use super::fusion;
+use super::load::frame_refs;
+use super::reprojection::{self, Checked, Reading};
+use super::scan::Scan;
+use nalgebra::{Rotation3, Translation3, UnitQuaternion};
+use rayon::prelude::*;
+use uniground_geometry::progress::Progress;
+use uniground_geometry::scene::{
+    Addition, FrameIndex, FrameRef, Looks, PointCloud, SourceToScene, look_at,
+};
+use uniground_geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap};
+use uniground_geometry::{Isometry3, Matrix3, Point3, Vector3};
+use uniground_types::settings::ImportSettings;
+
+/// A new surface this near to a known one is the same: poses drift and depth is noisy by that much,
+/// metres.
+const SAME_SURFACE_M: f32 = 0.04;
+/// Frames that must look through a point before it is gone, where there are so many.
+const ENOUGH_LOOKS: usize = 2;
+/// Below this share of the scene's points in view that fit their depth, frames are of another
+/// place, or their poses of another world. Laid into the scene they would carve it away.
+const BELONGS: f32 = 0.2;
+/// Points of the scene that the frames are compared with.
+const COMPARED_POINTS: usize = 50_000;
+
+/// Frames that were found to lie in a scene.
+#[derive(Debug)]
+pub struct Fits {
+    /// In the scene's world.
+    pub frames: Vec<FrameRef>,
+    /// Share of the scene's points in view that fit their depth.
+    pub agreement: f32,
+    /// What is odd but was accepted.
+    pub warnings: Vec<String>,
+}
+
+/// Brings the frames of a scan into a scene's world and checks that they agree with what is known
+/// there. Frames are counted from `first` on.
+///
+/// # Errors
+/// [`IngestError::DoesNotBelong`], or what is wrong with the scan's poses and pictures.
+pub fn fits(
+    mut scan: Scan,
+    to_scene: &SourceToScene,
+    known: &PointCloud,
+    first: u32,
+) -> Result<Fits, IngestError> {
+    if scan.frames.is_empty() {
+        let reason = "a scene grows by frames, pictures with depth and poses: a cloud alone can not be added".to_owned();
+        return Err(IngestError::NoUsableFrames { reason });
+    }
+    let world = World::of(to_scene);
+    scan.origin = world.origin;
+    let mut warnings = std::mem::take(&mut scan.warnings);
+    let declared = Reading {
+        pose: scan.pose,
+        axes: scan.camera_axes,
+        depth_scale_m: scan.depth_scale_m,
+        metres_per_unit: to_scene.metres_per_unit,
+    };
+    let frames = frame_refs(&scan, &declared)?;
+    let back = world.turn.inverse();
+    let sample = known.positions.iter().step_by(known.len().div_ceil(COMPARED_POINTS).max(1));
+    let positions: Vec<Point3<f32>> = sample.map(|p| back * p).collect();
+    let sample = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
+    let Checked { reading, agreement } =
+        reprojection::check(&scan, declared, Some(&sample), &frames, &mut warnings).map_err(
+            |error| match error {
+                IngestError::NothingFits { agreement, .. } => {
+                    IngestError::DoesNotBelong { agreement }
+                }
+                other => other,
+            },
+        )?;
+    // Frames that see nothing that is known may be of anywhere.
+    let agreement = agreement.unwrap_or(0.0);
+    if agreement < BELONGS {
+        return Err(IngestError::DoesNotBelong { agreement: agreement * 100.0 });
+    }
+    let frames = if reading == declared { frames } else { frame_refs(&scan, &reading)? };
+    let placed = |frame: FrameRef| FrameRef {
+        index: FrameIndex(first + frame.index.0),
+        camera_to_world: world.turn * frame.camera_to_world,
+        ..frame
+    };
+    Ok(Fits { frames: frames.into_iter().map(placed).collect(), agreement, warnings })
+}
+
+/// Lays the frames of a scan into a scene whose cloud is `known`.
+///
+/// # Errors
+/// Those of [`fits`]; too many frames that can not be decoded, and calling off.
+pub fn add(
+    scan: Scan,
+    made_of: String,
+    to_scene: &SourceToScene,
+    known: &PointCloud,
+    first: u32,
+    settings: &ImportSettings,
+    progress: &Progress,
+) -> Result<Addition, IngestError> {
+    let (skipped, all) = (scan.frames_skipped, scan.frames.len());
+    let Fits { mut frames, mut warnings, .. } = fits(scan, to_scene, known, first)?;
+    let fused =
+        fusion::fuse(&mut frames, &settings.fusion, &mut warnings, &progress.part(0.2, 0.7))?;
+    let looking = progress.part(0.7, 1.0);
+    let looks = look_at::<IngestError>(&known.positions, &frames, |i| {
+        Ok(looking.report("look_through", i as f32 / all as f32)?)
+    })?;
+    let enough = ENOUGH_LOOKS.min(frames.len()) as u32;
+    let kept = still_there(known, &looks, &fused, enough);
+    let new = unknown_surfaces(&fused, known, &kept);
+    let frames_skipped = skipped + (all - frames.len()) as u32;
+    Ok(Addition { made_of, frames, kept, new, apart_m: SAME_SURFACE_M, frames_skipped, warnings })
+}
+
+/// Around what is gone this far, metres, surfaces are where the new frames have them.
+const AROUND_GONE_M: f32 = 0.1;
+/// A point this near to a fused one lies on its surface, metres.
+const ON_SURFACE_M: f32 = 0.027;
+
+/// The points that are still there. Of a thing that is gone frames do not look through what is low
+/// over the floor: the floor is measured hardly behind it. So around what is gone, what was
+/// measured counts as well only where the fused surface is.
+fn still_there(known: &PointCloud, looks: &[Looks], fused: &PointCloud, enough: u32) -> Vec<u32> {
+    let gone: Vec<Point3<f32>> = known
+        .positions
+        .iter()
+        .zip(looks)
+        .filter(|(_, looks)| looks.is_gone(enough))
+        .map(|(p, _)| *p)
+        .collect();
+    let (gone, fused_far) =
+        (Near::new(&gone, AROUND_GONE_M), Near::new(&fused.positions, AROUND_GONE_M));
+    let fused_near = Near::new(&fused.positions, ON_SURFACE_M);
+    let replaced = |p: &Point3<f32>| gone.any(p) && fused_far.any(p) && !fused_near.any(p);
+    let goes = |point: usize| {
+        looks[point].is_gone(enough) || looks[point].hits > 0 && replaced(&known.positions[point])
+    };
+    (0..known.len())
+        .into_par_iter()
+        .filter(|&point| !goes(point))
+        .map(|point| point as u32)
+        .collect()
+}
+
+/// Whether points are near.
+struct Near<'a> {
+    points: &'a [Point3<f32>],
+    within_m: f32,
+    by_voxel: VoxelMap<Vec<u32>>,
+}
+
+impl<'a> Near<'a> {
+    fn new(points: &'a [Point3<f32>], within_m: f32) -> Self {
+        let mut by_voxel: VoxelMap<Vec<u32>> = VoxelMap::default();
+        for (p, i) in points.iter().zip(0..) {
+            by_voxel.entry(VoxelKey::of(p, within_m)).or_default().push(i);
+        }
+        Self { points, within_m, by_voxel }
+    }
+
+    /// Whether any of them lies within reach of this one.
+    fn any(&self, p: &Point3<f32>) -> bool {
+        let key = VoxelKey::of(p, self.within_m);
+        let around = std::iter::once(key).chain(NEIGHBOURS_26.iter().map(|&d| key.offset(d)));
+        around
+            .filter_map(|key| self.by_voxel.get(&key))
+            .flatten()
+            .any(|&i| (self.points[i as usize] - p).norm_squared() <= self.within_m * self.within_m)
+    }
+}
+
+/// The points of `fused` that no point that stays is near.
+fn unknown_surfaces(fused: &PointCloud, known: &PointCloud, kept: &[u32]) -> PointCloud {
+    let kept: Vec<Point3<f32>> =
+        kept.iter().map(|&point| known.positions[point as usize]).collect();
+    let near = Near::new(&kept, SAME_SURFACE_M);
+    let is_known = |p: &Point3<f32>| near.any(p);
+    let new: Vec<usize> =
+        (0..fused.len()).into_par_iter().filter(|&i| !is_known(&fused.positions[i])).collect();
+    PointCloud {
+        positions: new.iter().map(|&i| fused.positions[i]).collect(),
+        colours: new.iter().map(|&i| fused.colours[i]).collect(),
+    }
+}
+
+/// A world that poses are told in.
+struct World {
+    /// The point of it that becomes the scene's origin, in its units.
+    origin: [f64; 3],
+    /// From metres around there to the scene.
+    turn: Isometry3<f32>,
+}
+
+impl World {
+    fn of(to_scene: &SourceToScene) -> Self {
+        let rotation = Matrix3::from_fn(|row, column| to_scene.rotation[row][column] as f32);
+        let rotation =
+            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
+        let turn = Isometry3::from_parts(Translation3::from(Vector3::zeros()), rotation);
+        Self { origin: to_scene.invert([0.0; 3]), turn }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cloud(positions: impl IntoIterator<Item = [f32; 3]>) -> PointCloud {
+        let positions: Vec<Point3<f32>> = positions.into_iter().map(Point3::from).collect();
+        PointCloud { colours: vec![[9; 3]; positions.len()], positions }
+    }
+
+    #[test]
+    fn only_surfaces_that_nothing_is_near_are_new() {
+        let known = cloud((0..100).map(|i| [i as f32 * 0.01, 0.0, 0.0]));
+        let fused =
+            cloud([[0.5, 0.03, 0.0], [0.5, 0.05, 0.0], [1.5, 0.0, 0.0], [-0.039, 0.0, 0.0]]);
+        let all: Vec<u32> = (0..100).collect();
+        let new = unknown_surfaces(&fused, &known, &all);
+        assert_eq!(new.positions, [Point3::new(0.5, 0.05, 0.0), Point3::new(1.5, 0.0, 0.0)]);
+        // Where the known points are gone, what is there now is new.
+        assert_eq!(unknown_surfaces(&fused, &known, &all[..1]).len(), 3);
+    }
+
+    #[test]
+    fn the_foot_of_what_is_gone_goes_with_it() {
+        // A post on a floor; frames look through it down to eight centimetres over the floor.
+        let known = cloud(
+            (0..50)
+                .map(|i| [0.0, 0.0, i as f32 * 0.01])
+                .chain((1..50).map(|i| [i as f32 * 0.01, 0.0, 0.0])),
+        );
+        let looks: Vec<Looks> = known
+            .positions
+            .iter()
+            .map(|p| {
+                if p.z > 0.08 {
+                    Looks { hits: 0, through: 3 }
+                } else {
+                    Looks { hits: 3, through: 0 }
+                }
+            })
+            .collect();
+        let fused = cloud((0..50).map(|i| [i as f32 * 0.01, 0.0, 0.0]));
+        let kept: Vec<Point3<f32>> = still_there(&known, &looks, &fused, 2)
+            .iter()
+            .map(|&i| known.positions[i as usize])
+            .collect();
+        assert!(kept.iter().all(|p| p.z < 0.03) && kept.len() >= 50, "{kept:?}");
+        // What no frame has looked at stays, however near.
+        let hidden: Vec<Looks> = looks
+            .iter()
+            .map(|looks| if looks.hits > 0 { Looks::default() } else { *looks })
+            .collect();
+        assert_eq!(still_there(&known, &hidden, &fused, 2).len(), 58);
+    }
+
+    #[test]
+    fn a_world_at_map_coordinates_leads_to_the_scene() {
+        // A quarter turn about Z, centimetres, far away.
+        let to_scene = SourceToScene {
+            rotation: [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
+            translation_m: [4_000.0, -5_000_000.0, 1.5],
+            metres_per_unit: 0.01,
+        };
+        let World { origin, turn } = World::of(&to_scene);
+        let source = [500_000_012.0, 399_950.0, -140.0];
+        let near = Point3::from(std::array::from_fn::<f32, 3, _>(|i| {
+            ((source[i] - origin[i]) * 0.01) as f32
+        }));
+        let expected = to_scene.apply(source).map(|c| c as f32);
+        assert!(
+            (turn * near - Point3::from(expected)).norm() < 1e-3,
+            "{} against {expected:?}",
+            turn * near
+        );
+    }
+}

@@ -1,0 +1,55 @@
+//! The unit of length of a cloud that does not say it: rooms are some metres across, so hundreds or
+//! thousands are centimetres or millimetres.
+
+use uniground_geometry::Point3;
+use uniground_geometry::statistics::quantile;
+
+/// Largest side of what is taken as metres without a word. Halls and flats are smaller.
+const LARGEST_M: f32 = 150.0;
+/// Up to this, centimetres make a room; beyond, millimetres do.
+const LARGEST_CM: f32 = 2000.0;
+/// Beyond this no unit makes a room.
+const LARGEST_MM: f32 = 200_000.0;
+
+/// Metres per unit; a guess that is not metres is said in a warning.
+pub(super) fn guess(positions: &[Point3<f32>], warnings: &mut Vec<String>) -> f64 {
+    let extent = |axis: usize| {
+        let mut all: Vec<f32> = positions
+            .iter()
+            .step_by(positions.len().div_ceil(100_000).max(1))
+            .map(|p| p[axis])
+            .collect();
+        quantile(&mut all, 0.99).unwrap_or(0.0) - quantile(&mut all, 0.01).unwrap_or(0.0)
+    };
+    let across = extent(0).max(extent(1)).max(extent(2));
+    let (metres, name) = match across {
+        a if a <= LARGEST_M || a > LARGEST_MM => return 1.0,
+        a if a <= LARGEST_CM => (0.01, "centimetres"),
+        _ => (0.001, "millimetres"),
+    };
+    warnings.push(format!("the cloud is {across:.0} units across: lengths are taken as {name} (metres_per_unit={metres}); metres_per_unit=1 if they are metres"));
+    metres
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_room_is_a_room_in_any_unit() {
+        for (scale, expected) in [(1.0, 1.0), (100.0, 0.01), (1000.0, 0.001), (0.3, 1.0)] {
+            let room: Vec<_> = (0..1000)
+                .map(|i| {
+                    Point3::new(
+                        (i % 10) as f32 * 0.6,
+                        (i / 10 % 10) as f32 * 0.5,
+                        (i / 100) as f32 * 0.27,
+                    ) * scale
+                })
+                .collect();
+            let mut warnings = Vec::new();
+            assert_eq!(guess(&room, &mut warnings), expected);
+            assert_eq!(warnings.is_empty(), expected == 1.0);
+        }
+    }
+}

@@ -1,0 +1,82 @@
+//! What cameras say of up: people hold them level, whatever they look at.
+
+use nalgebra::SymmetricEigen;
+use uniground_geometry::{Isometry3, Matrix3, Vector3};
+
+/// The direction that cameras hold upwards.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct CamerasUp {
+    /// Unit vector, in the world of the poses.
+    pub up: Vector3<f32>,
+    /// Whether it is told by cameras without roll that look to several sides: then it does not
+    /// depend on how far down they looked.
+    pub by_roll: bool,
+}
+
+/// Looking to several sides: the second least spread of the cameras' right is at least this share
+/// of all.
+const SEVERAL_SIDES: f32 = 0.12;
+/// Without roll: the least spread is at most this share of all.
+const WITHOUT_ROLL: f32 = 0.06;
+/// Shorter than this, the mean of the cameras' own up says nothing.
+const SHORTEST_MEAN: f32 = 0.3;
+
+/// `None` when the cameras do not agree on anything.
+pub(super) fn up(camera_to_world: &[Isometry3<f32>]) -> Option<CamerasUp> {
+    let count = camera_to_world.len().max(1) as f32;
+    let mean =
+        camera_to_world.iter().map(|pose| pose.rotation * -Vector3::y()).sum::<Vector3<f32>>()
+            / count;
+    if mean.norm() < SHORTEST_MEAN {
+        return None;
+    }
+    let mean = mean.normalize();
+    // Right of a camera without roll is level: up is what all of them are at right angles to.
+    let spread = camera_to_world.iter().fold(Matrix3::zeros(), |sum, pose| {
+        let right = pose.rotation * Vector3::x();
+        sum + right * right.transpose()
+    }) / count;
+    let eigen = SymmetricEigen::new(spread);
+    let mut order = [0, 1, 2];
+    order.sort_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));
+    let across: Vector3<f32> = eigen.eigenvectors.column(order[0]).into_owned();
+    let across = if across.dot(&mean) < 0.0 { -across } else { across };
+    let by_roll = eigen.eigenvalues[order[1]] > SEVERAL_SIDES
+        && eigen.eigenvalues[order[0]] < WITHOUT_ROLL
+        && across.dot(&mean) > 0.5;
+    Some(CamerasUp { up: if by_roll { across } else { mean }, by_roll })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::UnitQuaternion;
+
+    /// An OpenCV camera that looks along a yaw, so far down, in a world with Z up.
+    fn camera(yaw: f32, down: f32) -> Isometry3<f32> {
+        let (right, forward) =
+            (Vector3::new(yaw.sin(), -yaw.cos(), 0.0), Vector3::new(yaw.cos(), yaw.sin(), 0.0));
+        let forward = forward * down.cos() - Vector3::z() * down.sin();
+        let rotation = Matrix3::from_columns(&[right, forward.cross(&right), forward]);
+        Isometry3::from_parts(
+            nalgebra::Translation3::identity(),
+            UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(
+                rotation,
+            )),
+        )
+    }
+
+    #[test]
+    fn cameras_that_look_down_in_a_corner_still_tell_up() {
+        let poses: Vec<_> = (0..20).map(|i| camera(i as f32 * 0.1, 0.7)).collect();
+        let found = up(&poses).unwrap();
+        assert!(found.by_roll && found.up.dot(&Vector3::z()) > 0.999, "{found:?}");
+    }
+
+    #[test]
+    fn cameras_that_tumble_tell_nothing() {
+        let poses: Vec<_> =
+            (0..20).map(|i| camera(0.3, i as f32 * std::f32::consts::TAU / 20.0)).collect();
+        assert!(up(&poses).is_none());
+    }
+}

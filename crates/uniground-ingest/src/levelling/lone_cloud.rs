@@ -1,0 +1,292 @@
+//! Which way is up in a cloud that no camera tells of.
+//!
+//! Rooms are boxes: by their walls alone any side could be the floor. What tells the sides apart:
+//! floors are wide and rooms are low; things stand on the floor and not on the ceiling; chairs and
+//! open doors are turned about up and about nothing else.
+
+use super::gravity::{Fit, measure, refine};
+use super::surfaces::Surface;
+use std::collections::BTreeSet;
+use uniground_geometry::scene::PointCloud;
+use uniground_geometry::statistics::quantile;
+use uniground_geometry::up_axis::UpAxis;
+use uniground_geometry::voxels::VoxelKey;
+use uniground_geometry::{Point3, Vector3};
+
+/// What speaks for a direction being up.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Candidate {
+    /// What the surfaces come to with it.
+    pub fit: Fit,
+    /// Sum of what speaks for it; only differences mean anything.
+    pub score: f32,
+    /// From the lowest to the highest point, metres.
+    pub height_m: f32,
+    /// The narrowest side of the footprint, metres.
+    pub width_m: f32,
+}
+
+/// Rooms are at least this wide and high, and no higher than that, metres. What is smaller is a
+/// view of something: a wall with a picture makes as good a floor as any.
+const ROOM_WIDTH_M: f32 = 2.2;
+const ROOM_HEIGHT_M: std::ops::Range<f32> = 1.5..8.0;
+/// By how much the best direction must be ahead.
+const AHEAD: f32 = 0.25;
+/// The same of a cloud that is no room: then only Z is believed, which most files have up.
+const FAR_AHEAD: f32 = 0.6;
+
+/// The direction that is up, if it is clear; else the names of those it may be.
+pub(super) fn choose(candidates: &[Candidate]) -> Result<&Candidate, String> {
+    let Some(best) = candidates.first() else {
+        return Err("the cloud has no flat surfaces to tell it by".into());
+    };
+    let lead = best.score - candidates.get(1).map_or(0.0, |next| next.score);
+    let is_room = best.width_m >= ROOM_WIDTH_M && ROOM_HEIGHT_M.contains(&best.height_m);
+    if best.score >= AHEAD
+        && ((is_room && lead >= AHEAD) || (is_usual(&best.fit.up) && lead >= FAR_AHEAD))
+    {
+        return Ok(best);
+    }
+    let names: Vec<&str> =
+        candidates.iter().take(2).map(|c| UpAxis::nearest(&c.fit.up).name()).collect();
+    let why =
+        if is_room { "by its surfaces it" } else { "it is no whole room, and by its surfaces it" };
+    Err(format!("{why} may be {}", names.join(" or ")))
+}
+
+/// Most directions that are looked at.
+const MAX_DIRECTIONS: usize = 6;
+/// Directions nearer to each other than this are one.
+const SAME_DEG: f32 = 15.0;
+/// Points looked at.
+const MAX_POINTS: usize = 200_000;
+/// Cells that areas are counted in, metres.
+const CELL_M: f32 = 0.1;
+/// A floor or a ceiling lies this near to the end of the cloud, metres.
+const END_M: f32 = 0.25;
+/// Things that stand on a floor are found in this height over it, metres.
+const STANDING_M: std::ops::Range<f32> = 0.15..1.1;
+
+/// Directions that may be up, the best first.
+pub(super) fn candidates(cloud: &PointCloud, surfaces: &[Surface]) -> Vec<Candidate> {
+    let points: Vec<Point3<f32>> =
+        cloud.positions.iter().step_by(cloud.len().div_ceil(MAX_POINTS).max(1)).copied().collect();
+    let axes = directions(surfaces);
+    let shape = Shape { points: &points, surfaces };
+    let extents: Vec<f32> = axes.iter().map(|axis| shape.extent(axis)).collect();
+    let mut all = Vec::new();
+    for (i, axis) in axes.iter().enumerate() {
+        // The others that are at right angles to it: the walls' own directions, if it is up.
+        let across: Vec<Vector3<f32>> =
+            axes.iter().filter(|other| other.dot(axis).abs() < 0.3).copied().collect();
+        let narrowest = extents
+            .iter()
+            .enumerate()
+            .filter(|(j, _)| *j != i)
+            .map(|(_, e)| *e)
+            .fold(f32::INFINITY, f32::min);
+        let low = if narrowest.is_finite() {
+            (narrowest / extents[i].max(0.01)).ln().clamp(-0.7, 0.7)
+        } else {
+            0.0
+        };
+        let turned = shape.turned_about(axis, &across);
+        for up in [*axis, -*axis] {
+            let fit = measure(surfaces, &up);
+            let habit = if is_usual(&up) { 0.2 } else { 0.0 };
+            let score = shape.floor(&up) + 0.8 * low + 2.0 * turned + shape.standing(&up) + habit;
+            all.push(Candidate { fit, score, height_m: extents[i], width_m: shape.width(&up) });
+        }
+    }
+    all.sort_by(|a, b| b.score.total_cmp(&a.score));
+    all
+}
+
+/// Most files have Z up: it says a little, where nothing else tells.
+fn is_usual(up: &Vector3<f32>) -> bool {
+    up.z > 0.985
+}
+
+/// Unsigned directions that many surfaces face, each refined to what is level and upright with it.
+fn directions(surfaces: &[Surface]) -> Vec<Vector3<f32>> {
+    let close = SAME_DEG.to_radians().cos();
+    let step = surfaces.len().div_ceil(400).max(1);
+    let guesses = [Vector3::x(), Vector3::y(), Vector3::z()]
+        .into_iter()
+        .chain(surfaces.iter().step_by(step).map(|s| s.normal));
+    let mut weighed: Vec<(f32, Vector3<f32>)> =
+        guesses.map(|guess| (measure(surfaces, &guess).level, guess)).collect();
+    weighed.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let mut found: Vec<Vector3<f32>> = Vec::new();
+    for (level, guess) in weighed {
+        if found.len() == MAX_DIRECTIONS || level < 0.02 {
+            break;
+        }
+        if found.iter().any(|other| other.dot(&guess).abs() > close) {
+            continue;
+        }
+        let refined = refine(surfaces, &guess, 10.0).up;
+        if found.iter().all(|other| other.dot(&refined).abs() < close) {
+            found.push(refined);
+        }
+    }
+    found
+}
+
+struct Shape<'a> {
+    points: &'a [Point3<f32>],
+    surfaces: &'a [Surface],
+}
+
+impl Shape<'_> {
+    fn heights(&self, up: &Vector3<f32>) -> Vec<f32> {
+        self.points.iter().map(|p| p.coords.dot(up)).collect()
+    }
+
+    /// From the lowest to the highest point along an axis, a few strays left out; metres.
+    fn extent(&self, axis: &Vector3<f32>) -> f32 {
+        let mut heights = self.heights(axis);
+        quantile(&mut heights, 0.995).unwrap_or(0.0) - quantile(&mut heights, 0.005).unwrap_or(0.0)
+    }
+
+    /// The narrowest of a few directions across, metres.
+    fn width(&self, up: &Vector3<f32>) -> f32 {
+        let (a, b) = across(up);
+        let sides = (0..8).map(|k| {
+            let (sin, cos) = (k as f32 * std::f32::consts::PI / 8.0).sin_cos();
+            self.extent(&(a * cos + b * sin))
+        });
+        sides.fold(f32::INFINITY, f32::min)
+    }
+
+    /// How much of the footprint lies on a level sheet at the lower end, less the same of the upper
+    /// end when there is no floor; `-1..=1`.
+    fn floor(&self, up: &Vector3<f32>) -> f32 {
+        let mut heights = self.heights(up);
+        let (low, high) = (
+            quantile(&mut heights, 0.01).unwrap_or(0.0),
+            quantile(&mut heights, 0.99).unwrap_or(0.0),
+        );
+        let (a, b) = across(up);
+        let cell = |p: &Point3<f32>| {
+            VoxelKey::of(&Point3::new(p.coords.dot(&a), p.coords.dot(&b), 0.0), CELL_M)
+        };
+        let footprint = self.points.iter().map(&cell).collect::<BTreeSet<_>>().len().max(1) as f32;
+        let sheet = |level: f32| {
+            let on = self.surfaces.iter().filter(|s| {
+                s.normal.dot(up).abs() > 0.97 && (s.at.coords.dot(up) - level).abs() < END_M
+            });
+            // A surface cell may be wider than a footprint cell: areas, not counts.
+            (on.map(|s| s.weight).sum::<f32>() / (footprint * CELL_M * CELL_M)).min(1.0)
+        };
+        let (floor, ceiling) = (sheet(low), sheet(high));
+        floor - if floor < 0.2 { 0.5 * ceiling } else { 0.0 }
+    }
+
+    /// Things stand on floors: how much more there is just over the lower end than just under the
+    /// upper one; `-1..=1`.
+    fn standing(&self, up: &Vector3<f32>) -> f32 {
+        let mut heights = self.heights(up);
+        let (low, high) = (
+            quantile(&mut heights, 0.01).unwrap_or(0.0),
+            quantile(&mut heights, 0.99).unwrap_or(0.0),
+        );
+        if high - low < 2.0 * STANDING_M.start {
+            return 0.0;
+        }
+        let band = STANDING_M.start..STANDING_M.end.min((high - low) / 2.0);
+        // Level surfaces that face between the ends are seats, tables, shelves: nothing of the kind
+        // hangs from ceilings.
+        let (mut standing, mut hanging) = (0.0, 0.0);
+        for s in self.surfaces.iter().filter(|s| s.normal.dot(up).abs() > 0.9) {
+            let h = s.at.coords.dot(up);
+            standing += if band.contains(&(h - low)) { s.weight } else { 0.0 };
+            hanging += if band.contains(&(high - h)) { s.weight } else { 0.0 };
+        }
+        let level = (standing - hanging) / (standing + hanging + 0.3);
+        let (mut near, mut far) = (0.0_f32, 0.0_f32);
+        for h in heights {
+            near += f32::from(u8::from(band.contains(&(h - low))));
+            far += f32::from(u8::from(band.contains(&(high - h))));
+        }
+        0.7 * level + 0.7 * (near - far) / (near + far).max(1.0)
+    }
+
+    /// Share of surfaces that are upright with an axis and face none of the walls' directions.
+    fn turned_about(&self, axis: &Vector3<f32>, walls: &[Vector3<f32>]) -> f32 {
+        let total = self.surfaces.iter().map(|s| s.weight).sum::<f32>().max(f32::MIN_POSITIVE);
+        let turned = self.surfaces.iter().filter(|s| {
+            s.normal.dot(axis).abs() < 0.12
+                && walls.iter().all(|wall| s.normal.dot(wall).abs() < 0.94)
+        });
+        (turned.map(|s| s.weight).sum::<f32>() / total).min(0.3)
+    }
+}
+
+/// Two unit vectors at right angles to a direction and to each other.
+fn across(up: &Vector3<f32>) -> (Vector3<f32>, Vector3<f32>) {
+    let least = if up.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
+    let a = up.cross(&least).normalize();
+    (a, up.cross(&a))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::surfaces;
+    use super::*;
+    use proptest::prelude::*;
+    use uniground_geometry::Isometry3;
+
+    /// Sides of a block, a point every four centimetres; the top and the bottom only where they are
+    /// wanted.
+    fn block(cloud: &mut PointCloud, low: [f32; 3], high: [f32; 3], ends: [bool; 2]) {
+        let steps = |axis: usize| ((high[axis] - low[axis]) / 0.04).round().max(1.0) as u32;
+        for x in 0..=steps(0) {
+            for y in 0..=steps(1) {
+                for z in 0..=steps(2) {
+                    let side = x == 0 || x == steps(0) || y == 0 || y == steps(1);
+                    if side || (z == 0 && ends[0]) || (z == steps(2) && ends[1]) {
+                        let at = |axis: usize, k: u32| {
+                            low[axis] + (high[axis] - low[axis]) * k as f32 / steps(axis) as f32
+                        };
+                        cloud.positions.push(Point3::new(at(0, x), at(1, y), at(2, z)));
+                        cloud.colours.push([128; 3]);
+                    }
+                }
+            }
+        }
+    }
+
+    fn room() -> PointCloud {
+        let mut cloud = PointCloud::default();
+        block(&mut cloud, [0.0, 0.0, 0.0], [5.0, 3.6, 2.5], [true, false]);
+        block(&mut cloud, [1.0, 1.0, 0.0], [2.6, 1.8, 0.72], [false, true]);
+        block(&mut cloud, [3.4, 0.6, 0.0], [4.2, 2.6, 0.5], [false, true]);
+        block(&mut cloud, [0.3, 2.9, 0.0], [0.9, 3.5, 1.1], [false, true]);
+        cloud
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(12))]
+        #[test]
+        fn a_room_is_set_upright_however_it_lies(angles in prop::array::uniform3(-3.0_f32..3.0)) {
+            let turn = Isometry3::rotation(Vector3::from(angles));
+            let mut cloud = room();
+            cloud.positions.iter_mut().for_each(|p| *p = turn * *p);
+            let candidates = candidates(&cloud, &surfaces::of_cloud(&cloud));
+            let chosen = choose(&candidates);
+            prop_assert!(chosen.is_ok(), "{chosen:?}");
+            let up = chosen.unwrap().fit.up;
+            prop_assert!(up.dot(&(turn * Vector3::z())) > 0.998, "{up}");
+        }
+    }
+
+    #[test]
+    fn a_wall_alone_is_not_taken_for_a_floor() {
+        let mut cloud = PointCloud::default();
+        block(&mut cloud, [0.0, 0.0, 0.0], [2.4, 0.02, 2.0], [false, false]);
+        block(&mut cloud, [0.5, 0.0, 0.5], [0.8, 0.3, 0.7], [true, true]);
+        let candidates = candidates(&cloud, &surfaces::of_cloud(&cloud));
+        assert!(choose(&candidates).is_err(), "{candidates:?}");
+    }
+}

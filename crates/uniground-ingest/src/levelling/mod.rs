@@ -1,0 +1,198 @@
+//! Which way is up, and how far from level the world of the files is.
+//!
+//! Floors are level and walls are upright: the direction that explains most surfaces is up
+//! ([`gravity`]). Where it is sought comes from the files' word, from the cameras ([`cameras`]),
+//! or, for a cloud alone, from what stands on what ([`lone_cloud`]). Worlds that are level
+//! within [`LEVEL_DEG`] stay as they are, to the bit.
+
+mod cameras;
+mod gravity;
+mod lone_cloud;
+mod surfaces;
+
+use super::IngestError;
+use gravity::Fit;
+use nalgebra::UnitQuaternion;
+use uniground_geometry::progress::Progress;
+use uniground_geometry::scene::{FrameRef, Levelling, PointCloud};
+use uniground_geometry::up_axis::UpAxis;
+use uniground_geometry::{Isometry3, Vector3};
+use uniground_types::settings::LevellingChoice;
+
+/// Up, as found.
+#[derive(Debug, Clone)]
+pub(super) struct Upright {
+    /// The axis of the files next to up.
+    pub axis: UpAxis,
+    /// From the world of the files (metres) to a level one with Z up; a turn about the origin.
+    pub turn: Isometry3<f32>,
+    /// What was found out about tilt; `None` where nothing could be.
+    pub report: Option<Levelling>,
+}
+
+/// What is known of up before anything is looked at.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Said {
+    /// By the request or the files.
+    pub up: Option<UpAxis>,
+    /// Whether an inertial sensor made the world level: then surfaces are not asked.
+    pub by_gravity: bool,
+    pub choice: LevellingChoice,
+}
+
+/// A world within this is level enough, degrees: surfaces tell up no better than by a degree or
+/// two.
+const LEVEL_DEG: f32 = 2.5;
+/// Surfaces are believed when they explain this share of what was looked at, this clearly, with
+/// something level among them.
+const EXPLAINED: f32 = 0.4;
+const CLEARNESS: f32 = 0.06;
+const LEVEL_SHARE: f32 = 0.03;
+/// Surfaces and cameras that differ by more than this do not speak of the same up, degrees.
+const AGREEING_DEG: f32 = 25.0;
+
+/// Up of posed frames, whose poses are in the world of the files.
+pub(super) fn of_frames(
+    frames: &[FrameRef],
+    said: Said,
+    warnings: &mut Vec<String>,
+    progress: &Progress,
+) -> Result<Upright, IngestError> {
+    let poses: Vec<_> = frames.iter().map(|frame| frame.camera_to_world).collect();
+    let cameras = cameras::up(&poses);
+    let held = UpAxis::from_cameras(&poses);
+    let axis = said.up.or(held).or(cameras.map(|c| UpAxis::nearest(&c.up)));
+    if said.choice == LevellingChoice::Off || (said.by_gravity && axis.is_some()) {
+        return Ok(along(told(axis, said, warnings), None));
+    }
+    let guess = match (said.up, cameras) {
+        (Some(axis), _) => Some((axis.direction(), 40.0)),
+        (None, Some(cameras)) => Some((cameras.up, if cameras.by_roll { 20.0 } else { 40.0 })),
+        (None, None) => None,
+    };
+    let Some((guess, widest_deg)) = guess else {
+        return Ok(along(told(axis, said, warnings), None));
+    };
+    let surfaces = surfaces::of_frames(frames, progress);
+    progress.report("levelling", 1.0)?;
+    let mut fit = gravity::refine(&surfaces, &guess, widest_deg);
+    if let Some(cameras) = cameras.filter(|c| c.by_roll && angle_deg(&c.up, &fit.up) > AGREEING_DEG)
+    {
+        fit = gravity::refine(&surfaces, &cameras.up, 10.0);
+    }
+    let believed = is_clear(&fit);
+    // Cameras without roll tell up on their own, if not to the degree.
+    let (up, evidence) = match cameras.filter(|c| c.by_roll && said.up.is_none()) {
+        _ if believed => (fit.up, describe(&fit)),
+        Some(cameras) => (cameras.up, "cameras held without roll; surfaces do not tell".to_owned()),
+        None => return Ok(along(told(axis, said, warnings), None)),
+    };
+    let axis = said.up.unwrap_or_else(|| UpAxis::nearest(&up));
+    if said.up.is_none() && axis != UpAxis::Z {
+        warnings.push(format!(
+            "the files do not say which axis is up: the cameras hold {} up, taken as that",
+            axis.name()
+        ));
+    }
+    let least_deg = if believed { LEVEL_DEG } else { 4.0 * LEVEL_DEG };
+    Ok(levelled(axis, &up, least_deg, fit.explained(), evidence, warnings))
+}
+
+/// Up of a cloud without cameras, in the world of the files.
+///
+/// # Errors
+/// [`IngestError::UpUnknown`] when nothing says it and the cloud does not show it.
+pub(super) fn of_cloud(
+    cloud: &PointCloud,
+    said: Said,
+    warnings: &mut Vec<String>,
+) -> Result<Upright, IngestError> {
+    if said.choice == LevellingChoice::Off || (said.by_gravity && said.up.is_some()) {
+        // Who wants files as they are gets them so.
+        return Ok(along(told(said.up, said, warnings), None));
+    }
+    let surfaces = surfaces::of_cloud(cloud);
+    if let Some(axis) = said.up {
+        let fit = gravity::refine(&surfaces, &axis.direction(), 20.0);
+        if !is_clear(&fit) {
+            return Ok(along(axis, None));
+        }
+        return Ok(levelled(axis, &fit.up, LEVEL_DEG, fit.explained(), describe(&fit), warnings));
+    }
+    let candidates = lone_cloud::candidates(cloud, &surfaces);
+    let best =
+        lone_cloud::choose(&candidates).map_err(|reason| IngestError::UpUnknown { reason })?;
+    let axis = UpAxis::nearest(&best.fit.up);
+    warnings.push(format!(
+        "nothing says which axis is up and there are no cameras to tell: by its floor, its height and what stands on it taken as {}",
+        axis.name()
+    ));
+    Ok(levelled(axis, &best.fit.up, LEVEL_DEG, best.fit.explained(), describe(&best.fit), warnings))
+}
+
+fn is_clear(fit: &Fit) -> bool {
+    fit.explained() >= EXPLAINED && fit.clearness >= CLEARNESS && fit.level >= LEVEL_SHARE
+}
+
+fn describe(fit: &Fit) -> String {
+    format!(
+        "{:.0}% of the surfaces are level with it and {:.0}% upright",
+        fit.level * 100.0,
+        fit.upright * 100.0
+    )
+}
+
+/// The axis that was said or that the cameras hold up, without a closer look.
+fn told(axis: Option<UpAxis>, said: Said, warnings: &mut Vec<String>) -> UpAxis {
+    let Some(axis) = axis else {
+        warnings.push(
+            "the files do not say which axis is up and the cameras do not agree on one: taken as z"
+                .into(),
+        );
+        return UpAxis::Z;
+    };
+    if said.up.is_none() && axis != UpAxis::Z {
+        warnings.push(format!(
+            "the files do not say which axis is up: the cameras hold {} up, taken as that",
+            axis.name()
+        ));
+    }
+    axis
+}
+
+fn along(axis: UpAxis, report: Option<Levelling>) -> Upright {
+    Upright { axis, turn: axis.to_z_up(), report }
+}
+
+/// Turned so that `up` is Z, unless the axis is as good.
+fn levelled(
+    axis: UpAxis,
+    up: &Vector3<f32>,
+    least_deg: f32,
+    confidence: f32,
+    evidence: String,
+    warnings: &mut Vec<String>,
+) -> Upright {
+    let tilt_deg = angle_deg(up, &axis.direction());
+    let turned = tilt_deg > least_deg;
+    let mut upright = along(
+        axis,
+        Some(Levelling { tilt_deg, turned, confidence: confidence.clamp(0.0, 1.0), evidence }),
+    );
+    if turned {
+        // The shortest turn: headings stay as near to the files' as they can.
+        let seen = upright.turn * up;
+        let level = UnitQuaternion::rotation_between(&seen, &Vector3::z()).unwrap_or_default();
+        upright.turn =
+            Isometry3::from_parts(nalgebra::Translation3::identity(), level) * upright.turn;
+        warnings.push(format!(
+            "the world of the files is tilted by {tilt_deg:.1} degrees from {} up: turned level",
+            axis.name()
+        ));
+    }
+    upright
+}
+
+fn angle_deg(a: &Vector3<f32>, b: &Vector3<f32>) -> f32 {
+    a.dot(b).clamp(-1.0, 1.0).acos().to_degrees()
+}

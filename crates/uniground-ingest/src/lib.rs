@@ -1,0 +1,55 @@
+//! Bytes to [`SceneBundle`]: unpack an archive, recognise its layout, check it, load it.
+//!
+//! Two moments. [`open`] runs while the caller waits: it reads manifests, poses and picture headers
+//! and refuses what can not become a scene. [`load`] runs in the parse job: it reads or fuses the
+//! cloud and checks that cloud, poses and depth agree. Everything that leaves this module is
+//! canonical (metres, Z up, OpenCV cameras, camera-to-world).
+
+#![warn(missing_docs)]
+
+pub mod archive;
+mod bounded;
+mod clouds;
+mod error;
+mod formats;
+mod fusion;
+mod growth;
+mod lengths;
+mod levelling;
+mod load;
+mod neighbours;
+mod parts;
+mod reprojection;
+mod scan;
+mod sens;
+mod unpacked;
+mod validate;
+
+pub use error::{IngestError, IngestErrorKind};
+pub use growth::{Fits, add, fits};
+pub use load::{Inspected, inspect, load, read_cloud};
+pub use neighbours::{Neighbours, neighbours};
+pub use parts::{GROWN, Grown, Part, is_reserved, part_folder};
+pub use scan::Scan;
+pub use unpacked::{Packed, Unpacked, head_of, what_it_is};
+
+use camino::Utf8Path;
+
+/// Most points that are kept of an upload's own cloud. A room at a point for every 5 mm has fewer;
+/// of more, every so manieth is kept.
+pub const MAX_POINTS: usize = 8_000_000;
+/// Bounds on clouds of uploads.
+const UPLOADED: clouds::Bounds = clouds::Bounds { announced: 200_000_000, kept: MAX_POINTS };
+/// Most frames of an upload: half an hour of video at 30 frames a second.
+pub const MAX_FRAMES: usize = 54_000;
+
+/// Recognises the layout below `folder` and checks everything that can be checked without decoding
+/// pictures.
+///
+/// # Errors
+/// [`IngestError`] naming the file, frame or field.
+pub fn open(folder: &Utf8Path) -> Result<Scan, IngestError> {
+    let mut scan = formats::read(folder)?;
+    validate::check(&mut scan)?;
+    Ok(scan)
+}

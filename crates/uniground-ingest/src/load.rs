@@ -1,0 +1,286 @@
+//! A checked [`Scan`] to a canonical [`SceneBundle`].
+
+use super::levelling::{self, Said, Upright};
+use super::reprojection::{self, Checked, Reading};
+use super::scan::{CameraAxes, RawFrame, Scan, Units};
+use super::{IngestError, UPLOADED, clouds, fusion, lengths};
+use camino::Utf8Path;
+use clouds::{Bounds, Loaded, Origin};
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::progress::Progress;
+use uniground_geometry::scene::{FrameRef, ImportReport, PointCloud, SceneBundle, SourceToScene};
+use uniground_geometry::{Isometry3, Point3, pose};
+use uniground_types::settings::ImportSettings;
+
+/// A scan brought into canonical form, but for a cloud that is still to be fused.
+#[derive(Debug)]
+pub struct Inspected {
+    /// In the scan's order, Z up, metres.
+    pub frames: Vec<FrameRef>,
+    /// The scan's own cloud.
+    pub cloud: Option<PointCloud>,
+    /// What was found out.
+    pub report: ImportReport,
+}
+
+/// Reads or fuses the cloud, checks that cloud, poses and depth agree, and turns everything level
+/// with Z up.
+///
+/// # Errors
+/// Those of [`inspect`]; frames that hold no depth, or too many that can not be decoded.
+pub fn load(
+    scan: &Scan,
+    settings: &ImportSettings,
+    progress: &Progress,
+) -> Result<SceneBundle, IngestError> {
+    let Inspected { mut frames, cloud, mut report } =
+        inspect(scan, settings, &progress.part(0.0, 0.2))?;
+    let cloud = if let Some(cloud) = cloud {
+        cloud
+    } else {
+        let cloud = fusion::fuse(
+            &mut frames,
+            &settings.fusion,
+            &mut report.warnings,
+            &progress.part(0.2, 1.0),
+        )?;
+        let undecodable = report.frames - frames.len() as u32;
+        report.frames -= undecodable;
+        report.frames_skipped += undecodable;
+        cloud
+    };
+    warn_of_odd_size(&cloud.positions, &mut report.warnings);
+    Ok(SceneBundle { cloud, frames, report, additions: Vec::new() })
+}
+
+/// Everything but the fusion of a cloud: reads the scan's own, chooses the reading of poses and
+/// depth that fits a sample of frames, and turns all of it level with Z up.
+///
+/// # Errors
+/// [`IngestError`]; [`IngestError::NothingFits`] when poses and depth do not belong together
+/// however they are read, [`IngestError::UpUnknown`] for a cloud whose up can not be told.
+pub fn inspect(
+    scan: &Scan,
+    settings: &ImportSettings,
+    progress: &Progress,
+) -> Result<Inspected, IngestError> {
+    progress.report("import", 0.0)?;
+    let mut warnings = scan.warnings.clone();
+    let mut own_cloud =
+        scan.cloud.as_ref().map(|file| read_own_cloud(scan, file, &mut warnings)).transpose()?;
+    let declared = Reading {
+        pose: scan.pose,
+        axes: scan.camera_axes,
+        depth_scale_m: scan.depth_scale_m,
+        metres_per_unit: metres_per_unit(scan, settings, own_cloud.as_ref(), &mut warnings)?,
+    };
+    if let Some(own) = &mut own_cloud {
+        rescale(&mut own.cloud, declared.metres_per_unit);
+    }
+    progress.report("check_reprojection", 0.5)?;
+    let frames = frame_refs(scan, &declared)?;
+    let Checked { reading, agreement } = reprojection::check(
+        scan,
+        declared,
+        own_cloud.as_ref().map(|own| &own.cloud),
+        &frames,
+        &mut warnings,
+    )?;
+    let mut frames = if reading == declared { frames } else { frame_refs(scan, &reading)? };
+    if let Some(own) = &mut own_cloud {
+        rescale(&mut own.cloud, reading.metres_per_unit / declared.metres_per_unit);
+    }
+
+    let said = Said {
+        up: settings
+            .up
+            .or(scan.up)
+            .or(own_cloud.as_ref().filter(|_| frames.is_empty()).and_then(|own| own.kind.up())),
+        // Who asks for another axis knows better than the sensor.
+        by_gravity: scan.by_gravity && settings.up.is_none(),
+        choice: settings.levelling,
+    };
+    let upright = match &own_cloud {
+        Some(own) if frames.is_empty() => levelling::of_cloud(&own.cloud, said, &mut warnings)?,
+        _ => levelling::of_frames(&frames, said, &mut warnings, &progress.part(0.5, 1.0))?,
+    };
+    let to_scene = ToScene::new(scan, &upright, own_cloud.as_ref(), reading.metres_per_unit)?;
+    for frame in &mut frames {
+        frame.camera_to_world = to_scene.turn * frame.camera_to_world;
+    }
+    let cloud = own_cloud.map(|own| own.cloud).map(|mut cloud| {
+        cloud.positions.iter_mut().for_each(|p| *p = to_scene.turn * *p);
+        cloud
+    });
+    let report = ImportReport {
+        format: scan.format.into(),
+        up: upright.axis,
+        source_to_scene: Some(to_scene.source),
+        levelling: upright.report,
+        pose: reading.pose,
+        camera_axes: match reading.axes {
+            CameraAxes::Opencv => "opencv".into(),
+            CameraAxes::Opengl => "opengl".into(),
+        },
+        frames: frames.len() as u32,
+        frames_skipped: scan.frames_skipped,
+        cloud_points: cloud.as_ref().map(|cloud| cloud.len() as u64),
+        reprojection_agreement: agreement,
+        warnings,
+    };
+    Ok(Inspected { frames, cloud, report })
+}
+
+/// Reads a cloud this service wrote: canonical already.
+///
+/// # Errors
+/// [`IngestError`] naming the file.
+pub fn read_cloud(file: &Utf8Path) -> Result<PointCloud, IngestError> {
+    let (root, name) =
+        (file.parent().unwrap_or(file), Utf8Path::new(file.file_name().unwrap_or_default()));
+    Ok(clouds::read(root, name, &Bounds::OWN, Origin::At([0.0; 3]))?.cloud)
+}
+
+/// The scan's own cloud, in the files' units less the scan's origin.
+fn read_own_cloud(
+    scan: &Scan,
+    file: &Utf8Path,
+    warnings: &mut Vec<String>,
+) -> Result<Loaded, IngestError> {
+    let origin = if scan.frames.is_empty() { Origin::Free } else { Origin::At(scan.origin) };
+    let loaded = clouds::read(&scan.root, file, &UPLOADED, origin)?;
+    let Loaded { dropped, without_colour, has_colour, thinned, .. } = loaded;
+    if without_colour > 0 {
+        warnings.push(format!(
+            "{file}: the colours of {without_colour} points are not numbers: taken as grey"
+        ));
+    }
+    if dropped > 0 {
+        warnings
+            .push(format!("{file}: {dropped} points dropped, their coordinates are not finite"));
+    }
+    if !has_colour {
+        warnings.push(format!(
+            "{file}: no colour; points are shown grey and colour words can not be answered"
+        ));
+    }
+    if thinned > 1 {
+        warnings.push(format!("{file}: thinned out, one of {thinned} points is kept"));
+    }
+    if loaded.offset != [0.0; 3] && scan.frames.is_empty() {
+        let [x, y, z] = loaded.offset;
+        warnings.push(format!("{file}: in map coordinates; {x} {y} {z} was taken off, import.source_to_scene leads back"));
+    }
+    Ok(loaded)
+}
+
+/// Length of the files' unit: as asked, or guessed for a cloud that would be far too large.
+fn metres_per_unit(
+    scan: &Scan,
+    settings: &ImportSettings,
+    own: Option<&Loaded>,
+    warnings: &mut Vec<String>,
+) -> Result<f64, IngestError> {
+    if let Some(asked) = settings.metres_per_unit {
+        return match asked.is_finite() && (1e-6..=1e6).contains(&asked) {
+            true => Ok(asked),
+            false => {
+                Err(IngestError::malformed("metres_per_unit", format!("{asked} is no length")))
+            }
+        };
+    }
+    if !scan.has_scale {
+        let missing =
+            "it has no scale of its own: say how long its unit is, metres_per_unit".into();
+        return Err(IngestError::IncompleteLayout {
+            looks_like: "a COLMAP reconstruction",
+            missing,
+        });
+    }
+    Ok(match own.filter(|own| scan.frames.is_empty() && !own.kind.is_metric()) {
+        Some(own) => lengths::guess(&own.cloud.positions, warnings),
+        None => 1.0,
+    })
+}
+
+fn rescale(cloud: &mut PointCloud, by: f64) {
+    if by != 1.0 {
+        cloud.positions.iter_mut().for_each(|p| p.coords *= by as f32);
+    }
+}
+
+pub(super) fn frame_refs(scan: &Scan, reading: &Reading) -> Result<Vec<FrameRef>, IngestError> {
+    let units = Units { origin: scan.origin, metres_per_unit: reading.metres_per_unit };
+    scan.frames.iter().map(|frame| frame_ref(scan, frame, reading, &units)).collect()
+}
+
+/// A frame with its pose as it is to be read, still in the file's world.
+fn frame_ref(
+    scan: &Scan,
+    raw: &RawFrame,
+    reading: &Reading,
+    units: &Units,
+) -> Result<FrameRef, IngestError> {
+    let camera_to_world =
+        raw.camera_to_world(reading.pose, reading.axes, units).map_err(|source| {
+            IngestError::BadPose { frame: raw.index, file: raw.pose_file.clone(), source }
+        })?;
+    let mut optics = raw.optics.clone();
+    if let Some(confidence) = &mut optics.confidence {
+        confidence.file = scan.root.join(&confidence.file);
+    }
+    Ok(FrameRef {
+        index: raw.index,
+        colour: scan.root.join(&raw.colour),
+        depth: scan.root.join(&raw.depth),
+        colour_intrinsics: raw.colour_intrinsics,
+        depth_intrinsics: raw.depth_intrinsics,
+        depth_scale_m: reading.depth_scale_m,
+        camera_to_world,
+        optics,
+    })
+}
+
+/// The way from the files to the scene.
+struct ToScene {
+    /// From metres near the origin, in the files' axes, to the scene.
+    turn: Isometry3<f32>,
+    /// The same from the files' own coordinates, exactly.
+    source: SourceToScene,
+}
+
+impl ToScene {
+    fn new(
+        scan: &Scan,
+        upright: &Upright,
+        own: Option<&Loaded>,
+        metres_per_unit: f64,
+    ) -> Result<Self, IngestError> {
+        let mut turn = upright.turn;
+        if let Some(alignment) = &scan.alignment {
+            let bad = |source| IngestError::malformed("axisAlignment", source);
+            turn *= pose::rigid(&alignment.cast()).map_err(bad)?;
+        }
+        let offset = own.filter(|_| scan.frames.is_empty()).map_or(scan.origin, |own| own.offset);
+        let exact =
+            |v: f32| if (v - v.round()).abs() < 1e-6 { f64::from(v.round()) } else { f64::from(v) };
+        let matrix = turn.rotation.to_rotation_matrix();
+        let rotation: [[f64; 3]; 3] =
+            std::array::from_fn(|row| std::array::from_fn(|column| exact(matrix[(row, column)])));
+        let translation_m = std::array::from_fn(|row| {
+            f64::from(turn.translation.vector[row])
+                - (0..3).map(|i| rotation[row][i] * offset[i] * metres_per_unit).sum::<f64>()
+        });
+        Ok(Self { turn, source: SourceToScene { rotation, translation_m, metres_per_unit } })
+    }
+}
+
+fn warn_of_odd_size(positions: &[Point3<f32>], warnings: &mut Vec<String>) {
+    let Some(extent) = Aabb::around(positions) else { return };
+    let across = extent.size.max();
+    if across < 1.0 {
+        warnings.push(format!("the scene is only {across:.3} m across: are its lengths metres?"));
+    } else if across > 200.0 {
+        warnings.push(format!("the scene is {across:.0} m across: are its lengths metres?"));
+    }
+}

@@ -1,0 +1,268 @@
+//! Does the geometry agree with the depth pictures? Wrong pose directions, camera axes and depth
+//! scales show here first.
+
+use super::IngestError;
+use super::scan::{CameraAxes, RawFrame, Scan, Units};
+use rayon::prelude::*;
+use uniground_geometry::scene::{Camera, DepthImage, FrameRef, PointCloud, PoseConvention};
+use uniground_geometry::statistics::median;
+use uniground_geometry::{Isometry3, Point3};
+
+/// Frames and points looked at: enough to tell conventions apart, few enough to cost nothing.
+const MAX_FRAMES: usize = 20;
+const MAX_POINTS: usize = 5000;
+/// Relative depth difference that counts as agreement.
+const TOLERANCE: f32 = 0.1;
+/// From this agreement on, no other reading is looked at. Right ones give 0.6 to 0.9.
+const CLEARLY_RIGHT: f32 = 0.6;
+/// Another reading is taken for the right one when it agrees this well, and this many times better
+/// than the declared one.
+const CLEARLY_BETTER: f32 = 0.45;
+const TIMES_BETTER: f32 = 1.5;
+/// Another unit of length is taken only when it agrees better than that: cameras that all stand in
+/// one place agree too easily.
+const TIMES_BETTER_UNITS: f32 = 2.5;
+/// Below this, a scan is odd however it is read.
+const SUSPICIOUS: f32 = 0.15;
+/// Below this, nothing belongs together.
+const NOTHING_FITS: f32 = 0.03;
+/// Median depth of an indoor scan, metres: a scale that leads out of this is no explanation.
+const PLAUSIBLE_DEPTH_M: std::ops::RangeInclusive<f32> = 0.15..=30.0;
+/// Depth units in the field: millimetres, metres, TUM's 1/5000, Replica's 1/6553.5.
+const DEPTH_SCALES_M: [f32; 4] = [0.001, 1.0, 1.0 / 5000.0, 1.0 / 6553.5];
+
+/// Units of length that positions come in, metres.
+const LENGTHS_M: [f64; 2] = [0.001, 0.01];
+
+/// How the poses and the depth of a scan are read.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Reading {
+    pub pose: PoseConvention,
+    pub axes: CameraAxes,
+    pub depth_scale_m: f32,
+    pub metres_per_unit: f64,
+}
+
+/// The reading that fits, and how well.
+pub(super) struct Checked {
+    pub reading: Reading,
+    /// Share of points in view that agree with the depth there; `None` when there is nothing to
+    /// compare.
+    pub agreement: Option<f32>,
+}
+
+/// Compares points in view with the depth there, over a sample of frames, as the scan says it is to
+/// be read. When that does not fit and another reading clearly does, it is taken, with a warning.
+///
+/// The points are the archive's own cloud's (as `declared`, metres). Without one, they are each
+/// frame's own depth, judged by the other frames.
+///
+/// # Errors
+/// [`IngestError::NothingFits`] when hardly anything agrees under any reading.
+pub(super) fn check(
+    scan: &Scan,
+    declared: Reading,
+    own_cloud: Option<&PointCloud>,
+    frames: &[FrameRef],
+    warnings: &mut Vec<String>,
+) -> Result<Checked, IngestError> {
+    let as_declared = |agreement| Ok(Checked { reading: declared, agreement });
+    if frames.is_empty() || (own_cloud.is_none() && frames.len() < 2) {
+        return as_declared(None);
+    }
+    // Pictures that can not be read are somebody else's to name.
+    let sampled: Vec<(&RawFrame, &FrameRef, DepthImage)> = frames
+        .par_iter()
+        .zip(&scan.frames)
+        .step_by(frames.len().div_ceil(MAX_FRAMES))
+        .filter_map(|(frame, raw)| Some((raw, frame, frame.decode_depth().ok()?)))
+        .collect();
+    if sampled.is_empty() {
+        return as_declared(None);
+    }
+    let sample = Sample {
+        scan,
+        declared,
+        frames: sampled,
+        cloud: own_cloud.map(|cloud| {
+            cloud.positions.iter().step_by(cloud.len().div_ceil(MAX_POINTS)).copied().collect()
+        }),
+    };
+    let agreement = sample.agreement(&declared);
+    if agreement.is_some_and(|agreement| agreement >= CLEARLY_RIGHT) {
+        return as_declared(agreement);
+    }
+    let fits = agreement.unwrap_or(0.0);
+    let best_of = |readings: Vec<Reading>| {
+        let measured: Vec<(f32, Reading)> =
+            readings.into_iter().filter_map(|r| Some((sample.agreement(&r)?, r))).collect();
+        measured.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))
+    };
+    let mut best =
+        best_of(Reading::all(declared.metres_per_unit).filter(|r| *r != declared).collect());
+    let mut wanted = CLEARLY_BETTER.max(fits * TIMES_BETTER);
+    if best.is_none_or(|(other, _)| other < wanted) && fits < CLEARLY_BETTER {
+        let other_units = best_of(
+            LENGTHS_M
+                .into_iter()
+                .flat_map(|m| Reading::all(declared.metres_per_unit * m))
+                .collect(),
+        );
+        if other_units
+            .is_some_and(|(other, _)| other >= CLEARLY_RIGHT.max(fits * TIMES_BETTER_UNITS))
+        {
+            (best, wanted) = (other_units, 0.0);
+        }
+    }
+    if let Some((other, reading)) = best
+        && other >= wanted
+    {
+        warnings.push(format!(
+            "poses, axes or depth are not as declared: {:.0}% of the sampled points fit the depth pictures as the files are to be read, but {:.0}% do with {}; read so",
+            fits * 100.0,
+            other * 100.0,
+            reading.describe(&declared),
+        ));
+        return Ok(Checked { reading, agreement: Some(other) });
+    }
+    match agreement {
+        None => warnings
+            .push("hardly any sampled point projects onto measured depth: the frames may not overlap, or not belong together".into()),
+        Some(agreement) if agreement < NOTHING_FITS => {
+            let (other_agreement, hypothesis) =
+                best.map_or((0.0, "none".into()), |(other, reading)| (other * 100.0, reading.describe(&declared)));
+            return Err(IngestError::NothingFits { agreement: agreement * 100.0, hypothesis, other_agreement });
+        }
+        Some(agreement) if agreement < SUSPICIOUS => {
+            warnings.push(format!("only {:.0}% of the sampled points agree with the depth pictures", agreement * 100.0));
+        }
+        Some(_) => {}
+    }
+    as_declared(agreement)
+}
+
+impl Reading {
+    fn all(metres_per_unit: f64) -> impl Iterator<Item = Self> {
+        [PoseConvention::CameraToWorld, PoseConvention::WorldToCamera].into_iter().flat_map(
+            move |pose| {
+                [CameraAxes::Opencv, CameraAxes::Opengl].into_iter().flat_map(move |axes| {
+                    DEPTH_SCALES_M.into_iter().map(move |depth_scale_m| Self {
+                        pose,
+                        axes,
+                        depth_scale_m,
+                        metres_per_unit,
+                    })
+                })
+            },
+        )
+    }
+
+    fn describe(&self, declared: &Self) -> String {
+        let pose = match self.pose {
+            PoseConvention::CameraToWorld => "camera_to_world",
+            PoseConvention::WorldToCamera => "world_to_camera",
+        };
+        let axes = match self.axes {
+            CameraAxes::Opencv => "opencv",
+            CameraAxes::Opengl => "opengl",
+        };
+        let units = match self.metres_per_unit == declared.metres_per_unit {
+            true => String::new(),
+            false => format!(", metres_per_unit {}", self.metres_per_unit),
+        };
+        format!("pose {pose}, camera_axes {axes}, depth_scale_m {}{units}", self.depth_scale_m)
+    }
+}
+
+/// What the check looks at: a few frames' depth, and the points of a cloud where the archive has
+/// one.
+struct Sample<'a> {
+    scan: &'a Scan,
+    /// How the depth was decoded and the cloud scaled.
+    declared: Reading,
+    frames: Vec<(&'a RawFrame, &'a FrameRef, DepthImage)>,
+    cloud: Option<Vec<Point3<f32>>>,
+}
+
+impl Sample<'_> {
+    /// Agreement in `0..=1` under one reading; `None` when too few points fall on measured depth to
+    /// tell.
+    fn agreement(&self, reading: &Reading) -> Option<f32> {
+        let cameras: Vec<(Camera, Isometry3<f32>)> = self
+            .frames
+            .iter()
+            .map(|(raw, frame, _)| self.camera(raw, frame, reading))
+            .collect::<Option<_>>()?;
+        let rescale = reading.depth_scale_m / self.declared.depth_scale_m;
+        let relength = (reading.metres_per_unit / self.declared.metres_per_unit) as f32;
+        let measured = self
+            .frames
+            .iter()
+            .flat_map(|(_, _, depth)| depth.depth_m.iter().step_by(97))
+            .filter(|z| **z > 0.0);
+        let typical_m = median(&mut measured.map(|z| z * rescale).collect::<Vec<_>>())?;
+        if !PLAUSIBLE_DEPTH_M.contains(&typical_m) {
+            return None;
+        }
+        let per_frame = MAX_POINTS / self.frames.len();
+        // Each point with the frame it comes from, which may not judge it.
+        let points: Vec<(Option<usize>, Point3<f32>)> = match &self.cloud {
+            Some(points) => points.iter().map(|p| (None, p * relength)).collect(),
+            None => self
+                .frames
+                .iter()
+                .enumerate()
+                .flat_map(|(i, (_, _, depth))| {
+                    let (camera, camera_to_world) = &cameras[i];
+                    let step = (depth.depth_m.len() / per_frame).max(1);
+                    let measured = (0..depth.depth_m.len())
+                        .step_by(step)
+                        .filter(|&at| depth.depth_m[at] > 0.0);
+                    measured
+                        .map(move |at| {
+                            let (u, v) = (at as u32 % depth.width, at as u32 / depth.width);
+                            (
+                                Some(i),
+                                camera_to_world
+                                    * camera.intrinsics.unproject(
+                                        u as f32,
+                                        v as f32,
+                                        depth.depth_m[at] * rescale,
+                                    ),
+                            )
+                        })
+                        .collect::<Vec<_>>()
+                })
+                .collect(),
+        };
+        let (mut agree, mut seen) = (0_usize, 0_usize);
+        for (i, ((camera, _), (_, _, depth))) in cameras.iter().zip(&self.frames).enumerate() {
+            for (origin, point) in &points {
+                if *origin == Some(i) {
+                    continue;
+                }
+                let Some(pixel) = camera.project(point) else { continue };
+                let measured_m = depth.at(pixel.cell()) * rescale;
+                if measured_m > 0.0 {
+                    seen += 1;
+                    agree += usize::from((pixel.z_m - measured_m).abs() <= TOLERANCE * measured_m);
+                }
+            }
+        }
+        // A wrong reading may leave a handful of lucky points in view: they must be a fair share to
+        // count.
+        (seen * 50 >= points.len()).then(|| agree as f32 / seen.max(1) as f32)
+    }
+
+    /// The frame's camera under a reading of its pose, in the world of the files.
+    fn camera(
+        &self,
+        raw: &RawFrame,
+        frame: &FrameRef,
+        reading: &Reading,
+    ) -> Option<(Camera, Isometry3<f32>)> {
+        let units = Units { origin: self.scan.origin, metres_per_unit: reading.metres_per_unit };
+        let camera_to_world = raw.camera_to_world(reading.pose, reading.axes, &units).ok()?;
+        Some((Camera::new(frame.depth_intrinsics, &camera_to_world), camera_to_world))
+    }
+}

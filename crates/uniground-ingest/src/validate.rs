@@ -1,0 +1,200 @@
+//! Checks that need no decoded picture: sizes from headers, intrinsics that fit, poses that are
+//! rigid, files that are whole.
+
+mod whole;
+
+use super::scan::{Scan, Units, picture_size};
+use super::{IngestError, UPLOADED, clouds};
+use crate::scan::RawFrame;
+use camino::Utf8Path;
+use rayon::prelude::*;
+use uniground_geometry::MAX_COORDINATE_M;
+use uniground_geometry::scene::{DepthSensor, FrameIndex, Intrinsics, PoseConvention};
+
+/// Up to this share of damaged frames is left out; with more, the scan is refused.
+const MAX_DAMAGED: f32 = 0.1;
+
+/// Checks a scan, and drops the frames whose pose the tracker itself marked as lost and the few
+/// that are damaged.
+///
+/// A pose of infinities only is that mark (ScanNet writes it): the frame is skipped and counted.
+/// Any other value that is not finite is damage.
+pub(super) fn check(scan: &mut Scan) -> Result<(), IngestError> {
+    // Frames keep their place in the scan's own list when others are skipped.
+    for (frame, i) in scan.frames.iter_mut().zip(0..) {
+        frame.index = FrameIndex(i);
+    }
+    let before = scan.frames.len();
+    scan.frames.retain(|frame| !frame.pose.iter().all(|v| v.is_infinite()));
+    let lost = before - scan.frames.len();
+    if lost > 0 {
+        scan.warnings.push(format!(
+            "{lost} of {before} frames skipped: their pose is marked as lost (infinite)"
+        ));
+    }
+    if before == 0 && scan.cloud.is_none() {
+        return Err(scan.damage.first.drain(..).next().unwrap_or(IngestError::EmptyScene));
+    }
+    if before > 0 && scan.frames.is_empty() {
+        return Err(IngestError::NoUsableFrames {
+            reason: format!("all {before} poses are marked as lost (infinite)"),
+        });
+    }
+    if let Some(cloud) = &scan.cloud {
+        clouds::check(&scan.root, cloud, &UPLOADED)?;
+    }
+    if scan.pose == PoseConvention::CameraToWorld {
+        scan.origin = origin_of(&scan.frames);
+    }
+    let units = Units { origin: scan.origin, metres_per_unit: 1.0 };
+    let root = &scan.root;
+    let checked: Vec<Result<RawFrame, IngestError>> = std::mem::take(&mut scan.frames)
+        .into_par_iter()
+        .map(|frame| checked(root, frame, scan.pose, &units))
+        .collect();
+    for frame in checked {
+        scan.add(frame)?;
+    }
+    leave_out_damaged(scan)?;
+    scan.frames_skipped = (lost + scan.damage.count) as u32;
+    Ok(())
+}
+
+/// Where positions in map coordinates are counted from; zero for everybody else.
+fn origin_of(frames: &[RawFrame]) -> [f64; 3] {
+    let at = |frame: &RawFrame| [0, 1, 2].map(|axis| frame.pose[(axis, 3)]);
+    let far = |at: &[f64; 3]| {
+        at.iter().all(|c| c.is_finite() && c.abs() < 1e8)
+            && at.iter().any(|c| c.abs() > f64::from(MAX_COORDINATE_M))
+    };
+    // One stray pose moves nothing.
+    let mut all: Vec<[f64; 3]> = frames.iter().map(at).filter(far).collect();
+    if all.len() * 2 <= frames.len() {
+        return [0.0; 3];
+    }
+    all.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    all[all.len() / 2].map(|c| (c / 100.0).round() * 100.0)
+}
+
+/// The share that may be damaged goes with a warning that names it.
+fn leave_out_damaged(scan: &mut Scan) -> Result<(), IngestError> {
+    let (damaged, total) = (scan.damage.count, scan.damage.count + scan.frames.len());
+    if damaged == 0 {
+        return Ok(());
+    }
+    if damaged as f32 > MAX_DAMAGED * total as f32 {
+        let first = scan.damage.first.swap_remove(0);
+        // Of a handful of frames the one that is wrong says it all.
+        return Err(match damaged == 1 || total < 10 {
+            true => first,
+            false => IngestError::TooManyDamaged { damaged, total, first: Box::new(first) },
+        });
+    }
+    let named: Vec<String> = scan.damage.first.iter().map(ToString::to_string).collect();
+    let more = if damaged > named.len() {
+        format!(" and {} more", damaged - named.len())
+    } else {
+        String::new()
+    };
+    scan.warnings.push(format!(
+        "{damaged} of {total} frames skipped, damaged or incomplete: {}{more}",
+        named.join("; ")
+    ));
+    Ok(())
+}
+
+fn checked(
+    root: &Utf8Path,
+    mut frame: RawFrame,
+    pose: PoseConvention,
+    units: &Units,
+) -> Result<RawFrame, IngestError> {
+    let bad_pose =
+        |source| IngestError::BadPose { frame: frame.index, file: frame.pose_file.clone(), source };
+    frame.camera_to_world(pose, crate::scan::CameraAxes::Opencv, units).map_err(bad_pose)?;
+    if frame
+        .pose
+        .row(3)
+        .iter()
+        .zip([0.0, 0.0, 0.0, 1.0])
+        .any(|(v, expected)| (v - expected).abs() > 1e-3)
+    {
+        return Err(IngestError::malformed(
+            frame.pose_file.clone(),
+            "the last row of a pose must be 0 0 0 1",
+        ));
+    }
+    let lens_is_odd = [frame.optics.colour_lens, frame.optics.depth_lens]
+        .iter()
+        .flatten()
+        .any(|lens| !lens.is_plausible());
+    if lens_is_odd {
+        return Err(IngestError::BadIntrinsics {
+            file: frame.colour,
+            reason: "the distortion of its lens is no number".into(),
+        });
+    }
+    frame.colour_intrinsics = fit(root, &frame.colour, frame.colour_intrinsics)?;
+    whole::check(root, &frame.colour)?;
+    match &mut frame.optics.depth_sensor {
+        None => frame.depth_intrinsics = fit(root, &frame.depth, frame.depth_intrinsics)?,
+        Some(sensor) => {
+            let intrinsics = fit(root, &frame.depth, sensor.intrinsics)?;
+            *sensor = DepthSensor { intrinsics, ..*sensor };
+            frame.depth_intrinsics = sensor.registered_intrinsics(&frame.colour_intrinsics);
+        }
+    }
+    whole::check(root, &frame.depth)?;
+    if let Some(confidence) = &frame.optics.confidence {
+        picture_size(root, &confidence.file)?;
+    }
+    Ok(frame)
+}
+
+/// The intrinsics at the picture's own resolution. A picture of the same shape may be smaller or
+/// larger than they say.
+fn fit(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    intrinsics: Intrinsics,
+) -> Result<Intrinsics, IngestError> {
+    let bad = |reason: String| IngestError::BadIntrinsics { file: file.to_owned(), reason };
+    let Intrinsics { width, height, fx, fy, cx, cy } = intrinsics;
+    if ![fx, fy, cx, cy].iter().all(|v| v.is_finite())
+        || fx <= 0.0
+        || fy <= 0.0
+        || width == 0
+        || height == 0
+    {
+        return Err(bad(format!("fx {fx}, fy {fy}, cx {cx}, cy {cy} at {width}x{height}")));
+    }
+    let widest = width.max(height) as f32;
+    if ![fx, fy].iter().all(|f| (widest * SHORTEST_FOCAL..=widest * LONGEST_FOCAL).contains(f)) {
+        return Err(bad(format!(
+            "a focal length of {fx} x {fy} pixels makes no camera of {width}x{height}"
+        )));
+    }
+    if !(0.0..=width as f32).contains(&cx) || !(0.0..=height as f32).contains(&cy) {
+        return Err(bad(format!("the principal point ({cx}, {cy}) lies outside {width}x{height}")));
+    }
+    let Some((found_width, found_height)) = picture_size(root, file)? else {
+        return Ok(intrinsics);
+    };
+    if (found_width, found_height) == (width, height) {
+        return Ok(intrinsics);
+    }
+    let stretch = (found_width as f32 / width as f32) / (found_height as f32 / height as f32);
+    if (stretch - 1.0).abs() > SHAPE_TOLERANCE {
+        return Err(bad(format!(
+            "the picture is {found_width}x{found_height}, the intrinsics are for {width}x{height}"
+        )));
+    }
+    Ok(intrinsics.scaled_to(found_width, found_height))
+}
+
+/// Focal lengths of real cameras, in picture widths: from a 168 degree fisheye to a telescope.
+const SHORTEST_FOCAL: f32 = 0.05;
+const LONGEST_FOCAL: f32 = 50.0;
+/// Relative difference of aspect ratios that still counts as the same camera read out at another
+/// size.
+const SHAPE_TOLERANCE: f32 = 0.02;

@@ -1,0 +1,283 @@
+//! The same room as a cloud and nothing else, in every format.
+
+use crate::room::{Points, cloud, mesh};
+use crate::writers::Out;
+use nalgebra::{Matrix4, Point3};
+use std::fmt::Write;
+use uniground_geometry::boxes::Aabb;
+use uniground_ingest::Inspected;
+
+fn xyz(points: &Points) -> Vec<u8> {
+    let mut text = String::new();
+    points.iter().for_each(|(p, [r, g, b])| {
+        writeln!(text, "{:.4} {:.4} {:.4} {r} {g} {b}", p.x, p.y, p.z).unwrap()
+    });
+    text.into_bytes()
+}
+
+fn obj(points: &Points) -> Vec<u8> {
+    let mut text = String::from("# vertices\n");
+    points.iter().for_each(|(p, c)| {
+        writeln!(
+            text,
+            "v {:.4} {:.4} {:.4} {:.3} {:.3} {:.3}",
+            p.x,
+            p.y,
+            p.z,
+            f64::from(c[0]) / 255.0,
+            f64::from(c[1]) / 255.0,
+            f64::from(c[2]) / 255.0
+        )
+        .unwrap();
+    });
+    text.into_bytes()
+}
+
+fn pcd(points: &Points) -> Vec<u8> {
+    let n = points.len();
+    let mut bytes =
+        format!("VERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\nWIDTH {n}\nHEIGHT 1\nPOINTS {n}\nDATA binary\n")
+            .into_bytes();
+    for (p, [r, g, b]) in points {
+        [p.x, p.y, p.z].iter().for_each(|v| bytes.extend((*v as f32).to_le_bytes()));
+        bytes.extend([*b, *g, *r, 0]);
+    }
+    bytes
+}
+
+fn ply(points: &Points) -> Vec<u8> {
+    let mut bytes = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty double x\nproperty double y\nproperty double z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n",
+        points.len()
+    )
+    .into_bytes();
+    for (p, c) in points {
+        [p.x, p.y, p.z].iter().for_each(|v| bytes.extend(v.to_le_bytes()));
+        bytes.extend(c);
+    }
+    bytes
+}
+
+fn las(points: &Points, compressed: bool) -> Vec<u8> {
+    let mut builder = las::Builder::from((1, 4));
+    builder.point_format = las::point::Format::new(2).unwrap();
+    builder.point_format.is_compressed = compressed;
+    let at = |offset: f64| las::Transform { scale: 0.0001, offset };
+    let first = points[0].0;
+    builder.transforms =
+        las::Vector { x: at(first.x.round()), y: at(first.y.round()), z: at(first.z.round()) };
+    let mut writer =
+        las::Writer::new(std::io::Cursor::new(Vec::new()), builder.into_header().unwrap()).unwrap();
+    for (p, c) in points {
+        let [red, green, blue] = c.map(|c| u16::from(c) * 257);
+        writer
+            .write_point(las::Point {
+                x: p.x,
+                y: p.y,
+                z: p.z,
+                color: Some(las::Color { red, green, blue }),
+                ..las::Point::default()
+            })
+            .unwrap();
+    }
+    writer.into_inner().unwrap().into_inner()
+}
+
+fn e57(points: &Points) -> Vec<u8> {
+    use e57::{E57Writer, Record, RecordValue};
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let mut writer = E57Writer::from_file(file.path(), "test").unwrap();
+    let prototype = vec![
+        Record::CARTESIAN_X_F64,
+        Record::CARTESIAN_Y_F64,
+        Record::CARTESIAN_Z_F64,
+        Record::COLOR_RED_U8,
+        Record::COLOR_GREEN_U8,
+        Record::COLOR_BLUE_U8,
+    ];
+    let mut cloud = writer.add_pointcloud("cloud", prototype).unwrap();
+    for (p, c) in points {
+        let mut values: Vec<RecordValue> = [p.x, p.y, p.z].map(RecordValue::Double).to_vec();
+        values.extend(c.map(|c| RecordValue::Integer(i64::from(c))));
+        cloud.add_point(values).unwrap();
+    }
+    cloud.finalize().unwrap();
+    writer.finalize().unwrap();
+    std::fs::read(file.path()).unwrap()
+}
+
+fn moved(points: &Points, by: impl Fn(&Point3<f64>) -> Point3<f64>) -> Points {
+    points.iter().map(|(p, c)| (by(p), *c)).collect()
+}
+
+fn read(name: &str, bytes: &[u8]) -> Inspected {
+    crate::imported(
+        |out: &Out| out.put(name, bytes),
+        |found| found.unwrap_or_else(|e| panic!("{name}: {e}")),
+    )
+}
+
+/// The room's box, to a centimetre: sampling and rounding aside it is the same cloud.
+fn check(what: &str, found: &Inspected) {
+    let cloud = found.cloud.as_ref().unwrap();
+    let extent = Aabb::around(&cloud.positions).unwrap();
+    for (side, expected) in [(extent.size.x, 5.2), (extent.size.y, 4.2), (extent.size.z, 2.5)] {
+        assert!((side - expected).abs() < 0.01, "{what}: {extent:?} {:?}", found.report);
+    }
+    let reds = cloud.colours.iter().filter(|c| c[0].abs_diff(190) < 3 && c[1] < 40).count();
+    assert!(reds > 500, "{what}: {reds} red points");
+    // The floor is below.
+    let low = cloud
+        .positions
+        .iter()
+        .filter(|p| p.z < extent.center.z - extent.size.z / 2.0 + 0.02)
+        .count();
+    let high = cloud
+        .positions
+        .iter()
+        .filter(|p| p.z > extent.center.z + extent.size.z / 2.0 - 0.02)
+        .count();
+    assert!(low > 5 * high, "{what}: {low} points below, {high} above: {:?}", found.report);
+}
+
+#[test]
+fn every_format_is_the_same_cloud() {
+    let points = cloud();
+    for (name, bytes) in [
+        ("room.ply", ply(&points)),
+        ("room.pcd", pcd(&points)),
+        ("room.xyz", xyz(&points)),
+        ("room.obj", obj(&points)),
+        ("room.las", las(&points, false)),
+        ("room.laz", las(&points, true)),
+        ("room.e57", e57(&points)),
+    ] {
+        let found = read(name, &bytes);
+        check(name, &found);
+        assert_eq!(found.report.cloud_points, Some(points.len() as u64), "{name}");
+    }
+}
+
+/// A mesh that has corners only is as much of a scan as one with a point every few centimetres.
+#[test]
+fn meshes_of_few_corners_are_the_same_cloud() {
+    let (corners, squares) = mesh();
+    let mut in_obj = obj(&corners);
+    let mut in_ply = String::from_utf8_lossy(&ply(&corners))
+        .split("end_header")
+        .next()
+        .unwrap()
+        .to_owned()
+        .into_bytes();
+    in_ply.extend(
+        format!(
+            "element face {}\nproperty list uchar uint vertex_indices\nend_header\n",
+            squares.len()
+        )
+        .bytes(),
+    );
+    for (p, c) in &corners {
+        [p.x, p.y, p.z].iter().for_each(|v| in_ply.extend(v.to_le_bytes()));
+        in_ply.extend(c);
+    }
+    for square in &squares {
+        in_obj.extend(
+            format!("f {} {} {} {}\n", square[0] + 1, square[1] + 1, square[2] + 1, square[3] + 1)
+                .bytes(),
+        );
+        in_ply.push(4);
+        square.iter().for_each(|i| in_ply.extend((*i as u32).to_le_bytes()));
+    }
+    let sampled: Vec<Inspected> = [("room.obj", in_obj), ("room.ply", in_ply)]
+        .into_iter()
+        .map(|(name, bytes)| {
+            let found = read(name, &bytes);
+            check(name, &found);
+            found
+        })
+        .collect();
+    let points =
+        sampled.iter().map(|found| found.cloud.as_ref().unwrap().len()).collect::<Vec<_>>();
+    assert!(points[0].abs_diff(points[1]) < 2 && points[0] > 500_000, "{points:?}");
+}
+
+#[test]
+fn clouds_that_lie_otherwise_are_set_upright_and_measured_in_metres() {
+    let points = cloud();
+    let y_up = crate::room::y_up();
+    // What a camera that looks down at an angle would see: x right, y down, z forward.
+    let camera = crate::pose(2).inverse().to_homogeneous();
+    let with = |m: Matrix4<f64>| moved(&points, |p| m.transform_point(p));
+    for (what, turned) in [
+        ("Y up", with(y_up)),
+        ("seen from a camera", with(camera)),
+        ("millimetres", moved(&points, |p| p * 1000.0)),
+    ] {
+        let found = read("room.ply", &ply(&turned));
+        let cloud = found.cloud.as_ref().unwrap();
+        let height = Aabb::around(&cloud.positions).unwrap().size.z;
+        assert!((height - 2.5).abs() < 0.05, "{what}: {height} m high: {:?}", found.report);
+        if what != "seen from a camera" {
+            check(what, &found);
+        }
+        let way = found.report.source_to_scene.unwrap();
+        for (source, p) in turned.iter().zip(&cloud.positions).step_by(997) {
+            let scene = way.apply([source.0.x, source.0.y, source.0.z]);
+            assert!(
+                (0..3).all(|i| (scene[i] - f64::from(p[i])).abs() < 1e-3),
+                "{what}: {scene:?} {p}"
+            );
+        }
+    }
+}
+
+#[test]
+fn map_coordinates_lead_back_to_the_millimetre() {
+    let points = cloud();
+    let there = moved(&points, |p| p + nalgebra::Vector3::new(412_345.678, 5_654_321.123, 87.5));
+    for (name, bytes) in
+        [("site.las", las(&there, false)), ("site.ply", ply(&there)), ("site.xyz", xyz(&there))]
+    {
+        let found = read(name, &bytes);
+        check(name, &found);
+        let way = found.report.source_to_scene.unwrap();
+        let p = found.cloud.as_ref().unwrap().positions[1234];
+        let back = way.invert([p.x, p.y, p.z].map(f64::from));
+        let expected = there[1234].0;
+        assert!(
+            (0..3).all(|i| (back[i] - expected[i]).abs() < 1e-3),
+            "{name}: {back:?} instead of {expected}"
+        );
+    }
+}
+
+/// Half a room, a wall, a table top: nobody can tell, so it is asked for.
+#[test]
+fn a_piece_of_something_is_refused_asking_for_up() {
+    let wall: Points = cloud()
+        .into_iter()
+        .filter(|(p, _)| p.y > 2.05)
+        .map(|(p, c)| (Point3::new(p.x, p.z, -p.y), c))
+        .collect();
+    crate::imported(
+        |out: &Out| out.put("wall.ply", ply(&wall)),
+        |found| {
+            let message = found.map(|found| found.report).unwrap_err().to_string();
+            assert!(message.contains("up=z"), "{message}");
+        },
+    );
+}
+
+/// What has no walls is believed to have Z up when things stand on it that way; lying on its side
+/// it is asked for.
+#[test]
+fn a_floor_with_things_on_it_is_taken_as_most_files_are() {
+    let floor: Points = cloud()
+        .into_iter()
+        .filter(|(p, _)| p.z < 0.9 && p.x.abs() < 2.5 && p.y.abs() < 2.0)
+        .collect();
+    let found = read("floor.ply", &ply(&floor));
+    assert_eq!(found.report.up.name(), "z", "{:?}", found.report);
+    let side = moved(&floor, |p| Point3::new(p.z, p.x, p.y));
+    crate::imported(|out: &Out| out.put("floor.ply", ply(&side)), |found| assert!(found.is_err()));
+}

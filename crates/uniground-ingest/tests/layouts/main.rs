@@ -1,0 +1,366 @@
+//! One small room, written down in every layout: each is read as the same canonical scene.
+
+// A helper that can not go on fails its test.
+#![allow(clippy::unwrap_used)]
+
+mod clouds;
+mod room;
+mod writers;
+
+use camino::Utf8Path;
+use nalgebra::{Isometry3, Vector3};
+use room::{CAMERA, FRAMES, pose};
+use serde_json::json;
+use std::fs;
+use uniground_geometry::progress::Progress;
+use uniground_geometry::scene::FrameRef;
+use uniground_ingest::{IngestError, Inspected};
+use uniground_types::settings::ImportSettings;
+use writers::Out;
+
+/// Writes, and looks before the folder goes.
+fn imported<T>(write: impl Fn(&Out), look: impl FnOnce(Result<Inspected, IngestError>) -> T) -> T {
+    let folder = tempfile::tempdir().unwrap();
+    let root = Utf8Path::from_path(folder.path()).unwrap();
+    write(&Out(root));
+    look(uniground_ingest::open(root).and_then(|scan| {
+        uniground_ingest::inspect(&scan, &ImportSettings::default(), &Progress::silent())
+    }))
+}
+
+fn apart(a: &Isometry3<f64>, b: &Isometry3<f64>) -> (f64, f64) {
+    let distance = (a.translation.vector - b.translation.vector).norm();
+    (distance, a.rotation.angle_to(&b.rotation).to_degrees())
+}
+
+fn camera_to_world(frame: &FrameRef) -> Isometry3<f64> {
+    frame.camera_to_world.cast()
+}
+
+/// Depth of a picture's middle rows against what is there.
+fn check_depth(what: &str, i: usize, frame: &FrameRef) {
+    let depth = frame.decode_depth().unwrap();
+    let expected = room::depth_m(&frame.depth_intrinsics, &pose(i));
+    let off = depth
+        .depth_m
+        .iter()
+        .zip(&expected)
+        .filter(|(found, there)| (*found - *there).abs() > 0.002)
+        .count();
+    // Where a silhouette falls between two pixels either may be right.
+    assert!(off * 50 < expected.len(), "{what}, frame {i}: {off} of {} pixels", expected.len());
+    assert!(frame.decode_colour().is_ok(), "{what}, frame {i}");
+}
+
+type Write = fn(&Out);
+
+/// What it is, its writer, and the format it is to be recognised as.
+const LAYOUTS: [(&str, Write, &str); 18] = [
+    ("plain", writers::plain, "color-depth-pose"),
+    ("plain, paired by number", writers::plain_paired, "color-depth-pose"),
+    ("plain, depth as EXR", writers::plain_exr, "color-depth-pose"),
+    ("plain, depth as EXR of half floats", writers::plain_exr_halves, "color-depth-pose"),
+    ("plain, depth as TIFF of floats", writers::plain_tiff, "color-depth-pose"),
+    ("plain, depth as TIFF in millimetres", writers::plain_tiff_millimetres, "color-depth-pose"),
+    ("ScanNet export", writers::scannet, "scannet-export"),
+    ("TUM RGB-D", writers::tum, "tum-rgbd"),
+    ("7-Scenes", writers::seven_scenes, "7-scenes"),
+    ("3RScan", writers::three_rscan, "3rscan"),
+    ("ARKitScenes", writers::arkit_scenes, "arkit-scenes"),
+    ("Replica", writers::replica, "replica"),
+    ("nerfstudio", writers::nerfstudio, "nerfstudio"),
+    ("Polycam", writers::polycam, "polycam"),
+    ("Stray Scanner", writers::stray_scanner, "stray-scanner"),
+    ("3D Scanner App", writers::scanner_app, "3d-scanner-app"),
+    ("Open3D log", writers::open3d, "open3d-log"),
+    ("RTAB-Map", writers::rtabmap, "rtabmap"),
+];
+
+#[test]
+fn every_layout_is_the_same_scene() {
+    for (what, write, format) in LAYOUTS {
+        imported(write, |found| {
+            let Inspected { frames, report, .. } = found.unwrap_or_else(|e| panic!("{what}: {e}"));
+            assert_eq!(
+                (report.format.as_str(), frames.len()),
+                (format, FRAMES),
+                "{what}: {report:?}"
+            );
+            assert!(report.reprojection_agreement.unwrap() > 0.8, "{what}: {report:?}");
+            for (i, frame) in frames.iter().enumerate() {
+                let (metres, degrees) = apart(&camera_to_world(frame), &pose(i));
+                assert!(
+                    metres < 1e-3 && degrees < 0.1,
+                    "{what}, frame {i}: {metres} m and {degrees} degrees off: {report:?}"
+                );
+                check_depth(what, i, frame);
+            }
+        });
+    }
+}
+
+/// Eight bits are coarse, but a depth all the same where their unit is said. Without one they are a
+/// picture to look at.
+#[test]
+fn depth_of_eight_bits_wants_a_unit() {
+    let write = |unit_m: Option<f32>| {
+        move |out: &Out| {
+            writers::plain(out);
+            let mut frames = Vec::new();
+            for i in 0..FRAMES {
+                let bytes = room::depth_m(&CAMERA, &pose(i))
+                    .into_iter()
+                    .map(|z| (z / 0.02).round() as u8)
+                    .collect();
+                let grey = image::GrayImage::from_raw(CAMERA.width, CAMERA.height, bytes).unwrap();
+                out.put(
+                    &format!("depth/{i}.png"),
+                    room::encoded(&grey.into(), image::ImageFormat::Png),
+                );
+                frames.push(json!({"color": format!("color/{i}.jpg"), "depth": format!("depth/{i}.png"), "pose": format!("pose/{i}.txt")}));
+            }
+            let mut manifest =
+                json!({"format": "uniground-scene/1", "intrinsics": CAMERA, "frames": frames});
+            if let Some(unit_m) = unit_m {
+                manifest["depth_scale_m"] = json!(unit_m);
+            }
+            out.put("scene.json", manifest.to_string());
+        }
+    };
+    imported(write(Some(0.02)), |found| {
+        let Inspected { frames, report, .. } = found.unwrap();
+        assert!(report.reprojection_agreement.unwrap() > 0.8, "{report:?}");
+        let (found, there) = (frames[0].decode_depth().unwrap(), room::depth_m(&CAMERA, &pose(0)));
+        assert!(
+            found.depth_m.iter().zip(&there).all(|(found, there)| (found - there).abs() < 0.011)
+        );
+    });
+    imported(write(None), |found| {
+        let message = found.unwrap().frames[0].decode_depth().unwrap_err().to_string();
+        assert!(message.contains("depth/0.png") && message.contains("depth_scale_m"), "{message}");
+    });
+}
+
+/// What a header announces is looked at before room is made for it.
+#[test]
+fn floats_that_lie_are_refused_by_their_headers() {
+    let broken = |write: Write, name: &'static str, at: fn(&[u8]) -> usize, with: &'static [u8]| {
+        move |out: &Out| {
+            write(out);
+            let mut bytes = fs::read(out.0.join(name)).unwrap();
+            let at = at(&bytes);
+            bytes[at..at + with.len()].copy_from_slice(with);
+            (0..FRAMES).for_each(|i| out.put(&name.replace('0', &i.to_string()), &bytes));
+        }
+    };
+    // The last column of the data window: its attribute's name and type, the size, three numbers.
+    let window: fn(&[u8]) -> usize =
+        |bytes| bytes.windows(10).position(|w| w == b"dataWindow").unwrap() + 10 + 1 + 6 + 4 + 8;
+    // The value of the first tag, which is the width.
+    let width: fn(&[u8]) -> usize =
+        |bytes| bytes.windows(4).position(|w| w == [0, 1, 4, 0]).unwrap() + 8;
+    for (write, name, at) in [
+        (writers::plain_exr as Write, "depth/0.exr", window),
+        (writers::plain_tiff, "depth/0.tiff", width),
+    ] {
+        imported(broken(write, name, at, &[0xff, 0xff, 0xff, 0x3f]), |found| {
+            let message = found.unwrap_err().to_string();
+            assert!(message.contains("frames") && message.contains("depth/"), "{message}");
+        });
+    }
+}
+
+/// Its world is that of its first camera: level afterwards, and the frames stand to each other as
+/// they did.
+#[test]
+fn a_recording_without_gravity_is_levelled() {
+    imported(writers::record3d, |found| {
+        let Inspected { frames, report, .. } = found.unwrap();
+        assert_eq!((report.format.as_str(), frames.len()), ("record3d", FRAMES));
+        let level = report.levelling.clone().unwrap();
+        assert!(level.turned && level.tilt_deg > 10.0, "{report:?}");
+        let turn = pose(0) * camera_to_world(&frames[0]).inverse();
+        let tilt = (turn.rotation * Vector3::z()).angle(&Vector3::z()).to_degrees();
+        assert!(tilt < 1.0, "{tilt} degrees off: {report:?}");
+        for (i, frame) in frames.iter().enumerate() {
+            let (metres, degrees) = apart(&(turn * camera_to_world(frame)), &pose(i));
+            assert!(
+                metres < 1e-3 && degrees < 0.1,
+                "frame {i}: {metres} m and {degrees} degrees off"
+            );
+            check_depth("Record3D", i, frame);
+        }
+        // From the files' own axes to the scene's: the first camera stands at the files' origin.
+        let way = report.source_to_scene.unwrap();
+        let eye = frames[0].camera_to_world.translation.vector;
+        let found = way.apply([0.0; 3]);
+        assert!((0..3).all(|i| (found[i] - f64::from(eye[i])).abs() < 1e-4), "{found:?} {eye}");
+    });
+}
+
+/// The plain layout with its poses rewritten.
+fn with_poses(rewrite: impl Fn(nalgebra::Matrix4<f64>) -> nalgebra::Matrix4<f64>) -> impl Fn(&Out) {
+    move |out| {
+        writers::plain(out);
+        for i in 0..FRAMES {
+            out.put(&format!("pose/{i}.txt"), room::rows(&rewrite(pose(i).to_homogeneous())));
+        }
+    }
+}
+
+#[test]
+fn the_reading_that_fits_is_taken() {
+    type Rewrite = fn(nalgebra::Matrix4<f64>) -> nalgebra::Matrix4<f64>;
+    let cases: [(&str, Rewrite, &str); 3] = [
+        ("world-to-camera", |m| m.try_inverse().unwrap(), "world_to_camera"),
+        ("OpenGL cameras", |m| m * room::opengl(), "opengl"),
+        (
+            "millimetres",
+            |mut m| {
+                (0..3).for_each(|i| m[(i, 3)] *= 1000.0);
+                m
+            },
+            "metres_per_unit 0.001",
+        ),
+    ];
+    for (what, rewrite, words) in cases {
+        imported(with_poses(rewrite), |found| {
+            let Inspected { frames, report, .. } = found.unwrap_or_else(|e| panic!("{what}: {e}"));
+            assert!(report.warnings.iter().any(|w| w.contains(words)), "{what}: {report:?}");
+            for (i, frame) in frames.iter().enumerate() {
+                let (metres, degrees) = apart(&camera_to_world(frame), &pose(i));
+                assert!(
+                    metres < 1e-3 && degrees < 0.1,
+                    "{what}, frame {i}: {metres} m and {degrees} degrees off"
+                );
+            }
+        });
+    }
+}
+
+#[test]
+fn a_tilted_world_is_levelled_and_a_level_one_is_not_touched() {
+    let tilt = Isometry3::rotation(Vector3::new(0.3, 0.35, 0.0)).to_homogeneous();
+    imported(with_poses(move |m| tilt * m), |found| {
+        let Inspected { frames, report, .. } = found.unwrap();
+        let turn = pose(0) * camera_to_world(&frames[0]).inverse();
+        let left = (turn.rotation * Vector3::z()).angle(&Vector3::z()).to_degrees();
+        assert!(left < 1.0, "{left} degrees left: {report:?}");
+        let level = report.levelling.unwrap();
+        assert!(level.turned && (level.tilt_deg - 26.4).abs() < 1.0, "{level:?}");
+    });
+    imported(writers::plain, |found| {
+        let Inspected { frames, report, .. } = found.unwrap();
+        assert!(!report.levelling.unwrap().turned);
+        assert_eq!(
+            report.source_to_scene.unwrap(),
+            uniground_geometry::scene::SourceToScene::IDENTITY
+        );
+        // As in the file, to the last bit.
+        let written: Vec<f64> = room::rows(&pose(3).to_homogeneous())
+            .split_whitespace()
+            .map(|w| w.parse().unwrap())
+            .collect();
+        let t = frames[3].camera_to_world.translation.vector;
+        assert_eq!([t.x, t.y, t.z], [written[3] as f32, written[7] as f32, written[11] as f32]);
+    });
+}
+
+/// One frame in twelve is a tenth at most only by rounding down: here it is too much, so the scan
+/// is made longer.
+#[test]
+fn a_damaged_frame_in_ten_is_left_out_and_named() {
+    let longer = |out: &Out| {
+        writers::plain(out);
+        for i in FRAMES..2 * FRAMES {
+            for (folder, ending) in [("color", "jpg"), ("depth", "png"), ("pose", "txt")] {
+                out.put(
+                    &format!("{folder}/{i}.{ending}"),
+                    fs::read(out.0.join(format!("{folder}/{}.{ending}", i - FRAMES))).unwrap(),
+                );
+            }
+        }
+    };
+    let one = |out: &Out| {
+        longer(out);
+        let jpeg = fs::read(out.0.join("color/5.jpg")).unwrap();
+        out.put("color/5.jpg", &jpeg[..jpeg.len() / 2]);
+        out.put("pose/9.txt", "nan ".repeat(16));
+    };
+    imported(one, |found| {
+        let Inspected { report, frames, .. } = found.unwrap();
+        assert_eq!((frames.len(), report.frames_skipped), (22, 2));
+        let named = |what: &str| report.warnings.iter().any(|w| w.contains(what));
+        assert!(named("color/5.jpg") && named("pose/9.txt"), "{report:?}");
+    });
+    let four = |out: &Out| {
+        longer(out);
+        (0..4).for_each(|i| fs::remove_file(out.0.join(format!("depth/{i}.png"))).unwrap());
+    };
+    imported(four, |found| {
+        let message = found.unwrap_err().to_string();
+        assert!(message.contains("4 of 24 frames") && message.contains("color/0.jpg"), "{message}");
+    });
+}
+
+#[test]
+fn what_lacks_something_is_told_what_it_looks_like() {
+    let without = |write: Write, gone: &'static str| {
+        move |out: &Out| {
+            write(out);
+            let path = out.0.join(gone);
+            if path.is_dir() {
+                fs::remove_dir_all(path).unwrap()
+            } else {
+                fs::remove_file(path).unwrap()
+            }
+        }
+    };
+    let cases: [(Write, &str, &[&str]); 9] = [
+        (writers::tum, "groundtruth.txt", &["TUM RGB-D", "groundtruth.txt"]),
+        (writers::tum, "rgb.txt", &["TUM RGB-D", "rgb.txt"]),
+        (
+            writers::arkit_scenes,
+            "41069021_frames/lowres_wide.traj",
+            &["ARKitScenes", "lowres_wide.traj"],
+        ),
+        (writers::replica, "room0/traj.txt", &["Replica", "traj.txt"]),
+        (writers::stray_scanner, "rgb", &["Stray Scanner", "ffmpeg"]),
+        (writers::polycam, "keyframes/depth", &["Polycam", "LiDAR"]),
+        (writers::record3d, "metadata", &["Record3D", "metadata"]),
+        (writers::scannet, "depth", &["ScanNet", "depth/"]),
+        (writers::rtabmap, "scan_camera_poses.txt", &["RTAB-Map", "poses"]),
+    ];
+    for (write, gone, words) in cases {
+        imported(without(write, gone), |found| {
+            let message = found.unwrap_err().to_string();
+            assert!(words.iter().all(|word| message.contains(word)), "without {gone}: {message}");
+        });
+    }
+    let pictures_alone = |out: &Out| {
+        out.put(
+            "transforms.json",
+            r#"{"fl_x": 100, "frames": [{"file_path": "a.png", "transform_matrix": []}]}"#,
+        )
+    };
+    imported(pictures_alone, |found| {
+        assert!(found.unwrap_err().to_string().contains("no depth_file_path"))
+    });
+    let fisheye = |out: &Out| {
+        out.put(
+            "transforms.json",
+            r#"{"camera_model": "OPENCV_FISHEYE", "fl_x": 100, "frames": []}"#,
+        )
+    };
+    imported(fisheye, |found| assert!(found.unwrap_err().to_string().contains("OPENCV_FISHEYE")));
+    let colmap = |out: &Out| out.put("sparse/0/cameras.bin", [0; 8]);
+    imported(colmap, |found| assert!(found.unwrap_err().to_string().contains("COLMAP")));
+}
+
+#[test]
+fn the_size_of_the_test_pictures_is_what_they_say() {
+    imported(writers::plain, |found| {
+        let frame = found.unwrap().frames.remove(0);
+        assert_eq!(frame.decode_colour().unwrap().dimensions(), (CAMERA.width, CAMERA.height));
+    });
+}

@@ -1,0 +1,121 @@
+//! The cost of reading a question, in steps: one for every comparison of words with a table.
+//! Counted in tests only, which hold that a question of the longest length costs little, whatever
+//! it is made of.
+
+#[cfg(not(test))]
+pub(super) const fn count() {}
+
+#[cfg(test)]
+thread_local! {
+    static STEPS: std::cell::Cell<u64> = const { std::cell::Cell::new(0) };
+}
+
+#[cfg(test)]
+pub(super) fn count() {
+    STEPS.with(|steps| steps.set(steps.get() + 1));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::STEPS;
+    use crate::parse;
+    use proptest::prelude::*;
+
+    /// Characters of the longest question that the API takes.
+    const MAX_CHARS: usize = 1000;
+
+    /// Steps of reading a text of so many characters that repeats a pattern.
+    fn steps(pattern: &str, chars: usize) -> u64 {
+        let text: String = pattern.chars().cycle().take(chars).collect();
+        let before = STEPS.get();
+        let _ = parse(&text);
+        STEPS.get() - before
+    }
+
+    /// Words of every role in a question, and what stands between them.
+    const WORDS: [&str; 44] = [
+        "a",
+        "the",
+        "mug",
+        "red",
+        "table",
+        "left",
+        "on",
+        "in",
+        "of",
+        "and",
+        "or",
+        "not",
+        "with",
+        "it",
+        "that",
+        "what",
+        "where",
+        "something",
+        "to",
+        "sit",
+        "i",
+        "you",
+        "need",
+        "put",
+        "is",
+        "are",
+        "there",
+        "no",
+        "sorry",
+        "mean",
+        "one",
+        "between",
+        "behind",
+        "closest",
+        "second",
+        "largest",
+        "facing",
+        "when",
+        "look",
+        "for",
+        "xyzzyx",
+        "refridgerater",
+        "'s",
+        "robot",
+    ];
+    const MARKS: [&str; 14] =
+        [" ", " ", " ", " ", ",", ", ", ".", "?", ";", ": ", "(", ") ", "'", "\n"];
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(400))]
+        /// Reading is linear in the length: four times the text takes no more than about four times the steps.
+        #[test]
+        fn reading_is_linear(parts in prop::collection::vec((prop::sample::select(&WORDS[..]), prop::sample::select(&MARKS[..])), 1..12)) {
+            let pattern: String = parts.iter().flat_map(|(word, mark)| [*word, *mark]).collect();
+            let (quarter, whole) = (steps(&pattern, MAX_CHARS / 4), steps(&pattern, MAX_CHARS));
+            prop_assert!(whole <= 8 * quarter + 20_000 && whole < 400_000, "{pattern:?}: {quarter} steps for a quarter, {whole} for all");
+        }
+    }
+
+    #[test]
+    fn punctuation_alone_costs_nothing() {
+        for mark in [
+            ",",
+            ".",
+            "(",
+            ")",
+            ";",
+            ":",
+            "?",
+            "'",
+            "\"",
+            "-",
+            "a,",
+            "a, ",
+            "what,",
+            "what x, ",
+            "i need to,",
+            "put it,",
+            "no,",
+        ] {
+            let steps = steps(mark, MAX_CHARS);
+            assert!(steps < 400_000, "{mark:?}: {steps} steps");
+        }
+    }
+}

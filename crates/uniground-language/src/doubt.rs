@@ -1,0 +1,176 @@
+//! Whether a reading tells all that was said: where it does not, a reader who knows the world may
+//! do better.
+//!
+//! Judged by what the reading says of itself, never by which words it was made of, nor by the
+//! scene: the same words are always read by the same reader.
+
+use super::{ME, Meaning, ParsedQuery, Phrase, Relation, affordances};
+use std::fmt;
+
+/// What a reading leaves open.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Doubt {
+    /// Most words are of another language than English.
+    Foreign,
+    /// No noun and no known purpose tells what is asked for, or what it is near.
+    Unnamed,
+    /// Something is told by what it is for, and no use that is known is said with all of these
+    /// words.
+    Purpose(String),
+    /// A relation to nothing: what it was said of got lost.
+    Unanchored(String),
+    /// Words that could not be used, and nouns nobody knows.
+    Words(Vec<String>),
+}
+
+impl fmt::Display for Doubt {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Foreign => f.write_str("the question is not in English"),
+            Self::Unnamed => f.write_str("no noun tells what is meant"),
+            Self::Purpose(words) => write!(f, "no use is known that is said as: {words}"),
+            Self::Unanchored(words) => write!(f, "\"{words}\" is said of nothing"),
+            Self::Words(words) => write!(f, "not understood: {}", words.join(", ")),
+        }
+    }
+}
+
+impl ParsedQuery {
+    /// What this reading leaves open, the gravest first; `None` where every word has found its
+    /// place.
+    #[must_use]
+    pub fn doubt(&self) -> Option<Doubt> {
+        if self.foreign {
+            return Some(Doubt::Foreign);
+        }
+        let others =
+            self.standpoint.iter().chain(self.viewpoint.iter().map(|viewpoint| &viewpoint.anchor));
+        let phrases = || std::iter::once(&self.target).chain(others.clone());
+        phrases().find_map(Phrase::doubt).or_else(|| {
+            let mut excused = self.of_me();
+            phrases().for_each(|phrase| phrase.describing(&mut excused));
+            let words: Vec<String> = self
+                .not_understood
+                .iter()
+                .filter(|word| !excused.contains(word))
+                .cloned()
+                .collect();
+            (!words.is_empty()).then_some(Doubt::Words(words))
+        })
+    }
+
+    /// Those of the words not understood that are clear as soon as the request tells where "me" is.
+    pub fn of_me(&self) -> Vec<String> {
+        let by_me = |relation: &&Relation| relation.anchors.iter().any(|anchor| anchor.head == ME);
+        let relations =
+            self.target.relations.iter().filter(by_me).map(|relation| relation.text.clone());
+        relations.chain([ME.to_owned()]).collect()
+    }
+}
+
+impl Phrase {
+    fn doubt(&self) -> Option<Doubt> {
+        self.name_doubt().or_else(|| {
+            // Of a thing carried, "on it" is on what carries it.
+            let carried = self
+                .with
+                .iter()
+                .find_map(|with| with.phrase.name_doubt().or_else(|| with.phrase.anchors_doubt()));
+            let unanchored = |relation: &&Relation| {
+                relation.anchors.is_empty() && !relation.kind.is_of_the_room()
+            };
+            let lost = self
+                .relations
+                .iter()
+                .find(unanchored)
+                .map(|relation| Doubt::Unanchored(relation.text.clone()));
+            lost.or(carried).or_else(|| self.anchors_doubt())
+        })
+    }
+
+    /// Words in front of nouns that are known, "leather" and "shabby": they describe, and nobody
+    /// who only reads can check them.
+    fn describing(&self, words: &mut Vec<String>) {
+        if matches!(self.meaning(), Meaning::Nouns(_) | Meaning::Structure(_)) {
+            words.extend(self.unchecked.iter().cloned());
+        }
+        let carried = self.with.iter().map(|with| &with.phrase);
+        let phrases = self.relations.iter().flat_map(|relation| &relation.anchors).chain(carried);
+        phrases.for_each(|phrase| phrase.describing(words));
+    }
+
+    fn anchors_doubt(&self) -> Option<Doubt> {
+        self.relations.iter().flat_map(|relation| &relation.anchors).find_map(Self::doubt)
+    }
+
+    /// Of what tells the thing itself: its noun, or what it is for.
+    fn name_doubt(&self) -> Option<Doubt> {
+        if !affordances::unsaid(&self.uses, &self.purpose).is_empty() {
+            return Some(Doubt::Purpose(self.purpose.join(" ")));
+        }
+        // "one" and "thing" are words somebody chose; no word at all is one that got lost.
+        (self.head.is_empty() && self.uses.is_empty()).then_some(Doubt::Unnamed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{RelationKind, parse};
+
+    #[test]
+    fn what_is_read_to_the_last_word_leaves_no_doubt() {
+        for query in [
+            "the red mug on the coffee table",
+            "facing the window, the second chair from the left",
+            "something to sit on",
+            "the table with the book on it",
+            "the crumpled leather armchair",
+            "the one by the door",
+            "the thing between the sofa and the window",
+            "how many chairs are there",
+        ] {
+            assert_eq!(parse(query).doubt(), None, "{query}: {:?}", parse(query));
+        }
+    }
+
+    #[test]
+    fn what_a_reading_lacks_is_told() {
+        let words =
+            |words: &[&str]| Doubt::Words(words.iter().map(|word| (*word).to_owned()).collect());
+        for (query, expected) in [
+            ("der Becher auf dem Couchtisch", Doubt::Foreign),
+            ("the theremin", words(&["theremin"])),
+            ("the chair beside the theremin", words(&["theremin"])),
+            ("the crumpled theremin", words(&["theremin", "crumpled"])),
+            ("the crumpled thing by the door", words(&["crumpled"])),
+            ("something to frobnicate with", words(&["frobnicate"])),
+            ("something to sit on for walruses", Doubt::Purpose("sit walruses".into())),
+            ("the red", Doubt::Unnamed),
+        ] {
+            assert_eq!(parse(query).doubt(), Some(expected), "{query}: {:?}", parse(query));
+        }
+    }
+
+    #[test]
+    fn a_relation_to_nothing_is_not_understood() {
+        let mut query = parse("the lamp next to the sofa");
+        query.target.relations[0].anchors.clear();
+        assert_eq!(query.doubt(), Some(Doubt::Unanchored("next to".into())));
+        // In the corner of which room, nobody needs to say.
+        query.target.relations[0].kind = RelationKind::InCorner;
+        assert_eq!(query.doubt(), None);
+        let mut query = parse("the lamp next to the sofa");
+        query.target.relations[0].anchors[0].head.clear();
+        assert_eq!(query.doubt(), Some(Doubt::Unnamed));
+    }
+
+    /// No reader can know where the one stands who asks.
+    #[test]
+    fn who_i_am_is_no_doubt() {
+        for query in ["the chair closest to me", "the nearest chair"] {
+            let read = parse(query);
+            assert!(!read.not_understood.is_empty() && read.doubt().is_none(), "{read:?}");
+        }
+    }
+}

@@ -1,0 +1,162 @@
+//! What somebody says of themselves before they ask: "my hands are dirty and the tap drips, where
+//! can I wash them?" asks for a place to wash.
+
+use super::affordances;
+use super::tokens::BREAK;
+use super::words::{self, Meaning};
+use uniground_models::attributes::Lexicon;
+
+/// How somebody speaks of themselves, or sighs.
+const OF_THEMSELVES: &[&str] = &[
+    "i",
+    "i'm",
+    "i've",
+    "i'll",
+    "i'd",
+    "im",
+    "ive",
+    "u",
+    "my",
+    "we",
+    "we're",
+    "we've",
+    "our",
+    "it's",
+    "it",
+    "oh",
+    "oops",
+    "ugh",
+    "hm",
+    "hmm",
+    "ok",
+    "okay",
+    "hey",
+    "hi",
+    "hello",
+    "excuse",
+    "sorry",
+    "wow",
+    "ah",
+    "um",
+    "uh",
+    "well",
+    "so",
+    "alright",
+    "right",
+    "damn",
+    "dear",
+    "goodness",
+    "gosh",
+    "somebody",
+    "someone",
+    "he",
+    "she",
+    "they",
+    "everybody",
+    "mom",
+    "dad",
+];
+/// How a question or a wish begins.
+const ASKS: [&str; 24] = [
+    "where", "which", "what", "find", "show", "bring", "get", "give", "take", "point", "fetch",
+    "locate", "pick", "grab", "hand", "pass", "can", "could", "would", "please", "is", "are", "do",
+    "go",
+];
+/// Words of somebody's wish, that name what is asked for themselves: "I need the chair", "I'm
+/// looking for the lamp".
+const WISHES: [&str; 12] = [
+    "need",
+    "want",
+    "like",
+    "looking",
+    "search",
+    "searching",
+    "find",
+    "see",
+    "mean",
+    "meant",
+    "am",
+    "sit",
+];
+
+/// The query from its first question or wish on, where somebody speaks of themselves before.
+pub(super) fn left_out(mut tokens: Vec<String>) -> Vec<String> {
+    let starts: Vec<usize> = std::iter::once(0)
+        .chain((0..tokens.len()).filter(|&i| tokens[i] == BREAK).map(|i| i + 1))
+        .collect();
+    let clause = |k: usize| {
+        let end = starts.get(k + 1).map_or(tokens.len(), |next| next - 1);
+        &tokens[starts[k].min(end)..end]
+    };
+    let first = (0..starts.len()).take_while(|&k| is_of_themselves(clause(k))).count();
+    // "can we keep it" names nothing.
+    let is_noun = |word: &String| Lexicon::get().knows(word) && word != "can";
+    let names = |rest: &[String]| rest.iter().any(is_noun) || affordances::find(rest).is_some();
+    if (1..starts.len()).contains(&first) && asks(clause(first)) && names(&tokens[starts[first]..])
+    {
+        tokens.drain(..starts[first]);
+    }
+    tokens
+}
+
+fn is_of_themselves(clause: &[String]) -> bool {
+    let word = |i: usize| clause.get(i).map_or("", String::as_str);
+    // "my red mug, please" is a wish.
+    let owns = matches!(word(0), "my" | "our");
+    let describes = |word: &String| {
+        let known = words::longest(&[word]).map(|(meaning, _)| meaning);
+        matches!(known, Some(Meaning::Determiner | Meaning::Colour(_) | Meaning::Trait(_)))
+            || Lexicon::get().knows(word)
+    };
+    let speaks = clause.is_empty()
+        || OF_THEMSELVES.contains(&word(0)) && !(owns && clause.iter().all(describes));
+    // A place somebody looks from is part of the question, and so is a wish.
+    let tells = clause.iter().take(4).any(|word| WISHES.contains(&word.as_str()))
+        || clause.iter().any(|word| {
+            matches!(words::longest(&[word]), Some((Meaning::View(_) | Meaning::Seated, _)))
+        })
+        || clause.iter().any(|word| {
+            matches!(word.as_str(), "standing" | "sitting" | "facing" | "looking" | "stand")
+        });
+    speaks && !tells
+}
+
+fn asks(clause: &[String]) -> bool {
+    // "it is a window. Is directly above the bed": told, not asked.
+    let tells = matches!(clause, [is, next, ..] if is == "is" && matches!(words::longest(&[next]), Some((Meaning::Relation(_) | Meaning::Filler, _))) && next != "there");
+    !tells && clause.first().is_some_and(|word| ASKS.contains(&word.as_str()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tokens::tokens;
+
+    #[test]
+    fn the_question_is_what_is_asked() {
+        for (said, left) in [
+            (
+                "My hands are dirty and the tap drips. Where can I wash my hands?",
+                "where can i wash my hands ,",
+            ),
+            ("Oh goodness, it's dark. Which lamp is by the bed?", "which lamp is by the bed ,"),
+            ("Oh no, I spilled my tea on the sofa, where is a towel", "where is a towel"),
+            ("I'm on the sofa, what's on my left", "i'm on the sofa , what's on my left"),
+            ("I need the chair by the door, please", "i need the chair by the door , please"),
+            (
+                "I'm looking at the window, find the lamp on the left",
+                "i'm looking at the window , find the lamp on the left",
+            ),
+            ("it's the one by the door", "it's the one by the door"),
+            ("the chair by the door, find it", "the chair by the door , find it"),
+            ("My chair is by the door, where is it?", "my chair is by the door , where is it ,"),
+            ("I am cold", "i am cold"),
+            (
+                "It is a window. Is directly above the bed",
+                "it is a window , is directly above the bed",
+            ),
+        ] {
+            assert_eq!(left_out(tokens(said)).join(" "), left, "{said}");
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! Text to words, and misspelt words to the words that were meant.
+
+use super::{cost, words};
+use uniground_models::attributes::{Lexicon, WordNet};
+
+/// Stands for a comma or the end of a sentence.
+pub(super) const BREAK: &str = ",";
+
+/// Words whose 's is an "is"; of others it tells an owner.
+const WITH_IS: [&str; 9] = ["it", "that", "there", "he", "she", "what", "where", "here", "who"];
+
+/// Lower-case words; sentence marks become [`BREAK`].
+pub(super) fn tokens(query: &str) -> Vec<String> {
+    let mut tokens = Vec::new();
+    let mut word = String::new();
+    let end = |word: &mut String, tokens: &mut Vec<String>| {
+        let said = std::mem::take(word);
+        let bare = said.trim_matches('\'');
+        match (bare.strip_suffix("'s"), tokens.last_mut()) {
+            // "it 's", as some write.
+            _ if said == "'s" => {
+                if let Some(last) =
+                    tokens.last_mut().filter(|last| WITH_IS.contains(&last.as_str()))
+                {
+                    last.push_str("'s");
+                }
+            }
+            (Some(owner), _) if !WITH_IS.contains(&owner) => tokens.push(owner.to_owned()),
+            _ if bare.is_empty() => {}
+            _ => tokens.push(bare.to_owned()),
+        }
+    };
+    for c in query.chars().flat_map(char::to_lowercase) {
+        match c {
+            c if c.is_alphanumeric() => word.push(c),
+            '\'' | '\u{2019}' => word.push('\''),
+            '.' | ',' | ';' | ':' | '?' | '!' | '\n' | '(' | ')' => {
+                end(&mut word, &mut tokens);
+                // "chair?!", "...": one pause.
+                if tokens.last().is_none_or(|last| last != BREAK) {
+                    tokens.push(BREAK.into());
+                }
+            }
+            _ => end(&mut word, &mut tokens),
+        }
+    }
+    end(&mut word, &mut tokens);
+    tokens
+}
+
+/// Shorter words have too many neighbours to tell a slip from another word.
+const MIN_SLIP_CHARS: usize = 5;
+/// From here on two slips are forgiven.
+const TWO_SLIPS_FROM_CHARS: usize = 8;
+
+/// The noun of the lexicon a misspelt word was meant to be: "refridgerator". `None` when no single
+/// one is near.
+pub(super) fn spelling(word: &str) -> Option<&'static str> {
+    let length = word.chars().count();
+    if !word.is_ascii() || WordNet::get().is_english(word) {
+        return None;
+    }
+    if length < MIN_SLIP_CHARS {
+        return doubled(word);
+    }
+    let allowed = if length >= TWO_SLIPS_FROM_CHARS { 2 } else { 1 };
+    let near = |known: &'static str| {
+        (known.len().abs_diff(word.len()) <= allowed && known.as_bytes()[0] == word.as_bytes()[0])
+            .then(|| (distance(word, known), known))
+            .filter(|(distance, _)| *distance <= allowed)
+    };
+    let mut found: Vec<(usize, &str)> =
+        Lexicon::get().words().filter(|w| w.len() >= MIN_SLIP_CHARS - 1).filter_map(near).collect();
+    found.sort_unstable();
+    found.first().map(|(_, known)| *known)
+}
+
+fn distance(word: &str, known: &str) -> usize {
+    cost::count();
+    strsim::damerau_levenshtein(word, known)
+}
+
+/// The noun that a short word becomes with one letter doubled: "bal".
+fn doubled(word: &str) -> Option<&'static str> {
+    (1..=word.len()).find_map(|i| Lexicon::get().word(&format!("{}{}", &word[..i], &word[i - 1..])))
+}
+
+/// The noun that two words make which somebody wrote apart: "wheel barow". Of two that are English
+/// only as it stands.
+pub(super) fn joined(first: &str, second: &str) -> Option<&'static str> {
+    let lexicon = Lexicon::get();
+    let of_the_grammar = |word: &str| words::longest(&[word]).is_some();
+    if of_the_grammar(first)
+        || of_the_grammar(second)
+        || lexicon.knows(&format!("{first} {second}"))
+    {
+        return None;
+    }
+    let whole = format!("{first}{second}");
+    lexicon.word(&whole).or_else(|| {
+        (!WordNet::get().is_english(second) && !lexicon.knows(second)).then(|| spelling(&whole))?
+    })
+}
+
+/// The word of the grammar a misspelt one was meant to be: "somethng". `None` for English words,
+/// and for nouns of the lexicon.
+pub(super) fn spelling_of_small_words(word: &str) -> Option<&'static str> {
+    let length = word.chars().count();
+    if length < MIN_SLIP_CHARS
+        || !word.is_ascii()
+        || WordNet::get().is_english(word)
+        || Lexicon::get().knows(word)
+        || words::is_known(word)
+    {
+        return None;
+    }
+    let near = |known: &&'static str| {
+        known.len() >= MIN_SLIP_CHARS
+            && known.as_bytes()[0] == word.as_bytes()[0]
+            && distance(word, known) == 1
+    };
+    words::small().filter(near).min()
+}
+
+/// "sitting" -> "sit", "tells" -> "tell": enough to compare verbs by.
+pub(super) fn stem(word: &str) -> String {
+    let undoubled = |stem: &str| {
+        let mut from_the_end = stem.chars().rev();
+        match (from_the_end.next(), from_the_end.next()) {
+            (Some(last), Some(before)) if last == before && !matches!(last, 'l' | 's' | 'e') => {
+                stem[..stem.len() - last.len_utf8()].to_owned()
+            }
+            _ => stem.to_owned(),
+        }
+    };
+    for suffix in ["ing", "ed", "es", "s"] {
+        if let Some(stem) = word.strip_suffix(suffix).filter(|stem| stem.len() >= 3) {
+            return undoubled(stem).trim_end_matches('e').to_owned();
+        }
+    }
+    word.trim_end_matches('e').to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slips_are_forgiven_other_words_are_not() {
+        assert_eq!(spelling("refrigeratr"), Some("refrigerator"));
+        assert_eq!(spelling("tabel"), Some("table"));
+        assert_eq!(spelling("bookcse"), Some("bookcase"));
+        assert_eq!(spelling("bal"), Some("ball"));
+        assert_eq!(joined("wheel", "barow"), Some("wheelbarrow"));
+        assert_eq!(joined("book", "case"), None, "known as it stands");
+        for (first, second) in
+            [("red", "chair"), ("the", "bed"), ("chair", "table"), ("lamp", "xyzzy")]
+        {
+            assert_eq!(joined(first, second), None, "{first} {second}");
+        }
+        for word in ["theremin", "quaternion", "xyz", "hat", "wine"] {
+            assert_eq!(spelling(word), None, "{word}");
+        }
+    }
+
+    #[test]
+    fn forms_of_a_verb_have_one_stem() {
+        for (a, b) in [
+            ("sitting", "sit"),
+            ("tells", "tell"),
+            ("writing", "write"),
+            ("throws", "throw"),
+            ("washes", "wash"),
+        ] {
+            assert_eq!(stem(a), stem(b), "{a}");
+        }
+    }
+}

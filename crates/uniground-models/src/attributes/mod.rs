@@ -1,0 +1,250 @@
+//! The built-in encoder: what things usually measure, instead of what they look like.
+//!
+//! Without a model, an instance is described by size, height, support and colour names, and a noun
+//! by the typical sizes in `lexicon.tsv`. That tells a sofa from a mug and a rug from a door, not a
+//! box from a crate: scores are honest fits, and every answer names this encoder.
+
+mod lexicon;
+mod wordnet;
+
+pub use lexicon::{Lexicon, Noun, Place, Range, Shape};
+use rayon::prelude::*;
+use uniground_geometry::colour::ColourName;
+use uniground_geometry::scene::{Instance, NameGuess, Structure, Support};
+pub use wordnet::{Kinship, WordNet};
+
+/// Name and version, recorded with parses and answers.
+pub const NAME: &str = "attributes-2";
+
+/// How many names an instance keeps.
+const KEPT_NAMES: usize = 5;
+/// Below this a name is not worth telling.
+const MIN_NAME_SCORE: f32 = 0.3;
+/// Width of the fall-off outside a range, in natural logarithms of the size: segmentation is never
+/// exact.
+const SIZE_TOLERANCE: f32 = 0.2;
+/// Tolerance for the height of the underside, metres.
+const BASE_TOLERANCE_M: f32 = 0.12;
+/// The middle of a range is more usual than its ends: weight of that, against one tolerance outside
+/// the range.
+const OFF_CENTER_WEIGHT: f32 = 0.1;
+/// Factor for a surface the noun's shape does not have.
+const ODD_SHAPE: f32 = 0.5;
+/// Share of green points under which nothing is taken for foliage.
+const LEAST_GREEN: f32 = 0.05;
+/// From this thickness on a surface tells of its shape, metres.
+const THICK_M: f32 = 0.1;
+/// Factor for a thing on another that it is not known to stand on.
+const ODD_PLACE: f32 = 0.8;
+/// Factor for a support the noun is not known for.
+const ODD_SUPPORT: f32 = 0.6;
+
+/// How well a noun fits an instance, `0..=1`: one when every measure lies in the middle of its
+/// usual range.
+#[must_use]
+pub fn noun_fit(noun: &Noun, instance: &Instance) -> f32 {
+    if instance.structure.is_some_and(|s| s != Structure::Wall || !noun.may_be_part_of_wall()) {
+        return 0.0;
+    }
+    let (long, short) = sides(instance);
+    let height = if noun.on_legs() {
+        instance.height_above_floor_m + instance.aabb.size.z
+    } else {
+        instance.aabb.size.z
+    };
+    let misfit = [noun.long, noun.short, noun.height]
+        .iter()
+        .zip([long, short, height])
+        .map(|(range, value)| range.misfit_log(value) / SIZE_TOLERANCE)
+        .chain([noun.base.misfit(instance.height_above_floor_m) / BASE_TOLERANCE_M])
+        .map(|m| m * m)
+        .sum::<f32>();
+    let off_center: f32 = [(noun.long, long), (noun.short, short), (noun.height, height)]
+        .iter()
+        .map(|(range, v)| range.off_center(*v).powi(2))
+        .sum();
+    let misfit = misfit + OFF_CENTER_WEIGHT * off_center;
+    let support = if noun.stands_on(place_of(instance)) { 1.0 } else { ODD_SUPPORT };
+    (-0.5 * misfit).exp() * support * shape_fit(noun.shape, instance)
+}
+
+/// How well the surface agrees with a shape, as far as the share of points on one plane tells.
+fn shape_fit(shape: Shape, instance: &Instance) -> f32 {
+    let size = instance.oriented_box.size;
+    // Everything within a few centimetres is on one plane.
+    if size.min() < THICK_M {
+        return 1.0;
+    }
+    let odd_unless = |share: f32| ODD_SHAPE + (1.0 - ODD_SHAPE) * share;
+    match shape {
+        Shape::Flat => odd_unless(ramp(instance.planarity, 0.2, 0.6)),
+        Shape::Bushy => {
+            odd_unless(roughness(instance))
+                * if instance.colours.share(ColourName::Green) < LEAST_GREEN {
+                    ODD_SHAPE
+                } else {
+                    1.0
+                }
+        }
+        Shape::Boxy | Shape::Open | Shape::Round | Shape::Soft => {
+            odd_unless(1.0 - foliage(instance))
+        }
+    }
+}
+
+/// How much a thing looks like leaves, `0..=1`: rough, and green for the most part. What is green
+/// all over was dyed or painted.
+fn foliage(instance: &Instance) -> f32 {
+    let green = instance.colours.share(ColourName::Green);
+    roughness(instance) * ramp(green, 0.2, 0.4) * ramp(green, 0.9, 0.75)
+}
+
+/// How far a thing is from being one plane, `0..=1`.
+fn roughness(instance: &Instance) -> f32 {
+    ramp(instance.planarity, 0.6, 0.3)
+}
+
+/// 0 at `from`, 1 at `to`, and evenly between.
+fn ramp(value: f32, from: f32, to: f32) -> f32 {
+    ((value - from) / (to - from)).clamp(0.0, 1.0)
+}
+
+/// How well a colour word describes an instance, `0..=1`.
+#[must_use]
+pub fn colour_fit(colour: ColourName, instance: &Instance) -> f32 {
+    instance.colours.describes(colour)
+}
+
+/// Names every instance, in two rounds: what things stand on tells what they are, a keyboard on a
+/// desk.
+pub fn name_all(instances: &mut [Instance]) {
+    let alone: Vec<Vec<NameGuess>> = instances.par_iter().map(name_guesses).collect();
+    let placed: Vec<Vec<NameGuess>> = instances
+        .par_iter()
+        .map(|instance| match instance.support {
+            Support::Instance { id } => {
+                guesses(instance, alone.get(id.0 as usize - 1).map_or(&[], Vec::as_slice))
+            }
+            _ => alone[instance.id.0 as usize - 1].clone(),
+        })
+        .collect();
+    instances.iter_mut().zip(placed).for_each(|(instance, names)| instance.names = names);
+}
+
+/// The best names for an instance, without having heard a question; empty for structure and for
+/// shapes nothing fits.
+///
+/// Scores are fits weighed by how usual the thing is. Of nouns that fit alike the one with the
+/// narrower ranges comes first: it says more.
+#[must_use]
+pub fn name_guesses(instance: &Instance) -> Vec<NameGuess> {
+    guesses(instance, &[])
+}
+
+/// The same for something that stands on a thing with these names; nothing is known of the place
+/// when there are none.
+fn guesses(instance: &Instance, below: &[NameGuess]) -> Vec<NameGuess> {
+    let place = |noun: &Noun| match below.is_empty()
+        || noun.usually_on.iter().any(|on| below.iter().any(|guess| guess.name == *on))
+    {
+        true => 1.0,
+        false => ODD_PLACE,
+    };
+    if instance.structure.is_some() {
+        return Vec::new();
+    }
+    let mut scored: Vec<(f32, &Noun)> = Lexicon::get()
+        .nouns()
+        .iter()
+        .map(|noun| (noun_fit(noun, instance) * noun.prior * place(noun), noun))
+        .filter(|(fit, _)| *fit >= MIN_NAME_SCORE)
+        .collect();
+    scored.sort_by(|a, b| {
+        (b.0 * b.1.specificity())
+            .total_cmp(&(a.0 * a.1.specificity()))
+            .then(a.1.name.cmp(&b.1.name))
+    });
+    scored
+        .into_iter()
+        .take(KEPT_NAMES)
+        .map(|(score, noun)| NameGuess { name: noun.name.clone(), score })
+        .collect()
+}
+
+/// Long and short side of the footprint, metres.
+#[must_use]
+pub fn sides(instance: &Instance) -> (f32, f32) {
+    let size = instance.oriented_box.size;
+    (size.x.max(size.y), size.x.min(size.y))
+}
+
+fn place_of(instance: &Instance) -> Place {
+    match instance.support {
+        Support::Floor => Place::Floor,
+        Support::Instance { .. } => Place::Surface,
+        Support::Wall { .. } => Place::Wall,
+        Support::Nothing => Place::Unknown,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use uniground_geometry::colour::ColourHistogram;
+    use uniground_geometry::scene::InstanceId;
+    use uniground_testing::thing;
+
+    #[test]
+    fn typical_things_get_their_names() {
+        let on_table = Support::Instance { id: InstanceId(9) };
+        for (size, base, support, expected) in [
+            ([2.1, 0.9, 0.8], 0.0, Support::Floor, "sofa"),
+            ([0.11, 0.08, 0.1], 0.75, on_table, "mug"),
+            ([2.4, 1.6, 0.01], 0.0, Support::Floor, "rug"),
+            ([0.8, 0.3, 2.0], 0.0, Support::Floor, "bookcase"),
+            ([0.85, 0.05, 2.03], 0.0, Support::Floor, "door"),
+        ] {
+            let guesses = name_guesses(&thing(1, [0.0, 0.0], size, base, support, [120; 3]));
+            assert!(guesses.iter().take(3).any(|g| g.name == expected), "{size:?}: {guesses:?}");
+        }
+    }
+
+    #[test]
+    fn a_table_that_lost_its_legs_is_still_a_table() {
+        let top = thing(1, [0.0, 0.0], [1.2, 0.7, 0.03], 0.42, Support::Nothing, [20; 3]);
+        let fit = |word| noun_fit(Lexicon::get().find(word).unwrap(), &top);
+        assert!(
+            fit("coffee table") > 0.9 && fit("dining table") < 0.2,
+            "{} {}",
+            fit("coffee table"),
+            fit("dining table")
+        );
+    }
+
+    #[test]
+    fn what_is_rough_and_partly_green_is_a_plant_and_no_fridge() {
+        let names = |rgb: &[[u8; 3]], planarity| {
+            let standing = thing(1, [0.0, 0.0], [0.7, 0.68, 1.4], 0.0, Support::Floor, [60; 3]);
+            let guesses = name_guesses(&Instance {
+                colours: ColourHistogram::of(rgb.iter().copied()),
+                planarity,
+                ..standing
+            });
+            guesses.into_iter().map(|guess| guess.name).collect::<Vec<_>>()
+        };
+        let [leaf, shade, pot] = [[50, 120, 40], [20, 20, 18], [150, 80, 50]];
+        assert_eq!(names(&[leaf, leaf, shade, pot], 0.25)[0], "plant");
+        assert_eq!(names(&[leaf, leaf, shade, pot], 0.7)[0], "fridge", "a plane");
+        assert_eq!(names(&[leaf], 0.25)[0], "fridge", "painted");
+        assert_eq!(names(&[shade, pot], 0.25)[0], "fridge", "not green");
+    }
+
+    #[test]
+    fn a_sofa_is_no_mug() {
+        let sofa = thing(1, [0.0, 0.0], [2.1, 0.9, 0.8], 0.0, Support::Floor, [120; 3]);
+        let fit = |word| noun_fit(Lexicon::get().find(word).unwrap(), &sofa);
+        assert!(
+            fit("sofa") > 0.95 && fit("couch") > 0.95 && fit("mug") < 0.01 && fit("chair") < 0.05
+        );
+    }
+}

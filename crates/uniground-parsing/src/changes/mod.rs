@@ -1,0 +1,237 @@
+//! What is different between two looks at a room: which things are the same, which moved, came or
+//! went.
+//!
+//! Two parses cut a room into things independently of each other. Things are the same where they
+//! share their points; of the others it is asked what the frames of the other look say of their
+//! place: looked through, not looked at, or a surface there as well.
+
+mod align;
+mod carried;
+mod identity;
+mod overlap;
+
+pub use align::{Aligned, SAME_PLACE_M, align};
+pub use carried::carried;
+pub use identity::continued;
+pub use overlap::{Counterparts, pairs};
+
+use std::collections::BTreeSet;
+use uniground_geometry::progress::{Cancelled, Progress};
+use uniground_geometry::scene::{
+    FrameError, FrameRef, Instance, InstanceId, Looks, PointCloud, look_at,
+};
+use uniground_geometry::{Isometry3, Point3};
+use uniground_types::changes::{ChangedThing, Changes, MovedThing};
+
+/// One look at a room.
+#[derive(Clone, Copy)]
+pub struct Look<'a> {
+    /// Its points, metres, Z up.
+    pub cloud: &'a PointCloud,
+    /// Whose each point is; 0: nobody's.
+    pub owner_of_point: &'a [InstanceId],
+    /// In order of id.
+    pub instances: &'a [Instance],
+    /// What it was seen by, in the same coordinates; of a scan that has grown those that were
+    /// added last, or those of before.
+    pub frames: &'a [FrameRef],
+}
+
+/// Why two looks could not be compared.
+#[derive(Debug, thiserror::Error)]
+pub enum ChangesError {
+    /// A depth picture can not be read.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    /// The caller asked to stop.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+/// Frames that are asked about places: enough to look into every corner.
+const MOST_FRAMES: usize = 60;
+/// Points of a thing that frames are asked about.
+const MOST_POINTS: usize = 400;
+/// Share of a thing's points with a counterpart from which on its surfaces are in the other look as
+/// well.
+const STILL_THERE: f32 = 0.5;
+/// Share of a thing's points that the other look's frames must tell about.
+const LOOKED_AT: f32 = 0.25;
+
+/// What is different, given the things that are the same. `place` leads from the coordinates of
+/// `before` to those of `after`.
+///
+/// # Errors
+/// [`ChangesError`].
+pub fn compare(
+    before: &Look,
+    after: &Look,
+    same: &[(InstanceId, InstanceId)],
+    counterparts: &Counterparts,
+    place: &Isometry3<f32>,
+    progress: &Progress,
+) -> Result<Changes, ChangesError> {
+    let stayed: BTreeSet<InstanceId> = same.iter().map(|pair| pair.0).collect();
+    let known: BTreeSet<InstanceId> = same.iter().map(|pair| pair.1).collect();
+    let is_thing = |instance: &&Instance| instance.is_shown() && instance.structure.is_none();
+    let mut changes = Changes::default();
+    let unmatched =
+        before.instances.iter().filter(is_thing).filter(|thing| !stayed.contains(&thing.id));
+    let lost =
+        Places::of(before, unmatched, |point| counterparts.of_before(point).is_some(), place);
+    for (thing, fate) in lost.seen_by(after.frames, progress)? {
+        let list = match fate {
+            Fate::Known | Fate::SurfaceThere => &mut changes.regrouped,
+            Fate::Empty => &mut changes.gone,
+            Fate::NotLookedAt => &mut changes.not_seen,
+        };
+        list.push(told(thing));
+    }
+    let unmatched =
+        after.instances.iter().filter(is_thing).filter(|thing| !known.contains(&thing.id));
+    let found =
+        Places::of(after, unmatched, |point| counterparts.of_after(point), &place.inverse());
+    for (thing, fate) in found.seen_by(before.frames, progress)? {
+        match fate {
+            // A piece of what was one thing before.
+            Fate::Known => {}
+            Fate::Empty => changes.appeared.push(told(thing)),
+            Fate::SurfaceThere | Fate::NotLookedAt => changes.first_seen.push(told(thing)),
+        }
+    }
+    pair_moved(&mut changes, before, after);
+    changes.unchanged =
+        before.instances.iter().filter(is_thing).filter(|thing| stayed.contains(&thing.id)).count()
+            as u32;
+    Ok(changes)
+}
+
+fn told(thing: &Instance) -> ChangedThing {
+    ChangedThing { id: thing.id, label: thing.label().to_owned(), aabb: thing.aabb }
+}
+
+/// What became of a thing, or what was in its place before.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Fate {
+    /// The other look has its points.
+    Known,
+    /// It has not, but its frames have measured a surface there.
+    SurfaceThere,
+    Empty,
+    NotLookedAt,
+}
+
+/// Things of one look, and where their points lie in the other.
+struct Places<'a> {
+    things: Vec<(&'a Instance, f32, std::ops::Range<usize>)>,
+    positions: Vec<Point3<f32>>,
+}
+
+impl<'a> Places<'a> {
+    fn of(
+        look: &Look,
+        things: impl Iterator<Item = &'a Instance>,
+        has_counterpart: impl Fn(usize) -> bool,
+        place: &Isometry3<f32>,
+    ) -> Self {
+        let things: Vec<&Instance> = things.collect();
+        let mut points = vec![Vec::new(); things.len()];
+        for (point, owner) in look.owner_of_point.iter().enumerate() {
+            if let Ok(at) = things.binary_search_by_key(owner, |thing| thing.id) {
+                points[at].push(point);
+            }
+        }
+        let (mut positions, mut places) = (Vec::new(), Vec::new());
+        for (thing, points) in
+            things.into_iter().zip(points).filter(|(_, points)| !points.is_empty())
+        {
+            let there = points.iter().filter(|&&point| has_counterpart(point)).count() as f32
+                / points.len() as f32;
+            let first = positions.len();
+            let sample = points.iter().step_by(points.len().div_ceil(MOST_POINTS));
+            positions.extend(sample.map(|&point| place * look.cloud.positions[point]));
+            places.push((thing, there, first..positions.len()));
+        }
+        Self { things: places, positions }
+    }
+
+    fn seen_by(
+        self,
+        frames: &[FrameRef],
+        progress: &Progress,
+    ) -> Result<Vec<(&'a Instance, Fate)>, ChangesError> {
+        let frames: Vec<FrameRef> =
+            frames.iter().step_by(frames.len().div_ceil(MOST_FRAMES).max(1)).cloned().collect();
+        let looks = look_at::<ChangesError>(&self.positions, &frames, |_| Ok(progress.check()?))?;
+        let fate = |there: f32, points: std::ops::Range<usize>| {
+            let looks = &looks[points];
+            let count = |which: fn(&Looks) -> bool| {
+                looks.iter().filter(|looks| which(looks)).count() as f32
+            };
+            let (looked_at, empty) =
+                (count(Looks::is_known), count(|looks| looks.through > looks.hits));
+            match there >= STILL_THERE {
+                true => Fate::Known,
+                false if looked_at < LOOKED_AT * looks.len() as f32 => Fate::NotLookedAt,
+                false if 2.0 * empty > looked_at => Fate::Empty,
+                false => Fate::SurfaceThere,
+            }
+        };
+        Ok(self
+            .things
+            .into_iter()
+            .map(|(thing, there, points)| (thing, fate(there, points)))
+            .collect())
+    }
+}
+
+/// Sizes may differ by this share, and this much, metres: of a thing seen from other sides.
+const SAME_SIZE: f32 = 0.7;
+const SIZE_SLACK_M: f32 = 0.04;
+/// Share of the colour that must be the same.
+const SAME_COLOUR: f32 = 0.5;
+
+/// What is gone here and came there, alike, has moved: the most alike pairs first.
+fn pair_moved(changes: &mut Changes, before: &Look, after: &Look) {
+    let came: Vec<ChangedThing> =
+        changes.appeared.iter().chain(&changes.first_seen).cloned().collect();
+    let thing = |look: &Look<'_>, id: InstanceId| look.instances[id.0 as usize - 1].clone();
+    let mut pairs: Vec<(f32, &ChangedThing, &ChangedThing)> = Vec::new();
+    for gone in &changes.gone {
+        for came in &came {
+            if let Some(alike) = alike(&thing(before, gone.id), &thing(after, came.id)) {
+                pairs.push((alike, gone, came));
+            }
+        }
+    }
+    pairs.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1.id, a.2.id).cmp(&(b.1.id, b.2.id))));
+    let mut moved: Vec<MovedThing> = Vec::new();
+    for (_, gone, came) in pairs {
+        if moved.iter().all(|moved| moved.before.id != gone.id && moved.after.id != came.id) {
+            let distance_m = (came.aabb.center - gone.aabb.center).norm();
+            moved.push(MovedThing { before: gone.clone(), after: came.clone(), distance_m });
+        }
+    }
+    changes.gone.retain(|thing| moved.iter().all(|moved| moved.before.id != thing.id));
+    for list in [&mut changes.appeared, &mut changes.first_seen] {
+        list.retain(|thing| moved.iter().all(|moved| moved.after.id != thing.id));
+    }
+    moved.sort_by_key(|moved| moved.before.id);
+    changes.moved = moved;
+}
+
+/// How alike two things are in size, colour and name; `None`: not the same thing.
+fn alike(a: &Instance, b: &Instance) -> Option<f32> {
+    let sides = |thing: &Instance| {
+        let size = thing.oriented_box.size;
+        [size.x.min(size.y), size.x.max(size.y), size.z]
+    };
+    let shares = sides(a)
+        .into_iter()
+        .zip(sides(b))
+        .map(|(a, b)| (a.min(b) + SIZE_SLACK_M) / a.max(b).max(f32::MIN_POSITIVE));
+    let size = shares.fold(1.0, f32::min).min(1.0);
+    let colour: f32 = a.colours.0.iter().zip(b.colours.0).map(|(a, b)| a.min(b)).sum();
+    let name = if a.label() == b.label() { 0.5 } else { 0.0 };
+    (size >= SAME_SIZE && colour >= SAME_COLOUR).then_some(size + colour + name)
+}

@@ -1,0 +1,217 @@
+//! Which points of two looks are of the same place, and which things are the same by them.
+
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use uniground_geometry::progress::{Cancelled, Progress};
+use uniground_geometry::scene::InstanceId;
+use uniground_geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap};
+use uniground_geometry::{Isometry3, Point3};
+
+/// IoU of the points of two things from which on they are the same.
+const SAME_THING: f32 = 0.33;
+
+/// A thing of which less than this share is left is another one.
+const LEFT: f32 = 0.25;
+
+/// For the points of two looks: the points of the other in the same place.
+pub struct Counterparts {
+    of_before: Vec<Option<u32>>,
+    of_after: Vec<bool>,
+}
+
+impl Counterparts {
+    /// Those of a scan that has grown: a point that stayed is bit for bit where it was.
+    #[must_use]
+    pub fn same_points(before: &[Point3<f32>], after: &[Point3<f32>]) -> Self {
+        let bits = |p: &Point3<f32>| [p.x, p.y, p.z].map(f32::to_bits);
+        let at: HashMap<[u32; 3], u32> = after.iter().zip(0..).map(|(p, i)| (bits(p), i)).collect();
+        Self::new(before.iter().map(|p| at.get(&bits(p)).copied()).collect(), after.len())
+    }
+
+    /// Those of two scans: the nearest point within so many metres. `place` leads from `before` to
+    /// `after`.
+    ///
+    /// # Errors
+    /// [`Cancelled`].
+    pub fn nearest(
+        before: &[Point3<f32>],
+        after: &[Point3<f32>],
+        place: &Isometry3<f32>,
+        within_m: f32,
+        progress: &Progress,
+    ) -> Result<Self, Cancelled> {
+        // Where a cloud is very dense, a single point has thousands near.
+        let nearest = |index: &Nearest, p: &Point3<f32>| progress.check().map(|()| index.to(p));
+        // A point may be nearest to none and still have one near.
+        let placed: Vec<Point3<f32>> = before.iter().map(|p| place * p).collect();
+        let (index, back) = (Nearest::new(after, within_m), Nearest::new(&placed, within_m));
+        let of_before = placed.par_iter().map(|p| nearest(&index, p)).collect::<Result<_, _>>()?;
+        let of_after = after
+            .par_iter()
+            .map(|p| nearest(&back, p).map(|near| near.is_some()))
+            .collect::<Result<_, _>>()?;
+        Ok(Self { of_before, of_after })
+    }
+
+    fn new(of_before: Vec<Option<u32>>, after: usize) -> Self {
+        let mut of_after = vec![false; after];
+        of_before.iter().flatten().for_each(|&point| of_after[point as usize] = true);
+        Self { of_before, of_after }
+    }
+
+    /// The point of the later look where this one of the earlier is.
+    #[must_use]
+    pub fn of_before(&self, point: usize) -> Option<u32> {
+        self.of_before[point]
+    }
+
+    /// Whether the earlier look has a point where this one of the later is.
+    #[must_use]
+    pub fn of_after(&self, point: usize) -> bool {
+        self.of_after[point]
+    }
+
+    /// Share of the earlier look's points that have a counterpart.
+    #[must_use]
+    pub fn share(&self) -> f32 {
+        self.of_before.iter().flatten().count() as f32 / self.of_before.len().max(1) as f32
+    }
+}
+
+/// The nearest of some points.
+pub(super) struct Nearest<'a> {
+    points: &'a [Point3<f32>],
+    pub within_m: f32,
+    by_voxel: VoxelMap<Vec<u32>>,
+}
+
+impl<'a> Nearest<'a> {
+    pub fn new(points: &'a [Point3<f32>], within_m: f32) -> Self {
+        let mut by_voxel: VoxelMap<Vec<u32>> = VoxelMap::default();
+        for (p, i) in points.iter().zip(0..) {
+            by_voxel.entry(VoxelKey::of(p, within_m)).or_default().push(i);
+        }
+        Self { points, within_m, by_voxel }
+    }
+
+    /// The nearest point to `p`, as far as any is near enough.
+    pub fn to(&self, p: &Point3<f32>) -> Option<u32> {
+        let key = VoxelKey::of(p, self.within_m);
+        let around = std::iter::once(key).chain(NEIGHBOURS_26.iter().map(|&d| key.offset(d)));
+        let near = around.filter_map(|key| self.by_voxel.get(&key)).flatten().copied();
+        let distance = |i: u32| (self.points[i as usize] - p).norm_squared();
+        near.map(|i| (distance(i), i))
+            .filter(|(squared, _)| *squared <= self.within_m * self.within_m)
+            .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)))
+            .map(|(_, i)| i)
+    }
+}
+
+/// Things that are the same in both looks, by the owners of their points: each has at most one
+/// partner, the best fitting pairs first.
+#[must_use]
+pub fn pairs(
+    before: &[InstanceId],
+    after: &[InstanceId],
+    counterparts: &Counterparts,
+) -> Vec<(InstanceId, InstanceId)> {
+    let mut shared: BTreeMap<(InstanceId, InstanceId), u32> = BTreeMap::new();
+    let (mut sizes_before, mut sizes_after, mut whole) =
+        (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+    for (point, &old) in before.iter().enumerate() {
+        *whole.entry(old).or_insert(0_u32) += 1;
+        let Some(counterpart) = counterparts.of_before(point) else { continue };
+        let new = after[counterpart as usize];
+        *sizes_before.entry(old).or_insert(0_u32) += 1;
+        *sizes_after.entry(new).or_insert(0_u32) += 1;
+        if old.0 != 0 && new.0 != 0 {
+            *shared.entry((old, new)).or_insert(0) += 1;
+        }
+    }
+    let iou = |(old, new), both: u32| {
+        both as f32 / (sizes_before[&old] + sizes_after[&new] - both) as f32
+    };
+    let mut scored: Vec<(f32, (InstanceId, InstanceId))> =
+        shared.iter().map(|(&pair, &both)| (iou(pair, both), pair)).collect();
+    scored.retain(|(iou, (old, _))| {
+        *iou >= SAME_THING && sizes_before[old] as f32 >= LEFT * whole[old] as f32
+    });
+    scored.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let (mut taken_before, mut taken_after) = (BTreeSet::new(), BTreeSet::new());
+    let mut found = Vec::new();
+    for (_, (old, new)) in scored {
+        if !taken_before.contains(&old) && !taken_after.contains(&new) {
+            taken_before.insert(old);
+            taken_after.insert(new);
+            found.push((old, new));
+        }
+    }
+    found.sort_unstable();
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ids(ids: &[u32]) -> Vec<InstanceId> {
+        ids.iter().copied().map(InstanceId).collect()
+    }
+
+    fn line(x: impl IntoIterator<Item = f32>) -> Vec<Point3<f32>> {
+        x.into_iter().map(|x| Point3::new(x, 0.0, 0.0)).collect()
+    }
+
+    #[test]
+    fn things_are_the_same_by_the_points_they_share() {
+        let before = line([0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
+        // 5.0 is gone, 6.0 is new.
+        let after = line([4.0, 3.0, 2.0, 1.0, 0.0, 6.0]);
+        let same = Counterparts::same_points(&before, &after);
+        let found = pairs(&ids(&[1, 1, 1, 2, 2, 3]), &ids(&[9, 8, 7, 7, 7, 3]), &same);
+        assert_eq!(
+            found,
+            [(InstanceId(1), InstanceId(7)), (InstanceId(2), InstanceId(8))],
+            "one half of a thing that fell apart keeps its id"
+        );
+        assert!(same.of_before(5).is_none() && !same.of_after(5));
+        assert!((same.share() - 5.0 / 6.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn points_of_two_scans_meet_within_reach() {
+        let place = Isometry3::translation(0.0, 1.0, 0.0);
+        let (before, after) = (
+            line([0.0, 1.0]),
+            vec![
+                Point3::new(0.04, 1.0, 0.0),
+                Point3::new(0.01, 1.0, 0.0),
+                Point3::new(1.2, 1.0, 0.0),
+            ],
+        );
+        let near =
+            Counterparts::nearest(&before, &after, &place, 0.05, &Progress::silent()).unwrap();
+        assert_eq!((near.of_before(0), near.of_before(1)), (Some(1), None));
+        assert_eq!([0, 1, 2].map(|i| near.of_after(i)), [true, true, false]);
+    }
+
+    #[test]
+    fn looking_for_counterparts_stops_when_it_is_cancelled() {
+        // Of a thousand points in one place each has a thousand near.
+        let (dense, checks) = (
+            vec![Point3::origin(); 1000],
+            std::sync::Arc::new(std::sync::atomic::AtomicUsize::new(0)),
+        );
+        let checked = checks.clone();
+        let progress = Progress::new(
+            |_, _| {},
+            move || checked.fetch_add(1, std::sync::atomic::Ordering::Relaxed) >= 10,
+        );
+        let found = Counterparts::nearest(&dense, &dense, &Isometry3::identity(), 0.05, &progress);
+        assert!(found.is_err());
+        assert!(
+            checks.load(std::sync::atomic::Ordering::Relaxed) < 1000,
+            "every point was looked at"
+        );
+    }
+}

@@ -1,0 +1,303 @@
+//! Parts and wholes: what masks show besides the things that a scene is cut into. Not in the paper.
+//!
+//! No single cut suits every question: a bed may have been found as blanket and headboard, a
+//! dresser without its drawers. What merging had on its way are parts; things that one mask holds,
+//! and neighbours two by two, are wholes. Those that masks show best are offered beside the things,
+//! by the same measure that tells things from leftovers.
+
+use super::lifting::{FrameVisibility, coarsen};
+use super::merging::Regions;
+use super::planes::Planes;
+use super::superpoints::Superpoints;
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
+use uniground_geometry::progress::{Cancelled, Progress};
+use uniground_geometry::scene::Level;
+use uniground_types::settings::ParsingSettings;
+
+/// A part or a whole that masks show.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Proposal {
+    /// [`Level::Part`] or [`Level::Whole`].
+    pub level: Level,
+    /// Superpoints it is made of, ascending.
+    pub superpoints: Vec<u32>,
+    /// The region a part lies in; those a whole is made of, ascending.
+    pub regions: Vec<u32>,
+    /// How well masks show it: IoU of its visible points and those of the best mask, mean over
+    /// frames by visible points, `0..=1`.
+    pub agreement: f32,
+}
+
+/// Two that share this much of their points (IoU) are one.
+const SAME: f32 = 0.85;
+/// A mask holds a region when this share of the region's visible points lies in it; it is filled by
+/// regions when this share of its own points lies in those it holds.
+const HELD: f32 = 0.7;
+/// A mask that holds more regions than this shows a corner of the room.
+const MOST_REGIONS: usize = 12;
+
+/// Parts and wholes, best shown first: at most as many for each region as the settings allow.
+/// `levels` are the steps of merging that led to `region_of` (both by superpoint), `tables` what
+/// the frames see of the superpoints.
+///
+/// # Errors
+/// [`Cancelled`].
+pub fn propose(
+    superpoints: &Superpoints,
+    planes: &Planes,
+    levels: &Regions,
+    region_of: &[u32],
+    tables: &[FrameVisibility],
+    settings: &ParsingSettings,
+    progress: &Progress,
+) -> Result<Vec<Proposal>, Cancelled> {
+    progress.report("hierarchy", 0.0)?;
+    let members = members(region_of);
+    let most = (settings.instances.parts_and_wholes * members.len() as f32) as usize;
+    if most == 0 {
+        return Ok(Vec::new());
+    }
+    let mut proposals = parts(levels, region_of, tables);
+    progress.check()?;
+    proposals.extend(wholes(superpoints, region_of, &members, tables));
+    let size = |set: &[u32]| {
+        set.iter().map(|&s| superpoints.patches[s as usize].points as f32).sum::<f32>()
+    };
+    let planar = |set: &[u32]| set.iter().any(|&s| planes.of_superpoint[s as usize].is_some());
+    proposals.retain(|p| {
+        p.agreement >= settings.instances.min_agreement
+            && size(&p.superpoints) >= settings.merging.min_points as f32
+            && !planar(&p.superpoints)
+    });
+    proposals.sort_by(|a, b| {
+        b.agreement.total_cmp(&a.agreement).then_with(|| a.superpoints.cmp(&b.superpoints))
+    });
+    let same = |a: &[u32], b: &[u32]| {
+        let both = size(&shared(a, b));
+        both >= SAME * (size(a) + size(b) - both)
+    };
+    let mut kept: Vec<Proposal> = Vec::new();
+    for proposal in proposals {
+        progress.check()?;
+        let own = &proposal.superpoints;
+        let is_thing = proposal.regions.iter().any(|&r| same(&members[r as usize], own));
+        if !is_thing && kept.iter().all(|other| !same(&other.superpoints, own)) {
+            kept.push(proposal);
+        }
+        if kept.len() >= most {
+            break;
+        }
+    }
+    Ok(kept)
+}
+
+/// Superpoints of each region, ascending.
+fn members(region_of: &[u32]) -> Vec<Vec<u32>> {
+    let mut members = vec![Vec::new(); region_of.iter().max().map_or(0, |&r| r as usize + 1)];
+    (0..)
+        .zip(region_of)
+        .for_each(|(superpoint, &region)| members[region as usize].push(superpoint));
+    members
+}
+
+/// What two ascending lists share.
+fn shared(a: &[u32], b: &[u32]) -> Vec<u32> {
+    a.iter().copied().filter(|s| b.binary_search(s).is_ok()).collect()
+}
+
+/// Regions on the way to those of `region_of` that lie in one of them: what stood in a table was
+/// set free of it since.
+fn parts(levels: &Regions, region_of: &[u32], tables: &[FrameVisibility]) -> Vec<Proposal> {
+    let mut found: BTreeMap<Vec<u32>, f32> = BTreeMap::new();
+    for level in &levels.levels {
+        let coarse: Vec<FrameVisibility> =
+            tables.par_iter().map(|table| coarsen(table, level)).collect();
+        let members = members(level);
+        let alone = (0..members.len() as u32).map(|region| vec![region]).collect::<Vec<_>>();
+        let agreements = agreements(&coarse, &alone);
+        found.extend(members.into_iter().zip(agreements));
+    }
+    let of = |(superpoints, agreement): (Vec<u32>, f32)| {
+        let regions = vec![region_of[*superpoints.first()? as usize]];
+        let lies_in_it = superpoints.iter().all(|&s| region_of[s as usize] == regions[0]);
+        lies_in_it.then_some(Proposal { level: Level::Part, superpoints, regions, agreement })
+    };
+    found.into_iter().filter_map(of).collect()
+}
+
+/// Regions that one mask holds and that fill it, and neighbours two by two.
+fn wholes(
+    superpoints: &Superpoints,
+    region_of: &[u32],
+    members: &[Vec<u32>],
+    tables: &[FrameVisibility],
+) -> Vec<Proposal> {
+    let coarse: Vec<FrameVisibility> =
+        tables.par_iter().map(|table| coarsen(table, region_of)).collect();
+    let mut unions: BTreeSet<Vec<u32>> =
+        coarse.par_iter().map(held_together).flatten_iter().collect();
+    let neighbours =
+        superpoints.adjacent.iter().map(|&(a, b)| (region_of[a as usize], region_of[b as usize]));
+    unions.extend(neighbours.filter(|(a, b)| a != b).map(|(a, b)| vec![a.min(b), a.max(b)]));
+    let unions: Vec<Vec<u32>> = unions.into_iter().collect();
+    let agreements = agreements(&coarse, &unions);
+    let whole = |(regions, agreement): (Vec<u32>, f32)| {
+        let mut superpoints: Vec<u32> =
+            regions.iter().flat_map(|&r| members[r as usize].iter().copied()).collect();
+        superpoints.sort_unstable();
+        Proposal { level: Level::Whole, superpoints, regions, agreement }
+    };
+    unions.into_iter().zip(agreements).map(whole).collect()
+}
+
+/// For each mask the regions it holds, where they fill it.
+fn held_together(table: &FrameVisibility) -> Vec<Vec<u32>> {
+    // Points of each mask, those of regions it holds, and these regions.
+    let mut of_mask: BTreeMap<u16, (u32, u32, Vec<u32>)> = BTreeMap::new();
+    for row in &table.rows {
+        for &(mask, n) in &row.masks {
+            let (all, filled, regions) = of_mask.entry(mask).or_default();
+            *all += n;
+            if n as f32 >= HELD * row.visible as f32 {
+                *filled += n;
+                regions.push(row.superpoint);
+            }
+        }
+    }
+    let filled =
+        of_mask.into_values().filter(|(all, filled, _)| *filled as f32 >= HELD * *all as f32);
+    filled
+        .map(|(_, _, regions)| regions)
+        .filter(|regions| (2..=MOST_REGIONS).contains(&regions.len()))
+        .collect()
+}
+
+/// How well masks show each union of rows of the tables.
+fn agreements(tables: &[FrameVisibility], unions: &[Vec<u32>]) -> Vec<f32> {
+    let frames: Vec<FrameMasks> =
+        tables.chunk_by(|a, b| a.frame == b.frame).map(FrameMasks::of).collect();
+    let agreement = |union: &Vec<u32>| {
+        let seen = frames.iter().map(|frame| frame.agreement(union));
+        let (sum, weight) =
+            seen.fold((0.0, 0.0), |(sum, weight), (iou, n)| (sum + iou * n, weight + n));
+        if weight > 0.0 { sum / weight } else { 0.0 }
+    };
+    unions.par_iter().map(agreement).collect()
+}
+
+/// One frame.
+struct FrameMasks<'a> {
+    /// One table for each id image.
+    images: &'a [FrameVisibility],
+    /// Points each mask holds, by id image.
+    points: Vec<BTreeMap<u16, u32>>,
+}
+
+impl<'a> FrameMasks<'a> {
+    fn of(images: &'a [FrameVisibility]) -> Self {
+        let points = |table: &FrameVisibility| {
+            let mut points = BTreeMap::new();
+            let masks = table.rows.iter().flat_map(|row| &row.masks);
+            masks.for_each(|&(mask, n)| *points.entry(mask).or_insert(0) += n);
+            points
+        };
+        Self { images, points: images.iter().map(points).collect() }
+    }
+
+    /// IoU of the visible points of a union and those of the mask that fits them best, and how many
+    /// points are visible.
+    fn agreement(&self, union: &[u32]) -> (f32, f32) {
+        let (mut best, mut visible) = (0.0_f32, 0);
+        for (table, points) in self.images.iter().zip(&self.points) {
+            let mut shared: BTreeMap<u16, u32> = BTreeMap::new();
+            visible = 0;
+            for part in union {
+                let Ok(row) = table.rows.binary_search_by_key(part, |row| row.superpoint) else {
+                    continue;
+                };
+                visible += table.rows[row].visible;
+                table.rows[row]
+                    .masks
+                    .iter()
+                    .for_each(|&(mask, n)| *shared.entry(mask).or_insert(0) += n);
+            }
+            let iou =
+                |(mask, both): (u16, u32)| both as f32 / (visible + points[&mask] - both) as f32;
+            best = shared.into_iter().map(iou).fold(best, f32::max);
+        }
+        (best, visible as f32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lifting::VisibleSuperpoint;
+    use crate::superpoints::Patch;
+    use uniground_geometry::scene::FrameIndex;
+    use uniground_geometry::{Point3, Vector3};
+    use uniground_types::settings::InstanceSettings;
+
+    /// A chest of two superpoints and a lamp on it; one mask shows the drawer, superpoint 1,
+    /// another chest and lamp together.
+    #[test]
+    fn what_masks_show_beside_the_cut_is_proposed() {
+        let patch = Patch {
+            points: 100,
+            center: Point3::origin(),
+            normal: Vector3::z(),
+            lab: Vector3::zeros(),
+        };
+        let superpoints = Superpoints {
+            of_point: Vec::new(),
+            patches: vec![patch; 3],
+            adjacent: vec![(0, 1), (0, 2)],
+            roughness_m: vec![0.0; 3],
+        };
+        let planes = Planes { planes: Vec::new(), of_superpoint: vec![None; 3] };
+        let region_of = [0, 0, 1];
+        let levels = Regions { levels: vec![vec![0, 1, 2], region_of.to_vec()] };
+        let table = |layer, masks: [&[(u16, u32)]; 3]| FrameVisibility {
+            frame: FrameIndex(0),
+            layer,
+            masks: 2,
+            rows: (0..)
+                .zip(masks)
+                .map(|(superpoint, masks)| VisibleSuperpoint {
+                    superpoint,
+                    visible: 100,
+                    masks: masks.to_vec(),
+                })
+                .collect(),
+        };
+        let tables = [
+            table(0, [&[(1, 10)], &[(2, 90)], &[]]),
+            table(1, [&[(7, 95)], &[(7, 100)], &[(7, 80)]]),
+        ];
+        let proposed = |parts_and_wholes| {
+            let instances = InstanceSettings { parts_and_wholes, ..InstanceSettings::default() };
+            let settings = ParsingSettings { instances, ..ParsingSettings::default() };
+            propose(
+                &superpoints,
+                &planes,
+                &levels,
+                &region_of,
+                &tables,
+                &settings,
+                &Progress::silent(),
+            )
+            .unwrap()
+        };
+        let told: Vec<_> = proposed(1.5)
+            .into_iter()
+            .map(|p| (p.level, p.superpoints, p.regions, (p.agreement * 100.0).round()))
+            .collect();
+        let whole = (Level::Whole, vec![0, 1, 2], vec![0, 1], 92.0);
+        let drawer = (Level::Part, vec![1], vec![0], 90.0);
+        // Superpoint 0 alone is shown by a third of the large mask.
+        let rest = (Level::Part, vec![0], vec![0], 34.0);
+        assert_eq!(told, [whole, drawer, rest]);
+        assert_eq!((proposed(0.5).len(), proposed(0.0).len()), (1, 0));
+    }
+}

@@ -1,0 +1,263 @@
+//! What a thing fills, seen from above: columns of space, and at which heights each of them is
+//! filled.
+//!
+//! Boxes will not do. Around a wall of a room that is turned in its world, or around a counter with
+//! a corner, a box holds half of the room.
+
+use nalgebra::Rotation2;
+use std::collections::BTreeMap;
+use uniground_geometry::boxes::OrientedBox;
+use uniground_geometry::{Point2, Point3};
+
+/// Edge of a column, metres.
+const CELL_M: f32 = 0.05;
+/// Height of a level, metres.
+const LEVEL_M: f32 = 0.03;
+
+type Cell = (i32, i32);
+
+/// The columns of a thing along its own axes.
+#[derive(Debug, Clone)]
+pub struct Columns {
+    /// From the world's axes to its own.
+    turn: Rotation2<f32>,
+    filled: Filled,
+    lowest_z: f32,
+}
+
+/// Which columns are filled, and at which levels: one bit for each, from the lowest point of all.
+/// What is over the last one counts as in it.
+#[derive(Debug, Clone)]
+enum Filled {
+    Seen {
+        columns: BTreeMap<Cell, u128>,
+        /// From where to where each row of columns reaches along the thing's X axis, and each file
+        /// along its Y axis.
+        rows: BTreeMap<i32, (i32, i32)>,
+        files: BTreeMap<i32, (i32, i32)>,
+    },
+    /// Every column from the first to the last, alike. Boxes may be as large as a scan's
+    /// coordinates: they are not spelt out.
+    Throughout { first: Cell, last: Cell, levels: u128 },
+}
+
+impl Columns {
+    /// Of points, metres, world frame (Z up), along the axes of a box turned by `yaw_rad`.
+    pub fn of_points(points: impl Iterator<Item = Point3<f32>> + Clone, yaw_rad: f32) -> Self {
+        let turn = Rotation2::new(-yaw_rad);
+        let lowest_z = points.clone().map(|p| p.z).fold(f32::INFINITY, f32::min);
+        let mut columns: BTreeMap<Cell, u128> = BTreeMap::new();
+        points.for_each(|p| {
+            *columns.entry(cell(&(turn * p.xy()))).or_default() |= 1 << level(p.z - lowest_z)
+        });
+        let (mut rows, mut files) = (BTreeMap::new(), BTreeMap::new());
+        let reach = |spans: &mut BTreeMap<i32, (i32, i32)>, line: i32, at: i32| {
+            let span = spans.entry(line).or_insert((at, at));
+            *span = (span.0.min(at), span.1.max(at));
+        };
+        for &(x, y) in columns.keys() {
+            reach(&mut rows, y, x);
+            reach(&mut files, x, y);
+        }
+        Self { turn, filled: Filled::Seen { columns, rows, files }, lowest_z }
+    }
+
+    /// Of a box that is filled throughout.
+    pub fn of_box(filled: &OrientedBox) -> Self {
+        let turn = Rotation2::new(-filled.yaw_rad);
+        let (center, half) = (turn * filled.center.xy(), filled.size / 2.0);
+        let (first, last) = (cell(&(center - half.xy())), cell(&(center + half.xy())));
+        let levels = u128::MAX >> (127 - level(filled.size.z));
+        Self {
+            turn,
+            filled: Filled::Throughout { first, last, levels },
+            lowest_z: filled.center.z - half.z,
+        }
+    }
+
+    /// Share of these columns that lie within the outline of the others: between two of them along
+    /// one of their axes. What a thing stands on was not seen under it.
+    pub fn share_over(&self, other: &Self) -> f32 {
+        let (mut all, mut over) = (0, 0);
+        for p in self.filled.cells().map(|own| self.middle(own)) {
+            all += 1;
+            over += u32::from(other.filled.holds(other.cell(&p)));
+        }
+        over as f32 / all.max(1) as f32
+    }
+
+    /// Share of the columns at the rim of these next to which the others are filled at this height,
+    /// metres, give or take `within_m`.
+    pub fn share_touching(&self, other: &Self, z: f32, within_m: f32) -> f32 {
+        let low = z - within_m - other.lowest_z;
+        if low + 2.0 * within_m < 0.0 {
+            return 0.0;
+        }
+        let levels = (u128::MAX >> (127 - level(low + 2.0 * within_m))) & (u128::MAX << level(low));
+        let (mut rim, mut touching) = (0, 0);
+        for own in self.filled.cells().filter(|own| self.filled.is_rim(*own)) {
+            rim += 1;
+            touching += u32::from(
+                around(other.cell(&self.middle(own)), 1).any(|c| other.filled.at(c) & levels != 0),
+            );
+        }
+        touching as f32 / rim.max(1) as f32
+    }
+
+    /// Whether one of these columns is this near to the outline of the others, metres.
+    pub fn is_beside(&self, other: &Self, within_m: f32) -> bool {
+        let cells = (within_m / CELL_M) as i32;
+        self.filled
+            .cells()
+            .any(|own| around(other.cell(&self.middle(own)), cells).any(|c| other.filled.holds(c)))
+    }
+
+    /// Extents along its own axes, the larger first, metres.
+    pub fn extents(&self) -> [f32; 2] {
+        let [x, y] = self.filled.extents().map(|columns| columns as f32 * CELL_M);
+        [x.max(y), x.min(y)]
+    }
+
+    /// The column over a place on the ground plan, metres, world frame.
+    fn cell(&self, p: &Point2<f32>) -> Cell {
+        cell(&(self.turn * p))
+    }
+
+    /// The middle of a column, metres, world frame.
+    fn middle(&self, (x, y): Cell) -> Point2<f32> {
+        self.turn.inverse() * Point2::new((x as f32 + 0.5) * CELL_M, (y as f32 + 0.5) * CELL_M)
+    }
+}
+
+impl Filled {
+    fn cells(&self) -> Box<dyn Iterator<Item = Cell> + '_> {
+        match self {
+            Self::Seen { columns, .. } => Box::new(columns.keys().copied()),
+            &Self::Throughout { first, last, .. } => Box::new(
+                (first.0..=last.0).flat_map(move |x| (first.1..=last.1).map(move |y| (x, y))),
+            ),
+        }
+    }
+
+    /// The levels filled in a column.
+    fn at(&self, cell: Cell) -> u128 {
+        match self {
+            Self::Seen { columns, .. } => columns.get(&cell).copied().unwrap_or(0),
+            Self::Throughout { levels, .. } if self.holds(cell) => *levels,
+            Self::Throughout { .. } => 0,
+        }
+    }
+
+    /// Whether a column is within the outline.
+    fn holds(&self, (x, y): Cell) -> bool {
+        match self {
+            Self::Seen { rows, files, .. } => {
+                let within = |span: Option<&(i32, i32)>, at| {
+                    span.is_some_and(|&(from, to)| (from..=to).contains(&at))
+                };
+                within(rows.get(&y), x) || within(files.get(&x), y)
+            }
+            Self::Throughout { first, last, .. } => {
+                (first.0..=last.0).contains(&x) && (first.1..=last.1).contains(&y)
+            }
+        }
+    }
+
+    fn is_rim(&self, (x, y): Cell) -> bool {
+        [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].iter().any(|c| self.at(*c) == 0)
+    }
+
+    /// How many columns it spans along X and Y.
+    fn extents(&self) -> [i32; 2] {
+        let (xs, ys) = match self {
+            Self::Seen { rows, files, .. } => {
+                let ends = |lines: &BTreeMap<i32, (i32, i32)>| {
+                    lines.keys().next().copied().zip(lines.keys().next_back().copied())
+                };
+                (ends(files), ends(rows))
+            }
+            Self::Throughout { first, last, .. } => {
+                (Some((first.0, last.0)), Some((first.1, last.1)))
+            }
+        };
+        [xs, ys].map(|ends| {
+            ends.map_or(0, |(first, last)| last.saturating_sub(first).saturating_add(1))
+        })
+    }
+}
+
+/// The column over a place, metres, along its own axes.
+fn cell(own: &Point2<f32>) -> Cell {
+    ((own.x / CELL_M).floor() as i32, (own.y / CELL_M).floor() as i32)
+}
+
+/// The level at this height over the lowest one, metres.
+fn level(over_m: f32) -> u32 {
+    (over_m / LEVEL_M).clamp(0.0, 127.0) as u32
+}
+
+/// This column and those up to `cells` from it.
+fn around((x, y): Cell, cells: i32) -> impl Iterator<Item = Cell> {
+    (-cells..=cells).flat_map(move |dx| (-cells..=cells).map(move |dy| (x + dx, y + dy)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use uniground_geometry::Vector3;
+
+    fn filled(size: [f32; 3], center: [f32; 3], yaw_rad: f32) -> Columns {
+        Columns::of_box(&OrientedBox {
+            center: Point3::from(center),
+            size: Vector3::from(size),
+            yaw_rad,
+        })
+    }
+
+    #[test]
+    fn a_box_of_points_fills_what_the_box_does() {
+        let points = (0..30).flat_map(|x| {
+            (0..20).flat_map(move |y| {
+                (0..10).map(move |z| Point3::new(x as f32, y as f32, z as f32) * 0.02)
+            })
+        });
+        let (seen, known) =
+            (Columns::of_points(points, 0.0), filled([0.58, 0.38, 0.18], [0.29, 0.19, 0.09], 0.0));
+        let columns = |of: &Columns| {
+            of.filled.cells().map(|c| (c, of.filled.at(c), of.filled.is_rim(c))).collect::<Vec<_>>()
+        };
+        assert_eq!((columns(&seen), seen.extents()), (columns(&known), known.extents()));
+        assert_eq!(seen.share_over(&known), 1.0);
+        assert_eq!(seen.share_touching(&known, 0.1, 0.02), 1.0);
+        assert_eq!(seen.share_touching(&known, 0.4, 0.02), 0.0, "over its top");
+        assert_eq!(seen.share_touching(&known, -0.2, 0.02), 0.0, "under it");
+    }
+
+    #[test]
+    fn a_box_as_large_as_coordinates_go_costs_nothing() {
+        let (floor, box_on_it) = (
+            filled([1e7, 1e7, 0.1], [0.0, 0.0, -0.05], 0.3),
+            filled([0.4, 0.4, 0.4], [3.0, 2.0, 0.2], 0.0),
+        );
+        assert_eq!(
+            (box_on_it.share_over(&floor), box_on_it.share_touching(&floor, 0.0, 0.06)),
+            (1.0, 1.0)
+        );
+        assert!(box_on_it.is_beside(&floor, 0.1) && floor.extents()[1] > 9e6);
+    }
+
+    #[test]
+    fn what_is_turned_is_measured_along_its_own_axes() {
+        let wall = filled([4.0, 0.1, 2.0], [0.0, 0.0, 1.0], 0.7);
+        assert!(
+            (wall.extents()[0] - 4.0).abs() <= 0.1 && wall.extents()[1] <= 0.15,
+            "{:?}",
+            wall.extents()
+        );
+        let beside = |off: f32| {
+            let at = nalgebra::Rotation2::new(0.7) * Point2::new(1.0, off);
+            filled([0.2, 0.2, 0.2], [at.x, at.y, 1.0], 0.7).is_beside(&wall, 0.1)
+        };
+        assert_eq!([0.2, 0.4, -0.2, -0.4].map(beside), [true, false, true, false]);
+    }
+}

@@ -1,0 +1,94 @@
+//! One more instance beside those that are known: of points, or of what several of them have.
+
+use super::{Body, Shape, support};
+use uniground_geometry::scene::{
+    Instance, InstanceId, Level, PointCloud, Structure, Support, views_of_all,
+};
+use uniground_models::attributes::name_guesses;
+use uniground_types::settings::InstanceSettings;
+
+/// The most views that what was merged has.
+const MOST_VIEWS: usize = 5;
+
+/// One thing of the points of several, the next of the known instances; `owner` says whose a point
+/// is. `None` where they have none.
+#[must_use]
+pub fn merged(
+    cloud: &PointCloud,
+    owner: impl Fn(usize) -> InstanceId,
+    members: &[InstanceId],
+    known: &[Instance],
+    settings: &InstanceSettings,
+) -> Option<Instance> {
+    let points: Vec<u32> = (0..cloud.len())
+        .filter(|&point| members.contains(&owner(point)))
+        .map(|point| point as u32)
+        .collect();
+    if points.is_empty() {
+        return None;
+    }
+    let shown: Vec<&Instance> = members.iter().map(|id| &known[id.0 as usize - 1]).collect();
+    // It does not rest on what it is made of.
+    let beside: Vec<Instance> = known
+        .iter()
+        .map(|i| Instance { dismissed: i.dismissed || members.contains(&i.id), ..i.clone() })
+        .collect();
+    let whole = of_points(cloud, &points, &beside, settings);
+    Some(Instance {
+        views: views_of_all(&shown, MOST_VIEWS),
+        merged_from: members.to_vec(),
+        ..whole
+    })
+}
+
+/// These points of the cloud as the next of the known instances: a thing, without views.
+#[must_use]
+pub fn of_points(
+    cloud: &PointCloud,
+    points: &[u32],
+    known: &[Instance],
+    settings: &InstanceSettings,
+) -> Instance {
+    // How rough surfaces are was measured with the superpoints, which are not kept.
+    const NOISE_M: f32 = 0.0;
+    let mut shape = Shape::of(cloud, points, NOISE_M, None, settings);
+    let bottom_z = |i: &Instance| i.aabb.min().z;
+    let floor_z =
+        known.first().map_or(shape.aabb.min().z, |i| bottom_z(i) - i.height_above_floor_m);
+    let things: Vec<&Instance> =
+        known.iter().filter(|i| i.level == Level::Thing && !i.dismissed).collect();
+    let mut bodies: Vec<Body> =
+        things.iter().map(|i| Body::of_box(i.aabb, &i.oriented_box)).collect();
+    let mut structures: Vec<Option<Structure>> = things.iter().map(|i| i.structure).collect();
+    bodies.push(shape.body(cloud, points));
+    structures.push(None);
+    // Told by places in this list, counted from 1.
+    let id_of = |place: InstanceId| things[place.0 as usize - 1].id;
+    let own = bodies.len() - 1;
+    let held = support::held(
+        own,
+        support::of(own, &bodies, &structures, floor_z),
+        &bodies,
+        &structures,
+        floor_z,
+    );
+    shape.reach(held.from_z, held.to_z);
+    let support = match held.support {
+        Support::Instance { id } => Support::Instance { id: id_of(id) },
+        Support::Wall { id } => Support::Wall { id: id_of(id) },
+        other => other,
+    };
+    let id = InstanceId(known.len() as u32 + 1);
+    let found = Instance {
+        height_above_floor_m: shape.aabb.min().z - floor_z,
+        raw_box: shape.raw_box,
+        oriented_box: shape.oriented_box,
+        point_count: shape.point_count,
+        mean_rgb: shape.mean_rgb,
+        colours: shape.colours,
+        planarity: shape.planarity,
+        support,
+        ..Instance::from_box(id, shape.aabb)
+    };
+    Instance { names: name_guesses(&found), ..found }
+}

@@ -1,0 +1,420 @@
+//! Stage 1, Global Candidate Filtering: a [`SceneBundle`] to a [`ParsedScene`] (paper, section 3.2;
+//! docs/METHOD.md, section 1).
+//!
+//! ```text
+//! cloud  -> superpoints -> planes ─┐
+//! frames -> masks -> lifting -> affinity -> merging -> part merging -> refinement -> views -> instances -> appearance -> names
+//! ```
+//! Frames pass four times, decoded a few at a time: for masks and lifting, and their depth for
+//! gaps, for refinement and for the views; where networks take part, the chosen views pass once
+//! more. Same input and settings give the same instances, whatever the number of threads.
+
+#![warn(missing_docs)]
+
+pub mod affinity;
+pub mod appearance;
+pub mod changes;
+pub mod checkpoints;
+pub mod correction;
+pub mod evidence;
+pub mod frame_appearance;
+pub mod frame_sampling;
+pub mod gaps;
+pub mod hierarchy;
+pub mod instances;
+pub mod labels;
+pub mod lifting;
+pub mod masks;
+pub mod merging;
+pub mod outline;
+pub mod part_merging;
+
+mod perceived;
+pub mod planes;
+pub mod pointed;
+pub mod refinement;
+pub mod relief;
+pub mod report_pictures;
+pub mod scan;
+pub mod sharpness;
+pub mod standing;
+mod stopwatch;
+pub mod superpoints;
+pub mod views;
+pub mod visibility;
+
+use appearance::Correction;
+use checkpoints::Checkpoints;
+use correction::Corrector;
+use hierarchy::Proposal;
+use instances::Built;
+use labels::Labels;
+use lifting::{FrameVisibility, Lifted, MasksOfFrames};
+use masks::MaskSource;
+use perceived::Perceived;
+use planes::Planes;
+use relief::Flats;
+pub use stopwatch::{StageOutcome, Stopwatch};
+use superpoints::Superpoints;
+use uniground_geometry::Point3;
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::progress::{Cancelled, Progress};
+use uniground_geometry::scene::{
+    FrameEmbeddings, FrameError, FrameRef, ParseReport, ParsedScene, PointCloud, SceneBundle,
+};
+use uniground_models::neural::{DualEncoder, ModelError};
+use uniground_models::{attributes, calibration};
+pub use uniground_types::settings::ParsingSettings;
+use views::Labelled;
+use visibility::Visibility;
+
+/// Why a scene could not be cut into instances.
+#[derive(Debug, thiserror::Error)]
+pub enum ParseError {
+    /// A picture of a frame can not be read.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    /// A segmenter or encoder failed.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// There is nothing to cut.
+    #[error("the cloud has no points")]
+    NoPoints,
+    /// The caller asked to stop.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+/// What looks at pictures.
+pub struct Perception<'a> {
+    /// Who cuts frames into masks.
+    pub masks: &'a dyn MaskSource,
+    /// A segmenter to be asked about single instances; `None`: projected boxes stand.
+    pub corrector: Option<Corrector<'a>>,
+    /// A model that compares pictures and words; `None`: the built-in attributes name instances.
+    pub encoder: Option<&'a DualEncoder>,
+}
+
+impl<'a> Perception<'a> {
+    /// Masks from this source, names from the built-in attributes, no correction.
+    #[must_use]
+    pub fn with_masks(masks: &'a dyn MaskSource) -> Self {
+        Self { masks, corrector: None, encoder: None }
+    }
+
+    fn is_neural(&self) -> bool {
+        self.corrector.is_some() || self.encoder.is_some()
+    }
+
+    fn superpoints_end(&self) -> f32 {
+        let [superpoints, masks, ..] = self.ends();
+        superpoints / masks
+    }
+
+    /// Where stages end, as shares of the whole: superpoints, masks, planes, merging, part merging,
+    /// refinement, views, instances; appearance comes last and ends at 1. Where networks take
+    /// part they take nearly all of the time. The time left is estimated from these.
+    fn ends(&self) -> [f32; 8] {
+        match (self.corrector.is_some(), self.encoder.is_some()) {
+            (false, false) => [0.3, 0.67, 0.72, 0.79, 0.81, 0.88, 0.98, 1.0],
+            (false, true) => [0.06, 0.14, 0.15, 0.165, 0.17, 0.18, 0.195, 0.2],
+            (true, _) => [0.01, 0.699, 0.7, 0.705, 0.708, 0.713, 0.718, 0.72],
+        }
+    }
+}
+
+/// Where appearance ends and that of frames begins, as a share of the whole.
+const FRAMES_LOOKED_AT: f32 = 0.97;
+
+/// Cuts a scene into instances. Stages found in `checkpoints` are taken from there.
+///
+/// # Errors
+/// [`ParseError`]: an unreadable frame (named), an empty cloud, or cancellation.
+pub fn parse(
+    bundle: SceneBundle,
+    perception: &Perception,
+    settings: &ParsingSettings,
+    checkpoints: &Checkpoints,
+    progress: &Progress,
+) -> Result<ParsedScene, ParseError> {
+    if bundle.cloud.is_empty() {
+        return Err(ParseError::NoPoints);
+    }
+    let mut watch = Stopwatch::default();
+    let ends = perception.ends();
+
+    let perceiving = progress.part(0.0, ends[1]);
+    let Perceived { cloud, frames, mut superpoints, lifted, checkpoints } =
+        perceived::perceive(bundle, perception, settings, checkpoints, &perceiving, &mut watch)?;
+    let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
+    let visibility = Visibility::new(&cloud, &superpoints.of_point, settings.depth_tolerance);
+    let (tables, masks_of, sharpness_of) = Lifted::apart(lifted);
+    let blind: Vec<String> = tables
+        .iter()
+        .filter(|t| t.layer == 0 && t.rows.is_empty())
+        .map(|t| t.frame.to_string())
+        .collect();
+    if settings.merging.split_at_depth_edges {
+        superpoints.adjacent = watch.time("gaps", |outcome| {
+            let voxel_m = superpoints::voxel_m(&cloud, &settings.superpoints);
+            let kept = gaps::without_depth_edges(
+                &cloud,
+                &superpoints,
+                voxel_m,
+                &frames,
+                settings.depth_tolerance,
+                progress,
+            )?;
+            outcome.produced = superpoints.adjacent.len() - kept.len();
+            Ok::<_, ParseError>(kept)
+        })?;
+    }
+    let seen = Seen {
+        cloud: &cloud,
+        frames: &frames,
+        superpoints: &superpoints,
+        visibility: &visibility,
+        tables: &tables,
+        masks_of: &masks_of,
+    };
+    let Grouped { planes, region_of, proposals } =
+        group(seen, perception, settings, &checkpoints, progress, &mut watch)?;
+    let labels = Labels::of_regions(&region_of, &superpoints, proposals);
+    let sighted = watch.time("views", |outcome| {
+        let viewing = progress.part(ends[5], ends[6]);
+        let labelled = Labelled { labels: &labels, visibility: &visibility };
+        let flats = Flats::of(
+            &cloud,
+            &superpoints,
+            &planes,
+            &labels,
+            &centers(&frames),
+            &settings.instances,
+        );
+        let sighted = views::all_sighted(labelled, Some(&flats), &frames, &masks_of, &viewing)?;
+        outcome.produced = sighted.sightings.len();
+        Ok::<_, ParseError>(sighted)
+    })?;
+    let built = watch.time("instances", |outcome| {
+        let building = progress.part(ends[6], ends[7]);
+        let built = instances::build(
+            &cloud,
+            &superpoints,
+            &planes,
+            labels,
+            sighted,
+            &settings.instances,
+            &building,
+        )?;
+        outcome.produced = built.instances.len();
+        Ok::<_, ParseError>(built)
+    })?;
+    let Built { mut instances, labels, sightings, dropped, specks } = built;
+    let looked_at = appearance::choose(&instances, &sightings, &settings.appearance);
+    views::choose(&mut instances, sightings, &frames, &sharpness_of, &settings.views);
+    let rows = match perception.is_neural() {
+        false => Vec::new(),
+        true => watch.time("appearance", |outcome| {
+            let labelled = Labelled { labels: &labels, visibility: &visibility };
+            let looking = progress.part(ends[7], FRAMES_LOOKED_AT);
+            let (rows, outlines) = appearance::look(
+                &frames,
+                &instances,
+                &looked_at,
+                labelled,
+                (
+                    perception
+                        .corrector
+                        .as_ref()
+                        .map(|corrector| Correction { corrector, known: &masks_of }),
+                    perception.encoder,
+                ),
+                &settings.appearance,
+                &looking,
+            )?;
+            views::tighten(&mut instances, &outlines);
+            outcome.produced = looked_at.values().map(std::collections::BTreeMap::len).sum();
+            Ok::<_, ParseError>(rows)
+        })?,
+    };
+    attributes::name_all(&mut instances);
+    let embeddings = perception
+        .encoder
+        .map(|encoder| calibration::name_all(&mut instances, encoder, &rows))
+        .transpose()?;
+
+    let frame_embeddings = match perception.encoder {
+        None => None,
+        Some(encoder) => watch.time("frame_appearance", |outcome| {
+            let seen = frame_appearance::look(
+                &frames,
+                encoder,
+                &settings.appearance,
+                &progress.part(FRAMES_LOOKED_AT, 1.0),
+            )?;
+            outcome.produced = seen.as_ref().map_or(0, FrameEmbeddings::len);
+            Ok::<_, ParseError>(seen)
+        })?,
+    };
+    let report = ParseReport {
+        points: cloud.len() as u64,
+        frames_used: frames.len() as u32,
+        superpoints: superpoints.patches.len() as u32,
+        instances: labels.things,
+        parts_and_wholes: labels.compounds.len() as u32,
+        structural: instances.iter().filter(|i| i.structure.is_some()).count() as u32,
+        dropped,
+        specks,
+        without_views: instances.iter().filter(|i| i.views.is_empty()).count() as u32,
+        stages: watch.stages,
+        warnings: warnings(frames.len(), &blind),
+    };
+    let instance_of_point = labels.thing_of_point.into_owned();
+    let superpoint_of_point = superpoints.of_point;
+    Ok(ParsedScene {
+        cloud,
+        instance_of_point,
+        superpoint_of_point,
+        instances,
+        embeddings,
+        frame_embeddings,
+        extent,
+        report,
+    })
+}
+
+/// A scan in superpoints, and what its frames show of them.
+#[derive(Clone, Copy)]
+struct Seen<'a> {
+    cloud: &'a PointCloud,
+    frames: &'a [FrameRef],
+    superpoints: &'a Superpoints,
+    visibility: &'a Visibility,
+    tables: &'a [FrameVisibility],
+    masks_of: &'a MasksOfFrames,
+}
+
+/// The points of a scan in regions, each a candidate for an instance.
+struct Grouped {
+    planes: Planes,
+    /// One region per point of the cloud.
+    region_of: Vec<u32>,
+    /// Parts of regions, and wholes of several.
+    proposals: Vec<Proposal>,
+}
+
+/// Planes, and the merging that turns superpoints into regions.
+fn group(
+    seen: Seen,
+    perception: &Perception,
+    settings: &ParsingSettings,
+    checkpoints: &Checkpoints,
+    progress: &Progress,
+    watch: &mut Stopwatch,
+) -> Result<Grouped, ParseError> {
+    let Seen { cloud, frames, superpoints, visibility, tables, masks_of } = seen;
+    let ends = perception.ends();
+    let planes = watch.time("planes", |outcome| {
+        let planes =
+            planes::find(cloud, superpoints, &centers(frames), &progress.part(ends[1], ends[2]))?;
+        outcome.produced = planes.planes.len();
+        Ok::<_, ParseError>(planes)
+    })?;
+    let lifted_with = perceived::lifted_with(perception.masks, settings);
+    let regions = watch.time("merging", |outcome| {
+        let compute = || {
+            merging::merge(
+                superpoints,
+                &planes,
+                tables,
+                &settings.merging,
+                &progress.part(ends[2], ends[3]),
+            )
+        };
+        let (regions, reused) =
+            checkpoints.once("merging", &(lifted_with, &settings.merging), compute)?;
+        *outcome = StageOutcome { produced: count(regions.last()), reused };
+        Ok::<_, ParseError>(regions)
+    })?;
+    let region_of = watch.time("part_merging", |outcome| {
+        let freed = match settings.part_merging.enabled {
+            false => regions.last().to_vec(),
+            true => standing::set_free(
+                cloud,
+                superpoints,
+                &planes,
+                regions.last().to_vec(),
+                settings.merging.min_points,
+                progress,
+            )?,
+        };
+        let joined = part_merging::join(
+            cloud,
+            superpoints,
+            &planes,
+            freed,
+            &settings.part_merging,
+            &progress.part(ends[3], ends[4]),
+        )?;
+        outcome.produced = count(&joined);
+        Ok::<_, ParseError>(joined)
+    })?;
+    let proposals = watch.time("hierarchy", |outcome| {
+        let proposing = progress.part(ends[4], ends[4]);
+        let proposals = hierarchy::propose(
+            superpoints,
+            &planes,
+            &regions,
+            &region_of,
+            tables,
+            settings,
+            &proposing,
+        )?;
+        outcome.produced = proposals.len();
+        Ok::<_, ParseError>(proposals)
+    })?;
+    let region_of = superpoints.spread(&region_of);
+    let region_of = match settings.refine_borders {
+        false => region_of,
+        true => watch.time("refinement", |outcome| {
+            let refining = progress.part(ends[4], ends[5]);
+            let refined =
+                refinement::refine(cloud, visibility, region_of, frames, masks_of, &refining)?;
+            outcome.produced = count(&refined);
+            Ok::<_, ParseError>(refined)
+        })?,
+    };
+    Ok(Grouped { planes, region_of, proposals })
+}
+
+/// Where the cameras stood, metres, world frame.
+fn centers(frames: &[FrameRef]) -> Vec<Point3<f32>> {
+    frames.iter().map(|frame| frame.camera_to_world.translation.vector.into()).collect()
+}
+
+/// What the one who reads the report should know, given the frames that see no point of the cloud.
+fn warnings(frames: usize, blind: &[String]) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if frames == 0 {
+        warnings.push("the scan has no frames: instances come from geometry and point colour alone and have no pictures".into());
+    }
+    if !blind.is_empty() {
+        warnings.push(format!(
+            "{} of {frames} frames see no point of the cloud: {}",
+            blind.len(),
+            shortened(blind)
+        ));
+    }
+    warnings
+}
+
+fn shortened(names: &[String]) -> String {
+    const SHOWN: usize = 10;
+    let shown = names.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
+    if names.len() > SHOWN { format!("{shown}, ...") } else { shown }
+}
+
+/// How many labels `0..n` there are.
+fn count(labels: &[u32]) -> usize {
+    labels.iter().max().map_or(0, |&l| l as usize + 1)
+}

@@ -1,0 +1,114 @@
+//! 2D masks: which pixels of a frame belong to the same thing.
+//!
+//! A [`MaskSource`] gives one id image per frame, or several that all have a vote; what the ids
+//! mean is only known within an image.
+
+pub mod rgbd;
+pub mod sam;
+
+use super::ParseError;
+use serde::{Deserialize, Serialize};
+use uniground_geometry::progress::Progress;
+use uniground_geometry::scene::Frame;
+
+/// One mask id per pixel of a frame's **depth** image, row-major; 0 = no mask.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct IdImage {
+    /// Pixels, as of the depth image.
+    pub width: u32,
+    /// Pixels, as of the depth image.
+    pub height: u32,
+    /// `width * height` of them; ids mean nothing beyond this frame.
+    pub ids: Vec<u16>,
+}
+
+impl IdImage {
+    /// The mask of a pixel (column, row), 0 for none; the pixel must lie in the image.
+    #[must_use]
+    pub fn at(&self, (column, row): (u32, u32)) -> u16 {
+        self.ids[(row * self.width + column) as usize]
+    }
+
+    /// How many different masks there are.
+    #[must_use]
+    pub fn count(&self) -> u32 {
+        let mut seen = vec![false; usize::from(u16::MAX) + 1];
+        self.ids.iter().for_each(|&id| seen[usize::from(id)] = true);
+        seen[1..].iter().filter(|seen| **seen).count() as u32
+    }
+}
+
+/// An id image as runs of equal ids: a few kilobytes, so that those of all frames can be kept.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct IdRuns {
+    width: u32,
+    height: u32,
+    /// Id and how many pixels in a row have it, row-major; runs go on over the ends of rows.
+    runs: Vec<(u16, u32)>,
+}
+
+impl IdRuns {
+    /// Packs an image.
+    #[must_use]
+    pub fn of(image: &IdImage) -> Self {
+        let runs =
+            image.ids.chunk_by(|a, b| a == b).map(|run| (run[0], run.len() as u32)).collect();
+        Self { width: image.width, height: image.height, runs }
+    }
+
+    /// The image again.
+    #[must_use]
+    pub fn unpacked(&self) -> IdImage {
+        let ids =
+            self.runs.iter().flat_map(|&(id, n)| std::iter::repeat_n(id, n as usize)).collect();
+        IdImage { width: self.width, height: self.height, ids }
+    }
+}
+
+/// Where masks come from: built in (`rgbd`), a segmentation model, or annotations.
+pub trait MaskSource: Send + Sync {
+    /// Name and version, recorded with the parse.
+    fn name(&self) -> &str;
+
+    /// The masks of one frame, at the resolution of its depth image: as many id images for every
+    /// frame. A model takes seconds, so it checks `progress` between its calls.
+    ///
+    /// # Errors
+    /// [`ParseError`] when a model fails or the caller has asked to stop; the built-in masks never
+    /// fail.
+    fn masks(&self, frame: &Frame, progress: &Progress) -> Result<Vec<IdImage>, ParseError>;
+}
+
+/// Several sources that all have a vote (paper: Semantic-SAM and SAM).
+pub struct Together<'a> {
+    /// In the order of their id images.
+    pub sources: Vec<&'a dyn MaskSource>,
+    /// Theirs, joined.
+    pub name: String,
+}
+
+impl MaskSource for Together<'_> {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn masks(&self, frame: &Frame, progress: &Progress) -> Result<Vec<IdImage>, ParseError> {
+        let each = self.sources.iter().map(|source| source.masks(frame, progress));
+        Ok(each.collect::<Result<Vec<_>, _>>()?.concat())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn runs_give_the_image_back(width in 1_u32..20, height in 1_u32..20, seed in any::<u64>()) {
+            let ids = (0..width * height).map(|i| ((seed >> (i % 60)) & 3) as u16).collect();
+            let image = IdImage { width, height, ids };
+            prop_assert_eq!(IdRuns::of(&image).unpacked(), image);
+        }
+    }
+}

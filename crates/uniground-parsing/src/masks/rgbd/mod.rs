@@ -1,0 +1,81 @@
+//! Built-in masks from colour, depth and normals; no model.
+//!
+//! Three steps on a grid of every second pixel: surfaces (position, normal, colour), small even
+//! patches cut along edges, and patches joined into things by local convexity (LCCP: patches that
+//! meet concavely belong to different objects) and colour. Large planes stay apart: things stand on
+//! floors and tables and hang on walls.
+
+mod patches;
+mod surfaces;
+mod things;
+
+use super::{IdImage, MaskSource};
+use crate::ParseError;
+use surfaces::Surfaces;
+use uniground_geometry::progress::Progress;
+use uniground_geometry::scene::Frame;
+use uniground_types::settings::RgbdSettings;
+
+/// The built-in mask source.
+#[derive(Debug, Clone, Default)]
+pub struct RgbdMasks {
+    /// Where patches are cut and when they join (docs/METHOD.md, section 1.3).
+    pub settings: RgbdSettings,
+}
+
+impl MaskSource for RgbdMasks {
+    fn name(&self) -> &'static str {
+        "rgbd-2"
+    }
+
+    fn masks(&self, frame: &Frame, _progress: &Progress) -> Result<Vec<IdImage>, ParseError> {
+        Ok(vec![self.id_image(frame)])
+    }
+}
+
+impl RgbdMasks {
+    /// The masks of one frame.
+    #[must_use]
+    pub fn id_image(&self, frame: &Frame) -> IdImage {
+        let surfaces = Surfaces::of(frame, self.settings.stride);
+        let patches = patches::cut(&surfaces, &self.settings);
+        let things = things::join(&surfaces, &patches, &self.settings);
+        spread(&surfaces, &things, frame)
+    }
+}
+
+impl RgbdMasks {
+    /// The masks of one frame from coarse to fine: things, then the even patches they are made of,
+    /// with these times the settings' unevenness.
+    #[must_use]
+    pub fn levels(&self, frame: &Frame, unevenness: &[f32]) -> Vec<IdImage> {
+        let surfaces = Surfaces::of(frame, self.settings.stride);
+        let things =
+            things::join(&surfaces, &patches::cut(&surfaces, &self.settings), &self.settings);
+        let finer = unevenness.iter().map(|times| {
+            let settings =
+                RgbdSettings { patch_scale: self.settings.patch_scale * times, ..self.settings };
+            patches::cut(&surfaces, &settings)
+        });
+        std::iter::once(things)
+            .chain(finer)
+            .map(|labels| spread(&surfaces, &labels, frame))
+            .collect()
+    }
+}
+
+/// Grid labels to an id image at full depth resolution. Pixels without depth get no mask; ids past
+/// `u16` neither.
+fn spread(surfaces: &Surfaces, things: &[u32], frame: &Frame) -> IdImage {
+    let (width, height) = (frame.depth.width, frame.depth.height);
+    let mut ids = vec![0; (width * height) as usize];
+    for v in 0..height {
+        for u in 0..width {
+            let cell = surfaces.cell_of(u, v);
+            if surfaces.depth_m[cell] > 0.0 && frame.depth.at((u, v)) > 0.0 {
+                ids[(v * width + u) as usize] = u16::try_from(things[cell] + 1).unwrap_or(0);
+            }
+        }
+    }
+    IdImage { width, height, ids }
+}

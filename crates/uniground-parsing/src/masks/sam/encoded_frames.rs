@@ -1,0 +1,103 @@
+//! Encoded pictures, kept on disk while a scene is parsed: encoding costs a second, reading back
+//! hundredths of one.
+
+use camino::Utf8Path;
+use image::RgbImage;
+use std::fs;
+use std::io;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use tempfile::TempDir;
+use uniground_geometry::scene::FrameIndex;
+use uniground_models::neural::{Encoded, ModelError, Segmenter};
+
+/// The frames of one scene, encoded at most once as long as the disk may hold them.
+pub struct EncodedFrames {
+    /// The model that encodes, and decodes what is kept.
+    pub segmenter: Arc<Segmenter>,
+    folder: TempDir,
+    bytes_left: AtomicU64,
+}
+
+impl EncodedFrames {
+    /// Keeps up to `max_bytes` in a folder of its own below `place`, or among the system's
+    /// temporary files. Dropping the value removes the folder.
+    ///
+    /// # Errors
+    /// When no folder can be made.
+    pub fn new(
+        segmenter: Arc<Segmenter>,
+        place: Option<&Utf8Path>,
+        max_bytes: u64,
+    ) -> io::Result<Self> {
+        let folder = place.map_or_else(tempfile::tempdir, tempfile::tempdir_in)?;
+        Ok(Self { segmenter, folder, bytes_left: AtomicU64::new(max_bytes) })
+    }
+
+    /// A frame's picture as the decoder wants it.
+    ///
+    /// # Errors
+    /// [`ModelError`] when it can not be encoded. A full disk only costs time.
+    pub fn of(&self, frame: FrameIndex, picture: &RgbImage) -> Result<Encoded, ModelError> {
+        let file = self.file(frame);
+        if let Ok(bytes) = fs::read(&file)
+            && let Ok(encoded) = postcard::from_bytes(&bytes)
+        {
+            return Ok(encoded);
+        }
+        let encoded = self.segmenter.encode(picture)?;
+        self.keep(&file, &encoded);
+        Ok(encoded)
+    }
+
+    /// Removes what is kept of a frame, which is not asked about again.
+    pub fn forget(&self, frame: FrameIndex) {
+        let file = self.file(frame);
+        if let Ok(metadata) = file.metadata()
+            && fs::remove_file(&file).is_ok()
+        {
+            self.bytes_left.fetch_add(metadata.len(), Ordering::Relaxed);
+        }
+    }
+
+    fn file(&self, frame: FrameIndex) -> PathBuf {
+        self.folder.path().join(frame.to_string())
+    }
+
+    fn keep(&self, file: &std::path::Path, encoded: &Encoded) {
+        if self.bytes_left.load(Ordering::Relaxed) == 0 {
+            return;
+        }
+        let Ok(bytes) = postcard::to_allocvec(encoded) else { return };
+        let size = bytes.len() as u64;
+        let reserved = self
+            .bytes_left
+            .try_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(size));
+        if reserved.is_ok() && fs::write(file, bytes).is_err() {
+            // Half a file is no frame.
+            let _gone = fs::remove_file(file);
+            self.bytes_left.fetch_add(size, Ordering::Relaxed);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use uniground_testing::tiny_segmenter;
+
+    #[test]
+    fn what_is_kept_is_what_was_encoded_and_the_disk_is_bounded() {
+        let picture = |v: u8| RgbImage::from_pixel(40, 30, image::Rgb([v, 80, 90]));
+        let frames = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 1 << 20).unwrap();
+        let first = frames.of(FrameIndex(1), &picture(10)).unwrap();
+        // Another picture under the same index: what comes back is what was kept.
+        assert_eq!(frames.of(FrameIndex(1), &picture(200)).unwrap(), first);
+        frames.forget(FrameIndex(1));
+        assert_ne!(frames.of(FrameIndex(1), &picture(200)).unwrap(), first);
+        let full = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 100).unwrap();
+        full.of(FrameIndex(1), &picture(10)).unwrap();
+        assert_ne!(full.of(FrameIndex(1), &picture(200)).unwrap(), first, "nothing fits");
+    }
+}

@@ -1,0 +1,180 @@
+//! Leaves: no mask shows a plant as one, and its leaves touch here and there.
+//!
+//! Green pieces that hang together are one plant. What stands under it, no wider than its leaves,
+//! is its pot.
+
+use super::{Part, united};
+use crate::superpoints::Superpoints;
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::colour::ColourName;
+use uniground_geometry::union_find::UnionFind;
+
+/// Share of green that makes a piece part of a plant.
+const GREEN: f32 = 0.6;
+/// Larger pieces are furniture, metres.
+const LARGEST_M: f32 = 0.7;
+/// Leaves this near to each other are of one plant, metres.
+const NEAR_M: f32 = 0.06;
+/// Taller plants are several, metres.
+const TALLEST_M: f32 = 2.2;
+/// The same for how far they spread.
+const WIDEST_M: f32 = 1.2;
+/// A pot is no wider than this, metres.
+const POT_M: f32 = 0.5;
+/// A pot ends at most so far below the lowest leaf, metres: a stem is seen from nowhere.
+const STEM_M: f32 = 0.25;
+
+/// Joins leaves, and pots to them; returns the regions and what is known of those that are as they
+/// were.
+pub(super) fn gather(
+    superpoints: &Superpoints,
+    region_of: Vec<u32>,
+    parts: &[Part],
+) -> (Vec<u32>, Vec<Option<Part>>) {
+    let mut points = vec![[0.0_f32; 2]; parts.len()];
+    for (patch, &region) in superpoints.patches.iter().zip(&region_of) {
+        let [all, green] = &mut points[region as usize];
+        *all += patch.points as f32;
+        *green +=
+            if ColourName::of(&patch.lab) == ColourName::Green { patch.points as f32 } else { 0.0 };
+    }
+    let is_leaves = |i: usize| {
+        !parts[i].is_structural
+            && points[i][1] >= GREEN * points[i][0]
+            && parts[i].aabb.size.max() <= LARGEST_M
+    };
+    let leaves: Vec<usize> = (0..parts.len()).filter(|&i| is_leaves(i)).collect();
+    let plants = plants(&leaves, parts);
+    let mut sets = UnionFind::new(parts.len());
+    // One green piece alone may as well be a cushion on its stool: it keeps to itself.
+    for (leaves, members) in plants.iter().filter(|(_, members)| members.len() > 1) {
+        let pots = (0..parts.len()).filter(|&i| !is_leaves(i) && is_pot(&parts[i], leaves));
+        let pot = pots.max_by(|&a, &b| parts[a].points.total_cmp(&parts[b].points));
+        members.iter().copied().skip(1).chain(pot).for_each(|i| {
+            sets.union(i as u32, members[0] as u32);
+        });
+    }
+    united(sets, region_of, parts)
+}
+
+/// Leaves that hang together: the box around them, and which they are.
+fn plants(leaves: &[usize], parts: &[Part]) -> Vec<(Aabb, Vec<usize>)> {
+    let mut plants: Vec<(Aabb, Vec<usize>)> =
+        leaves.iter().map(|&i| (parts[i].aabb, vec![i])).collect();
+    let mut plant_of: Vec<usize> = (0..leaves.len()).collect();
+    for (a, &leaf) in leaves.iter().enumerate() {
+        for b in a + 1..leaves.len() {
+            let (one, other) = (plant_of[a], plant_of[b]);
+            if one == other || parts[leaf].aabb.gap(&parts[leaves[b]].aabb) > NEAR_M {
+                continue;
+            }
+            let both = around(&plants[one].0, &plants[other].0);
+            if both.size.z <= TALLEST_M && both.size.x.max(both.size.y) <= WIDEST_M {
+                let moved = std::mem::take(&mut plants[other].1);
+                plant_of.iter_mut().filter(|plant| **plant == other).for_each(|plant| *plant = one);
+                plants[one].0 = both;
+                plants[one].1.extend(moved);
+            }
+        }
+    }
+    plants.retain(|(_, members)| !members.is_empty());
+    plants
+}
+
+fn around(a: &Aabb, b: &Aabb) -> Aabb {
+    Aabb::from_corners(
+        a.min().coords.inf(&b.min().coords).into(),
+        a.max().coords.sup(&b.max().coords).into(),
+    )
+}
+
+/// Under the leaves' middle, not wider than they are, and ending where they begin.
+fn is_pot(part: &Part, leaves: &Aabb) -> bool {
+    let (size, above) = (part.aabb.size, leaves.min().z - part.aabb.max().z);
+    let aside = (part.aabb.center - leaves.center).xy();
+    !part.is_structural
+        && size.max() <= POT_M
+        && size.x * size.y <= leaves.size.x * leaves.size.y
+        && aside.x.abs() <= 0.5 * leaves.size.x
+        && aside.y.abs() <= 0.5 * leaves.size.y
+        && part.aabb.center.z < leaves.min().z
+        && (-0.5 * size.z..=STEM_M).contains(&above)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::superpoints::Patch;
+    use uniground_geometry::colour::lab_of_srgb;
+    use uniground_geometry::{Point3, Vector3};
+
+    const LEAF: [u8; 3] = [50, 120, 40];
+    const CLAY: [u8; 3] = [150, 80, 50];
+
+    /// Gathers blocks from corner to corner, metres, each of a colour; returns the whole of each.
+    fn gathered(blocks: &[([f32; 3], [f32; 3], [u8; 3])]) -> Vec<u32> {
+        let part = |(low, high, _): &([f32; 3], [f32; 3], [u8; 3])| {
+            let at = |axis: usize, k: u32| low[axis] + (high[axis] - low[axis]) * k as f32 / 9.0;
+            let cells = (0..1000_u32).map(|i| (i % 10, i / 10 % 10, i / 100));
+            Part::of(
+                &cells
+                    .map(|(x, y, z)| Point3::new(at(0, x), at(1, y), at(2, z)))
+                    .collect::<Vec<_>>(),
+            )
+        };
+        let patch = |rgb: [u8; 3]| Patch {
+            points: 1000,
+            center: Point3::origin(),
+            normal: Vector3::z(),
+            lab: lab_of_srgb(rgb),
+        };
+        let superpoints = Superpoints {
+            of_point: Vec::new(),
+            patches: blocks.iter().map(|block| patch(block.2)).collect(),
+            adjacent: Vec::new(),
+            roughness_m: vec![0.0; blocks.len()],
+        };
+        gather(
+            &superpoints,
+            (0..blocks.len() as u32).collect(),
+            &blocks.iter().map(part).collect::<Vec<_>>(),
+        )
+        .0
+    }
+
+    #[test]
+    fn leaves_are_one_plant_with_their_pot() {
+        let pot = ([0.1, 0.1, 0.0], [0.3, 0.3, 0.3], CLAY);
+        let leaves = [
+            ([0.0, 0.0, 0.4], [0.25, 0.25, 0.7], LEAF),
+            ([0.2, 0.2, 0.5], [0.45, 0.45, 0.9], LEAF),
+        ];
+        assert_eq!(gathered(&[pot, leaves[0], leaves[1]]), [0, 0, 0]);
+        let far = ([2.0, 0.0, 0.4], [2.3, 0.3, 0.8], LEAF);
+        assert_eq!(gathered(&[leaves[0], far]), [0, 1], "another plant");
+        assert_eq!(gathered(&[pot, leaves[0]]), [0, 1], "a cushion on its stool");
+    }
+
+    #[test]
+    fn what_is_wider_than_the_leaves_is_no_pot_and_furniture_no_leaf() {
+        let leaves = ([0.2, 0.2, 0.8], [0.5, 0.5, 1.2], LEAF);
+        assert_eq!(
+            gathered(&[([0.0, 0.0, 0.3], [0.6, 0.6, 0.75], CLAY), leaves]),
+            [0, 1],
+            "a stool that it stands on"
+        );
+        let sofa = ([0.0, 0.0, 0.0], [1.8, 0.8, 0.8], LEAF);
+        assert_eq!(
+            gathered(&[sofa, ([0.2, 0.2, 0.8], [0.6, 0.6, 1.1], LEAF)]),
+            [0, 1],
+            "a green cushion on a green sofa"
+        );
+        assert_eq!(
+            gathered(&[
+                ([0.0, 0.0, 0.0], [0.2, 0.2, 0.3], CLAY),
+                ([0.2, 0.0, 0.0], [0.4, 0.2, 0.3], CLAY)
+            ]),
+            [0, 1]
+        );
+    }
+}

@@ -1,0 +1,141 @@
+//! What is looked at once: the cloud in superpoints, and the masks of every frame lifted to them. A
+//! scan that has grown is taken part by part, each frame lifted to the cloud of its time, so that
+//! what was done for the parts before is there already.
+
+use super::checkpoints::Checkpoints;
+use super::frame_sampling;
+use super::lifting::{Lifted, Lifting};
+use super::masks::MaskSource;
+use super::superpoints::{self, Superpoints};
+use super::visibility::Visibility;
+use super::{ParseError, Perception, StageOutcome, Stopwatch};
+use uniground_geometry::progress::Progress;
+use uniground_geometry::scene::{FrameRef, PointCloud, SceneBundle};
+use uniground_types::settings::{
+    FrameSamplingSettings, ParsingSettings, RgbdSettings, SamSettings, SuperpointSettings,
+};
+
+/// A scan in superpoints, and what its frames show of them.
+pub(super) struct Perceived {
+    /// With everything that was added.
+    pub cloud: PointCloud,
+    /// Those that were looked at.
+    pub frames: Vec<FrameRef>,
+    pub superpoints: Superpoints,
+    /// One per frame, in order.
+    pub lifted: Vec<Lifted>,
+    /// Where stages that depend on the whole scan are kept.
+    pub checkpoints: Checkpoints,
+}
+
+/// What lifted masks depend on.
+pub(super) fn lifted_with<'a>(
+    masks: &'a dyn MaskSource,
+    settings: &'a ParsingSettings,
+) -> LiftedWith<'a> {
+    let mask_settings = (masks.name(), &settings.rgbd_masks, &settings.sam_masks);
+    (&settings.superpoints, &settings.frame_sampling, mask_settings, settings.depth_tolerance)
+}
+
+type LiftedWith<'a> = (
+    &'a SuperpointSettings,
+    &'a FrameSamplingSettings,
+    (&'a str, &'a RgbdSettings, &'a SamSettings),
+    f32,
+);
+
+/// Superpoints of a scan's cloud, and the masks of its frames lifted to them.
+///
+/// # Errors
+/// [`ParseError`]: an unreadable frame, a mask source that fails, or cancellation.
+pub(super) fn perceive(
+    bundle: SceneBundle,
+    perception: &Perception,
+    settings: &ParsingSettings,
+    checkpoints: &Checkpoints,
+    progress: &Progress,
+    watch: &mut Stopwatch,
+) -> Result<Perceived, ParseError> {
+    let SceneBundle { mut cloud, frames, additions, report: _ } = bundle;
+    let superpoints_end = perception.superpoints_end();
+    let mut superpoints = watch.time("superpoints", |outcome| {
+        let compute = || {
+            superpoints::compute(
+                &cloud,
+                &settings.superpoints,
+                &progress.part(0.0, superpoints_end),
+            )
+        };
+        let (superpoints, reused) =
+            checkpoints.once("superpoints", &settings.superpoints, compute)?;
+        *outcome = StageOutcome { produced: superpoints.patches.len(), reused };
+        Ok::<_, ParseError>(superpoints)
+    })?;
+    let lifting_of = |cloud: &PointCloud,
+                      superpoints: &Superpoints,
+                      stage: &str,
+                      checkpoints: &Checkpoints,
+                      frames: &[FrameRef],
+                      progress: &Progress| {
+        let visibility = Visibility::new(cloud, &superpoints.of_point, settings.depth_tolerance);
+        let lifting = Lifting {
+            visibility: &visibility,
+            superpoint_of_point: &superpoints.of_point,
+            masks: perception.masks,
+        };
+        lifting.all(
+            frames,
+            checkpoints.log(stage, &lifted_with(perception.masks, settings)),
+            progress,
+        )
+    };
+    let mut frames = frame_sampling::sample(&frames, &settings.frame_sampling);
+    let all_frames = (frames.len()
+        + additions.iter().map(|addition| addition.frames.len()).sum::<usize>())
+    .max(1) as f32;
+    let lifting_progress = progress.part(superpoints_end, 1.0);
+    let mut lifted = watch.time("masks_and_lifting", |outcome| {
+        let looking = lifting_progress.part(0.0, frames.len() as f32 / all_frames);
+        let (lifted, reused) =
+            lifting_of(&cloud, &superpoints, "lifting", checkpoints, &frames, &looking)?;
+        *outcome = StageOutcome { produced: masks_in(&lifted), reused };
+        Ok::<_, ParseError>(lifted)
+    })?;
+    let mut checkpoints = checkpoints.clone();
+    for (addition, number) in additions.iter().zip(1..) {
+        watch.time("growth", |outcome| {
+            let before = frames.len() as f32 / all_frames;
+            let new = frame_sampling::sample(&addition.frames, &settings.frame_sampling);
+            let looking = lifting_progress.part(before, before + new.len() as f32 / all_frames);
+            checkpoints = checkpoints.depending_on(&addition.made_of);
+            cloud = addition.applied_to(&cloud);
+            let compute = || {
+                superpoints::grown(&superpoints, addition, &cloud, &settings.superpoints, &looking)
+            };
+            let ((grown, renumbered), _) = checkpoints.once(
+                &format!("superpoints{number}"),
+                &settings.superpoints,
+                compute,
+            )?;
+            superpoints = grown;
+            lifted.iter_mut().for_each(|lifted: &mut Lifted| lifted.renumber(&renumbered));
+            let (more, reused) = lifting_of(
+                &cloud,
+                &superpoints,
+                &format!("lifting{number}"),
+                &checkpoints,
+                &new,
+                &looking,
+            )?;
+            *outcome = StageOutcome { produced: masks_in(&more), reused };
+            lifted.extend(more);
+            frames.extend(new);
+            Ok::<_, ParseError>(())
+        })?;
+    }
+    Ok(Perceived { cloud, frames, superpoints, lifted, checkpoints })
+}
+
+fn masks_in(lifted: &[Lifted]) -> usize {
+    lifted.iter().flat_map(|lifted| &lifted.tables).map(|table| table.masks as usize).sum()
+}

@@ -1,0 +1,540 @@
+//! The planes a building is made of: floors, ceilings and walls, found before anything is merged.
+//!
+//! Masks are unreliable where a room is plain: two white walls meet in one mask, a desk ends in the
+//! wall behind it. But a wall is also a plane, and no thing is on both sides of the edge where two
+//! of them meet. So superpoints are told apart first by the plane they lie on;
+//! [`merging`](super::merging) never joins those of different planes, or what lies on a plane with
+//! what stands before it.
+//!
+//! What makes a plane part of the building is free space. A floor is what cameras were above and
+//! nothing is below; a ceiling has nothing above it. Over the top of a wall nothing can be seen;
+//! over the top of a wardrobe, the wall behind it.
+
+mod rugs;
+mod sheet;
+
+use super::superpoints::{Patch, Superpoints};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use sheet::{Flat, Sheet, fit, parts};
+use std::collections::{BTreeMap, BTreeSet};
+use uniground_geometry::progress::{Cancelled, Progress};
+use uniground_geometry::scene::{PointCloud, Structure};
+use uniground_geometry::statistics::{median, quantile};
+use uniground_geometry::union_find::UnionFind;
+use uniground_geometry::{Point3, Vector3};
+
+/// A plane of the building.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Plane {
+    /// Floor, wall or ceiling.
+    pub structure: Structure,
+    /// Unit length; sign arbitrary.
+    pub normal: Vector3<f32>,
+    /// On the plane, metres.
+    pub middle: Point3<f32>,
+    /// As far as it was seen, square metres.
+    pub area_m2: f32,
+}
+
+/// The planes of a scan and the superpoints that lie on them.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Planes {
+    /// Largest first.
+    pub planes: Vec<Plane>,
+    /// By superpoint: the place of its plane in `planes`.
+    pub of_superpoint: Vec<Option<u32>>,
+}
+
+impl Planes {
+    /// Height of the lowest floor, metres, if one was found.
+    #[must_use]
+    pub fn floor_z(&self) -> Option<f32> {
+        self.planes
+            .iter()
+            .filter(|p| p.structure == Structure::Floor)
+            .map(|p| p.middle.z)
+            .min_by(f32::total_cmp)
+    }
+
+    /// Gives small patches of a plane back to it: what lies on a wall, has its colour and is no
+    /// larger than a picture is a piece of the wall that masks have cut off. `region_of` keeps
+    /// planes apart. Returns the region of each superpoint, `0..n`.
+    #[must_use]
+    pub fn with_patches(&self, superpoints: &Superpoints, region_of: &[u32]) -> Vec<u32> {
+        let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
+        let regions = Patch::joined(&superpoints.patches, region_of, count);
+        let mut plane_of = vec![None; count];
+        region_of.iter().zip(&self.of_superpoint).for_each(|(&region, &plane)| {
+            plane_of[region as usize] = plane_of[region as usize].or(plane)
+        });
+        let mut sets = UnionFind::new(count);
+        for (k, plane) in self.planes.iter().enumerate() {
+            let on: Vec<usize> = (0..count).filter(|&r| plane_of[r] == Some(k as u32)).collect();
+            let points: u32 = on.iter().map(|&r| regions[r].points).sum();
+            let area_m2 = |r: usize| regions[r].points as f32 / points as f32 * plane.area_m2;
+            let large: Vec<usize> =
+                on.iter().copied().filter(|&r| area_m2(r) >= MIN_AREA_M2).collect();
+            for &patch in on.iter().filter(|&&r| area_m2(r) < MAX_PATCH_M2) {
+                let differs = |r: usize| (regions[r].lab - regions[patch].lab).norm();
+                let alike = large
+                    .iter()
+                    .copied()
+                    .min_by(|&a, &b| differs(a).total_cmp(&differs(b)).then(a.cmp(&b)));
+                if let Some(whole) = alike.filter(|&r| differs(r) < SAME_COLOUR) {
+                    sets.union(whole as u32, patch as u32);
+                }
+            }
+        }
+        let (labels, _) = sets.into_labels();
+        region_of.iter().map(|&r| labels[r as usize]).collect()
+    }
+}
+
+/// Larger pieces of a plane are things of their own, or parts of the building as they are, square
+/// metres.
+const MAX_PATCH_M2: f32 = 0.15;
+/// CIELAB distance up to which a patch has the colour of its plane.
+const SAME_COLOUR: f32 = 10.0;
+
+/// Points count as on a plane within three times the noise of the scan, but at least this far,
+/// metres.
+const MIN_SLACK_M: f32 = 0.02;
+/// And at most this far: what stands out more is a thing.
+const MAX_SLACK_M: f32 = 0.06;
+/// Poses drift and walls bend: what belongs to a plane once it is known may lie this many times as
+/// far from it.
+const ASSIGNED_SLACKS: f32 = 1.5;
+/// Share of its points that must be on the plane for a superpoint to be.
+const ON_PLANE: f32 = 0.7;
+/// Cosine of 20 degrees: how far the normal of a superpoint may be from that of its plane.
+const SAME_NORMAL: f32 = 0.94;
+/// Cosine of 10 degrees: the same for those a plane is made of.
+const GIVES_NORMAL: f32 = 0.985;
+/// Planes are measured in cells of this edge, metres.
+const CELL_M: f32 = 0.1;
+/// Parts of one plane this far apart are different planes: furniture hides the wall between them up
+/// to there.
+const GAP_M: f32 = 1.0;
+/// Smaller planes are things, square metres.
+const MIN_AREA_M2: f32 = 1.0;
+/// A superpoint starts a plane from this size on, square metres: below, its normal is noise.
+const MIN_SEED_M2: f32 = 0.04;
+/// A wall is at least so wide and reaches so high over the floor, metres.
+const MIN_WALL_WIDTH_M: f32 = 0.5;
+const MIN_WALL_TOP_M: f32 = 1.6;
+/// What lies farther behind a plane than this is behind it, metres.
+const BEHIND_M: f32 = 0.15;
+/// Cells with something behind or below them, from this share on, say that a plane bounds no room.
+const MAX_SEEN_BEHIND: f32 = 0.25;
+/// Ceilings are at least this high over the floor, metres.
+const MIN_CEILING_M: f32 = 1.9;
+const THICKEST_RUG_M: f32 = 0.06;
+
+/// Finds the planes. `cameras` are centres of cameras, metres; without any, floors and ceilings are
+/// told by what lies above and below.
+///
+/// # Errors
+/// [`Cancelled`].
+pub fn find(
+    cloud: &PointCloud,
+    superpoints: &Superpoints,
+    cameras: &[Point3<f32>],
+    progress: &Progress,
+) -> Result<Planes, Cancelled> {
+    progress.report("planes", 0.0)?;
+    let scan = Scan::of(cloud, superpoints);
+    let mut left: BTreeSet<u32> = (0..scan.patches.len() as u32)
+        .filter(|&s| scan.patches[s as usize].area_m2 >= MIN_SEED_M2)
+        .collect();
+    let mut seeds: Vec<u32> = left.iter().copied().collect();
+    seeds.sort_by(|&a, &b| {
+        scan.patches[b as usize]
+            .area_m2
+            .total_cmp(&scan.patches[a as usize].area_m2)
+            .then(a.cmp(&b))
+    });
+    let mut candidates = Vec::new();
+    for seed in seeds {
+        progress.check()?;
+        if left.contains(&seed) {
+            let members = scan.coplanar(seed, &left);
+            members.iter().for_each(|s| {
+                left.remove(s);
+            });
+            candidates.extend(scan.sheets(&members));
+        }
+    }
+    let floors = candidates
+        .iter()
+        .filter(|sheet| sheet.is_level() && scan.is_floor(sheet, cameras, f32::INFINITY));
+    let floor_z =
+        floors.map(|sheet| sheet.middle.z).min_by(f32::total_cmp).unwrap_or(scan.lowest_z);
+    let mut planes: Vec<(Sheet, Structure)> = candidates
+        .into_iter()
+        .filter_map(|sheet| scan.structure_of(&sheet, cameras, floor_z).map(|s| (sheet, s)))
+        .collect();
+    let walls: Vec<(Point3<f32>, Vector3<f32>, f32)> = planes
+        .iter()
+        .filter(|p| p.1 == Structure::Wall)
+        .map(|(s, _)| (s.middle, s.normal, s.area_m2()))
+        .collect();
+    planes.retain(|(sheet, structure)| {
+        *structure != Structure::Wall || !scan.stands_before_a_wall(sheet, &walls, cameras)
+    });
+    // A sheet a few centimetres over a larger floor is a rug.
+    let floors: Vec<(f32, f32)> = planes
+        .iter()
+        .filter(|p| p.1 == Structure::Floor)
+        .map(|(s, _)| (s.middle.z, s.area_m2()))
+        .collect();
+    let on_floor = |sheet: &Sheet| {
+        floors.iter().any(|(z, area_m2)| {
+            *area_m2 > sheet.area_m2() && (0.005..THICKEST_RUG_M).contains(&(sheet.middle.z - z))
+        })
+    };
+    planes.retain(|(sheet, structure)| *structure != Structure::Floor || !on_floor(sheet));
+    planes.sort_by(|a, b| b.0.area_m2().total_cmp(&a.0.area_m2()));
+    progress.report("planes", 0.8)?;
+    let mut of_superpoint = scan.assigned(&planes);
+    let planes: Vec<Plane> = planes
+        .into_iter()
+        .map(|(sheet, structure)| Plane {
+            structure,
+            normal: sheet.normal,
+            middle: sheet.middle,
+            area_m2: sheet.area_m2(),
+        })
+        .collect();
+    rugs::take_off(&scan, superpoints, &planes, cameras, &mut of_superpoint);
+    Ok(Planes { planes, of_superpoint })
+}
+
+/// The cloud by superpoint.
+struct Scan<'a> {
+    cloud: &'a PointCloud,
+    /// Points of each superpoint.
+    members: Vec<Vec<u32>>,
+    patches: Vec<Flat>,
+    slack_m: f32,
+    lowest_z: f32,
+    highest_z: f32,
+    /// Occupied cells: column on the ground, to the heights in it.
+    columns: BTreeMap<(i32, i32), Vec<i32>>,
+}
+
+impl<'a> Scan<'a> {
+    fn of(cloud: &'a PointCloud, superpoints: &Superpoints) -> Self {
+        let mut members: Vec<Vec<u32>> = vec![Vec::new(); superpoints.patches.len()];
+        for (i, &superpoint) in superpoints.of_point.iter().enumerate() {
+            members[superpoint as usize].push(i as u32);
+        }
+        let patches = members.par_iter().map(|points| Flat::of(cloud, points)).collect();
+        let mut roughness: Vec<f32> =
+            superpoints.of_point.iter().map(|&s| superpoints.roughness_m[s as usize]).collect();
+        let slack_m = (3.0 * median(&mut roughness).unwrap_or(0.0)).clamp(MIN_SLACK_M, MAX_SLACK_M);
+        let mut heights: Vec<f32> = cloud.positions.iter().map(|p| p.z).collect();
+        let (lowest_z, highest_z) = (
+            quantile(&mut heights, 0.01).unwrap_or(0.0),
+            quantile(&mut heights, 0.99).unwrap_or(0.0),
+        );
+        let mut columns: BTreeMap<(i32, i32), BTreeSet<i32>> = BTreeMap::new();
+        for p in &cloud.positions {
+            let at = |v: f32| (v / CELL_M).floor() as i32;
+            columns.entry((at(p.x), at(p.y))).or_default().insert(at(p.z));
+        }
+        let columns =
+            columns.into_iter().map(|(at, heights)| (at, heights.into_iter().collect())).collect();
+        Self { cloud, members, patches, slack_m, lowest_z, highest_z, columns }
+    }
+
+    fn points(&self, superpoint: u32) -> impl Iterator<Item = &Point3<f32>> {
+        self.members[superpoint as usize].iter().map(|&i| &self.cloud.positions[i as usize])
+    }
+
+    fn share_on(&self, superpoint: u32, normal: &Vector3<f32>, middle: &Point3<f32>) -> f32 {
+        let on = self
+            .points(superpoint)
+            .filter(|p| (*p - middle).dot(normal).abs() <= ASSIGNED_SLACKS * self.slack_m)
+            .count();
+        on as f32 / self.members[superpoint as usize].len().max(1) as f32
+    }
+
+    /// Those of `left` on one plane with `seed`, whose plane is fitted twice.
+    fn coplanar(&self, seed: u32, left: &BTreeSet<u32>) -> BTreeSet<u32> {
+        let Flat { mut normal, mut middle, .. } = self.patches[seed as usize];
+        let mut found = BTreeSet::from([seed]);
+        for _ in 0..2 {
+            found = left
+                .iter()
+                .copied()
+                .filter(|&s| {
+                    let patch = &self.patches[s as usize];
+                    patch.normal.dot(&normal).abs() > GIVES_NORMAL
+                        && (patch.middle - middle).dot(&normal).abs() <= self.slack_m
+                })
+                .collect();
+            found.insert(seed);
+            (normal, middle) = fit(found.iter().map(|&s| &self.patches[s as usize]));
+        }
+        found
+    }
+
+    /// The connected parts of a plane, those large enough.
+    fn sheets(&self, members: &BTreeSet<u32>) -> Vec<Sheet> {
+        let (normal, middle) = fit(members.iter().map(|&s| &self.patches[s as usize]));
+        let level = normal.z.abs() > SAME_NORMAL;
+        let along =
+            if level { Vector3::x() } else { Vector3::new(-normal.y, normal.x, 0.0).normalize() };
+        let (along, up) =
+            if level { (along, Vector3::y()) } else { (along, along.cross(&normal).normalize()) };
+        let up = if up.z < 0.0 { -up } else { up };
+        let mut whole = Sheet { normal, middle, along, up, cells: BTreeSet::new() };
+        whole.cells = members.iter().flat_map(|&s| self.points(s)).map(|p| whole.cell(p)).collect();
+        parts(&whole.cells, (GAP_M / CELL_M) as i32)
+            .into_iter()
+            .filter(|cells| cells.len() as f32 * CELL_M * CELL_M >= MIN_AREA_M2)
+            .map(|cells| Sheet { normal, middle, along, up, cells })
+            .collect()
+    }
+
+    fn structure_of(
+        &self,
+        sheet: &Sheet,
+        cameras: &[Point3<f32>],
+        floor_z: f32,
+    ) -> Option<Structure> {
+        if sheet.is_level() && self.is_floor(sheet, cameras, floor_z) {
+            return Some(Structure::Floor);
+        }
+        if sheet.is_upright() {
+            return self.is_wall(sheet, cameras, floor_z).then_some(Structure::Wall);
+        }
+        self.is_ceiling(sheet, cameras, floor_z).then_some(Structure::Ceiling)
+    }
+
+    /// Cameras were above it, and under it there is nothing. A second floor over the lowest is
+    /// larger than a bed and was walked on.
+    fn is_floor(&self, sheet: &Sheet, cameras: &[Point3<f32>], lowest_z: f32) -> bool {
+        let over = cameras.iter().filter(|c| sheet.covers(c) && c.z > sheet.middle.z + 0.2).count();
+        let walked = match sheet.middle.z > lowest_z + 0.25 {
+            true => sheet.area_m2() > 4.0 && over as f32 > 0.05 * cameras.len() as f32,
+            false => over > 0 || (sheet.area_m2() > 4.0 && sheet.middle.z < self.lowest_z + 0.3),
+        };
+        walked && self.share_of_columns(sheet, |z, own| z < own - 0.2) < MAX_SEEN_BEHIND
+    }
+
+    /// Cameras were below it, and over it there is nothing.
+    fn is_ceiling(&self, sheet: &Sheet, cameras: &[Point3<f32>], floor_z: f32) -> bool {
+        let under = cameras
+            .iter()
+            .all(|c| !sheet.covers(c) || sheet.distance(c) * sheet.normal.z.signum() < 0.0);
+        let above = self.share_of_columns(sheet, |z, own| z > own + 0.2);
+        under && sheet.middle.z > floor_z + MIN_CEILING_M && above < MAX_SEEN_BEHIND
+    }
+
+    /// Share of the sheet's places with something in their column for which `far(height, the
+    /// sheet's own)`.
+    fn share_of_columns(&self, sheet: &Sheet, far: impl Fn(f32, f32) -> bool) -> f32 {
+        let mut seen = BTreeSet::new();
+        let mut hit = 0_u32;
+        for &(a, b) in &sheet.cells {
+            let p = sheet.middle
+                + sheet.along * ((a as f32 + 0.5) * CELL_M)
+                + sheet.up * ((b as f32 + 0.5) * CELL_M);
+            let column = ((p.x / CELL_M).floor() as i32, (p.y / CELL_M).floor() as i32);
+            if seen.insert(column) {
+                let heights = self.columns.get(&column);
+                hit += u32::from(heights.is_some_and(|heights| {
+                    heights.iter().any(|&z| far((z as f32 + 0.5) * CELL_M, p.z))
+                }));
+            }
+        }
+        hit as f32 / seen.len().max(1) as f32
+    }
+
+    /// Wide, high, and over its top nothing can be seen behind it.
+    fn is_wall(&self, sheet: &Sheet, cameras: &[Point3<f32>], floor_z: f32) -> bool {
+        let mut tops: BTreeMap<i32, i32> = BTreeMap::new();
+        for &(a, b) in &sheet.cells {
+            let top = tops.entry(a).or_insert(b);
+            *top = (*top).max(b);
+        }
+        let mut highest: Vec<f32> = tops
+            .values()
+            .map(|&b| sheet.middle.z + (b as f32 + 1.0) * CELL_M * sheet.up.z)
+            .collect();
+        let top_z = quantile(&mut highest, 0.9).unwrap_or(0.0);
+        if tops.len() as f32 * CELL_M < MIN_WALL_WIDTH_M
+            || top_z < (floor_z + MIN_WALL_TOP_M).min(self.highest_z - 0.3)
+        {
+            return false;
+        }
+        // Over the top: what lies behind, seen from where the cameras were, within the sheet's
+        // width and a room's depth.
+        const DEPTH_M: f32 = 1.5;
+        let before =
+            cameras.iter().filter(|c| sheet.distance(c) > 0.0).count() * 2 >= cameras.len();
+        let mut behind = BTreeSet::new();
+        for p in self.cloud.positions.iter().filter(|p| p.z > top_z + BEHIND_M) {
+            let distance = sheet.distance(p) * if before { -1.0 } else { 1.0 };
+            if (BEHIND_M..DEPTH_M).contains(&distance) {
+                behind.insert(sheet.cell(p).0);
+            }
+        }
+        let hit = tops.keys().filter(|a| behind.contains(a)).count();
+        (hit as f32) < MAX_SEEN_BEHIND * tops.len() as f32
+    }
+
+    /// A curtain or a wardrobe as high as the room: a larger wall goes on behind it.
+    fn stands_before_a_wall(
+        &self,
+        sheet: &Sheet,
+        walls: &[(Point3<f32>, Vector3<f32>, f32)],
+        cameras: &[Point3<f32>],
+    ) -> bool {
+        const DEEPEST_M: f32 = 0.7;
+        let before =
+            cameras.iter().filter(|c| sheet.distance(c) > 0.0).count() * 2 >= cameras.len();
+        walls.iter().any(|(middle, normal, area_m2)| {
+            // Where the other wall is, seen from the middle of this one.
+            let behind = (sheet.middle - middle).dot(normal)
+                * normal.dot(&sheet.normal).signum()
+                * if before { 1.0 } else { -1.0 };
+            normal.dot(&sheet.normal).abs() > SAME_NORMAL
+                && *area_m2 > sheet.area_m2()
+                && (2.0 * self.slack_m..DEEPEST_M).contains(&behind)
+        })
+    }
+
+    /// The plane of each superpoint: the largest that holds it.
+    fn assigned(&self, planes: &[(Sheet, Structure)]) -> Vec<Option<u32>> {
+        (0..self.patches.len() as u32)
+            .into_par_iter()
+            .map(|s| {
+                let patch = &self.patches[s as usize];
+                let best = planes.iter().enumerate().filter(|(_, (sheet, _))| {
+                    let near = sheet.distance(&patch.middle).abs()
+                        <= ASSIGNED_SLACKS * self.slack_m
+                        && sheet.covers(&patch.middle);
+                    let parallel = patch.area_m2 < MIN_SEED_M2 / 2.0
+                        || patch.normal.dot(&sheet.normal).abs() > SAME_NORMAL;
+                    near && parallel && self.share_on(s, &sheet.normal, &sheet.middle) >= ON_PLANE
+                });
+                best.map(|(i, _)| i as u32).next()
+            })
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::superpoints;
+    use uniground_types::settings::SuperpointSettings;
+
+    /// Two corners and a colour; a point every two centimetres, with a shake of a few millimetres.
+    fn block(cloud: &mut PointCloud, low: [f32; 3], high: [f32; 3], grey: u8) {
+        const STEP_M: f32 = 0.02;
+        let steps = |axis: usize| 0..=((high[axis] - low[axis]) / STEP_M).round() as u32;
+        for x in steps(0) {
+            for y in steps(1) {
+                for z in steps(2) {
+                    let shake =
+                        |k: u32| ((x * 31 + y * 57 + z * 91 + k * 17) % 13) as f32 * 5e-4 - 3e-3;
+                    let at =
+                        |axis: usize, k: u32| low[axis] + k as f32 * STEP_M + shake(axis as u32);
+                    cloud.positions.push(Point3::new(at(0, x), at(1, y), at(2, z)));
+                    cloud.colours.push([grey; 3]);
+                }
+            }
+        }
+    }
+
+    /// A room of 4 by 3 by 2.6 m without a ceiling: a bed, a wardrobe before one wall, a panel on
+    /// another.
+    fn room() -> (PointCloud, Planes, Superpoints) {
+        let mut cloud = PointCloud::default();
+        block(&mut cloud, [0.0, 0.0, 0.0], [4.0, 3.0, 0.0], 120);
+        for (low, high) in [
+            ([0.0, 0.0, 0.0], [4.0, 0.0, 2.6]),
+            ([0.0, 3.0, 0.0], [4.0, 3.0, 2.6]),
+            ([0.0, 0.0, 0.0], [0.0, 3.0, 2.6]),
+            ([4.0, 0.0, 0.0], [4.0, 3.0, 2.6]),
+        ] {
+            block(&mut cloud, low, high, 200);
+        }
+        block(&mut cloud, [2.5, 0.6, 0.5], [4.0, 2.4, 0.5], 60);
+        block(&mut cloud, [0.5, 2.4, 0.0], [2.0, 2.4, 2.0], 90);
+        let superpoints =
+            superpoints::compute(&cloud, &SuperpointSettings::default(), &Progress::silent())
+                .unwrap();
+        let cameras =
+            [Point3::new(1.0, 1.0, 1.5), Point3::new(1.5, 1.5, 1.5), Point3::new(3.0, 1.2, 1.6)];
+        let planes = find(&cloud, &superpoints, &cameras, &Progress::silent()).unwrap();
+        (cloud, planes, superpoints)
+    }
+
+    #[test]
+    fn floor_and_walls_are_found_beds_and_wardrobes_are_things() {
+        let (cloud, planes, superpoints) = room();
+        let count = |structure| planes.planes.iter().filter(|p| p.structure == structure).count();
+        assert_eq!(
+            (count(Structure::Floor), count(Structure::Wall), count(Structure::Ceiling)),
+            (1, 4, 0),
+            "{:#?}",
+            planes.planes
+        );
+        assert!(planes.floor_z().unwrap().abs() < 0.01);
+        let kind_at = |p: Point3<f32>| {
+            let nearest = (0..cloud.len()).min_by(|&a, &b| {
+                (cloud.positions[a] - p).norm().total_cmp(&(cloud.positions[b] - p).norm())
+            });
+            planes.of_superpoint[superpoints.of_point[nearest.unwrap()] as usize]
+                .map(|plane| planes.planes[plane as usize].structure)
+        };
+        assert_eq!(kind_at(Point3::new(1.0, 1.0, 0.0)), Some(Structure::Floor));
+        assert_eq!(kind_at(Point3::new(0.0, 1.5, 1.3)), Some(Structure::Wall));
+        assert_eq!(
+            kind_at(Point3::new(3.0, 1.5, 0.5)),
+            None,
+            "a bed top, though a camera was above it"
+        );
+        assert_eq!(
+            kind_at(Point3::new(1.2, 2.4, 1.0)),
+            None,
+            "a wardrobe: over its top the wall can be seen"
+        );
+    }
+
+    #[test]
+    fn small_patches_of_its_colour_return_to_the_wall() {
+        let superpoints = Superpoints {
+            of_point: vec![],
+            patches: [(10_000, 80.0), (50, 78.0), (50, 20.0), (50, 80.0)]
+                .map(|(points, l)| Patch {
+                    points,
+                    center: Point3::origin(),
+                    normal: Vector3::z(),
+                    lab: uniground_geometry::colour::Lab::new(l, 0.0, 0.0),
+                })
+                .to_vec(),
+            adjacent: vec![],
+            roughness_m: vec![0.0; 4],
+        };
+        let wall = Plane {
+            structure: Structure::Wall,
+            normal: Vector3::x(),
+            middle: Point3::origin(),
+            area_m2: 8.0,
+        };
+        let planes =
+            Planes { planes: vec![wall], of_superpoint: vec![Some(0), Some(0), Some(0), None] };
+        let regions = planes.with_patches(&superpoints, &[0, 1, 2, 3]);
+        assert_eq!(
+            regions,
+            [0, 0, 1, 2],
+            "the dark one is a picture, the last stands before the wall"
+        );
+    }
+}

@@ -1,0 +1,292 @@
+//! Rugs too thin to be told from their floor by height: their colour tells.
+//!
+//! Light tells nothing: a shadow is the floor's colour dimmed, and is no rug however dark it is.
+//! And a rug was seen: in a cloud that was drawn rather than scanned, the underside of a box lies
+//! on the floor too.
+
+use super::{ASSIGNED_SLACKS, CELL_M, Plane, Scan};
+use crate::superpoints::{Patch, Superpoints};
+use std::cell::LazyCell;
+use std::collections::{BTreeMap, BTreeSet, HashSet};
+use uniground_geometry::boxes::{Aabb, OrientedBox};
+use uniground_geometry::colour::Lab;
+use uniground_geometry::scene::Structure;
+use uniground_geometry::union_find::UnionFind;
+use uniground_geometry::voxels::VoxelKey;
+use uniground_geometry::{Point3, Vector3};
+
+/// CIELAB distance up to which superpoints are of one colour, with lightness counted half.
+const SAME_COLOUR: f32 = 12.0;
+/// Distance between hues, at the floor's lightness, from which on a superpoint is not the floor
+/// under another light.
+const OTHER_HUE: f32 = 5.0;
+/// Smaller patches are stains and scraps: square metres, and metres across.
+const MIN_AREA_M2: f32 = 0.15;
+const MIN_WIDTH_M: f32 = 0.3;
+/// Share of the floor that a rug covers at most: what is larger is another floor.
+const MAX_OF_FLOOR: f32 = 0.4;
+/// Share of its rectangle that a rug fills at least; furniture hides some of it.
+const MIN_FILLED: f32 = 0.4;
+/// Share of a rug's rim that has the floor beside it; the floor of another room meets it in the
+/// doorway alone.
+const MIN_BESIDE_FLOOR: f32 = 0.4;
+/// Share of a rug's points that some camera could see.
+const MIN_SEEN: f32 = 0.5;
+/// So many of its points and so many cameras are tried, or less than twice as many.
+const MOST_POINTS: usize = 100;
+const MOST_CAMERAS: usize = 40;
+/// What stands in the way is looked for in voxels of this edge, this far, metres.
+const VOXEL_M: f32 = 0.05;
+const IN_THE_WAY_M: f32 = 1.0;
+/// So many superpoints are tried for the floor's colour, or less than twice as many.
+const MOST_TRIED: usize = 200;
+
+/// Takes rugs off the floors they lie on, so that nothing joins them: `of_superpoint` has the plane
+/// of each superpoint. `cameras` are centres of cameras, metres; without any, all of a cloud counts
+/// as seen.
+pub(super) fn take_off(
+    scan: &Scan,
+    superpoints: &Superpoints,
+    planes: &[Plane],
+    cameras: &[Point3<f32>],
+    of_superpoint: &mut [Option<u32>],
+) {
+    let floors = (0..).zip(planes).filter(|(_, plane)| plane.structure == Structure::Floor);
+    for (k, plane) in floors {
+        let on: Vec<u32> = (0..)
+            .zip(&*of_superpoint)
+            .filter(|(_, plane)| **plane == Some(k))
+            .map(|(s, _)| s)
+            .collect();
+        let Some(colour) = colour(&on, &superpoints.patches) else { continue };
+        let points = |group: &[u32]| {
+            group.iter().map(|&s| superpoints.patches[s as usize].points).sum::<u32>() as f32
+        };
+        let m2_per_point = plane.area_m2 / points(&on);
+        let (odd, own): (Vec<u32>, Vec<u32>) =
+            on.iter().partition(|&&s| is_other(&superpoints.patches[s as usize].lab, &colour));
+        let floor = LazyCell::new(|| cells(scan, own.into_iter()));
+        let is_rug = |group: &Vec<u32>| {
+            let area_m2 = points(group) * m2_per_point;
+            if !(MIN_AREA_M2..=MAX_OF_FLOOR * plane.area_m2).contains(&area_m2) {
+                return false;
+            }
+            let ground: Vec<_> =
+                group.iter().flat_map(|&s| scan.points(s)).map(Point3::xy).collect();
+            let size = OrientedBox::min_area(&ground, (0.0, 0.0))
+                .map_or_else(Default::default, |rectangle| rectangle.size);
+            let beside_floor = || share_beside(&cells(scan, group.iter().copied()), &floor);
+            size.x.min(size.y) >= MIN_WIDTH_M
+                && area_m2 >= MIN_FILLED * size.x * size.y
+                && beside_floor() >= MIN_BESIDE_FLOOR
+                && was_seen(scan, group, cameras)
+        };
+        for s in connected(&odd, superpoints).into_iter().filter(is_rug).flatten() {
+            of_superpoint[s as usize] = None;
+        }
+    }
+}
+
+/// Cells of the ground, [`CELL_M`] wide, that superpoints lie on.
+fn cells(scan: &Scan, superpoints: impl Iterator<Item = u32>) -> BTreeSet<(i32, i32)> {
+    let at = |v: f32| (v / CELL_M).floor() as i32;
+    superpoints.flat_map(|s| scan.points(s)).map(|p| (at(p.x), at(p.y))).collect()
+}
+
+/// Share of the rim of some cells that has the floor beside it.
+fn share_beside(cells: &BTreeSet<(i32, i32)>, floor: &BTreeSet<(i32, i32)>) -> f32 {
+    let around = |&(a, b): &(i32, i32), far: i32| {
+        (-far..=far).flat_map(move |i| (-far..=far).map(move |j| (a + i, b + j)))
+    };
+    let rim: Vec<&(i32, i32)> = cells
+        .iter()
+        .filter(|cell| around(cell, 1).any(|beside| !cells.contains(&beside)))
+        .collect();
+    let beside_floor =
+        rim.iter().filter(|cell| around(cell, 2).any(|beside| floor.contains(&beside))).count();
+    beside_floor as f32 / rim.len().max(1) as f32
+}
+
+/// Whether cameras could see most of what lies on a floor: nothing that rises from it stands in the
+/// way.
+fn was_seen(scan: &Scan, group: &[u32], cameras: &[Point3<f32>]) -> bool {
+    let points: Vec<Point3<f32>> = group.iter().flat_map(|&s| scan.points(s)).copied().collect();
+    let Some(around) = Aabb::around(&points) else { return false };
+    let rises = ASSIGNED_SLACKS * scan.slack_m;
+    let reach = Vector3::repeat(IN_THE_WAY_M);
+    let near = Aabb::from_corners(around.min() - reach, around.max() + reach);
+    let above_z = around.center.z + rises;
+    let rising = scan.cloud.positions.iter().filter(|p| p.z > above_z && near.contains(p));
+    let in_the_way: HashSet<VoxelKey> = rising.map(|p| VoxelKey::of(p, VOXEL_M)).collect();
+    let sees = |camera: &Point3<f32>, p: &Point3<f32>| {
+        let towards = (camera - p).cap_magnitude(IN_THE_WAY_M);
+        let steps = (2.0 * IN_THE_WAY_M / VOXEL_M) as usize;
+        let way = (1..=steps).map(|step| p + towards * (step as f32 / steps as f32));
+        camera.z > above_z
+            && way
+                .filter(|p| p.z > above_z)
+                .all(|p| !in_the_way.contains(&VoxelKey::of(&p, VOXEL_M)))
+    };
+    let cameras: Vec<&Point3<f32>> =
+        cameras.iter().step_by((cameras.len() / MOST_CAMERAS).max(1)).collect();
+    let tried: Vec<&Point3<f32>> =
+        points.iter().step_by((points.len() / MOST_POINTS).max(1)).collect();
+    let seen = tried.iter().filter(|p| cameras.iter().any(|camera| sees(camera, p))).count();
+    cameras.is_empty() || seen as f32 >= MIN_SEEN * tried.len() as f32
+}
+
+/// The colour that most of these superpoints have.
+fn colour(on: &[u32], patches: &[Patch]) -> Option<Lab> {
+    let patch = |s: u32| &patches[s as usize];
+    let alike =
+        |s: u32| on.iter().copied().filter(move |&other| is_same(&patch(other).lab, &patch(s).lab));
+    // Some of them will do to find it: a house has many.
+    let most = on.iter().copied().step_by((on.len() / MOST_TRIED).max(1)).max_by_key(|&s| {
+        (alike(s).map(|other| patch(other).points).sum::<u32>(), std::cmp::Reverse(s))
+    })?;
+    let same: Vec<Patch> = alike(most).map(|s| *patch(s)).collect();
+    Patch::joined(&same, &vec![0; same.len()], 1).first().map(|mean| mean.lab)
+}
+
+fn is_same(a: &Lab, b: &Lab) -> bool {
+    let apart = a - b;
+    Lab::new(apart.x / 2.0, apart.y, apart.z).norm() < SAME_COLOUR
+}
+
+/// Whether it is another colour, and not the floor's under more or less light. Light scales all of
+/// a colour: in CIELAB, L* + 16, a* and b* alike.
+fn is_other(lab: &Lab, floor: &Lab) -> bool {
+    let light = (lab.x + 16.0) / (floor.x + 16.0);
+    !is_same(lab, floor) && (lab.y - light * floor.y).hypot(lab.z - light * floor.z) >= OTHER_HUE
+}
+
+/// Groups of those that hang together.
+fn connected(superpoints_of: &[u32], superpoints: &Superpoints) -> Vec<Vec<u32>> {
+    let mut is_member = vec![false; superpoints.patches.len()];
+    superpoints_of.iter().for_each(|&s| is_member[s as usize] = true);
+    let mut sets = UnionFind::new(superpoints.patches.len());
+    for &(a, b) in superpoints
+        .adjacent
+        .iter()
+        .filter(|(a, b)| is_member[*a as usize] && is_member[*b as usize])
+    {
+        sets.union(a, b);
+    }
+    let (labels, _) = sets.into_labels();
+    let mut groups: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+    superpoints_of.iter().for_each(|&s| groups.entry(labels[s as usize]).or_default().push(s));
+    groups.into_values().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use uniground_geometry::Vector3;
+    use uniground_geometry::colour::lab_of_srgb;
+    use uniground_geometry::scene::PointCloud;
+
+    const WOOD: [u8; 3] = [120, 85, 55];
+    const RED: [u8; 3] = [150, 40, 45];
+    const CAMERA: Point3<f32> = Point3::new(1.0, -2.0, 1.6);
+
+    /// A floor of 4 by 4 superpoints of half a metre, of which these have another colour; returns
+    /// those taken off it.
+    fn taken_off(others: &[(u32, [u8; 3])]) -> Vec<u32> {
+        taken_off_in(&[], &[], &[CAMERA], others)
+    }
+
+    /// The same with points over it, without some of its superpoints, seen by these cameras.
+    fn taken_off_in(
+        above: &[Point3<f32>],
+        absent: &[u32],
+        cameras: &[Point3<f32>],
+        others: &[(u32, [u8; 3])],
+    ) -> Vec<u32> {
+        let rgb =
+            |s: u32| others.iter().find(|(other, _)| *other == s).map_or(WOOD, |(_, rgb)| *rgb);
+        let place = |s: u32| Point3::new((s % 4) as f32 * 0.5, (s / 4) as f32 * 0.5, 0.0);
+        let (mut cloud, mut of_point) = (PointCloud::default(), Vec::new());
+        for s in 0..16 {
+            for at in 0..100 {
+                cloud.positions.push(
+                    place(s) + Vector3::new((at % 10) as f32 * 0.05, (at / 10) as f32 * 0.05, 0.0),
+                );
+                of_point.push(s);
+            }
+        }
+        cloud.positions.extend(above);
+        let patch = |s| Patch {
+            points: 100,
+            center: place(s),
+            normal: Vector3::z(),
+            lab: lab_of_srgb(rgb(s)),
+        };
+        let right = (0..16).filter(|s| s % 4 < 3).map(|s| (s, s + 1));
+        let superpoints = Superpoints {
+            of_point,
+            patches: (0..16).map(patch).collect(),
+            adjacent: right.chain((0..12).map(|s| (s, s + 4))).collect(),
+            roughness_m: vec![0.0; 16],
+        };
+        let floor = Plane {
+            structure: Structure::Floor,
+            normal: Vector3::z(),
+            middle: Point3::origin(),
+            area_m2: 4.0,
+        };
+        let before: Vec<Option<u32>> =
+            (0..16).map(|s| (!absent.contains(&s)).then_some(0)).collect();
+        let mut after = before.clone();
+        take_off(&Scan::of(&cloud, &superpoints), &superpoints, &[floor], cameras, &mut after);
+        (0..16).filter(|&s| before[s as usize] != after[s as usize]).collect()
+    }
+
+    #[test]
+    fn a_rug_of_another_colour_is_no_floor() {
+        assert_eq!(taken_off(&[(5, RED), (6, RED), (9, RED), (10, RED)]), [5, 6, 9, 10]);
+        assert_eq!(taken_off(&[(12, RED)]), [12], "in a corner");
+        assert_eq!(taken_off(&[(5, [200, 170, 140])]), [5], "a light one");
+    }
+
+    #[test]
+    fn shadows_and_other_floors_are_floor() {
+        assert_eq!(
+            taken_off(&[(5, [60, 42, 27]), (6, [30, 21, 14])]),
+            Vec::<u32>::new(),
+            "under less light"
+        );
+        let tiles = [150, 150, 160];
+        assert_eq!(
+            taken_off(&(0..7).map(|s| (s, tiles)).collect::<Vec<_>>()),
+            Vec::<u32>::new(),
+            "nearly half of the floor"
+        );
+    }
+
+    #[test]
+    fn the_floor_of_the_next_room_meets_this_one_in_the_doorway_alone() {
+        let next_room = [12, 13, 14, 15].map(|s| (s, RED));
+        assert_eq!(taken_off_in(&[], &[8, 9, 11], &[CAMERA], &next_room), Vec::<u32>::new());
+        assert_eq!(taken_off(&next_room), [12, 13, 14, 15], "a runner along the wall");
+    }
+
+    #[test]
+    fn the_underside_of_a_box_is_no_rug_what_lies_under_a_table_is() {
+        let red = [(5, RED)];
+        let steps =
+            || (0..=25).flat_map(|a| (1..=20).map(move |b| (a as f32 * 0.02, b as f32 * 0.02)));
+        let sides = |(a, z)| {
+            [(a, 0.0), (a, 0.5), (0.0, a), (0.5, a)]
+                .map(|(x, y): (f32, f32)| Point3::new(0.5 + x, 0.5 + y, z))
+        };
+        let stool: Vec<_> = steps().flat_map(sides).collect();
+        assert_eq!(taken_off_in(&stool, &[], &[CAMERA], &red), Vec::<u32>::new());
+        assert_eq!(
+            taken_off_in(&stool, &[], &[], &red),
+            [5],
+            "a cloud without cameras: nobody knows"
+        );
+        let table: Vec<_> = steps().map(|(x, y)| Point3::new(0.5 + x, 0.5 + y, 0.7)).collect();
+        assert_eq!(taken_off_in(&table, &[], &[CAMERA], &red), [5]);
+    }
+}

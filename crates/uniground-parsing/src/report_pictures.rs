@@ -1,0 +1,125 @@
+//! Pictures of a parse, so that a person can see what went wrong: the cloud by superpoint and by
+//! instance, and instances over a few frames.
+
+use super::ParseError;
+use rayon::prelude::*;
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::progress::Progress;
+use uniground_geometry::scene::{
+    FrameError, FrameRef, Instance, InstanceId, ParsedScene, PointCloud, id_colour,
+};
+use uniground_render::{Orbit, ROOM_VIEW, RenderScene, frame_overlay, jpeg, scene_picture};
+
+/// One picture of a report.
+pub struct ReportPicture {
+    /// `superpoints`, `instances`, `frame-1`, ...
+    pub name: String,
+    /// What it shows, for people.
+    pub title: String,
+    /// The encoded file.
+    pub jpeg: Vec<u8>,
+}
+
+/// Frames shown.
+const FRAMES: usize = 3;
+const STRUCTURE_GREY: [u8; 3] = [200, 200, 200];
+/// Of points that belong to nothing.
+const DROPPED_GREY: [u8; 3] = [90, 90, 90];
+
+/// Renders the pictures: two of the cloud, and one each of up to three frames spread over the scan.
+///
+/// # Errors
+/// [`ParseError`] for unreadable frames and cancellation.
+pub fn render(
+    scene: &ParsedScene,
+    frames: &[FrameRef],
+    progress: &Progress,
+) -> Result<Vec<ReportPicture>, ParseError> {
+    let by_superpoint = RenderScene::of_parsed(
+        recoloured(scene, |i| id_colour(scene.superpoint_of_point[i])),
+        &scene.instances,
+    );
+    let by_instance = RenderScene::of_parsed(
+        recoloured(scene, |i| instance_colour(&scene.instances, scene.instance_of_point[i])),
+        &scene.instances,
+    );
+    let count = FRAMES.min(frames.len());
+    let shown = (0..count).map(|k| &frames[frames.len() * (2 * k + 1) / (2 * count)]);
+    let structural = scene.report.structural;
+    let mut jobs: Vec<(String, String, Subject)> = vec![
+        (
+            "superpoints".into(),
+            format!("The cloud by superpoint ({})", scene.report.superpoints),
+            Subject::Cloud(&by_superpoint),
+        ),
+        (
+            "instances".into(),
+            format!(
+                "The cloud by instance ({}, {structural} of them structural and grey)",
+                scene.report.instances
+            ),
+            Subject::Cloud(&by_instance),
+        ),
+    ];
+    jobs.extend(shown.enumerate().map(|(k, frame)| {
+        let title = format!("Instances over frame {}", frame.index);
+        (format!("frame-{}", k + 1), title, Subject::Frame(frame))
+    }));
+    jobs.into_par_iter()
+        .map(|(name, title, subject)| {
+            progress.check()?;
+            let picture = match subject {
+                Subject::Cloud(cloud) => scene_picture(cloud, &scene.extent, &ROOM_VIEW, &[]),
+                Subject::Frame(frame) => {
+                    frame_overlay(&frame.decode_colour()?, &frame.colour_camera(), &by_instance)
+                }
+            };
+            Ok(ReportPicture { name, title, jpeg: jpeg(&picture) })
+        })
+        .collect()
+}
+
+/// The room in its own colours, small: what a list of rooms shows. JPEG.
+#[must_use]
+pub fn thumbnail(render_scene: &RenderScene, extent: &Aabb) -> Vec<u8> {
+    let small = Orbit { width: 320, height: 240, ..ROOM_VIEW };
+    jpeg(&scene_picture(render_scene, extent, &small, &[]))
+}
+
+/// A photograph with the instances it shows in their colours, half transparent; parts of the
+/// building are grey. `shown_as` tells of each point's thing which one it is to be shown as.
+///
+/// # Errors
+/// An unreadable photograph.
+pub fn photograph_with_instances(
+    frame: &FrameRef,
+    cloud: &PointCloud,
+    instances: &[Instance],
+    shown_as: impl Fn(usize) -> InstanceId + Sync + Send,
+) -> Result<Vec<u8>, FrameError> {
+    let colours = (0..cloud.len())
+        .into_par_iter()
+        .map(|point| instance_colour(instances, shown_as(point)))
+        .collect();
+    let coloured = RenderScene::of(PointCloud { positions: cloud.positions.clone(), colours });
+    Ok(jpeg(&frame_overlay(&frame.decode_colour()?, &frame.colour_camera(), &coloured)))
+}
+
+enum Subject<'a> {
+    Cloud(&'a RenderScene),
+    Frame(&'a FrameRef),
+}
+
+fn recoloured(scene: &ParsedScene, colour: impl Fn(usize) -> [u8; 3] + Sync + Send) -> PointCloud {
+    let positions = scene.cloud.positions.clone();
+    PointCloud { colours: (0..positions.len()).into_par_iter().map(colour).collect(), positions }
+}
+
+fn instance_colour(instances: &[Instance], id: InstanceId) -> [u8; 3] {
+    let instance = (id.0 as usize).checked_sub(1).and_then(|i| instances.get(i));
+    match instance {
+        None => DROPPED_GREY,
+        Some(instance) if instance.structure.is_some() => STRUCTURE_GREY,
+        Some(_) => id_colour(id.0),
+    }
+}

@@ -1,0 +1,318 @@
+//! Standing: what masks leave in the table it stands on is set free.
+//!
+//! A lamp on a desk of its own colour is hardly told from it in any mask, so the last and loosest
+//! stages of merging take it in. But a table top is level, and what stands on it is above it, hangs
+//! together without it, and is much smaller: that can be told from the points alone.
+
+use super::planes::Planes;
+use super::superpoints::{Patch, Superpoints};
+use rayon::prelude::*;
+use std::collections::BTreeSet;
+use uniground_geometry::Point3;
+use uniground_geometry::progress::{Cancelled, Progress};
+use uniground_geometry::scene::PointCloud;
+use uniground_geometry::statistics::quantile;
+
+/// Edge of the cells footprints are measured in, metres.
+const CELL_M: f32 = 0.04;
+/// Cosine of 11 degrees: how level a superpoint of a top is.
+const LEVEL: f32 = 0.98;
+/// Level superpoints of one top follow each other in height within this, metres.
+const TOP_STEP_M: f32 = 0.02;
+/// Nothing can stand on less, square metres.
+const MIN_TOP_M2: f32 = 0.1;
+/// What stands on a top has its middle this far over it, metres: less is noise.
+const OVER_M: f32 = 0.03;
+/// It rises this far over the top, metres.
+const MIN_RISE_M: f32 = 0.05;
+/// And begins within this over it, metres: its lowest points are often taken for the top's.
+const CONTACT_M: f32 = 0.08;
+/// Share of the top's rectangle that it covers at most: what is wider is a back, a side or a shelf.
+const MAX_COVERED: f32 = 0.4;
+/// Share of its own footprint that lies over that rectangle at least.
+const OVER_TOP: f32 = 0.7;
+/// Share of the region's points that it has at most: what most of a thing stands on is its foot, as
+/// a screen's is.
+const MAX_OF_REGION: f32 = 0.5;
+
+/// Gives what stands on a level part of a region a region of its own, if it has `min_points`;
+/// returns the region `0..n` of each superpoint. What lies on planes of the building is left as it
+/// is.
+///
+/// # Errors
+/// [`Cancelled`].
+pub fn set_free(
+    cloud: &PointCloud,
+    superpoints: &Superpoints,
+    planes: &Planes,
+    mut region_of: Vec<u32>,
+    min_points: u32,
+    progress: &Progress,
+) -> Result<Vec<u32>, Cancelled> {
+    let mut points: Vec<Vec<Point3<f32>>> = vec![Vec::new(); superpoints.patches.len()];
+    for (p, &superpoint) in cloud.positions.iter().zip(&superpoints.of_point) {
+        points[superpoint as usize].push(*p);
+    }
+    let pieces: Vec<Piece> = points
+        .par_iter()
+        .zip(&superpoints.patches)
+        .map(|(points, patch)| Piece::of(points, patch))
+        .collect();
+    let mut neighbours = vec![Vec::new(); pieces.len()];
+    for &(a, b) in &superpoints.adjacent {
+        neighbours[a as usize].push(b);
+        neighbours[b as usize].push(a);
+    }
+    let mut members: Vec<Vec<u32>> =
+        vec![Vec::new(); region_of.iter().max().map_or(0, |&region| region as usize + 1)];
+    (0..)
+        .zip(&region_of)
+        .for_each(|(superpoint, &region)| members[region as usize].push(superpoint));
+    let mut regions = members.len() as u32;
+    for members in members
+        .iter()
+        .filter(|members| members.iter().all(|&s| planes.of_superpoint[s as usize].is_none()))
+    {
+        progress.check()?;
+        let mut left: BTreeSet<u32> = members.iter().copied().collect();
+        let most = (MAX_OF_REGION * points_of(members, &pieces) as f32) as u32;
+        for top in tops(&pieces, members) {
+            let above = |s: &u32| {
+                let piece = &pieces[*s as usize];
+                piece.middle_z > top.z + OVER_M
+                    && piece.low_z > top.z - CONTACT_M
+                    && !top.members.contains(s)
+            };
+            for thing in hanging_together(left.iter().copied().filter(above).collect(), &neighbours)
+            {
+                if (min_points..=most).contains(&points_of(&thing, &pieces))
+                    && top.carries(&thing, &pieces)
+                {
+                    thing.iter().for_each(|s| {
+                        left.remove(s);
+                        region_of[*s as usize] = regions;
+                    });
+                    regions += 1;
+                }
+            }
+        }
+    }
+    Ok(region_of)
+}
+
+/// What is known of a superpoint.
+struct Piece {
+    points: u32,
+    /// Heights below which a twentieth, half, and all but a twentieth of its points lie, metres.
+    low_z: f32,
+    middle_z: f32,
+    high_z: f32,
+    is_level: bool,
+    footprint: BTreeSet<(i32, i32)>,
+}
+
+impl Piece {
+    fn of(points: &[Point3<f32>], patch: &Patch) -> Self {
+        let mut heights: Vec<f32> = points.iter().map(|p| p.z).collect();
+        let mut height = |share| quantile(&mut heights, share).unwrap_or(0.0);
+        Self {
+            points: points.len() as u32,
+            low_z: height(0.05),
+            middle_z: height(0.5),
+            high_z: height(0.95),
+            is_level: patch.normal.z.abs() > LEVEL,
+            footprint: points
+                .iter()
+                .map(|p| ((p.x / CELL_M).floor() as i32, (p.y / CELL_M).floor() as i32))
+                .collect(),
+        }
+    }
+}
+
+/// Cells from a least column and row to the last ones.
+#[derive(Clone, Copy)]
+struct Rectangle([i32; 4]);
+
+impl Rectangle {
+    fn around(cells: &BTreeSet<(i32, i32)>) -> Self {
+        let grown = |[left, near, right, far]: [i32; 4], &(x, y): &(i32, i32)| {
+            [left.min(x), near.min(y), right.max(x), far.max(y)]
+        };
+        Self(cells.iter().fold([i32::MAX, i32::MAX, i32::MIN, i32::MIN], grown))
+    }
+
+    fn cells(self) -> f32 {
+        let Self([left, near, right, far]) = self;
+        (right - left + 1) as f32 * (far - near + 1) as f32
+    }
+
+    /// Or next to a cell that it holds.
+    fn holds(self, (x, y): (i32, i32)) -> bool {
+        let Self([left, near, right, far]) = self;
+        (left - 1..=right + 1).contains(&x) && (near - 1..=far + 1).contains(&y)
+    }
+}
+
+/// A level part of a region.
+struct Top {
+    z: f32,
+    members: BTreeSet<u32>,
+    area_m2: f32,
+    around: Rectangle,
+}
+
+impl Top {
+    /// Whether these superpoints stand on it as one thing.
+    fn carries(&self, thing: &[u32], pieces: &[Piece]) -> bool {
+        let piece = |&s: &u32| &pieces[s as usize];
+        let low_z = thing.iter().map(|s| piece(s).low_z).fold(f32::INFINITY, f32::min);
+        let high_z = thing.iter().map(|s| piece(s).high_z).fold(f32::NEG_INFINITY, f32::max);
+        let cells = footprint(thing, pieces);
+        let over = cells.iter().filter(|cell| self.around.holds(**cell)).count();
+        low_z < self.z + CONTACT_M
+            && high_z >= self.z + MIN_RISE_M
+            && over as f32 >= OVER_TOP * cells.len() as f32
+            && Rectangle::around(&cells).cells() <= MAX_COVERED * self.around.cells()
+    }
+}
+
+fn points_of(members: &[u32], pieces: &[Piece]) -> u32 {
+    members.iter().map(|&s| pieces[s as usize].points).sum()
+}
+
+fn footprint(members: &[u32], pieces: &[Piece]) -> BTreeSet<(i32, i32)> {
+    members.iter().flat_map(|&s| pieces[s as usize].footprint.iter().copied()).collect()
+}
+
+/// The tops of a region, largest first.
+fn tops(pieces: &[Piece], members: &[u32]) -> Vec<Top> {
+    let height = |&s: &u32| pieces[s as usize].middle_z;
+    let mut level: Vec<u32> =
+        members.iter().copied().filter(|&s| pieces[s as usize].is_level).collect();
+    level.sort_by(|a, b| height(a).total_cmp(&height(b)).then(a.cmp(b)));
+    let top = |members: &[u32]| {
+        let cells = footprint(members, pieces);
+        let area_m2 = cells.len() as f32 * CELL_M * CELL_M;
+        let mut heights: Vec<f32> = members.iter().map(height).collect();
+        let z = quantile(&mut heights, 0.5).unwrap_or(0.0);
+        Top {
+            z,
+            members: members.iter().copied().collect(),
+            area_m2,
+            around: Rectangle::around(&cells),
+        }
+    };
+    let mut tops: Vec<Top> =
+        level.chunk_by(|a, b| height(b) - height(a) <= TOP_STEP_M).map(top).collect();
+    tops.retain(|top| top.area_m2 >= MIN_TOP_M2);
+    tops.sort_by(|a, b| b.area_m2.total_cmp(&a.area_m2));
+    tops
+}
+
+/// These superpoints in sets that are connected by themselves.
+fn hanging_together(mut left: BTreeSet<u32>, neighbours: &[Vec<u32>]) -> Vec<Vec<u32>> {
+    let mut sets = Vec::new();
+    while let Some(first) = left.pop_first() {
+        let (mut set, mut at) = (vec![first], 0);
+        while let Some(&member) = set.get(at) {
+            set.extend(neighbours[member as usize].iter().filter(|other| left.remove(other)));
+            at += 1;
+        }
+        sets.push(set);
+    }
+    sets
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use uniground_geometry::Vector3;
+    use uniground_geometry::colour::Lab;
+
+    /// A block from corner to corner, metres, sampled every two centimetres, and its normal.
+    type Block = ([f32; 3], [f32; 3], Vector3<f32>);
+
+    /// The regions that one region of these blocks becomes, of which these pairs touch.
+    fn freed(blocks: &[Block], adjacent: &[(u32, u32)], plane: Option<u32>) -> Vec<u32> {
+        let (mut cloud, mut of_point, mut patches) =
+            (PointCloud::default(), Vec::new(), Vec::new());
+        for (i, (low, high, normal)) in (0..).zip(blocks) {
+            let steps = |axis: usize| 0..=((high[axis] - low[axis]) / 0.02).round() as u32;
+            let before = of_point.len();
+            for (x, y, z) in
+                steps(0).flat_map(|x| steps(1).flat_map(move |y| steps(2).map(move |z| (x, y, z))))
+            {
+                let at = |axis: usize, k: u32| low[axis] + k as f32 * 0.02;
+                cloud.positions.push(Point3::new(at(0, x), at(1, y), at(2, z)));
+                of_point.push(i);
+            }
+            patches.push(Patch {
+                points: (of_point.len() - before) as u32,
+                center: Point3::origin(),
+                normal: *normal,
+                lab: Lab::zeros(),
+            });
+        }
+        let count = blocks.len();
+        let superpoints = Superpoints {
+            of_point,
+            patches,
+            adjacent: adjacent.to_vec(),
+            roughness_m: vec![0.0; count],
+        };
+        let planes = Planes { planes: Vec::new(), of_superpoint: vec![plane; count] };
+        set_free(&cloud, &superpoints, &planes, vec![0; count], 50, &Progress::silent()).unwrap()
+    }
+
+    fn top() -> Block {
+        ([0.0, 0.0, 0.74], [1.4, 0.8, 0.74], Vector3::z())
+    }
+
+    #[test]
+    fn what_stands_on_a_table_is_set_free_in_one_piece() {
+        let foot = ([0.2, 0.2, 0.76], [0.3, 0.3, 0.86], Vector3::x());
+        let shade = ([0.15, 0.15, 0.86], [0.35, 0.35, 1.1], Vector3::x());
+        let box_ = ([1.0, 0.4, 0.76], [1.2, 0.6, 0.9], Vector3::x());
+        let leg = ([0.0, 0.0, 0.0], [0.06, 0.06, 0.7], Vector3::x());
+        let adjacent = [(0, 1), (1, 2), (0, 3), (0, 4)];
+        assert_eq!(freed(&[top(), foot, shade, box_, leg], &adjacent, None), [0, 1, 1, 2, 0]);
+        assert_eq!(
+            freed(&[top(), foot, shade, box_, leg], &adjacent, Some(0)),
+            [0; 5],
+            "a plane of the building"
+        );
+    }
+
+    #[test]
+    fn backs_overhangs_and_crumbs_stay() {
+        let back = ([0.0, 0.0, 0.76], [1.4, 0.5, 1.2], Vector3::y());
+        let beside = ([1.38, 0.2, 0.76], [1.7, 0.6, 1.0], Vector3::x());
+        let floating = ([0.5, 0.5, 0.9], [0.7, 0.7, 1.1], Vector3::x());
+        let crumb = ([0.5, 0.6, 0.76], [0.52, 0.62, 0.82], Vector3::x());
+        for other in [back, beside, floating, crumb] {
+            assert_eq!(freed(&[top(), other], &[(0, 1)], None), [0, 0], "{other:?}");
+        }
+    }
+
+    #[test]
+    fn a_screen_stays_on_its_foot() {
+        let foot = ([0.0, 0.0, 0.74], [0.6, 0.4, 0.74], Vector3::z());
+        let low = ([0.1, 0.1, 0.76], [0.4, 0.2, 0.86], Vector3::y());
+        assert_eq!(
+            freed(&[foot, low], &[(0, 1)], None),
+            [0, 1],
+            "as much of it as a thing on a tray"
+        );
+        let high = ([0.1, 0.1, 0.76], [0.4, 0.2, 1.2], Vector3::y());
+        assert_eq!(freed(&[foot, high], &[(0, 1)], None), [0, 0]);
+    }
+
+    #[test]
+    fn a_small_or_sloping_surface_is_no_top() {
+        let mug = ([0.1, 0.1, 0.76], [0.2, 0.2, 0.9], Vector3::x());
+        let small = ([0.0, 0.0, 0.74], [0.24, 0.24, 0.74], Vector3::z());
+        assert_eq!(freed(&[small, mug], &[(0, 1)], None), [0, 0]);
+        let sloping = ([0.0, 0.0, 0.74], [1.4, 0.8, 0.74], Vector3::new(0.0, 0.3, 0.95));
+        assert_eq!(freed(&[sloping, mug], &[(0, 1)], None), [0, 0]);
+    }
+}

@@ -1,0 +1,228 @@
+//! Which points of the cloud a frame shows (paper: visible when it projects inside, in front, and
+//! fits the measured depth).
+//!
+//! A frame shows a small share of a room. Points are kept in clusters of a fixed size, so that most
+//! are passed over at one look.
+
+use rayon::prelude::*;
+use uniground_geometry::Point3;
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::scene::{Camera, DepthImage, PointCloud};
+use uniground_geometry::voxels::VoxelKey;
+
+/// Edge of the cubes that clusters lie in, metres.
+const CLUSTER_M: f32 = 0.5;
+
+/// A cloud made ready to be looked up in frames.
+pub struct Visibility {
+    /// Share of the measured depth by which a visible point may miss it.
+    depth_tolerance: f32,
+    /// Points with their numbers in the cloud, by cluster.
+    points: Vec<(Point3<f32>, u32)>,
+    clusters: Vec<Cluster>,
+}
+
+/// Consecutive points within a ball.
+struct Cluster {
+    center: Point3<f32>,
+    radius_m: f32,
+    points: std::ops::Range<usize>,
+}
+
+/// What a frame tells about a point that projects into it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sight {
+    /// It fits the measured depth.
+    Visible,
+    /// Something was measured in front of it.
+    Hidden,
+    /// Nothing was measured there, or only something behind it.
+    Unknown,
+}
+
+/// A point of the cloud that projects into a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FramePoint {
+    /// Its number in the cloud.
+    pub point: u32,
+    /// Where it is, metres, world frame (Z up).
+    pub position: Point3<f32>,
+    /// Column and row of the depth image.
+    pub cell: (u32, u32),
+    /// Whether the frame shows it.
+    pub sight: Sight,
+}
+
+/// Of points that are not visible, one in so many is looked up: they only tell how much of a thing
+/// is covered.
+pub const SAMPLED: u32 = 4;
+
+/// Whether a point is among those of which [`Visibility::around_frame`] also tells that they are
+/// not visible.
+#[must_use]
+pub fn is_sampled(point: u32) -> bool {
+    point.is_multiple_of(SAMPLED)
+}
+
+impl Visibility {
+    /// `group_of` has a number for each point, by which [`in_frame`](Self::in_frame) sorts what is
+    /// visible: its superpoint, say.
+    ///
+    /// `depth_tolerance` is relative: a point at depth `z` is visible when `|z - d| <= tolerance *
+    /// d`. A hole in the depth is unknown, hence nothing is visible there.
+    #[must_use]
+    pub fn new(cloud: &PointCloud, group_of: &[u32], depth_tolerance: f32) -> Self {
+        let positions = &cloud.positions;
+        let mut order: Vec<(u32, VoxelKey, u32)> = (0_u32..)
+            .zip(positions)
+            .zip(group_of)
+            .map(|((point, p), &group)| (group, VoxelKey::of(p, CLUSTER_M), point))
+            .collect();
+        order.par_sort_unstable();
+        let points: Vec<(Point3<f32>, u32)> =
+            order.iter().map(|&(_, _, point)| (positions[point as usize], point)).collect();
+        let mut start = 0;
+        let clusters = order
+            .chunk_by(|a, b| (a.0, a.1) == (b.0, b.1))
+            .filter_map(|of_cluster| {
+                let range = start..start + of_cluster.len();
+                start = range.end;
+                let around = Aabb::around(points[range.clone()].iter().map(|(p, _)| p))?;
+                Some(Cluster {
+                    center: around.center,
+                    radius_m: around.size.norm() / 2.0,
+                    points: range,
+                })
+            })
+            .collect();
+        Self { depth_tolerance, points, clusters }
+    }
+
+    /// The points that a frame shows, by group, with those of a group in no particular, but always
+    /// the same order.
+    #[must_use]
+    pub fn in_frame(&self, camera: &Camera, depth: &DepthImage) -> Vec<FramePoint> {
+        self.look(camera, depth, |_, sight| sight == Sight::Visible)
+    }
+
+    /// As [`in_frame`](Self::in_frame), and with them a sample of those that lie within the picture
+    /// unseen; see [`is_sampled`].
+    #[must_use]
+    pub fn around_frame(&self, camera: &Camera, depth: &DepthImage) -> Vec<FramePoint> {
+        self.look(camera, depth, |point, sight| sight == Sight::Visible || is_sampled(point))
+    }
+
+    fn look(
+        &self,
+        camera: &Camera,
+        depth: &DepthImage,
+        keep: impl Fn(u32, Sight) -> bool + Sync,
+    ) -> Vec<FramePoint> {
+        self.clusters
+            .par_iter()
+            .with_min_len(64)
+            .filter(|cluster| camera.may_show(&cluster.center, cluster.radius_m))
+            .flat_map_iter(|cluster| &self.points[cluster.points.clone()])
+            .filter_map(|&(position, point)| {
+                let pixel = camera.project(&position)?;
+                let cell = pixel.cell();
+                let depth_m = depth.at(cell);
+                let (behind_m, tolerance_m) = (pixel.z_m - depth_m, self.depth_tolerance * depth_m);
+                let sight = match depth_m > 0.0 {
+                    true if behind_m.abs() <= tolerance_m => Sight::Visible,
+                    true if behind_m > tolerance_m => Sight::Hidden,
+                    _ => Sight::Unknown,
+                };
+                keep(point, sight).then_some(FramePoint { point, position, cell, sight })
+            })
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use uniground_geometry::Isometry3;
+    use uniground_geometry::scene::Intrinsics;
+
+    /// A camera at the origin looking along +Z at a wall two metres away, with a hole in its last
+    /// row.
+    fn look() -> (Camera, DepthImage) {
+        let intrinsics = Intrinsics { width: 4, height: 4, fx: 4.0, fy: 4.0, cx: 1.5, cy: 1.5 };
+        let depth_m = (0..16).map(|i| if i < 12 { 2.0 } else { 0.0 }).collect();
+        (
+            Camera::new(intrinsics, &Isometry3::identity()),
+            DepthImage { width: 4, height: 4, depth_m },
+        )
+    }
+
+    #[test]
+    fn occluded_points_holes_and_points_outside_are_not_visible() {
+        let (camera, depth) = look();
+        let at = |u: f32, v: f32, z: f32| camera.intrinsics.unproject(u, v, z);
+        let outside = [Point3::new(9.0, 0.0, 2.0), Point3::new(0.0, 0.0, -2.0)];
+        let positions = vec![
+            at(0.0, 0.0, 2.0),
+            at(1.0, 0.0, 2.05),
+            at(2.0, 0.0, 3.0),
+            at(3.0, 3.0, 2.0),
+            outside[0],
+            outside[1],
+        ];
+        let cloud = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
+        let seen = Visibility::new(&cloud, &[0; 6], 0.05).in_frame(&camera, &depth);
+        assert_eq!(
+            seen.iter().map(|seen| (seen.point, seen.cell)).collect::<Vec<_>>(),
+            [(0, (0, 0)), (1, (1, 0))]
+        );
+    }
+
+    #[test]
+    fn of_points_that_are_not_visible_a_sample_is_told() {
+        let (camera, depth) = look();
+        let at = |u: f32, v: f32, z: f32| camera.intrinsics.unproject(u, v, z);
+        let positions = [
+            [at(0.0, 0.0, 2.0); 8],
+            [at(1.0, 0.0, 3.0); 8],
+            [at(2.0, 0.0, 1.0); 8],
+            [at(3.0, 3.0, 2.0); 8],
+        ]
+        .concat();
+        let cloud = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
+        let seen = Visibility::new(&cloud, &[0; 32], 0.05).around_frame(&camera, &depth);
+        let count = |sight, points: std::ops::Range<u32>| {
+            seen.iter().filter(|p| p.sight == sight && points.contains(&p.point)).count()
+        };
+        assert_eq!(
+            (
+                count(Sight::Visible, 0..8),
+                count(Sight::Hidden, 8..16),
+                count(Sight::Unknown, 16..32)
+            ),
+            (8, 2, 4)
+        );
+        assert_eq!(seen.len(), 14);
+    }
+
+    proptest! {
+        #[test]
+        fn clusters_hide_nothing_and_groups_come_in_order(
+            points in prop::collection::vec((prop::array::uniform3(-3.0_f32..3.0), 0_u32..4), 1..300),
+        ) {
+            let (camera, depth) = look();
+            let (positions, group_of): (Vec<_>, Vec<u32>) = points.into_iter().map(|(p, group)| (Point3::from(p), group)).unzip();
+            let expected: Vec<u32> = (0..)
+                .zip(&positions)
+                .filter(|(_, p)| camera.project(p).is_some_and(|pixel| pixel.v < 2.5 && (pixel.z_m - 2.0).abs() <= 1.0))
+                .map(|(i, _)| i)
+                .collect();
+            let cloud = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
+            let seen = Visibility::new(&cloud, &group_of, 0.5).in_frame(&camera, &depth);
+            prop_assert!(seen.is_sorted_by_key(|seen| group_of[seen.point as usize]));
+            let mut found: Vec<u32> = seen.iter().map(|seen| seen.point).collect();
+            found.sort_unstable();
+            prop_assert_eq!(found, expected);
+        }
+    }
+}

@@ -1,0 +1,538 @@
+//! Walls and ceilings as planes: what is left out of a picture so that one can look into a room
+//! from outside.
+//!
+//! Stage 1 says which instances are parts of the building; a plane is fitted to the points in the
+//! box of each, so sloped ceilings are as good as level ones, and a parse of any age will do. A
+//! plane faces the room. Where it turns its back on the camera its points are not drawn, nor are
+//! those of what hangs on it; one that stands between the camera and a subject goes too, whichever
+//! way it faces.
+
+use nalgebra::Rotation3;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use uniground_geometry::boxes::{Aabb, OrientedBox};
+use uniground_geometry::least_axis::least_axis;
+use uniground_geometry::moments::Moments;
+use uniground_geometry::scene::{Instance, InstanceId, Structure, Support};
+use uniground_geometry::statistics::quantile;
+use uniground_geometry::{Point3, Vector3};
+
+/// Planes of a building told apart; the number of one, from 1, fits a byte. Further ones are drawn
+/// as things are.
+const MAX_SHEETS: usize = 120;
+/// Planes fitted to one instance: a ceiling may have two slopes.
+const MAX_PER_INSTANCE: usize = 3;
+/// Share of the points in an instance's box that a plane of it has.
+const MIN_SHARE: f32 = 0.2;
+const MIN_POINTS: usize = 30;
+/// Points of a box that planes are tried on.
+const SAMPLE: usize = 1500;
+/// Planes tried.
+const TRIALS: u32 = 120;
+/// Points this near to a plane that is tried are on it, metres.
+const TRIED_M: f32 = 0.04;
+/// How much a box may miss of its wall on each side, metres.
+const BOX_GROWTH_M: f32 = 0.05;
+/// Largest and smallest `|z|` of the unit normals of walls and ceilings.
+const WALL_MAX_Z: f32 = 0.4;
+const CEILING_MIN_Z: f32 = 0.35;
+/// Points belong to a plane up to this many standard deviations from it, and at least and at most
+/// so far, metres.
+const SLACK_SIGMAS: f32 = 3.0;
+const SLACK_M: [f32; 2] = [0.035, 0.10];
+/// A wall's rectangle leaves out this share of its points on each side, and is grown again to take
+/// in its rims, metres.
+const STRAY_SHARE: f32 = 0.005;
+const WALL_GROWTH_M: f32 = 0.12;
+/// A ceiling goes on beyond where it was recognised, metres.
+const CEILING_GROWTH_M: f32 = 1.5;
+/// Window frames, reveals and reflections behind a wall, and what is above a ceiling, belong to it,
+/// metres.
+const BEHIND_WALL_M: f32 = 0.25;
+const BEHIND_CEILING_M: f32 = 0.5;
+/// What is looked at on both sides of a wall to know which one faces the room: metres from the
+/// wall, and points of the cloud.
+const ROOM_M: [f32; 2] = [0.15, 4.0];
+const ROOM_SAMPLE: usize = 60_000;
+/// A wall with more than this share of the points on its emptier side is one between two rooms.
+const BOTH_SIDES: f32 = 0.2;
+/// A wall goes on as far as there is a room before it and no more than this share of the points
+/// behind it, in steps of so many metres. It goes on for so many steps at most. What is behind is
+/// looked for so deep, metres.
+const OUTSIDE: f32 = 0.1;
+const STEP_M: f32 = 0.25;
+const LONGEST_STEPS: i32 = 200;
+const OUTSIDE_M: f32 = 1.5;
+/// Two sides of one wall are at most this far apart, metres, and as parallel as this cosine.
+const THICKEST_WALL_M: f32 = 0.45;
+const PARALLEL: f32 = 0.95;
+/// What hangs on a wall does not stand out further than this, metres.
+const HANGS_M: f32 = 0.35;
+/// What reaches higher than this above the foot of a wall hides the room behind it, metres.
+const HIGH_M: f32 = 1.0;
+/// A subject no deeper than this is in its wall or on it: a door, a picture, metres.
+const FLAT_M: f32 = 0.2;
+/// Robust boxes leave out a few points of their things: metres on every side.
+pub(super) const RIM_M: f32 = 0.02;
+/// A subject counts as hidden when more than this share of its centre and corners is.
+const HIDDEN_SHARE: f32 = 0.3;
+/// Corners of a subject are drawn in towards its centre by this share: what leans at a wall reaches
+/// into it.
+const DRAWN_IN: f32 = 0.2;
+
+/// The planes of a scene and what belongs to each.
+#[derive(Debug, Clone)]
+pub(super) struct Building {
+    sheets: Vec<Sheet>,
+    /// Numbers of each point's planes, from 1: two where they meet; 0 for none.
+    of_point: Vec<[u8; 2]>,
+    /// Both boxes of every instance: those of things that lie at a turned wall are thin in one of
+    /// them only.
+    boxes: Vec<(Aabb, OrientedBox)>,
+}
+
+/// What one camera looks through, and what it is to see.
+pub(super) struct Opening {
+    /// By plane.
+    open: Vec<bool>,
+    shown: Vec<Shown>,
+}
+
+/// A subject.
+struct Shown {
+    within: OrientedBox,
+    /// By plane: whether it lies in it or at it, as doors and pictures do.
+    flat: Vec<bool>,
+}
+
+/// A rectangle of a wall or ceiling.
+#[derive(Debug, Clone, PartialEq)]
+struct Sheet {
+    structure: Structure,
+    /// The instance it was fitted to, and that one's box.
+    instance: InstanceId,
+    aabb: Aabb,
+    /// Unit length, towards the room.
+    normal: Vector3<f32>,
+    middle: Point3<f32>,
+    /// Unit vectors in the plane; `along` is level, `up` rises.
+    along: Vector3<f32>,
+    up: Vector3<f32>,
+    /// Least and greatest coordinate on `along` and `up` from `middle`, metres.
+    rect: [[f32; 2]; 2],
+    /// How far its points lie from the plane, metres.
+    slack_m: f32,
+    /// How far behind the plane things still belong to it, metres.
+    behind_m: f32,
+    faces: Faces,
+}
+
+/// What is on the two sides of a plane.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Faces {
+    /// A room where the normal points to, nothing or the wall's other side behind.
+    Room,
+    /// A room on both sides and one layer of points between them.
+    Both,
+}
+
+impl Building {
+    /// Fits planes to the walls and ceilings among `instances`; `None` where there are none.
+    pub fn of(positions: &[Point3<f32>], instances: &[Instance]) -> Option<Self> {
+        let parts: Vec<(&Instance, Structure)> = instances
+            .iter()
+            .filter_map(|i| Some((i, i.structure.filter(|s| *s != Structure::Floor)?)))
+            .take(MAX_SHEETS)
+            .collect();
+        let fitted: Vec<Vec<Sheet>> = parts
+            .par_iter()
+            .map(|(instance, structure)| sheets_of(positions, instance, *structure))
+            .collect();
+        let mut sheets: Vec<Sheet> = fitted.into_iter().flatten().take(MAX_SHEETS).collect();
+        if sheets.is_empty() {
+            return None;
+        }
+        let sample: Vec<&Point3<f32>> =
+            positions.iter().step_by(positions.len().div_ceil(ROOM_SAMPLE)).collect();
+        turn_to_rooms(&mut sheets, &sample);
+        extend(&mut sheets, &sample);
+        let hung: Vec<(usize, OrientedBox)> =
+            instances.iter().filter_map(|i| hung(&sheets, i)).collect();
+        let of_point = positions
+            .par_iter()
+            .map(|p| {
+                // A ceiling comes first: its rims would float over the room.
+                let mut nearest: [Option<(usize, f32)>; 2] = [None; 2];
+                for (i, sheet) in sheets.iter().enumerate() {
+                    let Some(distance_m) = sheet.owns(p) else { continue };
+                    let is_wall = |i: usize| sheets[i].structure == Structure::Wall;
+                    let before = |(other, other_m): (usize, f32)| {
+                        (is_wall(i), distance_m) < (is_wall(other), other_m)
+                    };
+                    if nearest[0].is_none_or(before) {
+                        nearest = [Some((i, distance_m)), nearest[0]];
+                    } else if nearest[1].is_none_or(before) {
+                        nearest[1] = Some((i, distance_m));
+                    }
+                }
+                if nearest[0].is_none() {
+                    nearest[0] =
+                        hung.iter().find(|(_, of)| holds(of, RIM_M, p)).map(|(i, _)| (*i, 0.0));
+                }
+                nearest.map(|own| own.map_or(0, |(i, _)| i as u8 + 1))
+            })
+            .collect();
+        let boxes = instances.iter().map(|i| (i.aabb, i.oriented_box)).collect();
+        Some(Self { sheets, of_point, boxes })
+    }
+
+    /// Whether any of the planes is a ceiling.
+    pub fn has_ceiling(&self) -> bool {
+        self.sheets.iter().any(|sheet| sheet.structure == Structure::Ceiling)
+    }
+
+    /// What a camera at `eye` looks through so that it sees the room and the subjects in it. Parts
+    /// of the building are no subjects: drawn, they would hide the room.
+    pub fn opening(&self, eye: &Point3<f32>, subjects: &[Aabb]) -> Opening {
+        let things = subjects.iter().filter(|s| !self.sheets.iter().any(|sheet| sheet.aabb == **s));
+        let shown: Vec<Shown> = things
+            .map(|aabb| {
+                let known =
+                    self.boxes.iter().find(|(own, _)| own == aabb).map(|(_, turned)| *turned);
+                let within = known.unwrap_or(OrientedBox {
+                    center: aabb.center,
+                    size: aabb.size,
+                    yaw_rad: 0.0,
+                });
+                Shown {
+                    flat: self.sheets.iter().map(|sheet| sheet.is_flat(&within, FLAT_M)).collect(),
+                    within,
+                }
+            })
+            .collect();
+        let open = |sheet: &Sheet| {
+            sheet.turns_away(eye) || shown.iter().any(|s| sheet.hides(&s.within, eye))
+        };
+        Opening { open: self.sheets.iter().map(open).collect(), shown }
+    }
+
+    /// Whether a point is drawn: where a wall that is looked through meets another its rim goes
+    /// too. Of what is in a subject's box the subject is, not the wall it stands at.
+    pub fn draws(&self, point: usize, p: &Point3<f32>, opening: &Opening) -> bool {
+        let own =
+            self.of_point[point].into_iter().filter_map(|number| (number as usize).checked_sub(1));
+        own.filter(|&i| opening.open[i]).all(|i| {
+            let before = self.sheets[i].distance(p) > self.sheets[i].slack_m;
+            opening.shown.iter().any(|s| (s.flat[i] || before) && holds(&s.within, RIM_M, p))
+        })
+    }
+
+    /// Where the walls that are looked through stand on the floor: their lower edges.
+    pub fn footings(&self, opening: &Opening) -> Vec<[Point3<f32>; 2]> {
+        let walls = self
+            .sheets
+            .iter()
+            .zip(&opening.open)
+            .filter(|(sheet, open)| **open && sheet.structure == Structure::Wall);
+        let mut drawn: Vec<&Sheet> = Vec::new();
+        // Stretches of one wall that were recognised apart have one line.
+        for (sheet, _) in walls {
+            let on = |other: &&Sheet| {
+                sheet
+                    .footing()
+                    .iter()
+                    .all(|p| other.distance(p).abs() < BEHIND_WALL_M && other.covers(p, STEP_M))
+            };
+            if !drawn.iter().any(on) {
+                drawn.push(sheet);
+            }
+        }
+        drawn.into_iter().map(Sheet::footing).collect()
+    }
+}
+
+impl Opening {
+    /// Whether a point is a subject's.
+    pub fn shows(&self, p: &Point3<f32>) -> bool {
+        self.shown.iter().any(|s| holds(&s.within, RIM_M, p))
+    }
+}
+
+impl Sheet {
+    /// Of the points on a plane.
+    fn fitted(on: &[Point3<f32>], instance: &Instance, structure: Structure) -> Self {
+        let Moments { mean: middle, covariance } = Moments::of(on);
+        let (variance, normal) = least_axis(&covariance);
+        let along = Vector3::z().cross(&normal).try_normalize(1e-3).unwrap_or_else(Vector3::x);
+        let up = normal.cross(&along);
+        let up = if up.z < 0.0 { -up } else { up };
+        let range = |axis: &Vector3<f32>| {
+            let mut at: Vec<f32> = on.iter().map(|p| (p - middle).dot(axis)).collect();
+            [STRAY_SHARE, 1.0 - STRAY_SHARE].map(|q| quantile(&mut at, q).unwrap_or(0.0))
+        };
+        Self {
+            structure,
+            instance: instance.id,
+            aabb: instance.aabb,
+            normal,
+            middle,
+            along,
+            up,
+            rect: [range(&along), range(&up)],
+            slack_m: (SLACK_SIGMAS * variance.sqrt()).clamp(SLACK_M[0], SLACK_M[1]),
+            behind_m: if structure == Structure::Ceiling {
+                BEHIND_CEILING_M
+            } else {
+                BEHIND_WALL_M
+            },
+            faces: Faces::Room,
+        }
+    }
+
+    fn distance(&self, p: &Point3<f32>) -> f32 {
+        (p - self.middle).dot(&self.normal)
+    }
+
+    /// Its lower edge.
+    fn footing(&self) -> [Point3<f32>; 2] {
+        self.rect[0].map(|along_m| self.at(along_m, self.rect[1][0]))
+    }
+
+    fn foot_z(&self) -> f32 {
+        self.middle.z + self.up.z * self.rect[1][0]
+    }
+
+    fn at(&self, along_m: f32, up_m: f32) -> Point3<f32> {
+        self.middle + self.along * along_m + self.up * up_m
+    }
+
+    /// Whether a point is over the rectangle, grown by `growth_m`.
+    fn covers(&self, p: &Point3<f32>, growth_m: f32) -> bool {
+        let d = p - self.middle;
+        [self.along, self.up].iter().zip(&self.rect).all(|(axis, [low, high])| {
+            let at = d.dot(axis);
+            at >= low - growth_m && at <= high + growth_m
+        })
+    }
+
+    /// Distance to the plane of a point that belongs to it, metres.
+    fn owns(&self, p: &Point3<f32>) -> Option<f32> {
+        let distance = self.distance(p);
+        let growth_m =
+            if self.structure == Structure::Ceiling { CEILING_GROWTH_M } else { WALL_GROWTH_M };
+        (distance <= self.slack_m
+            && distance >= -self.behind_m.max(self.slack_m)
+            && self.covers(p, growth_m))
+        .then_some(distance.abs())
+    }
+
+    /// Whether a box lies at the plane as pictures do.
+    fn is_flat(&self, of: &OrientedBox, depth_m: f32) -> bool {
+        corners(of).iter().all(|corner| self.distance(corner).abs() < depth_m)
+    }
+
+    fn turns_away(&self, eye: &Point3<f32>) -> bool {
+        self.faces == Faces::Room && self.distance(eye) < 0.0
+    }
+
+    /// Whether it stands between the eye and much of a box.
+    fn hides(&self, subject: &OrientedBox, eye: &Point3<f32>) -> bool {
+        let corners = corners(subject).map(|corner| corner + (subject.center - corner) * DRAWN_IN);
+        let before = self.distance(eye);
+        let hidden = |p: &&Point3<f32>| {
+            let behind = self.distance(p);
+            // Beyond the plane, and not merely within its noise.
+            let crosses = before.signum() != behind.signum() && behind.abs() > self.slack_m;
+            crosses && self.covers(&(eye + (*p - eye) * (before / (before - behind))), 0.0)
+        };
+        let points: Vec<Point3<f32>> = corners.into_iter().chain([subject.center]).collect();
+        points.iter().filter(hidden).count() as f32 > HIDDEN_SHARE * points.len() as f32
+    }
+}
+
+/// The planes in the box of a wall or a ceiling, the largest first.
+fn sheets_of(positions: &[Point3<f32>], instance: &Instance, structure: Structure) -> Vec<Sheet> {
+    let inside = |p: &&Point3<f32>| holds(&instance.oriented_box, BOX_GROWTH_M, p);
+    let mut left: Vec<Point3<f32>> = positions.iter().filter(inside).copied().collect();
+    let enough = MIN_POINTS.max((left.len() as f32 * MIN_SHARE) as usize);
+    let mut sheets = Vec::new();
+    while sheets.len() < MAX_PER_INSTANCE && left.len() >= enough {
+        let Some((normal, offset)) = best_plane(&left, structure) else { break };
+        let is_on = |p: &Point3<f32>| (normal.dot(&p.coords) - offset).abs() <= TRIED_M;
+        let on: Vec<Point3<f32>> = left.iter().filter(|p| is_on(p)).copied().collect();
+        if on.len() < enough {
+            break;
+        }
+        let sheet = Sheet::fitted(&on, instance, structure);
+        left.retain(|p| sheet.distance(p).abs() > 2.0 * sheet.slack_m);
+        sheets.push(sheet);
+    }
+    sheets
+}
+
+/// Unit normal and offset of the plane through three of the points that most of them lie on, of
+/// those that may be a wall or a ceiling.
+fn best_plane(points: &[Point3<f32>], structure: Structure) -> Option<(Vector3<f32>, f32)> {
+    let sample: Vec<Point3<f32>> =
+        points.iter().step_by(points.len().div_ceil(SAMPLE)).copied().collect();
+    // The same points are tried every time: an answer does not depend on chance.
+    let mut state = 1_u32;
+    let mut pick = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        sample[((u64::from(state) * sample.len() as u64) >> 32) as usize]
+    };
+    let mut best: Option<(usize, Vector3<f32>, f32)> = None;
+    for _ in 0..TRIALS {
+        let (a, b, c) = (pick(), pick(), pick());
+        let Some(normal) = (b - a).cross(&(c - a)).try_normalize(1e-4) else { continue };
+        let fits = match structure {
+            Structure::Wall => normal.z.abs() <= WALL_MAX_Z,
+            Structure::Floor | Structure::Ceiling => normal.z.abs() >= CEILING_MIN_Z,
+        };
+        if fits {
+            let offset = normal.dot(&a.coords);
+            let on =
+                sample.iter().filter(|p| (normal.dot(&p.coords) - offset).abs() <= TRIED_M).count();
+            if best.is_none_or(|(most, ..)| on > most) {
+                best = Some((on, normal, offset));
+            }
+        }
+    }
+    best.map(|(_, normal, offset)| (normal, offset))
+}
+
+/// Ceilings face down. Walls face the side with the room on it; of a wall between two rooms that
+/// was scanned from both, each side faces away from the other.
+fn turn_to_rooms(sheets: &mut [Sheet], sample: &[&Point3<f32>]) {
+    let flipped = |sheet: &mut Sheet| sheet.normal = -sheet.normal;
+    for sheet in sheets
+        .iter_mut()
+        .filter(|sheet| sheet.structure == Structure::Ceiling && sheet.normal.z > 0.0)
+    {
+        flipped(sheet);
+    }
+    let shares: Vec<f32> = sheets
+        .par_iter()
+        .map(|sheet| {
+            let before = sample.iter().filter(|p| sheet.covers(p, 0.0)).map(|p| sheet.distance(p));
+            let (mut front, mut back) = (0.0, 0.0);
+            for distance in before.filter(|d| (ROOM_M[0]..ROOM_M[1]).contains(&d.abs())) {
+                *(if distance > 0.0 { &mut front } else { &mut back }) += 1.0;
+            }
+            front / (front + back + f32::EPSILON)
+        })
+        .collect();
+    let all = sheets.to_vec();
+    for (sheet, in_front) in
+        sheets.iter_mut().zip(shares).filter(|(sheet, _)| sheet.structure == Structure::Wall)
+    {
+        if in_front < BOTH_SIDES {
+            flipped(sheet);
+        } else if in_front <= 1.0 - BOTH_SIDES {
+            let other = all
+                .iter()
+                .filter_map(|other| sheet.other_side(other))
+                .min_by(|a, b| a.abs().total_cmp(&b.abs()));
+            if let Some(distance) = other {
+                if distance > 0.0 {
+                    flipped(sheet);
+                }
+                sheet.behind_m = distance.abs() / 2.0;
+            } else {
+                (sheet.faces, sheet.behind_m) = (Faces::Both, sheet.slack_m);
+            }
+        }
+    }
+}
+
+/// Walls go from floor to ceiling, and on along the room where stage 1 recognised a stretch of them
+/// only.
+fn extend(sheets: &mut [Sheet], sample: &[&Point3<f32>]) {
+    let mut heights: Vec<f32> = sample.iter().map(|p| p.z).collect();
+    let [low_z, high_z] =
+        [STRAY_SHARE, 1.0 - STRAY_SHARE].map(|q| quantile(&mut heights, q).unwrap_or(0.0));
+    let outer =
+        |sheet: &&mut Sheet| sheet.structure == Structure::Wall && sheet.faces == Faces::Room;
+    sheets.par_iter_mut().filter(outer).for_each(|sheet| {
+        let rises = sheet.up.z.max(1e-3);
+        let [low, high] = &mut sheet.rect[1];
+        (*low, *high) = (
+            low.min((low_z - sheet.middle.z) / rises),
+            high.max((high_z - sheet.middle.z) / rises),
+        );
+        // Points before and behind, by steps along the wall.
+        let mut steps: BTreeMap<i32, [f32; 2]> = BTreeMap::new();
+        let mut room: Vec<f32> = Vec::new();
+        for p in sample {
+            let distance = sheet.distance(p);
+            let side = match distance > 0.0 {
+                true => (ROOM_M[0]..ROOM_M[1]).contains(&distance).then_some(0),
+                false => (sheet.behind_m..OUTSIDE_M).contains(&-distance).then_some(1),
+            };
+            if let Some(side) = side {
+                let at = (*p - sheet.middle).dot(&sheet.along);
+                steps.entry((at / STEP_M).floor() as i32).or_default()[side] += 1.0;
+                room.extend((side == 0).then_some(at));
+            }
+        }
+        let [room_from, room_to] =
+            [STRAY_SHARE, 1.0 - STRAY_SHARE].map(|q| quantile(&mut room, q).unwrap_or(0.0));
+        let goes_on = |step: &i32| {
+            steps.get(step).is_some_and(|[before, behind]| *behind <= OUTSIDE * before)
+        };
+        let [from, to] = sheet.rect[0].map(|at| (at / STEP_M).floor() as i32);
+        let first = (0..=LONGEST_STEPS).map(|k| from - k).take_while(goes_on).last();
+        let last = (0..=LONGEST_STEPS).map(|k| to + k).take_while(goes_on).last();
+        let [low, high] = &mut sheet.rect[0];
+        *low = first.map_or(*low, |step| low.min(room_from.max(step as f32 * STEP_M)));
+        *high = last.map_or(*high, |step| high.max(room_to.min((step + 1) as f32 * STEP_M)));
+    });
+}
+
+impl Sheet {
+    /// Where the other side of the same wall is, metres along the normal.
+    fn other_side(&self, other: &Self) -> Option<f32> {
+        let distance = self.distance(&other.middle);
+        let parallel =
+            other.structure == Structure::Wall && self.normal.dot(&other.normal).abs() > PARALLEL;
+        let apart = (self.slack_m..THICKEST_WALL_M).contains(&distance.abs());
+        (parallel && apart && self.covers(&other.middle, 0.0)).then_some(distance)
+    }
+}
+
+/// The plane of the wall that a thing goes with, and its box: the wall it hangs on, and for
+/// windows, doors and curtains, which reach high and lie flat, the one they are in.
+fn hung(sheets: &[Sheet], instance: &Instance) -> Option<(usize, OrientedBox)> {
+    let of = instance.oriented_box;
+    let hangs = |sheet: &Sheet| match instance.support {
+        Support::Wall { id } => sheet.instance == id && sheet.is_flat(&of, HANGS_M),
+        _ => {
+            sheet.is_flat(&of, FLAT_M)
+                && sheet.covers(&of.center, 0.0)
+                && of.center.z + of.size.z / 2.0 > sheet.foot_z() + HIGH_M
+        }
+    };
+    let is_wall = |sheet: &Sheet| sheet.structure == Structure::Wall && sheet.faces == Faces::Room;
+    let wall = sheets
+        .iter()
+        .position(|sheet| instance.structure.is_none() && is_wall(sheet) && hangs(sheet))?;
+    Some((wall, of))
+}
+
+fn corners(of: &OrientedBox) -> [Point3<f32>; 8] {
+    let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), of.yaw_rad);
+    Aabb { center: Point3::origin(), size: of.size }
+        .corners()
+        .map(|corner| of.center + turn * corner.coords)
+}
+
+/// Whether a point is in a box that is grown on all sides, metres.
+pub(super) fn holds(of: &OrientedBox, growth_m: f32, p: &Point3<f32>) -> bool {
+    let (sin, cos) = of.yaw_rad.sin_cos();
+    let d = p - of.center;
+    let (x, y) = (cos * d.x + sin * d.y, cos * d.y - sin * d.x);
+    [x, y, d.z].iter().zip(&of.size).all(|(at, size)| at.abs() <= size / 2.0 + growth_m)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,314 @@
+//! The global render: the scene around the candidates from several sides, stitched (paper: spatial
+//! relationship prompt).
+
+use super::camera::{Distance, calibrated, eye, look_at, uncalibrated};
+use super::directions::{self, DirectionWord};
+use super::insets;
+use super::overlay::{self, LabelledBox, bounds};
+use super::render_scene::{Cutaway, RenderScene, Splats};
+use super::text;
+use image::{Rgb, RgbImage, imageops};
+use rayon::prelude::*;
+use tiny_skia::Rect;
+use uniground_geometry::Point3;
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::scene::Camera;
+
+/// How candidates are shown together.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GlobalView {
+    /// Side of each square view. Paper: 680.
+    pub view_px: u32,
+    /// Where the camera stands, degrees about +Z from +X. Paper: 0, 120, 240.
+    pub azimuths_deg: Vec<f32>,
+    /// Angle off the vertical, degrees. Paper: 15.
+    pub tilt_deg: f32,
+    /// Paper: alpha, distance over the longest side of the scene.
+    pub distance: f32,
+    /// Paper: `r_min`, metres; a value is not given.
+    pub min_radius_m: f32,
+    /// Paper: `h_min`, metres; a value is not given.
+    pub min_height_m: f32,
+    /// Share of a view left empty around the candidates, per side.
+    pub margin: f32,
+    /// How much closer than the uncalibrated camera a view may get, so that candidates that stand
+    /// together keep their surroundings.
+    pub max_zoom: f32,
+    /// How much darker surfaces get that turn away, `0..=1`; 0 leaves their colours.
+    pub shading: f32,
+    /// The least a box measures along its longer side in a view, pixels: a view zooms in further
+    /// for a smaller one, and one that stays smaller, as the others lie far away, is shown
+    /// once more in an inset. 0 for neither, as in the paper.
+    pub min_subject_px: f32,
+    /// What is left out so that one can look into the room.
+    pub cutaway: Cutaway,
+}
+
+impl Default for GlobalView {
+    fn default() -> Self {
+        Self {
+            view_px: 680,
+            azimuths_deg: vec![0.0, 120.0, 240.0],
+            tilt_deg: 15.0,
+            distance: 1.5,
+            min_radius_m: 0.5,
+            min_height_m: 2.0,
+            margin: 0.15,
+            max_zoom: 3.5,
+            shading: 0.45,
+            min_subject_px: 40.0,
+            cutaway: Cutaway::Building,
+        }
+    }
+}
+
+/// What a global render shows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Subjects {
+    /// Candidates and anchors; later ones lie on top.
+    pub boxes: Vec<LabelledBox>,
+    /// Directions told at the rim of each view.
+    pub words: Vec<DirectionWord>,
+    /// What cameras look at, world frame. Paper: the mean candidate centre (Eq. 3); anchors do not
+    /// move it.
+    pub target: Point3<f32>,
+}
+
+/// A box smaller than this before calibration is a point, and zoomed in on no further, pixels.
+const LEAST_PX: f32 = 0.5;
+/// Size of a view's title and where it begins, pixels.
+const TITLE_PX: f32 = 16.0;
+const TITLE_AT: (f32, f32) = (6.0, 4.0);
+
+impl GlobalView {
+    /// The camera of one view; candidates' corners, and those of anchors, are in the picture.
+    #[must_use]
+    pub fn camera(&self, extent: &Aabb, subjects: &Subjects, azimuth_deg: f32) -> Camera {
+        let distance = Distance {
+            alpha: self.distance,
+            min_radius_m: self.min_radius_m,
+            min_height_m: self.min_height_m,
+        };
+        let eye = eye(&subjects.target, extent, azimuth_deg, self.tilt_deg, distance);
+        let pose = look_at(&eye, &subjects.target, azimuth_deg.to_radians());
+        let wide = Camera::new(uncalibrated(self.view_px, self.view_px), &pose);
+        let corners: Vec<Point3<f32>> =
+            subjects.boxes.iter().flat_map(|b| b.aabb.corners()).collect();
+        let smallest = subjects
+            .boxes
+            .iter()
+            .filter_map(|b| longer_side(&wide, &b.aabb))
+            .fold(f32::INFINITY, f32::min);
+        let max_zoom = self.max_zoom.max(self.min_subject_px / smallest.max(LEAST_PX));
+        Camera::new(calibrated(&wide, &corners, self.margin, max_zoom), &pose)
+    }
+
+    /// Draws all views side by side.
+    #[must_use]
+    pub fn draw(&self, render_scene: &RenderScene, extent: &Aabb, subjects: &Subjects) -> RgbImage {
+        const GAP_PX: u32 = 4;
+        let views: Vec<RgbImage> = self
+            .azimuths_deg
+            .par_iter()
+            .enumerate()
+            .map(|(i, &azimuth_deg)| {
+                let camera = self.camera(extent, subjects, azimuth_deg);
+                let title = format!("view {}", i + 1);
+                let mut view =
+                    self.draw_view(render_scene, &camera, subjects, text::width(&title, TITLE_PX));
+                text::draw(&mut view, &title, TITLE_AT.0, TITLE_AT.1, TITLE_PX, Rgb([90; 3]));
+                view
+            })
+            .collect();
+        let count = views.len() as u32;
+        let mut stitched = RgbImage::from_pixel(
+            count * self.view_px + count.saturating_sub(1) * GAP_PX,
+            self.view_px,
+            Rgb([60; 3]),
+        );
+        for (i, view) in views.iter().enumerate() {
+            imageops::replace(
+                &mut stitched,
+                view,
+                i64::from(i as u32 * (self.view_px + GAP_PX)),
+                0,
+            );
+        }
+        stitched
+    }
+
+    fn draw_view(
+        &self,
+        render_scene: &RenderScene,
+        camera: &Camera,
+        subjects: &Subjects,
+        title_px: f32,
+    ) -> RgbImage {
+        let drawn = self.drawn(render_scene, camera, subjects);
+        let mut view = super::on_paper(&drawn);
+        let mut taken = directions::draw(&mut view, camera, &subjects.target, &subjects.words);
+        taken.extend(Rect::from_xywh(TITLE_AT.0, TITLE_AT.1, title_px, TITLE_PX));
+        let insets = insets::placed(camera, &subjects.boxes, self.min_subject_px, &taken);
+        taken.extend(insets.iter().map(|inset| inset.rect));
+        overlay::draw(&mut view, &drawn, camera, &subjects.boxes, taken);
+        for inset in insets {
+            let boxes: Vec<LabelledBox> =
+                inset.boxes.iter().map(|&i| subjects.boxes[i].clone()).collect();
+            let drawn = self.drawn(render_scene, &inset.camera, subjects);
+            let mut close = super::on_paper(&drawn);
+            overlay::draw(&mut close, &drawn, &inset.camera, &boxes, Vec::new());
+            inset.put(&mut view, &close);
+        }
+        view
+    }
+
+    fn drawn(&self, render_scene: &RenderScene, camera: &Camera, subjects: &Subjects) -> Splats {
+        let boxes: Vec<Aabb> = subjects.boxes.iter().map(|b| b.aabb).collect();
+        let mut drawn = render_scene.drawn(camera, self.cutaway, &boxes);
+        if self.shading > 0.0 {
+            drawn.shade(camera, self.shading);
+        }
+        drawn
+    }
+}
+
+/// Of a box in the picture, pixels; `None` behind the camera.
+pub(super) fn longer_side(camera: &Camera, aabb: &Aabb) -> Option<f32> {
+    bounds(camera, aabb).map(|rect| rect.width().max(rect.height()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::BoxStyle;
+    use uniground_geometry::Vector3;
+    use uniground_geometry::scene::PointCloud;
+
+    const ROOM: Aabb =
+        Aabb { center: Point3::new(0.0, 0.0, 1.2), size: Vector3::new(6.0, 5.0, 2.4) };
+
+    fn subjects() -> Subjects {
+        let at = |x: f32, y: f32, style| LabelledBox {
+            aabb: Aabb { center: Point3::new(x, y, 0.4), size: Vector3::new(0.6, 0.5, 0.8) },
+            label: "7".into(),
+            style,
+        };
+        let word =
+            |word: &str, direction: Vector3<f32>| DirectionWord { word: word.into(), direction };
+        Subjects {
+            boxes: vec![
+                at(1.0, 0.5, BoxStyle::Candidate),
+                at(-1.0, 0.0, BoxStyle::Candidate),
+                at(-2.0, 2.0, BoxStyle::Anchor),
+            ],
+            words: vec![
+                word("left (+X)", Vector3::x()),
+                word("right (-X)", -Vector3::x()),
+                word("front (-Y)", -Vector3::y()),
+                word("back (+Y)", Vector3::y()),
+            ],
+            target: Point3::new(0.0, 0.25, 0.4),
+        }
+    }
+
+    #[test]
+    fn all_boxes_are_in_every_view_whatever_the_azimuth() {
+        let (view, subjects) = (GlobalView::default(), subjects());
+        for azimuth in [0.0, 45.0, 120.0, 240.0] {
+            let camera = view.camera(&ROOM, &subjects, azimuth);
+            let inside = |p: &Point3<f32>| {
+                let pixel = camera.project(p).unwrap();
+                (90.0..590.0).contains(&pixel.u) && (90.0..590.0).contains(&pixel.v)
+            };
+            assert!(subjects.boxes.iter().flat_map(|b| b.aabb.corners()).all(|c| inside(&c)));
+        }
+    }
+
+    /// Picture and words agree: a coloured patch lies on the side its word stands on, in every
+    /// view. Where the words stand is also reckoned by hand: from azimuth a the picture's right
+    /// is (-sin a, cos a), its upper rim (-cos a, -sin a).
+    #[test]
+    fn words_stand_where_things_lie() {
+        let mut cloud = PointCloud::default();
+        for (direction, colour) in [
+            (Vector3::x(), [255, 0, 0]),
+            (-Vector3::x(), [0, 255, 0]),
+            (Vector3::y(), [0, 0, 255]),
+            (-Vector3::y(), [255, 255, 0]),
+        ] {
+            for i in 0..40 {
+                for j in 0..40 {
+                    let across = Vector3::new(i as f32 * 0.01 - 0.2, j as f32 * 0.01 - 0.2, 0.0);
+                    cloud.positions.push(Point3::from(direction * 0.9 + across));
+                    cloud.colours.push(colour);
+                }
+            }
+        }
+        let colour_of = |word: &str| match word.split(' ').next() {
+            Some("left") => [255, 0, 0],
+            Some("right") => [0, 255, 0],
+            Some("back") => [0, 0, 255],
+            _ => [255, 255, 0],
+        };
+        let render_scene = RenderScene::of(cloud);
+        let mut subjects = subjects();
+        subjects
+            .boxes
+            .iter_mut()
+            .for_each(|b| b.aabb.center = Point3::from(b.aabb.center.coords * 0.5));
+        subjects.target = Point3::origin();
+        let view = GlobalView { shading: 0.0, ..GlobalView::default() };
+        for azimuth_deg in [0.0_f32, 30.0, 120.0, 200.0, 240.0] {
+            let camera = view.camera(&ROOM, &subjects, azimuth_deg);
+            let drawn = render_scene.drawn(&camera, Cutaway::HighestPoints, &[]).picture;
+            let azimuth = azimuth_deg.to_radians();
+            let origin = camera.project(&subjects.target).unwrap();
+            let marks = directions::marks(&camera, &subjects.target, &subjects.words);
+            assert_eq!(marks.len(), 4);
+            for (mark, word) in marks.iter().zip(&subjects.words) {
+                let d = word.direction;
+                let by_hand = nalgebra::Vector2::new(
+                    -d.x * azimuth.sin() + d.y * azimuth.cos(),
+                    d.x * azimuth.cos() + d.y * azimuth.sin(),
+                );
+                assert!(
+                    mark.towards.dot(&by_hand.normalize()) > 0.99,
+                    "{azimuth_deg} {}: {:?} {by_hand:?}",
+                    mark.word,
+                    mark.towards
+                );
+                let of_colour = drawn
+                    .enumerate_pixels()
+                    .filter(|(_, _, p)| p.0 == [colour_of(&mark.word), [255; 3]].concat()[..4]);
+                let places: Vec<_> = of_colour
+                    .map(|(x, y, _)| {
+                        nalgebra::Vector2::new(x as f32 - origin.u, y as f32 - origin.v)
+                    })
+                    .collect();
+                let middle = places.iter().sum::<nalgebra::Vector2<f32>>() / places.len() as f32;
+                let word_at = nalgebra::Vector2::new(
+                    f32::midpoint(mark.rect.left(), mark.rect.right()) - 340.0,
+                    f32::midpoint(mark.rect.top(), mark.rect.bottom()) - 340.0,
+                );
+                assert!(
+                    places.len() > 100 && middle.normalize().dot(&word_at.normalize()) > 0.9,
+                    "{azimuth_deg} {}",
+                    mark.word
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn the_same_subjects_give_the_same_picture() {
+        let mut cloud = PointCloud::default();
+        cloud.positions.extend(
+            (0..500).map(|i| Point3::new((i % 25) as f32 * 0.1, (i / 25) as f32 * 0.1, 0.0)),
+        );
+        cloud.colours.extend([[120, 90, 60]; 500]);
+        let render_scene = RenderScene::of(cloud);
+        let picture = GlobalView::default().draw(&render_scene, &ROOM, &subjects());
+        assert_eq!(picture.dimensions(), (3 * 680 + 8, 680));
+        assert_eq!(picture, GlobalView::default().draw(&render_scene, &ROOM, &subjects()));
+    }
+}

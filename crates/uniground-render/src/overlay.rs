@@ -1,0 +1,439 @@
+//! Boxes and labels over a picture: edges behind other things dashed, labels that never cover each
+//! other.
+
+use super::render_scene::Splats;
+use super::text;
+use image::{Rgb, RgbImage};
+use tiny_skia::{
+    Color, LineCap, Paint, Path, PathBuilder, Pixmap, Rect, Stroke, StrokeDash, Transform,
+};
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::scene::Camera;
+use uniground_geometry::{Point2, Point3};
+
+/// How a box is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BoxStyle {
+    /// The chosen instance: green, the thickest lines.
+    Answer,
+    /// What the answer is measured against: red.
+    Anchor,
+    /// Any other instance that may be meant: blue, the thinnest lines.
+    Candidate,
+}
+
+/// A box in the world with a tag.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LabelledBox {
+    /// Axis-aligned, metres, world frame (Z up).
+    pub aabb: Aabb,
+    /// One line of text, as written on the tag: "22", "7 anchor".
+    pub label: String,
+    /// Colour and width of its lines.
+    pub style: BoxStyle,
+}
+
+impl BoxStyle {
+    fn colour(self) -> [u8; 3] {
+        match self {
+            Self::Answer => [0, 150, 60],
+            Self::Anchor => [210, 30, 30],
+            Self::Candidate => [40, 90, 200],
+        }
+    }
+
+    fn width_px(self) -> f32 {
+        match self {
+            Self::Answer => 4.0,
+            Self::Anchor => 3.0,
+            Self::Candidate => 2.0,
+        }
+    }
+}
+
+/// Sizes tried for a label's letters: smaller ones where there is no room.
+const LABEL_PX: [f32; 3] = [18.0, 14.0, 11.0];
+const PADDING_PX: f32 = 4.0;
+const FOOTING: [u8; 3] = [120; 3];
+const FOOTING_PX: f32 = 1.5;
+/// An edge counts as hidden when something lies this much nearer: metres, and a share of the depth.
+const HIDDEN_BY_M: f32 = 0.03;
+const HIDDEN_BY_SHARE: f32 = 0.01;
+/// Nearer to the camera than this nothing is drawn, metres.
+const NEAR_M: f32 = 0.05;
+
+/// Draws the boxes in order, later ones on top, then the labels. `taken` are places that hold
+/// something already.
+pub(super) fn draw(
+    picture: &mut RgbImage,
+    drawn: &Splats,
+    camera: &Camera,
+    boxes: &[LabelledBox],
+    taken: Vec<Rect>,
+) {
+    let Some(mut layer) = Pixmap::new(picture.width(), picture.height()) else { return };
+    draw_footings(&mut layer, drawn, camera);
+    for labelled in boxes {
+        draw_edges(&mut layer, drawn, camera, labelled);
+    }
+    let places = label_places(picture.dimensions(), camera, boxes, taken);
+    for (labelled, LabelSpot { rect, home, .. }) in
+        boxes.iter().zip(&places).filter_map(|(b, place)| Some((b, place.as_ref()?)))
+    {
+        draw_leader(&mut layer, labelled.style, rect, *home);
+    }
+    for (labelled, LabelSpot { rect, .. }) in
+        boxes.iter().zip(&places).filter_map(|(b, place)| Some((b, place.as_ref()?)))
+    {
+        let mut paint = Paint::default();
+        let [r, g, b] = labelled.style.colour();
+        paint.set_color_rgba8(r, g, b, 255);
+        layer.fill_rect(*rect, &paint, Transform::identity(), None);
+    }
+    blend(picture, &layer);
+    for (labelled, LabelSpot { rect, size_px, .. }) in
+        boxes.iter().zip(&places).filter_map(|(b, place)| Some((b, place.as_ref()?)))
+    {
+        text::draw(
+            picture,
+            &labelled.label,
+            rect.left() + PADDING_PX,
+            rect.top() + PADDING_PX,
+            *size_px,
+            Rgb([255; 3]),
+        );
+    }
+}
+
+/// Position in the picture, also beyond its rim, and depth; `None` behind the camera.
+pub(super) fn position(camera: &Camera, point: &Point3<f32>) -> Option<(Point2<f32>, f32)> {
+    let p = camera.world_to_camera() * point;
+    let i = &camera.intrinsics;
+    (p.z > NEAR_M).then(|| (Point2::new(i.fx * p.x / p.z + i.cx, i.fy * p.y / p.z + i.cy), p.z))
+}
+
+/// Thin lines where walls stand that were left out, as far as nothing hides them.
+fn draw_footings(layer: &mut Pixmap, drawn: &Splats, camera: &Camera) {
+    let (mut seen, mut hidden) = (PathBuilder::new(), PathBuilder::new());
+    for [a, b] in &drawn.footings {
+        edge(drawn, camera, (a, b), &mut seen, &mut hidden);
+    }
+    let Some(path) = seen.finish() else { return };
+    let mut paint = Paint { anti_alias: true, ..Paint::default() };
+    let [r, g, b] = FOOTING;
+    paint.set_color_rgba8(r, g, b, 255);
+    layer.stroke_path(
+        &path,
+        &paint,
+        &Stroke { width: FOOTING_PX, ..Stroke::default() },
+        Transform::identity(),
+        None,
+    );
+}
+
+fn draw_edges(layer: &mut Pixmap, drawn: &Splats, camera: &Camera, labelled: &LabelledBox) {
+    let (mut seen, mut hidden) = (PathBuilder::new(), PathBuilder::new());
+    let corners = labelled.aabb.corners();
+    for i in 0..8_usize {
+        for bit in [1, 2, 4].into_iter().filter(|bit| i & bit == 0) {
+            edge(drawn, camera, (&corners[i], &corners[i | bit]), &mut seen, &mut hidden);
+        }
+    }
+    let [r, g, b] = labelled.style.colour();
+    let width = labelled.style.width_px();
+    let mut line = |path: &Path, colour: Color, width: f32, dash: Option<StrokeDash>| {
+        let mut paint = Paint { anti_alias: true, ..Paint::default() };
+        paint.set_color(colour);
+        let cap = if dash.is_some() { LineCap::Butt } else { LineCap::Round };
+        let stroke = Stroke { width, line_cap: cap, dash, ..Stroke::default() };
+        layer.stroke_path(path, &paint, &stroke, Transform::identity(), None);
+    };
+    if let Some(path) = hidden.finish() {
+        line(
+            &path,
+            Color::from_rgba8(r, g, b, 190),
+            width * 0.75,
+            StrokeDash::new(vec![5.0, 4.0], 0.0),
+        );
+    }
+    if let Some(path) = seen.finish() {
+        // A pale rim keeps the line readable on any background.
+        line(&path, Color::from_rgba8(255, 255, 255, 160), width + 2.0, None);
+        line(&path, Color::from_rgba8(r, g, b, 255), width, None);
+    }
+}
+
+/// Adds the stretches of an edge that are seen to one path and those behind other things to
+/// another.
+fn edge(
+    drawn: &Splats,
+    camera: &Camera,
+    (a, b): (&Point3<f32>, &Point3<f32>),
+    seen: &mut PathBuilder,
+    hidden: &mut PathBuilder,
+) {
+    const MAX_STEPS: usize = 200;
+    let (Some((from, _)), Some((to, _))) = (position(camera, a), position(camera, b)) else {
+        return;
+    };
+    let steps = (((to - from).norm() / 3.0).ceil() as usize).clamp(1, MAX_STEPS);
+    let is_hidden = |share: f32| {
+        position(camera, &nalgebra::Point3::from(a.coords.lerp(&b.coords, share))).is_some_and(
+            |(at, z_m)| drawn.depth_at(at.x, at.y) < z_m - HIDDEN_BY_M - HIDDEN_BY_SHARE * z_m,
+        )
+    };
+    let at = |step: usize| {
+        position(
+            camera,
+            &nalgebra::Point3::from(a.coords.lerp(&b.coords, step as f32 / steps as f32)),
+        )
+        .map(|(at, _)| at)
+    };
+    let mut begun: Option<(bool, usize)> = None;
+    for step in 0..=steps {
+        let state = (step < steps).then(|| is_hidden((step as f32 + 0.5) / steps as f32));
+        if let Some((was, start)) = begun
+            && state != Some(was)
+            && let (Some(p), Some(q)) = (at(start), at(step))
+        {
+            let path = if was { &mut *hidden } else { &mut *seen };
+            path.move_to(p.x, p.y);
+            path.line_to(q.x, q.y);
+            begun = None;
+        }
+        if begun.is_none() {
+            begun = state.map(|state| (state, step));
+        }
+    }
+}
+
+/// A line from a label that found no room at its box to the box.
+fn draw_leader(layer: &mut Pixmap, style: BoxStyle, rect: &Rect, home: Point2<f32>) {
+    const TOUCHING_PX: f32 = 14.0;
+    let nearest = Point2::new(
+        home.x.clamp(rect.left(), rect.right()),
+        home.y.clamp(rect.top(), rect.bottom()),
+    );
+    let mut path = PathBuilder::new();
+    path.move_to(nearest.x, nearest.y);
+    path.line_to(home.x, home.y);
+    if (nearest - home).norm() < TOUCHING_PX {
+        return;
+    }
+    let Some(path) = path.finish() else { return };
+    let mut paint = Paint { anti_alias: true, ..Paint::default() };
+    let [r, g, b] = style.colour();
+    paint.set_color_rgba8(r, g, b, 220);
+    layer.stroke_path(
+        &path,
+        &paint,
+        &Stroke { width: 1.5, ..Stroke::default() },
+        Transform::identity(),
+        None,
+    );
+}
+
+/// Where a label stands.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct LabelSpot {
+    pub rect: Rect,
+    pub size_px: f32,
+    /// The point of the box it belongs to: the middle of its upper rim.
+    home: Point2<f32>,
+}
+
+/// A place for every label that has a box in the picture: as near to the box as there is room,
+/// never over another label, and not over the middle of another box while there is a choice. The
+/// last boxes are the most important, so they choose first.
+pub(super) fn label_places(
+    picture: (u32, u32),
+    camera: &Camera,
+    boxes: &[LabelledBox],
+    mut taken: Vec<Rect>,
+) -> Vec<Option<LabelSpot>> {
+    let middles: Vec<Option<Point2<f32>>> =
+        boxes.iter().map(|b| position(camera, &b.aabb.center).map(|(at, _)| at)).collect();
+    let mut places = vec![None; boxes.len()];
+    for (i, labelled) in boxes.iter().enumerate().rev() {
+        let Some(home) = home(picture, camera, &labelled.aabb) else { continue };
+        let others = || {
+            middles.iter().enumerate().filter(|(j, _)| *j != i).filter_map(|(_, middle)| *middle)
+        };
+        let found = LABEL_PX.iter().find_map(|&size_px| {
+            let size = (
+                text::width(&labelled.label, size_px) + 2.0 * PADDING_PX,
+                size_px + 2.0 * PADDING_PX,
+            );
+            let free = |place: &Rect| taken.iter().all(|other| !overlap(place, other));
+            let covers_none = |place: &Rect| others().all(|middle| !holds(place, middle));
+            let rect = spots(picture, home, size)
+                .find(|place| free(place) && covers_none(place))
+                .or_else(|| spots(picture, home, size).find(free))?;
+            Some(LabelSpot { rect, size_px, home })
+        });
+        taken.extend(found.iter().map(|place| place.rect));
+        places[i] = found;
+    }
+    places
+}
+
+/// Where a box is in the picture, also beyond its rim; `None` when it is behind the camera.
+pub(super) fn bounds(camera: &Camera, aabb: &Aabb) -> Option<Rect> {
+    let corners = aabb.corners();
+    let mut at = corners.iter().filter_map(|corner| position(camera, corner)).map(|(at, _)| at);
+    let first = at.next()?;
+    let (low, high) = at.fold((first, first), |(low, high), p| (low.inf(&p), high.sup(&p)));
+    Rect::from_ltrb(low.x, low.y, high.x, high.y)
+}
+
+/// The middle of a box's upper rim, moved into the picture; `None` when the box is behind the
+/// camera.
+fn home((width, height): (u32, u32), camera: &Camera, aabb: &Aabb) -> Option<Point2<f32>> {
+    let corners: Vec<Point2<f32>> =
+        aabb.corners().iter().filter_map(|c| position(camera, c)).map(|(at, _)| at).collect();
+    let count = corners.len() as f32;
+    let top = corners.iter().map(|p| p.y).fold(f32::INFINITY, f32::min);
+    let middle = corners.iter().map(|p| p.x).sum::<f32>() / count;
+    (!corners.is_empty()).then(|| {
+        Point2::new(middle.clamp(0.0, width as f32 - 1.0), top.clamp(0.0, height as f32 - 1.0))
+    })
+}
+
+/// Places for a label: above its box, then in rings around that, all within the picture.
+fn spots(
+    (width, height): (u32, u32),
+    home: Point2<f32>,
+    (w, h): (f32, f32),
+) -> impl Iterator<Item = Rect> {
+    const PER_RING: usize = 12;
+    let (width, height) = (width as f32, height as f32);
+    let rings = (width.max(height) / h).ceil() as usize;
+    (0..=rings * PER_RING).filter_map(move |i| {
+        let ring = i.div_ceil(PER_RING) as f32;
+        // From straight up, alternating to both sides.
+        let turn = i % PER_RING;
+        let side = if turn.is_multiple_of(2) { 1.0 } else { -1.0 };
+        let angle = side * turn.div_ceil(2) as f32 * std::f32::consts::TAU / PER_RING as f32;
+        let (x, y) = (
+            home.x - w / 2.0 + ring * (w * 0.6) * angle.sin(),
+            home.y - h - 3.0 - ring * h * angle.cos(),
+        );
+        (x >= 0.0 && y >= 0.0 && x + w <= width && y + h <= height)
+            .then(|| Rect::from_xywh(x, y, w, h))
+            .flatten()
+    })
+}
+
+fn holds(rect: &Rect, at: Point2<f32>) -> bool {
+    (rect.left()..=rect.right()).contains(&at.x) && (rect.top()..=rect.bottom()).contains(&at.y)
+}
+
+pub(super) fn overlap(a: &Rect, b: &Rect) -> bool {
+    a.left() < b.right() && b.left() < a.right() && a.top() < b.bottom() && b.top() < a.bottom()
+}
+
+/// Puts a premultiplied layer over the picture.
+pub(super) fn blend(picture: &mut RgbImage, layer: &Pixmap) {
+    for (below, above) in
+        picture.pixels_mut().zip(layer.pixels()).filter(|(_, above)| above.alpha() > 0)
+    {
+        let through = 255 - u16::from(above.alpha());
+        for (channel, over) in below.0.iter_mut().zip([above.red(), above.green(), above.blue()]) {
+            *channel = (u16::from(over) + u16::from(*channel) * through / 255).min(255) as u8;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Orbit;
+    use crate::render_scene::RenderScene;
+    use uniground_geometry::Vector3;
+    use uniground_geometry::scene::PointCloud;
+
+    const ROOM: Aabb =
+        Aabb { center: Point3::new(0.0, 0.0, 0.0), size: Vector3::new(6.0, 5.0, 2.5) };
+
+    fn camera() -> Camera {
+        Orbit { width: 680, height: 680, azimuth_deg: -90.0, tilt_deg: 30.0 }.camera(&ROOM)
+    }
+
+    fn boxes(count: usize, spread_m: f32) -> Vec<LabelledBox> {
+        let at = |i: usize| Point3::new(i as f32 * spread_m - 0.5, (i % 7) as f32 * spread_m, 0.0);
+        (0..count)
+            .map(|i| LabelledBox {
+                aabb: Aabb { center: at(i), size: Vector3::repeat(0.3) },
+                label: format!("{}", 100 + i),
+                style: BoxStyle::Candidate,
+            })
+            .collect()
+    }
+
+    #[test]
+    fn every_label_has_a_place_and_none_overlap() {
+        for (count, spread_m) in [(8, 0.02), (10, 0.3), (100, 0.01)] {
+            let places = label_places((680, 680), &camera(), &boxes(count, spread_m), Vec::new());
+            let rects: Vec<Rect> = places.iter().flatten().map(|p| p.rect).collect();
+            assert_eq!(rects.len(), count, "{spread_m}");
+            for (i, a) in rects.iter().enumerate() {
+                assert!(
+                    a.left() >= 0.0 && a.top() >= 0.0 && a.right() <= 680.0 && a.bottom() <= 680.0
+                );
+                assert!(rects[i + 1..].iter().all(|b| !overlap(a, b)), "{count} {spread_m}");
+            }
+        }
+    }
+
+    #[test]
+    fn labels_leave_the_others_in_sight() {
+        let boxes = boxes(5, 0.4);
+        let camera = camera();
+        let places = label_places((680, 680), &camera, &boxes, Vec::new());
+        for (i, place) in places.iter().enumerate() {
+            let rect = place.as_ref().unwrap().rect;
+            let hides =
+                |j: usize| holds(&rect, position(&camera, &boxes[j].aabb.center).unwrap().0);
+            assert!((0..5).filter(|j| *j != i).all(|j| !hides(j)));
+        }
+    }
+
+    /// A wall in front of the far half of a box: along its upper edge the line is whole where it is
+    /// seen and broken behind the wall.
+    #[test]
+    fn edges_behind_things_are_dashed() {
+        let mut cloud = PointCloud::default();
+        for i in 0..200 {
+            for j in 0..200 {
+                cloud.positions.push(Point3::new(i as f32 * 0.01, -1.0, j as f32 * 0.02 - 2.0));
+                cloud.colours.push([255; 3]);
+            }
+        }
+        let camera =
+            Orbit { width: 400, height: 400, azimuth_deg: -90.0, tilt_deg: 80.0 }.camera(&ROOM);
+        let drawn = RenderScene::of(cloud).drawn_with_ceiling(&camera);
+        let aabb = Aabb { center: Point3::origin(), size: Vector3::new(3.6, 0.2, 1.0) };
+        let mut picture = RgbImage::from_pixel(400, 400, Rgb([255; 3]));
+        draw(
+            &mut picture,
+            &drawn,
+            &camera,
+            &[LabelledBox { aabb, label: "7".into(), style: BoxStyle::Candidate }],
+            Vec::new(),
+        );
+        let (a, b) = (Point3::new(-1.8, -0.1, -0.5), Point3::new(1.8, -0.1, -0.5));
+        let inked = |from: f32, to: f32| {
+            let dark = |i: i32| {
+                let (at, _) = position(
+                    &camera,
+                    &Point3::from(a.coords.lerp(&b.coords, from + (to - from) * i as f32 / 60.0)),
+                )
+                .unwrap();
+                picture.get_pixel(at.x.round() as u32, at.y.round() as u32).0[0] < 160
+            };
+            (0..60).filter(|&i| dark(i)).count()
+        };
+        let (seen, hidden) = (inked(0.02, 0.46), inked(0.54, 0.98));
+        assert!(seen >= 58 && (20..50).contains(&hidden), "{seen} {hidden}");
+    }
+}

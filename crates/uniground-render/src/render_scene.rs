@@ -1,0 +1,271 @@
+//! Points as z-buffered squares, large enough to close the gaps between them.
+
+use super::building::{Building, RIM_M, holds};
+use image::{Rgba, RgbaImage};
+use rayon::prelude::*;
+use std::sync::Arc;
+use uniground_geometry::Point3;
+use uniground_geometry::boxes::{Aabb, OrientedBox};
+use uniground_geometry::scene::{Camera, Instance, PointCloud};
+use uniground_geometry::statistics::quantile;
+use uniground_geometry::voxels::typical_spacing_m;
+
+/// A splat is this much wider than the spacing of the points: seen at a slant, surfaces would tear
+/// otherwise.
+const OVERLAP: f32 = 1.6;
+const MAX_SPLAT_PX: f32 = 24.0;
+/// Points above this height percentile are left out, so that a ceiling does not hide the room
+/// (paper: 95th).
+const CEILING_PERCENTILE: f32 = 0.95;
+/// Only a scene taller than this has a ceiling to leave out, metres.
+const CEILING_FROM_M: f32 = 2.0;
+
+/// What is left out of a picture so that one can look into a room from outside.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Cutaway {
+    /// Walls and ceilings that turn their backs on the camera or hide a subject, with what hangs on
+    /// them. Subjects themselves are always drawn. Where no ceiling is known the highest points
+    /// are left out as well.
+    #[default]
+    Building,
+    /// Paper: points above the 95th height percentile, whatever they are.
+    HighestPoints,
+}
+
+/// A cloud and what has to be known of it before it can be drawn.
+#[derive(Debug, Clone)]
+pub struct RenderScene {
+    /// Every point, the ceiling's too.
+    pub cloud: Arc<PointCloud>,
+    spacing_m: f32,
+    /// Points above this Z are the highest; infinite in a low room.
+    ceiling_m: f32,
+    /// Walls and ceilings, where stage 1 has found some.
+    building: Option<Building>,
+}
+
+impl RenderScene {
+    /// Measures a cloud of which nothing else is known: a pass over its points.
+    #[must_use]
+    pub fn of(cloud: impl Into<Arc<PointCloud>>) -> Self {
+        Self::of_parsed(cloud, &[])
+    }
+
+    /// Measures a cloud whose walls and ceilings are known: some passes over its points. Two bytes
+    /// a point are kept beside the cloud.
+    #[must_use]
+    pub fn of_parsed(cloud: impl Into<Arc<PointCloud>>, instances: &[Instance]) -> Self {
+        let cloud = cloud.into();
+        let mut heights: Vec<f32> = cloud.positions.iter().map(|p| p.z).collect();
+        let (low, high) = heights
+            .iter()
+            .fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), z| (lo.min(*z), hi.max(*z)));
+        let ceiling_m = match high - low > CEILING_FROM_M {
+            true => quantile(&mut heights, CEILING_PERCENTILE).unwrap_or(f32::INFINITY),
+            false => f32::INFINITY,
+        };
+        let building = Building::of(&cloud.positions, instances);
+        Self { spacing_m: typical_spacing_m(&cloud.positions), ceiling_m, building, cloud }
+    }
+
+    /// Draws the room as from outside, `subjects` in sight.
+    #[must_use]
+    pub(super) fn drawn(&self, camera: &Camera, cutaway: Cutaway, subjects: &[Aabb]) -> Splats {
+        let highest_m = match (&self.building, cutaway) {
+            (Some(building), Cutaway::Building) if building.has_ceiling() => f32::INFINITY,
+            _ => self.ceiling_m,
+        };
+        let Cutaway::Building = cutaway else {
+            return self.draw(camera, |_, p| p.z <= highest_m);
+        };
+        let Some(building) = &self.building else {
+            let of = |s: &Aabb| OrientedBox { center: s.center, size: s.size, yaw_rad: 0.0 };
+            let kept: Vec<OrientedBox> = subjects.iter().map(of).collect();
+            return self
+                .draw(camera, |_, p| p.z <= highest_m || kept.iter().any(|b| holds(b, RIM_M, p)));
+        };
+        let opening = building.opening(&camera.center(), subjects);
+        let draws = |i: usize, p: &Point3<f32>| match p.z <= highest_m {
+            true => building.draws(i, p, &opening),
+            false => opening.shows(p),
+        };
+        Splats { footings: building.footings(&opening), ..self.draw(camera, draws) }
+    }
+
+    /// Draws every point.
+    #[must_use]
+    pub(super) fn drawn_with_ceiling(&self, camera: &Camera) -> Splats {
+        self.draw(camera, |_, _| true)
+    }
+
+    fn draw(&self, camera: &Camera, keep: impl Fn(usize, &Point3<f32>) -> bool + Sync) -> Splats {
+        draw(&self.cloud, self.spacing_m, camera, keep)
+    }
+}
+
+/// What was drawn: colours, and the depth along the optical axis in metres. Where nothing was drawn
+/// they are transparent and infinite.
+pub(super) struct Splats {
+    pub picture: RgbaImage,
+    pub depth_m: Vec<f32>,
+    /// Where walls that were left out stand on the floor, world frame.
+    pub footings: Vec<[Point3<f32>; 2]>,
+}
+
+impl Splats {
+    /// Depth at a pixel position; infinite outside of the picture.
+    pub fn depth_at(&self, u: f32, v: f32) -> f32 {
+        let (width, height) = self.picture.dimensions();
+        let inside = u > -0.5 && v > -0.5 && u < width as f32 - 0.5 && v < height as f32 - 0.5;
+        if inside {
+            self.depth_m[(v + 0.5) as usize * width as usize + (u + 0.5) as usize]
+        } else {
+            f32::INFINITY
+        }
+    }
+
+    /// Darkens surfaces that turn away from the camera, by up to `strength`: normals come from the
+    /// drawn depth, so that a grey chair stands out from a grey floor.
+    pub fn shade(&mut self, camera: &Camera, strength: f32) {
+        let (width, height) = (self.picture.width() as usize, self.picture.height() as usize);
+        let intrinsics = camera.intrinsics;
+        let at = |column: usize, row: usize| {
+            let z_m = self.depth_m[row * width + column];
+            z_m.is_finite().then(|| intrinsics.unproject(column as f32, row as f32, z_m))
+        };
+        // Steps of several pixels: splats are small squares that face the camera, and within one of
+        // them there is no slope.
+        const STEP: usize = 3;
+        let mut light = vec![1.0_f32; width * height];
+        light.par_chunks_mut(width).enumerate().for_each(|(row, of_row)| {
+            for (column, light) in of_row.iter_mut().enumerate() {
+                let (left, right) = (column.saturating_sub(STEP), (column + STEP).min(width - 1));
+                let (up, down) = (row.saturating_sub(STEP), (row + STEP).min(height - 1));
+                let here = at(column, row);
+                let (Some(l), Some(r), Some(u), Some(d), Some(here)) =
+                    (at(left, row), at(right, row), at(column, up), at(column, down), here)
+                else {
+                    continue;
+                };
+                if let Some(normal) = (r - l).cross(&(d - u)).try_normalize(1e-12) {
+                    *light = 1.0 - strength * (1.0 - normal.dot(&here.coords.normalize()).abs());
+                }
+            }
+        });
+        for (pixel, light) in self.picture.pixels_mut().zip(light) {
+            for channel in &mut pixel.0[..3] {
+                *channel = (f32::from(*channel) * light) as u8;
+            }
+        }
+    }
+}
+
+fn draw(
+    cloud: &PointCloud,
+    spacing_m: f32,
+    camera: &Camera,
+    keep: impl Fn(usize, &Point3<f32>) -> bool + Sync,
+) -> Splats {
+    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+    let size_m = spacing_m * OVERLAP;
+    let splats: Vec<(f32, f32, f32, [u8; 3])> = cloud
+        .positions
+        .par_iter()
+        .zip(&cloud.colours)
+        .enumerate()
+        .filter(|(i, (p, _))| keep(*i, p))
+        .filter_map(|(_, (p, &colour))| {
+            camera.project(p).map(|pixel| (pixel.u, pixel.v, pixel.z_m, colour))
+        })
+        .collect();
+    let mut picture = RgbaImage::new(width, height);
+    let mut depth_m = vec![f32::INFINITY; (width * height) as usize];
+    for (u, v, z_m, colour) in splats {
+        let half = (camera.intrinsics.fx * size_m / z_m / 2.0).clamp(0.5, MAX_SPLAT_PX / 2.0);
+        let span = |at: f32, len: u32| {
+            ((at - half + 0.5).max(0.0) as u32)..((at + half + 0.5).max(0.0) as u32).clamp(1, len)
+        };
+        for row in span(v, height) {
+            for column in span(u, width) {
+                let nearest = &mut depth_m[(row * width + column) as usize];
+                if z_m < *nearest {
+                    *nearest = z_m;
+                    let [r, g, b] = colour;
+                    picture.put_pixel(column, row, Rgba([r, g, b, 255]));
+                }
+            }
+        }
+    }
+    Splats { picture, depth_m, footings: Vec::new() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use uniground_geometry::scene::Intrinsics;
+    use uniground_geometry::{Isometry3, Vector3};
+
+    const VIEW: Intrinsics =
+        Intrinsics { width: 200, height: 200, fx: 200.0, fy: 200.0, cx: 99.5, cy: 99.5 };
+
+    fn grid(at: impl Fn(f32, f32) -> (Point3<f32>, [u8; 3])) -> PointCloud {
+        let mut cloud = PointCloud::default();
+        for i in -50..=50 {
+            for j in -50..=50 {
+                let (position, colour) = at(i as f32 * 0.02, j as f32 * 0.02);
+                cloud.positions.push(position);
+                cloud.colours.push(colour);
+            }
+        }
+        cloud
+    }
+
+    #[test]
+    fn a_plane_has_no_holes_and_hides_what_is_behind() {
+        let mut cloud = grid(|x, y| (Point3::new(x, y, 3.0), [0, 0, 255]));
+        let front = grid(|x, y| (Point3::new(x, y, 2.0), [255, 0, 0]));
+        cloud.positions.extend(front.positions);
+        cloud.colours.extend(front.colours);
+        let drawn = RenderScene::of(cloud)
+            .drawn_with_ceiling(&Camera::new(VIEW, &Isometry3::from(Vector3::zeros())));
+        let window = drawn
+            .picture
+            .enumerate_pixels()
+            .filter(|(x, y, _)| (10..190).contains(x) && (10..190).contains(y));
+        assert!(window.into_iter().all(|(_, _, p)| *p == Rgba([255, 0, 0, 255])));
+        assert!(
+            (drawn.depth_at(100.0, 100.0) - 2.0).abs() < 1e-5
+                && drawn.depth_at(300.0, 0.0).is_infinite()
+        );
+    }
+
+    #[test]
+    fn what_turns_away_is_darker() {
+        let camera = Camera::new(VIEW, &Isometry3::from(Vector3::zeros()));
+        let brightness = |slope: f32| {
+            let cloud = grid(|x, y| (Point3::new(x, y, 3.0 + slope * x), [200; 3]));
+            let mut drawn = RenderScene::of(cloud).drawn_with_ceiling(&camera);
+            drawn.shade(&camera, 0.5);
+            drawn.picture.get_pixel(100, 100).0[0]
+        };
+        // 45 degrees: half of 1 - cos 45 is .15.
+        assert!(
+            brightness(0.0) >= 198 && (160..182).contains(&brightness(1.0)),
+            "{} {}",
+            brightness(0.0),
+            brightness(1.0)
+        );
+    }
+
+    #[test]
+    fn the_ceiling_is_left_out_of_tall_rooms_only() {
+        let room = |height: f32| {
+            let mut cloud = grid(|x, y| (Point3::new(x, y, 0.0), [90; 3]));
+            cloud.positions.extend((0..200).map(|i| Point3::new(i as f32 * 0.01, 0.0, height)));
+            cloud.colours.extend([[255; 3]; 200]);
+            RenderScene::of(cloud).ceiling_m
+        };
+        assert!(room(1.0).is_infinite());
+        assert!(room(2.5) < 2.5);
+    }
+}

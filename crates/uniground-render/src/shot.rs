@@ -1,0 +1,155 @@
+//! A photograph as evidence: the whole of it, a crop of what it is about, and what of both shows
+//! that.
+
+use image::{RgbImage, imageops};
+use uniground_geometry::scene::{CellMask, FrameIndex, View};
+
+/// One photograph that shows a candidate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Shot {
+    /// The candidate and a little around it.
+    pub crop: RgbImage,
+    /// The photograph as it was taken, or with its box drawn already.
+    pub frame: RgbImage,
+    /// Where the candidate is in `frame`: left, top, right, bottom as shares of its width and
+    /// height.
+    pub place: [f32; 4],
+    /// What of the candidate's place shows it, and that place in `crop`; `None` where it is not
+    /// known, or drawn already.
+    pub mask: Option<(CellMask, [f32; 4])>,
+    /// The frame the photograph was taken with, and what of it `crop` shows (left, top, right,
+    /// bottom, pixels); `None` for other pictures.
+    pub taken: Option<(FrameIndex, [u32; 4])>,
+}
+
+/// A crop grows the tight box by this share of its width and height per side, so that the object is
+/// not cut at its rim.
+const CROP_MARGIN: f32 = 0.1;
+/// A crop has at least so many pixels of the photograph each way, where the photograph has them:
+/// what is small is known by what is around it.
+const LEAST_CROP_PX: u32 = 224;
+
+impl Shot {
+    /// Pictures made before: a crop, and the photograph with its box at `box_px` (left, top, right,
+    /// bottom, pixels).
+    #[must_use]
+    pub fn new(crop: RgbImage, frame: RgbImage, box_px: [u32; 4]) -> Self {
+        let place = shares(box_px, [0, 0, frame.width(), frame.height()]);
+        Self { crop, frame, place, mask: None, taken: None }
+    }
+
+    /// A view and the photograph it is of.
+    #[must_use]
+    pub fn of_view(photograph: RgbImage, view: &View) -> Self {
+        let area = crop_area(view.box_px, photograph.dimensions());
+        let crop = cut(&photograph, area);
+        let mask = view
+            .mask
+            .as_ref()
+            .and_then(CellMask::unpacked)
+            .map(|mask| (mask, shares(view.box_px, area)));
+        Self { mask, taken: Some((view.frame, area)), ..Self::new(crop, photograph, view.box_px) }
+    }
+
+    /// Pixels of the photograph that show the candidate; without a mask, those of its box.
+    #[must_use]
+    pub fn covered_px(&self) -> f32 {
+        let [left, top, right, bottom] = self.place;
+        let share = self.mask.as_ref().map_or(1.0, |(mask, _)| mask.share());
+        (right - left)
+            * self.frame.width() as f32
+            * (bottom - top)
+            * self.frame.height() as f32
+            * share
+    }
+}
+
+/// What to cut out of a photograph to show a box (left, top, right, bottom, pixels): with a margin,
+/// and enough of it to be known by.
+#[must_use]
+pub fn crop_area([left, top, right, bottom]: [u32; 4], (width, height): (u32, u32)) -> [u32; 4] {
+    let along = |low: u32, high: u32, length: u32| {
+        let margin = (high.saturating_sub(low) as f32 * CROP_MARGIN) as u32;
+        let (low, high) =
+            (low.min(length.saturating_sub(1)).saturating_sub(margin), (high + margin).min(length));
+        let least = LEAST_CROP_PX.min(length);
+        let missing = least.saturating_sub(high.saturating_sub(low));
+        if missing == 0 {
+            return (low, high);
+        }
+        // What one side has no room for, the other gives.
+        let high = (low.saturating_sub(missing / 2) + least).min(length);
+        (high - least, high)
+    };
+    let ((x, x2), (y, y2)) = (along(left, right, width), along(top, bottom, height));
+    [x, y, x2, y2]
+}
+
+/// An area of a photograph (left, top, right, bottom, pixels) as a picture of its own.
+#[must_use]
+pub fn cut(photograph: &RgbImage, [left, top, right, bottom]: [u32; 4]) -> RgbImage {
+    imageops::crop_imm(photograph, left, top, (right - left).max(1), (bottom - top).max(1))
+        .to_image()
+}
+
+/// A box in shares of an area, both in pixels of one picture.
+#[must_use]
+pub fn shares(box_px: [u32; 4], [left, top, right, bottom]: [u32; 4]) -> [f32; 4] {
+    let [l, t, r, b] = box_px.map(|v| v as f32);
+    let (x, y) = (left as f32, top as f32);
+    let (width, height) = ((right - left).max(1) as f32, (bottom - top).max(1) as f32);
+    [(l - x) / width, (t - y) / height, (r - x) / width, (b - y) / height]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use uniground_geometry::scene::FrameIndex;
+
+    proptest! {
+        /// Whatever the box, its crop holds it, lies in the photograph, and has 224 pixels each way where the photograph has them.
+        #[test]
+        fn a_crop_holds_its_box_and_enough_around_it(
+            (width, height) in (1..900_u32, 1..700_u32), low in (0.0..1.0_f32, 0.0..1.0_f32), size in (0.0..1.0_f32, 0.0..1.0_f32),
+        ) {
+            let span = |low: f32, size: f32, length: u32| {
+                let low = ((low * length as f32) as u32).min(length - 1);
+                (low, low + 1 + (size * (length - low - 1) as f32) as u32)
+            };
+            let ((left, right), (top, bottom)) = (span(low.0, size.0, width), span(low.1, size.1, height));
+            let [x, y, x2, y2] = crop_area([left, top, right, bottom], (width, height));
+            prop_assert!(x <= left && right <= x2 && x2 <= width && y <= top && bottom <= y2 && y2 <= height);
+            prop_assert!(x2 - x >= LEAST_CROP_PX.min(width) && y2 - y >= LEAST_CROP_PX.min(height));
+            prop_assert!(x2 - x <= (right - left) * 12 / 10 + LEAST_CROP_PX);
+        }
+    }
+
+    #[test]
+    fn a_large_thing_has_a_tenth_around_it_and_a_small_one_224_pixels() {
+        assert_eq!(crop_area([100, 100, 400, 340], (640, 480)), [70, 76, 430, 364]);
+        assert_eq!(crop_area([300, 200, 320, 230], (640, 480)), [198, 103, 422, 327]);
+        assert_eq!(
+            crop_area([0, 460, 20, 480], (640, 480)),
+            [0, 256, 224, 480],
+            "at the rim, the other side gives"
+        );
+    }
+
+    #[test]
+    fn a_shot_knows_where_its_thing_is_in_both_pictures() {
+        let mask = CellMask::of(10, 10, |column, _| column < 5);
+        let view = View {
+            frame: FrameIndex(0),
+            visible_points: 9,
+            box_px: [300, 200, 320, 230],
+            mask: Some(mask.packed()),
+        };
+        let shot = Shot::of_view(RgbImage::new(640, 480), &view);
+        assert_eq!((shot.crop.dimensions(), shot.frame.dimensions()), ((224, 224), (640, 480)));
+        let (unpacked, [left, top, right, bottom]) = shot.mask.clone().unwrap();
+        assert_eq!((unpacked, left, right), (mask, 102.0 / 224.0, 122.0 / 224.0));
+        assert!((top - 97.0 / 224.0).abs() < 1e-6 && (bottom - 127.0 / 224.0).abs() < 1e-6);
+        assert!((shot.covered_px() - 300.0).abs() < 0.1);
+    }
+}
