@@ -4,14 +4,14 @@
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
 use std::time::Instant;
-use uniground::evaluation::annotations::{Annotations, SceneObject};
-use uniground::evaluation::systems::{NamedBy, instances_of};
 use uniground_core::approach::{Occupancy, Wish, approach};
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::geometry::{Point3, Vector3};
 use uniground_core::grounding::graph::{Graph, Guessed};
 use uniground_core::grounding::{NameIndex, SceneView};
 use uniground_core::scene::{Instance, InstanceId, PointCloud};
+use uniground_evaluation::annotations::{Annotations, SceneObject};
+use uniground_evaluation::systems::{NamedBy, instances_of};
 use uniground_types::approach::{FloorPoint, Robot};
 use uniground_types::instances::Levels;
 

@@ -7,11 +7,11 @@
 use camino::{Utf8Path, Utf8PathBuf};
 use std::fs;
 use std::time::{Duration, Instant};
-use uniground::isolation::{ChildProcess, Outcome, ScanReader, Task};
 use uniground_core::ingest::archive::UnpackLimits;
 use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::progress::Progress;
 use uniground_core::scan::{import_scan, stored_import};
+use uniground_isolation::{ChildProcess, Outcome, ScanReader, Task};
 use uniground_types::settings::ImportSettings;
 
 const TURNS: usize = 7;

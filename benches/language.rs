@@ -5,8 +5,6 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
-use uniground::evaluation::annotations::{Annotations, SceneObject};
-use uniground::evaluation::systems::{NamedBy, instances_of};
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::geometry::statistics::largest;
 use uniground_core::geometry::{Point3, Vector3};
@@ -14,6 +12,8 @@ use uniground_core::grounding::{NameIndex, Question, SceneView, ground};
 use uniground_core::language::parse;
 use uniground_core::models::attributes::Lexicon;
 use uniground_core::scene::{Embeddings, Instance, PointCloud};
+use uniground_evaluation::annotations::{Annotations, SceneObject};
+use uniground_evaluation::systems::{NamedBy, instances_of};
 
 const QUESTIONS: [&str; 7] = [
     "the black chair closest to the door",

@@ -25,8 +25,8 @@ use image::{Rgb, RgbImage};
 use process::Peer;
 use rows::Asked;
 use rows::Input;
-use uniground::evaluation::annotated::AnnotatedRoom;
 use uniground_core::models::neural::{Models, OnnxRuntime, RuntimeSettings};
+use uniground_evaluation::annotated::AnnotatedRoom;
 use vccs::Vccs;
 
 #[derive(Default)]

@@ -13,8 +13,6 @@ use camino::{Utf8Path, Utf8PathBuf};
 use comfy_table::{Table, presets};
 use std::time::Instant;
 use uniground::config::{AUTO, ModelsConfig};
-use uniground::evaluation::annotated::{AnnotatedMasks, AnnotatedRoom};
-use uniground::evaluation::annotations::Annotations;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::models::neural::Segmenter;
 use uniground_core::parsing::checkpoints::Checkpoints;
@@ -24,6 +22,8 @@ use uniground_core::parsing::pointed::{Place, Pointing, known_as};
 use uniground_core::parsing::{self, ParsingSettings, Perception, frame_appearance};
 use uniground_core::progress::Progress;
 use uniground_core::scene::{FrameIndex, Instance};
+use uniground_evaluation::annotated::{AnnotatedMasks, AnnotatedRoom};
+use uniground_evaluation::annotations::Annotations;
 
 /// Objects with fewer points are left out, as in the bench of stage 1.
 const MIN_POINTS: u32 = 200;

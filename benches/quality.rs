@@ -13,13 +13,6 @@
 
 use camino::{Utf8Path, Utf8PathBuf};
 use comfy_table::{Table, presets};
-use uniground::evaluation::annotated::AnnotatedRoom;
-use uniground::evaluation::annotations::{Annotations, SceneObject};
-use uniground::evaluation::ladder;
-use uniground::evaluation::segmentation::{
-    InstanceScore, score_instances, score_structure, score_superpoints,
-};
-use uniground::evaluation::systems::{NamedBy, instances_of};
 use uniground_core::models::attributes::Lexicon;
 use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::parsing::masks::MaskSource;
@@ -27,6 +20,13 @@ use uniground_core::parsing::masks::rgbd::RgbdMasks;
 use uniground_core::parsing::{self, ParsingSettings, Perception, superpoints};
 use uniground_core::progress::Progress;
 use uniground_core::scene::{Instance, ParsedScene};
+use uniground_evaluation::annotated::AnnotatedRoom;
+use uniground_evaluation::annotations::{Annotations, SceneObject};
+use uniground_evaluation::ladder;
+use uniground_evaluation::segmentation::{
+    InstanceScore, score_instances, score_structure, score_superpoints,
+};
+use uniground_evaluation::systems::{NamedBy, instances_of};
 
 /// Objects with fewer points are left out, as in the table of issue and peers.
 const MIN_POINTS: u32 = 200;

@@ -13,13 +13,13 @@ use comfy_table::{Table, presets};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
-use uniground::evaluation::annotated::AnnotatedRoom;
 use uniground_core::geometry::Vector3;
 use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::parsing::masks::rgbd::RgbdMasks;
 use uniground_core::parsing::{self, ParsingSettings, Perception};
 use uniground_core::progress::Progress;
 use uniground_core::scene::SceneBundle;
+use uniground_evaluation::annotated::AnnotatedRoom;
 
 const FRAMES_PER_ROOM: usize = 75;
 /// Rooms stand this far apart, metres.

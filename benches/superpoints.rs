@@ -13,11 +13,11 @@ mod vccs;
 use camino::{Utf8Path, Utf8PathBuf};
 use comfy_table::{Table, presets};
 use std::time::Instant;
-use uniground::evaluation::annotated::AnnotatedRoom;
-use uniground::evaluation::segmentation::{SuperpointScore, score_superpoints};
 use uniground_core::geometry::statistics::median;
 use uniground_core::parsing::superpoints;
 use uniground_core::progress::Progress;
+use uniground_evaluation::annotated::AnnotatedRoom;
+use uniground_evaluation::segmentation::{SuperpointScore, score_superpoints};
 use uniground_types::settings::SuperpointSettings;
 use vccs::Vccs;
 

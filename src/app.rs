@@ -1,14 +1,8 @@
 //! Composition root: configuration to parts to a running service to a clean stop. The only place
 //! that knows every part.
 
-use crate::chat::{ChatClient, ReplayCache};
 use crate::config::{ChosenModels, Part, ServeConfig, Vectors, Work};
 use crate::http::{self, AllowedHosts, App, EventStreams, Mcp, Origins};
-use crate::inference::Probe;
-use crate::jobs::{JobKind, Jobs};
-use crate::metrics::Metrics;
-use crate::service::{BatchJob, Keyring, NamingJob, ParseJob, Service, Vlm, VlmSettings};
-use crate::store::{BlobsAt, Location, News, Newsroom, Store};
 use anyhow::{Context, ensure};
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -18,6 +12,12 @@ use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 use uniground_core::background;
+use uniground_endpoints::chat::{ChatClient, ReplayCache};
+use uniground_endpoints::inference::Probe;
+use uniground_jobs::{JobKind, Jobs};
+use uniground_service::{BatchJob, Keyring, NamingJob, ParseJob, Service, Vlm, VlmSettings};
+use uniground_storage::{BlobsAt, Location, News, Newsroom, Store};
+use uniground_telemetry::metrics::Metrics;
 
 /// A service that listens.
 pub struct RunningService {
@@ -96,7 +96,7 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
     let vlm_settings = VlmSettings {
         daily_usd: config.vlm.vlm_daily_usd,
         json: config.vlm.vlm_json,
-        names: config.vlm.names,
+        names: config.vlm.names.into(),
     };
     let chat = config.vlm.client(ReplayCache::Off)?.map(Arc::new);
     let vlm = chat.clone().map(|chat| Vlm::new(chat, vlm_settings, store.clone(), metrics.clone()));

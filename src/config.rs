@@ -11,19 +11,13 @@ mod retention;
 pub use blobs::BlobsConfig;
 pub use choice::ChosenModels;
 pub use database::{DatabaseConfig, Vectors};
-pub use models::{
-    AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS, BundlesConfig, LIBRARY_FOLDER, ModelsConfig,
-    RuntimeConfig,
-};
+pub use models::{BundlesConfig, LIBRARY_FOLDER, ModelsConfig, RuntimeConfig};
 pub use part::{Part, Role, Work, WorkerConfig};
 pub use registries::registries;
 pub use retention::RetentionConfig;
+pub use uniground_core::models::choice::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS};
 
-use crate::chat::{ChatClient, Endpoint, Patience, ReplayCache};
-use crate::isolation::{ChildProcess, ScanReader};
-use crate::service::{Limits, LinkSecret, WhenNamed};
 use crate::telemetry;
-use crate::webhook::Webhook;
 use anyhow::{Context, bail, ensure};
 use camino::Utf8PathBuf;
 use std::fs;
@@ -31,6 +25,10 @@ use std::net::SocketAddr;
 use std::time::Duration;
 use uniground_core::ingest::archive::UnpackLimits;
 use uniground_core::models::chat::Prices;
+use uniground_endpoints::chat::{ChatClient, Endpoint, Patience, ReplayCache};
+use uniground_isolation::{ChildProcess, ScanReader};
+use uniground_service::webhook::Webhook;
+use uniground_service::{Limits, LinkSecret, WhenNamed};
 
 const DEFAULT_MAX_UPLOAD_BYTES: u64 = 16 << 30;
 const DEFAULT_MAX_UNFINISHED_UPLOADS: u32 = 100;
@@ -216,10 +214,32 @@ pub struct VlmConfig {
     /// When the model names everything in a scene: its names decide what is meant from then on,
     /// whoever answers
     #[arg(long, env = "UNIGROUND_NAMES", value_enum, default_value_t)]
-    pub names: WhenNamed,
+    pub names: NamingChoice,
     /// Ask for answers as JSON by a schema, where the endpoint knows schemas
     #[arg(long, env = "UNIGROUND_VLM_JSON")]
     pub vlm_json: bool,
+}
+
+/// When the model names everything in a scene, unasked.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum NamingChoice {
+    /// Never: only where somebody asks for it (`POST /v1/scenes/{id}/names`)
+    #[default]
+    Off,
+    /// Before the first question that the model reviews; that question waits for it
+    Lazy,
+    /// As soon as a scene is parsed
+    Parse,
+}
+
+impl From<NamingChoice> for WhenNamed {
+    fn from(choice: NamingChoice) -> Self {
+        match choice {
+            NamingChoice::Off => Self::Off,
+            NamingChoice::Lazy => Self::Lazy,
+            NamingChoice::Parse => Self::Parse,
+        }
+    }
 }
 
 impl Default for VlmConfig {
@@ -235,7 +255,7 @@ impl Default for VlmConfig {
             vlm_timeout_s: DEFAULT_VLM_TIMEOUT_S,
             vlm_attempts: DEFAULT_VLM_ATTEMPTS,
             vlm_backoff_ms: DEFAULT_VLM_BACKOFF_MS,
-            names: WhenNamed::Off,
+            names: NamingChoice::Off,
             vlm_json: false,
         }
     }

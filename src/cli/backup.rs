@@ -2,12 +2,12 @@
 
 use super::output::print_json;
 use super::table::size;
-use crate::store::{BackedUp, Target, back_up};
 use crate::telemetry;
 use anyhow::{bail, ensure};
 use camino::Utf8PathBuf;
 use serde_json::json;
 use std::time::Instant;
+use uniground_storage::{BackedUp, Target, back_up};
 
 #[derive(Debug, clap::Args)]
 pub struct BackupArgs {

@@ -4,7 +4,6 @@
 use super::private::Private;
 use super::{following, table};
 use crate::config::{BUILTIN, BundlesConfig, ModelsConfig};
-use crate::sample::LIVING_ROOM;
 use crate::telemetry;
 use anyhow::Context;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -13,6 +12,7 @@ use std::time::Instant;
 use uniground_client::Client;
 use uniground_core::grounding::Status;
 use uniground_core::ingest::archive::ArchiveKind;
+use uniground_service::sample::LIVING_ROOM;
 use uniground_types::answer::Answer;
 use uniground_types::question::GroundRequest;
 use uniground_types::scenes::Scene;

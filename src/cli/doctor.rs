@@ -4,12 +4,12 @@
 use super::output::print_json;
 use super::table;
 use crate::config::{BlobsConfig, DatabaseConfig, LimitsConfig};
-use crate::service::{Finding, Service, Trouble};
-use crate::store::Store;
 use crate::telemetry;
 use anyhow::{Context, bail, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde_json::json;
+use uniground_service::{Finding, Service, Trouble};
+use uniground_storage::Store;
 
 #[derive(Debug, clap::Args)]
 pub struct DoctorArgs {

@@ -1,14 +1,7 @@
 //! `uniground eval`: a suite through the system, and two reports side by side.
 
 use super::Cli;
-use crate::chat::{ChatClient, ReplayCache};
 use crate::config::{BundlesConfig, VlmConfig};
-use crate::evaluation::comparison::{Baseline, Change, describe, key as comparison_key};
-use crate::evaluation::configuration::{self, Configuration};
-use crate::evaluation::report::{Report, RunFacts};
-use crate::evaluation::run::{RunOptions, Step, run as run_suite};
-use crate::evaluation::suite::{Suite, SuiteOptions};
-use crate::evaluation::systems::{InProcess, ModelUse, Server, System};
 use crate::words;
 use anyhow::{Context, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -17,6 +10,13 @@ use clap::{Args, CommandFactory, Subcommand};
 use std::collections::HashMap;
 use std::fs;
 use std::io::{self, IsTerminal, Write};
+use uniground_endpoints::chat::{ChatClient, ReplayCache};
+use uniground_evaluation::comparison::{Baseline, Change, describe, key as comparison_key};
+use uniground_evaluation::configuration::{self, Configuration};
+use uniground_evaluation::report::{Report, RunFacts};
+use uniground_evaluation::run::{RunOptions, Step, run as run_suite};
+use uniground_evaluation::suite::{Suite, SuiteOptions};
+use uniground_evaluation::systems::{InProcess, ModelUse, Server, System};
 
 #[derive(Debug, Args)]
 #[command(args_conflicts_with_subcommands = true)]
@@ -147,8 +147,13 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
         Box::new(Server::connect(address, std::env::var("UNIGROUND_API_KEY").ok())?)
     } else {
         let usage = ModelUse { max_usd: args.max_usd, json: args.vlm.vlm_json };
-        let system =
-            InProcess::new(args.models.clone(), vlm_client(args)?, args.record.as_deref(), usage)?;
+        let system = InProcess::new(
+            &args.models.models,
+            args.models.loader(),
+            vlm_client(args)?,
+            args.record.as_deref(),
+            usage,
+        )?;
         Box::new(system.keeping_parses_in(&args.out.join("parses")))
     };
     suite.omissions.iter().for_each(|omission| eprintln!("left out: {omission}"));

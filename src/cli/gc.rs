@@ -2,12 +2,12 @@
 
 use super::table;
 use crate::config::{BlobsConfig, DatabaseConfig, LimitsConfig, RetentionConfig};
-use crate::service::{Beside, Service};
-use crate::store::Store;
 use crate::telemetry;
 use anyhow::Context;
 use camino::Utf8PathBuf;
 use serde_json::json;
+use uniground_service::{Beside, Service};
+use uniground_storage::Store;
 
 #[derive(Debug, clap::Args)]
 pub struct GcArgs {

@@ -3,14 +3,14 @@
 use super::output::print_json;
 use super::table;
 use crate::config::{BlobsConfig, DatabaseConfig};
-use crate::service::Keyring;
-use crate::store::Store;
 use crate::{telemetry, words};
 use anyhow::{Context, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use jiff::{Timestamp, ToSpan};
 use std::io::{self, Write};
 use uniground_client::Client;
+use uniground_service::Keyring;
+use uniground_storage::Store;
 use uniground_types::keys::{CreatedKey, Key, NewKey, Scope};
 
 #[derive(Debug, clap::Args)]

@@ -3,7 +3,6 @@
 
 use super::output::print_json;
 use super::table;
-use crate::store::{Location, Moved, Place, Progress, move_over};
 use crate::telemetry;
 use camino::Utf8PathBuf;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -11,6 +10,7 @@ use serde_json::json;
 use std::io::{self, IsTerminal};
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
+use uniground_storage::{Location, Moved, Place, Progress, move_over};
 
 #[allow(clippy::doc_markdown)] // Help is no Markdown.
 #[derive(Debug, clap::Args)]

@@ -35,7 +35,6 @@ mod upload;
 mod worker;
 
 use crate::config::{ServeConfig, WorkerConfig};
-use crate::isolation;
 use crate::telemetry;
 use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
@@ -142,7 +141,7 @@ fn run_command(command: &Command) -> anyhow::Result<()> {
         Command::Man(args) => man::run(args),
         Command::IsolatedReader => {
             telemetry::start_quiet();
-            Ok(isolation::run()?)
+            Ok(uniground_isolation::run()?)
         }
     }
 }

@@ -1,10 +1,10 @@
 //! `index.html` of `uniground parse --report`: one page that shows what every stage did.
 
-use crate::evaluation::report::escaped;
 use camino::Utf8Path;
 use std::fmt::Write;
 use uniground_core::parsing::report_pictures::ReportPicture;
 use uniground_core::scene::{ImportReport, ParsedScene};
+use uniground_evaluation::report::escaped;
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1060px;margin:2rem auto;padding:0 1rem;color:#222}\
 table{border-collapse:collapse}td,th{padding:.2rem .8rem;border-bottom:1px solid #ddd;text-align:left}td.n{text-align:right}\

@@ -2,11 +2,11 @@
 
 use super::output::print_json;
 use super::table::size;
-use crate::store::{Restored, Source, check, restore};
 use crate::telemetry;
 use anyhow::bail;
 use camino::Utf8PathBuf;
 use serde_json::json;
+use uniground_storage::{Restored, Source, check, restore};
 
 #[derive(Debug, clap::Args)]
 pub struct RestoreArgs {

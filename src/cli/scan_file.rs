@@ -2,7 +2,6 @@
 //! its bytes, everything else packed.
 
 use super::hints;
-use crate::packing::{Links, pack};
 use anyhow::{Context, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use sha2::{Digest, Sha256};
@@ -10,6 +9,7 @@ use std::fs::File;
 use std::io::{self, Read, Seek, Write};
 use uniground_core::ingest::archive::ArchiveKind;
 use uniground_core::ingest::{Packed, Unpacked};
+use uniground_service::packing::{Links, pack};
 
 pub struct ScanFile {
     /// What a scene of it is called where nobody says: the file's name without its ending.

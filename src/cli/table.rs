@@ -1,11 +1,11 @@
 //! Answers as tables people can read.
 
-use crate::service::{Finding, Removed};
-use crate::store::{KindOfFiles, Moved};
 use comfy_table::{ColumnConstraint, ContentArrangement, Table, presets};
 use jiff::Timestamp;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::{Alternative, Status};
+use uniground_service::{Finding, Removed};
+use uniground_storage::{KindOfFiles, Moved};
 use uniground_types::answer::Answer;
 use uniground_types::changes::{ChangedThing, Changes, MovedThing};
 use uniground_types::instances::InstanceView;

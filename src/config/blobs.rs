@@ -1,11 +1,11 @@
 //! Where scans, parses and transcripts are kept.
 
-use crate::store::{AccessKeys, BlobHome, BlobsAt, Links};
 use crate::telemetry;
 use anyhow::{Context, bail};
 use camino::Utf8PathBuf;
 use std::fs;
 use std::time::Duration;
+use uniground_storage::{AccessKeys, BlobHome, BlobsAt, Links};
 
 const DEFAULT_CACHE_BYTES: u64 = 50 << 30;
 const DEFAULT_GRACE_S: u64 = 24 * 60 * 60;

@@ -1,11 +1,13 @@
 //! Which models a process works with: those named, or what lies in the folder of bundles.
 
-use super::models::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS, BundlesConfig, ModelsConfig};
+use super::models::{BundlesConfig, ModelsConfig};
+use super::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS};
 use anyhow::Context;
 use std::io;
 use uniground_core::models::neural::{
     BundleListing, Engine, ModelError, Models, Provider, Role, folder_of, list,
 };
+use uniground_evaluation::systems::ModelLoader;
 
 /// What a segmenter costs where it runs on processor cores: seconds where the built-in masks take a
 /// tenth of one (docs/MODELS.md).
@@ -40,6 +42,18 @@ impl<'a> Wish<'a> {
             _ if flag == own => Self::Builtin,
             named => Self::Named(named),
         }
+    }
+}
+
+impl BundlesConfig {
+    /// Returns a loader of the networks that a run of an evaluation names.
+    #[must_use]
+    pub fn loader(&self) -> ModelLoader {
+        let bundles = self.clone();
+        Box::new(move |masks, encoder| {
+            let (masks, encoder, bundles) = (masks.into(), encoder.into(), bundles.clone());
+            Ok(ModelsConfig { masks, encoder, bundles }.load()?.models)
+        })
     }
 }
 

@@ -1,7 +1,7 @@
 //! Where rows are kept.
 
-use crate::store::{LEASE, Location};
 use std::time::Duration;
+use uniground_storage::{LEASE, Location};
 
 /// Which database.
 #[allow(clippy::doc_markdown)] // Help is no Markdown.

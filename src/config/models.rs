@@ -1,22 +1,15 @@
 //! Flags for neural models: which bundles, where they lie, what runs them.
 
-use crate::inference::RemoteServer;
+use super::{AUTO, BUILTIN};
 use crate::{telemetry, words};
 use anyhow::ensure;
 use camino::Utf8PathBuf;
 use std::time::Duration;
 use uniground_core::models::neural::{Engine, OnnxRuntime, Provider, RuntimeSettings};
+use uniground_endpoints::inference::RemoteServer;
 
 /// Where ONNX Runtime's library is fetched to; the first place it is looked for.
 pub const LIBRARY_FOLDER: &str = "./.onnxruntime";
-/// For masks and encoder: what lies in the folder of bundles and works, else what is built in.
-pub const AUTO: &str = "auto";
-/// For masks and encoder: what needs no model.
-pub const BUILTIN: &str = "builtin";
-/// The mask source that needs no model, by its own name.
-pub const BUILTIN_MASKS: &str = "rgbd";
-/// The encoder that needs no model, by its own name.
-pub const BUILTIN_ENCODER: &str = "attributes";
 
 /// Neural models: bundles of ONNX networks, run here or behind an inference server.
 #[allow(clippy::doc_markdown)] // Help is no Markdown.

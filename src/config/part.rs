@@ -1,8 +1,8 @@
 //! What of the whole a process does: all of it, or a part beside others over the same database.
 
 use super::ServeConfig;
-use crate::jobs::JobKind;
-use crate::service::{BatchJob, NamingJob, ParseJob};
+use uniground_jobs::JobKind;
+use uniground_service::{BatchJob, NamingJob, ParseJob};
 
 /// What `uniground serve` does.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]

@@ -3,12 +3,12 @@
 
 use super::problem::{Refused, request_id};
 use super::{App, Scopes};
-use crate::service::{Allowance, Caller, Denied, Done, LINK_PARAMETER};
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use jiff::Timestamp;
+use uniground_service::{Allowance, Caller, Denied, Done, LINK_PARAMETER};
 use uniground_types::keys::Scope;
 use utoipa::Modify;
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};

@@ -6,7 +6,6 @@
 
 use super::connections::BodyProgress;
 use super::problem::Refused;
-use crate::error::Error;
 use axum::body::{Body, Bytes};
 use axum::extract::{MatchedPath, Request};
 use axum::http::{HeaderValue, StatusCode, header};
@@ -19,6 +18,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Poll};
 use std::time::Duration;
 use tokio::time::{Instant, Sleep, sleep_until};
+use uniground_service::error::Error;
 
 /// Routes whose bodies have any size and are processed while they arrive.
 const STREAMED: [&str; 4] =

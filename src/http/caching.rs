@@ -3,8 +3,6 @@
 //! again is told when nothing has changed.
 
 use super::problem::Refused;
-use crate::error::Error;
-use crate::service::Download;
 use axum::body::{Body, to_bytes};
 use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
@@ -15,6 +13,8 @@ use http_body::Body as _;
 use sha2::{Digest, Sha256};
 use tower::ServiceExt;
 use tower_http::services::ServeFile;
+use uniground_service::Download;
+use uniground_service::error::Error;
 
 /// For the caller alone, and to be asked about each time.
 const ASK_AGAIN: HeaderValue = HeaderValue::from_static("private, no-cache");

@@ -7,7 +7,6 @@
 //! body comes slowly. Those whose request is being answered keep theirs.
 
 use super::problem::Refused;
-use crate::metrics::Metrics;
 use axum::Router;
 use axum::body::{Body, Bytes};
 use axum::http::Request;
@@ -29,6 +28,7 @@ use tokio::time::{sleep, timeout};
 use tokio_io_timeout::TimeoutStream;
 use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
+use uniground_telemetry::metrics::Metrics;
 
 /// A header that takes longer is not waited for; nor is the next request of a connection.
 const HEADER_TIME: Duration = Duration::from_secs(15);

@@ -3,11 +3,11 @@
 use super::extract::{Json, Path};
 use super::problem::Refused;
 use super::{App, Asking};
-use crate::service::GroundTruth;
 use axum::Extension;
 use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::IntoResponse;
+use uniground_service::GroundTruth;
 use uniground_types::corrections::{Change, Correction, CorrectionList};
 use uniground_types::problem::Problem;
 

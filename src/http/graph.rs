@@ -3,11 +3,11 @@
 use super::App;
 use super::extract::{Path, Query};
 use super::problem::Refused;
-use crate::service::written;
 use axum::extract::State;
 use axum::http::header;
 use axum::response::IntoResponse;
 use serde::Deserialize;
+use uniground_service::written;
 use uniground_types::graph::{GraphFormat, SceneGraph};
 use uniground_types::instances::Levels;
 use uniground_types::problem::Problem;

@@ -1,12 +1,12 @@
 //! `/healthz`, `/readyz` and `/v1/models`
 
 use super::App;
-use crate::service::Health;
-use crate::store::StoreHealth;
 use axum::Json;
 use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use uniground_service::Health;
+use uniground_storage::StoreHealth;
 use uniground_types::problem::Problem;
 use uniground_types::service::{Health as Alive, ModelList, Readiness};
 

@@ -44,10 +44,6 @@ use problem::Refused;
 pub use problem::told;
 pub use scopes::Scopes;
 
-use crate::error::Error;
-use crate::metrics::Metrics;
-use crate::service::Service;
-use crate::trace_context;
 use axum::extract::{MatchedPath, Request};
 use axum::http::{HeaderName, HeaderValue, header};
 use axum::middleware::map_response;
@@ -65,6 +61,10 @@ use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetReques
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::trace::{DefaultOnResponse, TraceLayer};
 use tracing::{Level, Span};
+use uniground_service::Service;
+use uniground_service::error::Error;
+use uniground_telemetry::metrics::Metrics;
+use uniground_telemetry::trace_context;
 use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;

@@ -1,7 +1,7 @@
 //! Pages of lists.
 
-use crate::error::Error;
 use serde::Deserialize;
+use uniground_service::error::Error;
 use utoipa::IntoParams;
 use uuid::Uuid;
 

@@ -2,8 +2,6 @@
 //! statuses.
 
 use super::REQUEST_ID;
-use crate::error::Error;
-use crate::jobs::JobsError;
 use axum::Json;
 use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
@@ -11,6 +9,8 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use uniground_core::ingest::IngestErrorKind;
 use uniground_core::models::with_causes;
+use uniground_jobs::JobsError;
+use uniground_service::error::Error;
 use uniground_types::problem::{FieldError, Problem};
 
 /// A request that was refused: the problem as a response.

@@ -5,11 +5,11 @@ use super::Binary;
 use super::caching::send_file;
 use super::extract::Path;
 use super::problem::Refused;
-use crate::error::Error;
 use axum::Json;
 use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::response::Response;
+use uniground_service::error::Error;
 use uniground_types::problem::Problem;
 use uniground_types::scenes::SceneReport;
 

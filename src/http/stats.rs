@@ -2,12 +2,12 @@
 
 use super::App;
 use super::problem::Refused;
-use crate::metrics::MEDIA_TYPE;
 use axum::Json;
 use axum::extract::{MatchedPath, Request, State};
 use axum::http::header;
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use uniground_telemetry::metrics::MEDIA_TYPE;
 use uniground_types::problem::Problem;
 use uniground_types::stats::Stats;
 

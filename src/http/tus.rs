@@ -3,7 +3,6 @@
 //! this one.
 
 use super::problem::Refused;
-use crate::service::{Algorithm, Checksum};
 use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::middleware::Next;
@@ -12,6 +11,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use jiff::Timestamp;
 use jiff::fmt::rfc2822::DateTimePrinter;
+use uniground_service::{Algorithm, Checksum};
 use uniground_types::uploads::Upload;
 
 pub const RESUMABLE: HeaderName = HeaderName::from_static("tus-resumable");

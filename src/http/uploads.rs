@@ -3,8 +3,6 @@
 use super::extract::{IdempotencyKey, Path, Query};
 use super::problem::Refused;
 use super::{App, Asking, tus};
-use crate::service::{Caller, NewUpload, Part};
-use crate::store::WantedScene;
 use axum::Extension;
 use axum::body::Body;
 use axum::extract::{Request, State};
@@ -13,6 +11,8 @@ use axum::middleware::from_fn;
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
+use uniground_service::{Caller, NewUpload, Part};
+use uniground_storage::WantedScene;
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::problem::Problem;
 use uniground_types::settings::ParsePreset;
@@ -388,8 +388,8 @@ async fn take(
     };
     match app.service.append(upload_id, part, caller).await {
         Ok(upload) => Ok(came_of(StatusCode::NO_CONTENT, upload)),
-        Err(crate::error::Error::WrongOffset { offset }) => {
-            let refused = Refused::from(crate::error::Error::WrongOffset { offset });
+        Err(uniground_service::error::Error::WrongOffset { offset }) => {
+            let refused = Refused::from(uniground_service::error::Error::WrongOffset { offset });
             Ok(([(tus::OFFSET, offset.to_string())], refused).into_response())
         }
         Err(error) => Err(error.into()),

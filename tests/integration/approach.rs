@@ -24,7 +24,7 @@ fn asking(query: &str) -> ApproachRequest {
 #[tokio::test]
 async fn a_robot_is_told_where_to_stand_and_how_to_get_there() {
     let server = TestServer::start().await;
-    let scene = server.parsed(uniground::sample::LIVING_ROOM.to_vec()).await;
+    let scene = server.parsed(uniground_service::sample::LIVING_ROOM.to_vec()).await;
     let client = &server.client;
     let told = client.approach(&scene.id, &asking("the mug on the coffee table")).await.unwrap();
     assert_eq!(
@@ -122,7 +122,7 @@ async fn a_robot_is_told_where_to_stand_and_how_to_get_there() {
 #[tokio::test]
 async fn a_robot_asks_and_is_told_in_its_own_map() {
     let server = TestServer::start().await;
-    let scene = server.parsed(uniground::sample::LIVING_ROOM.to_vec()).await;
+    let scene = server.parsed(uniground_service::sample::LIVING_ROOM.to_vec()).await;
     let client = &server.client;
     let in_scene = asking("the mug on the coffee table");
     let in_map = ApproachRequest {

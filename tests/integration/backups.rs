@@ -8,8 +8,8 @@ use std::process::{Command, Output};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
-use uniground::store::{BackedUp, Source, Target, back_up, check, restore};
 use uniground_client::Client;
+use uniground_storage::{BackedUp, Source, Target, back_up, check, restore};
 
 fn uniground(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_uniground"))

@@ -5,7 +5,7 @@ use crate::archives::{Scan, ply_header};
 use crate::server::{TestServer, ask, finished, problem};
 use std::io::{Cursor, Write};
 use uniground::config::LimitsConfig;
-use uniground::store::JobState;
+use uniground_storage::JobState;
 
 const ZIP: &str = "application/zip";
 

@@ -9,10 +9,10 @@ use serde_json::{Value, json};
 use std::fs;
 use std::process::{Command, Output};
 use std::time::Duration;
-use uniground::chat::{ChatClient, Endpoint, Patience, ReplayCache};
 use uniground::config::{LimitsConfig, VlmConfig};
 use uniground_client::ClientError;
 use uniground_core::models::chat::{ChatError, ChatModel, ChatRequest, Part, Prices};
+use uniground_endpoints::chat::{ChatClient, Endpoint, Patience, ReplayCache};
 use uniground_types::question::{GroundRequest, ParserChoice, ReasonerChoice};
 
 fn quick() -> Patience {

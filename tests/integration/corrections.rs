@@ -4,10 +4,10 @@ use crate::archives::Scan;
 use crate::server::{TestServer, ask, problem};
 use serde_json::json;
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
-use uniground::evaluation::annotations::Annotations;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::Status;
 use uniground_core::scene::{InstanceId, Level};
+use uniground_evaluation::annotations::Annotations;
 use uniground_types::corrections::Change;
 use uniground_types::instances::Levels;
 
@@ -172,7 +172,7 @@ async fn things_that_are_one_become_one() {
 #[tokio::test]
 async fn a_thing_that_is_several_leaves_its_parts() {
     let server = TestServer::start().await;
-    let scene = server.parsed(uniground::sample::LIVING_ROOM.to_vec()).await;
+    let scene = server.parsed(uniground_service::sample::LIVING_ROOM.to_vec()).await;
     let client = &server.client;
     let before = client.all_instances(&scene.id, Levels::All).await.unwrap();
     let parts_of = |id: InstanceId| {

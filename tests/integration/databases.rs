@@ -11,7 +11,7 @@ use std::fs;
 use std::process::{Command, Output};
 use std::time::Duration;
 use tokio::time::sleep;
-use uniground::store::Location;
+use uniground_storage::Location;
 
 fn serve(data: &Utf8Path, database: &str) -> Output {
     Command::new(env!("CARGO_BIN_EXE_uniground"))

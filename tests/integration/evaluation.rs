@@ -4,11 +4,11 @@ use crate::server::TestServer;
 use camino::{Utf8Path, Utf8PathBuf};
 use std::fs;
 use std::process::{Command, Output};
-use uniground::evaluation::configuration::{self, Configuration};
-use uniground::evaluation::report::Report;
-use uniground::evaluation::run::{RunOptions, run};
-use uniground::evaluation::suite::{Suite, SuiteOptions};
-use uniground::evaluation::systems::Server;
+use uniground_evaluation::configuration::{self, Configuration};
+use uniground_evaluation::report::Report;
+use uniground_evaluation::run::{RunOptions, run};
+use uniground_evaluation::suite::{Suite, SuiteOptions};
+use uniground_evaluation::systems::Server;
 
 const EXAMPLES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples");
 
@@ -78,7 +78,7 @@ fn a_run_scores_every_source_and_goes_on_where_it_stopped() {
 
     // Every wrong answer is on the page with its picture, and the page needs nothing beside it.
     let page = fs::read_to_string(out.join("index.html")).unwrap();
-    for failure in report.cells.iter().flat_map(uniground::evaluation::report::CellReport::failures)
+    for failure in report.cells.iter().flat_map(uniground_evaluation::report::CellReport::failures)
     {
         let picture = failure.picture.as_ref().unwrap();
         assert!(out.join("pictures").join(picture).is_file(), "{failure:?}");

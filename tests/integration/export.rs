@@ -36,7 +36,7 @@ fn points_of_nodes(document: &Value) -> BTreeMap<u64, u64> {
 #[tokio::test]
 async fn a_scene_is_taken_to_other_programs() {
     let server = TestServer::start().await;
-    let scene = server.parsed(uniground::sample::LIVING_ROOM.to_vec()).await;
+    let scene = server.parsed(uniground_service::sample::LIVING_ROOM.to_vec()).await;
     let client = &server.client;
     client.rename_scene(&scene.id, "Grandma's room").await.unwrap();
     let get = async |query: &str, mark: Option<&str>| {

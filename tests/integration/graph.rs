@@ -9,7 +9,7 @@ use uniground_types::instances::Levels;
 #[tokio::test]
 async fn a_scene_is_a_graph_in_three_formats() {
     let server = TestServer::start().await;
-    let scene = server.parsed(uniground::sample::LIVING_ROOM.to_vec()).await;
+    let scene = server.parsed(uniground_service::sample::LIVING_ROOM.to_vec()).await;
     let client = &server.client;
     let graph = client.graph(&scene.id, Levels::All).await.unwrap();
     assert_eq!((graph.scene_id.as_str(), graph.parse_version), (scene.id.as_str(), 1));

@@ -9,8 +9,8 @@ use sqlx::Connection;
 use std::fs;
 use std::process::{Command, Output};
 use uniground::config::{LimitsConfig, ModelsConfig, RetentionConfig, VlmConfig};
-use uniground::service::Service;
-use uniground::store::{JobState, Location, Store};
+use uniground_service::Service;
+use uniground_storage::{JobState, Location, Store};
 use uniground_types::corrections::Change;
 
 fn doctor(data: &Utf8Path, more: &[&str]) -> Output {

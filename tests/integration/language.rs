@@ -5,16 +5,16 @@ use crate::shared_scenes::{development_rooms, shared_scene};
 use camino::Utf8Path;
 use std::fs;
 use uniground::config::BundlesConfig;
-use uniground::evaluation::annotations::Annotations;
-use uniground::evaluation::configuration::{self, Configuration};
-use uniground::evaluation::report::{CellReport, Report, RunFacts};
-use uniground::evaluation::run::{RunOptions, run};
-use uniground::evaluation::suite::{Suite, SuiteOptions};
-use uniground::evaluation::systems::{InProcess, ModelUse, NamedBy, instances_of};
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::{NameIndex, Question, SceneView, Status, ground};
 use uniground_core::models::attributes::Lexicon;
 use uniground_core::scene::{Instance, PointCloud};
+use uniground_evaluation::annotations::Annotations;
+use uniground_evaluation::configuration::{self, Configuration};
+use uniground_evaluation::report::{CellReport, Report, RunFacts};
+use uniground_evaluation::run::{RunOptions, run};
+use uniground_evaluation::suite::{Suite, SuiteOptions};
+use uniground_evaluation::systems::{InProcess, ModelUse, NamedBy, instances_of};
 
 #[derive(serde::Deserialize)]
 struct Expression {
@@ -212,9 +212,11 @@ fn parsed_rooms_are_answered_without_any_model() {
         concurrency: 1,
         progress: &|_| {},
     };
+    let bundles = BundlesConfig::default();
     let results = run(
         &suite,
-        &InProcess::new(BundlesConfig::default(), None, None, ModelUse::default()).unwrap(),
+        &InProcess::new(&bundles.models, bundles.loader(), None, None, ModelUse::default())
+            .unwrap(),
         &options,
     )
     .unwrap();

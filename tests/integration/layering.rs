@@ -9,32 +9,7 @@ use std::path::{Path, PathBuf};
 type Floors = &'static [&'static [&'static str]];
 
 const PACKAGES: [(&str, Floors); 2] = [
-    (
-        "src",
-        &[
-            &["cli"],
-            &["evaluation"],
-            &["app"],
-            &["config", "telemetry"],
-            &["http"],
-            &["service"],
-            &["error"],
-            &["jobs"],
-            &["store"],
-            &[
-                "chat",
-                "inference",
-                "isolation",
-                "metrics",
-                "packages",
-                "packing",
-                "sample",
-                "webhook",
-                "words",
-            ],
-            &["memory", "trace_context"],
-        ],
-    ),
+    ("src", &[&["cli"], &["app"], &["config", "telemetry"], &["http"], &["packages", "words"]]),
     (
         "crates/uniground-types/src",
         &[

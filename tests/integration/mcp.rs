@@ -35,7 +35,7 @@ async fn call(client: &Client, tool: &str, arguments: Value) -> Value {
 #[tokio::test]
 async fn an_agent_finds_the_mug_and_where_to_stand_for_it() {
     let server = TestServer::start().await;
-    let scene = server.parsed(uniground::sample::LIVING_ROOM.to_vec()).await;
+    let scene = server.parsed(uniground_service::sample::LIVING_ROOM.to_vec()).await;
     let client = &server.client;
     let hello = json!({"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "test", "version": "1"}});
     let welcome = result(client, "initialize", hello).await;

@@ -282,7 +282,7 @@ async fn there_is_something_to_look_at() {
     let sample = server.client.request(Method::POST, "v1/scenes/sample").send().await.unwrap();
     assert_eq!(sample.status(), StatusCode::ACCEPTED);
     let Created { scene, job } = sample.json().await.unwrap();
-    assert_eq!(scene.name, uniground::sample::NAME);
+    assert_eq!(scene.name, uniground_service::sample::NAME);
     let early =
         problem(server.client.bytes(&format!("v1/scenes/{}/thumbnail.jpg", scene.id)).await);
     assert_eq!(early.code, "scene_not_ready");

@@ -10,11 +10,6 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::process::Command;
 use std::time::Duration;
-use uniground::evaluation::annotated::AnnotatedRoom;
-use uniground::evaluation::annotations::Annotations;
-use uniground::evaluation::segmentation::score_instances;
-use uniground::evaluation::systems::{NamedBy, instances_of, see};
-use uniground::inference::RemoteServer;
 use uniground_core::models::neural::{
     DualEncoder, Engine, Models, OnnxRuntime, PointLabel, Prompt, RuntimeSettings, Segmenter,
 };
@@ -22,6 +17,11 @@ use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::parsing::masks::sam::{EncodedFrames, SamMasks};
 use uniground_core::parsing::{self, ParsingSettings, Perception};
 use uniground_core::progress::Progress;
+use uniground_endpoints::inference::RemoteServer;
+use uniground_evaluation::annotated::AnnotatedRoom;
+use uniground_evaluation::annotations::Annotations;
+use uniground_evaluation::segmentation::score_instances;
+use uniground_evaluation::systems::{NamedBy, instances_of, see};
 
 fn root() -> &'static Utf8Path {
     Utf8Path::new(env!("CARGO_MANIFEST_DIR"))

@@ -5,7 +5,7 @@ use crate::server::{Process, TestServer, ask, finished, in_places, location, loo
 use camino::Utf8Path;
 use sqlx::Connection;
 use std::process::{Command, Output};
-use uniground::store::{JobState, Location};
+use uniground_storage::{JobState, Location};
 use uniground_types::placement::FrameChoice;
 
 fn doctor(data: &Utf8Path, more: &[&str]) -> Output {

@@ -5,7 +5,7 @@ use crate::server::{Process, ask, finished, parsed};
 use camino::Utf8Path;
 use std::fs;
 use std::process::Command;
-use uniground::store::JobState;
+use uniground_storage::JobState;
 use uniground_types::scenes::SceneStatus;
 
 #[tokio::test]

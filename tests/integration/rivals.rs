@@ -7,8 +7,8 @@ use futures::future::join_all;
 use reqwest::Method;
 use serde_json::json;
 use uniground::config::LimitsConfig;
-use uniground::store::{JobState, Location};
 use uniground_core::geometry::up_axis::UpAxis;
+use uniground_storage::{JobState, Location};
 
 #[tokio::test]
 async fn one_key_sent_many_times_at_once_makes_one_scene() {

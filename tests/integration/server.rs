@@ -11,8 +11,8 @@ use uniground::config::{
     AccessConfig, BlobsConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig,
     Role, ServeConfig, VlmConfig, WebhookConfig,
 };
-use uniground::store::Location;
 use uniground_client::{Client, ClientError};
+use uniground_storage::Location;
 use uniground_types::job::Job;
 use uniground_types::problem::Problem;
 use uniground_types::question::GroundRequest;

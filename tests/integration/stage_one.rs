@@ -6,8 +6,6 @@ use crate::shared_scenes::shared_scene;
 use camino::Utf8Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use tokio_util::sync::CancellationToken;
-use uniground::evaluation::annotated::AnnotatedRoom;
-use uniground::evaluation::segmentation::{InstanceScore, score_instances, score_superpoints};
 use uniground_core::geometry::Point3;
 use uniground_core::ingest;
 use uniground_core::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
@@ -21,6 +19,8 @@ use uniground_core::scene::{
     Frame, FrameIndex, ImportReport, Instance, Level, ParsedScene, PointCloud, PoseConvention,
     SceneBundle, Structure,
 };
+use uniground_evaluation::annotated::AnnotatedRoom;
+use uniground_evaluation::segmentation::{InstanceScore, score_instances, score_superpoints};
 use uniground_types::settings::ImportSettings;
 
 /// Objects with fewer points are left out of recall.

@@ -6,6 +6,7 @@
 pub mod attributes;
 pub mod calibration;
 pub mod chat;
+pub mod choice;
 pub mod neural;
 
 /// An error with what caused it: the outermost alone seldom says it.

@@ -1,11 +1,11 @@
 //! `index.html` of `uniground import --report`: what a person reads in a minute.
 
-use crate::evaluation::report::escaped;
 use camino::Utf8Path;
 use image::RgbImage;
 use image::imageops::{FilterType, replace, resize};
 use std::fmt::Write;
 use uniground_core::scene::FrameRef;
+use uniground_evaluation::report::escaped;
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1060px;margin:2rem auto;padding:0 1rem;color:#222}\
 td{padding:.2rem .8rem;border-bottom:1px solid #ddd;vertical-align:top}img{max-width:100%;border:1px solid #ddd}\

@@ -9,8 +9,6 @@ mod values;
 
 use super::App;
 use super::problem::Refused;
-use crate::error::Error;
-use crate::service::{Caller, Service};
 use axum::body::{Body, to_bytes};
 use axum::extract::{Request, State};
 use axum::http::request::Parts;
@@ -27,6 +25,8 @@ use rmcp::transport::streamable_http_server::{StreamableHttpServerConfig, Stream
 use rmcp::{RoleServer, ServerHandler, ServiceExt};
 use std::sync::Arc;
 use tokio_util::sync::CancellationToken;
+use uniground_service::error::Error;
+use uniground_service::{Caller, Service};
 use uniground_types::problem::Problem;
 
 const INSTRUCTIONS: &str = "Finds things in scanned rooms by plain words. Start with list_scenes; ground answers a question with a 3D box; \

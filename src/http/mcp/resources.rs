@@ -1,10 +1,10 @@
 //! Scenes and their reports as resources: `uniground://scenes/{id}` and
 //! `uniground://scenes/{id}/report`.
 
-use crate::error::Error;
 use crate::http::paging;
-use crate::service::Service;
 use rmcp::model::{ListResourcesResult, Resource, ResourceContents, ResourceTemplate};
+use uniground_service::Service;
+use uniground_service::error::Error;
 use uniground_types::labels::Labels;
 
 const SCENES: &str = "uniground://scenes/";

@@ -5,16 +5,16 @@ use super::values::{
     Approach, FindInScenes, FoundBriefs, Ground, Grounded, ListObjects, ListScenes, MOST_MARKED,
     ObjectBrief, ObjectBriefs, OneObject, Relations, RenderView, SceneBrief, SceneBriefs, ViewKind,
 };
-use crate::error::Error;
 use crate::http::paging;
 use crate::http::problem::Refused;
-use crate::service::{Caller, EvidenceFile, Service, written};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use rmcp::model::{CallToolResult, ContentBlock, JsonObject, Tool, ToolAnnotations};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
+use uniground_service::error::Error;
+use uniground_service::{Caller, EvidenceFile, Service, written};
 use uniground_types::approach::Approach as Approached;
 use uniground_types::graph::{GraphFormat, SceneGraph};
 use uniground_types::instances::{InstanceView, Levels, ViewPicture};

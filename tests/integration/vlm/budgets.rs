@@ -22,7 +22,7 @@ async fn the_likeliest_of_many_scenes_are_asked_of_the_model_for_what_one_questi
         ..config(&script.serve(vec![says("-")]).await)
     };
     let (server, scene) = start(dear).await;
-    let again = server.parsed(uniground::sample::LIVING_ROOM.to_vec()).await;
+    let again = server.parsed(uniground_service::sample::LIVING_ROOM.to_vec()).await;
     let id = builtin(&server, &scene).await.answer.predicted_id.unwrap();
     let asked = async |usd| {
         let request = ManyGroundRequest {
@@ -119,8 +119,11 @@ async fn budgets_need_prices() {
         (VlmConfig { vlm_prompt_usd: -1.0, ..free.clone() }, "--vlm-prompt-usd: must be 0 or more"),
         (VlmConfig { vlm_model: None, ..free.clone() }, "--vlm-url needs --vlm-model"),
     ] {
-        let error =
-            wrong.client(uniground::chat::ReplayCache::Off).map(|_| ()).unwrap_err().to_string();
+        let error = wrong
+            .client(uniground_endpoints::chat::ReplayCache::Off)
+            .map(|_| ())
+            .unwrap_err()
+            .to_string();
         assert!(error.contains(told), "{error}");
     }
     let (server, scene) = start(free).await;

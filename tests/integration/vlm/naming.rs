@@ -5,8 +5,8 @@ use super::{QUERY, builtin, by, config, pictures_of, purposes, six_lines, start,
 use crate::script::{Script, Scripted, says};
 use crate::server::{ask, finished};
 use std::time::Duration;
+use uniground::config::NamingChoice;
 use uniground::config::VlmConfig;
-use uniground::service::WhenNamed;
 use uniground_core::grounding::Status;
 use uniground_types::instances::{InstanceView, Levels};
 use uniground_types::job::{Job, JobState};
@@ -87,7 +87,7 @@ fn names_for_all() -> Scripted {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_scene_is_named_with_its_parse_or_before_the_first_question() {
-    for (names, first) in [(WhenNamed::Parse, "naming"), (WhenNamed::Lazy, "question")] {
+    for (names, first) in [(NamingChoice::Parse, "naming"), (NamingChoice::Lazy, "question")] {
         let script = Script::default();
         let url = script.serve(vec![names_for_all()]).await;
         let (server, scene) = start(VlmConfig { names, ..config(&url) }).await;

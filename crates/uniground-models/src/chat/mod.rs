@@ -10,7 +10,7 @@ pub use budget::{Budget, OverBudget};
 use futures::future::BoxFuture;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-pub use session::{AskError, CallRecord, Session};
+pub use session::{AskError, CallRecord, Session, usage_of};
 use std::sync::Arc;
 pub use tokens::Tokens;
 

@@ -2,6 +2,7 @@
 
 use super::budget::Reservation;
 use super::{Budget, ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, OverBudget};
+use uniground_types::answer::Usage;
 
 /// One call: what was asked, and what came of it.
 #[derive(Debug, Clone, PartialEq)]
@@ -127,6 +128,19 @@ impl<'a> Session<'a> {
     #[must_use]
     pub fn into_records(self) -> Vec<CallRecord> {
         self.records
+    }
+}
+
+/// Sums up the tokens and the cost of calls. A call without a reply costs nothing that is known.
+#[must_use]
+pub fn usage_of(calls: &[CallRecord]) -> Usage {
+    let replies = || calls.iter().filter_map(|call| call.outcome.as_ref().ok());
+    Usage {
+        vlm_calls: replies().count() as u32,
+        prompt_tokens: replies().map(|reply| reply.prompt_tokens).sum(),
+        completion_tokens: replies().map(|reply| reply.completion_tokens).sum(),
+        // An empty sum of floats is -0.
+        cost_usd: calls.iter().fold(0.0, |sum, call| sum + call.cost_usd),
     }
 }
 

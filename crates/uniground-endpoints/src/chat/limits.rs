@@ -1,0 +1,252 @@
+//! Limits of servers that people run themselves: vLLM refuses more pictures than it was started
+//! for, Ollama cuts what is longer than its context without a word. Looked at once, at the start,
+//! so that nobody finds out by wrong answers.
+
+use super::ChatClient;
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use image::RgbImage;
+use serde::Deserialize;
+use serde_json::{Value, json};
+use std::time::Duration;
+use uniground_render::jpeg;
+
+/// What a question with five candidates takes, by the counts of models that take a token for 28 x
+/// 28 pixels: a render, seven collages, two photographs, the text, and a reply.
+const TOKENS_OF_A_QUESTION: u64 = 10_000;
+/// A render, collages of five candidates and two anchors, and two photographs.
+const PICTURES_OF_A_QUESTION: usize = 10;
+/// Longest a look takes.
+const LONGEST_LOOK: Duration = Duration::from_secs(20);
+
+#[derive(Deserialize)]
+struct Listed {
+    data: Vec<ListedModel>,
+}
+
+#[derive(Deserialize)]
+struct ListedModel {
+    id: String,
+    #[serde(default)]
+    owned_by: String,
+    /// Tokens; servers of the kind of vLLM tell it.
+    max_model_len: Option<u64>,
+}
+
+impl ChatClient {
+    /// What of a question the endpoint's server will refuse or cut, with what to do about it; empty
+    /// where nothing is known to be wrong. A server that other people run is asked for its list
+    /// of models only.
+    pub async fn limits(&self) -> Vec<String> {
+        let Some(listed) = self.look::<Listed>(self.http.get(self.address("models"))).await else {
+            return Vec::new();
+        };
+        let model = &self.endpoint.model;
+        let Some(found) = listed.data.into_iter().find(|listed| listed.id == *model) else {
+            return Vec::new();
+        };
+        let too_short = |tokens: u64, what_to_do: &str| {
+            (tokens < TOKENS_OF_A_QUESTION).then(|| {
+                format!("{model} reads at most {tokens} tokens here, a question takes about {TOKENS_OF_A_QUESTION} and more with more candidates: {what_to_do}")
+            })
+        };
+        let by_length = found
+            .max_model_len
+            .and_then(|tokens| too_short(tokens, "start its server with a larger --max-model-len"));
+        let more = match found.owned_by.as_str() {
+            "vllm" => self.refuses_pictures().await,
+            // So Ollama signs.
+            "library" => match self.context_of_ollama().await {
+                Some(tokens) => too_short(
+                    tokens,
+                    "Ollama cuts the rest without a word; set OLLAMA_CONTEXT_LENGTH=16384, or num_ctx in a Modelfile",
+                ),
+                None => Some(format!(
+                    "Ollama cuts what is longer than its context without a word, by default 4096 tokens on cards under 24 GB; a question \
+                     takes about {TOKENS_OF_A_QUESTION}: set OLLAMA_CONTEXT_LENGTH=16384"
+                )),
+            },
+            _ => None,
+        };
+        by_length.into_iter().chain(more).collect()
+    }
+
+    /// Whether a question's pictures are too many for a vLLM server: tiny ones, and one token of
+    /// reply.
+    async fn refuses_pictures(&self) -> Option<String> {
+        let picture =
+            format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg(&RgbImage::new(56, 56))));
+        let pictures = (0..PICTURES_OF_A_QUESTION)
+            .map(|_| json!({"type": "image_url", "image_url": {"url": picture}}));
+        let content: Vec<Value> = pictures.chain([json!({"type": "text", "text": "?"})]).collect();
+        let body = json!({"model": self.endpoint.model, "max_tokens": 1, "messages": [{"role": "user", "content": content}]});
+        let response = self
+            .authorised(self.http.post(self.address("chat/completions")).json(&body))
+            .send()
+            .await
+            .ok()?;
+        if !response.status().is_client_error() {
+            return None;
+        }
+        let told = super::bounded(response).await.ok().flatten().unwrap_or_default();
+        Some(format!(
+            "{} refuses {PICTURES_OF_A_QUESTION} pictures in one prompt, which a question has ({}): start vLLM with \
+             --limit-mm-per-prompt '{{\"image\": 25}}' (older versions: image=25)",
+            self.endpoint.model,
+            super::detail(&self.without_key(&told))
+        ))
+    }
+
+    /// The context Ollama gives the model, tokens; `None` where it does not tell.
+    async fn context_of_ollama(&self) -> Option<u64> {
+        #[derive(Deserialize)]
+        struct Shown {
+            #[serde(default)]
+            parameters: String,
+        }
+        #[derive(Deserialize)]
+        struct Running {
+            models: Vec<RunningModel>,
+        }
+        #[derive(Deserialize)]
+        struct RunningModel {
+            name: String,
+            context_length: Option<u64>,
+        }
+        let base = self.endpoint.base_url.trim_end_matches('/');
+        let root = base.strip_suffix("/v1").unwrap_or(base);
+        let model = &self.endpoint.model;
+        let shown: Option<Shown> = self
+            .look(self.http.post(format!("{root}/api/show")).json(&json!({"model": model})))
+            .await;
+        let set = shown.and_then(|shown| {
+            let line = shown
+                .parameters
+                .lines()
+                .find_map(|line| line.trim().strip_prefix("num_ctx").map(str::to_owned))?;
+            line.trim().parse().ok()
+        });
+        if set.is_some() {
+            return set;
+        }
+        let running: Running = self.look(self.http.get(format!("{root}/api/ps"))).await?;
+        running.models.into_iter().find(|running| running.name == *model)?.context_length
+    }
+
+    fn address(&self, path: &str) -> String {
+        format!("{}/{path}", self.endpoint.base_url.trim_end_matches('/'))
+    }
+
+    fn authorised(&self, request: reqwest::RequestBuilder) -> reqwest::RequestBuilder {
+        self.endpoint
+            .api_key
+            .iter()
+            .fold(request.timeout(LONGEST_LOOK), reqwest::RequestBuilder::bearer_auth)
+    }
+
+    /// What a server says, where it says anything that can be read.
+    async fn look<T: serde::de::DeserializeOwned>(
+        &self,
+        request: reqwest::RequestBuilder,
+    ) -> Option<T> {
+        let response = self
+            .authorised(request)
+            .send()
+            .await
+            .ok()
+            .filter(|response| response.status().is_success())?;
+        serde_json::from_str(&super::bounded(response).await.ok()??).ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::chat::{ChatClient, Endpoint, Patience, ReplayCache};
+    use axum::routing::{get, post};
+    use axum::{Json, Router, http::StatusCode};
+    use serde_json::{Value, json};
+    use uniground_models::chat::Prices;
+
+    /// A server with these answers, and what is said of its limits.
+    async fn told(
+        models: Value,
+        completion: (StatusCode, Value),
+        show: Value,
+        ps: Value,
+    ) -> Vec<String> {
+        let router = Router::new()
+            .route("/v1/models", get(move || async move { Json(models) }))
+            .route(
+                "/v1/chat/completions",
+                post(move || async move { (completion.0, Json(completion.1)) }),
+            )
+            .route("/api/show", post(move || async move { Json(show) }))
+            .route("/api/ps", get(move || async move { Json(ps) }));
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let base_url = format!("http://{}/v1", listener.local_addr().unwrap());
+        tokio::spawn(async move { axum::serve(listener, router).await });
+        let endpoint = Endpoint {
+            base_url,
+            model: "qwen".into(),
+            api_key: None,
+            prices: Prices::default(),
+            concurrency: 1,
+        };
+        ChatClient::new(endpoint, Patience::default(), ReplayCache::Off).unwrap().limits().await
+    }
+
+    fn models(owner: &str, max_model_len: Option<u64>) -> Value {
+        json!({"object": "list", "data": [{"id": "other"}, {"id": "qwen", "owned_by": owner, "max_model_len": max_model_len}]})
+    }
+
+    #[tokio::test]
+    async fn what_a_server_will_not_take_is_told_with_what_to_do() {
+        let fine = || (StatusCode::OK, json!({"choices": []}));
+        let refused = || {
+            (
+                StatusCode::BAD_REQUEST,
+                json!({"error": {"message": "At most 1 image(s) may be provided in one prompt."}}),
+            )
+        };
+        let nothing = || json!({});
+        assert_eq!(
+            told(models("vllm", Some(32_768)), fine(), nothing(), nothing()).await,
+            Vec::<String>::new()
+        );
+        let warnings = told(models("vllm", Some(4096)), refused(), nothing(), nothing()).await;
+        assert!(
+            warnings.len() == 2
+                && warnings[0].contains("--max-model-len")
+                && warnings[0].contains("4096"),
+            "{warnings:?}"
+        );
+        assert!(
+            warnings[1].contains("At most 1 image(s)")
+                && warnings[1].contains("--limit-mm-per-prompt"),
+            "{warnings:?}"
+        );
+
+        let set = json!({"parameters": "stop \"x\"\nnum_ctx                        8192"});
+        let warnings = told(models("library", None), fine(), set, nothing()).await;
+        assert!(
+            warnings.len() == 1
+                && warnings[0].contains("8192")
+                && warnings[0].contains("OLLAMA_CONTEXT_LENGTH"),
+            "{warnings:?}"
+        );
+        let running = json!({"models": [{"name": "qwen", "context_length": 32_768}]});
+        assert_eq!(
+            told(models("library", None), fine(), nothing(), running).await,
+            Vec::<String>::new()
+        );
+        let warnings =
+            told(models("library", None), fine(), nothing(), json!({"models": []})).await;
+        assert!(warnings.len() == 1 && warnings[0].contains("by default 4096"), "{warnings:?}");
+
+        // Other people's servers are only asked for their list.
+        assert_eq!(
+            told(models("openai", None), refused(), nothing(), nothing()).await,
+            Vec::<String>::new()
+        );
+    }
+}

@@ -1,0 +1,426 @@
+//! Vision-language models behind any OpenAI-compatible chat endpoint, and their answers recorded
+//! for replay.
+
+mod limits;
+mod replay_cache;
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use futures::FutureExt;
+use futures::future::BoxFuture;
+pub use replay_cache::ReplayCache;
+use reqwest::Response;
+use reqwest::header::RETRY_AFTER;
+use reqwest::redirect;
+use serde::Deserialize;
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+use std::time::{Duration, Instant};
+use tokio::sync::Semaphore;
+use tokio::time::sleep;
+use uniground_client::choose_cryptography;
+use uniground_models::chat::{
+    ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, Part, Picture, Prices, Tokens,
+};
+use uniground_models::with_causes;
+use uniground_telemetry::trace_context;
+
+/// Where a model is asked, and what it costs.
+#[derive(Clone)]
+pub struct Endpoint {
+    /// Like `https://host/v1`; `/chat/completions` is added.
+    pub base_url: String,
+    pub model: String,
+    /// Never logged, never recorded.
+    pub api_key: Option<String>,
+    pub prices: Prices,
+    /// Requests under way at once; more wait their turn.
+    pub concurrency: usize,
+}
+
+impl std::fmt::Debug for Endpoint {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Endpoint")
+            .field("base_url", &self.base_url)
+            .field("model", &self.model)
+            .finish_non_exhaustive()
+    }
+}
+
+/// How patiently a model is asked. Defaults are the paper's.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Patience {
+    pub timeout: Duration,
+    pub attempts: u32,
+    /// The wait before the second attempt; it doubles from one to the next.
+    pub backoff: Duration,
+    /// No wait is longer; a server that asks for more is not asked again.
+    pub longest_wait: Duration,
+}
+
+impl Default for Patience {
+    fn default() -> Self {
+        Self {
+            timeout: Duration::from_mins(5),
+            attempts: 5,
+            backoff: Duration::from_secs(1),
+            longest_wait: Duration::from_secs(20),
+        }
+    }
+}
+
+/// A model at an endpoint, and how it is asked.
+pub struct ChatClient {
+    http: reqwest::Client,
+    endpoint: Endpoint,
+    patience: Patience,
+    replay_cache: ReplayCache,
+    turns: Semaphore,
+}
+
+#[derive(Deserialize)]
+struct Completion {
+    choices: Vec<Choice>,
+    usage: Option<Usage>,
+}
+
+#[derive(Deserialize)]
+struct Choice {
+    message: Message,
+}
+
+#[derive(Deserialize)]
+struct Message {
+    content: Option<Content>,
+    /// Why nothing is said, with some servers.
+    refusal: Option<String>,
+}
+
+/// Most servers answer with a text, some with a list of parts.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Content {
+    Text(String),
+    Parts(Vec<ContentPart>),
+}
+
+#[derive(Deserialize)]
+struct ContentPart {
+    #[serde(default)]
+    text: String,
+}
+
+impl Message {
+    fn text(self) -> Option<String> {
+        let said = self.content.map(|content| match content {
+            Content::Text(text) => text,
+            Content::Parts(parts) => parts.into_iter().map(|part| part.text).collect(),
+        });
+        said.filter(|text| !text.is_empty()).or(self.refusal)
+    }
+}
+
+#[derive(Default, Deserialize)]
+struct Usage {
+    prompt_tokens: Option<u64>,
+    completion_tokens: Option<u64>,
+}
+
+/// An attempt that came to nothing.
+struct Attempt {
+    error: ChatError,
+    /// Another may help,
+    again: bool,
+    /// after this time, if the server told.
+    wait: Option<Duration>,
+    /// The model may have been at work for it.
+    may_be_billed: bool,
+}
+
+impl Attempt {
+    fn unread(why: String, again: bool) -> Self {
+        Self { error: ChatError::Undecodable(why), again, wait: None, may_be_billed: true }
+    }
+}
+
+const MAX_REDIRECTS: usize = 3;
+/// Longest the endpoint's server is looked for.
+const LONGEST_LOOK: Duration = Duration::from_secs(5);
+/// Servers count differently, pictures above all; what lies beyond these times what was reckoned is
+/// no count.
+const MOST_PROMPT_TIMES: u64 = 20;
+/// Models think before they speak, and are paid for that.
+const MOST_COMPLETION_TIMES: u64 = 1000;
+/// What is said around the shortest question.
+const FEW_TOKENS: u64 = 1000;
+
+/// A server's count of tokens, where it can be one. Servers that do not count are not free: then it
+/// is what was reckoned.
+fn believed(counted: Option<u64>, reckoned: u64, most_times: u64) -> u64 {
+    let least = reckoned / most_times;
+    let most = reckoned.max(FEW_TOKENS).saturating_mul(most_times);
+    match counted {
+        Some(counted) if counted > 0 && (least..=most).contains(&counted) => counted,
+        Some(counted) => {
+            tracing::warn!(
+                counted,
+                reckoned,
+                "the model's server told a number of tokens that can not be: what was reckoned is taken"
+            );
+            reckoned
+        }
+        None => reckoned,
+    }
+}
+
+impl ChatClient {
+    /// # Errors
+    /// No client can be made: the system's certificates can not be read, say.
+    pub fn new(
+        endpoint: Endpoint,
+        patience: Patience,
+        replay_cache: ReplayCache,
+    ) -> Result<Self, reqwest::Error> {
+        choose_cryptography();
+        let turns = Semaphore::new(endpoint.concurrency.max(1));
+        // Prompts and pictures go where the operator said and nowhere else.
+        let redirect = redirect::Policy::custom(|attempt| {
+            let same_place = attempt
+                .previous()
+                .first()
+                .is_some_and(|first| first.origin() == attempt.url().origin());
+            if same_place && attempt.previous().len() < MAX_REDIRECTS {
+                attempt.follow()
+            } else {
+                attempt.stop()
+            }
+        });
+        let http = reqwest::Client::builder().redirect(redirect).build()?;
+        Ok(Self { http, endpoint, patience, replay_cache, turns })
+    }
+
+    /// Whether the endpoint's server is there: any answer will do, and none costs anything.
+    ///
+    /// # Errors
+    /// Why it can not be reached.
+    pub async fn reach(&self) -> Result<(), reqwest::Error> {
+        let url = format!("{}/models", self.endpoint.base_url.trim_end_matches('/'));
+        let request = self.http.get(url).timeout(LONGEST_LOOK);
+        let request =
+            self.endpoint.api_key.iter().fold(request, reqwest::RequestBuilder::bearer_auth);
+        request.send().await.map(drop).map_err(reqwest::Error::without_url)
+    }
+
+    async fn ask_live(
+        &self,
+        request: &ChatRequest,
+        mut body: Value,
+    ) -> Result<ChatReply, ChatFailure> {
+        let start = Instant::now();
+        let (mut attempts, mut lost) = (0, 0);
+        loop {
+            attempts += 1;
+            let Attempt { error, again, wait, may_be_billed } = match self.send(&body).await {
+                Ok(Completion { choices, usage }) => {
+                    let latency_ms = start.elapsed().as_secs_f64() * 1e3;
+                    // Nothing said is a reply as well, if one that says nothing.
+                    let text = choices
+                        .into_iter()
+                        .next()
+                        .and_then(|choice| choice.message.text())
+                        .unwrap_or_default();
+                    let Usage { prompt_tokens, completion_tokens } = usage.unwrap_or_default();
+                    let prompt_tokens =
+                        believed(prompt_tokens, Tokens::of(request).total(), MOST_PROMPT_TIMES);
+                    let completion_tokens =
+                        believed(completion_tokens, Tokens::of_text(&text), MOST_COMPLETION_TIMES);
+                    return Ok(ChatReply {
+                        text,
+                        prompt_tokens,
+                        completion_tokens,
+                        attempts,
+                        lost,
+                        latency_ms,
+                    });
+                }
+                Err(attempt) => attempt,
+            };
+            lost += u32::from(may_be_billed);
+            // A server that knows no schemas is asked without one.
+            let refuses_schema =
+                matches!(&error, ChatError::Refused { status: 400 | 404 | 422 | 501, .. });
+            if refuses_schema && body.get("response_format").is_some() {
+                body = self.body(request, false);
+                continue;
+            }
+            // A server that wants hours will not answer this question.
+            let too_long = wait.is_some_and(|wait| wait > self.patience.longest_wait);
+            if !again || too_long || attempts >= self.patience.attempts {
+                return Err(ChatFailure {
+                    error,
+                    attempts,
+                    lost,
+                    latency_ms: start.elapsed().as_secs_f64() * 1e3,
+                });
+            }
+            // Jitter from the clock spreads callers that failed together; nothing that is kept
+            // depends on it.
+            let jitter = f64::from(start.elapsed().subsec_nanos() % 1000) / 1000.0;
+            let backoff = self
+                .patience
+                .backoff
+                .mul_f64(f64::from(1_u32 << (attempts - 1).min(16)) * (1.0 + 0.25 * jitter));
+            sleep(wait.unwrap_or(backoff).min(self.patience.longest_wait)).await;
+        }
+    }
+
+    async fn send(&self, body: &Value) -> Result<Completion, Attempt> {
+        let url = format!("{}/chat/completions", self.endpoint.base_url.trim_end_matches('/'));
+        let mut request = self
+            .http
+            .post(url)
+            .headers(trace_context::handed_on())
+            .timeout(self.patience.timeout)
+            .json(body);
+        if let Some(key) = &self.endpoint.api_key {
+            request = request.bearer_auth(key);
+        }
+        // A connection that was never made has sent nothing.
+        let transport = |error: reqwest::Error| {
+            let may_be_billed = !error.is_connect() && !error.is_builder();
+            Attempt {
+                error: ChatError::Transport(with_causes(&error.without_url())),
+                again: true,
+                wait: None,
+                may_be_billed,
+            }
+        };
+        let _turn = self.turns.acquire().await;
+        let response = request.send().await.map_err(transport)?;
+        let (status, wait) = (response.status(), retry_after(&response));
+        let text = bounded(response).await.map_err(transport)?.ok_or_else(|| {
+            Attempt::unread(format!("it is longer than {MAX_REPLY_BYTES} bytes"), false)
+        })?;
+        if !status.is_success() {
+            let again = matches!(status.as_u16(), 408 | 409 | 429) || status.is_server_error();
+            let error = ChatError::Refused {
+                status: status.as_u16(),
+                reason: status.canonical_reason().unwrap_or("of its own"),
+                detail: detail(&self.without_key(&text)),
+            };
+            // Behind an error of the server's own the model may have been at work.
+            return Err(Attempt {
+                error,
+                again,
+                wait,
+                may_be_billed: status.is_server_error() || status.as_u16() == 408,
+            });
+        }
+        let completion: Completion = serde_json::from_str(&text)
+            .map_err(|error| Attempt::unread(error.to_string(), true))?;
+        if completion.choices.is_empty() {
+            Err(Attempt::unread("there is no choice".into(), true))
+        } else {
+            Ok(completion)
+        }
+    }
+
+    /// Some servers repeat the key they were shown.
+    fn without_key(&self, text: &str) -> String {
+        match &self.endpoint.api_key {
+            Some(key) if !key.is_empty() => text.replace(key.as_str(), "<key>"),
+            _ => text.to_owned(),
+        }
+    }
+
+    fn body(&self, request: &ChatRequest, with_schema: bool) -> Value {
+        let part = |part: &Part| match part {
+            Part::Text(text) => json!({"type": "text", "text": text}),
+            Part::Picture(Picture { jpeg, .. }) => {
+                json!({"type": "image_url", "image_url": {"url": format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg))}})
+            }
+        };
+        let user = match request.user.as_slice() {
+            [Part::Text(text)] => json!(text),
+            parts => parts.iter().map(part).collect(),
+        };
+        let mut body = json!({
+            "model": self.endpoint.model,
+            "messages": [{"role": "system", "content": request.system}, {"role": "user", "content": user}],
+        });
+        if let Some((name, schema)) = request.schema.as_ref().filter(|_| with_schema) {
+            body["response_format"] =
+                json!({"type": "json_schema", "json_schema": {"name": name, "schema": schema}});
+        }
+        body
+    }
+}
+
+impl ChatModel for ChatClient {
+    fn name(&self) -> &str {
+        &self.endpoint.model
+    }
+
+    fn prices(&self) -> Prices {
+        self.endpoint.prices
+    }
+
+    /// From the replay cache where it has the answer.
+    fn ask<'a>(
+        &'a self,
+        request: &'a ChatRequest,
+    ) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
+        async move {
+            let never_asked = |error| ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 };
+            let body = self.body(request, request.schema.is_some());
+            if self.replay_cache.is_off() {
+                return self.ask_live(request, body).await;
+            }
+            let key: String =
+                Sha256::digest(body.to_string()).iter().map(|byte| format!("{byte:02x}")).collect();
+            if let Some(reply) = self.replay_cache.reply(&key) {
+                return Ok(reply);
+            }
+            if self.replay_cache.is_replay() {
+                return Err(never_asked(ChatError::NotRecorded(self.endpoint.model.clone())));
+            }
+            let reply = self.ask_live(request, body).await?;
+            self.replay_cache
+                .record_reply(&key, &self.endpoint.model, &reply)
+                .map_err(|error| never_asked(error.into()))?;
+            Ok(reply)
+        }
+        .boxed()
+    }
+}
+
+/// A reply that is longer is none.
+const MAX_REPLY_BYTES: usize = 8 << 20;
+
+/// The body as text, `None` when it does not end.
+async fn bounded(mut response: Response) -> Result<Option<String>, reqwest::Error> {
+    let mut bytes = Vec::new();
+    while let Some(chunk) = response.chunk().await? {
+        bytes.extend_from_slice(&chunk);
+        if bytes.len() > MAX_REPLY_BYTES {
+            return Ok(None);
+        }
+    }
+    Ok(Some(String::from_utf8_lossy(&bytes).into_owned()))
+}
+
+/// What a server asks to wait, in seconds; dates are not understood.
+fn retry_after(response: &Response) -> Option<Duration> {
+    response.headers().get(RETRY_AFTER)?.to_str().ok()?.trim().parse().ok().map(Duration::from_secs)
+}
+
+/// The reason within an error body, short.
+fn detail(body: &str) -> String {
+    const MAX_CHARS: usize = 300;
+    let parsed: Option<Value> = serde_json::from_str(body).ok();
+    let message = parsed.as_ref().and_then(|v| {
+        v.pointer("/error/message").or_else(|| v.get("message")).or_else(|| v.get("detail"))
+    });
+    let text = message.and_then(Value::as_str).unwrap_or(body);
+    text.chars().take(MAX_CHARS).collect()
+}

@@ -1,0 +1,409 @@
+//! Networks behind a server of the `KServe` v2 protocol (Triton, `MLServer`, `OpenVINO` Model
+//! Server, `KServe`).
+//!
+//! Tensors travel as raw bytes after a JSON header, as the protocol's binary extension has it; as
+//! JSON where a server does not know it.
+
+use reqwest::StatusCode;
+use reqwest::blocking::{Client, RequestBuilder, Response};
+use reqwest::header::{CONTENT_TYPE, RETRY_AFTER};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use std::io::Read;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::sleep;
+use std::time::Duration;
+use uniground_client::choose_cryptography;
+use uniground_models::neural::bundle::Bundle;
+use uniground_models::neural::network::{
+    Element, Input, Network, Port, Signature, Tensor, Values, finite,
+};
+use uniground_models::neural::{Engine, ModelError, Work};
+use uniground_models::with_causes;
+
+const HEADER_LENGTH: &str = "Inference-Header-Content-Length";
+const ATTEMPTS: u32 = 4;
+const FIRST_WAIT: Duration = Duration::from_millis(250);
+const LONGEST_WAIT: Duration = Duration::from_secs(10);
+/// More than this is no answer of ours.
+const MAX_ANSWER_BYTES: u64 = 1 << 30;
+
+/// A server, and how long it may take.
+#[derive(Debug, Clone)]
+pub struct RemoteServer {
+    address: String,
+    client: Client,
+}
+
+#[derive(Debug, Deserialize)]
+struct Metadata {
+    #[serde(default)]
+    versions: Option<Vec<String>>,
+    #[serde(default)]
+    platform: String,
+    #[serde(default)]
+    inputs: Vec<PortMetadata>,
+    #[serde(default)]
+    outputs: Vec<PortMetadata>,
+}
+
+#[derive(Debug, Deserialize)]
+struct PortMetadata {
+    name: String,
+    datatype: String,
+    shape: Vec<i64>,
+}
+
+impl PortMetadata {
+    fn port(self) -> Port {
+        let Self { name, datatype, shape } = self;
+        let element = match datatype.as_str() {
+            "FP32" => Element::F32,
+            "INT64" => Element::I64,
+            _ => Element::Other,
+        };
+        Port { name, element, shape }
+    }
+}
+
+impl RemoteServer {
+    /// A server by its address, like `http://host:8000`; every call may take `timeout`. Call outside of asynchronous code.
+    ///
+    /// # Errors
+    /// [`ModelError::Remote`] when no client can be made.
+    pub fn new(address: &str, timeout: Duration) -> Result<Self, ModelError> {
+        choose_cryptography();
+        let address = address.trim_end_matches('/').to_owned();
+        let client =
+            Client::builder().timeout(timeout).connect_timeout(timeout.min(LONGEST_WAIT)).build();
+        let client = client
+            .map_err(|e| ModelError::Remote { network: address.clone(), why: with_causes(&e) })?;
+        Ok(Self { address, client })
+    }
+
+    /// Asks what a model is.
+    ///
+    /// # Errors
+    /// [`ModelError::Remote`]: unreachable, unknown there, or an answer that is none.
+    fn network(&self, name: &str) -> Result<RemoteNetwork, ModelError> {
+        let url = format!("{}/v2/models/{name}", self.address);
+        let wrong = |why: String| ModelError::Remote { network: name.to_owned(), why };
+        let answer = patiently(|| self.client.get(&url)).map_err(&wrong)?;
+        let text = bounded(answer).map_err(&wrong)?;
+        let Metadata { versions, platform, inputs, outputs } = serde_json::from_slice(&text)
+            .map_err(|e| wrong(format!("{url} is no description of a model: {e}")))?;
+        let ports =
+            |described: Vec<PortMetadata>| described.into_iter().map(PortMetadata::port).collect();
+        Ok(RemoteNetwork {
+            identity: format!("{name} {platform} {}", versions.unwrap_or_default().join(",")),
+            url: format!("{url}/infer"),
+            name: name.to_owned(),
+            client: self.client.clone(),
+            signature: Signature { inputs: ports(inputs), outputs: ports(outputs) },
+            plain: AtomicBool::new(false),
+        })
+    }
+}
+
+impl Engine for RemoteServer {
+    fn open(
+        &self,
+        bundle: &Bundle,
+        file: &str,
+        _at_once: usize,
+        _work: Work,
+    ) -> Result<Box<dyn Network>, ModelError> {
+        Ok(Box::new(self.network(&network_name(bundle, file))?))
+    }
+
+    fn fingerprint(&self, bundle: &Bundle) -> Result<String, ModelError> {
+        let (networks, _) = bundle.files();
+        let identities = networks
+            .into_iter()
+            .map(|file| Ok(self.network(&network_name(bundle, file))?.identity))
+            .collect::<Result<Vec<_>, ModelError>>()?;
+        bundle.fingerprint(false, &identities)
+    }
+
+    fn runs_on(&self) -> String {
+        self.address.clone()
+    }
+
+    fn library(&self) -> Option<String> {
+        None
+    }
+}
+
+/// What a bundle's network is called at an inference server: the bundle's name and the file's,
+/// without its extension.
+fn network_name(bundle: &Bundle, file: &str) -> String {
+    format!("{}-{}", bundle.name(), file.split('.').next().unwrap_or(file))
+}
+
+struct RemoteNetwork {
+    name: String,
+    url: String,
+    client: Client,
+    signature: Signature,
+    /// The server does not take raw bytes.
+    plain: AtomicBool,
+    /// Name, platform and versions, as the server tells them.
+    identity: String,
+}
+
+#[derive(Serialize)]
+struct Header<'a> {
+    /// Optional in the protocol; some servers fail without.
+    id: &'a str,
+    inputs: Vec<Value>,
+    outputs: Vec<Wanted<'a>>,
+}
+
+#[derive(Serialize)]
+struct Wanted<'a> {
+    name: &'a str,
+    parameters: Value,
+}
+
+#[derive(Deserialize)]
+struct Answer {
+    outputs: Vec<AnswerTensor>,
+}
+
+#[derive(Deserialize)]
+struct AnswerTensor {
+    name: String,
+    datatype: String,
+    shape: Vec<usize>,
+    #[serde(default)]
+    data: Option<Value>,
+    #[serde(default)]
+    parameters: Option<AnswerParameters>,
+}
+
+#[derive(Deserialize)]
+struct AnswerParameters {
+    binary_data_size: Option<usize>,
+}
+
+impl Network for RemoteNetwork {
+    fn signature(&self) -> &Signature {
+        &self.signature
+    }
+
+    fn run(&self, inputs: &[Input], outputs: &[&str]) -> Result<Vec<Tensor>, ModelError> {
+        let wrong = |why: String| ModelError::Remote { network: self.name.clone(), why };
+        let answer = self.asked(inputs, outputs).map_err(&wrong)?;
+        let made = read_answer(answer, outputs).map_err(&wrong)?;
+        for (tensor, name) in made.iter().zip(outputs) {
+            finite(&self.name, name, &tensor.values)?;
+        }
+        Ok(made)
+    }
+}
+
+impl RemoteNetwork {
+    /// The answer, by raw bytes unless the server has shown that it does not read them.
+    fn asked(&self, inputs: &[Input], outputs: &[&str]) -> Result<Response, String> {
+        if !self.plain.load(Ordering::Relaxed) {
+            let (header, body) = binary_request(inputs, outputs);
+            let request = || {
+                let post = self.client.post(&self.url).header(HEADER_LENGTH, header);
+                post.header(CONTENT_TYPE, "application/octet-stream").body(body.clone())
+            };
+            match patiently(request) {
+                Ok(answer) => return Ok(answer),
+                Err(why) if !why.starts_with(REFUSED) => return Err(why),
+                Err(_) => {}
+            }
+        }
+        let body = plain_request(inputs, outputs);
+        let answer = patiently(|| {
+            self.client.post(&self.url).header(CONTENT_TYPE, "application/json").body(body.clone())
+        })?;
+        self.plain.store(true, Ordering::Relaxed);
+        Ok(answer)
+    }
+}
+
+fn datatype(values: Values) -> &'static str {
+    match values {
+        Values::F32(_) => "FP32",
+        Values::I64(_) => "INT64",
+    }
+}
+
+/// Length of the JSON header, and header and tensors.
+fn binary_request(inputs: &[Input], outputs: &[&str]) -> (usize, Vec<u8>) {
+    let bytes_of = |values: Values| match values {
+        Values::F32(values) => values.len() * 4,
+        Values::I64(values) => values.len() * 8,
+    };
+    let described = |i: &Input| json!({"name": i.name, "shape": i.shape, "datatype": datatype(i.values), "parameters": {"binary_data_size": bytes_of(i.values)}});
+    let header = Header {
+        id: "uniground",
+        inputs: inputs.iter().map(described).collect(),
+        outputs: outputs
+            .iter()
+            .map(|name| Wanted { name, parameters: json!({"binary_data": true}) })
+            .collect(),
+    };
+    let mut body = json!(header).to_string().into_bytes();
+    let length = body.len();
+    for input in inputs {
+        match input.values {
+            Values::F32(values) => body.extend(values.iter().flat_map(|v| v.to_le_bytes())),
+            Values::I64(values) => body.extend(values.iter().flat_map(|v| v.to_le_bytes())),
+        }
+    }
+    (length, body)
+}
+
+fn plain_request(inputs: &[Input], outputs: &[&str]) -> Vec<u8> {
+    let described = |i: &Input| {
+        let data = match i.values {
+            Values::F32(values) => json!(values),
+            Values::I64(values) => json!(values),
+        };
+        json!({"name": i.name, "shape": i.shape, "datatype": datatype(i.values), "data": data})
+    };
+    let header = Header {
+        id: "uniground",
+        inputs: inputs.iter().map(described).collect(),
+        outputs: outputs
+            .iter()
+            .map(|name| Wanted { name, parameters: json!({"binary_data": false}) })
+            .collect(),
+    };
+    json!(header).to_string().into_bytes()
+}
+
+/// The wanted tensors, in order, whichever way they travelled.
+fn read_answer(answer: Response, outputs: &[&str]) -> Result<Vec<Tensor>, String> {
+    let header_length = answer
+        .headers()
+        .get(HEADER_LENGTH)
+        .and_then(|v| v.to_str().ok())
+        .and_then(|v| v.parse::<usize>().ok());
+    let body = bounded(answer)?;
+    let (header, mut raw) = match header_length {
+        Some(length) if length <= body.len() => body.split_at(length),
+        Some(_) => return Err("the answer is shorter than its header says".into()),
+        None => (&body[..], &[][..]),
+    };
+    let Answer { outputs: tensors } =
+        serde_json::from_slice(header).map_err(|e| format!("the answer is none: {e}"))?;
+    let mut read = Vec::with_capacity(tensors.len());
+    for AnswerTensor { name, datatype, shape, data, parameters } in tensors {
+        let count = shape
+            .iter()
+            .try_fold(1_usize, |product, d| product.checked_mul(*d))
+            .ok_or_else(|| format!("{name}: {shape:?}"))?;
+        let size = parameters.and_then(|p| p.binary_data_size);
+        let bytes = size
+            .map(|size| {
+                raw.split_at_checked(size).ok_or_else(|| format!("{name}: the answer ends early"))
+            })
+            .transpose()?;
+        if let Some((_, rest)) = bytes {
+            raw = rest;
+        }
+        if !outputs.contains(&name.as_str()) {
+            continue;
+        }
+        if datatype != "FP32" {
+            return Err(format!("{name} is {datatype}, expected FP32"));
+        }
+        let values: Vec<f32> = match (bytes, data) {
+            (Some((bytes, _)), _) => {
+                bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
+            }
+            (None, Some(data)) => {
+                flattened(&data).ok_or_else(|| format!("{name}: values that are no numbers"))?
+            }
+            (None, None) => return Err(format!("{name} has no values")),
+        };
+        if values.len() != count {
+            return Err(format!("{name}: {} values for the shape {shape:?}", values.len()));
+        }
+        read.push((name, Tensor { shape, values }));
+    }
+    outputs
+        .iter()
+        .map(|wanted| {
+            let at = read
+                .iter()
+                .position(|(name, _)| name == wanted)
+                .ok_or_else(|| format!("{wanted} is missing in the answer"))?;
+            Ok(read.swap_remove(at).1)
+        })
+        .collect()
+}
+
+/// Numbers of a JSON list, nested or flat.
+fn flattened(data: &Value) -> Option<Vec<f32>> {
+    fn collect(value: &Value, values: &mut Vec<f32>) -> bool {
+        match value {
+            Value::Array(inner) => inner.iter().all(|v| collect(v, values)),
+            Value::Number(number) => number.as_f64().is_some_and(|v| {
+                values.push(v as f32);
+                true
+            }),
+            _ => false,
+        }
+    }
+    let mut values = Vec::new();
+    collect(data, &mut values).then_some(values)
+}
+
+/// How refusals begin: the server is there and does not want this request.
+const REFUSED: &str = "refused";
+
+/// Asks until there is an answer, a refusal, or no patience left.
+fn patiently(request: impl Fn() -> RequestBuilder) -> Result<Response, String> {
+    let mut wait = FIRST_WAIT;
+    let mut attempt = 1;
+    loop {
+        let (why, told) = match request().send() {
+            Ok(answer) if answer.status().is_success() => return Ok(answer),
+            Ok(answer) => {
+                let status = answer.status();
+                let told = answer
+                    .headers()
+                    .get(RETRY_AFTER)
+                    .and_then(|v| v.to_str().ok()?.parse().ok())
+                    .map(Duration::from_secs);
+                let text = bounded(answer).unwrap_or_default();
+                let why = format!(
+                    "{status}: {}",
+                    String::from_utf8_lossy(&text).chars().take(200).collect::<String>()
+                );
+                if !comes_back(status) {
+                    return Err(format!("{REFUSED} with {why}"));
+                }
+                (why, told)
+            }
+            Err(error) => (with_causes(&error), None),
+        };
+        if attempt == ATTEMPTS {
+            return Err(format!("{why} ({ATTEMPTS} attempts)"));
+        }
+        sleep(told.unwrap_or(wait).min(LONGEST_WAIT));
+        wait *= 2;
+        attempt += 1;
+    }
+}
+
+fn comes_back(status: StatusCode) -> bool {
+    matches!(status.as_u16(), 408 | 425 | 429 | 502 | 503 | 504)
+}
+
+fn bounded(answer: Response) -> Result<Vec<u8>, String> {
+    let mut body = Vec::new();
+    let read = answer.take(MAX_ANSWER_BYTES + 1).read_to_end(&mut body);
+    read.map_err(|e| with_causes(&e))?;
+    if body.len() as u64 > MAX_ANSWER_BYTES {
+        return Err("the answer does not end".into());
+    }
+    Ok(body)
+}

@@ -1,0 +1,287 @@
+//! Annotated rooms: an archive `<room>.zip`, its objects in `<room>.scene.json` and, where given,
+//! the object of each point of its cloud in `<room>.cloud_instance.npy`.
+
+use super::annotations::{Annotations, SceneObject};
+use super::segmentation::AnnotatedObject;
+use anyhow::{Context, ensure};
+use camino::Utf8Path;
+use nalgebra::UnitQuaternion;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::progress::Progress;
+use uniground_geometry::scene::{Frame, PointCloud, SceneBundle, Structure};
+use uniground_geometry::voxels::{VoxelKey, VoxelMap};
+use uniground_geometry::{Point3, Vector3};
+use uniground_ingest;
+use uniground_ingest::archive::{ArchiveKind, UnpackLimits, unpack};
+use uniground_parsing::ParseError;
+use uniground_parsing::masks::{IdImage, MaskSource};
+use uniground_types::settings::{ImportSettings, LevellingChoice};
+
+/// An annotated room, loaded.
+#[derive(Clone)]
+pub struct AnnotatedRoom {
+    pub bundle: SceneBundle,
+    /// Annotated id of each point of the bundle's cloud; 0 = none.
+    pub truth: Vec<u32>,
+    annotations: Arc<Annotations>,
+    /// How the world was turned about Z since the annotations were made, degrees.
+    turned_deg: f32,
+}
+
+impl AnnotatedRoom {
+    /// Loads `<name>.zip` and its annotations from `folder`; the archive is unpacked into
+    /// `scratch`, which must outlive the room.
+    ///
+    /// # Errors
+    /// Unreadable or malformed files, named.
+    pub fn load(folder: &Utf8Path, name: &str, scratch: &Utf8Path) -> anyhow::Result<Self> {
+        let file = Annotations::file_of(folder, name)
+            .with_context(|| format!("{folder}: no annotations of {name}"))?;
+        let (annotations, omissions) = Annotations::read(&file);
+        ensure!(
+            omissions.is_empty(),
+            "{}",
+            omissions.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
+        );
+        unpack(
+            &folder.join(format!("{name}.zip")),
+            ArchiveKind::Zip,
+            scratch,
+            &UnpackLimits::default(),
+        )?;
+        let bundle = uniground_ingest::load(
+            &uniground_ingest::open(scratch)?,
+            &ImportSettings { levelling: LevellingChoice::Off, ..ImportSettings::default() },
+            &Progress::silent(),
+        )?;
+        let truth =
+            annotations.label(&bundle.cloud).into_iter().map(Option::unwrap_or_default).collect();
+        Ok(Self { bundle, truth, annotations: Arc::new(annotations), turned_deg: 0.0 })
+    }
+
+    /// Movable things with at least `min_points` annotated points. In a turned world their boxes
+    /// are those of their points.
+    #[must_use]
+    pub fn objects(&self, min_points: u32) -> Vec<AnnotatedObject> {
+        let objects = self.annotations.objects(min_points);
+        if self.turned_deg == 0.0 {
+            return objects;
+        }
+        let around = |id: u32| {
+            Aabb::around(
+                self.bundle
+                    .cloud
+                    .positions
+                    .iter()
+                    .zip(&self.truth)
+                    .filter(|(_, t)| **t == id)
+                    .map(|(p, _)| p),
+            )
+        };
+        objects
+            .into_iter()
+            .filter_map(|o| Some(AnnotatedObject { aabb: around(o.id)?, ..o }))
+            .collect()
+    }
+
+    /// Annotated ids that are floor, wall or ceiling.
+    #[must_use]
+    pub fn structures(&self) -> BTreeMap<u32, Structure> {
+        self.annotations.objects.iter().filter_map(|o| Some((o.id, o.structure()?))).collect()
+    }
+
+    /// The annotations as a source of 2D masks, for the world as it was annotated: not after
+    /// [`turned`](Self::turned).
+    #[must_use]
+    pub fn masks(&self) -> AnnotatedMasks {
+        self.annotations.masks(&self.bundle.cloud)
+    }
+
+    /// The same room in a world turned about Z.
+    #[must_use]
+    pub fn turned(&self, deg: f32) -> Self {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), deg.to_radians());
+        let mut room = self.clone();
+        room.bundle.cloud.positions.iter_mut().for_each(|p| *p = turn * *p);
+        room.bundle.frames.iter_mut().for_each(|f| f.camera_to_world = turn * f.camera_to_world);
+        room.turned_deg += deg;
+        room
+    }
+
+    /// The same room with the points of its cloud in another order.
+    #[must_use]
+    pub fn shuffled(&self) -> Self {
+        let mut order: Vec<usize> = (0..self.truth.len()).collect();
+        // Any fixed order will do: by a hash of the index.
+        order.sort_by_key(|&i| (i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+        let mut room = self.clone();
+        let cloud = &self.bundle.cloud;
+        room.bundle.cloud.positions = order.iter().map(|&i| cloud.positions[i]).collect();
+        room.bundle.cloud.colours = order.iter().map(|&i| cloud.colours[i]).collect();
+        room.truth = order.iter().map(|&i| self.truth[i]).collect();
+        room
+    }
+}
+
+impl Annotations {
+    fn objects(&self, min_points: u32) -> Vec<AnnotatedObject> {
+        let movable =
+            self.objects.iter().filter(|o| o.structure().is_none() && o.cloud_points >= min_points);
+        movable
+            .map(|o| AnnotatedObject {
+                id: o.id,
+                name: o.name.clone(),
+                aabb: o.aabb,
+                points: o.cloud_points,
+            })
+            .collect()
+    }
+
+    /// The annotated id of each point of a cloud, where it has one: as annotated when it is the
+    /// room's own, else by the annotated boxes. Data sets have objects of number 0.
+    pub(super) fn label(&self, cloud: &PointCloud) -> Vec<Option<u32>> {
+        match &self.of_point {
+            Some(of_point) if of_point.len() == cloud.len() => {
+                of_point.iter().map(|&id| (id != 0).then_some(id)).collect()
+            }
+            _ => cloud.positions.iter().map(|p| self.at(p, 0.02)).collect(),
+        }
+    }
+
+    /// The object at a place that was measured with an error of about `noise_m`; `None` when no box
+    /// is near.
+    ///
+    /// Of all boxes that hold the place the smallest wins: a cup in a shelf is no shelf. What lies
+    /// on a floor or wall belongs to it, unless the box is a flat one that lies there too
+    /// (rugs, pictures) or is let into it (windows, doors).
+    fn at(&self, p: &Point3<f32>, noise_m: f32) -> Option<u32> {
+        let holding = |slack: f32| self.objects.iter().filter(move |o| o.distance(p) <= slack);
+        let smallest = holding(noise_m).min_by(|a, b| a.volume().total_cmp(&b.volume()));
+        let structural = holding(noise_m).find(|o| o.structure().is_some());
+        match (smallest, structural) {
+            (Some(object), Some(structure)) => {
+                Some(if object.is_part_of(structure) { object.id } else { structure.id })
+            }
+            (Some(object), None) => Some(object.id),
+            (None, _) => None,
+        }
+    }
+
+    fn masks(&self, cloud: &PointCloud) -> AnnotatedMasks {
+        let mut near: VoxelMap<Vec<LabelledPoint>> = VoxelMap::default();
+        if let Some(of_point) = self.of_point.as_ref().filter(|ids| ids.len() == cloud.len()) {
+            for (p, &id) in cloud.positions.iter().zip(of_point) {
+                near.entry(VoxelKey::of(p, NEAR_M)).or_default().push((*p, id));
+            }
+        }
+        AnnotatedMasks { annotations: Arc::new(self.clone()), near: Arc::new(near) }
+    }
+}
+
+impl SceneObject {
+    fn size(&self) -> Vector3<f32> {
+        self.rotated_box().size
+    }
+
+    fn volume(&self) -> f32 {
+        self.size().product()
+    }
+
+    /// Whether this lies flat on a slab of the building, or is let into it.
+    fn is_part_of(&self, slab: &Self) -> bool {
+        const FLAT_M: f32 = 0.1;
+        const LET_IN_M: f32 = 0.02;
+        let normal = slab.size().imin();
+        self.aabb.size[normal] < FLAT_M || -self.aabb.gap_per_axis(&slab.aabb)[normal] >= LET_IN_M
+    }
+
+    /// Distance of a point to the (oriented) box, metres; 0 inside.
+    fn distance(&self, p: &Point3<f32>) -> f32 {
+        let own = self.rotated_box();
+        let turned = own.rotation.inverse() * (p - own.center);
+        (turned.abs() - self.size() / 2.0).map(|v| v.max(0.0)).norm()
+    }
+}
+
+/// A point and the object it belongs to.
+type LabelledPoint = (Point3<f32>, u32);
+
+/// Points this near lend their annotation to a pixel, metres.
+const NEAR_M: f32 = 0.03;
+
+/// Annotated 2D masks: each depth pixel takes the object of the nearest annotated point, or of the
+/// boxes where only those are known. Isolates grouping and boxes from masks.
+#[derive(Clone)]
+pub struct AnnotatedMasks {
+    annotations: Arc<Annotations>,
+    near: Arc<VoxelMap<Vec<LabelledPoint>>>,
+}
+
+impl AnnotatedMasks {
+    fn at(&self, p: &Point3<f32>, z_m: f32) -> u32 {
+        if self.near.is_empty() {
+            return self.annotations.at(p, 0.01 + 0.003 * z_m * z_m).unwrap_or_default();
+        }
+        let center = VoxelKey::of(p, NEAR_M);
+        let mut best = (NEAR_M * NEAR_M, 0);
+        for d in 0..27 {
+            let key = center.offset([d / 9 - 1, d / 3 % 3 - 1, d % 3 - 1]);
+            for (q, id) in self.near.get(&key).into_iter().flatten() {
+                let distance = (q - p).norm_squared();
+                if distance < best.0 {
+                    best = (distance, *id);
+                }
+            }
+        }
+        best.1
+    }
+}
+
+impl MaskSource for AnnotatedMasks {
+    fn name(&self) -> &'static str {
+        "annotated"
+    }
+
+    fn masks(&self, frame: &Frame, _progress: &Progress) -> Result<Vec<IdImage>, ParseError> {
+        let (width, height) = (frame.depth.width, frame.depth.height);
+        let camera_to_world = frame.depth_camera.world_to_camera().inverse();
+        let intrinsics = frame.depth_camera.intrinsics;
+        let at = |u: u32, v: u32| match frame.depth.at((u, v)) {
+            0.0 => 0,
+            z_m => self.at(&(camera_to_world * intrinsics.unproject(u as f32, v as f32, z_m)), z_m)
+                as u16,
+        };
+        let ids = (0..height)
+            .flat_map(|v| (0..width).map(move |u| (u, v)))
+            .map(|(u, v)| at(u, v))
+            .collect();
+        Ok(vec![IdImage { width, height, ids }])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// `ScanNet` counts from 0: what belongs to nothing is not its object 0.
+    #[test]
+    fn a_point_of_no_object_is_not_of_object_zero() {
+        let boxes = [-1.0, 1.0].map(|x| {
+            (
+                "box".to_owned(),
+                Aabb { center: Point3::new(x, 0.0, 0.0), size: Vector3::new(1.0, 1.0, 1.0) },
+            )
+        });
+        let mut annotations = Annotations::named(&boxes);
+        annotations.objects.iter_mut().for_each(|object| object.id -= 1);
+        let positions = vec![
+            Point3::new(-1.0, 0.0, 0.0),
+            Point3::new(1.0, 0.0, 0.0),
+            Point3::new(9.0, 0.0, 0.0),
+        ];
+        let cloud = PointCloud { colours: vec![[0; 3]; 3], positions };
+        assert_eq!(annotations.label(&cloud), [Some(0), Some(1), None]);
+    }
+}

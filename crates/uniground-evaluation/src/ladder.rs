@@ -1,0 +1,326 @@
+//! A ladder of losses: what of each annotated object is still recoverable after each step of stage
+//! 1. The largest step down is where work pays first.
+//!
+//! The rungs down to the lifted masks look at the annotations to choose the best that the step
+//! before has left: they are ceilings, not figures of the service.
+
+use super::annotated::{AnnotatedMasks, AnnotatedRoom};
+use super::segmentation::{AnnotatedObject, InstanceScore, recall, score_instances};
+use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
+use uniground_geometry::progress::Progress;
+use uniground_geometry::scene::{Frame, FrameIndex, InstanceId};
+use uniground_parsing::checkpoints::Checkpoints;
+use uniground_parsing::labels::Labels;
+use uniground_parsing::lifting::{FrameVisibility, Lifted, Lifting};
+use uniground_parsing::masks::{IdImage, MaskSource};
+use uniground_parsing::relief::Flats;
+use uniground_parsing::superpoints::{self, Superpoints};
+use uniground_parsing::views::{Labelled, Sighted};
+use uniground_parsing::visibility::Visibility;
+use uniground_parsing::{
+    ParseError, ParsingSettings, frame_sampling, hierarchy, instances, merging, part_merging,
+    planes, refinement, standing, views,
+};
+
+/// What one step leaves of each object.
+pub struct Rung {
+    pub step: String,
+    /// Superpoints, masks, regions or instances there are.
+    pub pieces: usize,
+    /// Best IoU of boxes per object; empty where pieces have none.
+    pub box_iou: Vec<f32>,
+    /// Best IoU of point sets, or of pixels, per object.
+    pub point_iou: Vec<f32>,
+}
+
+impl Rung {
+    /// Share of objects recoverable at each of
+    /// [`IOU_THRESHOLDS`](super::segmentation::IOU_THRESHOLDS), by boxes and by points.
+    #[must_use]
+    pub fn recall(&self) -> ([f32; 2], [f32; 2]) {
+        (recall(&self.box_iou), recall(&self.point_iou))
+    }
+}
+
+/// Climbs down from the cloud to the boxes, with one source of masks.
+///
+/// # Errors
+/// [`ParseError`] when a frame can not be read or a model fails.
+pub fn climb(
+    room: &AnnotatedRoom,
+    masks: &dyn MaskSource,
+    settings: &ParsingSettings,
+    min_points: u32,
+) -> Result<Vec<Rung>, ParseError> {
+    let quiet = Progress::silent();
+    let cloud = &room.bundle.cloud;
+    let objects = room.objects(min_points);
+    let superpoints = superpoints::compute(cloud, &settings.superpoints, &quiet)?;
+    let frames = frame_sampling::sample(&room.bundle.frames, &settings.frame_sampling);
+    let cameras: Vec<_> =
+        frames.iter().map(|f| f.camera_to_world.translation.vector.into()).collect();
+    let planes = planes::find(cloud, &superpoints, &cameras, &quiet)?;
+    // Without sightings nothing is dropped.
+    let score_points = |region_of: &[u32]| -> Result<InstanceScore, ParseError> {
+        let labels = Labels::of_regions(region_of, &superpoints, Vec::new());
+        let built = instances::build(
+            cloud,
+            &superpoints,
+            &planes,
+            labels,
+            Sighted::default(),
+            &settings.instances,
+            &quiet,
+        )?;
+        Ok(score_instances(&built.instances, &built.labels.thing_of_point, &objects, &room.truth))
+    };
+    let score = |region_of: &[u32]| score_points(&superpoints.spread(region_of));
+    let mut rungs = Vec::new();
+    let mut push = |step: &str, pieces: usize, score: InstanceScore| {
+        rungs.push(Rung {
+            step: step.to_owned(),
+            pieces,
+            box_iou: score.box_iou,
+            point_iou: score.point_iou,
+        });
+    };
+
+    push("cloud", cloud.len(), score_points(&room.truth)?);
+    push("superpoints", superpoints.patches.len(), score(&majorities(&superpoints, &room.truth))?);
+
+    let judged = Judged { masks, truth: room.masks(), best: Mutex::default() };
+    let visibility = Visibility::new(cloud, &superpoints.of_point, settings.depth_tolerance);
+    let lifting = Lifting {
+        visibility: &visibility,
+        superpoint_of_point: &superpoints.of_point,
+        masks: &judged,
+    };
+    let (lifted, _) = lifting.all(&frames, Checkpoints::none().log("lifting", &()), &quiet)?;
+    let (tables, masks_of, _) = Lifted::apart(lifted);
+    let best = judged.best.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let pixels = objects.iter().map(|object| in_best_views(&best, object.id)).collect();
+    let count = tables.iter().map(|t| t.masks as usize).sum();
+    push(
+        "masks",
+        count,
+        InstanceScore {
+            objects: objects.len(),
+            instances: count,
+            box_iou: Vec::new(),
+            reachable_box_iou: Vec::new(),
+            point_iou: pixels,
+            ap50: 0.0,
+        },
+    );
+    push("lifted masks", count, score(&voted(&superpoints, &tables, &best))?);
+
+    let merged = merging::merge(&superpoints, &planes, &tables, &settings.merging, &quiet)?;
+    let mut any: Option<InstanceScore> = None;
+    let labels = |region_of: &[u32]| region_of.iter().max().map_or(0, |&r| r as usize + 1);
+    let freed = standing::set_free(
+        cloud,
+        &superpoints,
+        &planes,
+        merged.last().to_vec(),
+        settings.merging.min_points,
+        &quiet,
+    )?;
+    let joined = part_merging::join(
+        cloud,
+        &superpoints,
+        &planes,
+        freed.clone(),
+        &settings.part_merging,
+        &quiet,
+    )?;
+    let steps =
+        settings.merging.thresholds.iter().map(|threshold| format!("merged at {threshold}"));
+    let steps = steps.chain(["small ones absorbed".to_owned()]).zip(&merged.levels).chain([
+        ("what stands on tops set free".to_owned(), &freed),
+        ("parts joined".to_owned(), &joined),
+    ]);
+    for (step, region_of) in steps {
+        let here = score(region_of)?;
+        let pieces = labels(region_of);
+        let sum = any.get_or_insert_with(|| here.clone());
+        let better = |so_far: &mut Vec<f32>, now: &[f32]| {
+            so_far.iter_mut().zip(now).for_each(|(a, b)| *a = a.max(*b))
+        };
+        better(&mut sum.box_iou, &here.box_iou);
+        better(&mut sum.point_iou, &here.point_iou);
+        push(&step, pieces, here);
+    }
+    let refined = refinement::refine(
+        cloud,
+        &visibility,
+        superpoints.spread(&joined),
+        &frames,
+        &masks_of,
+        &quiet,
+    )?;
+    push("refined", labels(&refined), score_points(&refined)?);
+    let proposals =
+        hierarchy::propose(&superpoints, &planes, &merged, &joined, &tables, settings, &quiet)?;
+    let labels = Labels::of_regions(&refined, &superpoints, proposals);
+    let labelled = Labelled { labels: &labels, visibility: &visibility };
+    let flats = Flats::of(cloud, &superpoints, &planes, &labels, &cameras, &settings.instances);
+    let sighted = views::all_sighted(labelled, Some(&flats), &frames, &masks_of, &quiet)?;
+    let built = instances::build(
+        cloud,
+        &superpoints,
+        &planes,
+        labels,
+        sighted,
+        &settings.instances,
+        &quiet,
+    )?;
+    let shown =
+        score_instances(&built.instances, &built.labels.thing_of_point, &objects, &room.truth);
+    let point_iou = reached(&built.labels, &objects, &room.truth);
+    let with_all =
+        InstanceScore { box_iou: shown.reachable_box_iou.clone(), point_iou, ..shown.clone() };
+    push("shown by masks", shown.instances, shown);
+    push("with parts and wholes", built.instances.len(), with_all);
+    if let Some(any) = any {
+        push("any of these", 0, any);
+    }
+    Ok(rungs)
+}
+
+/// Best IoU of point sets per object, parts and wholes among the instances.
+fn reached(labels: &Labels, objects: &[AnnotatedObject], truth: &[u32]) -> Vec<f32> {
+    let (mut shared, mut of_instance, mut of_object) =
+        (BTreeMap::new(), vec![0_u32; labels.len() + 1], BTreeMap::new());
+    for (point, &object) in truth.iter().enumerate() {
+        *of_object.entry(object).or_insert(0_u32) += 1;
+        for instance in labels.of(point) {
+            of_instance[instance.0 as usize] += 1;
+            *shared.entry((object, instance)).or_insert(0_u32) += 1;
+        }
+    }
+    let best = |object: &AnnotatedObject| {
+        let overlaps = shared.range((object.id, InstanceId(0))..=(object.id, InstanceId(u32::MAX)));
+        overlaps
+            .map(|((_, instance), both)| {
+                *both as f32
+                    / (of_instance[instance.0 as usize] + of_object[&object.id] - both) as f32
+            })
+            .fold(0.0, f32::max)
+    };
+    objects.iter().map(best).collect()
+}
+
+/// The annotated object most points of each superpoint belong to, 0 = none.
+fn majorities(superpoints: &Superpoints, truth: &[u32]) -> Vec<u32> {
+    let mut votes: Vec<BTreeMap<u32, u32>> = vec![BTreeMap::new(); superpoints.patches.len()];
+    for (&superpoint, &id) in superpoints.of_point.iter().zip(truth) {
+        *votes[superpoint as usize].entry(id).or_default() += 1;
+    }
+    votes.iter().map(|votes| most(votes).map_or(0, |(id, _)| id)).collect()
+}
+
+fn most(votes: &BTreeMap<u32, u32>) -> Option<(u32, u32)> {
+    votes.iter().map(|(&id, &n)| (id, n)).max_by_key(|&(id, n)| (n, std::cmp::Reverse(id)))
+}
+
+/// The mask that shows an object best in one frame.
+#[derive(Clone, Copy)]
+struct Best {
+    layer: u32,
+    mask: u16,
+    iou: f32,
+    /// Pixels of the object in the frame.
+    pixels: u32,
+}
+
+/// By frame and object.
+type BestMasks = BTreeMap<(FrameIndex, u32), Best>;
+
+/// A source of masks that is compared with the annotations as it goes.
+struct Judged<'a> {
+    masks: &'a dyn MaskSource,
+    truth: AnnotatedMasks,
+    best: Mutex<BestMasks>,
+}
+
+impl MaskSource for Judged<'_> {
+    fn name(&self) -> &str {
+        self.masks.name()
+    }
+
+    fn masks(&self, frame: &Frame, progress: &Progress) -> Result<Vec<IdImage>, ParseError> {
+        let (found, truth) =
+            (self.masks.masks(frame, progress)?, self.truth.masks(frame, progress)?);
+        (0..)
+            .zip(&found)
+            .for_each(|(layer, found)| self.judge(frame.index, (layer, found), &truth[0]));
+        Ok(found)
+    }
+}
+
+impl Judged<'_> {
+    fn judge(&self, frame: FrameIndex, (layer, found): (u32, &IdImage), truth: &IdImage) {
+        let (mut shared, mut of_mask, mut of_object) =
+            (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+        for (&mask, &object) in found.ids.iter().zip(&truth.ids) {
+            *shared.entry((object, mask)).or_insert(0_u32) += 1;
+            *of_mask.entry(mask).or_insert(0_u32) += 1;
+            *of_object.entry(object).or_insert(0_u32) += 1;
+        }
+        let mut best = self.best.lock().unwrap_or_else(PoisonError::into_inner);
+        for (&(object, mask), &both) in
+            shared.iter().filter(|((object, mask), _)| *object != 0 && *mask != 0)
+        {
+            let iou = both as f32 / (of_mask[&mask] + of_object[&object] - both) as f32;
+            let so_far = best.entry((frame, u32::from(object))).or_insert(Best {
+                layer,
+                mask,
+                iou,
+                pixels: of_object[&object],
+            });
+            if iou > so_far.iou {
+                *so_far = Best { layer, mask, iou, ..*so_far };
+            }
+        }
+    }
+}
+
+/// Mean over the three views that show most of it; 0 where no mask ever touches it.
+fn in_best_views(best: &BestMasks, object: u32) -> f32 {
+    const VIEWS: usize = 3;
+    let mut views: Vec<&Best> =
+        best.iter().filter(|((_, id), _)| *id == object).map(|(_, best)| best).collect();
+    views.sort_by_key(|best| std::cmp::Reverse(best.pixels));
+    views.truncate(VIEWS);
+    views.iter().map(|best| best.iou).sum::<f32>() / views.len().max(1) as f32
+}
+
+/// The object of each superpoint when every frame uses the best mask of every object: that whose
+/// masks hold more than half of what is seen of the superpoint, 0 = none.
+fn voted(superpoints: &Superpoints, tables: &[FrameVisibility], best: &BestMasks) -> Vec<u32> {
+    let mut votes: Vec<(u32, BTreeMap<u32, u32>)> =
+        vec![Default::default(); superpoints.patches.len()];
+    for table in tables {
+        let mut objects_of: BTreeMap<u16, Vec<u32>> = BTreeMap::new();
+        let of_frame = best.range((table.frame, 0)..=(table.frame, u32::MAX));
+        for ((_, object), best) in of_frame.filter(|(_, best)| best.layer == table.layer) {
+            objects_of.entry(best.mask).or_default().push(*object);
+        }
+        for row in &table.rows {
+            let (visible, votes) = &mut votes[row.superpoint as usize];
+            *visible += row.visible;
+            for (mask, n) in &row.masks {
+                objects_of
+                    .get(mask)
+                    .into_iter()
+                    .flatten()
+                    .for_each(|&object| *votes.entry(object).or_default() += n);
+            }
+        }
+    }
+    let winner = |(visible, votes): &(u32, BTreeMap<u32, u32>)| {
+        most(votes).filter(|&(_, n)| 2 * n > *visible).map_or(0, |(id, _)| id)
+    };
+    votes.iter().map(winner).collect()
+}

@@ -1,0 +1,58 @@
+//! Pictures of wrong answers: the room with the truth in green, the answer in red, the other
+//! candidates in blue.
+
+use super::scoring::ScoredExpression;
+use uniground_geometry::boxes::Aabb;
+use uniground_render::{BoxStyle, LabelledBox, Orbit, ROOM_VIEW, RenderScene, jpeg, scene_picture};
+
+/// Where pictures lie below the output folder.
+pub const FOLDER: &str = "pictures";
+
+/// The room a little smaller than in answers: there are many of these.
+const VIEW: Orbit = Orbit { width: 800, height: 600, ..ROOM_VIEW };
+/// More candidates than this only hide the room.
+const MAX_CANDIDATES: usize = 5;
+
+/// What to draw; later boxes lie on top.
+#[must_use]
+pub fn boxes(outcome: &ScoredExpression) -> Vec<LabelledBox> {
+    let mut boxes = Vec::new();
+    if let Some(reply) = &outcome.reply {
+        let name = |id: u32| {
+            reply.answer.candidate_names.get(&id).map_or(String::new(), |name| format!(" {name}"))
+        };
+        for candidate in reply
+            .candidates
+            .iter()
+            .take(MAX_CANDIDATES)
+            .filter(|c| reply.answer.predicted_id != Some(c.id))
+        {
+            let label = format!("{}{}", candidate.id, name(candidate.id.0));
+            boxes.push(LabelledBox { aabb: candidate.aabb, label, style: BoxStyle::Candidate });
+        }
+        if let (Some(aabb), Some(id)) = (reply.aabb, reply.answer.predicted_id) {
+            boxes.push(LabelledBox {
+                aabb,
+                label: format!("answer {id}{}", name(id.0)),
+                style: BoxStyle::Anchor,
+            });
+        }
+    }
+    if let Some(target) = &outcome.target {
+        let label = format!("truth: {}", target.name.as_deref().unwrap_or("target"));
+        boxes.push(LabelledBox { aabb: target.aabb, label, style: BoxStyle::Answer });
+    }
+    boxes
+}
+
+/// Draws a room; `None` for one without points and boxes.
+#[must_use]
+pub fn draw(render_scene: &RenderScene, boxes: &[LabelledBox]) -> Option<Vec<u8>> {
+    let corners: Vec<_> = boxes.iter().flat_map(|b| b.aabb.corners()).collect();
+    let extent = Aabb::around(if render_scene.cloud.is_empty() {
+        &corners
+    } else {
+        &render_scene.cloud.positions
+    })?;
+    Some(jpeg(&scene_picture(render_scene, &extent, &VIEW, boxes)))
+}

@@ -1,0 +1,376 @@
+//! A suite through a system, cell by cell: resumable, every reply kept as soon as it is there.
+//!
+//! Replies lie in `<out>/cells/<key>/<scene>.jsonl`; the key covers the system's fingerprint and
+//! the configuration, the file's first line the scene's content. A run that was cut off, or is
+//! repeated with more cells or expressions, asks only what is missing. Scores are never kept: they
+//! follow from replies and the truth as it is now.
+
+use super::configuration::{Configuration, Names, Source};
+use super::digest;
+use super::pictures;
+use super::reply::Reply;
+use super::scoring::ScoredExpression;
+use super::sealed::{PaperCompatibleRun, Ranked, Sealed};
+use super::suite::{Suite, SuiteScene, Task};
+use super::systems::{OpenScene, System};
+use anyhow::Context;
+use camino::Utf8Path;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::fs::{self, File, OpenOptions};
+use std::io::Write;
+use std::sync::Mutex;
+use uniground_geometry::boxes::Aabb;
+
+/// What is run, and how.
+pub struct RunOptions<'a> {
+    /// Where replies and pictures go.
+    pub out: &'a Utf8Path,
+    pub cells: &'a [(String, Configuration)],
+    /// Questions asked at once.
+    pub concurrency: usize,
+    /// Hears of every finished scene of every cell.
+    pub progress: &'a (dyn Fn(&Step) + Sync),
+}
+
+/// A scene of a cell is done.
+#[derive(Debug, Clone, Copy)]
+pub struct Step<'a> {
+    pub cell: &'a str,
+    pub scene: &'a str,
+    pub done: usize,
+    pub of: usize,
+}
+
+/// One cell, answered.
+#[derive(Debug, Clone)]
+pub struct CellResult {
+    pub name: String,
+    pub configuration: Configuration,
+    /// In the order of the suite.
+    pub outcomes: Vec<ScoredExpression>,
+    /// Expressions that could not even be asked, and why.
+    pub left_out: Vec<(String, String)>,
+}
+
+#[derive(PartialEq, Eq, Serialize, Deserialize)]
+struct Header {
+    scene: String,
+    content: String,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    boxes: Vec<Aabb>,
+    /// By which the system knows the scene again.
+    token: String,
+}
+
+#[derive(Serialize, Deserialize)]
+struct KeptReply {
+    id: String,
+    query: String,
+    reply: Reply,
+}
+
+/// Runs every cell over every scene.
+///
+/// # Errors
+/// A configuration the system can not run, or an output folder that can not be written. Scenes and
+/// questions that fail are outcomes.
+pub fn run(
+    suite: &Suite,
+    system: &dyn System,
+    options: &RunOptions,
+) -> anyhow::Result<Vec<CellResult>> {
+    for (name, configuration) in options.cells {
+        system.accepts(configuration).with_context(|| name.clone())?;
+    }
+    fs::create_dir_all(options.out.join(pictures::FOLDER))
+        .with_context(|| options.out.to_string())?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(options.concurrency.max(1)).build()?;
+    let tasks_of: Vec<Vec<&Task>> = (0..suite.scenes.len())
+        .map(|i| suite.tasks.iter().filter(|t| t.scene == i).collect())
+        .collect();
+    let mut results: Vec<CellResult> = options
+        .cells
+        .iter()
+        .map(|(name, configuration)| CellResult {
+            name: name.clone(),
+            configuration: configuration.clone(),
+            outcomes: Vec::new(),
+            left_out: Vec::new(),
+        })
+        .collect();
+    let of = suite.scenes.len() * options.cells.len();
+    let mut done = 0;
+    for (scene, tasks) in suite.scenes.iter().zip(&tasks_of) {
+        // Cells that see the same instances follow each other: the scene is brought in once for all
+        // of them.
+        let mut order: Vec<usize> = (0..results.len()).collect();
+        order.sort_by_key(|&i| setup(&results[i].configuration));
+        let mut open: Option<Entered> = None;
+        for i in order {
+            if open
+                .as_ref()
+                .is_some_and(|entered| entered.setup != setup(&results[i].configuration))
+            {
+                open = None;
+            }
+            let cell = CellOfScene { system, scene, tasks, out: options.out, pool: &pool };
+            cell.answer(&mut results[i], &mut open)?;
+            done += 1;
+            (options.progress)(&Step { cell: &results[i].name, scene: &scene.id, done, of });
+        }
+    }
+    let place: BTreeMap<&str, usize> =
+        suite.tasks.iter().enumerate().map(|(i, t)| (t.id.as_str(), i)).collect();
+    results
+        .iter_mut()
+        .for_each(|cell| cell.outcomes.sort_by_key(|o| place.get(o.id.as_str()).copied()));
+    Ok(results)
+}
+
+/// What decides which instances a cell sees.
+fn setup(configuration: &Configuration) -> (Source, String) {
+    let Configuration { source, names, preset, settings, masks, encoder, .. } = configuration;
+    (*source, format!("{names:?} {preset:?} {settings:?} {masks} {encoder}"))
+}
+
+/// A scene somebody brought in, or why not.
+struct Entered {
+    setup: (Source, String),
+    scene: Result<Box<dyn OpenScene>, String>,
+}
+
+struct CellOfScene<'a> {
+    system: &'a dyn System,
+    scene: &'a SuiteScene,
+    tasks: &'a [&'a Task],
+    out: &'a Utf8Path,
+    pool: &'a rayon::ThreadPool,
+}
+
+impl CellOfScene<'_> {
+    fn answer(&self, cell: &mut CellResult, open: &mut Option<Entered>) -> anyhow::Result<()> {
+        let key =
+            digest::of(&serde_json::to_vec(&(self.system.fingerprint(), &cell.configuration))?);
+        let file =
+            self.out.join("cells").join(&key).join(format!("{}.jsonl", file_safe(&self.scene.id)));
+        let content = match content(self.scene, self.tasks, &cell.configuration) {
+            Ok(content) => content,
+            Err(error) => {
+                cell.left_out
+                    .extend(self.tasks.iter().map(|t| (t.id.clone(), format!("{error:#}"))));
+                return Ok(());
+            }
+        };
+        let header = Header { scene: self.scene.id.clone(), content };
+        let mut log = ReplyLog::open(&file, &header)?;
+        if log.token.as_ref().is_some_and(|token| !self.system.still_has(token)) {
+            log.restart(&header)?;
+        }
+        let missing: Vec<&Task> =
+            self.tasks.iter().copied().filter(|t| log.reply(t).is_none()).collect();
+
+        let mut failures: BTreeMap<String, String> = BTreeMap::new();
+        if !missing.is_empty() {
+            let entered = match self.enter(cell, open) {
+                Ok(entered) => entered,
+                Err(reason) => {
+                    cell.left_out.extend(self.tasks.iter().map(|t| (t.id.clone(), reason.clone())));
+                    return Ok(());
+                }
+            };
+            log.write_boxes(entered.boxes(), entered.token())?;
+            let writer = Mutex::new(&mut log);
+            let ask = |&task: &&Task| {
+                let hints = cell
+                    .configuration
+                    .paper_compatible
+                    .then(|| task.hints.as_hints(PaperCompatibleRun(())));
+                let asked = entered.ask(&task.expression, &cell.configuration, hints);
+                let reply = match asked {
+                    Ok(reply) => reply,
+                    Err(error) => return Ok(Some((task.id.clone(), format!("{error:#}")))),
+                };
+                let mut writer = writer.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+                writer.write(task, reply).map(|()| None)
+            };
+            let asked: anyhow::Result<Vec<_>> =
+                self.pool.install(|| missing.par_iter().map(ask).collect());
+            failures.extend(asked?.into_iter().flatten());
+        }
+
+        for task in self.tasks {
+            let ranked = log.reply(task).cloned().map(Ranked::of);
+            let failure = || failures.get(&task.id).cloned().unwrap_or_default();
+            let mut outcome = ScoredExpression::of(
+                task,
+                &self.scene.id,
+                ranked.as_ref().ok_or_else(failure),
+                &log.boxes,
+            );
+            if !outcome.is_right() {
+                outcome.picture = self.picture(&key, cell, open, &outcome)?;
+            }
+            cell.outcomes.push(outcome);
+        }
+        Ok(())
+    }
+
+    /// The scene as this cell sees it, brought in unless it is.
+    fn enter<'o>(
+        &self,
+        cell: &CellResult,
+        open: &'o mut Option<Entered>,
+    ) -> Result<&'o dyn OpenScene, String> {
+        let entered = open.get_or_insert_with(|| Entered {
+            setup: setup(&cell.configuration),
+            scene: self
+                .system
+                .enter(self.scene, &cell.configuration)
+                .map_err(|error| format!("{error:#}")),
+        });
+        entered.scene.as_ref().map(AsRef::as_ref).map_err(Clone::clone)
+    }
+
+    /// Draws a wrong answer, unless it was drawn before. The name covers what is drawn.
+    fn picture(
+        &self,
+        key: &str,
+        cell: &CellResult,
+        open: &mut Option<Entered>,
+        outcome: &ScoredExpression,
+    ) -> anyhow::Result<Option<String>> {
+        let drawn = pictures::boxes(outcome);
+        let name = format!(
+            "{}.jpg",
+            digest::of(&serde_json::to_vec(&(
+                key,
+                &outcome.scene,
+                &drawn.iter().map(|b| (&b.aabb, &b.label)).collect::<Vec<_>>()
+            ))?)
+        );
+        let file = self.out.join(pictures::FOLDER).join(&name);
+        if file.metadata().map_or(0, |m| m.len()) == 0 {
+            let Ok(scene) = self.enter(cell, open) else { return Ok(None) };
+            let Some(jpeg) = pictures::draw(scene.render_scene(), &drawn) else { return Ok(None) };
+            fs::write(&file, jpeg).with_context(|| file.to_string())?;
+        }
+        Ok(Some(name))
+    }
+}
+
+/// Replies of one cell about one scene, in memory and on disk.
+struct ReplyLog {
+    file: File,
+    boxes: Vec<Aabb>,
+    token: Option<String>,
+    replies: BTreeMap<String, (String, Reply)>,
+}
+
+impl ReplyLog {
+    /// Opens what is there, or starts anew when it is of other content. A line that was cut off
+    /// ends what counts.
+    fn open(path: &Utf8Path, header: &Header) -> anyhow::Result<Self> {
+        let told = || path.to_string();
+        fs::create_dir_all(path.parent().unwrap_or(Utf8Path::new("."))).with_context(told)?;
+        let bytes = if path.is_file() { fs::read(path).with_context(told)? } else { Vec::new() };
+        let mut lines =
+            bytes.split_inclusive(|byte| *byte == b'\n').filter(|line| line.ends_with(b"\n"));
+        let (mut boxes, mut token, mut replies) = (Vec::new(), None, BTreeMap::new());
+        let mut valid = 0;
+        if let Some(line) = lines.next()
+            && serde_json::from_slice::<Header>(line).is_ok_and(|found| found == *header)
+        {
+            valid += line.len();
+            for line in lines {
+                if let Ok(KeptReply { id, query, reply }) = serde_json::from_slice(line) {
+                    replies.insert(id, (query, reply));
+                } else if let Ok(kept) = serde_json::from_slice::<Kept>(line) {
+                    (boxes, token) = (kept.boxes, Some(kept.token));
+                } else {
+                    break;
+                }
+                valid += line.len();
+            }
+        }
+        let file = OpenOptions::new().create(true).append(true).open(path).with_context(told)?;
+        file.set_len(valid as u64).with_context(told)?;
+        let mut log = Self { file, boxes, token, replies };
+        if valid == 0 {
+            log.append(header)?;
+        }
+        Ok(log)
+    }
+
+    fn append(&mut self, line: &impl Serialize) -> anyhow::Result<()> {
+        let mut text = serde_json::to_vec(line)?;
+        text.push(b'\n');
+        Ok(self.file.write_all(&text)?)
+    }
+
+    /// Forgets everything: the system no longer has what was asked about.
+    fn restart(&mut self, header: &Header) -> anyhow::Result<()> {
+        self.file.set_len(0)?;
+        (self.boxes, self.token, self.replies) = (Vec::new(), None, BTreeMap::new());
+        self.append(header)
+    }
+
+    fn write_boxes(&mut self, boxes: &[Aabb], token: &str) -> anyhow::Result<()> {
+        if self.boxes != boxes || self.token.as_deref() != Some(token) {
+            self.append(&Kept { boxes: boxes.to_vec(), token: token.to_owned() })?;
+            (self.boxes, self.token) = (boxes.to_vec(), Some(token.to_owned()));
+        }
+        Ok(())
+    }
+
+    fn write(&mut self, task: &Task, reply: Reply) -> anyhow::Result<()> {
+        let kept = KeptReply { id: task.id.clone(), query: task.expression.query.clone(), reply };
+        self.append(&kept)?;
+        self.replies.insert(kept.id, (kept.query, kept.reply));
+        Ok(())
+    }
+
+    fn reply(&self, task: &Task) -> Option<&Reply> {
+        self.replies
+            .get(&task.id)
+            .filter(|(query, _)| *query == task.expression.query)
+            .map(|(_, reply)| reply)
+    }
+}
+
+/// What replies are made from: the scan, the annotations where those are the source, the hints
+/// where they are handed over.
+fn content(
+    scene: &SuiteScene,
+    tasks: &[&Task],
+    configuration: &Configuration,
+) -> anyhow::Result<String> {
+    let mut hasher = Sha256::new();
+    if let Some(scan) = &scene.scan {
+        digest::add_path(scan, &mut hasher).with_context(|| scan.to_string())?;
+    }
+    if configuration.source != Source::Parsed || configuration.names != Names::Own {
+        let annotations = scene.annotations.as_ref().map(Sealed::for_reader);
+        hasher.update(format!("{annotations:?} {:?}", scene.recorded));
+    }
+    if configuration.paper_compatible {
+        tasks.iter().for_each(|task| hasher.update(format!("{:?}", task.hints.for_reader())));
+    }
+    Ok(digest::finish(hasher))
+}
+
+/// A scene's id as a file name: readable, short, and of this id alone.
+fn file_safe(id: &str) -> String {
+    const READABLE_CHARS: usize = 60;
+    let readable: String = id
+        .chars()
+        .take(READABLE_CHARS)
+        .map(|c| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' })
+        .collect();
+    format!("{readable}-{}", digest::of(id.as_bytes()))
+}

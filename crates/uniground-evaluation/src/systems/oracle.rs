@@ -1,0 +1,186 @@
+//! Annotations as instances: perfect boxes, and perfect names or the encoder's.
+
+use crate::annotations::{Annotations, SceneObject};
+use uniground_geometry::boxes::OrientedBox;
+use uniground_geometry::colour::ColourHistogram;
+use uniground_geometry::progress::Progress;
+use uniground_geometry::scene::{
+    Embeddings, FrameRef, Instance, InstanceId, NameGuess, PointCloud, Structure, Support,
+};
+use uniground_geometry::{Point3, Vector3};
+use uniground_models::neural::DualEncoder;
+use uniground_models::{attributes, calibration};
+use uniground_parsing::appearance;
+use uniground_parsing::instances::{Body, planarity, supports};
+use uniground_parsing::labels::Labels;
+use uniground_parsing::lifting::MasksOfFrames;
+use uniground_parsing::sharpness::SharpnessOfFrames;
+use uniground_parsing::views::Labelled;
+use uniground_parsing::visibility::Visibility;
+use uniground_parsing::{ParseError, ParsingSettings, views};
+
+/// Who names annotated instances.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum NamedBy {
+    Annotated,
+    Encoder,
+}
+
+/// Of an object without points: says neither flat nor rough.
+const UNKNOWN_PLANARITY: f32 = 0.4;
+
+/// Instances with annotated boxes, in the order of the annotations. With annotated names come
+/// annotated colours; else, and where none are, colours are those of the points that belong to each
+/// object in `cloud`, or the annotated mean colour where it has no points.
+#[must_use]
+pub fn instances_of(
+    annotations: &Annotations,
+    cloud: &PointCloud,
+    names: NamedBy,
+) -> Vec<Instance> {
+    let objects = &annotations.objects;
+    let label_of_point = annotations.label(cloud);
+    let mut colours: Vec<Vec<[u8; 3]>> = vec![Vec::new(); objects.len()];
+    let mut points: Vec<Vec<Point3<f32>>> = vec![Vec::new(); objects.len()];
+    for (i, label) in label_of_point.iter().enumerate() {
+        if let Some(Ok(object)) = label.map(|label| objects.binary_search_by_key(&label, |o| o.id))
+        {
+            colours[object].push(cloud.colours[i]);
+            points[object].push(cloud.positions[i]);
+        }
+    }
+    let structures: Vec<Option<Structure>> = objects.iter().map(SceneObject::structure).collect();
+    let bodies: Vec<Body> =
+        objects.iter().map(|o| Body::of_box(o.aabb, &oriented_box_of(o))).collect();
+    let floor =
+        objects.iter().find(|o| o.structure() == Some(Structure::Floor)).map(|o| o.aabb.max().z);
+    let floor_z = floor
+        .or_else(|| objects.iter().map(|o| o.aabb.min().z).min_by(f32::total_cmp))
+        .unwrap_or(0.0);
+    // Nobody can cancel what is not told to anybody.
+    let supports = supports(&bodies, &structures, floor_z, &Progress::silent())
+        .unwrap_or_else(|_| vec![Support::Nothing; objects.len()]);
+    let build = |(i, object): (usize, &SceneObject)| {
+        let seen = &colours[i];
+        let annotated = object.mean_rgb.map(|rgb| rgb.map(|v| v.clamp(0.0, 255.0) as u8));
+        let mean_rgb = mean(seen).or(annotated).unwrap_or([128; 3]);
+        let mut instance = Instance {
+            oriented_box: oriented_box_of(object),
+            point_count: seen.len() as u32,
+            mean_rgb,
+            colours: if names == NamedBy::Annotated && !object.colours.is_empty() {
+                ColourHistogram::even(&object.colours)
+            } else if seen.is_empty() {
+                ColourHistogram::of([mean_rgb])
+            } else {
+                ColourHistogram::of(seen.iter().copied())
+            },
+            planarity: if seen.is_empty() { UNKNOWN_PLANARITY } else { planarity(&points[i]) },
+            structure: structures[i],
+            support: supports[i],
+            height_above_floor_m: object.aabb.min().z - floor_z,
+            ..Instance::from_box(InstanceId(i as u32 + 1), object.aabb)
+        };
+        if names == NamedBy::Annotated {
+            give_name(&mut instance, &object.name);
+        }
+        instance
+    };
+    let mut instances: Vec<Instance> = objects.iter().enumerate().map(build).collect();
+    if names == NamedBy::Encoder {
+        attributes::name_all(&mut instances);
+    }
+    instances
+}
+
+/// Only the yaw of a tilted box fits an oriented box; most things stand upright.
+fn oriented_box_of(object: &SceneObject) -> OrientedBox {
+    let own = object.rotated_box();
+    let (_, _, yaw_rad) = own.rotation.euler_angles();
+    match own.rotation.transform_vector(&Vector3::z()).z > 0.99 {
+        true => OrientedBox { center: own.center, size: own.size, yaw_rad },
+        false => OrientedBox { center: object.aabb.center, size: object.aabb.size, yaw_rad: 0.0 },
+    }
+}
+
+/// What an encoder sees of annotated instances, and what it calls them: crops around the points
+/// annotated as theirs.
+///
+/// # Errors
+/// An unreadable frame, or a model that fails.
+pub fn see(
+    annotations: &Annotations,
+    instances: &mut [Instance],
+    cloud: &PointCloud,
+    frames: &[FrameRef],
+    encoder: &DualEncoder,
+    settings: &ParsingSettings,
+) -> Result<Embeddings, ParseError> {
+    let (own, instance_of_point) = points_of(annotations, cloud);
+    let labels = Labels::of_things(&instance_of_point);
+    let visibility = visibility(&own, &instance_of_point, settings);
+    let labelled = Labelled { labels: &labels, visibility: &visibility };
+    let rows = appearance::of_known(frames, instances, labelled, encoder, &settings.appearance)?;
+    Ok(calibration::name_all(instances, encoder, &rows)?)
+}
+
+/// Chooses the frames that show annotated instances best.
+///
+/// # Errors
+/// An unreadable frame.
+pub(super) fn view(
+    annotations: &Annotations,
+    instances: &mut [Instance],
+    cloud: &PointCloud,
+    frames: &[FrameRef],
+    settings: &ParsingSettings,
+) -> Result<(), ParseError> {
+    let (own, instance_of_point) = points_of(annotations, cloud);
+    let labels = Labels::of_things(&instance_of_point);
+    let visibility = visibility(&own, &instance_of_point, settings);
+    let labelled = Labelled { labels: &labels, visibility: &visibility };
+    let seen = views::all_sightings(labelled, frames, &MasksOfFrames::new(), &Progress::silent())?;
+    views::choose(instances, seen, frames, &SharpnessOfFrames::new(), &settings.views);
+    Ok(())
+}
+
+fn visibility(
+    cloud: &PointCloud,
+    instance_of_point: &[InstanceId],
+    settings: &ParsingSettings,
+) -> Visibility {
+    let group_of: Vec<u32> = instance_of_point.iter().map(|id| id.0).collect();
+    Visibility::new(cloud, &group_of, settings.depth_tolerance)
+}
+
+/// The points that are annotated as some object's, and as whose.
+fn points_of(annotations: &Annotations, cloud: &PointCloud) -> (PointCloud, Vec<InstanceId>) {
+    let mut own = PointCloud::default();
+    let mut instance_of_point = Vec::new();
+    for (i, label) in annotations.label(cloud).iter().enumerate() {
+        if let Some(Ok(object)) =
+            label.map(|label| annotations.objects.binary_search_by_key(&label, |o| o.id))
+        {
+            own.positions.push(cloud.positions[i]);
+            own.colours.push(cloud.colours[i]);
+            instance_of_point.push(InstanceId(object as u32 + 1));
+        }
+    }
+    (own, instance_of_point)
+}
+
+/// Names an instance, in the lexicon's word where it has one.
+pub(super) fn give_name(instance: &mut Instance, name: &str) {
+    let known = attributes::Lexicon::get()
+        .find(name)
+        .map_or_else(|| name.to_owned(), |noun| noun.name.clone());
+    instance.names = vec![NameGuess { name: known, score: 1.0 }];
+    instance.given_name = Some(name.to_owned());
+}
+
+fn mean(colours: &[[u8; 3]]) -> Option<[u8; 3]> {
+    let n = colours.len() as u64;
+    let sum =
+        colours.iter().fold([0_u64; 3], |sum, c| std::array::from_fn(|i| sum[i] + u64::from(c[i])));
+    (n > 0).then(|| sum.map(|s| ((s + n / 2) / n) as u8))
+}

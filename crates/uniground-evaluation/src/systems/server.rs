@@ -1,0 +1,271 @@
+//! A running server, over HTTP: scans are uploaded once and stay there.
+
+use super::{OpenScene, System};
+use crate::configuration::{Configuration, Names, Source};
+use crate::digest;
+use crate::reply::{Reply, SHORTLIST_DEPTH};
+use crate::suite::{Expression, Hints, SuiteScene};
+use anyhow::{Context, bail, ensure};
+use camino::{Utf8Path, Utf8PathBuf};
+use reqwest::Body;
+use sha2::{Digest, Sha256};
+use std::fs::{self, File};
+use std::sync::Arc;
+use std::time::Instant;
+use tempfile::TempDir;
+use tokio::runtime::Runtime;
+use tokio_util::io::ReaderStream;
+use uniground_client::Client;
+use uniground_geometry::boxes::Aabb;
+use uniground_ingest::archive::ArchiveKind;
+use uniground_ingest::read_cloud;
+use uniground_models::choice::{BUILTIN_ENCODER, BUILTIN_MASKS};
+use uniground_render::RenderScene;
+use uniground_types::instances::Levels;
+use uniground_types::job::JobState;
+use uniground_types::question::{GroundRequest, ParserChoice, ShortlistRequest};
+use uniground_types::scenes::Scene;
+use uniground_types::settings::ParsePreset;
+
+/// A server, and the runtime to speak with it from threads that know of none.
+pub struct Server {
+    client: Client,
+    address: String,
+    runtime: Arc<Runtime>,
+}
+
+struct RemoteScene {
+    client: Client,
+    runtime: Arc<Runtime>,
+    id: String,
+    token: String,
+    boxes: Vec<Aabb>,
+    render_scene: RenderScene,
+}
+
+impl Server {
+    /// # Errors
+    /// An address that is none, or a server that is not ready.
+    pub fn connect(address: &str, api_key: Option<String>) -> anyhow::Result<Self> {
+        let client = Client::new(address, api_key)?;
+        let runtime =
+            tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+        runtime
+            .block_on(client.scenes(1, None))
+            .with_context(|| format!("the server at {address}"))?;
+        Ok(Self { client, address: address.to_owned(), runtime: runtime.into() })
+    }
+}
+
+impl System for Server {
+    fn name(&self) -> String {
+        self.address.clone()
+    }
+
+    fn fingerprint(&self) -> &str {
+        &self.address
+    }
+
+    fn accepts(&self, configuration: &Configuration) -> anyhow::Result<()> {
+        let Configuration {
+            source, names, preset, settings, masks, encoder, paper_compatible, ..
+        } = configuration;
+        ensure!(
+            *source == Source::Parsed,
+            "a server parses by itself: annotated and recorded instances need a run in process"
+        );
+        ensure!(
+            *names == Names::Own,
+            "a server has the names its own model gave: names=seen needs a run in process"
+        );
+        let own = *preset == ParsePreset::Default && settings.is_none();
+        ensure!(
+            own,
+            "a server parses with its own settings: presets and settings of a parse need a run in process"
+        );
+        let unnamed = masks == BUILTIN_MASKS && encoder == BUILTIN_ENCODER;
+        ensure!(
+            unnamed,
+            "a server looks through the models it was started with: masks= and encoder= need a run in process"
+        );
+        ensure!(
+            !paper_compatible,
+            "a server takes no annotated hints: --paper-compatible needs a run in process"
+        );
+        Ok(())
+    }
+
+    fn still_has(&self, token: &str) -> bool {
+        let id = token.split(' ').next().unwrap_or_default();
+        self.runtime.block_on(self.client.scene(id)).is_ok_and(|scene| token_of(&scene) == token)
+    }
+
+    fn enter(&self, scene: &SuiteScene, _: &Configuration) -> anyhow::Result<Box<dyn OpenScene>> {
+        let scan =
+            scene.scan.as_deref().with_context(|| format!("the scene {} has no scan", scene.id))?;
+        let archive = Archive::of(scan)?;
+        // The same scan again finds the scene it made before.
+        let key = format!("evaluation-as-it-is-{}", archive.digest()?);
+        self.runtime.block_on(async {
+            let body =
+                Body::wrap_stream(ReaderStream::new(tokio::fs::File::open(&archive.path).await?));
+            // Truth is told in the world of the files.
+            let query = [("name", scene.id.as_str()), ("levelling", "off")];
+            let created =
+                self.client.create_scene_once(&query, archive.media_type, body, &key).await?;
+            let job = created.job.context("the server parses nothing by itself")?;
+            let job = self.client.follow_job(&job.id, |_| {}).await?;
+            if job.state != JobState::Succeeded {
+                let why = job.error.map_or_else(
+                    || format!("it ended as {:?}", job.state),
+                    |e| format!("{} ({})", e.detail, e.code),
+                );
+                bail!("the parse of {} failed: {why}", scene.id);
+            }
+            let id = created.scene.id;
+            let boxes =
+                self.client.all_instances(&id, Levels::All).await?.iter().map(|i| i.aabb).collect();
+            let cloud = self.client.bytes(&format!("v1/scenes/{id}/cloud.ply")).await?;
+            let folder = tempfile::tempdir()?;
+            let file = Utf8Path::from_path(folder.path())
+                .context("the temporary folder is no text")?
+                .join("cloud.ply");
+            fs::write(&file, cloud)?;
+            let render_scene = RenderScene::of(read_cloud(&file)?);
+            let token = token_of(&self.client.scene(&id).await?);
+            let scene = RemoteScene {
+                token,
+                client: self.client.clone(),
+                runtime: self.runtime.clone(),
+                id,
+                boxes,
+                render_scene,
+            };
+            Ok(Box::new(scene) as Box<dyn OpenScene>)
+        })
+    }
+}
+
+impl OpenScene for RemoteScene {
+    fn ask(
+        &self,
+        expression: &Expression,
+        configuration: &Configuration,
+        _: Option<&Hints>,
+    ) -> anyhow::Result<Reply> {
+        let Configuration {
+            parser,
+            reasoner,
+            candidates,
+            query_text,
+            prompt,
+            ablation,
+            evidence,
+            top_k,
+            convention,
+            ..
+        } = configuration;
+        let request = GroundRequest {
+            top_k: *top_k,
+            candidates: *candidates,
+            query_text: *query_text,
+            prompt: *prompt,
+            parser: *parser,
+            reasoner: *reasoner,
+            ablation: *ablation,
+            evidence: *evidence,
+            direction_convention: *convention,
+            // As measured in process: the confidences tell how sure answers are.
+            min_confidence: Some(0.0),
+            ..GroundRequest::of(&expression.query)
+        };
+        let shortlist = ShortlistRequest {
+            top_k: SHORTLIST_DEPTH,
+            candidates: *candidates,
+            query_text: *query_text,
+            ..ShortlistRequest::of(&expression.query)
+        };
+        self.runtime.block_on(async {
+            let start = Instant::now();
+            let answer = self.client.ground(&self.id, &request).await?;
+            let latency_ms = start.elapsed().as_secs_f64() * 1e3;
+            let trace = answer.trace.as_ref();
+            let reading =
+                trace.and_then(|trace| trace.calls.iter().find(|call| call.purpose == "parse"));
+            let unread = reading.and_then(|call| call.error.as_ref());
+            let fell_back = trace.and_then(|trace| trace.corrections.first());
+            let fell_back =
+                fell_back.filter(|_| *parser == ParserChoice::Vlm && answer.usage.vlm_calls == 0);
+            if let Some(why) = fell_back.or(unread) {
+                bail!("the model could not be asked: {why}");
+            }
+            let shortlist = self.client.shortlist(&self.id, &shortlist).await?;
+            Ok(Reply {
+                status: answer.status,
+                answer: answer.answer,
+                aabb: answer.aabb,
+                oriented_box: answer.oriented_box,
+                confidence: answer.confidence,
+                candidates: answer.candidates.unwrap_or_default(),
+                shortlist: shortlist.candidates.iter().map(|c| c.aabb).collect(),
+                models: answer.models,
+                usage: answer.usage,
+                latency_ms,
+            })
+        })
+    }
+
+    fn boxes(&self) -> &[Aabb] {
+        &self.boxes
+    }
+
+    fn token(&self) -> &str {
+        &self.token
+    }
+
+    fn render_scene(&self) -> &RenderScene {
+        &self.render_scene
+    }
+}
+
+/// A scene and what it was parsed with: a scene that is gone, or was parsed again, is another.
+fn token_of(scene: &Scene) -> String {
+    format!("{} {} {:?}", scene.id, scene.parse_version, scene.models)
+}
+
+/// A scan as the server takes it; folders and bare clouds are packed.
+struct Archive {
+    media_type: &'static str,
+    path: Utf8PathBuf,
+    _temporary: Option<TempDir>,
+}
+
+impl Archive {
+    fn of(scan: &Utf8Path) -> anyhow::Result<Self> {
+        if let Some(kind) = ArchiveKind::of_file_name(scan.as_str()).filter(|_| scan.is_file()) {
+            return Ok(Self {
+                media_type: kind.media_type(),
+                path: scan.to_owned(),
+                _temporary: None,
+            });
+        }
+        let temporary = tempfile::tempdir()?;
+        let path: Utf8PathBuf = temporary.path().join("scan.tar").try_into()?;
+        let mut tar = tar::Builder::new(File::create(&path)?);
+        if scan.is_dir() {
+            tar.append_dir_all(".", scan)?;
+        } else if scan.extension() == Some("ply") {
+            tar.append_path_with_name(scan, "cloud.ply")?;
+        } else {
+            bail!("{scan}: expected a folder, .zip, .tar, .tar.zst or .ply");
+        }
+        tar.into_inner()?.sync_all()?;
+        Ok(Self { media_type: ArchiveKind::Tar.media_type(), path, _temporary: Some(temporary) })
+    }
+
+    fn digest(&self) -> anyhow::Result<String> {
+        let mut hasher = Sha256::new();
+        digest::add_path(&self.path, &mut hasher).with_context(|| self.path.to_string())?;
+        Ok(digest::finish(hasher))
+    }
+}

@@ -1,0 +1,314 @@
+//! The service's side: starts a child process, follows it, and ends it when it takes too long or is
+//! not wanted any more.
+
+use super::wire::{Message, Request};
+use super::{Outcome, ReadError, Task};
+use camino::Utf8PathBuf;
+use std::borrow::Cow;
+use std::io::{self, BufRead, BufReader, Read, Write};
+use std::os::unix::process::ExitStatusExt;
+use std::path::PathBuf;
+use std::process::{Child, ChildStderr, ChildStdout, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{self, RecvTimeoutError, Sender};
+use std::thread;
+use std::time::{Duration, Instant};
+use uniground_geometry::progress::{Cancelled, Progress};
+use uniground_ingest::{IngestError, IngestErrorKind};
+
+/// The subcommand that does a child's work.
+pub const SUBCOMMAND: &str = "isolated-reader";
+/// How soon a child is ended that is not wanted any more.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// Of what a child says of itself on stderr this much is remembered: the end.
+const STDERR_BYTES: usize = 4 << 10;
+/// The longest message of a child.
+const MAX_MESSAGE_BYTES: u64 = 1 << 20;
+/// Of the environment a child has these variables and no others: secrets are not for it.
+const ENVIRONMENT: [&str; 4] = ["LD_LIBRARY_PATH", "PATH", "RAYON_NUM_THREADS", "TMPDIR"];
+/// Stages that a child reports, as jobs name them.
+const STAGES: [&str; 6] =
+    ["import", "check_reprojection", "levelling", "fuse_cloud", "look_through", "check_pictures"];
+const SIGKILL: i32 = 9;
+const SIGXCPU: i32 = 24;
+
+/// How child processes are run.
+#[derive(Debug)]
+pub struct ChildProcess {
+    program: PathBuf,
+    memory_bytes: u64,
+}
+
+/// How a child ended.
+struct Ended {
+    status: ExitStatus,
+    last: Option<Result<Outcome, ReadError>>,
+    stopped: Option<Stopped>,
+    stderr: String,
+}
+
+/// Why the service ended a child.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Stopped {
+    Cancelled,
+    TooLate,
+}
+
+impl ChildProcess {
+    /// Child processes of a program, which is this one where none is named. An import may take
+    /// `memory_bytes`.
+    #[must_use]
+    pub fn new(program: Option<Utf8PathBuf>, memory_bytes: u64) -> Self {
+        Self {
+            program: program.map_or_else(this_program, Utf8PathBuf::into_std_path_buf),
+            memory_bytes,
+        }
+    }
+
+    /// Runs a task in a child, with a part of the memory; blocks.
+    pub(super) fn run(
+        &self,
+        task: &Task,
+        memory_share: u64,
+        progress: &Progress,
+    ) -> Result<Outcome, ReadError> {
+        let (memory_bytes, time_limit) = (self.memory_bytes / memory_share, task.time_limit());
+        let request =
+            Request { task: Cow::Borrowed(task), memory_bytes, cpu_s: cpu_seconds(time_limit) };
+        let mut request = serde_json::to_vec(&request).map_err(io::Error::other)?;
+        request.push(b'\n');
+        let environment =
+            ENVIRONMENT.iter().filter_map(|name| Some((*name, std::env::var_os(name)?)));
+        let child = Command::new(&self.program)
+            .arg(SUBCOMMAND)
+            .env_clear()
+            .envs(environment)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()?;
+        let ended = follow(child, &request, Instant::now() + time_limit, progress)?;
+        outcome(ended, task, memory_bytes, time_limit)
+    }
+}
+
+/// The program that runs. On Linux also after its file was replaced by a newer one.
+fn this_program() -> PathBuf {
+    let of_process = PathBuf::from("/proc/self/exe");
+    match of_process.exists() {
+        true => of_process,
+        false => std::env::current_exe().unwrap_or_else(|_| PathBuf::from("uniground")),
+    }
+}
+
+/// CPU time of all threads together that so much time has room for.
+fn cpu_seconds(time: Duration) -> u64 {
+    let cores = thread::available_parallelism().map_or(1, usize::from) as u64;
+    time.as_secs().saturating_mul(cores)
+}
+
+/// Follows a child until it has ended, whoever ended it.
+fn follow(
+    mut child: Child,
+    request: &[u8],
+    deadline: Instant,
+    progress: &Progress,
+) -> Result<Ended, ReadError> {
+    let (stdin, stdout, stderr) = (child.stdin.take(), child.stdout.take(), child.stderr.take());
+    thread::scope(|scope| {
+        let (sender, messages) = mpsc::channel();
+        if let Some(stdout) = stdout {
+            scope.spawn(move || forward(stdout, &sender));
+        }
+        let stderr = stderr.map(|stderr| scope.spawn(move || tail_of(stderr)));
+        // It stays open: a child whose service is gone sees its end.
+        let mut stdin = stdin;
+        // A child that has ended already tells so itself.
+        let _ = stdin.as_mut().map(|stdin| stdin.write_all(request));
+        let (mut last, mut stopped) = (None, None);
+        loop {
+            match messages.recv_timeout(LOOK_EVERY) {
+                Ok(Message::Progress { stage, done }) => {
+                    let stage =
+                        STAGES.into_iter().find(|known| *known == stage).unwrap_or(STAGES[0]);
+                    // Cancelling is looked for below.
+                    let _ = progress.report(stage, done);
+                }
+                Ok(Message::Done(outcome)) => last = Some(Ok(outcome)),
+                Ok(Message::Failed(failure)) => last = Some(Err(failure.into())),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            let why = match () {
+                () if stopped.is_some() => None,
+                () if progress.check().is_err() => Some(Stopped::Cancelled),
+                () if Instant::now() >= deadline => Some(Stopped::TooLate),
+                () => None,
+            };
+            if why.is_some() {
+                stopped = why;
+                child.kill()?;
+            }
+        }
+        let status = ended(&mut child)?;
+        drop(stdin);
+        let stderr = stderr.and_then(|tail| tail.join().ok()).unwrap_or_default();
+        Ok(Ended { status, last, stopped, stderr })
+    })
+}
+
+/// The status of a child that has closed its stdout. One that goes on all the same is ended.
+fn ended(child: &mut Child) -> io::Result<ExitStatus> {
+    const GRACE: Duration = Duration::from_secs(2);
+    let closed = Instant::now();
+    while closed.elapsed() < GRACE {
+        if let Some(status) = child.try_wait()? {
+            return Ok(status);
+        }
+        thread::sleep(Duration::from_millis(1));
+    }
+    child.kill()?;
+    child.wait()
+}
+
+/// Hands on what a child tells, until it ends or says what is no message.
+fn forward(stdout: ChildStdout, to: &Sender<Message>) {
+    let mut stdout = BufReader::new(stdout);
+    let mut line = Vec::new();
+    loop {
+        line.clear();
+        match (&mut stdout).take(MAX_MESSAGE_BYTES).read_until(b'\n', &mut line) {
+            Ok(read) if read > 0 => {}
+            _ => return,
+        }
+        let Ok(message) = serde_json::from_slice(&line) else { return };
+        if to.send(message).is_err() {
+            return;
+        }
+    }
+}
+
+/// The end of what a child says on stderr.
+fn tail_of(mut stderr: ChildStderr) -> String {
+    let (mut tail, mut chunk) = (Vec::new(), [0; 1024]);
+    while let Ok(read) = stderr.read(&mut chunk)
+        && read > 0
+    {
+        tail.extend_from_slice(&chunk[..read]);
+        let excess = tail.len().saturating_sub(STDERR_BYTES);
+        tail.drain(..excess);
+    }
+    String::from_utf8_lossy(&tail).into_owned()
+}
+
+/// What came of a task whose child ended so.
+fn outcome(
+    ended: Ended,
+    task: &Task,
+    memory_bytes: u64,
+    time_limit: Duration,
+) -> Result<Outcome, ReadError> {
+    let Ended { status, last, stopped, stderr } = ended;
+    if stopped == Some(Stopped::Cancelled) {
+        return Err(IngestError::Cancelled(Cancelled).into());
+    }
+    let file = task.subject();
+    let too_costly =
+        |limit: String| Err(IngestError::TooCostly { file: file.clone(), limit }.into());
+    let out_of_time = stopped == Some(Stopped::TooLate) || status.signal() == Some(SIGXCPU);
+    match last {
+        Some(told) if status.success() => {
+            if !stderr.trim().is_empty() {
+                tracing::warn!(
+                    stderr = stderr.trim(),
+                    "the process that read a scan reports problems"
+                );
+            }
+            return told;
+        }
+        _ if out_of_time => return too_costly(format!("{} s", time_limit.as_secs())),
+        // The system is out of memory, say: the scan is not at fault.
+        _ if status.signal() == Some(SIGKILL) => return Err(ReadError::Killed),
+        // The child catches panics. An exit without an outcome is the program's own failure, not
+        // the scan's.
+        _ if status.signal().is_none() => {
+            return Err(io::Error::other(format!(
+                "it ended with {status} and without an outcome: {}",
+                stderr.trim()
+            ))
+            .into());
+        }
+        _ => {}
+    }
+    tracing::warn!(%status, stderr = stderr.trim_end(), "the process that read a scan has crashed");
+    if stderr.contains("memory allocation of") || stderr.contains("capacity overflow") {
+        return too_costly(format!("{} MB of memory (--reader-memory-mb)", memory_bytes >> 20));
+    }
+    let message =
+        format!("{file}: the reader crashed on it; the file is damaged or of another format");
+    Err(IngestError::Reported { kind: IngestErrorKind::Malformed, message }.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+    use std::os::unix::fs::PermissionsExt;
+
+    /// Runs a task whose child is this shell script.
+    fn run(
+        script: &str,
+        is_cancelled: impl Fn() -> bool + Send + Sync + 'static,
+    ) -> Result<Outcome, ReadError> {
+        let folder = tempfile::tempdir().unwrap();
+        let program = Utf8PathBuf::from_path_buf(folder.path().join("reader")).unwrap();
+        fs::write(&program, format!("#!/bin/sh\nread request\n{script}\n")).unwrap();
+        fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
+        let task = Task::Inspect { folder: "/nowhere".into() };
+        ChildProcess::new(Some(program), 64 << 20).run(
+            &task,
+            1,
+            &Progress::new(|_, _| {}, is_cancelled),
+        )
+    }
+
+    fn kind(result: Result<Outcome, ReadError>) -> IngestErrorKind {
+        match result {
+            Err(ReadError::Ingest(error)) => error.kind(),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn whatever_becomes_of_a_child_is_an_error_and_no_more() {
+        let never = || false;
+        let done = run(r#"echo '{"done":{"scan":{"name":"hall"}}}'"#, never).unwrap();
+        assert_eq!(done, Outcome::Scan { name: Some("hall".into()) });
+        let failed = r#"echo '{"failed":{"kind":"EmptyScene","message":"nothing","file":null,"is_disk_full":false}}'"#;
+        assert_eq!(kind(run(failed, never)), IngestErrorKind::EmptyScene);
+        assert_eq!(kind(run("kill -ABRT $$", never)), IngestErrorKind::Malformed);
+        assert_eq!(kind(run("kill -SEGV $$", never)), IngestErrorKind::Malformed);
+        let out_of_memory =
+            "echo 'memory allocation of 1099511627776 bytes failed' >&2; kill -ABRT $$";
+        assert_eq!(kind(run(out_of_memory, never)), IngestErrorKind::TooCostly);
+        assert_eq!(kind(run("kill -XCPU $$", never)), IngestErrorKind::TooCostly);
+        assert!(matches!(run("kill -KILL $$", never), Err(ReadError::Killed)));
+        assert_eq!(kind(run("exec sleep 60", || true)), IngestErrorKind::Cancelled);
+        for without_outcome in ["exit 3", "exit 0", "echo no message; exit 0"] {
+            assert!(
+                matches!(run(without_outcome, never), Err(ReadError::Process(_))),
+                "{without_outcome}"
+            );
+        }
+        // More than a pipe holds.
+        let talkative =
+            "i=0; while [ $i -lt 20000 ]; do echo filler >&2; i=$((i+1)); done; kill -ABRT $$";
+        assert_eq!(kind(run(talkative, never)), IngestErrorKind::Malformed);
+    }
+
+    #[test]
+    fn a_program_that_is_not_there_is_no_fault_of_the_scan() {
+        let child = ChildProcess::new(Some("/nowhere/uniground".into()), 64 << 20);
+        let task = Task::Inspect { folder: "/nowhere".into() };
+        assert!(matches!(child.run(&task, 1, &Progress::silent()), Err(ReadError::Process(_))));
+    }
+}

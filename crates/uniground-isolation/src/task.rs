@@ -1,0 +1,126 @@
+//! What is read in isolation.
+
+use camino::{Utf8Path, Utf8PathBuf};
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+use uniground_geometry::progress::Progress;
+use uniground_geometry::scene::SourceToScene;
+use uniground_ingest::archive::UnpackLimits;
+use uniground_ingest::{IngestError, Packed, head_of, what_it_is};
+use uniground_parsing::checkpoints::Checkpoints;
+use uniground_parsing::scan::{ScanError, import_scan};
+use uniground_types::scene::StageReport;
+use uniground_types::settings::ImportSettings;
+
+/// Something to read.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Task {
+    /// Unpacks an upload into an empty folder and checks it as a scan. What its bytes do not tell,
+    /// the ending of its name does.
+    Unpack { archive: Utf8PathBuf, file_name: String, folder: Utf8PathBuf, limits: UnpackLimits },
+    /// Checks an unpacked scan again.
+    Inspect { folder: Utf8PathBuf },
+    /// Checks that the frames of an unpacked scan lie in the scene with this cloud, a file of the
+    /// service's own.
+    CheckFit { folder: Utf8PathBuf, cloud: Utf8PathBuf, to_scene: SourceToScene },
+    /// Imports an unpacked scan into its checkpoints, and tries every picture.
+    Import {
+        content: Utf8PathBuf,
+        settings: ImportSettings,
+        checkpoints: Utf8PathBuf,
+        origin: String,
+    },
+}
+
+/// What came of a task.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// It is a scan, which may have a name of its own.
+    Scan { name: Option<String> },
+    /// The frames lie in the scene.
+    Fits,
+    /// The import is in the checkpoints; what it took.
+    Imported { stages: Vec<StageReport> },
+}
+
+/// A check takes at most this long, and longer by what unpacking its bytes takes.
+const CHECK_TIME: Duration = Duration::from_mins(2);
+/// Bytes of an archive that are unpacked in a second at least.
+const UNPACKED_BYTES_PER_S: u64 = 4 << 20;
+/// An import takes at most this long.
+const IMPORT_TIME: Duration = Duration::from_hours(2);
+
+impl Task {
+    /// Does it, here and now; blocks.
+    ///
+    /// # Errors
+    /// [`IngestError`].
+    pub fn run(&self, progress: &Progress) -> Result<Outcome, IngestError> {
+        match self {
+            Self::Unpack { archive, file_name, folder, limits } => {
+                let head = head_of(archive);
+                let packed = Packed::of_head(&head, file_name)
+                    .ok_or_else(|| unreadable(file_name, what_it_is(&head)))?;
+                packed.unpack(archive, folder, limits)?;
+                Ok(named(uniground_ingest::open(folder)?.name))
+            }
+            Self::Inspect { folder } => Ok(named(uniground_ingest::open(folder)?.name)),
+            Self::CheckFit { folder, cloud, to_scene } => {
+                let (scan, known) =
+                    (uniground_ingest::open(folder)?, uniground_ingest::read_cloud(cloud)?);
+                uniground_ingest::fits(scan, to_scene, &known, 0).map(|_| Outcome::Fits)
+            }
+            Self::Import { content, settings, checkpoints, origin } => {
+                let checkpoints = Checkpoints::kept_in(checkpoints, origin);
+                let imported =
+                    import_scan(content, settings, &checkpoints, &progress.part(0.0, 0.8))
+                        .and_then(|scan| {
+                            scan.try_pictures(&progress.part(0.8, 1.0))?;
+                            Ok(Outcome::Imported { stages: scan.stages().to_vec() })
+                        });
+                imported.map_err(|error| of_import(error, content))
+            }
+        }
+    }
+
+    /// How long it may take.
+    pub(super) fn time_limit(&self) -> Duration {
+        match self {
+            Self::Unpack { archive, .. } => {
+                let bytes = archive.metadata().map_or(0, |file| file.len());
+                CHECK_TIME + Duration::from_secs(bytes / UNPACKED_BYTES_PER_S)
+            }
+            Self::Inspect { .. } | Self::CheckFit { .. } => CHECK_TIME,
+            Self::Import { .. } => IMPORT_TIME,
+        }
+    }
+
+    /// What is named where it fails as a whole: the upload by the name its caller knows.
+    pub(super) fn subject(&self) -> Utf8PathBuf {
+        match self {
+            Self::Unpack { file_name, .. } if !file_name.is_empty() => Utf8PathBuf::from(file_name),
+            _ => Utf8PathBuf::from("the scan"),
+        }
+    }
+}
+
+/// A name that is longer is none.
+const MAX_NAME_BYTES: usize = 4 << 10;
+
+fn named(name: Option<String>) -> Outcome {
+    Outcome::Scan { name: name.filter(|name| name.len() <= MAX_NAME_BYTES) }
+}
+
+fn unreadable(file_name: &str, reason: &str) -> IngestError {
+    IngestError::Malformed { file: file_name.into(), reason: reason.to_owned() }
+}
+
+fn of_import(error: ScanError, content: &Utf8Path) -> IngestError {
+    match error {
+        ScanError::Ingest(error) => error,
+        ScanError::Io(source) => IngestError::Io { file: content.to_owned(), source },
+        other => IngestError::Io { file: content.to_owned(), source: std::io::Error::other(other) },
+    }
+}

@@ -1,0 +1,97 @@
+//! The child's side: limits first, then the task.
+
+use super::wire::{Message, Request};
+use rustix::process::{Resource, Rlimit, setrlimit};
+use std::io::{self, BufRead, Read, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use uniground_geometry::background;
+use uniground_geometry::progress::Progress;
+use uniground_ingest::IngestError;
+
+/// Progress is told this often at most.
+const PROGRESS_EVERY: Duration = Duration::from_millis(100);
+
+/// Reads a request from stdin, does it within its limits and tells what came of it on stdout.
+///
+/// # Errors
+/// Those of stdin and stdout, and a request that is none.
+pub fn run() -> io::Result<()> {
+    let mut line = String::new();
+    io::stdin().lock().read_line(&mut line)?;
+    let Request { task, memory_bytes, cpu_s } = serde_json::from_str(&line)?;
+    limit(Resource::Core, 0);
+    limit(Resource::Cpu, cpu_s);
+    limit_memory(memory_bytes);
+    offer_to_oom_killer();
+    end_with_parent()?;
+    let pool = background::pool().map_err(io::Error::other)?;
+    let subject = task.subject();
+    // A panic has been told on stderr, with its place.
+    let done = catch_unwind(AssertUnwindSafe(|| pool.install(|| task.run(&reported()))))
+        .unwrap_or_else(|_| {
+            Err(IngestError::Malformed {
+                file: subject,
+                reason: "it is damaged: its reader gave up".into(),
+            })
+        });
+    tell(&match done {
+        Ok(outcome) => Message::Done(outcome),
+        Err(error) => Message::Failed(error.into()),
+    })
+}
+
+/// Memory that a process writes to. Address space alone is not limited: threads reserve more of it
+/// than they use.
+fn limit_memory(bytes: u64) {
+    #[cfg(target_os = "linux")]
+    limit(Resource::Data, bytes);
+    #[cfg(not(target_os = "linux"))]
+    limit(Resource::As, bytes);
+}
+
+/// Where the machine runs out of memory, this process goes first, and not the service.
+fn offer_to_oom_killer() {
+    #[cfg(target_os = "linux")]
+    if let Err(error) = std::fs::write("/proc/self/oom_score_adj", "1000") {
+        tracing::debug!(%error, "the kernel's out-of-memory score could not be raised");
+    }
+}
+
+fn limit(resource: Resource, most: u64) {
+    if let Err(error) = setrlimit(resource, Rlimit { current: Some(most), maximum: Some(most) }) {
+        eprintln!("a limit could not be set: {error}");
+    }
+}
+
+/// The service keeps stdin open while it wants an answer. A child whose service is gone ends.
+fn end_with_parent() -> io::Result<()> {
+    let watch = || {
+        let mut rest = [0; 64];
+        while io::stdin().lock().read(&mut rest).is_ok_and(|read| read > 0) {}
+        std::process::abort()
+    };
+    std::thread::Builder::new().name("parent".into()).spawn(watch).map(drop)
+}
+
+fn reported() -> Progress {
+    let told = Arc::new(Mutex::new(None::<Instant>));
+    let sink = move |stage: &'static str, done: f32| {
+        let mut told = told.lock().unwrap_or_else(PoisonError::into_inner);
+        if told.is_none_or(|told| told.elapsed() >= PROGRESS_EVERY) {
+            *told = Some(Instant::now());
+            // A service that does not listen has ended this process by now.
+            let _ = tell(&Message::Progress { stage: stage.to_owned(), done });
+        }
+    };
+    Progress::new(sink, || false)
+}
+
+fn tell(message: &Message) -> io::Result<()> {
+    let mut line = serde_json::to_vec(message)?;
+    line.push(b'\n');
+    let mut stdout = io::stdout().lock();
+    stdout.write_all(&line)?;
+    stdout.flush()
+}

@@ -1,0 +1,70 @@
+//! Long work in the background: durable queues, one for every kind, their workers, progress and
+//! cancellation. Knows no kind of job.
+//!
+//! A kind is a [`JobKind`]; `uniground-service` defines them and `app` gives each its lane.
+//! A running job's progress is read from memory; its row is updated twice a second, so that other
+//! processes, and the next one, know roughly where it is.
+
+mod followed;
+mod kind;
+mod lane;
+mod queue;
+
+pub use kind::{JobContext, JobFailure, JobKind, Retry};
+pub use queue::{Jobs, JobsError};
+pub use uniground_types::job::{Job, JobError, JobList};
+
+use jiff::Timestamp;
+use uniground_storage::{JobRow, JobState};
+
+/// Below this progress an estimate is a guess.
+const MIN_PROGRESS_FOR_ETA: f32 = 0.03;
+
+/// A stored job, seen at `now`.
+fn job_of(row: JobRow, now: Timestamp) -> Job {
+    let JobRow {
+        id,
+        kind,
+        subject,
+        payload: _,
+        state,
+        stage,
+        progress,
+        attempts,
+        failures: _,
+        furthest,
+        holder: _,
+        message,
+        error_code,
+        error,
+        created_at,
+        started_at,
+        finished_at,
+    } = row;
+    let (progress, furthest) = (progress as f32, furthest as f32);
+    // What an earlier attempt did took no time of this one.
+    let own = progress - furthest;
+    let running_s = started_at
+        .as_ref()
+        .and_then(|t| t.parse::<Timestamp>().ok())
+        .map(|start| now.duration_since(start).as_secs_f32());
+    let eta_s = running_s
+        .filter(|_| state == JobState::Running && own >= MIN_PROGRESS_FOR_ETA)
+        .map(|elapsed| elapsed * (1.0 - progress) / own);
+    Job {
+        id,
+        kind,
+        subject,
+        state,
+        ahead: None,
+        stage,
+        progress,
+        eta_s,
+        attempts: u32::try_from(attempts).unwrap_or(0),
+        message,
+        error: error_code.map(|code| JobError { code, detail: error.unwrap_or_default() }),
+        created_at,
+        started_at,
+        finished_at,
+    }
+}

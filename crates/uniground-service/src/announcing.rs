@@ -1,0 +1,174 @@
+//! Telling another server when jobs end: each at least once, in any order, tried again for half a
+//! day. Off where no webhook is configured.
+
+use super::{BatchJob, Service};
+use crate::error::Error;
+use crate::webhook::{Webhook, WebhookError};
+use futures::future::join_all;
+use jiff::Timestamp;
+use serde::Serialize;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::sleep;
+use tokio_util::sync::CancellationToken;
+use uniground_jobs::{Job, JobKind, JobsError};
+use uniground_storage::{JobState, Turn};
+use uniground_types::batch::Batch;
+
+/// How often it is looked whether a job has ended.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// Told at once.
+const TOGETHER: u32 = 8;
+/// The wait after the first try that failed; it doubles to the longest.
+const FIRST_WAIT: Duration = Duration::from_secs(5);
+const LONGEST_WAIT: Duration = Duration::from_hours(2);
+/// About twelve hours.
+const TRIES: u32 = 17;
+
+/// What is told.
+#[derive(Serialize)]
+struct Event {
+    /// `job.succeeded`, `job.failed`, `job.cancelled`.
+    #[serde(rename = "type")]
+    kind: &'static str,
+    /// When the job ended, RFC 3339 UTC.
+    timestamp: String,
+    data: Data,
+}
+
+#[derive(Serialize)]
+struct Data {
+    job: Job,
+    /// Of a batch's job: how the batch stands.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    batch: Option<Batch>,
+}
+
+impl Service {
+    /// Tells of every job that ends, until `shutdown`. What could not be told is told by the next
+    /// server.
+    pub async fn announce(self, webhook: Arc<Webhook>, shutdown: CancellationToken) {
+        let mut turn = None;
+        while !shutdown.is_cancelled() {
+            let told = self.announce_due(&webhook, &mut turn);
+            match shutdown.run_until_cancelled(told).await {
+                // There may be more.
+                Some(Ok(true)) => continue,
+                Some(Ok(false)) | None => {}
+                Some(Err(error)) => tracing::warn!(
+                    error = &error as &dyn std::error::Error,
+                    "what is to be told can not be read"
+                ),
+            }
+            let _ = shutdown.run_until_cancelled(sleep(LOOK_EVERY)).await;
+        }
+    }
+
+    /// Tells of some that ended, where it is this process's turn; whether there were any.
+    async fn announce_due(
+        &self,
+        webhook: &Arc<Webhook>,
+        turn: &mut Option<Turn>,
+    ) -> Result<bool, Error> {
+        // One process tells for all; another goes on when it is gone.
+        if let Some(ours) = turn.take() {
+            *turn = Some(ours).filter(Turn::is_ours);
+        }
+        if turn.is_none() {
+            *turn = self.announcing().await?;
+        }
+        if turn.is_none() {
+            return Ok(false);
+        }
+        let due = self.store.due_announcements(TOGETHER).await?;
+        let any = !due.is_empty();
+        join_all(
+            due.into_iter()
+                .map(|(job_id, tried)| self.clone().tell(webhook.clone(), job_id, tried)),
+        )
+        .await;
+        Ok(any)
+    }
+
+    /// Has the ends of jobs noted from now on, where there is a webhook; without one nobody wants
+    /// to be told, of what ended before either.
+    ///
+    /// # Errors
+    /// [`Error::Store`].
+    pub async fn note_announcements(&self, webhook: Option<&Webhook>) -> Result<(), Error> {
+        match webhook {
+            Some(_) => self.store.note_announcements().await?,
+            // Others may want to be.
+            None if !self.store.came_alone() => {}
+            None => self.store.note_no_announcements().await?,
+        }
+        Ok(())
+    }
+
+    async fn tell(self, webhook: Arc<Webhook>, job_id: String, tried: u32) {
+        if let Err(error) = self.announce_job(&webhook, &job_id, tried).await {
+            tracing::warn!(
+                job_id,
+                error = &error as &dyn std::error::Error,
+                "a job's end could not be told"
+            );
+            sleep(LOOK_EVERY).await;
+        }
+    }
+
+    async fn announce_job(&self, webhook: &Webhook, job_id: &str, tried: u32) -> Result<(), Error> {
+        let job = match self.jobs.get(job_id).await {
+            Err(JobsError::NotFound { .. }) => {
+                return Ok(self.store.forget_announcement(job_id).await?);
+            }
+            job => job?,
+        };
+        // The same whenever it is told again: who has heard it knows.
+        let id = format!("msg_{job_id}");
+        let body = serde_json::to_string(&self.event_of(job).await?)?;
+        match webhook.deliver(&id, Timestamp::now().as_second(), body).await {
+            // Taken; or it is gone, and says so.
+            Ok(()) | Err(WebhookError::Refused(410)) => {
+                self.store.forget_announcement(job_id).await?
+            }
+            Err(error) if tried + 1 >= TRIES => {
+                tracing::error!(
+                    job_id,
+                    tries = TRIES,
+                    error = &error as &dyn std::error::Error,
+                    "a webhook was never taken"
+                );
+                self.store.forget_announcement(job_id).await?;
+            }
+            Err(error) => {
+                let wait = FIRST_WAIT.saturating_mul(1 << tried.min(16)).min(LONGEST_WAIT);
+                let again_in_s = wait.as_secs();
+                tracing::warn!(
+                    job_id,
+                    again_in_s,
+                    error = &error as &dyn std::error::Error,
+                    "a webhook was not taken"
+                );
+                self.store.put_off_announcement(job_id, wait).await?;
+            }
+        }
+        Ok(())
+    }
+
+    async fn event_of(&self, job: Job) -> Result<Event, Error> {
+        let kind = match job.state {
+            JobState::Succeeded => "job.succeeded",
+            JobState::Cancelled => "job.cancelled",
+            JobState::Failed | JobState::Queued | JobState::Running => "job.failed",
+        };
+        let batch = match job.kind.as_str() {
+            BatchJob::NAME => self.batch(&job.subject).await.ok(),
+            _ => None,
+        };
+        Ok(Event {
+            kind,
+            timestamp: job.finished_at.clone().unwrap_or_default(),
+            data: Data { job, batch },
+        })
+    }
+}

@@ -1,0 +1,76 @@
+//! Answers in the coordinates of the files that were uploaded, or of the map that a scene lies in.
+
+use crate::error::Error;
+use jiff::Timestamp;
+use uniground_storage::SceneRow;
+use uniground_types::answer::Target;
+use uniground_types::approach::{PlacedPose, PosesInFrame, StandingPose};
+use uniground_types::placement::{FrameChoice, InFrame, SceneToFrame, Stamp};
+use uniground_types::scene::SourceToScene;
+
+/// Coordinates other than the scene's.
+pub struct Frame {
+    choice: FrameChoice,
+    id: Option<String>,
+    pub from_scene: SceneToFrame,
+}
+
+impl Frame {
+    /// Those that were chosen; `None` for the scene's own.
+    ///
+    /// # Errors
+    /// [`Error::NoMap`], [`Error::NoSourceFrame`].
+    pub fn of(
+        choice: FrameChoice,
+        scene: &SceneRow,
+        source_to_scene: Option<SourceToScene>,
+    ) -> Result<Option<Self>, Error> {
+        let (id, from_scene) = match choice {
+            FrameChoice::Scene => return Ok(None),
+            FrameChoice::Source => {
+                let source = source_to_scene
+                    .ok_or_else(|| Error::NoSourceFrame { scene_id: scene.id.clone() })?;
+                (None, SceneToFrame::to_source(&source))
+            }
+            FrameChoice::Map => {
+                let map = scene
+                    .scene_to_map
+                    .ok_or_else(|| Error::NoMap { scene_id: scene.id.clone() })?;
+                (scene.map_frame_id.clone(), SceneToFrame::to_map(&map))
+            }
+        };
+        Ok(Some(Self { choice, id, from_scene }))
+    }
+
+    /// With the boxes of these.
+    pub fn holding(self, targets: &[Target]) -> InFrame {
+        let boxes = targets
+            .iter()
+            .map(|target| self.from_scene.place(target.id, &target.oriented_box))
+            .collect();
+        InFrame {
+            frame: self.choice,
+            frame_id: self.id,
+            stamp: Some(stamp()),
+            scene_to_frame: self.from_scene,
+            boxes,
+        }
+    }
+
+    /// With these places to stand.
+    pub fn with_poses(self, poses: &[StandingPose]) -> PosesInFrame {
+        let poses = poses.iter().map(|pose| PlacedPose::of(pose, &self.from_scene)).collect();
+        PosesInFrame {
+            frame: self.choice,
+            frame_id: self.id,
+            stamp: stamp(),
+            scene_to_frame: self.from_scene,
+            poses,
+        }
+    }
+}
+
+fn stamp() -> Stamp {
+    let now = Timestamp::now();
+    Stamp { sec: now.as_second(), nanosec: u32::try_from(now.subsec_nanosecond()).unwrap_or(0) }
+}

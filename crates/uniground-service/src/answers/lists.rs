@@ -1,0 +1,89 @@
+//! Lists of answers: a page of them, or all as lines or as a table.
+
+use super::table;
+use crate::Service;
+use crate::error::Error;
+use bytes::Bytes;
+use futures::{Stream, StreamExt, stream};
+use serde::Deserialize;
+use uniground_storage::{AnswerFilter, AnswerRow, page};
+use uniground_types::answer::Answer;
+
+/// How many things are written, one after the other.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum LineFormat {
+    /// JSON, a line each.
+    #[default]
+    Jsonl,
+    /// A row each, of the figures.
+    Csv,
+}
+
+/// Answers read together.
+const PAGE: u32 = 200;
+
+impl Service {
+    /// Answers that were kept, newest first: JSON of a list, each answer byte for byte as it was
+    /// given.
+    ///
+    /// # Errors
+    /// [`Error::Store`].
+    pub async fn answers(
+        &self,
+        filter: &AnswerFilter,
+        limit: u32,
+        cursor: Option<&str>,
+    ) -> Result<String, Error> {
+        let (rows, next) =
+            page(self.store.answers(filter, limit + 1, cursor).await?, limit, |row| &row.id);
+        let answers: Vec<&str> = rows.iter().map(|row| row.body.as_str()).collect();
+        Ok(format!(
+            "{{\"answers\":[{}],\"next_cursor\":{}}}",
+            answers.join(","),
+            serde_json::to_string(&next)?
+        ))
+    }
+
+    /// All of them, as lines.
+    pub fn all_answers(
+        &self,
+        filter: AnswerFilter,
+        format: LineFormat,
+    ) -> impl Stream<Item = Result<Bytes, Error>> + use<> {
+        let service = self.clone();
+        let begin =
+            (format == LineFormat::Csv).then(|| Bytes::from(format!("{}\n", columns().join(","))));
+        let pages = stream::try_unfold((filter, None::<String>), move |(filter, cursor)| {
+            let service = service.clone();
+            async move {
+                let rows = service.store.answers(&filter, PAGE, cursor.as_deref()).await?;
+                let Some(last) = rows.last() else { return Ok(None) };
+                let cursor = Some(last.id.clone());
+                let page = match format {
+                    LineFormat::Jsonl => rows
+                        .iter()
+                        .flat_map(|row| [row.body.as_str(), "\n"])
+                        .collect::<String>()
+                        .into_bytes(),
+                    LineFormat::Csv => rows_of(&rows)?,
+                };
+                Ok(Some((Bytes::from(page), (filter, cursor))))
+            }
+        });
+        stream::iter(begin.map(Ok)).chain(pages)
+    }
+}
+
+fn columns() -> Vec<&'static str> {
+    ["answer_id", "scene_id", "query", "status"].into_iter().chain(table::COLUMNS).collect()
+}
+
+fn rows_of(rows: &[AnswerRow]) -> Result<Vec<u8>, Error> {
+    table::written(rows.iter().map(|row| {
+        let answer: Answer = serde_json::from_str(&row.body)?;
+        let status = serde_json::to_value(answer.status)?.as_str().unwrap_or_default().to_owned();
+        let figures = table::cells(Some(&answer));
+        Ok([answer.id, answer.scene_id, answer.query, status].into_iter().chain(figures).collect())
+    }))
+}

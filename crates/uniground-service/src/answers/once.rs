@@ -1,0 +1,76 @@
+//! Questions that come again: under the same idempotency key the same answer, and a model is paid
+//! once.
+
+use super::{Asker, Service, filtered};
+use crate::Caller;
+use crate::error::Error;
+use sha2::{Digest, Sha256};
+use tracing::Instrument;
+use uniground_types::answer::Answer;
+use uniground_types::question::{GroundRequest, ParserChoice, ReasonerChoice};
+
+impl Service {
+    /// Grounds one question under an idempotency key; whether the answer was given before. The
+    /// question is answered to its end even if whoever asked has gone: they will come again.
+    ///
+    /// # Errors
+    /// As [`ground`](Self::ground); [`Error::IdempotencyKeyReused`].
+    pub async fn ground_once(
+        &self,
+        scene_id: &str,
+        request: GroundRequest,
+        caller: Caller,
+        key: String,
+    ) -> Result<(Answer, bool), Error> {
+        let (service, scene_id) = (self.clone(), scene_id.to_owned());
+        let answering = async move { service.ground_keyed(&scene_id, request, caller, &key).await };
+        tokio::spawn(answering.in_current_span()).await?
+    }
+
+    async fn ground_keyed(
+        &self,
+        scene_id: &str,
+        request: GroundRequest,
+        caller: Caller,
+        key: &str,
+    ) -> Result<(Answer, bool), Error> {
+        request.check()?;
+        // What can not be asked at all uses up no key.
+        self.ready_scene(scene_id).await?;
+        let key = caller.own(key.to_owned());
+        let _turn = self.answering(&key).await?;
+        let digest = Sha256::digest(serde_json::to_vec(&(scene_id, &request))?);
+        let asked: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+        // The answer has its id before it is asked: one that was kept before a crash is known
+        // again.
+        let (known, answer_id) =
+            match self.store.question_of_key(&key, &asked, &self.store.new_id()).await {
+                Ok(known) => known,
+                // Nobody is paid: an answer that can not be kept is better than none.
+                Err(error) if !self.may_pay(&request) => {
+                    tracing::warn!(
+                        error = &error as &dyn std::error::Error,
+                        "a question is answered without its key, which can not be kept"
+                    );
+                    (asked.clone(), self.store.new_id())
+                }
+                Err(error) => return Err(error.into()),
+            };
+        if known != asked {
+            return Err(Error::IdempotencyKeyReused);
+        }
+        if let Some(row) = self.store.answer(&answer_id).await? {
+            return Ok((
+                filtered(serde_json::from_str(&row.body)?, request.include.as_deref()),
+                true,
+            ));
+        }
+        let asker = Asker { caller, answer_id, pays: None, is_batch: false, may_name: true };
+        Ok((self.ground_for(scene_id, request, asker).await?, false))
+    }
+
+    fn may_pay(&self, request: &GroundRequest) -> bool {
+        self.vlm.is_some()
+            && (request.reasoner != ReasonerChoice::Builtin || request.parser == ParserChoice::Vlm)
+    }
+}

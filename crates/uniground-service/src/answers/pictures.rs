@@ -1,0 +1,116 @@
+//! The pictures that go with an answer.
+
+use super::{Service, StoredScene};
+use crate::error::Error;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use uniground_geometry::scene::InstanceId;
+use uniground_grounding::pipeline::SceneSource;
+use uniground_render::{BoxStyle, LabelledBox, ROOM_VIEW, jpeg, scene_picture};
+
+/// The picture every answer has.
+pub(super) const GLOBAL: &str = "global";
+/// What a picture takes of a stored answer, of whatever version: fields that are missing are not
+/// drawn.
+#[derive(Deserialize)]
+struct Drawn {
+    #[serde(default)]
+    answer: DrawnFields,
+    #[serde(default)]
+    candidates: Vec<DrawnCandidate>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct DrawnFields {
+    predicted_id: Option<InstanceId>,
+    anchor_id: Option<InstanceId>,
+    candidate_names: BTreeMap<u32, String>,
+}
+
+#[derive(Deserialize)]
+struct DrawnCandidate {
+    id: InstanceId,
+}
+
+/// More candidates than this only hide the room.
+const MAX_CANDIDATES: usize = 5;
+
+impl Service {
+    /// A picture of an answer by its name: as a model was shown it, where that is kept; the room is
+    /// drawn otherwise. JPEG.
+    ///
+    /// # Errors
+    /// [`Error::AnswerNotFound`], [`Error::AnswerPictureNotFound`].
+    pub async fn answer_picture(&self, id: &str, name: &str) -> Result<Vec<u8>, Error> {
+        let stem = name
+            .strip_suffix(".jpg")
+            .filter(|stem| stem.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-'));
+        let not_found = || Error::AnswerPictureNotFound { id: id.into(), name: name.into() };
+        match self.kept_file(id, &format!("{}.jpg", stem.ok_or_else(not_found)?)).await {
+            Err(Error::NoTranscript { .. }) if stem == Some(GLOBAL) => self.drawn_picture(id).await,
+            Err(Error::NoTranscript { .. }) => Err(not_found()),
+            read => read,
+        }
+    }
+
+    /// The room from above: the answer's box, its anchor and the other candidates over the cloud.
+    async fn drawn_picture(&self, id: &str) -> Result<Vec<u8>, Error> {
+        let row =
+            self.store.answer(id).await?.ok_or_else(|| Error::AnswerNotFound { id: id.into() })?;
+        let Drawn { answer, candidates } = serde_json::from_str(&row.body)?;
+        let source = StoredScene::new(self.clone(), self.loaded_parse(&row.parse_id).await?);
+        // Later boxes lie on top: candidates, anchor, answer.
+        let candidates = candidates
+            .iter()
+            .take(MAX_CANDIDATES)
+            .map(|candidate| (candidate.id, BoxStyle::Candidate));
+        let anchor = answer.anchor_id.map(|id| (id, BoxStyle::Anchor));
+        let chosen = answer.predicted_id.map(|id| (id, BoxStyle::Answer));
+        let marks = candidates.chain(anchor).chain(chosen).collect();
+        source.compute(move |source| source.room_with(marks, &answer.candidate_names)).await
+    }
+
+    /// The room of a scene's current parse from above, with instances marked. JPEG.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::InstanceNotFound`],
+    /// [`Error::ParseDamaged`].
+    pub async fn room_picture(
+        &self,
+        scene_id: &str,
+        marked: Vec<InstanceId>,
+    ) -> Result<Vec<u8>, Error> {
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
+        let instances = source.instances().len();
+        if let Some(&id) = marked.iter().find(|id| !(1..=instances).contains(&(id.0 as usize))) {
+            return Err(Error::InstanceNotFound { scene_id: scene_id.into(), id });
+        }
+        let marks = marked.into_iter().map(|id| (id, BoxStyle::Answer)).collect();
+        source.compute(move |source| source.room_with(marks, &BTreeMap::new())).await
+    }
+}
+
+impl StoredScene {
+    /// The room from above with boxes, the last on top; of several boxes of an instance the last.
+    /// JPEG.
+    fn room_with(
+        &self,
+        marks: Vec<(InstanceId, BoxStyle)>,
+        names: &BTreeMap<u32, String>,
+    ) -> Result<Vec<u8>, Error> {
+        let instances = self.instances();
+        let last: BTreeMap<InstanceId, usize> =
+            marks.iter().enumerate().map(|(at, (id, _))| (*id, at)).collect();
+        let lasting = marks.into_iter().enumerate().filter(|(at, (id, _))| last[id] == *at);
+        let labelled = |(_, (id, style)): (usize, (InstanceId, BoxStyle))| {
+            let instance = instances.get((id.0 as usize).wrapping_sub(1))?;
+            let name = names.get(&id.0).cloned().unwrap_or_else(|| instance.label().to_owned());
+            Some(LabelledBox { aabb: instance.aabb, label: format!("{id} {name}"), style })
+        };
+        let boxes: Vec<LabelledBox> = lasting.filter_map(labelled).collect();
+        let render_scene = self.render_scene()?;
+        Ok(jpeg(&scene_picture(&render_scene, &self.extent(), &ROOM_VIEW, &boxes)))
+    }
+}

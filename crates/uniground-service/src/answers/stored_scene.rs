@@ -1,0 +1,250 @@
+//! A stored parse as the question pipeline sees it.
+
+use crate::Service;
+use crate::error::Error;
+use crate::parses::{LoadedParse, ParseFile, photograph, read_frames, read_photograph, view};
+use camino::{Utf8Path, Utf8PathBuf};
+use image::RgbImage;
+use std::collections::BTreeMap;
+use std::fs;
+use std::sync::Arc;
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::recent::Recent;
+use uniground_geometry::scene::{
+    Embeddings, FrameEmbeddings, FrameIndex, Instance, InstanceId, View,
+};
+use uniground_grounding::approach::Occupancy;
+use uniground_grounding::pipeline::SceneSource;
+use uniground_grounding::{NameIndex, PictureCache};
+use uniground_ingest::IngestError;
+use uniground_models::neural::{DualEncoder, Role};
+use uniground_models::{attributes, with_causes};
+use uniground_parsing::ParseError;
+use uniground_parsing::evidence::Picture;
+use uniground_parsing::pointed::{Place, Pointing};
+use uniground_render::{RenderScene, Shot};
+use uniground_storage::{Blobs, Kept, Scratch};
+use uniground_types::settings::ParsingSettings;
+
+/// Instances that questions may add to a parse.
+const MOST_FOUND: usize = 500;
+
+/// A parse, and the service that keeps it.
+pub struct StoredScene {
+    service: Service,
+    pub parse: Arc<LoadedParse>,
+}
+
+impl StoredScene {
+    pub fn new(service: Service, parse: Arc<LoadedParse>) -> Arc<Self> {
+        Arc::new(Self { service, parse })
+    }
+
+    /// A file of the parse, if it is what was written.
+    pub fn check(&self, file: &Utf8Path) -> Result<Kept, Error> {
+        self.service.check_file(&self.parse.id, file)
+    }
+
+    /// A folder of its own for as long as somebody holds it.
+    pub fn scratch(&self) -> Result<Scratch, Error> {
+        Ok(self.service.store.blobs.scratch()?)
+    }
+
+    /// What of the room is occupied, of parses asked about lately.
+    pub fn known_occupancies(&self) -> &Recent<Arc<Occupancy>> {
+        &self.service.parses.occupancies
+    }
+
+    pub fn blobs(&self) -> &Blobs {
+        &self.service.store.blobs
+    }
+
+    pub fn folder(&self) -> Utf8PathBuf {
+        self.service.store.blobs.parse(&self.parse.id)
+    }
+}
+
+impl SceneSource for StoredScene {
+    type Error = Error;
+
+    fn instances(&self) -> &[Instance] {
+        &self.parse.instances
+    }
+
+    fn name_index(&self) -> &NameIndex {
+        &self.parse.names
+    }
+
+    fn extent(&self) -> Aabb {
+        self.parse.extent
+    }
+
+    fn encoder_name(&self) -> String {
+        self.parse.encoder.clone()
+    }
+
+    fn embeddings(&self) -> Result<Option<(&DualEncoder, &Embeddings)>, Error> {
+        let Some(embeddings) = &self.parse.embeddings else { return Ok(None) };
+        let models = &self.service.models;
+        let here = models.label(Role::Encoder).unwrap_or_else(|| attributes::NAME.into());
+        match &models.encoder {
+            Some(encoder) if here == self.parse.encoder => Ok(Some((encoder, embeddings))),
+            _ => Err(Error::EncoderChanged { parsed_with: self.parse.encoder.clone(), here }),
+        }
+    }
+
+    fn frame_embeddings(&self) -> Option<&FrameEmbeddings> {
+        self.parse.frame_embeddings.as_ref()
+    }
+
+    fn photograph(&self, frame: FrameIndex) -> Option<RgbImage> {
+        read_photograph(&self.service.store.blobs, &self.folder(), &self.parse.content, frame)
+    }
+
+    fn render_scene(&self) -> Result<Arc<RenderScene>, Error> {
+        let known = &self.service.parses.render_scenes;
+        if let Some(render_scene) = known.get(&self.parse.id) {
+            return Ok(render_scene);
+        }
+        let file = ParseFile::Cloud.of(&self.folder());
+        let file = self.check(&file)?;
+        // Whoever asked has nothing to do with it.
+        let damaged = |error| match error {
+            IngestError::Io { .. } => Error::Ingest(error),
+            error => {
+                Error::ParseDamaged { parse_id: self.parse.id.clone(), what: with_causes(&error) }
+            }
+        };
+        let cloud = uniground_ingest::read_cloud(&file).map_err(damaged)?;
+        let render_scene = Arc::new(RenderScene::of_parsed(cloud, &self.parse.instances));
+        known.put(self.parse.id.clone(), render_scene.clone(), render_scene.cloud.len());
+        Ok(render_scene)
+    }
+
+    fn photographs(&self, instance: &Instance, most: usize) -> Vec<Shot> {
+        if instance.came_later() {
+            let shots = instance
+                .views
+                .iter()
+                .filter_map(|view| Some(Shot::of_view(self.photograph(view.frame)?, view)));
+            return shots.take(most).collect();
+        }
+        let folder = self.folder();
+        let shots =
+            instance.views.iter().enumerate().filter_map(|(k, view)| {
+                shot(&self.service.store.blobs, &folder, instance.id, k, view)
+            });
+        shots.take(most).collect()
+    }
+
+    fn pictures(&self) -> (&PictureCache, &str) {
+        (&self.service.pictures, &self.parse.id)
+    }
+
+    async fn names(&self) -> Result<BTreeMap<u32, String>, Error> {
+        let mut names = self.service.names_of(&self.parse.id).await?;
+        names.extend(self.parse.renamed.clone());
+        Ok(names)
+    }
+
+    async fn keep_names(&self, names: &BTreeMap<u32, String>) -> Result<(), Error> {
+        // They were given beside an answer that was paid for: that one is not lost with them.
+        if let Err(error) = self.service.keep_names(&self.parse.id, names).await {
+            tracing::warn!(
+                parse_id = self.parse.id,
+                error = &error as &dyn std::error::Error,
+                "names that a model gave are not kept"
+            );
+        }
+        Ok(())
+    }
+
+    fn cut_out(&self, place: Place, is_not: &[InstanceId]) -> Result<Option<Instance>, Error> {
+        let blobs = &self.service.store.blobs;
+        let Some(frames) = read_frames(blobs, &self.folder(), &self.parse.content)? else {
+            return Ok(None);
+        };
+        // Any of them may show the place.
+        let _scan = blobs.whole(&self.parse.content)?;
+        let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
+        // As the parse was made: the same masks, or the built-in ones.
+        let models = &self.service.models;
+        let segmenter = models
+            .segmenters
+            .first()
+            .filter(|_| models.label(Role::Masks).as_deref() == Some(&*self.parse.masks));
+        let pointing = Pointing {
+            cloud: &render_scene.cloud,
+            frames: &frames,
+            segmenter: segmenter.map(|s| &**s),
+            settings: &settings,
+        };
+        match pointing.find(place, &self.parse.instances, is_not) {
+            Ok(found) => Ok(found),
+            // The scan's own pictures are not needed for an answer.
+            Err(ParseError::Frame(error)) => {
+                tracing::warn!(
+                    parse_id = self.parse.id,
+                    error = &error as &dyn std::error::Error,
+                    "a photograph can not be looked into"
+                );
+                Ok(None)
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    async fn keep_found(
+        self: &Arc<Self>,
+        found: Instance,
+    ) -> Result<(Arc<Self>, InstanceId), Error> {
+        // Of a scene that grows it is kept before the next parse goes on from this one, or not at
+        // all: its id would be another's.
+        let _turn = self.service.correcting(&self.parse.id).await?;
+        let Some(id) = self.service.store.insert_found(&self.parse.id, &found, MOST_FOUND).await?
+        else {
+            // For this question alone.
+            let (mut parse, id) = (
+                LoadedParse::clone(&self.parse),
+                InstanceId(self.parse.instances.len() as u32 + 1),
+            );
+            parse.instances.push(Instance { id, ..found });
+            return Ok((Self::new(self.service.clone(), Arc::new(parse)), id));
+        };
+        Ok((Self::new(self.service.clone(), self.service.loaded_parse(&self.parse.id).await?), id))
+    }
+
+    async fn compute<T: Send + 'static>(
+        self: &Arc<Self>,
+        work: impl FnOnce(&Self) -> Result<T, Error> + Send + 'static,
+    ) -> Result<T, Error> {
+        let source = self.clone();
+        match self.service.compute(move || work(&source)).await {
+            Err(error) => Err(self.service.after_damage(error).await),
+            done => done,
+        }
+    }
+}
+
+/// A stored view; `None`, and a line in the log, where it can not be read. Parses from before masks
+/// were kept have drawn pictures alone.
+fn shot(blobs: &Blobs, parse: &Utf8Path, id: InstanceId, at: usize, of: &View) -> Option<Shot> {
+    let read = |file: Utf8PathBuf| {
+        let decoded = blobs
+            .file(parse, &file)
+            .and_then(fs::read)
+            .map_err(|e| e.to_string())
+            .and_then(|bytes| image::load_from_memory(&bytes).map_err(|e| e.to_string()));
+        decoded
+            .map(image::DynamicImage::into_rgb8)
+            .inspect_err(
+                |error| tracing::warn!(%file, error, "an evidence picture can not be read"),
+            )
+            .ok()
+    };
+    if of.mask.is_some() {
+        return Some(Shot::of_view(read(photograph(parse, of.frame))?, of));
+    }
+    let drawn = |picture| read(view(parse, id, at, picture));
+    Some(Shot::new(drawn(Picture::Crop)?, drawn(Picture::Frame)?, of.box_px))
+}

@@ -1,0 +1,213 @@
+//! Where a robot can stand for a thing, and the map of the floor it stands on.
+
+use super::answers::{Frame, StoredScene};
+use super::{Caller, Service};
+use crate::error::Error;
+use image::codecs::png::PngEncoder;
+use std::sync::Arc;
+use uniground_grounding::approach::{Floor, Occupancy, Places, Wish, approach, explanation};
+use uniground_grounding::pipeline::SceneSource;
+use uniground_storage::SceneRow;
+use uniground_types::answer::{Answer, CoordinateFrame, Status};
+use uniground_types::approach::{
+    Approach, ApproachRequest, ApproachStatus, ApproachTarget, FloorMap, FloorPoint,
+    check_map_height,
+};
+use uniground_types::question::{GroundRequest, ReasonerChoice};
+
+impl Service {
+    /// Finds places to stand for an instance, or for what a question means.
+    ///
+    /// # Errors
+    /// [`Error`]: unknown or unparsed scene, an instance there is none of or that is no thing, a request that makes no sense, coordinates that
+    /// the scene does not know, overload.
+    pub async fn approach(
+        &self,
+        scene_id: &str,
+        request: ApproachRequest,
+        caller: Caller,
+    ) -> Result<Approach, Error> {
+        request.check()?;
+        let (answer, row, scene) = self.asked_about(scene_id, &request, caller).await?;
+        let frame = Frame::of(request.frame, &row, scene.parse.source_to_scene)?;
+        let mut told = Approach {
+            scene_id: row.id,
+            parse_version: u32::try_from(row.parse_version).unwrap_or(0),
+            status: ApproachStatus::NotGrounded,
+            answer_id: answer.as_ref().map(|answer| answer.id.clone()),
+            answer_status: answer.as_ref().map(|answer| answer.status),
+            target: None,
+            poses: Vec::new(),
+            start: None,
+            failed: None,
+            detail: String::new(),
+            cells: None,
+            floor_z_m: None,
+            frame: CoordinateFrame::default(),
+            in_frame: None,
+        };
+        if let Some(several) =
+            answer.as_ref().map(|answer| answer.targets.len()).filter(|meant| *meant > 1)
+        {
+            told.detail = format!(
+                "the question means {several} things, and one is driven to: ask with the instance_id of one of its answer's targets"
+            );
+            return Ok(told);
+        }
+        let meant = match &answer {
+            Some(answer) => {
+                answer.answer.predicted_id.filter(|_| answer.status == Status::Grounded)
+            }
+            None => request.instance_id,
+        };
+        let Some(id) = meant else {
+            told.detail = "the question has no sure answer in this room, and nothing is driven to on a guess: see its answer".into();
+            return Ok(told);
+        };
+        let known = scene.instances().get((id.0 as usize).wrapping_sub(1));
+        let instance =
+            known.ok_or_else(|| Error::InstanceNotFound { scene_id: scene_id.into(), id })?;
+        if instance.dismissed {
+            return Err(Error::invalid(
+                "/instance_id",
+                format!("instance {id} is no thing: somebody has dismissed or split it"),
+            ));
+        }
+        let (name, wish) = (instance.label().to_owned(), wish_of(&request, frame.as_ref()));
+        told.target = Some(ApproachTarget {
+            id,
+            name: name.clone(),
+            aabb: instance.aabb,
+            oriented_box: instance.oriented_box,
+            support: instance.support,
+        });
+        let (floor_z_m, places) = scene
+            .compute(move |scene| {
+                let occupancy = scene.occupancy()?;
+                Ok((occupancy.floor_z_m(), approach(&occupancy, scene.instances(), id, &wish)))
+            })
+            .await?;
+        let Places { poses, start, cells } =
+            places.ok_or_else(|| Error::InstanceNotFound { scene_id: scene_id.into(), id })?;
+        (told.start, told.cells, told.floor_z_m) = (start, Some(cells), Some(floor_z_m));
+        match poses {
+            Ok(poses) => {
+                told.detail = poses.first().map(|best| best.why.clone()).unwrap_or_default();
+                (told.status, told.poses) = (ApproachStatus::Found, poses);
+            }
+            Err(failed) => {
+                told.detail = explanation(failed, &name, &cells);
+                (told.status, told.failed) = (ApproachStatus::NonePossible, Some(failed));
+            }
+        }
+        told.in_frame = frame.map(|frame| frame.with_poses(&told.poses));
+        Ok(told)
+    }
+
+    /// The map of a scene's floor: what is higher above it than `height_m` is no obstacle.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`]; a height that
+    /// makes no sense.
+    pub async fn floor(&self, scene_id: &str, height_m: f32) -> Result<FloorMap, Error> {
+        let scene = self.mapped(scene_id, height_m).await?;
+        scene.compute(move |scene| Ok(Floor::of(&*scene.occupancy()?, height_m).map().0)).await
+    }
+
+    /// Its picture, PNG.
+    ///
+    /// # Errors
+    /// As [`floor`](Self::floor).
+    pub async fn floor_picture(&self, scene_id: &str, height_m: f32) -> Result<Vec<u8>, Error> {
+        let scene = self.mapped(scene_id, height_m).await?;
+        let drawn = scene.compute(move |scene| {
+            let (_, picture) = Floor::of(&*scene.occupancy()?, height_m).map();
+            let mut png = Vec::new();
+            picture.write_with_encoder(PngEncoder::new(&mut png)).map_err(std::io::Error::other)?;
+            Ok(png)
+        });
+        drawn.await
+    }
+
+    async fn mapped(&self, scene_id: &str, height_m: f32) -> Result<Arc<StoredScene>, Error> {
+        check_map_height(height_m)?;
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        Ok(StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?))
+    }
+
+    /// The answer to the question, where one is asked, and the parse that its ids are of.
+    async fn asked_about(
+        &self,
+        scene_id: &str,
+        request: &ApproachRequest,
+        caller: Caller,
+    ) -> Result<(Option<Answer>, SceneRow, Arc<StoredScene>), Error> {
+        loop {
+            let answer = match &request.query {
+                Some(query) => Some(self.ground(scene_id, question(query), caller.clone()).await?),
+                None => None,
+            };
+            let (row, parse_id) = self.ready_scene(scene_id).await?;
+            // Another parse may have come in meanwhile, and its ids are others: then the question
+            // is asked of that one.
+            if answer
+                .as_ref()
+                .is_none_or(|answer| i64::from(answer.parse_version) == row.parse_version)
+            {
+                return Ok((
+                    answer,
+                    row,
+                    StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?),
+                ));
+            }
+        }
+    }
+}
+
+/// Asked of the built-in reasoner: it costs nothing, and a robot does not wait for a model.
+fn question(query: &str) -> GroundRequest {
+    GroundRequest {
+        reasoner: ReasonerChoice::Builtin,
+        allow_builtin: true,
+        ..GroundRequest::of(query)
+    }
+}
+
+/// `frame` is that of the robot's own place; `None` for the scene's.
+fn wish_of(request: &ApproachRequest, frame: Option<&Frame>) -> Wish {
+    let ApproachRequest {
+        instance_id: _,
+        query: _,
+        robot,
+        from,
+        frame: _,
+        min_distance_m,
+        max_distance_m,
+        max_poses,
+    } = request;
+    let in_scene = |FloorPoint { x, y, z }| {
+        let [x, y, z] = frame.map_or([x, y, z], |frame| frame.from_scene.invert([x, y, z]));
+        FloorPoint { x, y, z }
+    };
+    Wish {
+        robot: *robot,
+        from: from.map(in_scene),
+        distances_m: [*min_distance_m, *max_distance_m],
+        max_poses: *max_poses as usize,
+    }
+}
+
+impl StoredScene {
+    /// What of the room is occupied: made once, and kept for the next question.
+    fn occupancy(&self) -> Result<Arc<Occupancy>, Error> {
+        let known = self.known_occupancies();
+        if let Some(occupancy) = known.get(&self.parse.id) {
+            return Ok(occupancy);
+        }
+        let (render_scene, of_point) = (self.render_scene()?, self.instance_of_point()?);
+        let occupancy =
+            Arc::new(Occupancy::of(&render_scene.cloud.positions, &of_point, self.instances()));
+        known.put(self.parse.id.clone(), occupancy.clone(), occupancy.bytes());
+        Ok(occupancy)
+    }
+}

@@ -1,0 +1,162 @@
+//! Lists of questions: submitted whole, asked in the background, their results read while they are
+//! made.
+
+mod items;
+mod job;
+mod results;
+mod submission;
+
+pub use job::BatchJob;
+pub use results::Results;
+pub use submission::{Body, Submission};
+
+use super::Service;
+use crate::error::Error;
+use job::Payload;
+use uniground_jobs::{JobKind, JobsError};
+use uniground_storage::{BatchRow, NewJob, Resumed, page};
+use uniground_types::batch::{Batch, BatchList, BatchState};
+
+/// Questions of a batch asked at once, where it does not say.
+const CONCURRENCY: u32 = 4;
+/// More would only wait for each other.
+const MAX_CONCURRENCY: u32 = 64;
+/// Items a batch may have.
+const MAX_ITEMS: u32 = 1_000_000;
+const MAX_LABEL_CHARS: usize = 200;
+
+/// Why a batch is paused that nobody paused.
+mod reason {
+    /// What it may cost is spent.
+    pub const BUDGET_SPENT: &str = "budget_spent";
+    /// The key it was submitted with is refused by now.
+    pub const KEY_REFUSED: &str = "key_refused";
+    /// Its job was cancelled, failed, or ended just before it was resumed.
+    pub const JOB_ENDED: &str = "job_ended";
+}
+
+impl Service {
+    /// # Errors
+    /// [`Error::BatchNotFound`].
+    pub async fn batch(&self, id: &str) -> Result<Batch, Error> {
+        let row = self.batch_row(id).await?;
+        self.present_batch(row).await
+    }
+
+    /// Batches, newest first.
+    ///
+    /// # Errors
+    /// [`Error::Store`].
+    pub async fn batches(&self, limit: u32, cursor: Option<&str>) -> Result<BatchList, Error> {
+        let (rows, next_cursor) =
+            page(self.store.batches(limit + 1, cursor).await?, limit, |row| &row.id);
+        let mut batches = Vec::with_capacity(rows.len());
+        for row in rows {
+            batches.push(self.present_batch(row).await?);
+        }
+        Ok(BatchList { batches, next_cursor })
+    }
+
+    /// Stops asking until somebody resumes it. Questions under way are answered.
+    ///
+    /// # Errors
+    /// [`Error::BatchNotFound`], [`Error::BatchOver`].
+    pub async fn pause_batch(&self, id: &str) -> Result<Batch, Error> {
+        self.move_batch(id, &["running", "paused"], "paused").await
+    }
+
+    /// Stops asking for good. What is answered stays.
+    ///
+    /// # Errors
+    /// As [`pause_batch`](Self::pause_batch); cancelling twice is none.
+    pub async fn cancel_batch(&self, id: &str) -> Result<Batch, Error> {
+        self.move_batch(id, &["running", "paused", "cancelled"], "cancelled").await
+    }
+
+    /// Goes on with a batch that is paused. A batch that goes on already just does.
+    ///
+    /// # Errors
+    /// As [`pause_batch`](Self::pause_batch); a full queue.
+    pub async fn resume_batch(&self, id: &str) -> Result<Batch, Error> {
+        let row = self.batch_row(id).await?;
+        self.jobs.check_room::<BatchJob>(row.key_id.as_deref()).await?;
+        let payload = serde_json::to_string(&Payload { batch_id: id.to_owned() })?;
+        let job = NewJob {
+            kind: BatchJob::NAME,
+            payload: &payload,
+            key_id: row.key_id.as_deref(),
+            done: None,
+        };
+        match self.store.resume_batch(id, &job).await? {
+            Resumed::By(job) => drop(self.jobs.recorded::<BatchJob>(*job)),
+            Resumed::GoesOn => {}
+            Resumed::Over => return Err(Error::BatchOver { id: id.into(), state: row.state }),
+        }
+        self.batch(id).await
+    }
+
+    async fn move_batch(&self, id: &str, from: &[&str], to: &str) -> Result<Batch, Error> {
+        let row = self.batch_row(id).await?;
+        if !self.store.move_batch(id, from, to, None).await? {
+            return Err(Error::BatchOver { id: id.into(), state: row.state });
+        }
+        self.batch(id).await
+    }
+
+    async fn batch_row(&self, id: &str) -> Result<BatchRow, Error> {
+        self.store.batch(id).await?.ok_or_else(|| Error::BatchNotFound { id: id.into() })
+    }
+
+    /// Where a batch stands, why, and how long it will take, seconds.
+    async fn batch_state(
+        &self,
+        row: &BatchRow,
+    ) -> Result<(BatchState, Option<String>, Option<f32>), Error> {
+        let (is_over, eta_s) = match &row.job_id {
+            Some(id) => match self.jobs.get(id).await {
+                Ok(job) => (job.state.is_final(), job.eta_s),
+                Err(JobsError::NotFound { .. }) => (true, None),
+                Err(error) => return Err(error.into()),
+            },
+            None => (false, None),
+        };
+        let (mut state, mut reason) = (row.state.clone(), row.reason.clone());
+        if state == "running" && is_over {
+            // A job that ends well has moved its batch before: what was read before that is looked
+            // at again.
+            let now = self.batch_row(&row.id).await?;
+            (state, reason) = (now.state, now.reason);
+            if state == "running" && now.job_id == row.job_id {
+                // However it ended: nobody asks any more.
+                (state, reason) = ("paused".into(), Some(reason::JOB_ENDED.to_owned()));
+            }
+        }
+        Ok(match state.as_str() {
+            "running" => (BatchState::Running, None, eta_s),
+            "paused" => (BatchState::Paused, reason, None),
+            "cancelled" => (BatchState::Cancelled, None, None),
+            _ => (BatchState::Succeeded, None, None),
+        })
+    }
+
+    async fn present_batch(&self, row: BatchRow) -> Result<Batch, Error> {
+        let (state, reason, eta_s) = self.batch_state(&row).await?;
+        let (by_status, cost_usd) = self.store.batch_figures(&row.id).await?;
+        let done = by_status.values().sum();
+        let BatchRow { id, label, items, job_id, created_at, finished_at, .. } = row;
+        Ok(Batch {
+            id,
+            label,
+            state,
+            reason,
+            items,
+            done,
+            by_status,
+            cost_usd,
+            eta_s,
+            job_id,
+            created_at,
+            finished_at,
+        })
+    }
+}

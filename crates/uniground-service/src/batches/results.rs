@@ -1,0 +1,137 @@
+//! Results of a batch, in the order of its items, while they are made or afterwards.
+
+use super::items::BatchDefaults;
+use crate::answers::table;
+use crate::error::Error;
+use crate::{LineFormat, Service};
+use bytes::Bytes;
+use futures::{Stream, stream};
+use serde::Serialize;
+use serde_json::value::RawValue;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::sleep;
+use uniground_storage::ItemRow;
+use uniground_types::answer::Answer;
+use uniground_types::batch::BatchState;
+use uniground_types::job::JobError;
+
+/// What results are wanted, and how.
+#[derive(Debug, Clone)]
+pub struct Results {
+    pub batch_id: String,
+    /// The first item.
+    pub from: u32,
+    pub format: LineFormat,
+    /// Wait for items that are still asked, while the batch runs; else end at the first that is.
+    pub follow: bool,
+}
+
+/// Items read together.
+const PAGE: u32 = 200;
+/// How often a batch is looked at that is followed.
+const LOOK_EVERY: Duration = Duration::from_millis(200);
+
+/// A line of results; the answer is passed on as it is kept, byte for byte.
+#[derive(Serialize)]
+struct Line<'a> {
+    item: u32,
+    scene_id: &'a str,
+    query: &'a str,
+    status: &'a str,
+    answer_id: &'a str,
+    answer: Option<&'a RawValue>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    error: Option<JobError>,
+}
+
+impl Service {
+    /// Streams results in item order. The stream ends with the last item, or, unless it follows,
+    /// before the first that is not done.
+    ///
+    /// # Errors
+    /// [`Error::BatchNotFound`].
+    pub async fn batch_results(
+        &self,
+        results: Results,
+    ) -> Result<impl Stream<Item = Result<Bytes, Error>> + use<>, Error> {
+        self.batch_row(&results.batch_id).await?;
+        let defaults = Arc::new(BatchDefaults::from_stored(
+            self.store.batch_defaults(&results.batch_id).await?.as_deref(),
+        )?);
+        let service = self.clone();
+        let begin = (results.format == LineFormat::Csv)
+            .then(|| Bytes::from(format!("{}\n", columns().join(","))));
+        let pages = stream::try_unfold(results, move |wanted| {
+            let (service, defaults) = (service.clone(), defaults.clone());
+            async move { service.next_page(wanted, &defaults).await }
+        });
+        Ok(futures::StreamExt::chain(stream::iter(begin.map(Ok)), pages))
+    }
+
+    async fn next_page(
+        &self,
+        mut wanted: Results,
+        defaults: &BatchDefaults,
+    ) -> Result<Option<(Bytes, Results)>, Error> {
+        loop {
+            // Looked at before the items: what is closed after this is found next time.
+            let (state, ..) = self.batch_state(&self.batch_row(&wanted.batch_id).await?).await?;
+            let rows = self.store.batch_items(&wanted.batch_id, wanted.from, PAGE).await?;
+            let done: Vec<ItemRow> =
+                rows.into_iter().take_while(|row| row.status.is_some()).collect();
+            if let Some(last) = done.last() {
+                wanted.from = last.item + 1;
+                let page = match wanted.format {
+                    LineFormat::Jsonl => lines(&done, defaults)?,
+                    LineFormat::Csv => rows_of(&done, defaults)?,
+                };
+                return Ok(Some((page.into(), wanted)));
+            }
+            if !wanted.follow || state != BatchState::Running {
+                return Ok(None);
+            }
+            sleep(LOOK_EVERY).await;
+        }
+    }
+}
+
+fn lines(rows: &[ItemRow], defaults: &BatchDefaults) -> Result<Vec<u8>, Error> {
+    let mut page = Vec::new();
+    for row in rows {
+        let query = defaults.query_of(&row.request);
+        let line = Line {
+            item: row.item,
+            scene_id: &row.scene_id,
+            query: &query,
+            status: row.status.as_deref().unwrap_or_default(),
+            answer_id: &row.answer_id,
+            answer: row.answer.as_deref().map(serde_json::from_str).transpose()?,
+            error: row.error.clone().map(|(code, detail)| JobError { code, detail }),
+        };
+        serde_json::to_writer(&mut page, &line)?;
+        page.push(b'\n');
+    }
+    Ok(page)
+}
+
+fn columns() -> Vec<&'static str> {
+    let before = ["item", "scene_id", "query", "status", "answer_id"];
+    before.into_iter().chain(table::COLUMNS).chain(["error_code", "error"]).collect()
+}
+
+fn rows_of(rows: &[ItemRow], defaults: &BatchDefaults) -> Result<Vec<u8>, Error> {
+    table::written(rows.iter().map(|row| {
+        let query = defaults.query_of(&row.request);
+        let answer: Option<Answer> = row.answer.as_deref().map(serde_json::from_str).transpose()?;
+        let (code, detail) = row.error.clone().unwrap_or_default();
+        let item = [
+            row.item.to_string(),
+            row.scene_id.clone(),
+            query,
+            row.status.clone().unwrap_or_default(),
+            row.answer_id.clone(),
+        ];
+        Ok(item.into_iter().chain(table::cells(answer.as_ref())).chain([code, detail]).collect())
+    }))
+}

@@ -1,0 +1,426 @@
+//! Receiving a batch: items as JSON or as JSONL, of any length, a few at a time.
+
+use super::items::{SCENE_ID, take_scene};
+use super::job::Payload;
+use super::{BatchJob, MAX_CONCURRENCY, MAX_ITEMS, MAX_LABEL_CHARS};
+use crate::error::Error;
+use crate::{Caller, Service};
+use bytes::Bytes;
+use futures::{Stream, StreamExt};
+use serde_json::{Map, Value};
+use sha2::{Digest, Sha256};
+use tokio::task::yield_now;
+use uniground_jobs::JobKind;
+use uniground_storage::{NewBatch, NewItem, NewJob, ReceivedBatch, Store, Submitted};
+use uniground_types::batch::{Batch, BatchRequest};
+use uniground_types::numbers::zero_or_more;
+
+/// What comes with a batch.
+#[derive(Debug, Clone, Default)]
+pub struct Submission {
+    pub label: Option<String>,
+    pub concurrency: Option<u32>,
+    pub max_cost_usd: Option<f64>,
+    pub idempotency_key: Option<String>,
+    /// Fields of every item that does not have them itself.
+    pub defaults: Map<String, Value>,
+}
+
+/// The items of a batch.
+pub enum Body<S> {
+    Items(Vec<Map<String, Value>>),
+    /// An object a line.
+    Lines(S),
+}
+
+/// Items written together, and bytes of them: few enough that no question waits long for the
+/// database.
+const TOGETHER: usize = 500;
+const BYTES_TOGETHER: usize = 1 << 20;
+/// No question needs a longer line. Defaults are a part of one.
+const MAX_LINE_BYTES: usize = 64 << 10;
+/// Bytes of all items of a batch and its defaults, as they are stored.
+const MAX_STORED_BYTES: u64 = 1 << 30;
+/// A shared scene is stored with every item: longer than any id is none.
+const MAX_SCENE_ID_BYTES: usize = 64;
+
+impl Submission {
+    /// Splits a JSON request into what comes with it and its items.
+    #[must_use]
+    pub fn of(
+        request: BatchRequest,
+        idempotency_key: Option<String>,
+    ) -> (Self, Vec<Map<String, Value>>) {
+        let BatchRequest { items, defaults, label, concurrency, max_cost_usd } = request;
+        (Self { label, concurrency, max_cost_usd, idempotency_key, defaults }, items)
+    }
+
+    fn check(&self) -> Result<(), Error> {
+        if self.concurrency.is_some_and(|c| !(1..=MAX_CONCURRENCY).contains(&c)) {
+            return Err(Error::invalid("/concurrency", format!("must be 1 to {MAX_CONCURRENCY}")));
+        }
+        self.max_cost_usd.map_or(Ok(()), |usd| zero_or_more("/max_cost_usd", usd))?;
+        if self.label.as_ref().is_some_and(|label| {
+            label.chars().count() > MAX_LABEL_CHARS || label.chars().any(char::is_control)
+        }) {
+            return Err(Error::invalid(
+                "/label",
+                format!("a line of at most {MAX_LABEL_CHARS} characters"),
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// What a retry is compared by: how the batch was submitted that its idempotency key has made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum DigestForm {
+    /// Each item as its own fields, the shared ones once.
+    Shared,
+    /// Each item as a whole question: batches from before.
+    Whole,
+}
+
+/// Takes items as they come and writes them some at a time.
+struct Receiving<'a> {
+    service: &'a Service,
+    /// Fields of every item that does not have them itself; without the scene once items come.
+    defaults: Map<String, Value>,
+    /// Of lines of defaults that have come.
+    defaults_bytes: usize,
+    scene_id: String,
+    form: DigestForm,
+    /// `None` for a batch that was submitted before: it is only compared.
+    batch_id: Option<String>,
+    digest: Sha256,
+    waiting: Vec<NewItem>,
+    waiting_bytes: usize,
+    items: u32,
+    stored_bytes: u64,
+}
+
+impl Receiving<'_> {
+    async fn take(&mut self, mut fields: Map<String, Value>) -> Result<(), Error> {
+        // "{"defaults": {...}}", before the first item.
+        if self.items == 0
+            && fields.len() == 1
+            && let Some(Value::Object(defaults)) = fields.get("defaults")
+        {
+            // What comes in many lines is one list of defaults: together they are no longer than
+            // one line.
+            self.defaults_bytes += fields["defaults"].to_string().len();
+            if self.defaults_bytes > MAX_LINE_BYTES {
+                return Err(long_defaults());
+            }
+            // The scene of the address stays, unless they name another.
+            self.defaults.extend(defaults.clone());
+            return Ok(());
+        }
+        if self.items >= MAX_ITEMS {
+            return Err(Error::TooManyItems { most: MAX_ITEMS });
+        }
+        if self.items == 0 {
+            self.settle_defaults()?;
+        }
+        let scene_id = take_scene(&mut fields, &self.scene_id);
+        if self.form == DigestForm::Whole {
+            let own = std::mem::replace(&mut fields, self.defaults.clone());
+            fields.extend(own);
+            yield_now().await;
+        }
+        let request = Value::Object(fields).to_string();
+        if self.form == DigestForm::Shared && request.len() > MAX_LINE_BYTES {
+            return Err(self.too_long());
+        }
+        self.digest.update(scene_id.as_bytes());
+        self.digest.update(request.as_bytes());
+        self.digest.update(b"\n");
+        let bytes = scene_id.len() + request.len();
+        self.stored_bytes += bytes as u64;
+        check_size(self.stored_bytes)?;
+        self.items += 1;
+        if self.batch_id.is_none() {
+            return Ok(());
+        }
+        self.waiting.push(NewItem { scene_id, request });
+        self.waiting_bytes += bytes;
+        if self.waiting.len() >= TOGETHER || self.waiting_bytes >= BYTES_TOGETHER {
+            self.write().await
+        } else {
+            Ok(())
+        }
+    }
+
+    /// No more defaults come: items do.
+    fn settle_defaults(&mut self) -> Result<(), Error> {
+        self.scene_id = take_scene(&mut self.defaults, "");
+        if self.scene_id.len() > MAX_SCENE_ID_BYTES {
+            let detail = format!("no scene's id has more than {MAX_SCENE_ID_BYTES} bytes");
+            return Err(Error::invalid(format!("/defaults/{SCENE_ID}"), detail));
+        }
+        let defaults = self.stored_defaults();
+        if defaults.len() > MAX_LINE_BYTES {
+            return Err(long_defaults());
+        }
+        if self.form == DigestForm::Shared && !self.defaults.is_empty() {
+            self.digest.update(b"defaults ");
+            self.digest.update(defaults.as_bytes());
+            self.digest.update(b"\n");
+        }
+        self.stored_bytes += defaults.len() as u64;
+        Ok(())
+    }
+
+    fn stored_defaults(&self) -> String {
+        Value::Object(self.defaults.clone()).to_string()
+    }
+
+    /// Writes what waits, where the disk has room for it.
+    async fn write(&mut self) -> Result<(), Error> {
+        let items = std::mem::take(&mut self.waiting);
+        let bytes = std::mem::take(&mut self.waiting_bytes);
+        if let Some(id) = &self.batch_id {
+            self.service.check_disk(bytes as u64)?;
+            self.service
+                .store
+                .insert_batch_items(id, self.items - items.len() as u32, &items)
+                .await?;
+        }
+        Ok(())
+    }
+
+    fn too_long(&self) -> Error {
+        Error::invalid(
+            format!("/items/{}", self.items),
+            format!("a line has at most {MAX_LINE_BYTES} bytes"),
+        )
+    }
+
+    /// Takes all items; a batch has at least one.
+    async fn take_all<E>(
+        &mut self,
+        body: Body<impl Stream<Item = Result<Bytes, E>> + Unpin>,
+    ) -> Result<(), Error> {
+        match body {
+            Body::Items(items) => {
+                for fields in items {
+                    self.take(fields).await?;
+                }
+            }
+            Body::Lines(lines) => self.take_lines(lines).await?,
+        }
+        if self.items == 0 {
+            return Err(Error::invalid("/items", "a batch has at least one question"));
+        }
+        self.write().await
+    }
+
+    async fn take_line(&mut self, line: &[u8]) -> Result<(), Error> {
+        let line = line.trim_ascii();
+        if line.is_empty() {
+            return Ok(());
+        }
+        if line.len() > MAX_LINE_BYTES {
+            return Err(self.too_long());
+        }
+        let fields = serde_json::from_slice(line);
+        let fields = fields.map_err(|error| {
+            Error::invalid(format!("/items/{}", self.items), format!("not a JSON object: {error}"))
+        })?;
+        self.take(fields).await
+    }
+
+    async fn take_lines<E>(
+        &mut self,
+        mut lines: impl Stream<Item = Result<Bytes, E>> + Unpin,
+    ) -> Result<(), Error> {
+        let mut rest: Vec<u8> = Vec::new();
+        let mut received = 0;
+        let left = |received| Error::UploadInterrupted { received };
+        while let Some(chunk) = lines.next().await {
+            let chunk = chunk.map_err(|_| left(received))?;
+            received += chunk.len() as u64;
+            let mut parts = chunk.split(|byte| *byte == b'\n');
+            rest.extend_from_slice(parts.next().unwrap_or_default());
+            for part in parts {
+                let line = std::mem::replace(&mut rest, part.to_vec());
+                self.take_line(&line).await?;
+            }
+            if rest.len() > MAX_LINE_BYTES {
+                return Err(self.too_long());
+            }
+        }
+        let last = std::mem::take(&mut rest);
+        self.take_line(&last).await
+    }
+}
+
+fn long_defaults() -> Error {
+    Error::invalid("/defaults", format!("defaults have at most {MAX_LINE_BYTES} bytes as JSON"))
+}
+
+/// Fails where a batch is larger than batches may be.
+fn check_size(stored_bytes: u64) -> Result<(), Error> {
+    if stored_bytes > MAX_STORED_BYTES {
+        Err(Error::BatchTooLarge { most_bytes: MAX_STORED_BYTES })
+    } else {
+        Ok(())
+    }
+}
+
+/// A batch that is being received; deleted where its sender leaves.
+struct Unfinished {
+    store: Store,
+    id: Option<String>,
+}
+
+impl Unfinished {
+    /// Deletes it now, before its sender is answered.
+    async fn discard(&mut self) {
+        if let Some(id) = self.id.clone() {
+            discard(&self.store, &id).await;
+            self.id = None;
+        }
+    }
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        if let Some(id) = self.id.take() {
+            let store = self.store.clone();
+            tokio::spawn(async move { discard(&store, &id).await });
+        }
+    }
+}
+
+async fn discard(store: &Store, id: &str) {
+    if let Err(error) = store.discard_batch(id).await {
+        let error = &error as &dyn std::error::Error;
+        tracing::warn!(
+            batch_id = id,
+            error,
+            "a refused batch could not be deleted: the next start deletes it"
+        );
+    }
+}
+
+impl Service {
+    /// Takes a list of questions and starts asking them. All of it is taken or nothing.
+    ///
+    /// What is wrong with one question is that item's failure. The same submission again under its
+    /// idempotency key returns the batch it made.
+    ///
+    /// # Errors
+    /// [`Error`]: what is no list of JSON objects, or empty, or too long; [`Error::IdempotencyKeyReused`]; a full queue or disk.
+    pub async fn create_batch<E, S: Stream<Item = Result<Bytes, E>> + Unpin>(
+        &self,
+        submission: Submission,
+        body: Body<S>,
+        caller: &Caller,
+    ) -> Result<Batch, Error> {
+        submission.check()?;
+        let Submission { label, concurrency, max_cost_usd, idempotency_key, defaults } = submission;
+        let key = idempotency_key.map(|key| caller.own(key));
+        let before = match &key {
+            Some(key) => self.store.batch_of_idempotency_key(key).await?,
+            None => None,
+        };
+        let (batch_id, form) = if let Some(before) = &before {
+            let defaults = self.store.batch_defaults(&before.id).await?;
+            (None, if defaults.is_some() { DigestForm::Shared } else { DigestForm::Whole })
+        } else {
+            self.check_disk(0)?;
+            self.jobs.check_room::<BatchJob>(caller.key_id()).await?;
+            let new = NewBatch {
+                label: label.as_deref(),
+                concurrency,
+                max_cost_usd,
+                key_id: caller.key_id(),
+            };
+            (Some(self.store.insert_batch(new).await?), DigestForm::Shared)
+        };
+        let mut unfinished = Unfinished { store: self.store.clone(), id: batch_id.clone() };
+        let mut digest = Sha256::new();
+        digest.update(serde_json::to_vec(&(&label, concurrency, max_cost_usd))?);
+        let mut receiving = Receiving {
+            service: self,
+            defaults,
+            defaults_bytes: 0,
+            scene_id: String::new(),
+            form,
+            batch_id: batch_id.clone(),
+            digest,
+            waiting: Vec::new(),
+            waiting_bytes: 0,
+            items: 0,
+            stored_bytes: 0,
+        };
+        let received = receiving.take_all(body).await;
+        let defaults = receiving.stored_defaults();
+        let (items, digest) = (receiving.items, receiving.digest.finalize());
+        let request: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+        let Some(id) = batch_id else {
+            received?;
+            let before = before
+                .filter(|before| before.request.as_deref() == Some(&request))
+                .ok_or(Error::IdempotencyKeyReused)?;
+            return self.batch(&before.id).await;
+        };
+        let received = received.map(|()| ReceivedBatch {
+            id: &id,
+            items,
+            defaults: &defaults,
+            request: &request,
+            key: key.as_deref(),
+        });
+        let submitted = match received {
+            Ok(received) => self.submit(&received, caller).await,
+            Err(error) => Err(error),
+        };
+        match submitted {
+            Ok(Submitted::New(job)) => {
+                unfinished.id = None;
+                self.jobs.recorded::<BatchJob>(job);
+                self.batch(&id).await
+            }
+            Ok(Submitted::MadeBefore(before)) => {
+                unfinished.discard().await;
+                self.batch(&before.id).await
+            }
+            Ok(Submitted::KeyReused) => {
+                unfinished.discard().await;
+                Err(Error::IdempotencyKeyReused)
+            }
+            Err(error) => {
+                unfinished.discard().await;
+                Err(error)
+            }
+        }
+    }
+
+    async fn submit(
+        &self,
+        received: &ReceivedBatch<'_>,
+        caller: &Caller,
+    ) -> Result<Submitted, Error> {
+        let payload = serde_json::to_string(&Payload { batch_id: received.id.to_owned() })?;
+        let job =
+            NewJob { kind: BatchJob::NAME, payload: &payload, key_id: caller.key_id(), done: None };
+        Ok(self.store.submit_batch(received, &job).await?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_batch_is_as_large_as_it_may_be_and_no_larger() {
+        assert!(check_size(MAX_STORED_BYTES).is_ok());
+        let refused = check_size(MAX_STORED_BYTES + 1).unwrap_err();
+        assert_eq!(
+            (refused.code(), refused.to_string().as_str()),
+            ("batch_too_large", "a batch holds at most 1024 MB: send it in parts")
+        );
+    }
+}

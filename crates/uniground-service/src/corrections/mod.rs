@@ -1,0 +1,180 @@
+//! What people say of a scene's parse that is wrong: kept beside it, laid over it whenever it is
+//! looked at, and exported as ground truth.
+//!
+//! Corrections belong to the parse: ids of instances mean nothing in another. Scenes of the same
+//! bytes and settings share them with it.
+
+mod ground_truth;
+
+pub use ground_truth::GroundTruth;
+
+use super::answers::StoredScene;
+use super::{Caller, Service};
+use crate::error::Error;
+use std::collections::BTreeSet;
+use uniground_geometry::scene::{Instance, InstanceId, Level, Owners, parts_of};
+use uniground_grounding::pipeline::SceneSource;
+use uniground_parsing::instances;
+use uniground_storage::NewCorrection;
+use uniground_types::corrections::{Change, Correction, CorrectionList};
+use uniground_types::settings::ParsingSettings;
+
+/// Corrections a parse can have.
+const MOST: u32 = 5000;
+const MAX_NAME_CHARS: usize = 100;
+const MAX_IDS: usize = 100;
+
+impl Service {
+    /// Corrects a scene's current parse: answers from now on know it.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`], [`Error::InstanceNotFound`]; [`Error::NotAThing`] for a merge of what is
+    /// none, [`Error::NoParts`] for a split that leaves nothing; [`Error::TooManyCorrections`].
+    pub async fn correct(
+        &self,
+        scene_id: &str,
+        change: Change,
+        caller: &Caller,
+    ) -> Result<Correction, Error> {
+        check(&change)?;
+        // One after the other: what is checked stays so until it is written.
+        let (parse_id, _turn) = self.turn_at_parse(scene_id).await?;
+        let parse = self.loaded_parse(&parse_id).await?;
+        let known = |id: InstanceId| {
+            let instance = parse.instances.get((id.0 as usize).wrapping_sub(1));
+            instance.ok_or_else(|| Error::InstanceNotFound { scene_id: scene_id.to_owned(), id })
+        };
+        let made = match &change {
+            Change::Rename { instance_id, .. } => known(*instance_id).map(|_| None)?,
+            Change::Dismiss { instance_ids } => {
+                instance_ids.iter().try_for_each(|id| known(*id).map(drop)).map(|()| None)?
+            }
+            Change::Split { instance_id } => {
+                if !known(*instance_id)?.merged_from.is_empty() {
+                    return Err(Error::WasMerged { id: *instance_id });
+                }
+                if parts_of(&parse.instances, *instance_id).is_empty() {
+                    return Err(Error::NoParts { id: *instance_id });
+                }
+                None
+            }
+            Change::Merge { instance_ids, .. } => {
+                for id in instance_ids {
+                    let instance = known(*id)?;
+                    // Points of what was found for a question are not kept.
+                    if instance.level != Level::Thing
+                        || instance.dismissed
+                        || instance.found_for.is_some()
+                    {
+                        return Err(Error::NotAThing { id: *id });
+                    }
+                }
+                let members = instance_ids.clone();
+                let scene = StoredScene::new(self.clone(), parse.clone());
+                Some(scene.compute(move |scene| scene.merged(&members)).await?)
+            }
+        };
+        let author = caller.key.as_ref().map(|key| key.row.name.as_str());
+        let new = NewCorrection { parse_id: &parse_id, change: &change, author, made };
+        self.store
+            .insert_correction(new, MOST)
+            .await?
+            .ok_or(Error::TooManyCorrections { most: MOST })
+    }
+
+    /// What was said of a scene's current parse, newest first.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
+    pub async fn corrections(&self, scene_id: &str) -> Result<CorrectionList, Error> {
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        let mut corrections = self.store.corrections(&parse_id).await?;
+        corrections.reverse();
+        Ok(CorrectionList { corrections })
+    }
+
+    /// Takes a correction back.
+    ///
+    /// # Errors
+    /// [`Error::CorrectionNotFound`]; [`Error::CorrectionInUse`] where a later one is about the
+    /// instance this one has made.
+    pub async fn undo_correction(&self, scene_id: &str, id: &str) -> Result<Correction, Error> {
+        let (parse_id, _turn) = self.turn_at_parse(scene_id).await?;
+        let corrections = self.store.corrections(&parse_id).await?;
+        let not_found = || Error::CorrectionNotFound { id: id.to_owned() };
+        let correction =
+            corrections.iter().find(|correction| correction.id == id).ok_or_else(not_found)?;
+        let brought: Vec<InstanceId> = match &correction.change {
+            Change::Split { instance_id } => {
+                parts_of(&self.store.instances(&parse_id).await?, *instance_id)
+            }
+            _ => correction.made.into_iter().collect(),
+        };
+        let uses_it = |later: &&Correction| match &later.change {
+            Change::Merge { instance_ids, .. } => {
+                instance_ids.iter().any(|id| brought.contains(id))
+            }
+            _ => false,
+        };
+        if let Some(by) = corrections.iter().filter(|later| later.undone_at.is_none()).find(uses_it)
+        {
+            return Err(Error::CorrectionInUse { by: by.id.clone() });
+        }
+        self.store.undo_correction(id).await?;
+        self.store
+            .corrections(&parse_id)
+            .await?
+            .into_iter()
+            .find(|correction| correction.id == id)
+            .ok_or_else(not_found)
+    }
+}
+
+impl StoredScene {
+    /// One thing of the points of several.
+    fn merged(&self, members: &[InstanceId]) -> Result<Instance, Error> {
+        let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
+        let (known, of_point) = (self.instances(), self.instance_of_point()?);
+        let owners = Owners::of(&of_point, known);
+        let owner =
+            |point: usize| owners.of_point(of_point[point], &render_scene.cloud.positions[point]);
+        let merged =
+            instances::merged(&render_scene.cloud, owner, members, known, &settings.instances);
+        merged.ok_or(Error::NotAThing { id: members[0] })
+    }
+}
+
+/// What can be told without looking at the scene.
+fn check(change: &Change) -> Result<(), Error> {
+    let name_fits = |name: &str| {
+        let fits = !name.trim().is_empty()
+            && name.chars().count() <= MAX_NAME_CHARS
+            && !name.chars().any(char::is_control);
+        match fits {
+            true => Ok(()),
+            false => Err(Error::invalid(
+                "/name",
+                format!("must be one line of 1 to {MAX_NAME_CHARS} characters, not blank"),
+            )),
+        }
+    };
+    let ids_fit = |ids: &[InstanceId], least: usize| {
+        let different: BTreeSet<_> = ids.iter().collect();
+        match (least..=MAX_IDS).contains(&ids.len()) && different.len() == ids.len() {
+            true => Ok(()),
+            false => Err(Error::invalid(
+                "/instance_ids",
+                format!("must be {least} to {MAX_IDS} different ids"),
+            )),
+        }
+    };
+    match change {
+        Change::Rename { name, .. } => name_fits(name),
+        Change::Dismiss { instance_ids } => ids_fit(instance_ids, 1),
+        Change::Merge { instance_ids, name } => {
+            ids_fit(instance_ids, 2)?;
+            name.as_deref().map_or(Ok(()), name_fits)
+        }
+        Change::Split { .. } => Ok(()),
+    }
+}

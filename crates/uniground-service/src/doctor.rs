@@ -1,0 +1,179 @@
+//! Whether what is stored is whole: database against files, files against their sums. What can be
+//! made again is.
+
+use super::{Caller, ParseJob, Service};
+use crate::error::Error;
+use std::fmt;
+use std::time::Duration;
+use tokio::task::spawn_blocking;
+use uniground_jobs::JobKind;
+use uniground_storage::{BrokenReference, Damage, Look, Strays};
+use uniground_types::settings::ParseSettings;
+
+/// Something that is not as it should be.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Finding {
+    pub trouble: Trouble,
+    /// In plain words, with the file or id.
+    pub detail: String,
+}
+
+/// Kinds of trouble, and what can be done.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Trouble {
+    /// The database itself. Nothing is done: restore a backup.
+    Database,
+    /// Rows that refer to rows which do not exist: the reference is cleared or the rows are
+    /// removed; scenes without a parse are parsed again.
+    References,
+    /// A scan's files. They can not be made again: upload the scan once more.
+    Content { hash: String },
+    /// A parse's files: it is made again.
+    Parse { id: String },
+    /// A folder no record speaks of: it goes to the quarantine.
+    Unclaimed { kind: &'static str, name: String },
+    /// A folder the database can not judge, being empty or younger. Nothing is done: it may be the
+    /// database that is wrong.
+    Unjudged,
+    /// A file where only folders belong. Nothing is done: it is somebody else's.
+    StrayFile,
+    /// A job of a scene that is gone: it ends.
+    Job { id: String },
+}
+
+impl Trouble {
+    /// What repairing does about it; `None`: that is for people.
+    #[must_use]
+    pub fn remedy(&self) -> Option<&'static str> {
+        match self {
+            Self::References => Some("clear or remove"),
+            Self::Parse { .. } => Some("parse again"),
+            Self::Unclaimed { .. } => Some("to the quarantine"),
+            Self::Job { .. } => Some("end"),
+            Self::Database | Self::Content { .. } | Self::Unjudged | Self::StrayFile => None,
+        }
+    }
+}
+
+impl fmt::Display for Trouble {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Database => "database",
+            Self::References => "references",
+            Self::Content { .. } => "scan",
+            Self::Parse { .. } => "parse",
+            Self::Unclaimed { .. } => "unclaimed folder",
+            Self::Unjudged => "unknown folder",
+            Self::StrayFile => "stray file",
+            Self::Job { .. } => "job",
+        })
+    }
+}
+
+impl Service {
+    /// Looks at everything that is stored, every byte of it.
+    ///
+    /// # Errors
+    /// [`Error`] where it can not be looked at at all.
+    pub async fn examine(&self) -> Result<Vec<Finding>, Error> {
+        let mut findings = Vec::new();
+        let mut found = |trouble, detail: String| findings.push(Finding { trouble, detail });
+        for complaint in self.store.integrity().await? {
+            found(Trouble::Database, complaint);
+        }
+        for BrokenReference { table, column, parent, is_optional, rows, .. } in
+            self.store.broken_references().await?
+        {
+            let remedy =
+                if is_optional { "the reference is cleared" } else { "the rows are removed" };
+            found(
+                Trouble::References,
+                format!(
+                    "{rows} rows of {table} refer by {column} to rows of {parent} that do not exist; repair: {remedy}"
+                ),
+            );
+        }
+        for hash in self.store.all_contents().await? {
+            let (blobs, place) = (self.store.blobs.clone(), self.store.blobs.content(&hash));
+            let wrong = spawn_blocking(move || blobs.look(&place, Look::Bytes)).await??;
+            if let Some(detail) = told(&wrong) {
+                found(
+                    Trouble::Content { hash: hash.clone() },
+                    format!("{hash}: {detail}; upload the scan again"),
+                );
+            }
+        }
+        for parse in self.store.all_parses().await? {
+            let wrong = self.look_at_parse(&parse.id, Look::Bytes).await?;
+            if let Some(detail) = told(&wrong)
+                && !parse.is_retired()
+            {
+                found(Trouble::Parse { id: parse.id.clone() }, format!("{}: {detail}", parse.id));
+            }
+        }
+        let Strays { unclaimed, unjudged } = self.store.strays(Duration::ZERO).await?;
+        for (kind, name) in unclaimed {
+            let detail = format!("blobs/{kind}/{name}: no record speaks of it");
+            found(Trouble::Unclaimed { kind, name }, detail);
+        }
+        for (kind, name) in unjudged {
+            found(
+                Trouble::Unjudged,
+                format!("blobs/{kind}/{name}: older than the database, or the database is empty"),
+            );
+        }
+        for file in self.store.blobs.stray_files()? {
+            found(Trouble::StrayFile, format!("{file}: no folder; it is left alone"));
+        }
+        for (id, subject) in self.store.jobs_without_scene().await? {
+            found(Trouble::Job { id: id.clone() }, format!("{id}: its scene {subject} is gone"));
+        }
+        Ok(findings)
+    }
+
+    /// Does what can be done about findings.
+    ///
+    /// # Errors
+    /// [`Error`] of the store; what was done stays done.
+    pub async fn repair(&self, findings: &[Finding]) -> Result<(), Error> {
+        if findings.iter().any(|finding| finding.trouble == Trouble::References) {
+            for scene_id in self.store.repair_references().await? {
+                self.start_parse(&scene_id, &ParseSettings::default(), &Caller::operator()).await?;
+            }
+        }
+        for Finding { trouble, .. } in findings {
+            match trouble {
+                Trouble::Parse { id } => self.retire_parse(id).await?,
+                Trouble::Unclaimed { kind, name } => {
+                    self.store.quarantine(vec![(kind, name.clone())]).await?
+                }
+                Trouble::Job { id } => self.store.end_orphan(id).await?,
+                Trouble::Database
+                | Trouble::References
+                | Trouble::Content { .. }
+                | Trouble::Unjudged
+                | Trouble::StrayFile => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Jobs that wait for a server: what was repaired is finished by the next one.
+    ///
+    /// # Errors
+    /// [`Error::Store`].
+    pub async fn waiting_parses(&self) -> Result<u32, Error> {
+        Ok(self.store.queued_jobs(ParseJob::NAME, None).await?.all)
+    }
+}
+
+/// The first thing that is wrong, and how many more; strays hurt nobody.
+fn told(wrong: &[Damage]) -> Option<String> {
+    let mut wrong = wrong.iter().filter(|damage| damage.what != "stray");
+    let Damage { file, what } = wrong.next()?;
+    let more = match wrong.count() {
+        0 => String::new(),
+        n => format!(", and {n} more"),
+    };
+    Some(format!("{file} {what}{more}").trim().to_owned())
+}

@@ -1,0 +1,425 @@
+//! Everything that can go wrong in a use case, without HTTP. `http/problem.rs` maps it once.
+
+use std::io;
+use uniground_geometry::scene::InstanceId;
+use uniground_grounding::pipeline::QuestionError;
+use uniground_ingest::{IngestError, IngestErrorKind};
+use uniground_isolation::ReadError;
+use uniground_jobs::JobsError;
+use uniground_models::chat::{AskError, ChatError, ChatFailure, OverBudget};
+use uniground_models::neural::ModelError;
+use uniground_parsing::ParseError;
+use uniground_parsing::changes::ChangesError;
+use uniground_parsing::scan::ScanError;
+use uniground_storage::{Away, StoreError, is_disk_full};
+use uniground_types::problem::FieldError;
+
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    #[error(transparent)]
+    Ingest(#[from] IngestError),
+    #[error(transparent)]
+    Parse(#[from] ParseError),
+    #[error(transparent)]
+    Jobs(#[from] JobsError),
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    #[error("there is no scene {id}")]
+    SceneNotFound { id: String },
+    #[error("scene {scene_id} has no instance {id}")]
+    InstanceNotFound { scene_id: String, id: InstanceId },
+    #[error("instance {id} has {views} views, numbered from 0; there is no view {view}")]
+    ViewNotFound { id: InstanceId, view: u32, views: usize },
+    #[error("the scan has no photograph {index}; its frames tell which there are")]
+    FrameNotFound { index: u32 },
+    #[error("the parse report has no picture {name:?}")]
+    ReportPictureNotFound { name: String },
+    #[error("scene {scene_id} was parsed without an encoder and has no embeddings")]
+    NoEmbeddings { scene_id: String },
+    #[error(
+        "scene {scene_id} has no scene_to_map: say where it lies in the map, PATCH /v1/scenes/{scene_id}"
+    )]
+    NoMap { scene_id: String },
+    #[error(
+        "scene {scene_id} was parsed before its files' own coordinates were kept: parse it again"
+    )]
+    NoSourceFrame { scene_id: String },
+    #[error("there is no answer {id}")]
+    AnswerNotFound { id: String },
+    #[error("there is no key {id}")]
+    KeyNotFound { id: String },
+    #[error("the key this was asked for with is refused by now")]
+    KeyRefused,
+    #[error(
+        "this key may have {most} scenes, unfinished uploads counted, and has them: delete one, or ask for more"
+    )]
+    TooManyScenes { most: u32 },
+    #[error("there is no correction {id} of this scene's current parse")]
+    CorrectionNotFound { id: String },
+    #[error("correction {by} is about what this one has made: take that one back first")]
+    CorrectionInUse { by: String },
+    #[error(
+        "instance {id} is no thing whose points are known, but a part, a whole, found for a question, or gone: it can not be merged"
+    )]
+    NotAThing { id: InstanceId },
+    #[error(
+        "no parts of instance {id} are known, so that nothing would take its place: dismiss it, or parse the scene with finer settings"
+    )]
+    NoParts { id: InstanceId },
+    #[error("instance {id} was made of others: take back the correction that merged them")]
+    WasMerged { id: InstanceId },
+    #[error("a parse has at most {most} corrections")]
+    TooManyCorrections { most: u32 },
+    #[error("there is no batch {id}")]
+    BatchNotFound { id: String },
+    #[error("batch {id} is {state} and stays so")]
+    BatchOver { id: String, state: String },
+    #[error("a batch has at most {most} questions")]
+    TooManyItems { most: u32 },
+    #[error("a batch holds at most {} MB: send it in parts", most_bytes >> 20)]
+    BatchTooLarge { most_bytes: u64 },
+    #[error("an answer could not be kept: it is asked for again")]
+    AnswerNotKept,
+    #[error("scene {id} has not been parsed yet")]
+    SceneNotReady { id: String, job_id: Option<String> },
+    #[error("{pointer}: {detail}")]
+    Invalid { pointer: String, detail: String },
+    #[error(
+        "no vision-language model is configured; use reasoner \"auto\" or \"builtin\", and parser \"builtin\""
+    )]
+    VlmNotConfigured,
+    #[error("the vision-language model's server is down: it is tried again in {again_in_s} s")]
+    VlmDown { again_in_s: u64 },
+    #[error("the vision-language model could not be asked, in {attempts} attempts: {why}")]
+    VlmFailed { why: String, attempts: u32 },
+    #[error(transparent)]
+    OverBudget(OverBudget),
+    #[error(
+        "answer {id} has no prompt and no replies: no model was asked, or they are no longer kept"
+    )]
+    NoTranscript { id: String },
+    #[error("answer {id} has no picture {name:?}")]
+    AnswerPictureNotFound { id: String, name: String },
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    #[error(
+        "the scene was parsed with the encoder {parsed_with}, this server has {here}: parse it again, or say \"allow_builtin\""
+    )]
+    EncoderChanged { parsed_with: String, here: String },
+    #[error("the question took longer than {seconds} s")]
+    QuestionTimedOut { seconds: f32 },
+    #[error("too many questions at once")]
+    Overloaded,
+    #[error(
+        "the stored parse is damaged ({what}); it is being made anew from the scan: ask again when the scene's job is done"
+    )]
+    ParseDamaged { parse_id: String, what: String },
+    #[error("this Idempotency-Key came with another request before: use a new key for a new one")]
+    IdempotencyKeyReused,
+    #[error(
+        "this server imports nothing from its own disk: its operator names a folder with --import-root"
+    )]
+    ImportNotAllowed,
+    #[error("there is no {path:?} below the folder that is imported from")]
+    ImportNotFound { path: String },
+    #[error("a scene grows at most {most} times: upload the scan anew, with all of its frames")]
+    GrownTooOften { most: usize },
+    #[error("somebody else has added frames to scene {id} meanwhile: try again")]
+    GrowthOvertaken { id: String },
+    #[error(
+        "what happened since version {since} is not known: version {renumbered} was parsed anew, with ids of its own. Ask for what happened since then"
+    )]
+    VersionsApart { since: u32, renumbered: u32 },
+    #[error("scene {id} has no version {asked}: it has {version}")]
+    NoVersion { id: String, asked: u32, version: u32 },
+    #[error(
+        "the two scans do not lie over each other: {:.0}% of the points of the first have one of the second's within 5 cm. Give both a scene_to_map with the same map_frame_id, or scan them in one world",
+        overlap * 100.0
+    )]
+    ScansApart { overlap: f32 },
+    #[error("comparing the two scans took longer than {seconds} s")]
+    ComparisonTimedOut { seconds: u64 },
+    #[error("too many {what} at once: {most} are served")]
+    TooMany { what: &'static str, most: usize },
+    #[error("{what}")]
+    NoScan { what: &'static str },
+    #[error(
+        "the upload is too slow: at least {bytes_per_s} bytes a second, and never {silence_s} s of silence"
+    )]
+    UploadTooSlow { bytes_per_s: u64, silence_s: u64 },
+    #[error("the upload holds more than {max_bytes} bytes")]
+    UploadTooLarge { max_bytes: u64 },
+    #[error("there is no upload {id}")]
+    UploadNotFound { id: String },
+    #[error("upload {id} was not gone on with for too long: begin a new one")]
+    UploadExpired { id: String },
+    #[error(
+        "somebody is sending to upload {id}, or it is being made a scene: ask for its offset when that is over"
+    )]
+    UploadBusy { id: String },
+    #[error("{offset} bytes of this upload are there: go on at this offset")]
+    WrongOffset { offset: u64 },
+    #[error("what has come is not what the checksum is of: send this part again")]
+    ChecksumMismatch,
+    #[error("{most} uploads may be unfinished at once: finish one, or delete it")]
+    TooManyUploads { most: u32 },
+    #[error("the upload broke off after {received} bytes")]
+    UploadInterrupted { received: u64 },
+    #[error("only {} MB are free on the server's disk", free >> 20)]
+    DiskNearlyFull { free: u64 },
+    #[error(
+        "this parse wants about {} MB beside the {} MB that the server holds, and it may have {} MB: thin the cloud, or give the server more",
+        wanted >> 20, resident >> 20, most >> 20
+    )]
+    MemoryShort { wanted: u64, resident: u64, most: u64 },
+    #[error("the process that read the scan was killed by the system, which may be out of memory")]
+    ReaderKilled,
+    #[error("a file could not be read or written")]
+    Io(#[from] io::Error),
+    #[error("background work stopped unexpectedly")]
+    Background(#[from] tokio::task::JoinError),
+}
+
+impl From<AskError> for Error {
+    fn from(error: AskError) -> Self {
+        match error {
+            AskError::Budget(budget) => Self::OverBudget(budget),
+            AskError::Chat(ChatFailure { error: ChatError::Down { again_in_s }, .. }) => {
+                Self::VlmDown { again_in_s }
+            }
+            AskError::Chat(failure) => {
+                Self::VlmFailed { why: failure.error.to_string(), attempts: failure.attempts }
+            }
+            AskError::CallsUsedUp { .. } => Self::VlmFailed { why: error.to_string(), attempts: 0 },
+        }
+    }
+}
+
+impl From<QuestionError> for Error {
+    fn from(error: QuestionError) -> Self {
+        match error {
+            QuestionError::Encoder(error) => Self::Model(error),
+            QuestionError::Photograph(error) => Self::Parse(error),
+            QuestionError::Review(error) => error.into(),
+            QuestionError::Unread(why) => Self::VlmFailed { why, attempts: 0 },
+        }
+    }
+}
+
+impl From<ReadError> for Error {
+    fn from(error: ReadError) -> Self {
+        match error {
+            ReadError::Ingest(error) => Self::Ingest(error),
+            ReadError::Killed => Self::ReaderKilled,
+            ReadError::Process(error) => Self::Io(error),
+        }
+    }
+}
+
+impl From<ScanError> for Error {
+    fn from(error: ScanError) -> Self {
+        match error {
+            ScanError::Ingest(error) => Self::Ingest(error),
+            ScanError::Parse(error) => Self::Parse(error),
+            ScanError::Io(error) => Self::Io(error),
+            ScanError::NotImported => Self::Io(io::Error::other(error)),
+        }
+    }
+}
+
+impl From<FieldError> for Error {
+    fn from(FieldError { pointer, detail }: FieldError) -> Self {
+        Self::Invalid { pointer, detail }
+    }
+}
+
+impl From<ChangesError> for Error {
+    fn from(error: ChangesError) -> Self {
+        match error {
+            ChangesError::Frame(error) => Self::Parse(error.into()),
+            ChangesError::Cancelled(cancelled) => Self::Parse(cancelled.into()),
+        }
+    }
+}
+
+impl From<serde_json::Error> for Error {
+    fn from(error: serde_json::Error) -> Self {
+        Self::Store(StoreError::Record(error))
+    }
+}
+
+impl Error {
+    pub fn invalid(pointer: impl Into<String>, detail: impl Into<String>) -> Self {
+        Self::Invalid { pointer: pointer.into(), detail: detail.into() }
+    }
+
+    /// Whether the same may go well a while later: a disk that was full, a database that was
+    /// locked, a model that did not answer.
+    #[must_use]
+    pub fn may_pass(&self) -> bool {
+        matches!(
+            self,
+            Self::Store(_)
+                | Self::Io(_)
+                | Self::DiskNearlyFull { .. }
+                | Self::MemoryShort { .. }
+                | Self::ReaderKilled
+                | Self::Overloaded
+                | Self::AnswerNotKept
+                | Self::VlmFailed { .. }
+                | Self::VlmDown { .. }
+                | Self::Jobs(JobsError::Store(_))
+                | Self::Ingest(IngestError::Io { .. })
+        )
+    }
+
+    /// Whether the disk is full.
+    #[must_use]
+    pub fn is_disk_full(&self) -> bool {
+        match self {
+            Self::Store(error) | Self::Jobs(JobsError::Store(error)) => error.is_full(),
+            Self::Io(error) | Self::Ingest(IngestError::Io { source: error, .. }) => {
+                is_disk_full(error)
+            }
+            Self::DiskNearlyFull { .. } => true,
+            _ => false,
+        }
+    }
+
+    /// Whether somebody else holds the database for a moment.
+    #[must_use]
+    pub fn is_store_busy(&self) -> bool {
+        matches!(self, Self::Store(error) | Self::Jobs(JobsError::Store(error)) if error.is_busy())
+    }
+
+    /// Whether the object store can not be had for a moment.
+    #[must_use]
+    pub fn is_blobs_away(&self) -> bool {
+        match self {
+            Self::Store(error) | Self::Jobs(JobsError::Store(error)) => error.is_blobs_away(),
+            Self::Io(error) | Self::Ingest(IngestError::Io { source: error, .. }) => {
+                Away::is_behind(error)
+            }
+            _ => false,
+        }
+    }
+
+    /// Stable code of this error, part of the API.
+    #[must_use]
+    pub fn code(&self) -> &'static str {
+        use uniground_geometry::scene::FrameError;
+        if self.is_disk_full() {
+            return "storage_full";
+        }
+        if self.is_store_busy() {
+            return "storage_busy";
+        }
+        if self.is_blobs_away() {
+            return "blobs_busy";
+        }
+        match self {
+            Self::Ingest(error) => code_of_import(error),
+            Self::Parse(error) => match error {
+                ParseError::Frame(
+                    FrameError::Unreadable { .. }
+                    | FrameError::Undecodable { .. }
+                    | FrameError::NotDepth { .. }
+                    | FrameError::WrongSize { .. },
+                ) => "frame_unreadable",
+                ParseError::NoPoints => "cloud_empty",
+                ParseError::Model(_) => "model_failed",
+                ParseError::Cancelled(_) => "cancelled",
+            },
+            Self::Jobs(error) => match error {
+                JobsError::NotFound { .. } => "job_not_found",
+                JobsError::QueueFull { .. } => "queue_full",
+                JobsError::Store(_) => "storage_failed",
+            },
+            Self::SceneNotFound { .. } => "scene_not_found",
+            Self::InstanceNotFound { .. } => "instance_not_found",
+            Self::ViewNotFound { .. } => "view_not_found",
+            Self::ReportPictureNotFound { .. } => "report_picture_not_found",
+            Self::NoEmbeddings { .. } => "no_embeddings",
+            Self::NoMap { .. } => "no_map",
+            Self::NoSourceFrame { .. } => "no_source_frame",
+            Self::AnswerNotFound { .. } => "answer_not_found",
+            Self::NoScan { .. } => "archive_unreadable",
+            Self::FrameNotFound { .. } => "frame_not_found",
+            Self::CorrectionNotFound { .. } => "correction_not_found",
+            Self::CorrectionInUse { .. } => "correction_in_use",
+            Self::NotAThing { .. } => "not_a_thing",
+            Self::WasMerged { .. } => "was_merged",
+            Self::NoParts { .. } => "no_parts",
+            Self::TooManyCorrections { .. } => "too_many_corrections",
+            Self::BatchNotFound { .. } => "batch_not_found",
+            Self::KeyNotFound { .. } => "key_not_found",
+            Self::KeyRefused => "key_refused",
+            Self::TooManyScenes { .. } => "quota_used_up",
+            Self::BatchOver { .. } => "batch_over",
+            Self::TooManyItems { .. } => "too_many_items",
+            Self::BatchTooLarge { .. } => "batch_too_large",
+            Self::SceneNotReady { .. } => "scene_not_ready",
+            Self::Invalid { .. } => "invalid_request",
+            Self::VlmNotConfigured => "vlm_not_configured",
+            Self::VlmFailed { .. } => "vlm_unavailable",
+            Self::VlmDown { .. } => "vlm_down",
+            Self::OverBudget(_) => "budget_spent",
+            Self::NoTranscript { .. } => "no_transcript",
+            Self::AnswerPictureNotFound { .. } => "answer_picture_not_found",
+            Self::Model(_) => "model_failed",
+            Self::EncoderChanged { .. } => "encoder_changed",
+            Self::QuestionTimedOut { .. } => "question_timed_out",
+            Self::ParseDamaged { .. } => "parse_damaged",
+            Self::IdempotencyKeyReused => "idempotency_key_reused",
+            Self::ImportNotAllowed => "import_not_allowed",
+            Self::ImportNotFound { .. } => "import_not_found",
+            Self::GrownTooOften { .. } => "grown_too_often",
+            Self::GrowthOvertaken { .. } => "growth_overtaken",
+            Self::VersionsApart { .. } => "versions_apart",
+            Self::NoVersion { .. } => "no_version",
+            Self::ScansApart { .. } => "scans_apart",
+            Self::ComparisonTimedOut { .. } => "comparison_timed_out",
+            Self::Overloaded | Self::TooMany { .. } => "overloaded",
+            Self::UploadTooSlow { .. } => "upload_too_slow",
+            Self::UploadTooLarge { .. } => "upload_too_large",
+            Self::UploadInterrupted { .. } => "upload_interrupted",
+            Self::UploadNotFound { .. } => "upload_not_found",
+            Self::UploadExpired { .. } => "upload_expired",
+            Self::UploadBusy { .. } => "upload_busy",
+            Self::WrongOffset { .. } => "upload_offset_wrong",
+            Self::ChecksumMismatch => "checksum_mismatch",
+            Self::TooManyUploads { .. } => "too_many_uploads",
+            Self::Store(_) | Self::Io(_) | Self::AnswerNotKept => "storage_failed",
+            Self::DiskNearlyFull { .. } => "storage_full",
+            Self::MemoryShort { .. } | Self::ReaderKilled => "memory_short",
+            Self::Background(_) => "internal",
+        }
+    }
+}
+
+/// Stable code of what is wrong with an upload.
+fn code_of_import(error: &IngestError) -> &'static str {
+    match error.kind() {
+        IngestErrorKind::ArchiveUnreadable => "archive_unreadable",
+        IngestErrorKind::UnsafeEntry => "archive_entry_unsafe",
+        IngestErrorKind::ArchiveTooLarge => "archive_too_large",
+        IngestErrorKind::UnknownLayout => "unknown_layout",
+        IngestErrorKind::Malformed => "scene_file_malformed",
+        IngestErrorKind::MissingFile => "scene_file_missing",
+        IngestErrorKind::MissingIntrinsics => "intrinsics_missing",
+        IngestErrorKind::BadIntrinsics => "intrinsics_invalid",
+        IngestErrorKind::FrameCountMismatch => "frame_count_mismatch",
+        IngestErrorKind::BadPose => "pose_invalid",
+        IngestErrorKind::EmptyCloud => "cloud_empty",
+        IngestErrorKind::EmptyScene => "scene_empty",
+        IngestErrorKind::NoUsableFrames => "no_usable_frames",
+        IngestErrorKind::Frame => "frame_unreadable",
+        IngestErrorKind::NothingFits => "convention_mismatch",
+        IngestErrorKind::DoesNotBelong => "frames_do_not_fit",
+        IngestErrorKind::IncompleteLayout => "layout_incomplete",
+        IngestErrorKind::UpUnknown => "up_unknown",
+        IngestErrorKind::TooCostly => "scan_too_costly",
+        IngestErrorKind::Io => "storage_failed",
+        IngestErrorKind::Cancelled => "cancelled",
+    }
+}

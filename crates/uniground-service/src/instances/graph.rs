@@ -1,0 +1,62 @@
+//! What is in a scene and how it stands to each other.
+
+use crate::Service;
+use crate::error::Error;
+use crate::parses::LoadedParse;
+use std::sync::Arc;
+use uniground_grounding::SceneView;
+use uniground_grounding::graph::{Graph, Guessed, graphml, text};
+use uniground_types::answer::CoordinateFrame;
+use uniground_types::graph::{GraphFormat, SceneGraph};
+use uniground_types::instances::Levels;
+use uniground_types::scene::InstanceId;
+
+impl Service {
+    /// The graph of a scene's current parse; with `around`, of an instance of any level and what it
+    /// stands in a relation to.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::InstanceNotFound`].
+    pub async fn graph(
+        &self,
+        scene_id: &str,
+        levels: Levels,
+        around: Option<InstanceId>,
+    ) -> Result<SceneGraph, Error> {
+        let (row, parse_id) = self.ready_scene(scene_id).await?;
+        let parse: Arc<LoadedParse> = self.loaded_parse(&parse_id).await?;
+        let levels = if around.is_some() { Levels::All } else { levels };
+        let graph = self.compute(move || Ok(graph_of(&parse, levels))).await?;
+        let Graph { nodes, edges } = match around {
+            Some(id) => graph
+                .around(id)
+                .ok_or_else(|| Error::InstanceNotFound { scene_id: row.id.clone(), id })?,
+            None => graph,
+        };
+        Ok(SceneGraph {
+            scene_id: row.id,
+            parse_version: u32::try_from(row.parse_version).unwrap_or(0),
+            frame: CoordinateFrame::default(),
+            nodes,
+            edges,
+        })
+    }
+}
+
+fn graph_of(parse: &LoadedParse, levels: Levels) -> Graph {
+    let LoadedParse { instances, extent, names, .. } = parse;
+    let guessed = if parse.embeddings.is_some() { Guessed::ByLooks } else { Guessed::ByMeasures };
+    Graph::of(SceneView { instances, extent: *extent, names, appearance: None }, levels, guessed)
+}
+
+/// A graph in a format, with its media type.
+///
+/// # Errors
+/// Never for graphs of ours: JSON that can not be written.
+pub fn written(graph: &SceneGraph, format: GraphFormat) -> Result<(&'static str, String), Error> {
+    Ok(match format {
+        GraphFormat::Json => ("application/json", serde_json::to_string(graph)?),
+        GraphFormat::Graphml => ("application/graphml+xml", graphml(graph)),
+        GraphFormat::Text => ("text/plain; charset=utf-8", text(graph)),
+    })
+}

@@ -1,0 +1,182 @@
+//! Instances as the outside sees them, and their evidence pictures.
+
+mod graph;
+
+pub use graph::written;
+
+use super::Service;
+use super::answers::StoredScene;
+use super::parses::LoadedParse;
+use crate::error::Error;
+use bytes::Bytes;
+use std::sync::Arc;
+use uniground_geometry::scene::{Instance, InstanceId};
+use uniground_parsing::evidence::Picture;
+use uniground_storage::Kept;
+use uniground_types::instances::{InstanceList, InstanceView, Levels, ViewPicture};
+
+/// A picture of an instance.
+pub enum EvidenceFile {
+    /// A JPEG file.
+    Stored(Kept),
+    /// The bytes of one.
+    Drawn(Bytes),
+}
+
+/// An instance as callers see it.
+fn view_of(
+    instance: Instance,
+    model_name: Option<String>,
+    given_name: Option<String>,
+) -> InstanceView {
+    let label = instance.label().to_owned();
+    let Instance {
+        id,
+        level,
+        things,
+        aabb,
+        raw_box,
+        oriented_box,
+        point_count,
+        mean_rgb,
+        colours,
+        planarity,
+        structure,
+        support,
+        height_above_floor_m,
+        views,
+        names,
+        given_name: _, // told as the label
+        found_for,
+        merged_from,
+        dismissed,
+        gone,
+    } = instance;
+    let colours = colours
+        .dominant()
+        .into_iter()
+        .map(|(name, share)| (name.word().to_owned(), share))
+        .collect();
+    InstanceView {
+        id,
+        level,
+        things,
+        label,
+        aabb,
+        raw_box,
+        oriented_box,
+        point_count,
+        mean_rgb,
+        colours,
+        planarity,
+        structure,
+        support,
+        height_above_floor_m,
+        names,
+        model_name: model_name.filter(|name| !name.is_empty()),
+        given_name,
+        dismissed,
+        gone,
+        merged_from,
+        found_for,
+        views,
+    }
+}
+
+impl Service {
+    /// Instances of the current parse at these levels in order of id, those after `cursor` only.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
+    pub async fn instances(
+        &self,
+        scene_id: &str,
+        levels: Levels,
+        limit: u32,
+        cursor: u32,
+    ) -> Result<InstanceList, Error> {
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        let parse = self.loaded_parse(&parse_id).await?;
+        let listed = parse
+            .instances
+            .iter()
+            .filter(|i| i.id.0 > cursor && levels.lists(i.level, i.dismissed));
+        let mut page = self.views_of(&parse, listed.take(limit as usize + 1)).await?;
+        let more = page.len() > limit as usize;
+        page.truncate(limit as usize);
+        Ok(InstanceList {
+            next_cursor: page.last().filter(|_| more).map(|i| i.id.0),
+            instances: page,
+        })
+    }
+
+    /// All instances of a parse but those that were dismissed, in order of id.
+    pub(super) async fn shown_instances(
+        &self,
+        parse: &LoadedParse,
+    ) -> Result<Vec<InstanceView>, Error> {
+        self.views_of(parse, parse.instances.iter().filter(|instance| !instance.dismissed)).await
+    }
+
+    /// Instances with the names they were given.
+    async fn views_of<'a>(
+        &self,
+        parse: &LoadedParse,
+        instances: impl Iterator<Item = &'a Instance>,
+    ) -> Result<Vec<InstanceView>, Error> {
+        let mut names = self.names_of(&parse.id).await?;
+        let view = |instance: &Instance| {
+            let (name, given) =
+                (names.remove(&instance.id.0), parse.renamed.get(&instance.id.0).cloned());
+            view_of(instance.clone(), name, given)
+        };
+        Ok(instances.map(view).collect())
+    }
+
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::InstanceNotFound`].
+    pub async fn instance(&self, scene_id: &str, id: InstanceId) -> Result<InstanceView, Error> {
+        let (parse, instance) = self.known_instance(scene_id, id).await?;
+        let name = self.names_of(&parse.id).await?.remove(&id.0);
+        Ok(view_of(instance, name, parse.renamed.get(&id.0).cloned()))
+    }
+
+    /// An evidence picture.
+    ///
+    /// # Errors
+    /// [`Error::ViewNotFound`] and those of [`instance`](Self::instance).
+    pub async fn view_picture(
+        &self,
+        scene_id: &str,
+        id: InstanceId,
+        view: u32,
+        picture: ViewPicture,
+    ) -> Result<EvidenceFile, Error> {
+        let (parse, instance) = self.known_instance(scene_id, id).await?;
+        let views = instance.views.len();
+        if view as usize >= views {
+            return Err(Error::ViewNotFound { id, view, views });
+        }
+        let picture = match picture {
+            ViewPicture::Frame => Picture::Frame,
+            ViewPicture::Crop => Picture::Crop,
+        };
+        let scene = StoredScene::new(self.clone(), parse);
+        let drawn = self.view_of_instance(scene, &instance, view as usize, picture).await?;
+        drawn.ok_or(Error::ViewNotFound { id, view, views })
+    }
+
+    /// An instance of a scene's current parse, and the parse.
+    async fn known_instance(
+        &self,
+        scene_id: &str,
+        id: InstanceId,
+    ) -> Result<(Arc<LoadedParse>, Instance), Error> {
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        let parse = self.loaded_parse(&parse_id).await?;
+        match parse.instances.get((id.0 as usize).wrapping_sub(1)).cloned() {
+            Some(instance) => Ok((parse, instance)),
+            None => Err(Error::InstanceNotFound { scene_id: scene_id.into(), id }),
+        }
+    }
+}

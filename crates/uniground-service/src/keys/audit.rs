@@ -1,0 +1,249 @@
+//! What was done: every request that changes what is stored, whose key it came with and what came
+//! of it.
+
+use super::{Caller, Keyring};
+use crate::error::Error;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use tokio::sync::{mpsc, oneshot};
+use tokio::time::{sleep, timeout};
+use uniground_models::with_causes;
+use uniground_storage::{AuditWriter, StoreError, now, page};
+use uniground_telemetry::metrics::Metrics;
+use uniground_types::keys::{AuditEntry, AuditList};
+
+/// A request that is under way, and what came of it.
+#[derive(Debug, Clone)]
+pub struct Done {
+    pub method: String,
+    pub path: String,
+    pub status: u16,
+    pub request_id: Option<String>,
+}
+
+/// The status of a request whose caller left before the answer: what it did is done.
+const LEFT: u16 = 499;
+
+/// A request that is written down however it ends: answered, or because whoever asked left, or
+/// because the handler panicked.
+pub struct Noting {
+    keys: Keyring,
+    open: Option<(Caller, Done)>,
+}
+
+impl Noting {
+    /// It was answered. Whoever asked waits until that is written down, unless the database takes
+    /// too long.
+    pub async fn answered(mut self, status: u16) {
+        if let Some((caller, done)) = self.open.take() {
+            let written =
+                self.keys.audit_log.push(self.keys.entry(&caller, Done { status, ..done }));
+            // What waits longer is written all the same; what was dropped has been logged.
+            let _ = timeout(MAX_WAIT, written).await;
+        }
+    }
+}
+
+impl Drop for Noting {
+    fn drop(&mut self) {
+        if let Some((caller, done)) = self.open.take() {
+            drop(self.keys.audit_log.push(self.keys.entry(&caller, Done { status: LEFT, ..done })));
+        }
+    }
+}
+
+/// No path of ours is longer.
+const MAX_PATH_CHARS: usize = 300;
+/// How long an answer is held back until its entry is written.
+const MAX_WAIT: Duration = Duration::from_secs(2);
+/// Entries that may wait to be written.
+const MAX_QUEUED: usize = 4096;
+/// Entries that are written in one transaction.
+const MAX_TOGETHER: usize = 256;
+/// How often entries are tried to be written while the database is busy, and the pause in between.
+const ATTEMPTS: u32 = 5;
+const RETRY_AFTER: Duration = Duration::from_millis(200);
+/// How often the log says that entries were dropped, at most.
+const LOG_EVERY: Duration = Duration::from_secs(10);
+
+/// Writes audit entries in the background, in order. Entries that come together are written
+/// together.
+#[derive(Clone)]
+pub(super) struct AuditLog {
+    queue: mpsc::Sender<Pending>,
+    dropped: Arc<Dropped>,
+}
+
+struct Pending {
+    entry: AuditEntry,
+    /// Closed when the entry was written or dropped.
+    written: oneshot::Sender<()>,
+}
+
+impl AuditLog {
+    /// Begins to write; ends when the last handle is gone and everything is written.
+    pub fn start(writer: AuditWriter, metrics: Arc<Metrics>) -> Self {
+        let (queue, pending) = mpsc::channel(MAX_QUEUED);
+        let dropped = Arc::new(Dropped { metrics, unlogged: Mutex::default() });
+        tokio::spawn(write_entries(writer, pending, dropped.clone()));
+        Self { queue, dropped }
+    }
+
+    /// Queues an entry. The receiver ends when it was written, or dropped because too many wait.
+    fn push(&self, entry: AuditEntry) -> oneshot::Receiver<()> {
+        let (written, receiver) = oneshot::channel();
+        if let Err(error) = self.queue.try_send(Pending { entry, written }) {
+            self.dropped.count(
+                std::slice::from_ref(&error.into_inner().entry),
+                "too many are waiting to be written",
+            );
+        }
+        receiver
+    }
+}
+
+async fn write_entries(
+    writer: AuditWriter,
+    mut queue: mpsc::Receiver<Pending>,
+    dropped: Arc<Dropped>,
+) {
+    let mut pending = Vec::new();
+    while queue.recv_many(&mut pending, MAX_TOGETHER).await > 0 {
+        let (entries, callers): (Vec<_>, Vec<_>) =
+            pending.drain(..).map(|pending| (pending.entry, pending.written)).unzip();
+        if let Err(error) = write(&writer, &entries).await {
+            dropped.count(&entries, &with_causes(&error));
+        }
+        drop(callers);
+    }
+}
+
+async fn write(writer: &AuditWriter, entries: &[AuditEntry]) -> Result<(), StoreError> {
+    for _ in 1..ATTEMPTS {
+        match writer.insert(entries).await {
+            Err(error) if error.is_busy() => sleep(RETRY_AFTER).await,
+            done => return done,
+        }
+    }
+    writer.insert(entries).await
+}
+
+/// Entries that were not written.
+struct Dropped {
+    metrics: Arc<Metrics>,
+    /// How many since the log last said so, and when that was.
+    unlogged: Mutex<(usize, Option<Instant>)>,
+}
+
+impl Dropped {
+    fn count(&self, entries: &[AuditEntry], why: &str) {
+        self.metrics.requests.audit_entries_dropped.inc_by(entries.len() as u64);
+        let mut unlogged = self.unlogged.lock().unwrap_or_else(PoisonError::into_inner);
+        let (count, logged_at) = &mut *unlogged;
+        *count += entries.len();
+        if logged_at.is_none_or(|at| at.elapsed() >= LOG_EVERY) {
+            tracing::error!(entries = *count, last = ?entries.last(), why, "audit entries dropped");
+            *unlogged = (0, Some(Instant::now()));
+        }
+    }
+}
+
+impl Keyring {
+    /// Begins to write down what somebody does.
+    #[must_use]
+    pub fn noting(&self, caller: Caller, done: Done) -> Noting {
+        Noting { keys: self.clone(), open: Some((caller, done)) }
+    }
+
+    fn entry(&self, caller: &Caller, done: Done) -> AuditEntry {
+        let Done { method, path, status, request_id } = done;
+        let path = path.chars().take(MAX_PATH_CHARS).collect();
+        let key_id = caller.key_id().map(str::to_owned);
+        AuditEntry { id: self.store.new_id(), at: now(), key_id, method, path, status, request_id }
+    }
+
+    /// What was done, newest first.
+    ///
+    /// # Errors
+    /// [`Error::Store`].
+    pub async fn audit(&self, limit: u32, cursor: Option<&str>) -> Result<AuditList, Error> {
+        let (entries, next_cursor) =
+            page(self.store.audit(limit + 1, cursor).await?, limit, |entry| &entry.id);
+        Ok(AuditList { entries, next_cursor })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use camino::Utf8Path;
+    use uniground_storage::{BlobHome, Location, Store};
+
+    async fn keyring(folder: &tempfile::TempDir) -> Keyring {
+        let folder = Utf8Path::from_path(folder.path()).unwrap();
+        let store = Store::open(folder, &Location::Folder, &BlobHome::Folder).await.unwrap();
+        Keyring::open(store, None).await.unwrap()
+    }
+
+    fn done(path: &str) -> Done {
+        Done { method: "DELETE".into(), path: path.into(), status: 0, request_id: None }
+    }
+
+    /// All entries, once there are so many.
+    async fn entries(keys: &Keyring, count: usize) -> Vec<AuditEntry> {
+        loop {
+            let entries = keys.audit(10_000, None).await.unwrap().entries;
+            if entries.len() >= count {
+                return entries;
+            }
+            sleep(Duration::from_millis(5)).await;
+        }
+    }
+
+    #[tokio::test]
+    async fn what_somebody_did_who_left_is_written_down_all_the_same() {
+        let folder = tempfile::tempdir().unwrap();
+        let keys = keyring(&folder).await;
+        keys.noting(Caller::operator(), done("/answered")).answered(204).await;
+        drop(keys.noting(Caller::operator(), done("/left")));
+        let entries = entries(&keys, 2).await;
+        let written: Vec<(&str, u16)> =
+            entries.iter().map(|entry| (entry.path.as_str(), entry.status)).collect();
+        assert_eq!(written, [("/left", LEFT), ("/answered", 204)]);
+    }
+
+    #[tokio::test]
+    async fn entries_of_a_flood_are_written_or_counted() {
+        const FLOOD: usize = MAX_QUEUED + 100;
+        let folder = tempfile::tempdir().unwrap();
+        let metrics = Arc::<Metrics>::default();
+        let keys = keyring(&folder).await.counted_by(metrics.clone());
+        // The writer has no turn in between: there is one thread.
+        for _ in 0..FLOOD {
+            drop(keys.noting(Caller::operator(), done("/flood")));
+        }
+        assert!(
+            metrics.text().contains("uniground_audit_entries_dropped_total 100"),
+            "{}",
+            metrics.text()
+        );
+        assert_eq!(entries(&keys, MAX_QUEUED).await.len(), MAX_QUEUED);
+        keys.noting(Caller::operator(), done("/later")).answered(200).await;
+        assert_eq!(entries(&keys, MAX_QUEUED + 1).await[0].path, "/later");
+    }
+
+    #[tokio::test]
+    async fn entries_that_the_database_refuses_are_counted() {
+        let folder = tempfile::tempdir().unwrap();
+        let metrics = Arc::<Metrics>::default();
+        let keys = keyring(&folder).await.counted_by(metrics.clone());
+        keys.store.close().await;
+        let refused = keys.entry(&Caller::operator(), done("/refused"));
+        let _ = keys.audit_log.push(refused).await;
+        assert!(
+            metrics.text().contains("uniground_audit_entries_dropped_total 1"),
+            "{}",
+            metrics.text()
+        );
+    }
+}

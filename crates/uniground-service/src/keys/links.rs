@@ -1,0 +1,297 @@
+//! Links that work without a key: who made one, until when, and for what stands in the link, signed
+//! with a secret of this server's.
+//!
+//! ```text
+//! link = <expires, Unix seconds>.<id of the key, "own" or "none">.<HMAC-SHA-256 of both and the path, hex>
+//! ```
+
+use super::{Caller, Denied, Keyring, equal, hex};
+use crate::error::Error;
+use hmac::{Hmac, KeyInit, Mac};
+use jiff::Timestamp;
+use sha2::{Digest, Sha256};
+use uniground_types::keys::Scope;
+use uniground_types::links::{Link, LinkList, LinkRequest};
+
+/// Names the query parameter.
+pub const PARAMETER: &str = "link";
+const MOST_PATHS: usize = 500;
+const LONGEST_PATH: usize = 500;
+const SECONDS: std::ops::RangeInclusive<u32> = 10..=86_400;
+/// Stands for everything below.
+const ALL: &str = "/*";
+/// Made with the server's own key, and where no key was wanted.
+const OWN: &str = "own";
+const NONE: &str = "none";
+
+/// What links are signed with.
+#[derive(Clone)]
+pub struct LinkSecret(Hmac<Sha256>);
+
+impl LinkSecret {
+    /// Of any bytes that nobody else knows.
+    #[must_use]
+    pub fn new(secret: &[u8]) -> Self {
+        let mut block = [0; 64];
+        block[..32].copy_from_slice(&Sha256::digest(secret));
+        Self(Hmac::new(&block.into()))
+    }
+
+    /// One of its own: links work until the server stops.
+    ///
+    /// # Errors
+    /// [`Error::Io`]: the system gives no random bytes.
+    pub fn random() -> Result<Self, Error> {
+        let mut secret = [0; 32];
+        getrandom::fill(&mut secret)
+            .map_err(|error| Error::Io(std::io::Error::other(error.to_string())))?;
+        Ok(Self::new(&secret))
+    }
+
+    fn sign(&self, path: &str, expires: i64, maker: &str) -> String {
+        let mut mac = self.0.clone();
+        mac.update(format!("{expires}\n{maker}\n{path}").as_bytes());
+        hex(&mac.finalize().into_bytes())
+    }
+}
+
+impl Keyring {
+    /// Links to paths, for whoever has them: what their maker may read.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`].
+    pub fn links(
+        &self,
+        request: LinkRequest,
+        caller: &Caller,
+        now: Timestamp,
+    ) -> Result<LinkList, Error> {
+        let LinkRequest { paths, expires_in_s } = request;
+        if !SECONDS.contains(&expires_in_s) {
+            return Err(Error::invalid(
+                "/expires_in_s",
+                format!("must be {} to {}", SECONDS.start(), SECONDS.end()),
+            ));
+        }
+        if !(1..=MOST_PATHS).contains(&paths.len()) {
+            return Err(Error::invalid("/paths", format!("must be 1 to {MOST_PATHS} paths")));
+        }
+        let expires = now.as_second() + i64::from(expires_in_s);
+        let maker = match caller.key_id() {
+            Some(id) => id,
+            None if self.is_wanted() => OWN,
+            None => NONE,
+        };
+        let link = |(index, path): (usize, String)| {
+            // One resource, or all of one.
+            let is_path = path.strip_prefix("/v1/").is_some_and(|below| {
+                let (folder, is_all) =
+                    below.strip_suffix(ALL).map_or((below, false), |folder| (folder, true));
+                let is_one = folder.contains('/') && !folder.ends_with('/');
+                !folder.is_empty() && !folder.contains('*') && (is_one || !is_all)
+            });
+            if !is_path
+                || path.len() > LONGEST_PATH
+                || path.contains(['?', '#'])
+                || !path.is_ascii()
+            {
+                let detail = format!(
+                    "must be a path below /v1/ without a query, at most {LONGEST_PATH} characters"
+                );
+                return Err(Error::invalid(format!("/paths/{index}"), detail));
+            }
+            let token = format!(
+                "{expires}.{maker}.{}",
+                self.link_secret.sign(&path, expires, &self.signer(maker))
+            );
+            let url = (!path.ends_with(ALL)).then(|| format!("{path}?{PARAMETER}={token}"));
+            let expires_at = Timestamp::from_second(expires).unwrap_or(now).to_string();
+            Ok(Link { path, token, url, expires_at })
+        };
+        Ok(LinkList { links: paths.into_iter().enumerate().map(link).collect::<Result<_, _>>()? })
+    }
+
+    /// A maker as it is signed: links of the server's own key go with that key.
+    fn signer(&self, maker: &str) -> String {
+        match &self.own {
+            Some(own) if maker == OWN => format!("{OWN} {own}"),
+            _ => maker.to_owned(),
+        }
+    }
+
+    /// Who made a link to this path: they may read.
+    ///
+    /// # Errors
+    /// Why it does not work (any more).
+    pub fn caller_of_link(
+        &self,
+        token: &str,
+        path: &str,
+        now: Timestamp,
+    ) -> Result<Caller, Denied> {
+        let mut parts = token.splitn(3, '.');
+        let (Some(expires), Some(maker), Some(mac)) = (parts.next(), parts.next(), parts.next())
+        else {
+            return Err(Denied::BadLink);
+        };
+        let expires: i64 = expires.parse().map_err(|_| Denied::BadLink)?;
+        // The path itself, or everything below one of the folders it lies in.
+        let folders =
+            path.match_indices('/').skip(3).map(|(at, _)| format!("{}{ALL}", &path[..at]));
+        let signer = self.signer(maker);
+        let is_signed = |path: String| equal(&self.link_secret.sign(&path, expires, &signer), mac);
+        if !std::iter::once(path.to_owned()).chain(folders).any(is_signed) {
+            return Err(Denied::BadLink);
+        }
+        if expires <= now.as_second() {
+            return Err(Denied::LinkOver);
+        }
+        let caller = match maker {
+            NONE if self.is_wanted() => return Err(Denied::NoKey),
+            OWN if self.own.is_none() => return Err(Denied::BadLink),
+            OWN | NONE => Caller::operator(),
+            id => self.caller_of(Some(id))?,
+        };
+        Ok(Caller { scope: Scope::Read, ..caller })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use camino::Utf8Path;
+    use uniground_storage::Store;
+    use uniground_types::keys::NewKey;
+
+    const SCENE: &str = "/v1/scenes/01a1ff70-0000-7000-8000-000000000001";
+
+    fn wanted(paths: &[String]) -> LinkRequest {
+        LinkRequest { paths: paths.to_vec(), expires_in_s: 60 }
+    }
+
+    #[tokio::test]
+    async fn a_link_opens_its_path_until_it_is_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(
+            Utf8Path::from_path(folder.path()).unwrap(),
+            &uniground_storage::Location::Folder,
+            &uniground_storage::BlobHome::Folder,
+        )
+        .await
+        .unwrap();
+        let keys = Keyring::open(store, Some("the servers own key")).await.unwrap();
+        let now = Timestamp::from_second(1_700_000_000).unwrap();
+        let later = |s: i64| Timestamp::from_second(1_700_000_000 + s).unwrap();
+        let new = NewKey {
+            name: "page".into(),
+            scope: Scope::Write,
+            expires_at: None,
+            requests_per_minute: None,
+            max_scenes: None,
+            daily_usd: None,
+        };
+        let made = keys.create(new).await.unwrap();
+        let maker = keys.caller(Some(&made.secret)).unwrap();
+        let cloud = format!("{SCENE}/cloud.ply");
+        let links =
+            keys.links(wanted(&[cloud.clone(), format!("{SCENE}/*")]), &maker, now).unwrap().links;
+        assert_eq!(
+            (links[0].url.clone(), &links[1].url),
+            (Some(format!("{cloud}?link={}", links[0].token)), &None)
+        );
+        let opens = |token: &str, path: &str, at| {
+            keys.caller_of_link(token, path, at)
+                .map(|caller| (caller.scope, caller.key_id().map(str::to_owned)))
+        };
+        let reader = Ok((Scope::Read, Some(made.key.id.clone())));
+        assert_eq!(
+            opens(&links[0].token, &cloud, later(59)),
+            reader,
+            "no more than reading, whoever made it"
+        );
+        assert_eq!(opens(&links[0].token, &cloud, later(60)), Err(Denied::LinkOver));
+        for below in [cloud.clone(), format!("{SCENE}/instances/3/views/0.jpg")] {
+            assert_eq!(opens(&links[1].token, &below, now), reader);
+        }
+        let other = SCENE.replace('1', "2");
+        for (token, path) in [
+            (links[0].token.clone(), format!("{SCENE}/points.bin")),
+            (links[1].token.clone(), SCENE.to_owned()),
+            (links[1].token.clone(), format!("{other}/cloud.ply")),
+            (links[1].token.clone(), format!("{SCENE}x/cloud.ply")),
+            (links[0].token.replacen("17", "18", 1), cloud.clone()),
+            (links[0].token.replace(&made.key.id, OWN), cloud.clone()),
+            ("1.2".into(), cloud.clone()),
+            (String::new(), cloud.clone()),
+        ] {
+            assert_eq!(opens(&token, &path, now), Err(Denied::BadLink), "{token} {path}");
+        }
+        keys.revoke(&made.key.id).await.unwrap();
+        assert_eq!(
+            opens(&links[0].token, &cloud, now),
+            Err(Denied::Revoked),
+            "it goes with its key"
+        );
+    }
+
+    #[tokio::test]
+    async fn what_was_signed_before_there_were_keys_opens_nothing_after() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(
+            Utf8Path::from_path(folder.path()).unwrap(),
+            &uniground_storage::Location::Folder,
+            &uniground_storage::BlobHome::Folder,
+        )
+        .await
+        .unwrap();
+        let keys = Keyring::open(store, None).await.unwrap();
+        let now = Timestamp::now();
+        let token = keys
+            .links(wanted(&[SCENE.into()]), &Caller::operator(), now)
+            .unwrap()
+            .links
+            .remove(0)
+            .token;
+        assert!(keys.caller_of_link(&token, SCENE, now).is_ok());
+        let new = serde_json::from_str(r#"{"name": "first", "scope": "admin"}"#).unwrap();
+        keys.create(new).await.unwrap();
+        assert_eq!(keys.caller_of_link(&token, SCENE, now).unwrap_err(), Denied::NoKey);
+    }
+
+    #[tokio::test]
+    async fn only_paths_of_one_thing_get_links() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(
+            Utf8Path::from_path(folder.path()).unwrap(),
+            &uniground_storage::Location::Folder,
+            &uniground_storage::BlobHome::Folder,
+        )
+        .await
+        .unwrap();
+        let keys = Keyring::open(store, None).await.unwrap();
+        let refused = |paths: &[&str], expires_in_s| {
+            let paths = paths.iter().map(|&path| path.to_owned()).collect();
+            keys.links(LinkRequest { paths, expires_in_s }, &Caller::operator(), Timestamp::now())
+                .is_err()
+        };
+        for path in [
+            "",
+            "/",
+            "/v1/",
+            "/v1/*",
+            "/v1/scenes/*",
+            "/v1/scenes//*",
+            "/metrics",
+            "/v1/jobs?limit=1",
+            "/v1/caf\u{e9}",
+        ] {
+            assert!(refused(&[path], 60), "{path}");
+        }
+        assert!(
+            refused(&[], 60)
+                && refused(&[SCENE], 9)
+                && refused(&[SCENE], 86_401)
+                && !refused(&[SCENE], 86_400)
+        );
+    }
+}

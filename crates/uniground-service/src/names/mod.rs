@@ -1,0 +1,233 @@
+//! Naming all instances of a parse up front, as a job: questions with cached names then never wait
+//! for it.
+
+use super::answers::StoredScene;
+use super::vlm::{OF_KEY, WhenNamed};
+use super::{Caller, Service, Vlm, job_failure, until_cancelled};
+use crate::error::Error;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+use uniground_geometry::scene::{Instance, InstanceId};
+use uniground_grounding::pipeline::SceneSource;
+use uniground_grounding::vlm::naming;
+use uniground_jobs::{Job, JobContext, JobFailure, JobKind, Retry};
+use uniground_models::chat::{OverBudget, Session};
+use uniground_parsing::ParseError;
+use uniground_storage::JobFilter;
+
+/// Names the objects of scenes. It waits for a model most of its time: several at once do not stand
+/// in each other's way.
+pub struct NamingJob(pub Service);
+
+#[derive(Serialize, Deserialize)]
+pub struct Payload {
+    scene_id: String,
+    /// Who pays, beside the day's budget.
+    #[serde(default)]
+    key_id: Option<String>,
+}
+
+impl JobKind for NamingJob {
+    const NAME: &'static str = "naming";
+    const CONCURRENCY: usize = 4;
+    /// Each call is made with patience already; names that were given are kept, so that another try
+    /// only asks for the rest.
+    const RETRY: Retry = Retry { interrupted: 10, transient: 1, backoff: Duration::ZERO };
+    type Payload = Payload;
+
+    async fn run(&self, job: JobContext<Payload>) -> Result<String, JobFailure> {
+        self.0.run_naming(job).await.map_err(job_failure)
+    }
+}
+
+impl Service {
+    /// Names every object of a scene's current parse, in the background. What has a name already is
+    /// not paid for again.
+    ///
+    /// # Errors
+    /// [`Error`]: no model, an unknown or unparsed scene, a full queue.
+    pub async fn start_naming(&self, scene_id: &str, caller: &Caller) -> Result<Job, Error> {
+        if self.vlm.is_none() {
+            return Err(Error::VlmNotConfigured);
+        }
+        self.check_paid(caller)?;
+        let (scene, _) = self.ready_scene(scene_id).await?;
+        let payload =
+            Payload { scene_id: scene.id.clone(), key_id: caller.key_id().map(str::to_owned) };
+        Ok(self.jobs.submit::<NamingJob>(&scene.id, &payload, caller.key_id()).await?)
+    }
+
+    /// Starts naming a scene that has just been parsed, where that is wanted. What stands against
+    /// it is told in the log: the parse is done. The server's own money pays, whoever uploaded
+    /// the scene.
+    pub(super) async fn name_when_parsed(&self, scene_id: &str) {
+        if self.vlm.as_ref().is_none_or(|vlm| vlm.names() != WhenNamed::Parse) {
+            return;
+        }
+        let start = async {
+            let (_, parse_id) = self.ready_scene(scene_id).await?;
+            match self.store.name_index(&parse_id, naming::NAMING_VERSION).await? {
+                Some(_) => Ok(()),
+                None => self.start_naming(scene_id, &Caller::operator()).await.map(drop),
+            }
+        };
+        if let Err(error) = start.await {
+            let error: Error = error;
+            tracing::warn!(
+                scene_id,
+                error = &error as &dyn std::error::Error,
+                "a parsed scene is not named"
+            );
+        }
+    }
+
+    /// Waits until a scene is named, where that is wanted before the model's first question. A
+    /// question goes without names where they can not be had; its answer says so.
+    pub(super) async fn name_before_asking(
+        &self,
+        scene_id: &str,
+        parse_id: &str,
+        caller: &Caller,
+    ) -> Result<(), Error> {
+        let wanted = self.vlm.as_ref().is_some_and(|vlm| vlm.names() == WhenNamed::Lazy);
+        if !wanted || self.store.name_index(parse_id, naming::NAMING_VERSION).await?.is_some() {
+            return Ok(());
+        }
+        let filter = JobFilter {
+            kind: Some(NamingJob::NAME.to_owned()),
+            state: None,
+            subject: Some(scene_id.to_owned()),
+        };
+        let last =
+            self.store.jobs(&filter, 1, None).await?.into_iter().find(|job| !job.state.is_final());
+        let job_id = match last {
+            Some(job) => job.id,
+            None => self.start_naming(scene_id, caller).await?.id,
+        };
+        // Gone is over, too.
+        let _ = self.jobs.follow(&job_id).await?.wait_for(|job| job.state.is_final()).await;
+        Ok(())
+    }
+
+    /// A budget that nothing can be held against pays for nothing.
+    fn check_paid(&self, caller: &Caller) -> Result<(), Error> {
+        let unknown = self.vlm.as_ref().is_some_and(|vlm| !vlm.prices().are_known());
+        match caller.key.as_ref().and_then(|key| key.row.daily_usd).filter(|_| unknown) {
+            Some(limit_usd) => Err(Error::OverBudget(OverBudget {
+                of: OF_KEY,
+                limit_usd,
+                left_usd: 0.0,
+                wanted_usd: 0.0,
+            })),
+            None => Ok(()),
+        }
+    }
+
+    /// Names the configured model gave to the instances of a parse.
+    pub(super) async fn names_of(&self, parse_id: &str) -> Result<BTreeMap<u32, String>, Error> {
+        match &self.vlm {
+            Some(vlm) => {
+                Ok(self.store.instance_names(parse_id, vlm.name(), naming::NAMING_VERSION).await?)
+            }
+            None => Ok(BTreeMap::new()),
+        }
+    }
+
+    /// Gives instances the names of the parse's index, where a model has named everything; that
+    /// model and the version of the question.
+    pub(super) async fn give_names(
+        &self,
+        parse_id: &str,
+        instances: &mut [Instance],
+    ) -> Result<Option<String>, Error> {
+        let Some(model) = self.store.name_index(parse_id, naming::NAMING_VERSION).await? else {
+            return Ok(None);
+        };
+        let mut names = self.store.instance_names(parse_id, &model, naming::NAMING_VERSION).await?;
+        for instance in instances {
+            // What was found for a question has a name of its own.
+            let own = instance.given_name.take();
+            instance.given_name =
+                names.remove(&instance.id.0).filter(|name| !name.is_empty()).or(own);
+        }
+        Ok(Some(naming::namer(&model)))
+    }
+
+    /// Keeps names the configured model gave; those given before stay.
+    pub(super) async fn keep_names(
+        &self,
+        parse_id: &str,
+        names: &BTreeMap<u32, String>,
+    ) -> Result<(), Error> {
+        if let Some(vlm) = &self.vlm {
+            self.store
+                .keep_instance_names(parse_id, vlm.name(), naming::NAMING_VERSION, names)
+                .await?;
+        }
+        Ok(())
+    }
+
+    async fn run_naming(
+        &self,
+        JobContext { payload, progress, .. }: JobContext<Payload>,
+    ) -> Result<String, Error> {
+        let vlm = self.vlm.clone().ok_or(Error::VlmNotConfigured)?;
+        let caller =
+            self.keys.caller_of(payload.key_id.as_deref()).map_err(|_| Error::KeyRefused)?;
+        self.check_paid(&caller)?;
+        let (_, parse_id) = self.ready_scene(&payload.scene_id).await?;
+        let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
+        let known = self.names_of(&parse_id).await?;
+        let unnamed: Vec<InstanceId> = source
+            .instances()
+            .iter()
+            .filter(|i| i.structure.is_none() && !i.dismissed && !known.contains_key(&i.id.0))
+            .map(|i| i.id)
+            .collect();
+        let mut named = 0;
+        let sheets: Vec<&[InstanceId]> = unnamed.chunks(naming::PER_SHEET).collect();
+        for (number, ids) in sheets.iter().enumerate() {
+            // What is refused by now is not gone on with.
+            self.keys.caller_of(payload.key_id.as_deref()).map_err(|_| Error::KeyRefused)?;
+            progress
+                .report("naming", number as f32 / sheets.len() as f32)
+                .map_err(ParseError::from)?;
+            let names = tokio::select! {
+                names = self.name_sheet(&vlm, &caller, &source, number + 1, ids) => names?,
+                cancelled = until_cancelled(&progress) => return Err(ParseError::from(cancelled).into()),
+            };
+            named += names.values().filter(|name| !name.is_empty()).count();
+        }
+        self.store.complete_name_index(&parse_id, vlm.name(), naming::NAMING_VERSION).await?;
+        // From here on whoever asks is answered with all names.
+        Ok(format!("{named} of {} objects named by {}", unnamed.len(), vlm.name()))
+    }
+
+    /// Asks for the names of one sheet and keeps them: a job that is resumed goes on with the next.
+    /// What is not shown well enough to be asked about has the name "".
+    async fn name_sheet(
+        &self,
+        vlm: &Vlm,
+        caller: &Caller,
+        source: &Arc<StoredScene>,
+        number: usize,
+        ids: &[InstanceId],
+    ) -> Result<BTreeMap<u32, String>, Error> {
+        let wanted = ids.to_vec();
+        let sheet = source.compute(move |source| naming::sheet_of(source, number, &wanted)).await?;
+        let mut names = BTreeMap::new();
+        if let Some((sheet, shown)) = sheet {
+            let model = vlm.model_for(caller);
+            let mut session = Session::new(model.as_ref(), Vlm::budgets(None), 1);
+            names =
+                naming::read(&session.ask("naming", naming::request(sheet, &shown)).await?, &shown);
+            names.extend(
+                ids.iter().filter(|id| !shown.contains(&id.0)).map(|id| (id.0, String::new())),
+            );
+        }
+        self.keep_names(&source.parse.id, &names).await?;
+        Ok(names)
+    }
+}

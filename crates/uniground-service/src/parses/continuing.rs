@@ -1,0 +1,168 @@
+//! A parse that goes on from another: of a scene that has grown, what stays keeps its id, its names
+//! and what people have said of it.
+
+use super::{ParseFile, read_frames};
+use crate::Service;
+use crate::error::Error;
+use std::fs::File;
+use std::io::BufReader;
+use tokio::task::spawn_blocking;
+use uniground_geometry::Isometry3;
+use uniground_geometry::progress::Progress;
+use uniground_geometry::scene::{
+    FrameRef, Instance, InstanceId, Owners, PointCloud, correct, read_instance_of_point,
+};
+use uniground_parsing::changes::{Counterparts, Look, carried, compare, continued, pairs};
+use uniground_parsing::scan::ParsedScan;
+use uniground_storage::{Blobs, Kept, Turn};
+use uniground_types::changes::Changes;
+use uniground_types::corrections::Correction;
+use uniground_types::settings::InstanceSettings;
+
+/// The parse a scene has had.
+pub(super) struct Previous {
+    pub parse_id: String,
+    /// As that parse has found them, with what was made since.
+    found: Vec<Instance>,
+    /// With their names, as people have corrected them.
+    shown: Vec<Instance>,
+    corrections: Vec<Correction>,
+    blobs: Blobs,
+    folder: Kept,
+    content: Kept,
+}
+
+/// What the new parse has from the one before.
+pub(super) struct Inherited {
+    pub parse_id: String,
+    pub changes: Changes,
+    pub corrections: Vec<Correction>,
+}
+
+impl Service {
+    /// A scene's current parse, and the turn at changing what is known of it: while somebody has
+    /// that, nothing is corrected or found in it, and a scene that grows does not go on from
+    /// it.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
+    pub(crate) async fn turn_at_parse(&self, scene_id: &str) -> Result<(String, Turn), Error> {
+        loop {
+            let (_, parse_id) = self.ready_scene(scene_id).await?;
+            let turn = self.correcting(&parse_id).await?;
+            if self.ready_scene(scene_id).await?.1 == parse_id {
+                return Ok((parse_id, turn));
+            }
+        }
+    }
+
+    /// The parse that the next one of a scene that has grown goes on from.
+    pub(super) async fn previous_parse(&self, parse_id: String) -> Result<Previous, Error> {
+        let loaded = self.loaded_parse(&parse_id).await?;
+        let (blobs, folder, content) =
+            (self.store.blobs.clone(), self.store.blobs.parse(&parse_id), loaded.content.clone());
+        let brought =
+            spawn_blocking(move || Ok::<_, Error>((blobs.whole(&folder)?, blobs.whole(&content)?)));
+        let (folder, content) = brought.await??;
+        Ok(Previous {
+            found: self.store.instances(&parse_id).await?,
+            shown: loaded.instances.clone(),
+            corrections: self.store.corrections(&parse_id).await?,
+            blobs: self.store.blobs.clone(),
+            folder,
+            content,
+            parse_id,
+        })
+    }
+}
+
+impl Previous {
+    /// Brings a parse under the ids of this one, and tells what changed; blocks.
+    ///
+    /// # Errors
+    /// Unreadable frames, and calling off.
+    pub fn continue_in(
+        self,
+        scan: &mut ParsedScan,
+        settings: &InstanceSettings,
+        progress: &Progress,
+    ) -> Result<Inherited, Error> {
+        let Some((cloud, of_point)) = self.points() else {
+            tracing::warn!(
+                parse_id = self.parse_id,
+                "the files of the parse before can not be read: things are known again by their boxes"
+            );
+            let same = identical(&self.found, &scan.scene.instances);
+            scan.scene = continued(&self.found, scan.scene.clone(), &same);
+            let corrections = carried(&self.corrections, &mut scan.scene, settings);
+            return Ok(Inherited {
+                parse_id: self.parse_id,
+                changes: Changes::default(),
+                corrections,
+            });
+        };
+        let counterparts = Counterparts::same_points(&cloud.positions, &scan.scene.cloud.positions);
+        let same = pairs(&of_point, &scan.scene.instance_of_point, &counterparts);
+        scan.scene = continued(&self.found, scan.scene.clone(), &same);
+        let corrections = carried(&self.corrections, &mut scan.scene, settings);
+        let mut now = scan.scene.instances.clone();
+        correct(&mut now, &corrections);
+        let frames_before =
+            read_frames(&self.blobs, &self.folder, &self.content)?.unwrap_or_default();
+        let is_new =
+            |frame: &&FrameRef| frames_before.iter().all(|before| before.index != frame.index);
+        let new_frames: Vec<FrameRef> = scan.frames.iter().filter(is_new).cloned().collect();
+        let owner_before = owned(&self.shown, &of_point, &cloud);
+        let owner_now = owned(&now, &scan.scene.instance_of_point, &scan.scene.cloud);
+        let stayed =
+            self.shown.iter().zip(&now).filter(|(before, now)| before.is_shown() && now.is_shown());
+        let stayed: Vec<(InstanceId, InstanceId)> =
+            stayed.map(|(before, now)| (before.id, now.id)).collect();
+        let changes = compare(
+            &Look {
+                cloud: &cloud,
+                owner_of_point: &owner_before,
+                instances: &self.shown,
+                frames: &frames_before,
+            },
+            &Look {
+                cloud: &scan.scene.cloud,
+                owner_of_point: &owner_now,
+                instances: &now,
+                frames: &new_frames,
+            },
+            &stayed,
+            &counterparts,
+            &Isometry3::identity(),
+            progress,
+        )?;
+        Ok(Inherited { parse_id: self.parse_id, changes, corrections })
+    }
+
+    fn points(&self) -> Option<(PointCloud, Vec<InstanceId>)> {
+        let cloud = uniground_ingest::read_cloud(&ParseFile::Cloud.of(&self.folder)).ok()?;
+        let file = File::open(ParseFile::Instances.of(&self.folder)).ok()?;
+        let of_point = read_instance_of_point(BufReader::new(file)).ok()?;
+        (of_point.len() == cloud.len()).then_some((cloud, of_point))
+    }
+}
+
+/// Things that are the same to the bit.
+fn identical(before: &[Instance], now: &[Instance]) -> Vec<(InstanceId, InstanceId)> {
+    let is_same = |a: &Instance, b: &Instance| {
+        !a.gone && a.raw_box == b.raw_box && a.point_count == b.point_count && a.level == b.level
+    };
+    let pair =
+        |new: &Instance| before.iter().find(|old| is_same(old, new)).map(|old| (old.id, new.id));
+    now.iter().filter_map(pair).collect()
+}
+
+/// Whose each point is, as people have corrected it.
+fn owned(instances: &[Instance], of_point: &[InstanceId], cloud: &PointCloud) -> Vec<InstanceId> {
+    let owners = Owners::of(of_point, instances);
+    of_point
+        .iter()
+        .zip(&cloud.positions)
+        .map(|(found, position)| owners.of_point(*found, position))
+        .collect()
+}

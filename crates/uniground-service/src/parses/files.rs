@@ -1,0 +1,232 @@
+//! What a parse's folder holds, by name. The only place that knows.
+
+use crate::error::Error;
+use camino::{Utf8Path, Utf8PathBuf};
+use image::RgbImage;
+use std::collections::BTreeSet;
+use std::fs::{self, File};
+use std::io;
+use uniground_geometry::progress::Progress;
+use uniground_geometry::scene::{
+    Embeddings, FrameEmbeddings, FrameIndex, FrameRef, InstanceId, write_cloud_ply,
+    write_even_points, write_instances_ply,
+};
+use uniground_parsing::evidence::Picture;
+use uniground_parsing::scan::ParsedScan;
+use uniground_parsing::{ParseError, report_pictures};
+use uniground_render::{RenderScene, jpeg};
+use uniground_storage::{Blobs, Scratch};
+
+/// A file a caller can have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ParseFile {
+    /// The cloud in its own colours, PLY.
+    Cloud,
+    /// The cloud coloured by instance, PLY.
+    Instances,
+    /// The cloud in an order of which every beginning is an even sample, with the instances of its
+    /// points; not in parses from before it was kept.
+    Points,
+    /// The room from above, small; not in parses from before it was kept.
+    Thumbnail,
+    /// What the instances look like: a numpy array; only where an encoder took part.
+    Embeddings,
+}
+
+impl ParseFile {
+    #[must_use]
+    pub fn of(self, parse: &Utf8Path) -> Utf8PathBuf {
+        parse.join(match self {
+            Self::Cloud => "cloud.ply",
+            Self::Instances => "instances.ply",
+            Self::Points => "points.bin",
+            Self::Thumbnail => "thumbnail.jpg",
+            Self::Embeddings => "embeddings.npy",
+        })
+    }
+}
+
+const NORMS: &str = "embedding_norms.npy";
+const FRAME_EMBEDDINGS: [&str; 2] = ["frame_embeddings.npy", "frame_embeddings_of.npy"];
+const VIEWS: &str = "views";
+const FRAMES: &str = "frames.json";
+
+/// An evidence picture of an instance, as parses keep it from before such pictures were drawn for
+/// who looks at them; `view` counts from 0.
+pub fn view(parse: &Utf8Path, instance: InstanceId, view: usize, picture: Picture) -> Utf8PathBuf {
+    parse.join(VIEWS).join(view_name(instance, view, picture))
+}
+
+fn view_name(instance: InstanceId, view: usize, picture: Picture) -> String {
+    let kind = match picture {
+        Picture::Crop => "crop",
+        Picture::Frame => "frame",
+    };
+    format!("{instance}-{view}-{kind}.jpg")
+}
+
+/// A photograph that views are of, through a pinhole: pictures for models are drawn from it.
+pub fn photograph(parse: &Utf8Path, frame: FrameIndex) -> Utf8PathBuf {
+    parse.join(VIEWS).join(format!("photograph-{frame}"))
+}
+
+/// A frame's picture in colour, through a pinhole: kept beside the parse, or the scan's own;
+/// `None`, and a line in the log, where it can not be read.
+pub fn read_photograph(
+    blobs: &Blobs,
+    parse: &Utf8Path,
+    content: &Utf8Path,
+    frame: FrameIndex,
+) -> Option<RgbImage> {
+    let kept = photograph(parse, frame);
+    let picture = match if_kept(blobs.file(parse, &kept)) {
+        Ok(Some(file)) if file.exists() => fs::read(&file)
+            .map_err(|error| error.to_string())
+            .and_then(|bytes| image::load_from_memory(&bytes).map_err(|error| error.to_string()))
+            .map(image::DynamicImage::into_rgb8),
+        Ok(_) => {
+            let frames = read_frames(blobs, parse, content).ok()??;
+            let frame = frames.into_iter().find(|of| of.index == frame)?;
+            let colour = blobs.file(content, &frame.colour).map_err(|error| error.to_string());
+            colour.and_then(|_colour| frame.decode_colour().map_err(|error| error.to_string()))
+        }
+        Err(error) => Err(error.to_string()),
+    };
+    picture.inspect_err(|error| tracing::warn!(%kept, error, "a photograph can not be read")).ok()
+}
+
+/// The frames of a parse, with their picture files in the content's folder; `None` in parses that
+/// were made before frames were kept.
+///
+/// # Errors
+/// An unreadable file.
+pub fn read_frames(
+    blobs: &Blobs,
+    parse: &Utf8Path,
+    content: &Utf8Path,
+) -> Result<Option<Vec<FrameRef>>, Error> {
+    let Some(bytes) = read(blobs, parse, FRAMES)? else { return Ok(None) };
+    let kept: Vec<FrameRef> = serde_json::from_slice(&bytes)?;
+    Ok(Some(kept.into_iter().map(|frame| frame.with_paths(|path| content.join(path))).collect()))
+}
+
+/// Paths are kept relative to the content, whose folder may lie elsewhere tomorrow.
+fn write_frames(frames: &[FrameRef], content: &Utf8Path, parse: &Utf8Path) -> Result<(), Error> {
+    let relative = |path: &Utf8Path| path.strip_prefix(content).unwrap_or(path).to_owned();
+    let kept: Vec<FrameRef> =
+        frames.iter().map(|frame| frame.clone().with_paths(relative)).collect();
+    Ok(fs::write(parse.join(FRAMES), serde_json::to_vec(&kept)?)?)
+}
+
+/// What an encoder has seen, where one took part.
+///
+/// # Errors
+/// Unreadable files.
+pub fn read_embeddings(blobs: &Blobs, parse: &Utf8Path) -> Result<Option<Embeddings>, Error> {
+    let Some(rows) = read(blobs, parse, ParseFile::Embeddings.of(parse))? else { return Ok(None) };
+    Ok(Some(Embeddings::read(&rows, &fs::read(blobs.file(parse, NORMS.into())?)?)?))
+}
+
+/// What an encoder has seen of frames as a whole; `None` too in parses from before that was kept.
+///
+/// # Errors
+/// Unreadable files.
+pub fn read_frame_embeddings(
+    blobs: &Blobs,
+    parse: &Utf8Path,
+) -> Result<Option<FrameEmbeddings>, Error> {
+    let [rows, frames] = FRAME_EMBEDDINGS;
+    let Some(rows) = read(blobs, parse, rows)? else { return Ok(None) };
+    Ok(Some(FrameEmbeddings::read(&rows, &fs::read(blobs.file(parse, frames.into())?)?)?))
+}
+
+/// A file of a published folder; `None` where it was published without; blocks.
+///
+/// # Errors
+/// An unreadable file; that the object store can not be used.
+pub fn read(
+    blobs: &Blobs,
+    folder: &Utf8Path,
+    file: impl AsRef<Utf8Path>,
+) -> io::Result<Option<Vec<u8>>> {
+    if_kept(blobs.file(folder, file.as_ref()).and_then(fs::read))
+}
+
+fn if_kept<T>(got: io::Result<T>) -> io::Result<Option<T>> {
+    match got {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        got => got.map(Some),
+    }
+}
+
+/// Writes what a parse keeps: clouds, embeddings, pictures of the report, and the photographs that
+/// evidence is drawn from.
+///
+/// # Errors
+/// Those of the file system and of frames; cancellation.
+pub fn write(
+    scan: &ParsedScan,
+    content: &Utf8Path,
+    folder: &Scratch,
+    writing: &Progress,
+) -> Result<(), Error> {
+    let (parsed, parse) = (&scan.scene, folder.path());
+    writing.report("write_clouds", 0.0).map_err(ParseError::from)?;
+    let points = || {
+        Ok(write_even_points(
+            &parsed.cloud,
+            &parsed.instance_of_point,
+            File::create(ParseFile::Points.of(parse))?,
+        )?)
+    };
+    let (points, rest) = rayon::join(points, || write_rest(scan, content, parse, writing));
+    points.and(rest)?;
+    writing.check().map_err(ParseError::from)?;
+    fs::create_dir(parse.join(VIEWS))?;
+    let shown: BTreeSet<FrameIndex> = parsed
+        .instances
+        .iter()
+        .flat_map(|instance| &instance.views)
+        .map(|view| view.frame)
+        .collect();
+    for frame in scan.frames.iter().filter(|frame| shown.contains(&frame.index)) {
+        let file = photograph(parse, frame.index);
+        // What views say of pixels is said of pinhole pictures.
+        match frame.optics.colour_lens {
+            None => drop(fs::copy(&frame.colour, file)?),
+            Some(_) => fs::write(file, jpeg(&frame.decode_colour().map_err(ParseError::from)?))?,
+        }
+    }
+    Ok(())
+}
+
+/// All but the order of the points, which takes as long as all of this.
+fn write_rest(
+    scan: &ParsedScan,
+    content: &Utf8Path,
+    parse: &Utf8Path,
+    writing: &Progress,
+) -> Result<(), Error> {
+    let parsed = &scan.scene;
+    write_cloud_ply(&parsed.cloud, File::create(ParseFile::Cloud.of(parse))?)?;
+    write_instances_ply(parsed, File::create(ParseFile::Instances.of(parse))?)?;
+    write_frames(&scan.frames, content, parse)?;
+    if let Some(embeddings) = &parsed.embeddings {
+        embeddings.write_rows(File::create(ParseFile::Embeddings.of(parse))?)?;
+        embeddings.write_norms(File::create(parse.join(NORMS))?)?;
+    }
+    if let Some(seen) = &parsed.frame_embeddings {
+        let [rows, frames] = FRAME_EMBEDDINGS.map(|file| parse.join(file));
+        seen.write_rows(File::create(rows)?)?;
+        seen.write_frames(File::create(frames)?)?;
+    }
+    writing.report("draw_report", 0.5).map_err(ParseError::from)?;
+    fs::write(
+        ParseFile::Thumbnail.of(parse),
+        report_pictures::thumbnail(
+            &RenderScene::of_parsed(parsed.cloud.clone(), &parsed.instances),
+            &parsed.extent,
+        ),
+    )?;
+    super::report_files::write(parse, report_pictures::render(parsed, &scan.frames, writing)?)
+}

@@ -1,0 +1,320 @@
+//! Parsing as a job.
+
+use super::{files, settings_hash};
+use crate::error::Error;
+use crate::{Service, job_failure, until_cancelled};
+use camino::Utf8Path;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use std::io;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::task::spawn_blocking;
+use tokio::time::{sleep, timeout};
+use uniground_geometry::progress::Progress;
+use uniground_ingest::Grown;
+use uniground_isolation::{Outcome, Task};
+use uniground_jobs::{JobContext, JobFailure, JobKind, Retry};
+use uniground_parsing::checkpoints::Checkpoints;
+use uniground_parsing::scan::{
+    ImportedScan, ParsedScan, STAGE_1_VERSION, chosen, cut_scan, share_of_import, stored_import,
+};
+use uniground_storage::{Continued, NewParse, SceneRow};
+use uniground_types::settings::{ParseSettings, with_names_of_today};
+
+/// Parses scenes, one at a time: a parse uses every core it gets.
+pub struct ParseJob(pub Service);
+
+/// What came of a parse that was not needed.
+pub(super) const STORED_PARSE_USED: &str =
+    "the stored parse of the same content and settings is used";
+
+/// What a parse is asked to do.
+#[derive(Serialize, Deserialize)]
+pub struct Payload {
+    pub(super) scene_id: String,
+    #[serde(deserialize_with = "settings_of_any_version")]
+    pub(super) settings: ParseSettings,
+}
+
+/// A job that waits may have been written by a server whose settings had other names.
+fn settings_of_any_version<'de, D: serde::Deserializer<'de>>(
+    deserializer: D,
+) -> Result<ParseSettings, D::Error> {
+    let mut settings = serde_json::Value::deserialize(deserializer)?;
+    with_names_of_today(&mut settings);
+    serde_json::from_value(settings).map_err(serde::de::Error::custom)
+}
+
+/// How the files of a scan are read: what is true of them whatever they are parsed with.
+const READING: [&str; 3] = ["up", "metres_per_unit", "levelling"];
+
+/// Settings that are asked for, with what an earlier job was told of how the files are read, as far
+/// as they do not say it themselves.
+pub(super) fn with_reading_of(payload: &str, asked: Option<Value>) -> Option<Value> {
+    let told: Option<Value> = serde_json::from_str(payload).ok();
+    let Some(told) = told.as_ref().and_then(|told| told.pointer("/settings/import")) else {
+        return asked;
+    };
+    let mut asked = asked.unwrap_or_else(|| json!({}));
+    // What is no object is refused, with a word on where, by whoever reads it.
+    let import =
+        asked.as_object_mut().map(|settings| settings.entry("import").or_insert_with(|| json!({})));
+    if let Some(import) = import.and_then(Value::as_object_mut) {
+        for name in READING {
+            if let (Some(value), false) = (told.get(name), import.contains_key(name)) {
+                import.insert(name.to_owned(), value.clone());
+            }
+        }
+    }
+    Some(asked)
+}
+
+impl JobKind for ParseJob {
+    const NAME: &'static str = "parse";
+    const CONCURRENCY: usize = 1;
+    /// A scan that could not be parsed can not be parsed tomorrow; a disk that was full may have
+    /// room.
+    const RETRY: Retry = Retry { interrupted: 10, transient: 2, backoff: Duration::from_secs(5) };
+    type Payload = Payload;
+
+    async fn run(&self, job: JobContext<Payload>) -> Result<String, JobFailure> {
+        let scene_id = job.payload.scene_id.clone();
+        let told = loop {
+            match self.0.run_parse(&job).await {
+                // What is done is kept: nothing is computed twice.
+                Err(error)
+                    if error.is_blobs_away() && self.0.blobs_come_back(&job.progress).await =>
+                {
+                    tracing::warn!(
+                        error = &error as &dyn std::error::Error,
+                        "the object store was away: the parse goes on"
+                    );
+                }
+                done => break done.map_err(job_failure)?,
+            }
+        };
+        self.0.name_when_parsed(&scene_id).await;
+        Ok(told)
+    }
+}
+
+impl Service {
+    /// Waits until the object store can be had again; whether it can, before that takes too long or
+    /// the job is to stop.
+    async fn blobs_come_back(&self, progress: &Progress) -> bool {
+        const PATIENCE: Duration = Duration::from_mins(10);
+        const LOOK_EVERY: Duration = Duration::from_secs(2);
+        let back = async {
+            while self.store.health().await.blobs.is_some() {
+                sleep(LOOK_EVERY).await;
+            }
+        };
+        tokio::select! {
+            back = timeout(PATIENCE, back) => back.is_ok(),
+            _ = until_cancelled(progress) => false,
+        }
+    }
+
+    async fn run_parse(
+        &self,
+        JobContext { hold, payload, progress, .. }: &JobContext<Payload>,
+    ) -> Result<String, Error> {
+        let (Payload { scene_id, settings }, job_id, progress) =
+            (payload, hold.job_id.as_str(), progress.clone());
+        let scene = self.scene_row(scene_id).await?;
+        if self.take_stored_parse(&scene, settings, job_id).await? {
+            return Ok(STORED_PARSE_USED.into());
+        }
+        let (blobs, content, hash) = (
+            self.store.blobs.clone(),
+            self.store.blobs.content(&scene.content_hash),
+            scene.content_hash.clone(),
+        );
+        // Read from the import to the pictures of the report.
+        let content = Arc::new(spawn_blocking(move || blobs.whole(&content)).await??);
+        // Every stage works on what the import made of the content; of a scan that has grown, of
+        // what it began with.
+        let grown_from = first_upload(&content).await?;
+        let origin = serde_json::to_string(&(
+            STAGE_1_VERSION,
+            grown_from.as_ref().unwrap_or(&scene.content_hash),
+            &settings.import,
+        ))?;
+        let (span, start) = (tracing::Span::current(), Instant::now());
+        // Networks take nearly all of the time where they take part.
+        let parsed_by = if self.models.loaded.is_empty() { 0.9 } else { 0.99 };
+        let (blobs, pool, models, job_settings) =
+            (self.store.blobs.clone(), self.parsing.clone(), self.models.clone(), settings.clone());
+        let (service, entered, scan_folder, parsing) =
+            (self.clone(), span.clone(), content.clone(), progress.part(0.0, parsed_by));
+        let work = move || {
+            let _entered = entered.enter();
+            let folder = blobs.use_checkpoints(&hash)?;
+            let checkpoints = Checkpoints::kept_in(&folder, &origin);
+            let imported = share_of_import(&chosen(job_settings.models, &models));
+            let scan = if let Some(scan) =
+                stored_import(&scan_folder, &job_settings.import, &checkpoints)?
+            {
+                scan
+            } else {
+                let (content, settings) = (scan_folder.to_path_buf(), job_settings.import.clone());
+                let task = Task::Import { content, settings, checkpoints: folder, origin };
+                service.import(&task, &checkpoints, &parsing.part(0.0, imported))?
+            };
+            // In the pool of parses: what it does in parallel stays there, and gives way.
+            pool.install(|| {
+                service.check_memory(scan.memory_wanted())?;
+                Ok::<_, Error>(cut_scan(
+                    scan,
+                    &job_settings,
+                    &models,
+                    &checkpoints,
+                    &parsing.part(imported, 1.0),
+                )?)
+            })
+        };
+        let stages = self.store.blobs.keep_stages(&scene.content_hash);
+        let cut = spawn_blocking(work).await?;
+        stages.finish().await;
+        let mut scan = cut?;
+        // What people say of the scene from here on is of the parse that is being written.
+        let turn = match grown_from {
+            Some(_) if self.scene_row(scene_id).await?.parse_id.is_some() => {
+                Some(self.turn_at_parse(scene_id).await?)
+            }
+            _ => None,
+        };
+        let previous = match &turn {
+            Some((parse_id, _turn)) => Some(self.previous_parse(parse_id.clone()).await?),
+            None => None,
+        };
+        let (blobs, pool, id, how) = (
+            self.store.blobs.clone(),
+            self.parsing.clone(),
+            self.store.new_id(),
+            settings.parsing.instances,
+        );
+        let place = blobs.parse(&id);
+        let work = move || {
+            let _entered = span.enter();
+            let folder = blobs.scratch()?;
+            let inherited = pool.install(|| {
+                let inherited = previous
+                    .map(|previous| {
+                        previous.continue_in(&mut scan, &how, &progress.part(parsed_by, parsed_by))
+                    })
+                    .transpose()?;
+                files::write(&scan, &content, &folder, &progress.part(parsed_by, 1.0))?;
+                Ok::<_, Error>(inherited)
+            })?;
+            blobs.publish(folder, &place)?;
+            Ok::<_, Error>((scan, inherited))
+        };
+        let (ParsedScan { import, scene: parsed, models, .. }, inherited) =
+            spawn_blocking(work).await??;
+
+        let inserted = self
+            .store
+            .insert_parse(NewParse {
+                id: &id,
+                content_hash: &scene.content_hash,
+                settings_hash: &settings_hash(settings, &models)?,
+                settings,
+                models: &models,
+                import: &import,
+                report: &parsed.report,
+                extent: &parsed.extent,
+                instances: &parsed.instances,
+                hold,
+                continued: inherited.as_ref().map(|inherited| Continued {
+                    scene_id,
+                    from_parse: &inherited.parse_id,
+                    changes: &inherited.changes,
+                    corrections: &inherited.corrections,
+                }),
+            })
+            .await?;
+        if inserted {
+            self.store.set_scene_parse(scene_id, &id, job_id).await?;
+        } else {
+            // Somebody parsed the same meanwhile, or the scene is gone.
+            self.store.blobs.discard(self.store.blobs.parse(&id)).await?;
+            if !self.take_stored_parse(&scene, settings, job_id).await? {
+                return Err(Error::SceneNotFound { id: scene_id.clone() });
+            }
+        }
+        drop(turn);
+        let report = &parsed.report;
+        let computed = report.stages.iter().filter(|stage| !stage.reused);
+        self.metrics
+            .questions
+            .parsed(start.elapsed(), computed.map(|stage| (stage.stage.as_str(), stage.seconds)));
+        Ok(format!(
+            "{} instances from {} points and {} frames",
+            report.instances, report.points, report.frames_used
+        ))
+    }
+
+    /// Has a scan imported, away from here where that is how this service reads; blocks.
+    fn import(
+        &self,
+        task: &Task,
+        checkpoints: &Checkpoints,
+        progress: &Progress,
+    ) -> Result<ImportedScan, Error> {
+        let outcome = self.reader.import(task, progress)?;
+        let (Task::Import { content, settings, .. }, Outcome::Imported { stages }) =
+            (task, outcome)
+        else {
+            return Err(Error::Io(io::Error::other(
+                "the reader of scans answered another question",
+            )));
+        };
+        let scan = stored_import(content, settings, checkpoints)?;
+        // A full disk, most likely: checkpoints are not written then.
+        let scan = scan
+            .ok_or_else(|| Error::Io(io::Error::other("the scan's import could not be stored")))?;
+        Ok(scan.with_stages(stages))
+    }
+
+    /// Makes a stored parse of the same content and settings the scene's own, where there is one.
+    async fn take_stored_parse(
+        &self,
+        scene: &SceneRow,
+        settings: &ParseSettings,
+        job_id: &str,
+    ) -> Result<bool, Error> {
+        // It stays until the scene refers to it.
+        let _references = self.parse_references().await?;
+        let Some(parse_id) = self.stored_parse(&scene.content_hash, settings).await? else {
+            return Ok(false);
+        };
+        self.store.set_scene_parse(&scene.id, &parse_id, job_id).await?;
+        Ok(true)
+    }
+}
+
+/// The upload a scan began with, where it has grown since.
+async fn first_upload(content: &Utf8Path) -> Result<Option<String>, Error> {
+    let content = content.to_owned();
+    let grown = spawn_blocking(move || Grown::read(&content)).await??;
+    Ok(grown.and_then(|grown| grown.parts.into_iter().next()).map(|part| part.hash))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn how_files_are_read_stays_unless_somebody_says_otherwise() {
+        let payload = r#"{"scene_id": "s", "settings": {"import": {"up": "y", "metres_per_unit": 0.01, "levelling": "off", "fusion": {"voxel_m": 0.03}}}}"#;
+        let kept = json!({"import": {"up": "y", "metres_per_unit": 0.01, "levelling": "off"}});
+        assert_eq!(with_reading_of(payload, None), Some(kept));
+        let asked = json!({"import": {"up": null, "levelling": "auto"}, "parsing": {}});
+        let expected = json!({"import": {"up": null, "metres_per_unit": 0.01, "levelling": "auto"}, "parsing": {}});
+        assert_eq!(with_reading_of(payload, Some(asked)), Some(expected));
+        assert_eq!(with_reading_of("of another version", None), None);
+        assert_eq!(with_reading_of(payload, Some(json!([1]))), Some(json!([1])));
+    }
+}

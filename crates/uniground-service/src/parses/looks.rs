@@ -1,0 +1,240 @@
+//! A parse for who looks at it: points, a small picture, the photographs and where they were taken
+//! from.
+
+use super::{Download, ParseFile, photograph, read_frames, read_photograph, view};
+use crate::answers::StoredScene;
+use crate::error::Error;
+use crate::{EvidenceFile, Service};
+use bytes::Bytes;
+use camino::Utf8PathBuf;
+use std::fs::File;
+use std::io::BufReader;
+use std::sync::Arc;
+use tokio::task::spawn_blocking;
+use uniground_geometry::scene::{
+    FrameRef, Instance, InstanceId, Intrinsics, Owners, read_instance_of_point, write_even_points,
+};
+use uniground_grounding::pipeline::SceneSource;
+use uniground_parsing::evidence::{self, Picture};
+use uniground_parsing::{ParseError, report_pictures};
+use uniground_storage::{Kept, Scratch};
+use uniground_types::scene::{FrameList, FrameView};
+
+impl Service {
+    /// The cloud of a scene's current parse, every beginning of which is an even sample.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`].
+    pub async fn points(&self, scene_id: &str) -> Result<Download, Error> {
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        if let Some(link) = self.link_to(&parse_id, ParseFile::Points).await? {
+            return Ok(Download::There(link));
+        }
+        let (scene, file) = self.kept(scene_id, ParseFile::Points).await?;
+        if let Some(file) = file {
+            return Ok(Download::Here(file));
+        }
+        let made = self.draw(scene, |service, scene| {
+            if let Some(made) = service.parses.points.get(&scene.parse.id) {
+                return Ok(made);
+            }
+            let made = Arc::new(scene.even_points()?);
+            service.parses.points.put(scene.parse.id.clone(), made.clone(), 1);
+            Ok(made)
+        });
+        Ok(Download::Here(made.await?.path().join(POINTS).into()))
+    }
+
+    /// The room of a scene's current parse, small.
+    ///
+    /// # Errors
+    /// As [`points`](Self::points).
+    pub async fn thumbnail(&self, scene_id: &str) -> Result<EvidenceFile, Error> {
+        let (scene, file) = self.kept(scene_id, ParseFile::Thumbnail).await?;
+        if let Some(file) = file {
+            return Ok(EvidenceFile::Stored(file));
+        }
+        let drawn = self.draw(scene, |_, scene| {
+            Ok(report_pictures::thumbnail(&*scene.render_scene()?, &scene.extent()))
+        });
+        drawn.await.map(|jpeg| EvidenceFile::Drawn(jpeg.into()))
+    }
+
+    /// Computes for who looks at a scene, one after the other: questions go before, in places of
+    /// their own.
+    pub(crate) async fn draw<T: Send + 'static>(
+        &self,
+        scene: Arc<StoredScene>,
+        work: impl FnOnce(&Self, &StoredScene) -> Result<T, Error> + Send + 'static,
+    ) -> Result<T, Error> {
+        let turn = self.drawing.clone().lock_owned().await;
+        let service = self.clone();
+        let done = spawn_blocking(move || {
+            let _turn = turn;
+            work(&service, &scene)
+        });
+        match done.await? {
+            Err(error) => Err(self.after_damage(error).await),
+            done => done,
+        }
+    }
+
+    /// A file of a scene's current parse; `None` in a parse from before it was kept.
+    async fn kept(
+        &self,
+        scene_id: &str,
+        file: ParseFile,
+    ) -> Result<(Arc<StoredScene>, Option<Kept>), Error> {
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        let scene = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
+        let file = self.if_kept(&scene, file.of(&scene.folder())).await?;
+        Ok((scene, file))
+    }
+
+    async fn if_kept(&self, scene: &StoredScene, path: Utf8PathBuf) -> Result<Option<Kept>, Error> {
+        let (blobs, folder, file) = (self.store.blobs.clone(), scene.folder(), path.clone());
+        let is_kept = spawn_blocking(move || blobs.holds(&folder, &file)).await??;
+        Ok(if is_kept { Some(self.sound_file(&scene.parse.id, path).await?) } else { None })
+    }
+
+    /// A picture of an instance in one of its views; `None`, and a line in the log, where the
+    /// photograph can not be read.
+    ///
+    /// # Errors
+    /// [`Error::ParseDamaged`].
+    pub(crate) async fn view_of_instance(
+        &self,
+        scene: Arc<StoredScene>,
+        instance: &Instance,
+        at: usize,
+        picture: Picture,
+    ) -> Result<Option<EvidenceFile>, Error> {
+        let file = view(&scene.folder(), instance.id, at, picture);
+        if let Some(file) = self.if_kept(&scene, file.clone()).await? {
+            return Ok(Some(EvidenceFile::Stored(file)));
+        }
+        // What merges have made may be taken back, and others may get their ids.
+        let stays = !instance.came_later();
+        if let Some(drawn) = self.parses.drawn.get(file.as_str()).filter(|_| stays) {
+            return Ok(Some(EvidenceFile::Drawn(drawn)));
+        }
+        let (seen, known_as) = (instance.views[at].clone(), file.clone());
+        let drawn = self.draw(scene, move |service, scene| {
+            // Somebody may have waited for the same.
+            if let Some(drawn) = service.parses.drawn.get(known_as.as_str()).filter(|_| stays) {
+                return Ok(Some(drawn));
+            }
+            let (parse, folder) = (&scene.parse, scene.folder());
+            let kept = photograph(&folder, seen.frame);
+            let _kept = match service.store.blobs.holds(&folder, &kept)? {
+                true => Some(scene.check(&kept)?),
+                false => None,
+            };
+            let photograph =
+                read_photograph(&service.store.blobs, &folder, &parse.content, seen.frame);
+            Ok(photograph
+                .map(|photograph| Bytes::from(evidence::picture(&photograph, &seen, picture))))
+        });
+        let Some(drawn) = drawn.await? else { return Ok(None) };
+        if stays {
+            self.parses.drawn.put(file.into(), drawn.clone(), drawn.len());
+        }
+        Ok(Some(EvidenceFile::Drawn(drawn)))
+    }
+
+    /// The frames of a scene's current parse.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
+    pub async fn frames(&self, scene_id: &str) -> Result<FrameList, Error> {
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        let (folder, content) = (
+            self.store.blobs.parse(&parse_id),
+            self.loaded_parse(&parse_id).await?.content.clone(),
+        );
+        let blobs = self.store.blobs.clone();
+        let frames = spawn_blocking(move || read_frames(&blobs, &folder, &content)).await??;
+        let view = |frame: FrameRef| {
+            let Intrinsics { width, height, fx, fy, cx, cy } = frame.colour_intrinsics;
+            let pose = frame.camera_to_world.to_homogeneous();
+            let camera_to_world =
+                std::array::from_fn(|row| std::array::from_fn(|column| pose[(row, column)]));
+            FrameView { index: frame.index, width, height, fx, fy, cx, cy, camera_to_world }
+        };
+        Ok(FrameList { frames: frames.unwrap_or_default().into_iter().map(view).collect() })
+    }
+
+    /// A photograph of a scene's scan, by its place in the scan's own list; with the instances it
+    /// shows drawn in, where that is wanted. JPEG or PNG as it was taken, else JPEG.
+    ///
+    /// # Errors
+    /// [`Error::FrameNotFound`] and those of [`points`](Self::points).
+    pub async fn frame_picture(
+        &self,
+        scene_id: &str,
+        index: u32,
+        with_instances: bool,
+    ) -> Result<EvidenceFile, Error> {
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        let scene = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
+        let (folder, content) = (scene.folder(), scene.parse.content.clone());
+        let blobs = self.store.blobs.clone();
+        let found = spawn_blocking(move || {
+            let frames = read_frames(&blobs, &folder, &content)?.unwrap_or_default();
+            let frame = frames
+                .into_iter()
+                .find(|frame| frame.index.0 == index)
+                .ok_or(Error::FrameNotFound { index })?;
+            let colour = blobs.file(&content, &frame.colour)?;
+            Ok::<_, Error>((frame, colour))
+        });
+        let (frame, colour) = found.await??;
+        if !with_instances {
+            return Ok(EvidenceFile::Stored(colour));
+        }
+        let drawn = self.draw(scene, move |_, scene| {
+            let _colour = colour;
+            scene.photograph_with_instances(&frame)
+        });
+        drawn.await.map(|jpeg| EvidenceFile::Drawn(jpeg.into()))
+    }
+}
+
+const POINTS: &str = "points.bin";
+
+impl StoredScene {
+    /// The things points belong to, as stage 1 has found them.
+    pub fn instance_of_point(&self) -> Result<Vec<InstanceId>, Error> {
+        let file = ParseFile::Instances.of(&self.folder());
+        let file = self.check(&file)?;
+        Ok(read_instance_of_point(BufReader::new(File::open(&file)?))?)
+    }
+
+    /// What parses of today keep, made of one from before.
+    fn even_points(&self) -> Result<Scratch, Error> {
+        let (render_scene, of_point) = (self.render_scene()?, self.instance_of_point()?);
+        let scratch = self.scratch()?;
+        write_even_points(
+            &render_scene.cloud,
+            &of_point,
+            File::create(scratch.path().join(POINTS))?,
+        )?;
+        Ok(scratch)
+    }
+
+    fn photograph_with_instances(&self, frame: &FrameRef) -> Result<Vec<u8>, Error> {
+        let (render_scene, of_point) = (self.render_scene()?, self.instance_of_point()?);
+        let owners = Owners::of(&of_point, self.instances());
+        let shown_as = |point: usize| match of_point.get(point) {
+            Some(found) => owners.of_point(*found, &render_scene.cloud.positions[point]),
+            None => InstanceId::default(),
+        };
+        let drawn = report_pictures::photograph_with_instances(
+            frame,
+            &render_scene.cloud,
+            self.instances(),
+            shown_as,
+        );
+        drawn.map_err(|error| ParseError::from(error).into())
+    }
+}

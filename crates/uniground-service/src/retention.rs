@@ -1,0 +1,365 @@
+//! What is kept for a time only goes: the same round every day while the server runs, and at once
+//! by `uniground gc`.
+//!
+//! A round takes small steps: rows a few hundred at a time, each step a short transaction, with
+//! pauses in which everybody else gets the database. Rows go first, then the folders they spoke of;
+//! what a crash leaves between the two is swept to the quarantine.
+
+use super::Service;
+use crate::error::Error;
+use camino::Utf8PathBuf;
+use jiff::Timestamp;
+use serde::Serialize;
+use std::collections::HashSet;
+use std::time::{Duration, SystemTime};
+use tokio::task::spawn_blocking;
+use tokio::time::sleep;
+use uniground_storage::{Aged, Before, Due, KEEP_QUARANTINE_DAYS, KeptCheckpoints, size_of};
+use uniground_types::stats::Retention;
+
+/// What was removed of a kind.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Removed {
+    pub kind: &'static str,
+    pub entries: u64,
+    pub bytes: u64,
+    pub why: String,
+}
+
+/// Rows removed as one.
+const TOGETHER: u32 = 200;
+const DAY: Duration = Duration::from_hours(24);
+
+/// What of a kind has gone so far.
+#[derive(Default)]
+struct Gone {
+    entries: u64,
+    bytes: u64,
+}
+
+impl Gone {
+    fn because(self, kind: &'static str, why: String) -> Removed {
+        Removed { kind, entries: self.entries, bytes: self.bytes, why }
+    }
+}
+
+/// Who is at work on what is looked at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Beside {
+    Nobody,
+    /// Questions come first, and what is being put in place is left alone.
+    TheServer,
+}
+
+impl Beside {
+    /// Between two steps.
+    async fn pause(self) {
+        const BREATH: Duration = Duration::from_millis(50);
+        if self == Self::TheServer {
+            sleep(BREATH).await;
+        }
+    }
+
+    /// What is younger may be half in place.
+    pub(super) fn settled(self) -> Duration {
+        match self {
+            Self::Nobody => Duration::ZERO,
+            Self::TheServer => Duration::from_hours(1),
+        }
+    }
+}
+
+/// One round.
+struct Round<'a> {
+    service: &'a Service,
+    beside: Beside,
+    now: Timestamp,
+    /// Folders that are gone, or would be: none counts twice.
+    folders: HashSet<Utf8PathBuf>,
+}
+
+impl Service {
+    /// Lets go of everything that was kept long enough, in small steps; what went, by kind. On a
+    /// full disk the room for it comes from the reserve.
+    ///
+    /// # Errors
+    /// [`Error`] of the store; what is gone stays gone.
+    pub async fn let_go(&self, beside: Beside) -> Result<Vec<Removed>, Error> {
+        let removed = match self.try_to_let_go(beside).await {
+            Err(error) if error.is_disk_full() && self.store.release_reserve() => {
+                self.try_to_let_go(beside).await
+            }
+            done => done,
+        }?;
+        self.store.restore_reserve().await;
+        Ok(removed)
+    }
+
+    async fn try_to_let_go(&self, beside: Beside) -> Result<Vec<Removed>, Error> {
+        let mut round =
+            Round { service: self, beside, now: Timestamp::now(), folders: HashSet::new() };
+        let Retention {
+            answers_days,
+            jobs_days,
+            batches_days,
+            idempotency_days,
+            audit_days,
+            superseded_days,
+            uploads_days,
+            ..
+        } = self.limits.retention;
+        // First: it looks for folders without rows, and a round that only looks leaves some.
+        let quarantine = round.quarantine().await?;
+        let mut removed = vec![
+            round.evidence().await?,
+            round.rows(Aged::Answers, answers_days, "answers").await?,
+            round.rows(Aged::Batches, batches_days, "batches").await?,
+            // After batches and answers, which refer to jobs and parses.
+            round.rows(Aged::Jobs, jobs_days, "jobs").await?,
+            round.rows(Aged::IdempotencyKeys, idempotency_days, "idempotency keys").await?,
+            round
+                .rows(Aged::QuestionKeys, idempotency_days, "idempotency keys of questions")
+                .await?,
+            round.rows(Aged::Audit, audit_days, "audit").await?,
+            round.superseded_parses(superseded_days).await?,
+            // After the parses of them.
+            round.outgrown_contents(superseded_days).await?,
+            round.rows(Aged::Uploads, uploads_days, "uploads in parts").await?,
+            round.checkpoints().await?,
+            quarantine,
+        ];
+        if self.store.blobs.are_copies() {
+            removed.push(round.orphans().await?);
+        }
+        for Removed { kind, entries, bytes, why } in
+            removed.iter().filter(|removed| removed.entries > 0)
+        {
+            tracing::info!(kind, entries, bytes, why, "removed what was kept long enough");
+        }
+        Ok(removed)
+    }
+}
+
+impl Round<'_> {
+    async fn evidence(&mut self) -> Result<Removed, Error> {
+        let days = self.service.limits.retention.evidence_days;
+        let blobs = self.service.store.blobs.clone();
+        let old =
+            spawn_blocking(move || blobs.older_than("answers", DAY * days, SystemTime::now()))
+                .await??;
+        let mut gone = Gone::default();
+        for names in old.chunks(TOGETHER as usize) {
+            let folders = names.iter().map(|name| self.service.store.blobs.answer(name)).collect();
+            gone.bytes += self.discard(folders).await?;
+            gone.entries += names.len() as u64;
+        }
+        Ok(gone.because("evidence", format!("{days} days after the answer")))
+    }
+
+    /// Rows of a kind, and what lies beside them.
+    async fn rows(&mut self, aged: Aged, days: u32, kind: &'static str) -> Result<Removed, Error> {
+        let mut gone = Gone::default();
+        if days == 0 {
+            return Ok(gone.because(kind, "kept for ever".into()));
+        }
+        let (store, before) = (&self.service.store, Before::days_ago(days, self.now));
+        let mut after = String::new();
+        loop {
+            let due = store.due(aged, &before, &after, TOGETHER).await?;
+            let Some(last) = due.last() else { break };
+            after.clone_from(&last.id);
+            let removed = store
+                .remove_due(
+                    aged,
+                    &before,
+                    &due.iter().map(|due| due.id.as_str()).collect::<Vec<_>>(),
+                )
+                .await?;
+            gone.count(&due, &removed);
+            let beside = match aged {
+                Aged::Answers => removed.iter().map(|id| store.blobs.answer(id)).collect(),
+                Aged::Uploads => removed.iter().map(|id| store.blobs.upload(id)).collect(),
+                _ => Vec::new(),
+            };
+            gone.bytes += self.discard(beside).await?;
+            self.beside.pause().await;
+        }
+        Ok(gone.because(kind, format!("over {days} days old")))
+    }
+
+    /// Parses one by one: with their instances they are large.
+    async fn superseded_parses(&mut self, days: u32) -> Result<Removed, Error> {
+        const KIND: &str = "superseded parses";
+        let (service, mut gone) = (self.service, Gone::default());
+        service.store.mark_superseded_parses(self.now).await?;
+        if days == 0 {
+            return Ok(gone.because(KIND, "kept for ever".into()));
+        }
+        let before = Before::days_ago(days, self.now);
+        let mut after = String::new();
+        while let Some(due) =
+            service.store.due(Aged::SupersededParses, &before, &after, 1).await?.pop()
+        {
+            after.clone_from(&due.id);
+            let removed = {
+                // Nobody takes it for a scene while it goes.
+                let _references =
+                    (service.content_references().await?, service.parse_references().await?);
+                service.store.remove_due(Aged::SupersededParses, &before, &[&due.id]).await?
+            };
+            for id in &removed {
+                service.parses.forget(id);
+                service.parses.render_scenes.remove(id);
+                gone.bytes += self.discard(vec![service.store.blobs.parse(id)]).await?;
+            }
+            gone.count(&[due], &removed);
+            self.beside.pause().await;
+        }
+        Ok(gone
+            .because(KIND, format!("no scene and no answer has referred to them for {days} days")))
+    }
+
+    /// Scans as they were before they grew. Their files are those of the scan that has grown: what
+    /// goes is little but links.
+    async fn outgrown_contents(&mut self, days: u32) -> Result<Removed, Error> {
+        const KIND: &str = "outgrown scans";
+        let (service, mut gone) = (self.service, Gone::default());
+        if days == 0 {
+            return Ok(gone.because(KIND, "kept for ever".into()));
+        }
+        for hash in service.store.outgrown_contents(TOGETHER).await? {
+            let folders = {
+                let _references =
+                    (service.content_references().await?, service.parse_references().await?);
+                service.store.remove_outgrown(&hash).await?
+            };
+            gone.entries += u64::from(!folders.is_empty());
+            gone.bytes += self.discard(folders).await?;
+            self.beside.pause().await;
+        }
+        Ok(gone.because(KIND, "their scenes have grown, and no parse is of them any more".into()))
+    }
+
+    async fn checkpoints(&mut self) -> Result<Removed, Error> {
+        let Retention { checkpoints_days: days, checkpoints_bytes: most, .. } =
+            self.service.limits.retention;
+        let blobs = self.service.store.blobs.clone();
+        let kept = spawn_blocking(move || blobs.kept_checkpoints()).await??;
+        let oldest =
+            if days == 0 { SystemTime::UNIX_EPOCH } else { SystemTime::now() - DAY * days };
+        let mut gone = Gone::default();
+        for KeptCheckpoints { hash, bytes, .. } in too_many(kept, oldest, most) {
+            // No parse of it begins between the look and the removal.
+            let references =
+                (self.service.content_references().await?, self.service.parse_references().await?);
+            if !self.service.store.contents_in_work().await?.contains(&hash) {
+                self.discard(vec![self.service.store.blobs.checkpoints(&hash)]).await?;
+                gone.entries += 1;
+                gone.bytes += bytes;
+            }
+            drop(references);
+            self.beside.pause().await;
+        }
+        Ok(gone.because(
+            "checkpoints",
+            format!(
+                "not used for {days} days, or together more than {most} bytes; they only save time"
+            ),
+        ))
+    }
+
+    async fn quarantine(&self) -> Result<Removed, Error> {
+        let (entries, bytes) = self.service.store.sweep(self.beside.settled()).await?;
+        Ok(Gone { entries, bytes }.because(
+            "quarantine",
+            format!("no record speaks of them, for over {KEEP_QUARANTINE_DAYS} days"),
+        ))
+    }
+
+    /// Objects no record speaks of, one by one, looked up again right before.
+    async fn orphans(&self) -> Result<Removed, Error> {
+        let (service, mut gone) = (self.service, Gone::default());
+        for orphan in service.store.orphans().await? {
+            let references =
+                (service.content_references().await?, service.parse_references().await?);
+            if service.store.remove_orphan(&orphan).await? {
+                gone.entries += 1;
+                gone.bytes += orphan.bytes();
+            }
+            drop(references);
+            self.beside.pause().await;
+        }
+        Ok(gone.because(
+            "orphaned objects",
+            "no record speaks of them, for longer than the grace period".into(),
+        ))
+    }
+
+    /// Removes folders in the background; how large they are.
+    async fn discard(&mut self, folders: Vec<Utf8PathBuf>) -> Result<u64, Error> {
+        let folders: Vec<_> =
+            folders.into_iter().filter(|folder| self.folders.insert(folder.clone())).collect();
+        let measured = folders.clone();
+        let bytes = spawn_blocking(move || {
+            measured.iter().map(|folder| size_of(folder)).sum::<std::io::Result<u64>>()
+        })
+        .await??;
+        let store = &self.service.store;
+        store.blobs.remove_later(store.set_aside(folders).await?);
+        Ok(bytes)
+    }
+}
+
+impl Gone {
+    /// Counts those that were due and are gone.
+    fn count(&mut self, due: &[Due], removed: &[String]) {
+        let removed: HashSet<&str> = removed.iter().map(String::as_str).collect();
+        for due in due.iter().filter(|due| removed.contains(due.id.as_str())) {
+            self.entries += 1;
+            self.bytes += due.bytes;
+        }
+    }
+}
+
+/// Those of all checkpoints, the longest unused first, that were last used before `oldest`, or that
+/// are too many.
+fn too_many(kept: Vec<KeptCheckpoints>, oldest: SystemTime, most: u64) -> Vec<KeptCheckpoints> {
+    let mut total: u64 = kept.iter().map(|kept| kept.bytes).sum();
+    let mut going = Vec::new();
+    for kept in kept {
+        if kept.used < oldest || total > most {
+            total -= kept.bytes;
+            going.push(kept);
+        }
+    }
+    going
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn checkpoints_go_by_age_and_then_the_longest_unused_until_the_rest_fits() {
+        let at = |days: u32| SystemTime::UNIX_EPOCH + DAY * days;
+        let kept =
+            |hash: &str, days, bytes| KeptCheckpoints { hash: hash.into(), bytes, used: at(days) };
+        let all = vec![
+            kept("old", 1, 10),
+            kept("large", 5, 1000),
+            kept("small", 6, 10),
+            kept("new", 9, 100),
+        ];
+        let going = |oldest, most| {
+            too_many(all.clone(), oldest, most)
+                .into_iter()
+                .map(|kept| kept.hash)
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(going(at(0), 2000), [""; 0]);
+        assert_eq!(going(at(2), 2000), ["old"]);
+        assert_eq!(going(at(0), 1110), ["old"]);
+        assert_eq!(going(at(0), 500), ["old", "large"]);
+        assert_eq!(going(at(0), 0), ["old", "large", "small", "new"]);
+    }
+}

@@ -1,0 +1,217 @@
+//! What changed in a scene: since an earlier version, or from one scan of a room to another.
+
+use crate::answers::StoredScene;
+use crate::error::Error;
+use crate::parses::read_frames;
+use crate::{MAX_COMPARISONS, Service};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::task::spawn_blocking;
+use tokio_util::sync::CancellationToken;
+use uniground_geometry::progress::Progress;
+use uniground_geometry::scene::{FrameRef, InstanceId, Owners};
+use uniground_geometry::{Isometry3, Vector3};
+use uniground_grounding::pipeline::SceneSource;
+use uniground_parsing::ParseError;
+use uniground_parsing::changes::{
+    Aligned, Counterparts, Look, SAME_PLACE_M, align, compare, pairs,
+};
+use uniground_render::RenderScene;
+use uniground_storage::{Kept as KeptFolder, SceneRow};
+use uniground_types::changes::{Changes, ScanAlignment, SceneChanges, SceneVersion};
+use uniground_types::placement::SceneToFrame;
+
+/// The longest time that two scans are compared for.
+const COMPARISON_TIMEOUT: Duration = Duration::from_mins(1);
+/// Share of the first scan's points that must lie on the second.
+const LEAST_OVERLAP: f32 = 0.2;
+
+impl Service {
+    /// What changed in a scene after its version `since`, as it grew.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`]; [`Error::NoVersion`],
+    /// [`Error::VersionsApart`] where the scene was parsed anew in between, with other ids.
+    pub async fn changes_since(&self, scene_id: &str, since: u32) -> Result<SceneChanges, Error> {
+        let (scene, _) = self.ready_scene(scene_id).await?;
+        let now = version(&scene);
+        if since == 0 || since > now.version {
+            return Err(Error::NoVersion {
+                id: scene_id.to_owned(),
+                asked: since,
+                version: now.version,
+            });
+        }
+        let known = self.store.scene_changes(scene_id, since).await?;
+        let (mut changes, mut next) = (Changes::default(), now.version);
+        // From the last on backwards: where one is missing, ids are others.
+        for (version, _) in known.iter().rev() {
+            if *version != next {
+                break;
+            }
+            next -= 1;
+        }
+        if next > since {
+            return Err(Error::VersionsApart { since, renumbered: next });
+        }
+        for (_, later) in known {
+            changes = changes.then(later);
+        }
+        Ok(SceneChanges {
+            from: SceneVersion { scene_id: scene_id.to_owned(), version: since },
+            to: now,
+            alignment: None,
+            changes,
+        })
+    }
+
+    /// What is different in another scan of the same room. The first guess of how the two lie to
+    /// each other is their places in the same map, else that they were told in one world;
+    /// `refine` lays the clouds over each other from there.
+    ///
+    /// Few are computed at once, not for long, and only as long as the caller waits.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ScansApart`];
+    /// [`Error::TooMany`], [`Error::ComparisonTimedOut`].
+    pub async fn changes_to(
+        &self,
+        scene_id: &str,
+        to_id: &str,
+        refine: bool,
+    ) -> Result<SceneChanges, Error> {
+        let permit = self.comparisons.clone().try_acquire_owned();
+        let permit = permit
+            .map_err(|_| Error::TooMany { what: "comparisons of scans", most: MAX_COMPARISONS })?;
+        let (from_row, from) = self.stored_scene(scene_id).await?;
+        let (to_row, to) = self.stored_scene(to_id).await?;
+        let guess = in_one_map(&from_row, &to_row);
+        let (caller_left, deadline) =
+            (CancellationToken::new(), Instant::now() + COMPARISON_TIMEOUT);
+        let _caller = caller_left.clone().drop_guard();
+        let progress = Progress::new(
+            |_, _| {},
+            move || caller_left.is_cancelled() || Instant::now() >= deadline,
+        );
+        let compared = spawn_blocking(move || {
+            let _permit = permit;
+            compared(&from, &to, &guess, refine, &progress)
+        });
+        let (alignment, changes) = match compared.await? {
+            Ok(compared) => compared,
+            Err(Error::Parse(ParseError::Cancelled(_))) => {
+                return Err(Error::ComparisonTimedOut { seconds: COMPARISON_TIMEOUT.as_secs() });
+            }
+            Err(error) => return Err(self.after_damage(error).await),
+        };
+        Ok(SceneChanges {
+            from: version(&from_row),
+            to: version(&to_row),
+            alignment: Some(alignment),
+            changes,
+        })
+    }
+
+    async fn stored_scene(&self, id: &str) -> Result<(SceneRow, Arc<StoredScene>), Error> {
+        let (row, parse_id) = self.ready_scene(id).await?;
+        Ok((row, StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?)))
+    }
+}
+
+fn version(scene: &SceneRow) -> SceneVersion {
+    SceneVersion {
+        scene_id: scene.id.clone(),
+        version: u32::try_from(scene.parse_version).unwrap_or(0),
+    }
+}
+
+/// From one scene to another by their places in the same map; where they are in none, they were
+/// told in one world.
+fn in_one_map(from: &SceneRow, to: &SceneRow) -> Isometry3<f32> {
+    let (Some(from_place), Some(to_place)) = (&from.scene_to_map, &to.scene_to_map) else {
+        return Isometry3::identity();
+    };
+    if from.map_frame_id != to.map_frame_id {
+        return Isometry3::identity();
+    }
+    let (out, back) = (SceneToFrame::to_map(from_place), SceneToFrame::to_map(to_place));
+    let through = |p: [f64; 3]| Vector3::from(back.invert(out.apply(p)));
+    let origin = through([0.0; 3]);
+    let axes = [
+        through([1.0, 0.0, 0.0]) - origin,
+        through([0.0, 1.0, 0.0]) - origin,
+        through([0.0, 0.0, 1.0]) - origin,
+    ];
+    let rotation =
+        nalgebra::Rotation3::from_matrix_unchecked(nalgebra::Matrix3::from_columns(&axes));
+    Isometry3::from_parts(
+        origin.cast::<f32>().into(),
+        nalgebra::UnitQuaternion::from_rotation_matrix(&rotation).cast(),
+    )
+}
+
+fn compared(
+    from: &StoredScene,
+    to: &StoredScene,
+    guess: &Isometry3<f32>,
+    refine: bool,
+    progress: &Progress,
+) -> Result<(ScanAlignment, Changes), Error> {
+    let (before, after) = (Kept::of(from)?, Kept::of(to)?);
+    let aligned = align(&before.scene.cloud, &after.scene.cloud, guess, refine, progress);
+    let Aligned { place, overlap, rms_m } = aligned.map_err(ParseError::from)?;
+    if overlap < LEAST_OVERLAP {
+        return Err(Error::ScansApart { overlap });
+    }
+    let (positions_before, positions_after) =
+        (&before.scene.cloud.positions, &after.scene.cloud.positions);
+    let counterparts =
+        Counterparts::nearest(positions_before, positions_after, &place, SAME_PLACE_M, progress);
+    let counterparts = counterparts.map_err(ParseError::from)?;
+    let same = pairs(&before.owner_of_point, &after.owner_of_point, &counterparts);
+    let changes =
+        compare(&before.look(from), &after.look(to), &same, &counterparts, &place, progress)?;
+    let turn = place.rotation.cast::<f64>();
+    let alignment = ScanAlignment {
+        rotation: [turn.i, turn.j, turn.k, turn.w],
+        translation_m: place.translation.vector.cast::<f64>().into(),
+        refined: refine,
+        overlap,
+        rms_m,
+    };
+    Ok((alignment, changes))
+}
+
+/// A parse as it is kept, for who compares.
+struct Kept {
+    scene: Arc<RenderScene>,
+    owner_of_point: Vec<InstanceId>,
+    frames: Vec<FrameRef>,
+    /// What the frames are read from.
+    _scan: KeptFolder,
+}
+
+impl Kept {
+    fn of(scene: &StoredScene) -> Result<Self, Error> {
+        let (render_scene, of_point) = (scene.render_scene()?, scene.instance_of_point()?);
+        let owners = Owners::of(&of_point, scene.instances());
+        let owned = of_point
+            .iter()
+            .zip(&render_scene.cloud.positions)
+            .map(|(found, p)| owners.of_point(*found, p));
+        let owner_of_point = owned.collect();
+        let blobs = scene.blobs();
+        let scan = blobs.whole(&scene.parse.content)?;
+        let frames = read_frames(blobs, &scene.folder(), &scene.parse.content)?.unwrap_or_default();
+        Ok(Self { scene: render_scene, owner_of_point, frames, _scan: scan })
+    }
+
+    fn look<'a>(&'a self, scene: &'a StoredScene) -> Look<'a> {
+        Look {
+            cloud: &self.scene.cloud,
+            owner_of_point: &self.owner_of_point,
+            instances: scene.instances(),
+            frames: &self.frames,
+        }
+    }
+}

@@ -1,0 +1,109 @@
+//! A scene with what was found in it, as a file.
+
+use crate::Service;
+use crate::answers::StoredScene;
+use crate::error::Error;
+use sha2::{Digest, Sha256};
+use std::io::Cursor;
+use uniground_export::{Export, write_glb, write_ply, write_usdz};
+use uniground_grounding::pipeline::SceneSource;
+use uniground_types::answer::CoordinateFrame;
+use uniground_types::export::{ExportFormat, ExportedScene, MAX_POINTS};
+
+/// A scene as a file.
+pub struct ExportFile {
+    /// Letters, digits and `-_.`.
+    pub name: String,
+    pub bytes: Vec<u8>,
+    /// Of the bytes: another one for others.
+    pub fingerprint: String,
+}
+
+impl Service {
+    /// A scene's current parse as people have corrected it, with at most so many points.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`]; a number of
+    /// points that makes no sense.
+    pub async fn export(
+        &self,
+        scene_id: &str,
+        format: ExportFormat,
+        points: u32,
+    ) -> Result<ExportFile, Error> {
+        if !(1..=MAX_POINTS).contains(&points) {
+            return Err(Error::invalid("points", format!("must be 1 to {MAX_POINTS}")));
+        }
+        let (row, parse_id) = self.ready_scene(scene_id).await?;
+        let parse = self.loaded_parse(&parse_id).await?;
+        let name = file_name(&row.name, format);
+        let listed = ExportedScene {
+            scene_id: row.id,
+            name: row.name,
+            parse_version: u32::try_from(row.parse_version).unwrap_or(0),
+            frame: CoordinateFrame::default(),
+            instances: match format {
+                ExportFormat::Json => self.shown_instances(&parse).await?,
+                ExportFormat::Glb | ExportFormat::Ply | ExportFormat::Usdz => Vec::new(),
+            },
+        };
+        let scene = StoredScene::new(self.clone(), parse);
+        // One after the other: files of many are not in memory at once while they are made.
+        let made = self.draw(scene, move |_, scene| {
+            let bytes = match format {
+                ExportFormat::Json => serde_json::to_vec(&listed)?,
+                ExportFormat::Glb | ExportFormat::Ply | ExportFormat::Usdz => {
+                    scene.written(&listed.name, format, points as usize)?
+                }
+            };
+            let fingerprint =
+                Sha256::digest(&bytes).iter().take(12).map(|byte| format!("{byte:02x}")).collect();
+            Ok(ExportFile { name, bytes, fingerprint })
+        });
+        made.await
+    }
+}
+
+impl StoredScene {
+    fn written(&self, title: &str, format: ExportFormat, points: usize) -> Result<Vec<u8>, Error> {
+        let (render_scene, of_point) = (self.render_scene()?, self.instance_of_point()?);
+        let export = Export::new(title, &render_scene.cloud, &of_point, self.instances(), points);
+        let mut file = Cursor::new(Vec::new());
+        match format {
+            ExportFormat::Glb => write_glb(&export, &mut file)?,
+            ExportFormat::Ply => write_ply(&export, &mut file)?,
+            ExportFormat::Usdz => write_usdz(&export, &mut file)?,
+            ExportFormat::Json => {}
+        }
+        Ok(file.into_inner())
+    }
+}
+
+/// A scene's name as any system takes it for a file.
+fn file_name(scene: &str, format: ExportFormat) -> String {
+    const LONGEST: usize = 80;
+    let safe = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
+    let name: String = scene.chars().take(LONGEST).map(safe).collect();
+    // Nothing hidden, nothing but an ending, and nothing that passes for an option.
+    let name = name.trim_matches(['.', '_', '-']);
+    format!("{}.{}", if name.is_empty() { "scene" } else { name }, format.extension())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_name_of_a_scene_makes_a_name_of_a_file() {
+        for (name, expected) in [
+            ("living room", "living_room.glb"),
+            ("../../etc/passwd", "etc_passwd.glb"),
+            ("a\"; filename=\"b", "a___filename__b.glb"),
+            ("K\u{fc}che 2.1", "K_che_2.1.glb"),
+            ("\u{53a8}\u{623f}", "scene.glb"),
+        ] {
+            assert_eq!(file_name(name, ExportFormat::Glb), expected);
+        }
+        assert_eq!(file_name(&"x".repeat(500), ExportFormat::Json).len(), 85);
+    }
+}

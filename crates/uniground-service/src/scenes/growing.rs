@@ -1,0 +1,225 @@
+//! Frames added to a scene: received, checked against it, and laid beside what it is made of.
+
+use super::uploads::Received;
+use crate::answers::Frame;
+use crate::error::Error;
+use crate::parses::ParseFile;
+use crate::{Caller, MAX_UPLOADS, ParseJob, Service};
+use bytes::Bytes;
+use camino::{Utf8Path, Utf8PathBuf};
+use futures::Stream;
+use sha2::{Digest, Sha256};
+use std::fs;
+use tokio::task::spawn_blocking;
+use uniground_geometry::scene::SourceToScene;
+use uniground_ingest::{Grown, Part, part_folder};
+use uniground_isolation::Task;
+use uniground_jobs::Job;
+use uniground_storage::{Grew, Growth, SceneRow};
+use uniground_types::placement::{FrameChoice, SceneToFrame};
+use uniground_types::scenes::Scene;
+
+/// Frames that are to be added, but for their bytes.
+pub struct NewFrames {
+    /// What their file was called, where that is known.
+    pub file_name: Option<String>,
+    /// Whose coordinates their poses are in.
+    pub world: FrameChoice,
+    pub idempotency_key: Option<String>,
+    /// Bytes it says it has.
+    pub announced_bytes: u64,
+}
+
+/// Times a scene may grow: each is looked after in every parse.
+const MOST_PARTS: usize = 200;
+
+impl Service {
+    /// Adds frames to a scene and starts parsing what they change. Until that is done questions are
+    /// answered as before; ids of what stays are the same afterwards.
+    ///
+    /// # Errors
+    /// [`Error`]: what is wrong with the upload; [`Error::SceneNotReady`], [`Error::NoMap`]; frames that do not lie in the scene;
+    /// [`Error::GrownTooOften`].
+    pub async fn add_frames<E>(
+        &self,
+        scene_id: &str,
+        new: NewFrames,
+        body: impl Stream<Item = Result<Bytes, E>> + Unpin,
+        caller: &Caller,
+    ) -> Result<(Scene, Job), Error> {
+        let place = self.uploads.clone().try_acquire_owned();
+        let place = place.map_err(|_| Error::TooMany { what: "uploads", most: MAX_UPLOADS })?;
+        let NewFrames { file_name, world, idempotency_key, announced_bytes } = new;
+        let (scene, parse_id) = self.ready_scene(scene_id).await?;
+        let parse = self.loaded_parse(&parse_id).await?;
+        let to_scene = match Frame::of(world, &scene, parse.source_to_scene)? {
+            // In the files' own coordinates: whatever they are found to be whenever the scan is
+            // parsed.
+            Some(_) if world == FrameChoice::Source => None,
+            Some(frame) => Some(inverse(&frame.from_scene)),
+            None => Some(SourceToScene::IDENTITY),
+        };
+        self.check_disk(announced_bytes)?;
+        self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
+        let received = self.receive(body, file_name.as_deref().unwrap_or_default()).await?;
+        drop(place);
+        let key = idempotency_key.map(|key| caller.own(key));
+        let part = Part { hash: received.hash.clone(), to_scene };
+        let request = hash_of(&("frames", scene_id, &part))?;
+        // One after the other: each grows from what the last has left.
+        let _turn = self.growing.lock().await;
+        if let Some(key) = &key
+            && let Some((scene, before)) = self.store.scene_of_idempotency_key(key).await?
+        {
+            return match before.is_some_and(|before| before == request) {
+                true => self.grown_before(scene).await,
+                false => Err(Error::IdempotencyKeyReused),
+            };
+        }
+        let (scene, _) = self.ready_scene(scene_id).await?;
+        let from_content = scene.content_hash.clone();
+        let to_scene = parse_to_scene(part.to_scene, parse.source_to_scene);
+        let cloud = self
+            .sound_file(&parse_id, ParseFile::Cloud.of(&self.store.blobs.parse(&parse_id)))
+            .await?;
+        let bytes = received.bytes;
+        let laid = self
+            .lay_beside(scene, received, part, |folder| Task::CheckFit {
+                folder,
+                cloud: cloud.to_path_buf(),
+                to_scene,
+            })
+            .await?;
+        let references = self.content_references().await?;
+        let settings = self
+            .store
+            .parse(&parse_id)
+            .await?
+            .map(|parse| parse.record().settings)
+            .unwrap_or_default();
+        let wanted = self.wanted_parse(scene_id, &laid, &settings, caller).await?;
+        let grew = self.store.grow_scene(Growth {
+            scene_id,
+            from_content: &from_content,
+            content_hash: &laid,
+            content_bytes: bytes,
+            key: key.as_deref().map(|key| (key, request.as_str())),
+            job: wanted.job(),
+        });
+        let grew = grew.await?;
+        drop(references);
+        match grew {
+            Grew::Now(row, job) => {
+                Ok((self.present(row).await?, self.jobs.recorded::<ParseJob>(*job)))
+            }
+            Grew::Before(row) => self.grown_before(row).await,
+            Grew::KeyReused => Err(Error::IdempotencyKeyReused),
+            Grew::Overtaken => Err(Error::GrowthOvertaken { id: scene_id.to_owned() }),
+        }
+    }
+
+    async fn grown_before(&self, scene: SceneRow) -> Result<(Scene, Job), Error> {
+        let not_ready = || Error::SceneNotReady { id: scene.id.clone(), job_id: None };
+        let job = self.job_of(&scene).await?.ok_or_else(not_ready)?;
+        Ok((self.present(scene).await?, job))
+    }
+
+    /// Puts what a scene is made of and what was received in place as one content, once both checks
+    /// have nothing against it; its hash.
+    async fn lay_beside(
+        &self,
+        scene: SceneRow,
+        received: Received,
+        part: Part,
+        fits: impl FnOnce(Utf8PathBuf) -> Task,
+    ) -> Result<String, Error> {
+        let blobs = self.store.blobs.clone();
+        let content_hash = scene.content_hash.clone();
+        let prepared = spawn_blocking(move || {
+            let content = blobs.whole(&blobs.content(&content_hash))?;
+            let so_far = Grown::read(&content)?;
+            let parts = so_far.as_ref().map_or(1, |grown| grown.parts.len());
+            if parts > MOST_PARTS {
+                return Err(Error::GrownTooOften { most: MOST_PARTS });
+            }
+            let scratch = blobs.scratch()?;
+            let folder = part_folder(scratch.path(), parts);
+            fs::create_dir_all(&folder)?;
+            Ok((content, so_far, scratch, folder))
+        });
+        let (content, so_far, scratch, folder) = prepared.await??;
+        self.reader.check(received.unpacking(&folder, &self.limits.unpack)).await?;
+        self.reader.check(fits(folder)).await?;
+        let blobs = self.store.blobs.clone();
+        let publish = move || {
+            let mut grown =
+                so_far.clone().unwrap_or_else(|| Grown::from_upload(&scene.content_hash));
+            // A scan that has grown before has its parts already.
+            let below = if so_far.is_some() {
+                Utf8PathBuf::new()
+            } else {
+                part_folder(Utf8Path::new(""), 0)
+            };
+            let mut sums = blobs.share(&content, &scratch, &below)?;
+            grown.parts.push(part);
+            let list = scratch.path().join(uniground_ingest::GROWN);
+            // Linked to the list of before, which never changes.
+            if so_far.is_some() {
+                fs::remove_file(&list)?;
+                sums.remove(Utf8Path::new(uniground_ingest::GROWN));
+            }
+            grown.write(scratch.path())?;
+            // What a scene has become is its own: its ids depend on what it was.
+            let hash = hash_of(&(&scene.id, &scene.content_hash, &grown))?;
+            blobs.publish_knowing(scratch, &blobs.content(&hash), &sums)?;
+            blobs.inherit_checkpoints(&scene.content_hash, &hash)?;
+            Ok(hash)
+        };
+        spawn_blocking(publish).await?
+    }
+}
+
+fn parse_to_scene(told: Option<SourceToScene>, source: Option<SourceToScene>) -> SourceToScene {
+    told.or(source).unwrap_or(SourceToScene::IDENTITY)
+}
+
+/// From other coordinates to the scene's.
+fn inverse(from_scene: &SceneToFrame) -> SourceToScene {
+    let origin = from_scene.invert([0.0; 3]);
+    // How the axes of the others stand in the scene, unit by unit.
+    let axis = |i: usize| {
+        let tip = from_scene.invert(std::array::from_fn(|k| f64::from(u8::from(k == i))));
+        std::array::from_fn::<f64, 3, _>(|row| (tip[row] - origin[row]) * from_scene.scale)
+    };
+    let axes = [axis(0), axis(1), axis(2)];
+    let rotation = std::array::from_fn(|row| std::array::from_fn(|column| axes[column][row]));
+    SourceToScene { rotation, translation_m: origin, metres_per_unit: 1.0 / from_scene.scale }
+}
+
+fn hash_of(what: &impl serde::Serialize) -> Result<String, Error> {
+    let digest = Sha256::digest(serde_json::to_vec(what)?);
+    Ok(digest.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use uniground_types::placement::SceneToMap;
+
+    #[test]
+    fn frames_told_in_a_map_are_led_back_to_the_scene() {
+        let s = std::f64::consts::FRAC_1_SQRT_2;
+        let map = SceneToFrame::to_map(&SceneToMap {
+            rotation: [0.0, 0.0, s, s],
+            translation_m: [100.0, -40.0, 0.5],
+        });
+        let back = inverse(&map);
+        for point in [[0.0, 0.0, 0.0], [1.0, 2.0, 3.0], [-4.0, 0.5, 1.0]] {
+            let there = back.apply(map.apply(point));
+            assert!(
+                there.iter().zip(point).all(|(a, b)| (a - b).abs() < 1e-9),
+                "{there:?} for {point:?}"
+            );
+        }
+    }
+}

@@ -1,0 +1,154 @@
+//! Scans that lie on the server's own disk, below the folder its operator named.
+
+use super::NewScene;
+use crate::error::Error;
+use crate::packing::{Links, PackingError, pack};
+use crate::{Caller, Service};
+use bytes::Bytes;
+use camino::{Utf8Path, Utf8PathBuf};
+use futures::stream;
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use tokio::sync::mpsc;
+use tokio::task::spawn_blocking;
+use tokio_util::io::ReaderStream;
+use uniground_types::job::Job;
+use uniground_types::scenes::{ImportRequest, Scene};
+use uniground_types::settings::{ImportSettings, ParseSettings, check_metres_per_unit};
+
+/// Of a folder that is packed, sent together; and how many such pieces may wait.
+const CHUNK_BYTES: usize = 256 << 10;
+const CHUNKS: usize = 4;
+
+impl Service {
+    /// Whoever may write may import what lies below this folder.
+    #[must_use]
+    pub fn importing_from(mut self, root: Option<Utf8PathBuf>) -> Self {
+        self.import_root = root;
+        self
+    }
+
+    /// Makes a scene of a file or folder of the server's, as if it had been uploaded.
+    ///
+    /// # Errors
+    /// [`Error::ImportNotAllowed`], [`Error::ImportNotFound`], and those of an upload.
+    pub async fn import_scene(
+        &self,
+        request: ImportRequest,
+        idempotency_key: Option<String>,
+        caller: &Caller,
+    ) -> Result<(Scene, Option<Job>), Error> {
+        let ImportRequest { path, name, parse, up, metres_per_unit, levelling, preset } = request;
+        let root = self.import_root.clone().ok_or(Error::ImportNotAllowed)?;
+        check_metres_per_unit("/metres_per_unit", metres_per_unit)?;
+        let (found, below) =
+            spawn_blocking(move || found(&root, &path).map(|found| (found, root))).await??;
+        let mut settings = ParseSettings::from_request(preset, None)?;
+        settings.import = ImportSettings { up, metres_per_unit, levelling, ..settings.import };
+        let new = |file_name, announced_bytes| NewScene {
+            name,
+            file_name: Some(file_name),
+            parse: parse.then_some(settings),
+            idempotency_key,
+            announced_bytes,
+        };
+        match found {
+            Found::File { file, name, bytes } => {
+                let mut body = ReaderStream::new(tokio::fs::File::from_std(file));
+                self.create_scene(new(name, bytes), &mut body, caller).await
+            }
+            Found::Folder { path, name } => {
+                // Packed while it is received: bounded like any upload, and never on the disk
+                // twice.
+                let (sender, receiver) = mpsc::channel(CHUNKS);
+                let packing = spawn_blocking(move || {
+                    packed(&path, &below, &sender).map_err(|error| told(&error, &below))
+                });
+                let next = |mut receiver: mpsc::Receiver<io::Result<Bytes>>| async {
+                    receiver.recv().await.map(|chunk| (chunk, receiver))
+                };
+                let mut body = Box::pin(stream::unfold(receiver, next));
+                let made =
+                    self.create_scene(new(format!("{name}.tar"), 0), &mut body, caller).await;
+                drop(body);
+                match (made, packing.await?) {
+                    // Why nothing more came is what helps.
+                    (Err(Error::UploadInterrupted { .. }), Err(why)) => {
+                        Err(Error::invalid("/path", why))
+                    }
+                    (made, _) => made,
+                }
+            }
+        }
+    }
+}
+
+/// A scan on the disk.
+enum Found {
+    File { file: File, name: String, bytes: u64 },
+    Folder { path: Utf8PathBuf, name: String },
+}
+
+/// What lies at a path below a folder.
+fn found(root: &Utf8Path, path: &str) -> Result<Found, Error> {
+    let not_found = || Error::ImportNotFound { path: path.to_owned() };
+    let root = root.canonicalize_utf8()?;
+    // Whoever leaves the folder is not told what lies there.
+    let path = root.join(path).canonicalize_utf8().map_err(|_| not_found())?;
+    if !path.starts_with(&root) {
+        return Err(not_found());
+    }
+    if path == root {
+        return Err(Error::invalid(
+            "/path",
+            "it names a file or folder below the one that is imported from",
+        ));
+    }
+    let name = path.file_name().unwrap_or("scan").to_owned();
+    if path.is_dir() {
+        return Ok(Found::Folder { path, name });
+    }
+    if !path.is_file() {
+        return Err(not_found());
+    }
+    let file = File::open(&path)?;
+    let bytes = file.metadata()?.len();
+    Ok(Found::File { file, name, bytes })
+}
+
+/// Packs a folder into a body. Nothing that a link brings in from elsewhere goes with it.
+fn packed(
+    folder: &Utf8Path,
+    root: &Utf8Path,
+    to: &mpsc::Sender<io::Result<Bytes>>,
+) -> Result<(), PackingError> {
+    let below = |source| PackingError::File { path: folder.to_owned(), source };
+    let mut body = BufWriter::with_capacity(CHUNK_BYTES, Body(to));
+    let root = root.canonicalize_utf8().map_err(below)?;
+    let done =
+        pack(folder, Links::Below(&root), &mut body).and_then(|()| body.flush().map_err(below));
+    if done.is_err() {
+        // What was sent so far is no scan. Nobody may be listening any more.
+        let _ = to.blocking_send(Err(io::ErrorKind::BrokenPipe.into()));
+    }
+    done
+}
+
+/// What is written, to be received as an upload is.
+struct Body<'a>(&'a mpsc::Sender<io::Result<Bytes>>);
+
+impl Write for Body<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let sent = self.0.blocking_send(Ok(Bytes::copy_from_slice(bytes)));
+        sent.map(|()| bytes.len()).map_err(|_| io::ErrorKind::BrokenPipe.into())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// A message without where the server keeps its scans.
+fn told(error: &PackingError, root: &Utf8Path) -> String {
+    error.to_string().replace(root.as_str(), "").trim_start_matches('/').to_owned()
+}

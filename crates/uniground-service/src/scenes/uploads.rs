@@ -1,0 +1,395 @@
+//! Receiving an archive: streamed to disk and hashed, unpacked, checked, and only then a scene.
+
+use super::pieces::Pieces;
+use crate::error::Error;
+use crate::parses::WantedParse;
+use crate::{Caller, MAX_UPLOADS, ParseJob, Service};
+use bytes::Bytes;
+use camino::{Utf8Path, Utf8PathBuf};
+use futures::Stream;
+use sha2::{Digest, Sha256};
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::sync::Arc;
+use tempfile::NamedTempFile;
+use tokio::task::spawn_blocking;
+use uniground_ingest::archive::UnpackLimits;
+use uniground_ingest::{Packed, what_it_is};
+use uniground_isolation::{Outcome, Task};
+use uniground_jobs::Job;
+use uniground_storage::{Inserted, Look, NewSceneRow, Prepared, SceneRow};
+use uniground_types::scenes::Scene;
+use uniground_types::settings::ParseSettings;
+
+/// What comes with an upload.
+pub struct NewScene {
+    /// Default: what the archive calls itself.
+    pub name: Option<String>,
+    /// What its file was called, where that is known: endings tell what bytes do not.
+    pub file_name: Option<String>,
+    /// Parse at once, with these settings.
+    pub parse: Option<ParseSettings>,
+    pub idempotency_key: Option<String>,
+    /// Bytes it says it has.
+    pub announced_bytes: u64,
+}
+
+/// An archive on disk.
+pub struct Received {
+    path: Utf8PathBuf,
+    /// Goes with this, where it is nobody else's.
+    file: Option<NamedTempFile>,
+    /// What it was called, where that is known.
+    file_name: String,
+    /// SHA-256 of the bytes, hex.
+    pub hash: String,
+    pub bytes: u64,
+}
+
+/// What is asked to be made of an archive.
+pub struct Asked {
+    pub name: Option<String>,
+    pub parse: Option<ParseSettings>,
+    /// The caller's own.
+    pub idempotency_key: Option<String>,
+    /// The scene that key made before, and what identifies the request it came with, where that
+    /// was noted.
+    pub made_before: Option<(SceneRow, Option<String>)>,
+}
+
+/// An archive unpacked and found to be a scan.
+struct Unpacked {
+    folder: Prepared,
+    /// What it calls itself.
+    name: String,
+}
+
+/// Bytes of a file that are read and hashed at once.
+const READ_BYTES: usize = 1 << 20;
+const MAX_NAME_CHARS: usize = 200;
+
+/// An archive being received.
+#[derive(Default)]
+struct Receiving {
+    /// The first bytes.
+    head: Vec<u8>,
+    hasher: Sha256,
+    bytes: u64,
+}
+
+impl Receiving {
+    fn take(&mut self, chunk: &[u8]) {
+        let missing = Packed::HEAD_BYTES.saturating_sub(self.head.len()).min(chunk.len());
+        self.head.extend_from_slice(&chunk[..missing]);
+        self.bytes += chunk.len() as u64;
+        self.hasher.update(chunk);
+    }
+
+    fn finish(
+        self,
+        path: Utf8PathBuf,
+        file: Option<NamedTempFile>,
+        file_name: &str,
+    ) -> Result<Received, Error> {
+        what_comes(&self.head, file_name)?;
+        let hash = self.hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+        Ok(Received { path, file, file_name: file_name.to_owned(), hash, bytes: self.bytes })
+    }
+}
+
+/// What is coming, by its first bytes.
+pub fn what_comes(head: &[u8], file_name: &str) -> Result<Packed, Error> {
+    Packed::of_head(head, file_name).ok_or(Error::NoScan { what: what_it_is(head) })
+}
+
+impl Received {
+    /// The task that unpacks it into a folder, which is there and empty, and checks it as a scan.
+    pub fn unpacking(&self, into: &Utf8Path, limits: &UnpackLimits) -> Task {
+        Task::Unpack {
+            archive: self.path.clone(),
+            file_name: self.file_name.clone(),
+            folder: into.to_owned(),
+            limits: *limits,
+        }
+    }
+
+    /// An archive that is on the disk already, read once; it stays there.
+    pub fn read(path: Utf8PathBuf, file_name: &str) -> Result<Self, Error> {
+        let (mut receiving, mut file, mut chunk) =
+            (Receiving::default(), File::open(&path)?, vec![0; READ_BYTES]);
+        loop {
+            match file.read(&mut chunk) {
+                Ok(0) => return receiving.finish(path, None, file_name),
+                Ok(read) => receiving.take(&chunk[..read]),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+}
+
+impl Service {
+    /// Makes a scene from an uploaded archive and starts parsing it. Nothing is stored unless all
+    /// of it is fine.
+    ///
+    /// The job is there only when parsing was asked for. The same request again under its
+    /// idempotency key returns the scene it made.
+    ///
+    /// # Errors
+    /// [`Error`]: what is wrong with the archive, or with the server's disk; [`Error::IdempotencyKeyReused`].
+    pub async fn create_scene<E>(
+        &self,
+        new: NewScene,
+        body: impl Stream<Item = Result<Bytes, E>> + Unpin,
+        caller: &Caller,
+    ) -> Result<(Scene, Option<Job>), Error> {
+        // First: who is turned away costs nothing.
+        let place = self.uploads.clone().try_acquire_owned();
+        let place = place.map_err(|_| Error::TooMany { what: "uploads", most: MAX_UPLOADS })?;
+        let NewScene { name, file_name, parse, idempotency_key, announced_bytes } = new;
+        let idempotency_key = idempotency_key.map(|key| caller.own(key));
+        if let Some(name) = &name {
+            check_name("/name", name)?;
+        }
+        let made_before = match &idempotency_key {
+            Some(key) => self.store.scene_of_idempotency_key(key).await?,
+            None => None,
+        };
+        if made_before.is_none() {
+            self.check_disk(announced_bytes)?;
+            self.check_quota(caller).await?;
+            if parse.is_some() {
+                self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
+            }
+        }
+        let file_name = file_name.or_else(|| name.clone()).unwrap_or_default();
+        let received = Arc::new(self.receive(body, &file_name).await?);
+        drop(place);
+        self.make_scene(Asked { name, parse, idempotency_key, made_before }, received, caller).await
+    }
+
+    /// Makes a scene of an archive that is there, and starts parsing it.
+    ///
+    /// # Errors
+    /// As [`create_scene`](Self::create_scene).
+    pub(crate) async fn make_scene(
+        &self,
+        asked: Asked,
+        received: Arc<Received>,
+        caller: &Caller,
+    ) -> Result<(Scene, Option<Job>), Error> {
+        let Asked { name, parse, idempotency_key, made_before } = asked;
+        let request = request_of(&received.hash, name.as_deref(), parse.as_ref())?;
+        if let Some((scene, before)) = made_before {
+            // Servers of before requests were noted believed the key.
+            return match before.is_none_or(|before| before == request) {
+                true => self.made_before(scene, parse, caller).await,
+                false => Err(Error::IdempotencyKeyReused),
+            };
+        }
+        let mut unpacked = match self.has_content(&received.hash).await? {
+            true => None,
+            false => Some(self.unpack(received.clone()).await?),
+        };
+        // Read before anybody has to wait for it: a scan of many files takes its time.
+        let name = match (name, &unpacked) {
+            (Some(name), _) => name,
+            (None, Some(unpacked)) => unpacked.name.clone(),
+            (None, None) => self.archive_name(&received.hash).await?,
+        };
+        let mut references = self.content_references().await?;
+        if unpacked.is_none() && !self.has_content(&received.hash).await? {
+            // Its last scene was deleted in between.
+            drop(references);
+            unpacked = Some(self.unpack(received.clone()).await?);
+            references = self.content_references().await?;
+        }
+        // Again, with nobody beside: several uploads at once must not come to more.
+        self.check_quota(caller).await?;
+        if let Some(Unpacked { folder, .. }) = unpacked {
+            let blobs = self.store.blobs.clone();
+            spawn_blocking(move || blobs.publish_prepared(folder)).await??;
+        }
+        let id = self.store.new_id();
+        let wanted = match &parse {
+            Some(settings) => Some(self.wanted_parse(&id, &received.hash, settings, caller).await?),
+            None => None,
+        };
+        if wanted.as_ref().is_some_and(|wanted| wanted.stored.is_none()) {
+            self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
+        }
+        let inserted = self.store.insert_scene(NewSceneRow {
+            id: &id,
+            name: &name,
+            content_hash: &received.hash,
+            content_bytes: received.bytes,
+            key_id: caller.key_id(),
+            key: idempotency_key.as_deref().map(|key| (key, request.as_str())),
+            job: wanted.as_ref().map(WantedParse::job),
+        });
+        let inserted = inserted.await?;
+        drop(references);
+        match inserted {
+            Inserted::New(row, job) => {
+                Ok((self.present(row).await?, job.map(|job| self.jobs.recorded::<ParseJob>(*job))))
+            }
+            Inserted::MadeBefore(row) => self.made_before(row, parse, caller).await,
+            Inserted::KeyReused => Err(Error::IdempotencyKeyReused),
+        }
+    }
+
+    pub(crate) async fn check_quota(&self, caller: &Caller) -> Result<(), Error> {
+        self.check_quota_beside(0, caller).await
+    }
+
+    /// Whether a key may have one more scene, where so many are on their way.
+    pub(crate) async fn check_quota_beside(
+        &self,
+        coming: u32,
+        caller: &Caller,
+    ) -> Result<(), Error> {
+        let Some(key) = &caller.key else { return Ok(()) };
+        let Some(most) = key.row.max_scenes else { return Ok(()) };
+        let scenes = self.store.scenes_of_key(&key.row.id).await?.saturating_add(coming);
+        if scenes >= most { Err(Error::TooManyScenes { most }) } else { Ok(()) }
+    }
+
+    /// The scene an idempotency key made. A server that was killed in the middle may have left it
+    /// without its job.
+    async fn made_before(
+        &self,
+        row: SceneRow,
+        parse: Option<ParseSettings>,
+        caller: &Caller,
+    ) -> Result<(Scene, Option<Job>), Error> {
+        let job = match (self.job_of(&row).await?, parse) {
+            (None, Some(settings)) if row.parse_id.is_none() => {
+                Some(self.start_parse(&row.id, &settings, caller).await?)
+            }
+            (job, _) => job,
+        };
+        Ok((self.scene(&row.id).await?, job))
+    }
+
+    /// Whether these bytes are stored: in the database, and on the disk.
+    async fn has_content(&self, hash: &str) -> Result<bool, Error> {
+        if !self.store.has_content(hash).await? {
+            return Ok(false);
+        }
+        let (blobs, content) = (self.store.blobs.clone(), self.store.blobs.content(hash));
+        let wrong = spawn_blocking(move || blobs.look(&content, Look::Names)).await??;
+        if !wrong.is_empty() {
+            tracing::warn!(
+                hash,
+                files = wrong.len(),
+                "a stored scan is not whole: it is stored again"
+            );
+        }
+        Ok(wrong.is_empty())
+    }
+
+    /// Streams a body to a temporary file, hashed and written off the async threads.
+    pub(super) async fn receive<E>(
+        &self,
+        body: impl Stream<Item = Result<Bytes, E>> + Unpin,
+        file_name: &str,
+    ) -> Result<Received, Error> {
+        let max_bytes = self.limits.max_upload_bytes;
+        let tmp = self.store.blobs.tmp().to_owned();
+        let mut file = spawn_blocking(move || NamedTempFile::new_in(tmp)).await??;
+        let mut receiving = Receiving::default();
+        let mut pieces = Pieces::of(body, max_bytes, max_bytes);
+        while let Some(piece) = pieces.next().await? {
+            let written = spawn_blocking(move || {
+                for chunk in piece {
+                    receiving.take(&chunk);
+                    file.write_all(&chunk)?;
+                }
+                Ok::<_, io::Error>((file, receiving))
+            });
+            (file, receiving) = written.await??;
+            // Nobody sends a whole video to hear that it is none.
+            if receiving.head.len() == Packed::HEAD_BYTES {
+                what_comes(&receiving.head, file_name)?;
+            }
+        }
+        let path = Utf8Path::from_path(file.path())
+            .ok_or_else(|| io::Error::other("the data folder's path is not UTF-8"))?
+            .to_owned();
+        receiving.finish(path, Some(file), file_name)
+    }
+
+    /// Unpacks what came, puts it through the importer's checks, and has all of it ready to be
+    /// published.
+    async fn unpack(&self, received: Arc<Received>) -> Result<Unpacked, Error> {
+        let blobs = self.store.blobs.clone();
+        let folder = spawn_blocking(move || blobs.scratch()).await??;
+        let name =
+            self.checked_name(received.unpacking(folder.path(), &self.limits.unpack)).await?;
+        let blobs = self.store.blobs.clone();
+        spawn_blocking(move || {
+            if let Some(file) = &received.file {
+                // It is all unpacked: nothing of the archive that is still in memory has to reach
+                // the disk.
+                file.as_file().set_len(0)?;
+            }
+            let folder = blobs.prepare(folder, &blobs.content(&received.hash))?;
+            Ok(Unpacked { folder, name })
+        })
+        .await?
+    }
+
+    /// Checks a scan and returns what it calls itself.
+    async fn checked_name(&self, check: Task) -> Result<String, Error> {
+        Ok(match self.reader.check(check).await? {
+            Outcome::Scan { name } => name_or_scene(name),
+            Outcome::Fits | Outcome::Imported { .. } => name_or_scene(None),
+        })
+    }
+
+    /// What a stored archive calls itself.
+    async fn archive_name(&self, hash: &str) -> Result<String, Error> {
+        let (blobs, content) = (self.store.blobs.clone(), self.store.blobs.content(hash));
+        let Ok(scan) = spawn_blocking(move || blobs.whole(&content)).await? else {
+            return Ok(name_or_scene(None));
+        };
+        // Removed in between: it is unpacked again, and called what scenes without a name are
+        // called.
+        Ok(self
+            .checked_name(Task::Inspect { folder: scan.to_path_buf() })
+            .await
+            .unwrap_or_else(|_| name_or_scene(None)))
+    }
+}
+
+/// Identifies what was asked for under an idempotency key.
+fn request_of(
+    hash: &str,
+    name: Option<&str>,
+    parse: Option<&ParseSettings>,
+) -> Result<String, Error> {
+    let digest = Sha256::digest(serde_json::to_vec(&(hash, name, parse))?);
+    Ok(digest.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// What an archive calls itself, where that is a name.
+fn name_or_scene(name: Option<String>) -> String {
+    name.filter(|name| check_name("/name", name).is_ok()).unwrap_or_else(|| "scene".into())
+}
+
+/// A scene's name is one line of text.
+pub(crate) fn check_name(pointer: &str, name: &str) -> Result<(), Error> {
+    if name.trim().is_empty() {
+        return Err(Error::invalid(pointer, "a name must not be empty"));
+    }
+    if name.chars().count() > MAX_NAME_CHARS {
+        return Err(Error::invalid(
+            pointer,
+            format!("a name has at most {MAX_NAME_CHARS} characters"),
+        ));
+    }
+    if name.chars().any(char::is_control) {
+        return Err(Error::invalid(pointer, "a name must not hold control characters"));
+    }
+    Ok(())
+}

@@ -1,0 +1,218 @@
+//! The service in numbers: for Prometheus, and for people.
+//!
+//! Most is counted where it happens; what is read from the store is read when somebody asks, once
+//! for all who ask together, and a scrape does not wait for a disk that is slow: it tells what was
+//! seen before.
+
+use super::lately::Lately;
+use super::vlm::today;
+use super::{BatchJob, MAX_UPLOADS, NamingJob, ParseJob, Service};
+use crate::error::Error;
+use jiff::Timestamp;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::Mutex;
+use uniground_jobs::JobKind;
+use uniground_storage::{Figures, JobState, Measured, StoreError};
+use uniground_types::stats::{DiskUse, JobStats, Spending, Stats, StoredCounts};
+
+/// Numbers of the store are not newer than that,
+const AGE: Duration = Duration::from_secs(1);
+/// and files not measured more often.
+const SIZES_AGE: Duration = Duration::from_mins(1);
+/// A scrape waits so long for numbers that are fresh; the first one longer.
+const PATIENCE: Duration = Duration::from_millis(8);
+const FIRST_PATIENCE: Duration = Duration::from_secs(5);
+
+type Sizes = Arc<BTreeMap<&'static str, u64>>;
+
+/// What was seen of the store a moment ago.
+#[derive(Clone, Default)]
+pub(super) struct Numbers {
+    /// An error is one for all who asked together.
+    figures: Lately<Result<Arc<Figures>, Arc<StoreError>>>,
+    sizes: Lately<Option<Sizes>>,
+    measured: Arc<Mutex<Measured>>,
+}
+
+impl Service {
+    /// What this server holds, does and may spend.
+    ///
+    /// # Errors
+    /// [`Error::Store`].
+    pub async fn stats(&self) -> Result<Stats, Error> {
+        let figures = self
+            .numbers
+            .figures
+            .get(AGE, self.look_at_figures())
+            .await
+            .map_err(StoreError::Together)?;
+        let sizes = self.sizes_soon().await;
+        let process = &self.metrics.process;
+        let Figures { scenes, parses, instances, answers, database_bytes, free_bytes, .. } =
+            *figures;
+        Ok(Stats {
+            version: env!("CARGO_PKG_VERSION").into(),
+            started_at: Timestamp::try_from(process.started_at()).unwrap_or_default().to_string(),
+            uptime_s: process.uptime_s(),
+            stored: StoredCounts {
+                scenes,
+                parses,
+                instances,
+                answers,
+                batches: figures.batches.clone(),
+            },
+            jobs: self.jobs_in_numbers(&figures),
+            spending: Spending {
+                day: today(),
+                today_usd: self.spent_today().await?,
+                daily_limit_usd: self.vlm.as_ref().and_then(|vlm| vlm.daily_limit_usd()),
+            },
+            disk: DiskUse {
+                database_bytes,
+                blob_bytes: sizes.map(|sizes| {
+                    sizes.iter().map(|(kind, bytes)| ((*kind).to_owned(), *bytes)).collect()
+                }),
+                free_bytes,
+            },
+            retention: self.limits.retention,
+        })
+    }
+
+    /// Everything that is counted, as Prometheus reads it. It takes a few milliseconds, whatever
+    /// the store does.
+    pub async fn scrape(&self) -> String {
+        let is_first = self.numbers.figures.last().is_none();
+        let patience = if is_first { FIRST_PATIENCE } else { PATIENCE };
+        let service = self.clone();
+        let figures = self
+            .numbers
+            .figures
+            .get_soon(AGE, patience, async move { service.look_at_figures().await });
+        let spent = async { tokio::time::timeout(patience, self.spent_today()).await.ok()?.ok() };
+        let (figures, health, sizes, spent) =
+            tokio::join!(figures, self.health_soon(patience), self.sizes_soon(), spent);
+        let (stored, vlm, questions) =
+            (&self.metrics.stored, &self.metrics.vlm, &self.metrics.questions);
+        // What can not be read now stays as it was: that the database is in trouble is told beside
+        // it.
+        if let Some(Ok(figures)) = figures {
+            stored.scenes.set(figures.scenes.into());
+            stored.parses.set(figures.parses.into());
+            stored.instances.set(figures.instances.into());
+            stored.answers.set(figures.answers.into());
+            for state in ["running", "paused", "succeeded", "cancelled"] {
+                stored.batches(state, figures.batches.get(state).copied().unwrap_or(0));
+            }
+            stored.database_bytes.set(figures.database_bytes as i64);
+            stored.free_bytes.set(figures.free_bytes as i64);
+            // Whoever has lanes for them: where nobody has, that is when the age of a queue
+            // matters.
+            for kind in [ParseJob::NAME, NamingJob::NAME, BatchJob::NAME] {
+                let JobStats { queued, running, oldest_queued_s, .. } =
+                    job_stats(kind, true, &figures);
+                self.metrics.jobs.waiting(kind, queued, running, oldest_queued_s.unwrap_or(0.0));
+            }
+        }
+        sizes
+            .iter()
+            .flat_map(|sizes| sizes.iter())
+            .for_each(|(kind, bytes)| stored.blob_bytes(kind, *bytes));
+        if let Some(health) = health {
+            stored.ready.set(health.is_ready().into());
+            stored.component("database", health.store.database.is_none());
+            stored.component("blob_folder", health.store.blobs.is_none());
+            stored.component("disk", health.store.disk.is_none());
+            stored.component("workers", health.dead_lanes.is_empty());
+            health
+                .inference
+                .iter()
+                .for_each(|server| stored.component("inference_server", server.is_ok()));
+            health.vlm.iter().for_each(|model| stored.component("vlm", model.is_ok()));
+        }
+        if let Some(model) = &self.vlm {
+            vlm.waiting.set(model.waiting() as i64);
+            vlm.daily_limit.set(model.daily_limit_usd().unwrap_or(0.0));
+            vlm.spent_today.set(spent.unwrap_or_else(|| vlm.spent_today.get()));
+        }
+        let most = self.limits.max_concurrent_questions;
+        questions.computing_limit.set(most as i64);
+        questions.computing.set(most.saturating_sub(self.questions.available_permits()) as i64);
+        questions.uploads.set(MAX_UPLOADS.saturating_sub(self.uploads.available_permits()) as i64);
+        let looks = [
+            ("parses", self.parses.looks()),
+            ("clouds", self.parses.render_scenes.looks()),
+            ("files", self.parses.sound.looks()),
+            ("pictures", self.pictures.looks()),
+        ];
+        looks.into_iter().for_each(|(cache, (hits, misses))| questions.cache(cache, hits, misses));
+        self.metrics.text()
+    }
+
+    async fn look_at_figures(&self) -> Result<Arc<Figures>, Arc<StoreError>> {
+        self.store.figures().await.map(Arc::new).map_err(Arc::new)
+    }
+
+    /// How much room files take, if that was measured; it is measured anew behind the caller's
+    /// back.
+    async fn sizes_soon(&self) -> Option<Sizes> {
+        let (blobs, measured, before) = (
+            self.store.blobs.clone(),
+            self.numbers.measured.clone(),
+            self.numbers.sizes.last().flatten(),
+        );
+        let look = async move {
+            let mut measured = measured.lock().await;
+            let sizes = blobs.sizes(&mut measured).await;
+            let sizes = sizes.inspect_err(
+                |error| tracing::warn!(%error, "the sizes of files could not be measured"),
+            );
+            sizes.ok().map(Arc::new).or(before)
+        };
+        self.numbers.sizes.get_soon(SIZES_AGE, PATIENCE, look).await.flatten()
+    }
+
+    /// US dollars.
+    async fn spent_today(&self) -> Result<f64, Error> {
+        match &self.vlm {
+            Some(vlm) => vlm.spent_today_usd().await,
+            None => Ok(self.store.spent_on(&today()).await?),
+        }
+    }
+
+    /// Kinds this server works on, and those of which there is a record.
+    fn jobs_in_numbers(&self, figures: &Figures) -> Vec<JobStats> {
+        let lanes = self.jobs.lanes();
+        let mut kinds: Vec<&str> = lanes
+            .keys()
+            .copied()
+            .chain(figures.jobs.iter().map(|jobs| jobs.kind.as_str()))
+            .collect();
+        kinds.sort_unstable();
+        kinds.dedup();
+        kinds
+            .into_iter()
+            .map(|kind| job_stats(kind, lanes.get(kind) == Some(&true), figures))
+            .collect()
+    }
+}
+
+fn job_stats(kind: &str, working: bool, figures: &Figures) -> JobStats {
+    let of = |state: JobState| {
+        figures.jobs.iter().find(|jobs| jobs.kind == kind && jobs.state == state.word())
+    };
+    let number = |state| of(state).map_or(0, |jobs| jobs.jobs);
+    let oldest = of(JobState::Queued).and_then(|jobs| jobs.oldest.parse::<Timestamp>().ok());
+    JobStats {
+        kind: kind.to_owned(),
+        working,
+        queued: number(JobState::Queued),
+        running: number(JobState::Running),
+        succeeded: number(JobState::Succeeded),
+        failed: number(JobState::Failed),
+        cancelled: number(JobState::Cancelled),
+        oldest_queued_s: oldest
+            .map(|oldest| Timestamp::now().duration_since(oldest).as_secs_f64().max(0.0)),
+    }
+}

@@ -1,0 +1,134 @@
+//! Uploads that are all there become scenes.
+
+use super::parts::file_name;
+use crate::error::Error;
+use crate::scenes::{Asked, Received};
+use crate::{Caller, Service};
+use std::sync::Arc;
+use tokio::task::spawn_blocking;
+use uniground_jobs::JobsError;
+use uniground_storage::{CameOf, UploadRow};
+use uniground_types::job::Job;
+use uniground_types::problem::Problem;
+use uniground_types::scenes::Scene;
+use uniground_types::settings::ParseSettings;
+
+/// How an error is told to callers.
+pub type Telling = fn(Error) -> Problem;
+
+impl Service {
+    /// Who asks what came of an upload is told in these words.
+    #[must_use]
+    pub fn telling(mut self, tell: Telling) -> Self {
+        self.tell = tell;
+        self
+    }
+
+    /// Makes scenes of uploads that are all there and were not made one: their server was stopped,
+    /// or a queue or the disk was full.
+    ///
+    /// # Errors
+    /// [`Error::Store`].
+    pub async fn make_left_uploads(&self) -> Result<(), Error> {
+        for id in self.store.unmade_uploads().await? {
+            let Ok(_turn) = self.at_upload(&id).await else { continue };
+            let Some(row) = self.store.upload(&id).await?.filter(|row| row.came_of.is_none())
+            else {
+                continue;
+            };
+            let row = self.as_on_disk(row).await?;
+            if row.received < row.length {
+                continue;
+            }
+            let made = match self.keys.caller_of(row.key_id.as_deref()) {
+                Ok(caller) => self.make_upload(row, &caller).await,
+                Err(_) => self.refuse_upload(&id, Error::KeyRefused).await,
+            };
+            if let Err(error) = made {
+                tracing::debug!(
+                    upload_id = id,
+                    error = &error as &dyn std::error::Error,
+                    "an upload waits to be made a scene"
+                );
+            }
+        }
+        Ok(())
+    }
+
+    /// Makes a scene of an upload that is all there, or notes why there is none. Its file has had
+    /// its time then.
+    pub(super) async fn make_upload(
+        &self,
+        row: UploadRow,
+        caller: &Caller,
+    ) -> Result<UploadRow, Error> {
+        match Box::pin(self.scene_of_upload(&row, caller)).await {
+            Ok((scene, job)) => {
+                self.end_upload(
+                    &row.id,
+                    CameOf::Scene { scene_id: scene.id, job_id: job.map(|job| job.id) },
+                )
+                .await
+            }
+            Err(error) if may_pass(&error) => Err(error),
+            Err(error) => self.refuse_upload(&row.id, error).await,
+        }
+    }
+
+    pub(super) async fn refuse_upload(&self, id: &str, error: Error) -> Result<UploadRow, Error> {
+        let problem = (self.tell)(error);
+        self.end_upload(id, CameOf::Nothing(Some(problem))).await
+    }
+
+    async fn end_upload(&self, id: &str, came_of: CameOf) -> Result<UploadRow, Error> {
+        let row = self.store.end_upload(id, &came_of).await?;
+        self.store.blobs.discard(self.store.blobs.upload(id)).await?;
+        row.ok_or_else(|| Error::UploadNotFound { id: id.into() })
+    }
+
+    async fn scene_of_upload(
+        &self,
+        row: &UploadRow,
+        caller: &Caller,
+    ) -> Result<(Scene, Option<Job>), Error> {
+        let wanted = &row.wanted;
+        let mut settings = ParseSettings::from_request(wanted.preset, None)?;
+        settings.import.up = wanted.up;
+        let (path, name) = (self.store.blobs.upload(&row.id), file_name(row).to_owned());
+        let received = Arc::new(spawn_blocking(move || Received::read(path, &name)).await??);
+        // Made twice, by a server that was killed between the scene and the note of it, it is one
+        // scene.
+        let key = caller
+            .own(wanted.idempotency_key.clone().unwrap_or_else(|| format!("upload {}", row.id)));
+        let made_before = self.store.scene_of_idempotency_key(&key).await?;
+        if made_before.is_none() {
+            self.check_disk(0)?;
+            self.check_quota(caller).await?;
+        }
+        let parse = wanted.parse.then_some(settings);
+        let asked =
+            Asked { name: wanted.name.clone(), parse, idempotency_key: Some(key), made_before };
+        self.make_scene(asked, received, caller).await
+    }
+}
+
+/// Whether an upload may become a scene a while later.
+fn may_pass(error: &Error) -> bool {
+    error.may_pass()
+        || matches!(error, Error::Jobs(JobsError::QueueFull { .. }) | Error::Background(_))
+}
+
+/// For services that nobody uploads to.
+pub fn unexplained(error: Error) -> Problem {
+    Problem {
+        kind: "about:blank".into(),
+        title: "Error".into(),
+        status: 422,
+        detail: error.to_string(),
+        code: error.code().into(),
+        request_id: None,
+        errors: Vec::new(),
+        job_id: None,
+        retry_after_s: None,
+    }
+}

@@ -1,0 +1,154 @@
+//! Parts of an upload as they come in.
+
+use super::checking::{Checking, Checksum};
+use crate::error::Error;
+use crate::scenes::{Pieces, what_comes};
+use crate::{Caller, MAX_UPLOADS, Service};
+use bytes::Bytes;
+use futures::Stream;
+use tokio::task::spawn_blocking;
+use tracing::Instrument;
+use uniground_ingest::Packed;
+use uniground_storage::{GrowingFile, UploadRow};
+use uniground_types::uploads::Upload;
+
+/// A part of an upload.
+pub struct Part<S> {
+    /// Where it goes: as much as was there before.
+    pub offset: u64,
+    /// Bytes it says it has.
+    pub announced_bytes: u64,
+    /// Nothing of it is kept that does not come to this.
+    pub checksum: Option<Checksum>,
+    pub body: S,
+}
+
+/// What a kill may cost: so much is put on the disk and noted at once.
+const SAVE_BYTES: u64 = 32 << 20;
+
+impl Service {
+    /// Goes on with an upload. What came of a part that breaks off is kept, unless it has a
+    /// checksum, which nobody can know then. With the last part the upload becomes a scene, or
+    /// is refused: what came of it is told by the answer, not as an error. Done to its end even if
+    /// the sender has gone.
+    ///
+    /// # Errors
+    /// [`Error::WrongOffset`], [`Error::UploadBusy`], [`Error::ChecksumMismatch`],
+    /// [`Error::UploadInterrupted`] and others about the body; what stands in the way of making
+    /// a scene and may pass: that is tried again by itself.
+    pub async fn append<E, S>(
+        &self,
+        id: &str,
+        part: Part<S>,
+        caller: Caller,
+    ) -> Result<Upload, Error>
+    where
+        S: Stream<Item = Result<Bytes, E>> + Send + Unpin + 'static,
+        E: Send + 'static,
+    {
+        let (service, id) = (self.clone(), id.to_owned());
+        let appending = async move { service.append_to_end(&id, part, &caller).await };
+        tokio::spawn(appending.in_current_span()).await?
+    }
+
+    async fn append_to_end<E, S>(
+        &self,
+        id: &str,
+        part: Part<S>,
+        caller: &Caller,
+    ) -> Result<Upload, Error>
+    where
+        S: Stream<Item = Result<Bytes, E>> + Unpin,
+    {
+        let place = self.uploads.clone().try_acquire_owned();
+        let place = place.map_err(|_| Error::TooMany { what: "uploads", most: MAX_UPLOADS })?;
+        // Whose it is not is not told that somebody is at work on it.
+        self.upload_row(id, caller).await?;
+        let _turn = self.at_upload(id).await?;
+        let mut row = self.upload_row(id, caller).await?;
+        if part.offset != row.received {
+            return Err(Error::WrongOffset { offset: row.received });
+        }
+        if part.announced_bytes > row.length - row.received {
+            return Err(Error::UploadTooLarge { max_bytes: row.length });
+        }
+        if row.came_of.is_none() && row.received < row.length {
+            self.check_disk(part.announced_bytes)?;
+            row = match self.take_part(row, part).await {
+                Err(error @ Error::NoScan { .. }) => self.refuse_upload(id, error).await?,
+                taken => taken?,
+            };
+        }
+        drop(place);
+        if row.came_of.is_none() && row.received == row.length {
+            row = self.make_upload(row, caller).await?;
+        }
+        Ok(self.present_upload(row))
+    }
+
+    /// Takes a part as far as it comes.
+    async fn take_part<E, S>(&self, mut row: UploadRow, part: Part<S>) -> Result<UploadRow, Error>
+    where
+        S: Stream<Item = Result<Bytes, E>> + Unpin,
+    {
+        let (blobs, id, received) = (self.store.blobs.clone(), row.id.clone(), row.received);
+        let mut file = spawn_blocking(move || blobs.open_upload(&id, received)).await??;
+        let mut pieces = Pieces::of(part.body, row.length - row.received, row.length);
+        let mut checking = part.checksum.map(Checking::of);
+        let end = loop {
+            let piece = match pieces.next().await {
+                Ok(Some(piece)) => piece,
+                Ok(None) => break Ok(()),
+                Err(error) => break Err(error),
+            };
+            let written = spawn_blocking(move || {
+                checking.iter_mut().for_each(|checking| checking.take(&piece));
+                file.write(&piece).map(|()| (file, checking))
+            });
+            (file, checking) = written.await??;
+            // The first bytes at once: nobody sends a whole video to hear that it is none.
+            let is_beginning = row.received < HEAD_BYTES && file.bytes() >= HEAD_BYTES;
+            if checking.is_none() && (is_beginning || file.unsaved() >= SAVE_BYTES) {
+                (row, file) = self.save_part(row, file).await?;
+            }
+        };
+        if let Some(checking) = checking {
+            // A part that broke off can not be checked.
+            end?;
+            return match checking.holds() {
+                true => Ok(self.save_part(row, file).await?.0),
+                false => Err(Error::ChecksumMismatch),
+            };
+        }
+        if file.unsaved() > 0 {
+            row = self.save_part(row, file).await?.0;
+        }
+        end.map(|()| row)
+    }
+
+    /// Puts what has come on the disk and notes it, in this order.
+    async fn save_part(
+        &self,
+        row: UploadRow,
+        mut file: GrowingFile,
+    ) -> Result<(UploadRow, GrowingFile), Error> {
+        let (file, head) = spawn_blocking(move || {
+            file.save()?;
+            file.head(Packed::HEAD_BYTES).map(|head| (file, head))
+        })
+        .await??;
+        let noted = self.store.note_received(&row.id, file.bytes()).await?;
+        let noted = noted.ok_or_else(|| Error::UploadNotFound { id: row.id.clone() })?;
+        if row.received < HEAD_BYTES && noted.received >= HEAD_BYTES {
+            what_comes(&head, file_name(&noted))?;
+        }
+        Ok((noted, file))
+    }
+}
+
+const HEAD_BYTES: u64 = Packed::HEAD_BYTES as u64;
+
+/// What an upload's file was called; endings tell what bytes do not.
+pub(super) fn file_name(row: &UploadRow) -> &str {
+    row.wanted.file_name.as_deref().or(row.wanted.name.as_deref()).unwrap_or_default()
+}

@@ -1,0 +1,247 @@
+use super::*;
+use crate::Limits;
+use bytes::Bytes;
+use camino::Utf8Path;
+use futures::stream;
+use futures::{SinkExt, Stream};
+use proptest::prelude::*;
+use sha2::{Digest, Sha256};
+use std::convert::Infallible;
+use std::fs;
+use std::io::Write;
+use tempfile::TempDir;
+use tokio::runtime::Runtime;
+use uniground_ingest::archive::UnpackLimits;
+use uniground_storage::{BlobHome, Location, Store};
+use uniground_types::stats::Retention;
+
+/// A service at rest over a folder of its own.
+struct Rested {
+    data: TempDir,
+    store: Store,
+    service: Service,
+}
+
+impl Rested {
+    async fn over(data: TempDir) -> Self {
+        let store = Store::open(
+            Utf8Path::from_path(data.path()).unwrap(),
+            &Location::Folder,
+            &BlobHome::Folder,
+        )
+        .await
+        .unwrap();
+        let limits = Limits {
+            max_upload_bytes: 1 << 30,
+            max_unfinished_uploads: 10,
+            unpack: UnpackLimits::default(),
+            keep_free_bytes: 0,
+            max_memory_bytes: None,
+            max_concurrent_questions: 1,
+            retention: Retention::default(),
+        };
+        let service = Service::at_rest(store.clone(), limits).await.unwrap();
+        Self { data, store, service }
+    }
+
+    async fn new() -> Self {
+        Self::over(tempfile::tempdir().unwrap()).await
+    }
+
+    async fn again(self) -> Self {
+        self.store.close().await;
+        let Self { data, store, service } = self;
+        drop((store, service));
+        Self::over(data).await
+    }
+
+    async fn begun(&self, length: usize) -> String {
+        let new = NewUpload { length: length as u64, wanted: WantedScene::default() };
+        self.service.begin_upload(new, &Caller::operator()).await.unwrap().id
+    }
+
+    async fn offset(&self, id: &str) -> usize {
+        self.service.upload(id, &Caller::operator()).await.unwrap().offset as usize
+    }
+
+    async fn append(
+        &self,
+        id: &str,
+        part: Part<impl Stream<Item = Result<Bytes, ()>> + Send + Unpin + 'static>,
+    ) -> Result<Upload, Error> {
+        self.service.append(id, part, Caller::operator()).await
+    }
+}
+
+/// Bytes in chunks of odd lengths, and then it breaks off, or does not.
+fn body(
+    bytes: &[u8],
+    end: Option<()>,
+) -> impl Stream<Item = Result<Bytes, ()>> + Send + Unpin + use<> {
+    let chunks: Vec<_> = bytes
+        .chunks(7919)
+        .map(|chunk| Ok(Bytes::copy_from_slice(chunk)))
+        .chain(end.map(Err))
+        .collect();
+    stream::iter(chunks)
+}
+
+fn part<S>(offset: usize, checksum: Option<Checksum>, body: S) -> Part<S> {
+    Part { offset: offset as u64, announced_bytes: 0, checksum, body }
+}
+
+fn sum_of(bytes: &[u8]) -> Checksum {
+    Checksum { algorithm: Algorithm::Sha256, sum: Sha256::digest(bytes).to_vec() }
+}
+
+/// Begins as an archive does, so that nobody turns it away for its first bytes.
+fn archive(length: usize) -> Vec<u8> {
+    let mut bytes: Vec<u8> = (0..length).map(|i| (i * i % 251) as u8).collect();
+    bytes[..4].copy_from_slice(b"PK\x03\x04");
+    bytes
+}
+
+/// What happens to a part on its way.
+#[derive(Debug, Clone, Copy)]
+enum Fate {
+    Arrives,
+    BreaksOff,
+    Checked,
+    /// Its bytes are not those of its checksum.
+    Damaged,
+    /// A checksum, and then it breaks off.
+    CheckedAndCut,
+    /// It begins elsewhere.
+    Misplaced,
+    /// It has more than the upload has room for.
+    TooLong,
+    /// The server is killed after some of it was written and not noted.
+    Killed,
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    /// Whatever happens to parts on their way, what is there is what was sent, and an offset never claims more.
+    #[test]
+    fn parts_broken_anywhere_come_to_the_same_bytes(
+        length in 4usize..60_000,
+        parts in prop::collection::vec((0usize..20_000, prop::sample::select(vec![
+            Fate::Arrives, Fate::BreaksOff, Fate::Checked, Fate::Damaged, Fate::CheckedAndCut, Fate::Misplaced, Fate::TooLong, Fate::Killed,
+        ])), 0..12),
+    ) {
+        let bytes = archive(length);
+        Runtime::new().unwrap().block_on(async {
+            let mut rested = Rested::new().await;
+            // One more than are sent: it is never all there, and nobody makes a scene of it.
+            let id = rested.begun(length + 1).await;
+            let mut there = 0;
+            for (size, fate) in parts {
+                let piece = &bytes[there..(there + size).min(length)];
+                let sent = match fate {
+                    Fate::Arrives => rested.append(&id, part(there, None, body(piece, None))).await.map(|_| piece.len()),
+                    Fate::Checked => rested.append(&id, part(there, Some(sum_of(piece)), body(piece, None))).await.map(|_| piece.len()),
+                    Fate::BreaksOff => {
+                        let broken = rested.append(&id, part(there, None, body(piece, Some(())))).await;
+                        prop_assert!(matches!(broken, Err(Error::UploadInterrupted { .. })), "{broken:?}");
+                        Ok(piece.len())
+                    }
+                    Fate::Damaged => rested.append(&id, part(there, Some(sum_of(b"others")), body(piece, None))).await.map(|_| 0),
+                    Fate::CheckedAndCut => rested.append(&id, part(there, Some(sum_of(piece)), body(piece, Some(())))).await.map(|_| 0),
+                    Fate::Misplaced => rested.append(&id, part(there + 1, None, body(piece, None))).await.map(|_| 0),
+                    Fate::TooLong => {
+                        let long = Part { announced_bytes: length as u64 + 2, ..part(there, None, body(piece, None)) };
+                        rested.append(&id, long).await.map(|_| 0)
+                    }
+                    Fate::Killed => {
+                        let path = rested.store.blobs.upload(&id);
+                        fs::OpenOptions::new().create(true).append(true).open(path).unwrap().write_all(b"never noted").unwrap();
+                        rested = rested.again().await;
+                        Ok(0)
+                    }
+                };
+                let is_refused = matches!(fate, Fate::Damaged | Fate::CheckedAndCut | Fate::Misplaced | Fate::TooLong);
+                prop_assert_eq!(sent.is_err(), is_refused, "{:?}: {:?}", fate, sent);
+                there += sent.unwrap_or(0);
+                prop_assert_eq!(rested.offset(&id).await, there, "{:?}", fate);
+            }
+            rested.append(&id, part(there, None, body(&bytes[there..], None))).await.unwrap();
+            prop_assert_eq!(rested.offset(&id).await, length);
+            prop_assert!(fs::read(rested.store.blobs.upload(&id)).unwrap() == bytes);
+            Ok(())
+        })?;
+    }
+}
+
+#[tokio::test]
+async fn two_senders_at_once_are_told_apart() {
+    let rested = Rested::new().await;
+    let (bytes, id) = (archive(3000), rested.begun(3001).await);
+    let (mut sender, receiver) = futures::channel::mpsc::channel(0);
+    let service = rested.service.clone();
+    let first = tokio::spawn({
+        let id = id.clone();
+        async move { service.append(&id, part(0, None, receiver), Caller::operator()).await }
+    });
+    // Done when the first has taken it: from then on the first is at work on it.
+    sender.send(Ok::<_, Infallible>(Bytes::from(bytes[..1000].to_vec()))).await.unwrap();
+    let second = rested.append(&id, part(0, None, body(&bytes[..0], None))).await;
+    assert!(matches!(second, Err(Error::UploadBusy { .. })), "{second:?}");
+    assert!(matches!(
+        rested.service.delete_upload(&id, &Caller::operator()).await,
+        Err(Error::UploadBusy { .. })
+    ));
+    sender.send(Ok(Bytes::from(bytes[1000..2000].to_vec()))).await.unwrap();
+    drop(sender);
+    assert_eq!(first.await.unwrap().unwrap().offset, 2000);
+    assert_eq!(
+        rested.append(&id, part(2000, None, body(&bytes[2000..], None))).await.unwrap().offset,
+        3000
+    );
+    assert!(fs::read(rested.store.blobs.upload(&id)).unwrap() == bytes);
+    rested.service.delete_upload(&id, &Caller::operator()).await.unwrap();
+    assert!(matches!(
+        rested.service.upload(&id, &Caller::operator()).await,
+        Err(Error::UploadNotFound { .. })
+    ));
+}
+
+/// More than was announced is not taken; what fits is kept.
+#[tokio::test]
+async fn a_body_that_does_not_end_is_cut() {
+    let rested = Rested::new().await;
+    let (bytes, id) = (archive(30_000), rested.begun(20_000).await);
+    let long = rested.append(&id, part(0, None, body(&bytes, None))).await;
+    assert!(matches!(long, Err(Error::UploadTooLarge { max_bytes: 20_000 })), "{long:?}");
+    let there = rested.offset(&id).await;
+    assert!(there <= 20_000 && fs::read(rested.store.blobs.upload(&id)).unwrap() == bytes[..there]);
+}
+
+/// A backup has the record and not the file; and a file whose record is gone is nobody's.
+#[tokio::test]
+async fn a_record_without_its_file_begins_anew() {
+    let rested = Rested::new().await;
+    let id = rested.begun(9000).await;
+    rested.append(&id, part(0, None, body(&archive(5000), None))).await.unwrap();
+    fs::remove_file(rested.store.blobs.upload(&id)).unwrap();
+    fs::write(rested.store.blobs.upload("stranger"), "x").unwrap();
+    let rested = rested.again().await;
+    assert_eq!(rested.offset(&id).await, 0);
+    assert!(!rested.store.blobs.upload("stranger").exists());
+    assert_eq!(
+        rested.append(&id, part(0, None, body(&archive(8000), None))).await.unwrap().offset,
+        8000
+    );
+}
+
+#[tokio::test]
+async fn what_is_no_scan_is_refused_by_its_first_bytes() {
+    let rested = Rested::new().await;
+    let id = rested.begun(1 << 30).await;
+    let upload = rested.append(&id, part(0, None, body(&[b'x'; 5000], None))).await.unwrap();
+    assert_eq!(
+        (upload.state, upload.problem.unwrap().code.as_str()),
+        (UploadState::Refused, "archive_unreadable")
+    );
+    assert!(!rested.store.blobs.upload(&id).exists());
+}

@@ -1,0 +1,258 @@
+//! Calls of the model, written down before they are made and counted when they end.
+
+use super::circuit::{Circuit, Sign};
+use super::{OF_EVERYBODY, OF_KEY, today};
+use crate::Caller;
+use crate::keys::KnownKey;
+use futures::FutureExt;
+use futures::future::BoxFuture;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::time::sleep;
+use tracing::{Instrument, field};
+use uniground_models::chat::{
+    ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, OverBudget, Prices,
+};
+use uniground_models::with_causes;
+use uniground_storage::{Allowance, Short, Store, StoreError, Wish};
+use uniground_telemetry::metrics::Metrics;
+
+/// What may come of a call.
+const ANSWERED: &str = "answered";
+const REFUSED: &str = "refused";
+const UNREACHABLE: &str = "unreachable";
+const UNREADABLE: &str = "unreadable";
+/// It was taken to be down.
+const NOT_ASKED: &str = "not_asked";
+/// Whoever asked left before there was an answer.
+const ABANDONED: &str = "abandoned";
+
+/// How long a call waits for a database that is away, and how often it looks.
+const DATABASE_IS_BACK: Duration = Duration::from_secs(30);
+const LOOK_AGAIN: Duration = Duration::from_secs(1);
+
+fn outcome_of(answered: &Result<ChatReply, ChatFailure>) -> &'static str {
+    match answered {
+        Ok(_) => ANSWERED,
+        Err(ChatFailure { error, .. }) => match error {
+            ChatError::Refused { .. } => REFUSED,
+            ChatError::Transport(_) => UNREACHABLE,
+            ChatError::Undecodable(_) => UNREADABLE,
+            ChatError::NotRecorded(_) | ChatError::ReplayCache(_) => "not_recorded",
+            ChatError::NotRecordable(_) => "not_recordable",
+            ChatError::Down { .. } | ChatError::OverBudget(_) => NOT_ASKED,
+        },
+    }
+}
+
+/// What a call says of the model's server; nothing where it never got there.
+fn sign_of(answered: &Result<ChatReply, ChatFailure>) -> Option<Sign> {
+    match answered {
+        Ok(_) => Some(Sign::Up),
+        Err(ChatFailure { error, .. }) => match error {
+            ChatError::Transport(_) => Some(Sign::Gone),
+            ChatError::Refused { status: 429 | 500..=599, .. } => Some(Sign::Failing),
+            ChatError::Refused { .. } | ChatError::Undecodable(_) => Some(Sign::Unclear),
+            ChatError::NotRecorded(_)
+            | ChatError::ReplayCache(_)
+            | ChatError::NotRecordable(_)
+            | ChatError::Down { .. }
+            | ChatError::OverBudget(_) => None,
+        },
+    }
+}
+
+/// A model whose calls are written down before they are made: whatever becomes of the server or of
+/// who asked, what was spent is known. They are counted, too.
+#[derive(Clone)]
+pub struct Metered {
+    model: Arc<dyn ChatModel>,
+    store: Store,
+    metrics: Arc<Metrics>,
+    circuit: Arc<Circuit>,
+    /// Most that may be spent in a day (UTC), US dollars.
+    daily_usd: Option<f64>,
+    /// Whose calls they are.
+    key: Option<Arc<KnownKey>>,
+}
+
+impl Metered {
+    pub fn new(
+        model: Arc<dyn ChatModel>,
+        daily_usd: Option<f64>,
+        store: Store,
+        metrics: Arc<Metrics>,
+    ) -> Self {
+        metrics.vlm.knows(&[ANSWERED, REFUSED, UNREACHABLE, UNREADABLE, NOT_ASKED]);
+        Self { model, store, metrics, circuit: Arc::default(), daily_usd, key: None }
+    }
+
+    /// The same for somebody: what calls cost is written down for them, too.
+    pub fn of(&self, caller: &Caller) -> Self {
+        Self { key: caller.key.clone(), ..self.clone() }
+    }
+
+    /// Whether its server is there.
+    pub fn circuit(&self) -> &Arc<Circuit> {
+        &self.circuit
+    }
+
+    async fn ask_paid(&self, request: &ChatRequest) -> Result<ChatReply, ChatFailure> {
+        let prices = self.model.prices();
+        let key_daily_usd = self.key.as_ref().and_then(|key| key.row.daily_usd);
+        if !prices.are_known() && self.daily_usd.is_none() && key_daily_usd.is_none() {
+            return self.model.ask(request).await;
+        }
+        let thought_usd = prices.thought_usd(request);
+        // Who leaves before the call is made has bought nothing, whether or not the money is aside
+        // by then; who leaves while the model thinks has asked it all the same.
+        let mut call = Call { store: self.store.clone(), open: Some((self.store.new_id(), 0.0)) };
+        let id = call.open.as_ref().map_or("", |(id, _)| id);
+        let (day, key_id) = (today(), self.key.as_ref().map(|key| &*key.row.id));
+        let wish =
+            Wish { day: &day, usd: thought_usd, key_id, daily_usd: self.daily_usd, key_daily_usd };
+        let never_asked = |error| ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 };
+        let reserved = self.reserve(id, &wish).await;
+        let reserved =
+            reserved.map_err(|error| never_asked(ChatError::NotRecordable(with_causes(&error))))?;
+        if let Err(Short { whose, limit_usd, left_usd }) = reserved {
+            let of = if whose == Allowance::OfKey { OF_KEY } else { OF_EVERYBODY };
+            call.open = None;
+            return Err(never_asked(
+                OverBudget { of, limit_usd, left_usd, wanted_usd: thought_usd }.into(),
+            ));
+        }
+        call.open = call.open.take().map(|(id, _)| (id, thought_usd));
+        let outcome = self.model.ask(request).await;
+        call.open = call.open.take().map(|(id, _)| (id, prices.paid_usd(request, &outcome)));
+        call.settle().await;
+        outcome
+    }
+
+    /// Puts money aside. In the middle of a question, whose first call was paid, the database may
+    /// be away for a moment.
+    async fn reserve(&self, id: &str, wish: &Wish<'_>) -> Result<Result<(), Short>, StoreError> {
+        let start = Instant::now();
+        loop {
+            match self.store.reserve_spending(id, wish).await {
+                Err(error) if error.is_busy() && start.elapsed() < DATABASE_IS_BACK => {
+                    sleep(LOOK_AGAIN).await
+                }
+                reserved => return reserved,
+            }
+        }
+    }
+
+    fn count(&self, outcome: &'static str, attempts: u32, start: Instant, usd: f64) {
+        self.metrics.vlm.called(outcome, attempts, start.elapsed());
+        self.metrics.vlm.paid(usd);
+    }
+}
+
+impl ChatModel for Metered {
+    fn name(&self) -> &str {
+        self.model.name()
+    }
+
+    fn prices(&self) -> Prices {
+        self.model.prices()
+    }
+
+    fn ask<'a>(
+        &'a self,
+        request: &'a ChatRequest,
+    ) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
+        async move {
+            if let Err(wait) = self.circuit.admit(Instant::now()) {
+                self.metrics.vlm.called(NOT_ASKED, 0, Duration::ZERO);
+                let error = ChatError::Down { again_in_s: wait.as_secs().max(1) };
+                return Err(ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 });
+            }
+            let span = tracing::info_span!(
+                "model_call",
+                model = self.name(),
+                outcome = field::Empty,
+                attempts = field::Empty
+            );
+            let mut counted = Counted {
+                metered: self,
+                start: Instant::now(),
+                thought_usd: Some(self.prices().thought_usd(request)),
+            };
+            let answered = self.ask_paid(request).instrument(span.clone()).await;
+            counted.thought_usd = None;
+            if let Err(ChatFailure { error: ChatError::OverBudget(_), .. }) = &answered {
+                self.circuit.left();
+                return answered;
+            }
+            let (attempts, usd) = match &answered {
+                Ok(reply) => {
+                    self.metrics.vlm.counted(reply.prompt_tokens, reply.completion_tokens);
+                    (reply.attempts, self.prices().paid_usd(request, &answered))
+                }
+                Err(failure) => (failure.attempts, self.prices().paid_usd(request, &answered)),
+            };
+            let outcome = outcome_of(&answered);
+            span.record("outcome", outcome).record("attempts", attempts);
+            self.count(outcome, attempts, counted.start, usd);
+            match sign_of(&answered) {
+                Some(sign) => self.circuit.note(sign, outcome, Instant::now()),
+                None => self.circuit.left(),
+            }
+            answered
+        }
+        .boxed()
+    }
+}
+
+/// A call that will be counted, also when nobody waits for its end.
+struct Counted<'a> {
+    metered: &'a Metered,
+    start: Instant,
+    /// What the call is taken to cost as long as it is under way.
+    thought_usd: Option<f64>,
+}
+
+impl Drop for Counted<'_> {
+    fn drop(&mut self) {
+        if let Some(usd) = self.thought_usd {
+            self.metered.count(ABANDONED, 1, self.start, usd);
+            self.metered.circuit.left();
+        }
+    }
+}
+
+/// A call under way.
+struct Call {
+    store: Store,
+    /// Its reservation, and what it is taken to cost.
+    open: Option<(String, f64)>,
+}
+
+impl Call {
+    async fn settle(&mut self) {
+        if let Some((id, usd)) = self.open.take() {
+            settle(&self.store, &id, usd).await;
+        }
+    }
+}
+
+impl Drop for Call {
+    fn drop(&mut self) {
+        if let Some((id, usd)) = self.open.take() {
+            let store = self.store.clone();
+            tokio::spawn(async move { settle(&store, &id, usd).await });
+        }
+    }
+}
+
+/// What can not be settled stays reserved, and counts as spent when the server starts next.
+async fn settle(store: &Store, id: &str, usd: f64) {
+    if let Err(error) = store.settle_spending(id, usd).await {
+        tracing::warn!(
+            usd,
+            error = &error as &dyn std::error::Error,
+            "what a call has cost could not be written down: it stays reserved"
+        );
+    }
+}

@@ -1,0 +1,234 @@
+//! Telling another server that something happened, as Standard Webhooks (version 1) has it: signed,
+//! and never to an address that only this machine or its own network can reach, unless the operator
+//! says so.
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use hmac::{Hmac, KeyInit, Mac};
+use reqwest::dns::{Addrs, Name, Resolve, Resolving};
+use reqwest::{Url, redirect};
+use sha2::Sha256;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::sync::Arc;
+use std::time::Duration;
+use uniground_client::choose_cryptography;
+
+/// Longest a delivery may take.
+const TIMEOUT: Duration = Duration::from_secs(15);
+const SHORTEST_SECRET: usize = 16;
+/// What secrets begin with, where they are base64.
+const PREFIX: &str = "whsec_";
+
+/// Where webhooks go, and what signs them.
+pub struct Webhook {
+    http: reqwest::Client,
+    url: Url,
+    secret: Vec<u8>,
+}
+
+/// Why a webhook was not taken.
+#[derive(Debug, thiserror::Error)]
+pub enum WebhookError {
+    #[error("the webhook's server can not be reached")]
+    Transport(#[from] reqwest::Error),
+    #[error("the webhook's server answered {0}")]
+    Refused(u16),
+}
+
+/// Why there can be no such webhook.
+#[derive(Debug, thiserror::Error)]
+pub enum BadWebhook {
+    #[error("this is not an address with http or https")]
+    Address,
+    #[error(
+        "{0} is an address of this machine or its own network: say --webhook-allow-private where that is meant"
+    )]
+    Private(String),
+    #[error("the secret is base64 of at least {SHORTEST_SECRET} bytes, after whsec_")]
+    Secret,
+    #[error("a client for webhooks")]
+    Client(#[from] reqwest::Error),
+}
+
+impl Webhook {
+    /// `secret` as Standard Webhooks write it: `whsec_` and base64.
+    ///
+    /// # Errors
+    /// [`BadWebhook`].
+    pub fn new(url: &str, secret: &str, allow_private: bool) -> Result<Self, BadWebhook> {
+        let url = Url::parse(url)
+            .ok()
+            .filter(|url| matches!(url.scheme(), "http" | "https") && url.has_host());
+        let url = url.ok_or(BadWebhook::Address)?;
+        let secret = STANDARD
+            .decode(secret.trim().trim_start_matches(PREFIX))
+            .map_err(|_| BadWebhook::Secret)?;
+        if secret.len() < SHORTEST_SECRET {
+            return Err(BadWebhook::Secret);
+        }
+        choose_cryptography();
+        // Whoever answers may not send it on elsewhere.
+        let mut http =
+            reqwest::Client::builder().redirect(redirect::Policy::none()).timeout(TIMEOUT);
+        if !allow_private {
+            // A name is looked up when it is connected to, and what it means then counts; a number
+            // is looked at here.
+            http = http.dns_resolver(Arc::new(PublicOnly)).no_proxy();
+            let host = url.host_str().unwrap_or_default().trim_matches(['[', ']']);
+            if host.parse::<IpAddr>().is_ok_and(|address| !is_public(address)) {
+                return Err(BadWebhook::Private(host.to_owned()));
+            }
+        }
+        Ok(Self { http: http.build()?, url, secret })
+    }
+
+    /// Delivers a message; `id` is the same whenever it is delivered again. `at` is the time now,
+    /// seconds.
+    ///
+    /// # Errors
+    /// [`WebhookError`]: it was not taken, and may be tried again.
+    pub async fn deliver(&self, id: &str, at: i64, body: String) -> Result<(), WebhookError> {
+        let signature = self.signature(id, at, &body);
+        let request = self
+            .http
+            .post(self.url.clone())
+            .header("content-type", "application/json")
+            .header("webhook-id", id)
+            .header("webhook-timestamp", at.to_string())
+            .header("webhook-signature", signature);
+        let status = request.body(body).send().await.map_err(reqwest::Error::without_url)?.status();
+        if status.is_success() { Ok(()) } else { Err(WebhookError::Refused(status.as_u16())) }
+    }
+
+    fn signature(&self, id: &str, at: i64, body: &str) -> String {
+        // Any length is a key.
+        let Ok(mut mac) = Hmac::<Sha256>::new_from_slice(&self.secret) else {
+            return String::new();
+        };
+        mac.update(format!("{id}.{at}.{body}").as_bytes());
+        format!("v1,{}", STANDARD.encode(mac.finalize().into_bytes()))
+    }
+}
+
+/// Looks names up, and knows only what everybody can reach.
+struct PublicOnly;
+
+impl Resolve for PublicOnly {
+    fn resolve(&self, name: Name) -> Resolving {
+        Box::pin(async move {
+            let host = name.as_str().to_owned();
+            let found = tokio::net::lookup_host((host.as_str(), 0)).await?;
+            let public: Vec<SocketAddr> = found.filter(|address| is_public(address.ip())).collect();
+            match public.is_empty() {
+                true => {
+                    Err(format!("{host} is an address of this machine or its own network").into())
+                }
+                false => Ok(Box::new(public.into_iter()) as Addrs),
+            }
+        })
+    }
+}
+
+/// Whether an address is one on the internet, and nobody's own.
+fn is_public(address: IpAddr) -> bool {
+    match address {
+        IpAddr::V4(address) => is_public_v4(address),
+        IpAddr::V6(address) => {
+            // An IPv4 address in other clothes: mapped, or behind a translator.
+            let segments = address.segments();
+            let inner = || Ipv4Addr::from((u32::from(segments[6]) << 16) | u32::from(segments[7]));
+            match address.to_ipv4_mapped() {
+                Some(mapped) => is_public_v4(mapped),
+                None if segments[..6] == [0x64, 0xff9b, 0, 0, 0, 0] => is_public_v4(inner()),
+                // What is given out worldwide begins with 001; of that 2001:db8::/32 is for books.
+                None => {
+                    segments[0] & 0xe000 == 0x2000
+                        && !(segments[0] == 0x2001 && segments[1] == 0x0db8)
+                }
+            }
+        }
+    }
+}
+
+fn is_public_v4(address: Ipv4Addr) -> bool {
+    let [a, b, c, _] = address.octets();
+    let special = address.is_private()
+        || address.is_loopback()
+        || address.is_link_local()
+        || address.is_documentation()
+        || address.is_multicast()
+        || a == 0
+        || a >= 240
+        || (a == 100 && (64..128).contains(&b))
+        || (a == 192 && b == 0 && c == 0)
+        || (a == 198 && (b == 18 || b == 19));
+    !special
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECRET: &str = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw";
+
+    /// The example of the standard's own libraries.
+    #[test]
+    fn signatures_are_those_of_standard_webhooks() {
+        let webhook = Webhook::new("https://example.com/hook", SECRET, false).unwrap();
+        let signature = webhook.signature(
+            "msg_p5jXN8AQM9LWM0D4loKWxJek",
+            1_614_265_330,
+            "{\"test\": 2432232314}",
+        );
+        assert_eq!(signature, "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE=");
+    }
+
+    #[test]
+    fn what_only_we_can_reach_is_no_address_for_webhooks() {
+        for private in [
+            "127.0.0.1",
+            "10.1.2.3",
+            "172.16.0.1",
+            "192.168.1.1",
+            "169.254.169.254",
+            "100.64.0.1",
+            "0.0.0.0",
+            "224.0.0.1",
+            "255.255.255.255",
+            "[::1]",
+            "[fc00::1]",
+            "[fe80::1]",
+            "[::ffff:10.0.0.1]",
+            "[64:ff9b::10.0.0.1]",
+        ] {
+            let url = format!("http://{private}/hook");
+            assert!(
+                matches!(Webhook::new(&url, SECRET, false), Err(BadWebhook::Private(_))),
+                "{private}"
+            );
+            assert!(Webhook::new(&url, SECRET, true).is_ok(), "{private}");
+        }
+        for public in ["1.1.1.1", "[2606:4700:4700::1111]", "example.com"] {
+            assert!(
+                Webhook::new(&format!("https://{public}/hook"), SECRET, false).is_ok(),
+                "{public}"
+            );
+        }
+        assert!(matches!(
+            Webhook::new("ftp://example.com", SECRET, false),
+            Err(BadWebhook::Address)
+        ));
+        assert!(matches!(
+            Webhook::new("https://example.com", "whsec_c2hvcnQ=", false),
+            Err(BadWebhook::Secret)
+        ));
+    }
+
+    #[tokio::test]
+    async fn a_name_that_means_this_machine_is_not_connected_to() {
+        let webhook = Webhook::new("http://localhost:9/hook", SECRET, false).unwrap();
+        let error = webhook.deliver("msg_1", 1, "{}".into()).await.unwrap_err();
+        let told = uniground_models::with_causes(&error);
+        assert!(told.contains("its own network"), "{told}");
+    }
+}

@@ -1,0 +1,177 @@
+//! Reading published folders, every file against its sum.
+
+use super::super::blobs::checksums::{SUMS, files_below};
+use super::manifest::hex;
+use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
+use sha2::{Digest, Sha256};
+use std::fmt::Write as _;
+use std::fs::{self, File};
+use std::io::{self, Read};
+
+/// Why a folder could not be copied.
+#[derive(Debug)]
+pub enum Unsound {
+    /// It is not there, or went away meanwhile.
+    Gone,
+    /// What is wrong with which file.
+    Damaged(String),
+    /// The fault is with where it was to be copied to.
+    NotWritten(io::Error),
+}
+
+/// A folder that was read whole.
+pub struct Whole {
+    /// Its `.sha256sums`; made here for folders of before there were sums.
+    pub sums: String,
+    pub files: u64,
+    pub bytes: u64,
+}
+
+/// The sums a folder came with; nothing for one of before there were sums.
+pub fn sums_of(folder: &Utf8Path) -> Result<Option<String>, Unsound> {
+    match fs::read_to_string(folder.join(SUMS)) {
+        Ok(sums) => Ok(Some(sums)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound && folder.is_dir() => Ok(None),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Err(Unsound::Gone),
+        Err(error) => Err(Unsound::Damaged(format!("{SUMS}: {error}"))),
+    }
+}
+
+/// Files and their sums, as a folder's list has them.
+pub fn listed(sums: &str) -> Result<Vec<(Utf8PathBuf, &str)>, Unsound> {
+    let entries = sums
+        .lines()
+        .filter_map(|line| line.split_once("  "))
+        .map(|(sum, file)| (Utf8PathBuf::from(file), sum));
+    let entries: Vec<_> = entries.collect();
+    let strange = entries
+        .iter()
+        .find(|(file, _)| file.components().any(|step| !matches!(step, Utf8Component::Normal(_))));
+    match strange {
+        Some((file, _)) => Err(Unsound::Damaged(format!("{SUMS} names {file}"))),
+        None => Ok(entries),
+    }
+}
+
+/// Reads a folder; `take` gets every file, its length and its bytes, exactly as many. What it took
+/// of a folder that turns out to be unsound is worth nothing.
+pub fn read_folder(
+    folder: &Utf8Path,
+    mut take: impl FnMut(&Utf8Path, u64, &mut dyn Read) -> io::Result<()>,
+) -> Result<Whole, Unsound> {
+    let known = sums_of(folder)?;
+    let files: Vec<(Utf8PathBuf, Option<String>)> = if let Some(sums) = &known {
+        listed(sums)?.into_iter().map(|(file, sum)| (file, Some(sum.to_owned()))).collect()
+    } else {
+        let files = files_below(folder).map_err(|error| lost_or(folder, &error))?;
+        files.into_iter().map(|file| (file, None)).collect()
+    };
+    let (mut sums, mut bytes) = (String::new(), 0);
+    for (file, known) in &files {
+        let (sum, length) =
+            read_file(&folder.join(file), |length, reader| take(file, length, reader)).map_err(
+                |unsound| match unsound {
+                    Unsound::Gone if folder.is_dir() => Unsound::Damaged(format!("{file} missing")),
+                    Unsound::Damaged(what) => Unsound::Damaged(format!("{file} {what}")),
+                    other => other,
+                },
+            )?;
+        if known.as_ref().is_some_and(|known| *known != sum) {
+            return Err(Unsound::Damaged(format!("{file} damaged")));
+        }
+        let _ = writeln!(sums, "{sum}  {file}");
+        bytes += length;
+    }
+    Ok(Whole { sums: known.unwrap_or(sums), files: files.len() as u64, bytes })
+}
+
+/// Reads a file; its sum and length.
+pub fn read_file(
+    path: &Utf8Path,
+    take: impl FnOnce(u64, &mut dyn Read) -> io::Result<()>,
+) -> Result<(String, u64), Unsound> {
+    let opened = File::open(path).and_then(|file| Ok((file.metadata()?.len(), file)));
+    let (length, file) = opened.map_err(|error| match error.kind() {
+        io::ErrorKind::NotFound => Unsound::Gone,
+        _ => Unsound::Damaged(error.to_string()),
+    })?;
+    let mut summing = Summing { file, hasher: Sha256::new(), failed: None };
+    // Nobody's archive shall break because a file is shorter than its folder says.
+    take(length, &mut (&mut summing).chain(io::repeat(0)).take(length))
+        .map_err(Unsound::NotWritten)?;
+    match summing.failed {
+        Some(error) => Err(Unsound::Damaged(error.to_string())),
+        None => Ok((hex(&summing.hasher.finalize()), length)),
+    }
+}
+
+fn lost_or(folder: &Utf8Path, error: &io::Error) -> Unsound {
+    match error.kind() {
+        io::ErrorKind::NotFound if !folder.is_dir() => Unsound::Gone,
+        _ => Unsound::Damaged(error.to_string()),
+    }
+}
+
+/// Adds up what passes. A file that can not be read ends there; why is kept.
+struct Summing {
+    file: File,
+    hasher: Sha256,
+    failed: Option<io::Error>,
+}
+
+impl Read for Summing {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        match self.file.read(buffer) {
+            Ok(n) => {
+                self.hasher.update(&buffer[..n]);
+                Ok(n)
+            }
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => Err(error),
+            Err(error) => {
+                self.failed = Some(error);
+                Ok(0)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::blobs::checksums;
+
+    fn taken(folder: &Utf8Path) -> Result<Vec<(String, Vec<u8>)>, String> {
+        let mut files = Vec::new();
+        let read = read_folder(folder, |file, length, reader| {
+            let mut bytes = Vec::new();
+            reader.read_to_end(&mut bytes)?;
+            assert_eq!(bytes.len() as u64, length);
+            files.push((file.to_string(), bytes));
+            Ok(())
+        });
+        read.map(|_| files).map_err(|unsound| format!("{unsound:?}"))
+    }
+
+    #[test]
+    fn a_folder_is_read_whole_or_told_to_be_unsound() {
+        let data = tempfile::tempdir().unwrap();
+        let folder = Utf8Path::from_path(data.path()).unwrap();
+        fs::create_dir(folder.join("views")).unwrap();
+        fs::write(folder.join("cloud.ply"), "points").unwrap();
+        fs::write(folder.join("views/1.jpg"), "picture").unwrap();
+        let both = [
+            ("cloud.ply".to_owned(), b"points".to_vec()),
+            ("views/1.jpg".to_owned(), b"picture".to_vec()),
+        ];
+        assert_eq!(taken(folder).unwrap(), both, "also without sums");
+        checksums::seal(folder, &checksums::Sums::new(), "").unwrap();
+        assert_eq!(taken(folder).unwrap(), both);
+        fs::write(folder.join("views/1.jpg"), "pictura").unwrap();
+        assert_eq!(taken(folder).unwrap_err(), "Damaged(\"views/1.jpg damaged\")");
+        fs::remove_file(folder.join("views/1.jpg")).unwrap();
+        assert_eq!(taken(folder).unwrap_err(), "Damaged(\"views/1.jpg missing\")");
+        fs::write(folder.join(SUMS), "00  ../../passwords\n").unwrap();
+        assert_eq!(taken(folder).unwrap_err(), "Damaged(\".sha256sums names ../../passwords\")");
+        assert_eq!(taken(&folder.join("nowhere")).unwrap_err(), "Gone");
+    }
+}

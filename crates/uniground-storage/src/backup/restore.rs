@@ -1,0 +1,329 @@
+//! A data folder from a backup: all of it, or nothing.
+
+use super::BackupError;
+use super::manifest::{self, Kept, Manifest, hex};
+use super::reading::{Unsound, Whole, read_file, read_folder, sums_of};
+use super::sink::copy_folder;
+use super::snapshot::rename_folder;
+use crate::StoreError;
+use crate::blobs::checksums::sync_everything;
+use crate::data_folder::{DATABASE, LOCK, is_harmless, mark};
+use crate::database::Engine;
+use crate::migrations::MIGRATIONS;
+use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
+use sha2::{Digest, Sha256};
+use std::fs::{self, File};
+use std::io::{self, BufRead, BufReader, Read};
+use std::time::{Duration, UNIX_EPOCH};
+use tokio::task::spawn_blocking;
+use uuid::Uuid;
+
+/// Where a backup is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Source {
+    Folder(Utf8PathBuf),
+    Archive(Utf8PathBuf),
+    Stdin,
+}
+
+impl Source {
+    /// What a path on the command line means.
+    #[must_use]
+    pub fn of(path: &Utf8Path) -> Self {
+        match path.as_str() {
+            "-" => Self::Stdin,
+            _ if path.is_dir() => Self::Folder(path.to_owned()),
+            _ => Self::Archive(path.to_owned()),
+        }
+    }
+}
+
+/// What was restored.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Restored {
+    pub taken_at: String,
+    /// Version of the program that made the backup.
+    pub program: String,
+    pub scenes: u64,
+    pub answers: u64,
+    pub folders: u64,
+    pub bytes: u64,
+    /// What the backup did not have: folder, and what was wrong with it.
+    pub left_out: Vec<(String, String)>,
+}
+
+/// Where everything is until it is whole and checked.
+const RESTORING: &str = "restoring";
+/// With what zstd streams begin.
+const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
+/// What is wanted of a backup.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Wanted {
+    Everything,
+    /// Only whether it is whole.
+    Word,
+}
+
+/// How a backup's folders come to where they are needed.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Take {
+    Copy,
+    /// It was unpacked for us.
+    Move,
+    /// They stay where they are.
+    Look,
+}
+
+/// Makes a data folder of a backup. Every byte is checked before anything is in place.
+///
+/// # Errors
+/// [`BackupError`]; the folder is as empty as it was.
+pub async fn restore(source: Source, data_dir: &Utf8Path) -> Result<Restored, BackupError> {
+    let path = data_dir.to_owned();
+    let place = spawn_blocking(move || Place::open(path)).await.map_err(io::Error::other)??;
+    // Given back when all is done, or removed with everything that is not.
+    let gathering = spawn_blocking(move || {
+        let gathered = gather(&source, &place.staging(), Wanted::Everything)?;
+        Ok::<_, BackupError>((place, gathered))
+    });
+    let (place, manifest) = gathering.await.map_err(io::Error::other)??;
+    let id = Uuid::new_v4().to_string();
+    rename_folder(&place.staging().join(NEW).join(DATABASE), &id).await?;
+    spawn_blocking(move || {
+        place.settle(&id)?;
+        Ok(Restored::of(manifest))
+    })
+    .await
+    .map_err(io::Error::other)?
+}
+
+/// Looks whether a backup is whole, every byte of it, and what could be restored.
+///
+/// # Errors
+/// [`BackupError`].
+pub async fn check(source: Source) -> Result<Restored, BackupError> {
+    let looking = spawn_blocking(move || {
+        let scratch = tempfile::tempdir()?;
+        let staging = Utf8PathBuf::try_from(scratch.path().to_owned()).map_err(io::Error::other)?;
+        Ok(Restored::of(gather(&source, &staging, Wanted::Word)?))
+    });
+    looking.await.map_err(io::Error::other)?
+}
+
+impl Restored {
+    fn of(manifest: Manifest) -> Self {
+        let Manifest { program, taken_at, database, scenes, answers, folders, left_out, .. } =
+            manifest;
+        Self {
+            taken_at,
+            program,
+            scenes,
+            answers,
+            folders: folders.len() as u64,
+            bytes: database.bytes + folders.iter().map(|kept| kept.bytes).sum::<u64>(),
+            left_out: left_out.into_iter().map(|left| (left.folder, left.why)).collect(),
+        }
+    }
+}
+
+/// The data folder as it will be, below [`RESTORING`].
+const NEW: &str = "new";
+
+/// The folder to restore to. What is not finished there goes when this does.
+struct Place {
+    data_dir: Utf8PathBuf,
+    was_there: bool,
+    lock: File,
+}
+
+impl Place {
+    fn open(data_dir: Utf8PathBuf) -> Result<Self, BackupError> {
+        let was_there = data_dir.is_dir();
+        fs::create_dir_all(&data_dir)
+            .map_err(|source| BackupError::File { file: data_dir.clone(), source })?;
+        for entry in data_dir.read_dir_utf8()? {
+            let entry = entry?;
+            if !is_harmless(entry.file_name()) && entry.file_name() != RESTORING {
+                return Err(BackupError::NotEmpty {
+                    found: entry.file_name().to_owned(),
+                    folder: data_dir,
+                });
+            }
+        }
+        let lock = File::create(data_dir.join(LOCK))?;
+        if lock.try_lock().is_err() {
+            return Err(StoreError::InUse.into());
+        }
+        let place = Self { data_dir, was_there, lock };
+        // What an earlier try left.
+        place.clear()?;
+        fs::create_dir(place.staging())?;
+        Ok(place)
+    }
+
+    fn staging(&self) -> Utf8PathBuf {
+        self.data_dir.join(RESTORING)
+    }
+
+    fn clear(&self) -> io::Result<()> {
+        match fs::remove_dir_all(self.staging()) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+            _ => Ok(()),
+        }
+    }
+
+    /// Moves everything to its place. The marker, by which a server knows the folder, comes last.
+    fn settle(&self, id: &str) -> io::Result<()> {
+        let new = self.staging().join(NEW);
+        sync_everything(&self.data_dir)?;
+        for part in ["blobs", DATABASE] {
+            fs::rename(new.join(part), self.data_dir.join(part))?;
+        }
+        mark(&self.data_dir, id, Engine::Sqlite)
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        if let Err(error) = self.clear() {
+            tracing::warn!(folder = %self.staging(), %error, "a folder that was being restored stays behind");
+        }
+        if !self.was_there && !self.data_dir.join(DATABASE).exists() {
+            let _ = fs::remove_file(self.data_dir.join(LOCK));
+            let _ = fs::remove_dir(&self.data_dir);
+        }
+        let _ = self.lock.unlock();
+    }
+}
+
+/// Brings a backup to where it is needed, everything checked.
+fn gather(source: &Source, staging: &Utf8Path, wanted: Wanted) -> Result<Manifest, BackupError> {
+    let unpacked = staging.join("unpacked");
+    let (folder, take) = match source {
+        Source::Folder(folder) => (folder.as_path(), Take::Copy),
+        Source::Archive(file) => {
+            let archive = File::open(file)
+                .map_err(|source| BackupError::File { file: file.clone(), source })?;
+            unpack(BufReader::new(archive), &unpacked)?;
+            (unpacked.as_path(), Take::Move)
+        }
+        Source::Stdin => {
+            unpack(BufReader::new(io::stdin()), &unpacked)?;
+            (unpacked.as_path(), Take::Move)
+        }
+    };
+    let take = if wanted == Wanted::Word { Take::Look } else { take };
+    let manifest = match fs::read(folder.join(manifest::FILE)) {
+        Ok(bytes) => Manifest::open(&bytes)?,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            return Err(BackupError::Unknown { why: format!("it has no {}", manifest::FILE) });
+        }
+        Err(source) => return Err(BackupError::File { file: folder.join(manifest::FILE), source }),
+    };
+    if MIGRATIONS.last().is_none_or(|(newest, ..)| manifest.schema > *newest) {
+        return Err(BackupError::Newer { program: manifest.program });
+    }
+    let new = staging.join(NEW);
+    fs::create_dir_all(new.join("blobs"))?;
+    bring_database(&manifest, folder, &new.join(DATABASE))?;
+    for kept in &manifest.folders {
+        bring_folder(kept, folder, &new, take)?;
+    }
+    Ok(manifest)
+}
+
+fn bring_database(
+    manifest: &Manifest,
+    folder: &Utf8Path,
+    to: &Utf8Path,
+) -> Result<(), BackupError> {
+    let manifest::Database { file, sha256, .. } = &manifest.database;
+    let copied = read_file(&folder.join(file), |_, reader| {
+        io::copy(reader, &mut File::create(to)?).map(drop)
+    });
+    match copied {
+        Ok((sum, _)) if sum == *sha256 => Ok(()),
+        Ok(_) => Err(damaged(file, "damaged")),
+        Err(unsound) => Err(unsound_error(file, unsound)),
+    }
+}
+
+fn bring_folder(
+    kept: &Kept,
+    folder: &Utf8Path,
+    new: &Utf8Path,
+    take: Take,
+) -> Result<(), BackupError> {
+    let below = format!("blobs/{}/{}", kept.kind, kept.name);
+    let (from, to) = (folder.join(&below), new.join(&below));
+    let sums = sums_of(&from).map_err(|unsound| unsound_error(&below, unsound))?;
+    if sums.is_none_or(|sums| hex(&Sha256::digest(sums)) != kept.sha256) {
+        return Err(damaged(&below, ".sha256sums damaged"));
+    }
+    let read: Result<Whole, Unsound> = match take {
+        Take::Copy => copy_folder(&from, &to),
+        Take::Move | Take::Look => {
+            read_folder(&from, |_, _, reader| io::copy(reader, &mut io::sink()).map(drop))
+        }
+    };
+    read.map_err(|unsound| unsound_error(&below, unsound))?;
+    if take == Take::Move {
+        fs::create_dir_all(to.parent().unwrap_or(new))?;
+        fs::rename(&from, &to)?;
+    }
+    if take == Take::Look {
+        return Ok(());
+    }
+    // As old as it was: what is kept for a time only goes when it would have gone.
+    File::open(&to)?.set_modified(UNIX_EPOCH + Duration::from_secs(kept.published_s))?;
+    Ok(())
+}
+
+fn damaged(place: &str, what: &str) -> BackupError {
+    BackupError::Damaged { what: format!("{place}: {what}") }
+}
+
+fn unsound_error(place: &str, unsound: Unsound) -> BackupError {
+    match unsound {
+        Unsound::Gone => damaged(place, "missing"),
+        Unsound::Damaged(what) => damaged(place, &what),
+        Unsound::NotWritten(error) => error.into(),
+    }
+}
+
+/// Unpacks an archive, files only, none outside.
+fn unpack(mut archive: impl BufRead, to: &Utf8Path) -> Result<(), BackupError> {
+    let broken = |error: io::Error| BackupError::Damaged {
+        what: format!("the archive can not be read: {error}"),
+    };
+    let is_packed = archive.fill_buf().map_err(broken)?.starts_with(&ZSTD);
+    let reader: Box<dyn Read> =
+        if is_packed { Box::new(zstd::Decoder::with_buffer(archive)?) } else { Box::new(archive) };
+    fs::create_dir_all(to)?;
+    for entry in tar::Archive::new(reader).entries().map_err(broken)? {
+        let mut entry = entry.map_err(broken)?;
+        let path = entry.path().map_err(broken)?.into_owned();
+        let path = Utf8PathBuf::try_from(path)
+            .map_err(|path| damaged(&format!("{path:?}"), "it has no place in a backup"))?;
+        if entry.header().entry_type().is_dir() {
+            continue;
+        }
+        if !entry.header().entry_type().is_file()
+            || path.components().any(|step| !matches!(step, Utf8Component::Normal(_)))
+        {
+            return Err(damaged(path.as_str(), "it has no place in a backup"));
+        }
+        let file = to.join(&path);
+        fs::create_dir_all(file.parent().unwrap_or(to))?;
+        let mut out = File::create(&file)?;
+        let mut buffer = vec![0; 256 << 10];
+        loop {
+            match entry.read(&mut buffer).map_err(broken)? {
+                0 => break,
+                n => io::Write::write_all(&mut out, &buffer[..n])?,
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,226 @@
+//! What a published folder holds, by name and SHA-256, in a file of its own: what was lost or
+//! damaged since can be told. The file is `sha256sum`'s: `sha256sum -c .sha256sums` says the same.
+
+use camino::{Utf8Path, Utf8PathBuf};
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::fs::{self, File};
+use std::io::{self, Read};
+
+pub const SUMS: &str = ".sha256sums";
+/// Folders with more files are put on the disk together with everything else.
+const SYNC_ONE_BY_ONE: usize = 64;
+
+/// A file that is not what it was.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Damage {
+    /// Below the folder that was looked at.
+    pub file: Utf8PathBuf,
+    /// "missing", "damaged", "stray", or why it can not be read.
+    pub what: String,
+}
+
+/// How closely a folder is looked at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Look {
+    /// Whether all files are there.
+    Names,
+    /// Every byte of them.
+    Bytes,
+}
+
+/// Sums that are known, by file.
+pub type Sums = BTreeMap<Utf8PathBuf, String>;
+
+/// Writes down what `folder` holds, after `head`, and puts all of it on the disk. Files whose sums
+/// are known are not read again.
+pub fn seal(folder: &Utf8Path, known: &Sums, head: &str) -> io::Result<()> {
+    let files = files_below(folder)?;
+    if files.len() <= SYNC_ONE_BY_ONE {
+        fs::write(folder.join(SUMS), sums_of(folder, &files, known, head)?)?;
+        let folders: std::collections::BTreeSet<_> = files
+            .iter()
+            .filter_map(|file| file.parent())
+            .map(|parent| folder.join(parent))
+            .collect();
+        let paths =
+            files.iter().map(|file| folder.join(file)).chain([folder.join(SUMS)]).chain(folders);
+        return sync(folder, files.len(), paths);
+    }
+    // The disk writes while the sums are made; what is left is the sums themselves.
+    let sums = std::thread::scope(|scope| {
+        let synced = scope.spawn(|| sync_everything(folder));
+        let sums = sums_of(folder, &files, known, head)?;
+        synced.join().map_err(|_| io::Error::other("the disk could not be waited for"))??;
+        Ok::<_, io::Error>(sums)
+    })?;
+    fs::write(folder.join(SUMS), sums)?;
+    sync_everything(folder)
+}
+
+/// Puts so many files of a folder on the disk: these, one by one, or everything where they are
+/// many.
+pub fn sync(
+    folder: &Utf8Path,
+    files: usize,
+    mut paths: impl Iterator<Item = Utf8PathBuf>,
+) -> io::Result<()> {
+    if files > SYNC_ONE_BY_ONE {
+        return sync_everything(folder);
+    }
+    paths.try_for_each(|path| File::open(path)?.sync_all())?;
+    File::open(folder)?.sync_all()
+}
+
+fn sums_of(
+    folder: &Utf8Path,
+    files: &[Utf8PathBuf],
+    known: &Sums,
+    head: &str,
+) -> io::Result<String> {
+    let mut sums = head.to_owned();
+    for file in files {
+        let sum =
+            known.get(file).map_or_else(|| hash_of(&folder.join(file)), |sum| Ok(sum.clone()))?;
+        let _ = writeln!(sums, "{sum}  {file}");
+    }
+    Ok(sums)
+}
+
+#[cfg(target_os = "linux")]
+pub fn sync_everything(folder: &Utf8Path) -> io::Result<()> {
+    Ok(rustix::fs::syncfs(File::open(folder)?)?)
+}
+
+#[cfg(not(target_os = "linux"))]
+pub fn sync_everything(_: &Utf8Path) -> io::Result<()> {
+    rustix::fs::sync();
+    Ok(())
+}
+
+/// Gives `to` the files of a sealed folder, below `below`, without copying them where the disk can;
+/// their sums.
+pub fn share(sealed: &Utf8Path, to: &Utf8Path, below: &Utf8Path) -> io::Result<Sums> {
+    for file in files_below(sealed)? {
+        let (from, place) = (sealed.join(&file), to.join(below).join(&file));
+        fs::create_dir_all(place.parent().unwrap_or(to))?;
+        // Published files never change: one may have two names.
+        if fs::hard_link(&from, &place).is_err() {
+            fs::copy(&from, &place)?;
+        }
+    }
+    let sums = match fs::read_to_string(sealed.join(SUMS)) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Sums::new()),
+        sums => sums?,
+    };
+    let sums = sums.lines().filter_map(|line| line.split_once("  "));
+    Ok(sums.map(|(sum, file)| (below.join(file), sum.to_owned())).collect())
+}
+
+/// What is wrong with a folder; nothing where nothing was written down about it, as long as it is
+/// there.
+pub fn look(folder: &Utf8Path, closely: Look) -> io::Result<Vec<Damage>> {
+    let sums = match fs::read_to_string(folder.join(SUMS)) {
+        Ok(sums) => sums,
+        // A folder of before there were sums.
+        Err(error) if error.kind() == io::ErrorKind::NotFound && folder.is_dir() => {
+            return Ok(Vec::new());
+        }
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            return Ok(vec![damage("", "missing")]);
+        }
+        Err(error) => return Err(error),
+    };
+    let mut wrong = Vec::new();
+    let mut known = std::collections::BTreeSet::new();
+    for (sum, file) in sums.lines().filter_map(|line| line.split_once("  ")) {
+        known.insert(Utf8PathBuf::from(file));
+        let path = folder.join(file);
+        match closely {
+            Look::Names if path.is_file() => {}
+            Look::Names => wrong.push(damage(file, "missing")),
+            Look::Bytes => match hash_of(&path) {
+                Ok(found) if found == sum => {}
+                Ok(_) => wrong.push(damage(file, "damaged")),
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                    wrong.push(damage(file, "missing"))
+                }
+                Err(error) => wrong.push(damage(file, &error.to_string())),
+            },
+        }
+    }
+    if closely == Look::Bytes {
+        let strays = files_below(folder)?.into_iter().filter(|file| !known.contains(file));
+        wrong.extend(strays.map(|file| damage(file.as_str(), "stray")));
+    }
+    Ok(wrong)
+}
+
+/// What is wrong with one file of a folder; nothing where nothing was written down about it.
+pub fn look_at(folder: &Utf8Path, file: &Utf8Path) -> io::Result<Option<Damage>> {
+    let sums = match fs::read_to_string(folder.join(SUMS)) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        sums => sums?,
+    };
+    let Some((sum, _)) =
+        sums.lines().filter_map(|line| line.split_once("  ")).find(|(_, name)| *name == file)
+    else {
+        return Ok(None);
+    };
+    Ok((hash_of(&folder.join(file))? != sum).then(|| damage(file.as_str(), "damaged")))
+}
+
+/// Whether a folder was sealed with this file; where it never was, whether the file is there.
+pub fn holds(folder: &Utf8Path, file: &Utf8Path) -> io::Result<bool> {
+    match fs::read_to_string(folder.join(SUMS)) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(folder.join(file).is_file()),
+        sums => {
+            Ok(sums?.lines().filter_map(|line| line.split_once("  ")).any(|(_, name)| file == name))
+        }
+    }
+}
+
+fn damage(file: &str, what: &str) -> Damage {
+    Damage { file: file.into(), what: what.to_owned() }
+}
+
+/// Plain files below a folder, sorted; without the sums.
+pub fn files_below(folder: &Utf8Path) -> io::Result<Vec<Utf8PathBuf>> {
+    let (mut files, mut folders) = (Vec::new(), vec![Utf8PathBuf::new()]);
+    while let Some(below) = folders.pop() {
+        for entry in folder.join(&below).read_dir_utf8()? {
+            let entry = entry?;
+            let path = below.join(entry.file_name());
+            match entry.file_type()?.is_dir() {
+                true => folders.push(path),
+                false if path != SUMS => files.push(path),
+                false => {}
+            }
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+pub fn hash_of(file: &Utf8Path) -> io::Result<String> {
+    let (mut source, mut hasher, mut buffer) =
+        (File::open(file)?, Sha256::new(), vec![0; 256 << 10]);
+    loop {
+        let n = source.read(&mut buffer)?;
+        if n == 0 {
+            return Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect());
+        }
+        hasher.update(&buffer[..n]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_upload_may_bring_checksums_of_its_own() {
+        assert!(uniground_ingest::is_reserved(Utf8Path::new(SUMS)));
+    }
+}

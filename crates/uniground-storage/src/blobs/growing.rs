@@ -1,0 +1,113 @@
+//! Files that grow from one request to the next: uploads that come in parts.
+
+use super::{Blobs, sync_folder};
+use bytes::Bytes;
+use camino::Utf8PathBuf;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Seek, SeekFrom, Write};
+use std::os::unix::fs::FileExt;
+
+/// A file that is gone on with.
+#[derive(Debug)]
+pub struct GrowingFile {
+    file: File,
+    bytes: u64,
+    /// Of these, what is on the disk.
+    saved: u64,
+}
+
+impl Blobs {
+    pub(super) fn uploads(&self) -> Utf8PathBuf {
+        self.root.with_file_name("uploads")
+    }
+
+    /// What has come of an upload in parts.
+    #[must_use]
+    pub fn upload(&self, id: &str) -> Utf8PathBuf {
+        self.uploads().join(id)
+    }
+
+    /// How much has come of an upload in parts.
+    ///
+    /// # Errors
+    /// Those of the file system; nothing there is none.
+    pub fn upload_bytes(&self, id: &str) -> io::Result<u64> {
+        match fs::metadata(self.upload(id)) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(0),
+            found => Ok(found?.len()),
+        }
+    }
+
+    /// Goes on with an upload after its first `bytes`. What its file has beyond them is cut off:
+    /// nobody was told that it is there.
+    ///
+    /// # Errors
+    /// Those of the file system; a file that has fewer bytes.
+    pub fn open_upload(&self, id: &str, bytes: u64) -> io::Result<GrowingFile> {
+        let path = self.upload(id);
+        let is_new = !path.exists();
+        let mut file =
+            OpenOptions::new().create(true).truncate(false).read(true).write(true).open(&path)?;
+        if file.metadata()?.len() < bytes {
+            return Err(io::Error::new(
+                io::ErrorKind::UnexpectedEof,
+                "the file of an upload has lost bytes",
+            ));
+        }
+        file.set_len(bytes)?;
+        file.seek(SeekFrom::Start(bytes))?;
+        if is_new {
+            sync_folder(&self.uploads())?;
+        }
+        Ok(GrowingFile { file, bytes, saved: bytes })
+    }
+
+    /// Names of the files of uploads in parts.
+    pub(crate) fn all_uploads(&self) -> io::Result<Vec<String>> {
+        let entries = self.uploads().read_dir_utf8()?;
+        entries.map(|entry| Ok(entry?.file_name().to_owned())).collect()
+    }
+}
+
+impl GrowingFile {
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Bytes that a power cut would take.
+    #[must_use]
+    pub fn unsaved(&self) -> u64 {
+        self.bytes - self.saved
+    }
+
+    /// # Errors
+    /// Those of the file system; what the file has then is for the next who opens it to cut off.
+    pub fn write(&mut self, chunks: &[Bytes]) -> io::Result<()> {
+        for chunk in chunks {
+            self.file.write_all(chunk)?;
+            self.bytes += chunk.len() as u64;
+        }
+        Ok(())
+    }
+
+    /// Puts what was written on the disk.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn save(&mut self) -> io::Result<()> {
+        self.file.sync_data()?;
+        self.saved = self.bytes;
+        Ok(())
+    }
+
+    /// Its first bytes, at most so many.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn head(&self, most: usize) -> io::Result<Vec<u8>> {
+        let mut head = vec![0; most.min(usize::try_from(self.bytes).unwrap_or(most))];
+        self.file.read_exact_at(&mut head, 0)?;
+        Ok(head)
+    }
+}

@@ -1,0 +1,611 @@
+//! Folders that are kept in an object store: brought here by whoever is going to read them, put
+//! there by whoever publishes.
+
+use super::cache::{Cache, Held, Kept};
+use super::checksums::{self, Damage, Look, SUMS, Sums};
+use super::objects::{
+    Away, FolderName, Objects, Sealed, Unclaimed, edition_of, head_of_seal, new_edition,
+    sums_of_seal,
+};
+use super::{Blobs, SEALED, Scratch, size_of, sync_folder};
+use camino::{Utf8Path, Utf8PathBuf};
+use std::fs::{self, File};
+use std::io;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// The object store, and what of it is here.
+#[derive(Debug)]
+pub(crate) struct Shared {
+    pub objects: Objects,
+    pub cache: Arc<Cache>,
+}
+
+/// What of a folder is wanted.
+#[derive(Debug, Clone, Copy)]
+enum Wanted<'a> {
+    Everything,
+    File(&'a Utf8Path),
+    /// Only what it holds, by name.
+    Seal,
+}
+
+/// What has been put into the object store of a folder that is not published yet.
+#[derive(Debug)]
+pub struct Put {
+    files: Unclaimed,
+    seal: String,
+    begun: Instant,
+}
+
+impl Shared {
+    /// Seals a folder that is written, and puts it into the object store, as nobody's yet.
+    pub(super) fn put(
+        &self,
+        scratch: &Scratch,
+        name: &FolderName,
+        known: &Sums,
+    ) -> io::Result<Put> {
+        let (objects, begun, edition) = (&self.objects, Instant::now(), new_edition());
+        checksums::seal(scratch.path(), known, &head_of_seal(&edition))?;
+        let seal = fs::read_to_string(scratch.path().join(SUMS))?;
+        let files = sums_of_seal(&seal).into_keys().collect();
+        let files = objects.wait(objects.put_edition(scratch.path(), name, &edition, files))?;
+        Ok(Put { files, seal, begun })
+    }
+}
+
+impl Blobs {
+    /// A file of a published folder, to be read as long as what is returned lives; blocks where it
+    /// has to be brought. Whether it was published with the folder is known only where folders
+    /// are in an object store: else the file is looked for by who reads it.
+    ///
+    /// # Errors
+    /// Those of the file system; that the object store can not be used.
+    pub fn file(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<Kept> {
+        let below = file.strip_prefix(place).unwrap_or(file);
+        let path = place.join(below);
+        match (&self.shared, self.name_of(place)) {
+            (Some(shared), Some(name)) => {
+                Ok(Kept::held(path, self.bring(shared, &name, place, Wanted::File(below))?))
+            }
+            _ => Ok(path.into()),
+        }
+    }
+
+    /// A published folder with all it holds; as for [`file`](Self::file).
+    ///
+    /// # Errors
+    /// As for [`file`](Self::file).
+    pub fn whole(&self, place: &Utf8Path) -> io::Result<Kept> {
+        match (&self.shared, self.name_of(place)) {
+            (Some(shared), Some(name)) => Ok(Kept::held(
+                place.to_owned(),
+                self.bring(shared, &name, place, Wanted::Everything)?,
+            )),
+            _ => Ok(place.to_owned().into()),
+        }
+    }
+
+    /// An address of a file of a published folder that anybody may read for a while, where the
+    /// object store is to be asked for it; blocks.
+    ///
+    /// # Errors
+    /// As for [`file`](Self::file).
+    pub fn link(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<Option<String>> {
+        let (Some(shared), Some(name)) = (&self.shared, self.name_of(place)) else {
+            return Ok(None);
+        };
+        if !shared.objects.gives_links() || !self.holds(place, file)? {
+            return Ok(None);
+        }
+        let seal = fs::read_to_string(self.file(place, SUMS.into())?)?;
+        let Some(edition) = edition_of(&seal) else { return Ok(None) };
+        shared.objects.wait(shared.objects.link(
+            &name,
+            edition,
+            file.strip_prefix(place).unwrap_or(file),
+        ))
+    }
+
+    /// Whether a published folder was published with this file; of folders from before that was
+    /// written down, whether it is there.
+    ///
+    /// # Errors
+    /// As for [`file`](Self::file).
+    pub fn holds(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<bool> {
+        let _held = match (&self.shared, self.name_of(place)) {
+            (Some(shared), Some(name)) => match self.bring(shared, &name, place, Wanted::Seal) {
+                Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+                held => Some(held?),
+            },
+            _ => None,
+        };
+        checksums::holds(place, file.strip_prefix(place).unwrap_or(file))
+    }
+
+    /// What is wrong with a published folder. In an object store that is what is missing there;
+    /// what objects hold is its own care.
+    ///
+    /// # Errors
+    /// Those of the file system; that the object store can not be used.
+    pub fn look(&self, place: &Utf8Path, closely: Look) -> io::Result<Vec<Damage>> {
+        match (&self.shared, self.name_of(place)) {
+            (Some(shared), Some(name)) => shared.objects.wait(async {
+                match closely {
+                    Look::Names if shared.objects.seal(&name).await?.is_some() => Ok(Vec::new()),
+                    _ => shared.objects.look(&name).await,
+                }
+            }),
+            _ => checksums::look(place, closely),
+        }
+    }
+
+    /// What is wrong with one file of a published folder. Where it is in an object store a damaged
+    /// copy is brought anew.
+    ///
+    /// # Errors
+    /// As for [`file`](Self::file).
+    pub fn look_at(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<Option<Damage>> {
+        let damage = checksums::look_at(place, file)?;
+        if damage.is_none() || self.shared.is_none() {
+            return Ok(damage);
+        }
+        tracing::warn!(folder = %place, %file, "a copy is damaged, and brought anew");
+        fs::remove_file(place.join(file))?;
+        let _brought = self.file(place, file)?;
+        checksums::look_at(place, file)
+    }
+
+    /// Kind and name of a published folder.
+    pub(super) fn name_of(&self, place: &Utf8Path) -> Option<FolderName> {
+        let mut parts = place.strip_prefix(&self.root).ok()?.components();
+        let (kind, name, more) = (parts.next()?, parts.next()?, parts.next());
+        let kind = SEALED.into_iter().find(|known| *known == kind.as_str())?;
+        more.is_none().then(|| FolderName { kind, name: name.as_str().to_owned() })
+    }
+
+    fn bring(
+        &self,
+        shared: &Shared,
+        name: &FolderName,
+        place: &Utf8Path,
+        wanted: Wanted<'_>,
+    ) -> io::Result<Held> {
+        let held = shared.cache.hold(place);
+        if is_here(place, wanted)? {
+            return Ok(held);
+        }
+        let turn = held.turn();
+        // Somebody may have been at it.
+        if is_here(place, wanted)? {
+            drop(turn);
+            return Ok(held);
+        }
+        let there = match self.bring_missing(shared, name, place, wanted) {
+            // Published anew since its seal was brought: what is here is of an edition that is
+            // gone.
+            Err(error) if error.kind() == io::ErrorKind::NotFound && place.join(SUMS).exists() => {
+                drop(shared.cache.empty(place)?.map(|path| self.aside(path)));
+                self.bring_missing(shared, name, place, wanted)?
+            }
+            brought => brought?,
+        };
+        if !there {
+            return Err(io::ErrorKind::NotFound.into());
+        }
+        drop(turn);
+        Ok(held)
+    }
+
+    /// Brings what is not here of a folder, checked; a file is in its place as a whole or not at
+    /// all. Whether the folder has what is wanted.
+    fn bring_missing(
+        &self,
+        Shared { objects, cache, .. }: &Shared,
+        name: &FolderName,
+        place: &Utf8Path,
+        wanted: Wanted<'_>,
+    ) -> io::Result<bool> {
+        let seal = match fs::read_to_string(place.join(SUMS)) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                let seal = objects.wait(objects.seal(name))?.ok_or(io::ErrorKind::NotFound)?.text;
+                fs::create_dir_all(place)?;
+                let unfinished = self.tmp.join(uuid::Uuid::now_v7().to_string());
+                fs::write(&unfinished, &seal)?;
+                File::open(&unfinished)?.sync_all()?;
+                fs::rename(unfinished, place.join(SUMS))?;
+                cache.add(place, seal.len() as u64);
+                seal
+            }
+            seal => seal?,
+        };
+        let edition = edition_of(&seal).ok_or_else(|| {
+            io::Error::new(io::ErrorKind::InvalidData, "a seal without an edition")
+        })?;
+        let mut missing: Sums = sums_of_seal(&seal);
+        match wanted {
+            Wanted::Seal => return Ok(true),
+            Wanted::Everything => missing.retain(|file, _| !place.join(file).exists()),
+            Wanted::File(wanted) => {
+                missing.retain(|file, _| file == wanted);
+                if missing.is_empty() {
+                    return Ok(false);
+                }
+            }
+        }
+        let brought = self.scratch()?;
+        let files: Vec<Utf8PathBuf> = missing.keys().cloned().collect();
+        let bytes = objects.wait(objects.get_files(name, edition, &files, brought.path()))?;
+        let at = |number: usize| brought.path().join(number.to_string());
+        for (number, (file, sum)) in missing.iter().enumerate() {
+            if checksums::hash_of(&at(number))? != *sum {
+                return Err(io::Error::new(
+                    io::ErrorKind::InvalidData,
+                    format!("{file}: its object is not what was put there"),
+                ));
+            }
+        }
+        checksums::sync(brought.path(), files.len(), (0..files.len()).map(at))?;
+        for (number, file) in files.iter().enumerate() {
+            let to = place.join(file);
+            fs::create_dir_all(to.parent().unwrap_or(place))?;
+            fs::rename(at(number), to)?;
+        }
+        cache.add(place, bytes);
+        Ok(true)
+    }
+
+    /// Seals what was put, and keeps what was written here.
+    pub(super) fn publish_put(
+        &self,
+        shared: &Shared,
+        name: &FolderName,
+        scratch: &Scratch,
+        put: Put,
+        place: &Utf8Path,
+    ) -> io::Result<()> {
+        let Shared { objects, cache, .. } = shared;
+        let Put { files, seal, begun } = put;
+        // Its row must come before the sweep takes it for one that nobody wants.
+        if begun.elapsed() > objects.grace / 2 {
+            return Err(Away::because(
+                "putting a folder there took longer than half of what is kept without a row (--blobs-grace-s)",
+            ));
+        }
+        objects.wait(async {
+            match objects.put_seal(name, &seal).await? {
+                Sealed::Ours => files.keep(),
+                // Same name, same content; but one that is old may be about to go, and one that is
+                // not whole is of no use.
+                Sealed::Theirs(theirs) => {
+                    let is_young = theirs.made.elapsed().unwrap_or_default() < objects.grace / 2;
+                    if is_young && objects.look(name).await?.is_empty() {
+                        return Ok(());
+                    }
+                    objects.replace_seal(name, &seal).await?;
+                    files.keep();
+                    if let Some(edition) = edition_of(&theirs.text) {
+                        drop(objects.nobodys(name, edition));
+                    }
+                }
+            }
+            Ok::<_, io::Error>(())
+        })?;
+        let bytes = size_of(scratch.path())?;
+        if let Some(path) = cache.take(place)? {
+            drop(self.aside(path));
+        }
+        fs::rename(scratch.path(), place)?;
+        sync_folder(place.parent().unwrap_or(place))?;
+        cache.add(place, bytes);
+        Ok(())
+    }
+}
+
+fn is_here(place: &Utf8Path, wanted: Wanted<'_>) -> io::Result<bool> {
+    match wanted {
+        Wanted::File(file) => Ok(place.join(file).exists()),
+        Wanted::Seal => Ok(place.join(SUMS).exists()),
+        Wanted::Everything if !place.join(SUMS).exists() => Ok(false),
+        Wanted::Everything => Ok(checksums::look(place, Look::Names)?.is_empty()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{BlobHome, Files};
+    use super::*;
+    use object_store::memory::InMemory;
+    use object_store::path::Path;
+    use object_store::{ObjectStore, ObjectStoreExt};
+    use std::collections::BTreeMap;
+    use std::time::Duration;
+    use tokio::task::spawn_blocking;
+
+    const DAY: Duration = Duration::from_hours(24);
+
+    /// Machines with folders of their own, over one object store.
+    struct Site {
+        store: Arc<InMemory>,
+        machines: Vec<(tempfile::TempDir, Blobs)>,
+    }
+
+    impl Site {
+        async fn of(machines: usize, cache_bytes: u64, grace: Duration) -> Self {
+            let store = Arc::new(InMemory::new());
+            let mut opened = Vec::new();
+            for _ in 0..machines {
+                let objects = Objects::new(store.clone(), "rooms/a", grace);
+                let machine = spawn_blocking(move || {
+                    let folder = tempfile::tempdir().unwrap();
+                    let blobs = Blobs::open(
+                        Utf8Path::from_path(folder.path()).unwrap(),
+                        &BlobHome::Folder,
+                        Files::Used,
+                    )
+                    .unwrap();
+                    let blobs = blobs.copying(objects, "memory", None, cache_bytes).unwrap();
+                    (folder, blobs)
+                });
+                opened.push(machine.await.unwrap());
+            }
+            Self { store, machines: opened }
+        }
+
+        /// Has a machine do something, where it may block.
+        async fn on<T: Send + 'static>(
+            &self,
+            machine: usize,
+            work: impl FnOnce(Blobs) -> T + Send + 'static,
+        ) -> T {
+            let blobs = self.machines[machine].1.clone();
+            spawn_blocking(move || work(blobs)).await.unwrap()
+        }
+
+        /// All keys there are, without what says whose they are.
+        async fn keys(&self) -> Vec<String> {
+            use futures::TryStreamExt;
+            let all: Vec<_> = self
+                .store
+                .list(None)
+                .map_ok(|object| object.location.to_string())
+                .try_collect()
+                .await
+                .unwrap();
+            let mut keys: Vec<String> =
+                all.into_iter().filter(|key| !key.ends_with("uniground-data.json")).collect();
+            keys.sort();
+            keys
+        }
+    }
+
+    const FILES: [(&str, &str); 3] = [
+        ("cloud.ply", "points"),
+        ("views/1 a#\u{e9}.jpg", "picture"),
+        ("views/deep/er/2.jpg", "other"),
+    ];
+
+    fn written(blobs: &Blobs) -> Scratch {
+        let scratch = blobs.scratch().unwrap();
+        for (file, text) in FILES {
+            let path = scratch.path().join(file);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, text).unwrap();
+        }
+        scratch
+    }
+
+    fn publish(blobs: &Blobs, place: &Utf8Path) -> io::Result<()> {
+        blobs.publish(written(blobs), place)
+    }
+
+    fn read(blobs: &Blobs, place: &Utf8Path, file: &str) -> io::Result<String> {
+        blobs.file(place, file.into()).and_then(fs::read_to_string)
+    }
+
+    fn all_of(blobs: &Blobs, place: &Utf8Path) -> BTreeMap<String, String> {
+        let whole = blobs.whole(place).unwrap();
+        let files = checksums::files_below(&whole).unwrap().into_iter();
+        files
+            .map(|file| (file.to_string(), fs::read_to_string(whole.join(file)).unwrap()))
+            .collect()
+    }
+
+    #[tokio::test]
+    async fn what_one_machine_publishes_another_reads_file_by_file_or_whole() {
+        let site = Site::of(3, u64::MAX, DAY).await;
+        site.on(0, |blobs| publish(&blobs, &blobs.parse("p")).unwrap()).await;
+        site.on(1, |blobs| {
+            let place = blobs.parse("p");
+            assert!(
+                blobs.holds(&place, "views/1 a#\u{e9}.jpg".into()).unwrap()
+                    && !blobs.holds(&place, "views/3.jpg".into()).unwrap()
+            );
+            assert_eq!(read(&blobs, &place, "cloud.ply").unwrap(), "points");
+            // Only what was asked for is here.
+            assert!(!place.join("views/deep/er/2.jpg").exists());
+            assert_eq!(
+                read(&blobs, &place, "views/3.jpg").unwrap_err().kind(),
+                io::ErrorKind::NotFound
+            );
+            assert!(
+                place.join("cloud.ply").exists(),
+                "what it never had is no reason to doubt what is here"
+            );
+            assert!(blobs.look(&place, Look::Bytes).unwrap().is_empty());
+            assert_eq!(
+                read(&blobs, &blobs.parse("q"), "cloud.ply").unwrap_err().kind(),
+                io::ErrorKind::NotFound
+            );
+            assert_eq!(blobs.look(&blobs.parse("q"), Look::Names).unwrap()[0].what, "missing");
+        })
+        .await;
+        let expected: BTreeMap<String, String> =
+            FILES.iter().map(|(file, text)| ((*file).to_owned(), (*text).to_owned())).collect();
+        assert_eq!(site.on(2, |blobs| all_of(&blobs, &blobs.parse("p"))).await, expected);
+    }
+
+    #[tokio::test]
+    async fn files_without_a_seal_are_no_folder() {
+        let site = Site::of(2, u64::MAX, DAY).await;
+        // Its writer ended before the seal came.
+        for (file, _) in FILES {
+            site.store
+                .put(&Path::from(format!("rooms/a/contents/c/0123/{file}")), "torn".into())
+                .await
+                .unwrap();
+        }
+        site.on(0, |blobs| {
+            let place = blobs.content("c");
+            assert_eq!(
+                read(&blobs, &place, "cloud.ply").unwrap_err().kind(),
+                io::ErrorKind::NotFound
+            );
+            publish(&blobs, &place).unwrap();
+        })
+        .await;
+        assert_eq!(
+            site.on(1, |blobs| read(&blobs, &blobs.content("c"), "cloud.ply")).await.unwrap(),
+            "points"
+        );
+    }
+
+    #[tokio::test]
+    async fn of_two_who_publish_the_same_the_first_counts_and_nothing_of_the_other_stays() {
+        let site = Site::of(2, u64::MAX, DAY).await;
+        // Both are at it before either is done.
+        let prepared =
+            site.on(1, |blobs| blobs.prepare(written(&blobs), &blobs.content("c")).unwrap()).await;
+        site.on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
+        assert_eq!(site.keys().await.len(), 2 * FILES.len() + 1);
+        site.on(1, |blobs| blobs.publish_prepared(prepared).unwrap()).await;
+        for machine in 0..2 {
+            assert_eq!(
+                site.on(machine, |blobs| read(&blobs, &blobs.content("c"), "cloud.ply"))
+                    .await
+                    .unwrap(),
+                "points"
+            );
+        }
+        gone_but(&site, FILES.len() + 1).await;
+    }
+
+    /// Waits until only so many objects are left.
+    async fn gone_but(site: &Site, left: usize) {
+        for _ in 0..500 {
+            if site.keys().await.len() == left {
+                return;
+            }
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+        panic!("{:?}", site.keys().await);
+    }
+
+    #[tokio::test]
+    async fn a_folder_that_is_removed_is_gone_for_all_and_may_be_published_anew() {
+        let site = Site::of(2, u64::MAX, DAY).await;
+        site.on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
+        site.on(1, |blobs| read(&blobs, &blobs.content("c"), "cloud.ply").unwrap()).await;
+        let blobs = site.machines[0].1.clone();
+        blobs.discard(blobs.content("c")).await.unwrap();
+        assert_eq!(
+            site.on(0, |blobs| blobs.look(&blobs.content("c"), Look::Names).unwrap().len()).await,
+            1
+        );
+        gone_but(&site, 0).await;
+        site.on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
+        // This one still has the seal of before, and not all the files.
+        assert_eq!(
+            site.on(1, |blobs| all_of(&blobs, &blobs.content("c"))).await.len(),
+            FILES.len()
+        );
+    }
+
+    #[tokio::test]
+    async fn a_folder_that_was_taken_away_is_put_back_unless_there_is_another() {
+        let site = Site::of(2, u64::MAX, DAY).await;
+        let [one, other] = [0, 1].map(|at| site.machines[at].1.clone());
+        site.on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
+        let taken = other.set_aside(vec![other.content("c")]).await.unwrap().remove(0);
+        other.put_back(taken, other.content("c")).await.unwrap();
+        assert_eq!(
+            site.on(1, |blobs| all_of(&blobs, &blobs.content("c"))).await.len(),
+            FILES.len()
+        );
+        let taken = one.set_aside(vec![one.content("c")]).await.unwrap().remove(0);
+        site.on(1, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
+        one.put_back(taken, one.content("c")).await.unwrap();
+        gone_but(&site, FILES.len() + 1).await;
+        assert_eq!(
+            site.on(0, |blobs| all_of(&blobs, &blobs.content("c"))).await.len(),
+            FILES.len()
+        );
+    }
+
+    #[tokio::test]
+    async fn a_damaged_copy_is_brought_anew_and_damaged_objects_are_told() {
+        let site = Site::of(2, u64::MAX, DAY).await;
+        site.on(0, |blobs| publish(&blobs, &blobs.parse("p")).unwrap()).await;
+        site.on(1, |blobs| {
+            let (place, file) = (blobs.parse("p"), Utf8Path::new("cloud.ply"));
+            read(&blobs, &place, "cloud.ply").unwrap();
+            fs::write(place.join(file), "pointz").unwrap();
+            assert_eq!(blobs.look_at(&place, file).unwrap(), None);
+            assert_eq!(fs::read_to_string(place.join(file)).unwrap(), "points");
+        })
+        .await;
+        let key = site.keys().await.into_iter().find(|key| key.ends_with("2.jpg")).unwrap();
+        site.store.put(&Path::parse(key).unwrap(), "others".into()).await.unwrap();
+        let told = site.on(1, |blobs| blobs.whole(&blobs.parse("p")).map(drop)).await.unwrap_err();
+        assert_eq!(told.kind(), io::ErrorKind::InvalidData);
+        assert!(told.to_string().contains("views/deep/er/2.jpg"), "{told}");
+    }
+
+    #[tokio::test]
+    async fn who_takes_longer_than_half_of_the_grace_publishes_nothing() {
+        let site = Site::of(1, u64::MAX, Duration::from_millis(100)).await;
+        let told = site.on(0, |blobs| {
+            let prepared = blobs.prepare(written(&blobs), &blobs.content("c")).unwrap();
+            std::thread::sleep(Duration::from_millis(60));
+            blobs.publish_prepared(prepared)
+        });
+        assert!(Away::is_behind(&told.await.unwrap_err()));
+        gone_but(&site, 0).await;
+    }
+
+    #[tokio::test]
+    async fn copies_go_when_they_are_too_many_and_come_back() {
+        let site = Site::of(1, 600, DAY).await;
+        site.on(0, |blobs| {
+            for name in ["a", "b", "c"] {
+                publish(&blobs, &blobs.parse(name)).unwrap();
+            }
+            // One of them is about 270 bytes, most of it the seal.
+            let here = |blobs: &Blobs| blobs.names("parses").unwrap().len();
+            assert_eq!(here(&blobs), 2);
+            for name in ["a", "b", "c"] {
+                assert_eq!(all_of(&blobs, &blobs.parse(name)).len(), FILES.len());
+                assert!(here(&blobs) <= 2);
+            }
+        })
+        .await;
+    }
+
+    #[tokio::test]
+    async fn a_folder_is_of_one_object_store() {
+        let site = Site::of(1, u64::MAX, DAY).await;
+        let other = Objects::new(Arc::new(InMemory::new()), "", DAY);
+        let (folder, blobs) = &site.machines[0];
+        let path = Utf8Path::from_path(folder.path()).unwrap();
+        let (blobs, known) = (blobs.clone(), super::super::home::kept_in(path).unwrap());
+        let again =
+            spawn_blocking(move || blobs.copying(other, "memory", known, u64::MAX).map(drop));
+        assert!(matches!(again.await.unwrap(), Err(crate::StoreError::NotTogether)));
+        assert!(matches!(
+            Blobs::open(path, &BlobHome::Folder, Files::Used),
+            Err(crate::StoreError::BlobsElsewhere { .. })
+        ));
+        assert!(matches!(Blobs::look_only(path), Err(crate::StoreError::OnlyOfFolder { .. })));
+    }
+}

@@ -1,0 +1,546 @@
+//! The database and the blob folder. Typed functions; no SQL elsewhere.
+//!
+//! One transaction writes at a time; readers wait for nobody. Where it is in PostgreSQL, several
+//! processes may be at it (`members`). A scene points at the bytes it was uploaded as (`contents`)
+//! and at a finished parse of them (`parses`); both are shared by scenes with the same content and
+//! settings.
+
+mod announcements;
+mod answers;
+mod backup;
+mod batches;
+mod blobs;
+mod contents;
+mod copy;
+mod corrections;
+mod data_folder;
+mod database;
+mod figures;
+mod growth;
+mod health;
+mod ids;
+mod jobs;
+mod keys;
+mod members;
+mod migrations;
+mod moving;
+mod news;
+mod orphans;
+mod parses;
+mod records;
+mod recovery;
+mod references;
+mod reserve;
+mod retention;
+mod room_index;
+mod scenes;
+mod sweep;
+mod turns;
+mod uploads;
+mod vectors;
+mod vlm;
+mod writer;
+
+pub use answers::{AnswerFilter, AnswerRow, NewAnswer};
+pub use backup::{BackedUp, BackupError, Restored, Source, Target, back_up, check, restore};
+pub use batches::{
+    BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, ReceivedBatch, Resumed, Submitted,
+};
+pub use blobs::{
+    AccessKeys, Away, BlobHome, Blobs, BlobsAt, Bucket, Damage, GrowingFile, Kept, KeptCheckpoints,
+    Links, Look, Measured, Prepared, Scratch, size_of,
+};
+pub use corrections::NewCorrection;
+pub use database::{Location, PostgresUrl};
+pub use figures::{Figures, JobFigures};
+pub use growth::{Continued, Grew, Growth};
+pub use health::StoreHealth;
+pub use jobs::{Hold, JobFilter, JobRow, JobState, NewJob, Queued, Recovery};
+pub use keys::{AuditWriter, KeyRow};
+pub use members::{Company, LEASE, Turn};
+pub use moving::{KindOfFiles, MoveError, Moved, Part, Place, Progress, move_over};
+pub use news::{News, Newsroom};
+pub use orphans::Orphan;
+pub use parses::{NewParse, ParseRow};
+pub use records::ParseRecord;
+pub use references::BrokenReference;
+pub use retention::{Aged, Before, Due};
+pub use room_index::{FoundEntry, RoomEntry, ToIndex};
+pub use scenes::{Inserted, NewSceneRow, SceneFilter, SceneRow, SceneRowChange};
+pub use sweep::{KEEP_QUARANTINE_DAYS, Strays};
+pub use uploads::{CameOf, Unfinished, UploadRow, WantedScene};
+pub use vectors::Seen;
+pub use vlm::{Allowance, Short, Wish};
+
+use answers::AnswerQueue;
+use blobs::Files;
+use camino::{Utf8Path, Utf8PathBuf};
+use data_folder::DataFolder;
+use database::{Connections, Engine};
+use ids::Ids;
+use jiff::Timestamp;
+use members::Membership;
+use migrations::migrations;
+use sqlx::AnyPool;
+use sqlx::migrate::MigrateError;
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+use tempfile::TempDir;
+use tokio::task::spawn_blocking;
+use uniground_types::labels::Labels;
+use writer::Writer;
+
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    #[error("the database failed")]
+    Database(#[from] sqlx::Error),
+    #[error("the database schema could not be brought up to date")]
+    Migration(#[from] sqlx::migrate::MigrateError),
+    #[error("the blob folder failed")]
+    Blobs(#[from] io::Error),
+    #[error(
+        "{scheme} is no database for this: \"sqlite\", the file in the data folder, or postgres://USER@HOST/DATABASE"
+    )]
+    UnknownDatabase { scheme: String },
+    #[error("its rows are kept in {kept_in}: say so with --database (or UNIGROUND_DATABASE)")]
+    OtherDatabase { kept_in: &'static str },
+    #[error(
+        "its rows are kept in {kept_in}, and this is for SQLite's file only: use {kept_in}'s own tools (a copy of the rows first, then of blobs/)"
+    )]
+    OnlyOfSqlite { kept_in: &'static str },
+    #[error("its scans and parses are kept in {kept_in}: say so with --blobs (or UNIGROUND_BLOBS)")]
+    BlobsElsewhere { kept_in: String },
+    #[error(
+        "its scans and parses are kept in {kept_in}, and this is for those in a data folder only: use the object store's own versions or replication, and \
+         the database's own backups (a copy of the rows first)"
+    )]
+    OnlyOfFolder { kept_in: String },
+    #[error(
+        "this data folder holds scans and parses of its own: an object store (--blobs) needs a folder without any, for its copies"
+    )]
+    BlobsHere,
+    #[error(
+        "this data folder, this database and this object store do not belong together: one of them is another server's (--data-dir, --database, --blobs)"
+    )]
+    NotTogether,
+    #[error(
+        "not everything that is being moved to it is there: run the same `uniground migrate` again, or choose another folder"
+    )]
+    HalfMoved,
+    #[error(
+        "another server uses this database: it can not be had for oneself, or somebody has it for himself"
+    )]
+    DatabaseInUse,
+    /// The job was given to somebody else.
+    #[error("this process was not seen for so long that its job was given to another")]
+    NotHeld,
+    #[error("vectors can not be kept (--vectors pgvector): {why}")]
+    NoVectors { why: String },
+    #[error("another server uses this data folder")]
+    InUse,
+    #[error(
+        "it holds other things ({found}) and is no data folder of uniground's: choose an empty one"
+    )]
+    NotOurs { found: String },
+    #[error("{folder} is no data folder of uniground's")]
+    NoDataFolder { folder: Utf8PathBuf },
+    #[error("a stored record can not be read")]
+    Record(#[from] serde_json::Error),
+    /// What several writes failed of that were made as one.
+    #[error(transparent)]
+    Together(Arc<StoreError>),
+}
+
+impl StoreError {
+    /// Whether the disk is full.
+    #[must_use]
+    pub fn is_full(&self) -> bool {
+        match self {
+            // SQLITE_FULL, no room for the file readers share; disk_full.
+            Self::Database(error)
+            | Self::Migration(
+                MigrateError::Execute(error) | MigrateError::ExecuteMigration(error, _),
+            ) => {
+                matches!(code(error).as_deref(), Some("13" | "4874" | "53100"))
+            }
+            Self::Blobs(error) => is_disk_full(error),
+            Self::Together(error) => error.is_full(),
+            _ => false,
+        }
+    }
+
+    /// Whether the database can not be had now, because somebody else holds it or its server is
+    /// away: that may pass.
+    #[must_use]
+    pub fn is_busy(&self) -> bool {
+        match self {
+            Self::Database(
+                sqlx::Error::PoolTimedOut
+                | sqlx::Error::PoolClosed
+                | sqlx::Error::Io(_)
+                | sqlx::Error::WorkerCrashed,
+            ) => true,
+            Self::Database(error) => code(error).is_some_and(|code| match code.parse::<i32>() {
+                // SQLITE_BUSY and SQLITE_LOCKED, whatever their extended code.
+                Ok(number) if code.len() < 5 => matches!(number & 0xff, 5 | 6),
+                // Connection exceptions, transactions undone, resources, operators at work.
+                _ => ["08", "40", "53", "57"].contains(&&code[..2.min(code.len())]),
+            }),
+            Self::Together(error) => error.is_busy(),
+            _ => false,
+        }
+    }
+
+    /// Whether SQLite found its file damaged.
+    #[must_use]
+    pub fn is_damaged(&self) -> bool {
+        match self {
+            // SQLITE_CORRUPT and SQLITE_NOTADB, whatever their extended code;
+            // SQLITE_IOERR_SHORT_READ. PostgreSQL's codes have five characters.
+            Self::Database(error) => code(error).is_some_and(|code| {
+                let number = code.parse::<i32>().ok().filter(|_| code.len() < 5);
+                number.is_some_and(|number| matches!(number & 0xff, 11 | 26) || number == 522)
+            }),
+            Self::Together(error) => error.is_damaged(),
+            _ => false,
+        }
+    }
+
+    /// Whether the object store can not be had now.
+    #[must_use]
+    pub fn is_blobs_away(&self) -> bool {
+        match self {
+            Self::Blobs(error) => Away::is_behind(error),
+            Self::Together(error) => error.is_blobs_away(),
+            _ => false,
+        }
+    }
+}
+
+/// What SQLite or PostgreSQL call an error.
+fn code(error: &sqlx::Error) -> Option<String> {
+    Some(error.as_database_error()?.code()?.into_owned())
+}
+
+/// Whether a file could not be written for want of room.
+#[must_use]
+pub fn is_disk_full(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge
+    )
+}
+
+/// What an opened store does with what interrupted processes have left.
+#[derive(Debug, Clone, Copy)]
+enum Leftovers {
+    Keep,
+    /// A process that was not seen for a lease is taken to be gone.
+    Clear {
+        lease: Duration,
+    },
+}
+
+/// Handle to everything stored. Cheap to clone.
+#[derive(Clone)]
+pub struct Store {
+    reader: AnyPool,
+    writer: Writer,
+    engine: Engine,
+    answers: AnswerQueue,
+    ids: Ids,
+    pub blobs: Blobs,
+    folder: DataFolder,
+    members: Membership,
+    /// PostgreSQL's server, where the database is one of its.
+    server: Option<PostgresUrl>,
+    /// Where the database is, if this is [a copy](Self::open_copy); it goes with the last handle.
+    _copy: Option<Arc<TempDir>>,
+}
+
+impl Store {
+    /// Opens or creates the store below `data_dir`, brings the schema up to date and clears what an
+    /// interrupted run left. A database of PostgreSQL's may be used by others too: then what
+    /// they are at work on stays.
+    ///
+    /// # Errors
+    /// [`StoreError`] when the folder or the database can not be used.
+    pub async fn open(
+        data_dir: &Utf8Path,
+        location: &Location,
+        home: &BlobHome,
+    ) -> Result<Self, StoreError> {
+        Self::open_with(data_dir, location, home, LEASE).await
+    }
+
+    /// As [`open`](Self::open). A process that was not seen for a `lease` is taken to be gone.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub async fn open_with(
+        data_dir: &Utf8Path,
+        location: &Location,
+        home: &BlobHome,
+        lease: Duration,
+    ) -> Result<Self, StoreError> {
+        Self::open_for(
+            data_dir,
+            location,
+            (home, Files::Used),
+            Company::Welcome,
+            Leftovers::Clear { lease },
+        )
+        .await
+    }
+
+    /// Opens the store beside whoever uses it, as far as its database allows, and leaves everything
+    /// where it is: for its rows alone.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub async fn open_beside(
+        data_dir: &Utf8Path,
+        location: &Location,
+        home: &BlobHome,
+    ) -> Result<Self, StoreError> {
+        Self::open_for(
+            data_dir,
+            location,
+            (home, Files::Untouched),
+            Company::Welcome,
+            Leftovers::Keep,
+        )
+        .await
+    }
+
+    /// Opens the store for nobody else and leaves everything where it is.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub async fn open_as_it_is(
+        data_dir: &Utf8Path,
+        location: &Location,
+        home: &BlobHome,
+    ) -> Result<Self, StoreError> {
+        Self::open_for(data_dir, location, (home, Files::Used), Company::None, Leftovers::Keep)
+            .await
+    }
+
+    /// On a full disk the room for it comes from the reserve.
+    async fn open_for(
+        data_dir: &Utf8Path,
+        location: &Location,
+        used: (&BlobHome, Files),
+        company: Company,
+        leftovers: Leftovers,
+    ) -> Result<Self, StoreError> {
+        match Self::try_to_open(data_dir, location, used, company, leftovers).await {
+            Err(error) if reserve::make_room_to_open(data_dir, &error) => {
+                Self::try_to_open(data_dir, location, used, company, leftovers).await
+            }
+            opened => opened,
+        }
+    }
+
+    async fn try_to_open(
+        data_dir: &Utf8Path,
+        location: &Location,
+        (home, files): (&BlobHome, Files),
+        company: Company,
+        leftovers: Leftovers,
+    ) -> Result<Self, StoreError> {
+        let lease = if let Leftovers::Clear { lease } = leftovers { lease } else { LEASE };
+        let engine = location.engine()?;
+        DataFolder::goes_with(data_dir, engine)?;
+        // A folder is marked as one of a server's database once that has been reached.
+        let members = Membership::join(location, company, lease).await?;
+        let server = match location {
+            Location::Postgres(url) => Some(url.clone()),
+            _ => None,
+        };
+        let connected = match &server {
+            Some(url) => Some(Connections::to_server(url).await?),
+            None => None,
+        };
+        let (path, home) = (data_dir.to_owned(), home.clone());
+        let opened = spawn_blocking(move || {
+            let folder = DataFolder::open(&path, engine)?;
+            let blobs = Blobs::open(&path, &home, files)?;
+            Ok::<_, StoreError>((folder, blobs))
+        });
+        let (folder, blobs) = opened.await.map_err(io::Error::other)??;
+        let connections = match connected {
+            Some(connections) => connections,
+            None => Connections::to_file(&folder.database()).await?,
+        };
+        let (reader, writer) = (connections.reader.clone(), connections.writer.clone());
+        let opened = async {
+            let store =
+                Self { server, ..Self::connect(connections, folder, blobs, members).await? };
+            if let Leftovers::Clear { .. } = leftovers {
+                store.clear_leftovers().await?;
+            }
+            Ok(store)
+        };
+        let opened = opened.await;
+        if opened.is_err() {
+            // Before another try: what a connection holds is the room and the lock that the next
+            // one needs.
+            reader.close().await;
+            writer.close().await;
+        }
+        opened
+    }
+
+    /// Clears what interrupted processes have left, and lets others in. Deleting needs room: on a
+    /// full disk that of the reserve.
+    async fn clear_leftovers(&self) -> Result<(), StoreError> {
+        if let Some(full) = self.recover().await
+            && reserve::make_room_to_open(self.folder.path(), &full)
+        {
+            self.recover().await;
+        }
+        self.members.let_others_in().await
+    }
+
+    /// Waits for the turn at something, by its name: nobody else has it meanwhile, in this process
+    /// or in another.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn turn(&self, name: &str) -> Result<Turn, StoreError> {
+        self.members.turn(name).await
+    }
+
+    /// The turn at something, if nobody has it.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn try_turn(&self, name: &str) -> Result<Option<Turn>, StoreError> {
+        self.members.try_turn(name).await
+    }
+
+    /// Whether other processes may be at work on the same.
+    #[must_use]
+    pub fn is_shared(&self) -> bool {
+        self.members.is_shared()
+    }
+
+    /// Whether no other process was at work on the same when this one came.
+    #[must_use]
+    pub fn came_alone(&self) -> bool {
+        self.members.was_alone
+    }
+
+    /// As [`open_as_it_is`](Self::open_as_it_is), where there is a store already.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open); [`StoreError::NoDataFolder`].
+    pub async fn open_known(
+        data_dir: &Utf8Path,
+        location: &Location,
+        home: &BlobHome,
+    ) -> Result<Self, StoreError> {
+        DataFolder::identity(data_dir)?;
+        Self::open_as_it_is(data_dir, location, home).await
+    }
+
+    /// A store over a database, which is brought up to date.
+    async fn connect(
+        connections: Connections,
+        folder: DataFolder,
+        blobs: Blobs,
+        members: Membership,
+    ) -> Result<Self, StoreError> {
+        let Connections { engine, reader, writer } = connections;
+        migrations(engine).run(&writer).await?;
+        let writer = Writer::new(writer, engine);
+        let newest = "SELECT max(id) FROM (SELECT max(id) AS id FROM scenes UNION ALL SELECT max(id) FROM jobs
+                      UNION ALL SELECT max(id) FROM answers UNION ALL SELECT max(id) FROM parses
+                      UNION ALL SELECT max(id) FROM batches
+                      UNION ALL SELECT max(id) FROM corrections UNION ALL SELECT max(id) FROM uploads
+                      UNION ALL SELECT max(id) FROM keys UNION ALL SELECT max(id) FROM audit) AS newest";
+        let newest: Option<String> = sqlx::query_scalar(newest).fetch_one(&reader).await?;
+        let answers = AnswerQueue::start(writer.clone());
+        let ids = Ids::after(newest.as_deref());
+        let store = Self {
+            reader,
+            writer,
+            engine,
+            answers,
+            ids,
+            blobs,
+            folder,
+            members,
+            server: None,
+            _copy: None,
+        };
+        store.introduce().await?;
+        store.members.enter(&store.writer).await?;
+        Ok(store)
+    }
+
+    /// Lets the database and where files are kept know each other: the data folder, or an object
+    /// store. A file that is new here, or comes from another folder, has no say over files that
+    /// are older than that.
+    async fn introduce(&self) -> Result<(), StoreError> {
+        let known: Option<String> =
+            sqlx::query_scalar("SELECT id FROM data_folder").fetch_optional(&self.reader).await?;
+        let id = self.blobs.id().unwrap_or(&self.folder.id);
+        if known.as_deref() == Some(id) {
+            return Ok(());
+        }
+        // A file lies in its folder. A server's database may be named with any folder: of two that
+        // do not know each other, one is wrong.
+        if self.engine == Engine::Postgres && (known.is_some() || self.blobs.hold_scans().await?) {
+            return Err(StoreError::NotTogether);
+        }
+        let mut tx = self.writer.begin().await?;
+        sqlx::query("DELETE FROM data_folder").execute(&mut *tx).await?;
+        // A database of before folders had ids has known its own since its first scan.
+        let since = if known.is_none() {
+            "coalesce((SELECT min(created_at) FROM contents), $2)"
+        } else {
+            "$2"
+        };
+        let sql = format!("INSERT INTO data_folder (id, since) VALUES ($1, {since})");
+        sqlx::query(sqlx::AssertSqlSafe(sql)).bind(id).bind(now()).execute(&mut *tx).await?;
+        tx.commit().await
+    }
+
+    /// An id for something new, greater than all before it.
+    #[must_use]
+    pub fn new_id(&self) -> String {
+        self.ids.at(Timestamp::now())
+    }
+
+    /// The first id that could have been given at a time: ids before it are older.
+    #[must_use]
+    pub fn first_id_at(time: Timestamp) -> String {
+        let millis = u64::try_from(time.as_millisecond()).unwrap_or(0);
+        uuid::Builder::from_unix_timestamp_millis(millis, &[0; 10]).into_uuid().to_string()
+    }
+
+    /// Closes the database; WAL is checkpointed.
+    pub async fn close(&self) {
+        self.members.leave().await;
+        self.reader.close().await;
+        self.writer.close().await;
+    }
+}
+
+/// Rows of a page of which one more was asked for than it has, and the id to go on after, where
+/// there is more.
+#[must_use]
+pub fn page<T>(mut rows: Vec<T>, limit: u32, id: impl Fn(&T) -> &str) -> (Vec<T>, Option<String>) {
+    let more = rows.len() > limit as usize;
+    rows.truncate(limit as usize);
+    let next_cursor = rows.last().filter(|_| more).map(|row| id(row).to_owned());
+    (rows, next_cursor)
+}
+
+/// The time now, as stored.
+pub fn now() -> String {
+    Timestamp::now().to_string()
+}

@@ -1,0 +1,307 @@
+//! Files from one data folder to another, a published folder at a time.
+
+use super::{MoveError, Part, Progress, Tell};
+use crate::backup::{Unsound, copy_folder};
+use crate::blobs::checksums::{SUMS, files_below, look};
+use crate::blobs::{Blobs, Damage, KINDS, Look, Scratch, remove_tree, size_of};
+use camino::{Utf8Path, Utf8PathBuf};
+use std::collections::BTreeSet;
+use std::fs::{self, File};
+use std::io;
+
+/// What becomes longer in place: two names of one file would be two servers' file.
+const GROWING: &str = "checkpoints";
+/// Files of uploads that come in parts, which are no folders.
+const UPLOADS: &str = "uploads";
+
+/// What came over of one kind.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct KindOfFiles {
+    pub kind: &'static str,
+    /// Of uploads, files.
+    pub folders: u64,
+    pub bytes: u64,
+    /// Of these, what was written anew: the rest has a second name on the same disk, or had come
+    /// before.
+    pub copied_bytes: u64,
+}
+
+/// Folder, and what is wrong with it.
+type Damaged = Vec<(String, String)>;
+
+/// Brings all files to where others are missing, or are there already; what an earlier try has
+/// brought that is not wanted any more goes.
+pub fn move_files(
+    from: &Blobs,
+    to: &Blobs,
+    tell: &Tell,
+) -> Result<(Vec<KindOfFiles>, Damaged), MoveError> {
+    let (mut kinds, mut damaged) = (Vec::new(), Damaged::new());
+    for kind in KINDS {
+        let names: BTreeSet<String> = from.names(kind)?.into_iter().collect();
+        for name in to.names(kind)?.iter().filter(|name| !names.contains(*name)) {
+            remove_tree(&to.place(kind, name), to.tmp())?;
+        }
+        let mut moved = KindOfFiles { kind, folders: 0, bytes: 0, copied_bytes: 0 };
+        let of = names.len() as u64;
+        tell(Progress { part: Part::Files(kind), done: 0, of });
+        for name in names {
+            let (source, place) = (from.place(kind, &name), to.place(kind, &name));
+            let file_error = |error| MoveError::File { file: source.clone(), source: error };
+            moved.copied_bytes +=
+                move_folder(kind, &source, &place, to, &mut damaged).map_err(file_error)?;
+            moved.bytes += size_of(&place).map_err(file_error)?;
+            moved.folders += 1;
+            tell(Progress { part: Part::Files(kind), done: moved.folders, of });
+        }
+        kinds.push(moved);
+    }
+    kinds.push(move_uploads(from, to, tell)?);
+    Ok((kinds, damaged))
+}
+
+/// Bytes that were written.
+fn move_folder(
+    kind: &str,
+    source: &Utf8Path,
+    place: &Utf8Path,
+    to: &Blobs,
+    damaged: &mut Damaged,
+) -> io::Result<u64> {
+    let (scratch, copied) = match link(kind, source, to, damaged)? {
+        Some(scratch) => (scratch, 0),
+        None if kind != GROWING && is_same(source, place)? => return Ok(0),
+        None => copy(kind, source, to, damaged)?,
+    };
+    remove_tree(place, to.tmp())?;
+    // As old as it was: what is kept for a time only goes when it would have gone.
+    File::open(scratch.path())?.set_modified(fs::metadata(source)?.modified()?)?;
+    fs::rename(scratch.path(), place)?;
+    Ok(copied)
+}
+
+/// Whether a folder has come before, every byte of it.
+fn is_same(source: &Utf8Path, place: &Utf8Path) -> io::Result<bool> {
+    match (fs::read(source.join(SUMS)), fs::read(place.join(SUMS))) {
+        (Ok(own), Ok(sums)) if own == sums => Ok(look(place, Look::Bytes)?.is_empty()),
+        _ => Ok(false),
+    }
+}
+
+/// The files of a folder under a second name; nothing where the disk has no such thing, or it is
+/// another disk.
+fn link(
+    kind: &str,
+    source: &Utf8Path,
+    to: &Blobs,
+    damaged: &mut Damaged,
+) -> io::Result<Option<Scratch>> {
+    if kind == GROWING {
+        return Ok(None);
+    }
+    let scratch = to.scratch()?;
+    for file in all_files(source)? {
+        let place = scratch.path().join(&file);
+        fs::create_dir_all(place.parent().unwrap_or(scratch.path()))?;
+        if fs::hard_link(source.join(&file), place).is_err() {
+            return Ok(None);
+        }
+    }
+    let missing = look(source, Look::Names)?;
+    damaged.extend(
+        missing
+            .into_iter()
+            .map(|Damage { file, what }| (name_of(source), format!("{file} {what}"))),
+    );
+    Ok(Some(scratch))
+}
+
+/// A copy of a folder, every file held against its sum on the way; how many bytes. What was damaged
+/// before is copied as it is, and told.
+fn copy(
+    kind: &str,
+    source: &Utf8Path,
+    to: &Blobs,
+    damaged: &mut Damaged,
+) -> io::Result<(Scratch, u64)> {
+    let mut scratch = to.scratch()?;
+    let copied = match kind {
+        GROWING => copy_as_it_is(source, scratch.path()).map_err(Unsound::NotWritten),
+        _ => copy_folder(source, scratch.path()).map(drop),
+    };
+    match copied {
+        Ok(()) => {}
+        Err(Unsound::NotWritten(error)) => return Err(error),
+        Err(Unsound::Gone) => return Err(io::ErrorKind::NotFound.into()),
+        Err(Unsound::Damaged(what)) => {
+            damaged.push((name_of(source), what));
+            scratch = to.scratch()?;
+            copy_as_it_is(source, scratch.path())?;
+        }
+    }
+    let bytes = size_of(scratch.path())?;
+    Ok((scratch, bytes))
+}
+
+fn copy_as_it_is(source: &Utf8Path, to: &Utf8Path) -> io::Result<()> {
+    for file in all_files(source)? {
+        let (own, place) = (source.join(&file), to.join(&file));
+        fs::create_dir_all(place.parent().unwrap_or(to))?;
+        fs::copy(&own, &place)?;
+        File::open(place)?.set_modified(fs::metadata(own)?.modified()?)?;
+    }
+    Ok(())
+}
+
+/// Files below a folder, with the sums.
+fn all_files(folder: &Utf8Path) -> io::Result<Vec<Utf8PathBuf>> {
+    let mut files = files_below(folder)?;
+    files.extend(folder.join(SUMS).exists().then(|| SUMS.into()));
+    Ok(files)
+}
+
+/// Kind and name of a folder.
+fn name_of(folder: &Utf8Path) -> String {
+    let kind = folder.parent().and_then(Utf8Path::file_name).unwrap_or_default();
+    format!("blobs/{kind}/{}", folder.file_name().unwrap_or_default())
+}
+
+/// Uploads under way: they grow, so each side has its own.
+fn move_uploads(from: &Blobs, to: &Blobs, tell: &Tell) -> Result<KindOfFiles, MoveError> {
+    for gone in to.all_uploads()? {
+        fs::remove_file(to.upload(&gone))?;
+    }
+    let uploads = from.all_uploads()?;
+    let of = uploads.len() as u64;
+    let mut moved = KindOfFiles { kind: UPLOADS, folders: 0, bytes: 0, copied_bytes: 0 };
+    tell(Progress { part: Part::Files(UPLOADS), done: 0, of });
+    for id in uploads {
+        let file = from.upload(&id);
+        let bytes =
+            fs::copy(&file, to.upload(&id)).map_err(|source| MoveError::File { file, source })?;
+        moved = KindOfFiles {
+            folders: moved.folders + 1,
+            bytes: moved.bytes + bytes,
+            copied_bytes: moved.copied_bytes + bytes,
+            ..moved
+        };
+        tell(Progress { part: Part::Files(UPLOADS), done: moved.folders, of });
+    }
+    Ok(moved)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::blobs::{BlobHome, Files};
+    use std::sync::Arc;
+    use std::time::{Duration, SystemTime};
+
+    /// Two data folders; in the first a published parse, checkpoints of a scan, half an upload.
+    fn folders() -> (tempfile::TempDir, Blobs, Blobs) {
+        let root = tempfile::tempdir().unwrap();
+        let [from, to] = ["old", "new"].map(|name| {
+            Blobs::open(
+                &Utf8Path::from_path(root.path()).unwrap().join(name),
+                &BlobHome::Folder,
+                Files::Used,
+            )
+            .unwrap()
+        });
+        let scratch = from.scratch().unwrap();
+        fs::create_dir(scratch.path().join("views")).unwrap();
+        fs::write(scratch.path().join("cloud.ply"), "points").unwrap();
+        fs::write(scratch.path().join("views/1.jpg"), "picture").unwrap();
+        from.publish(scratch, &from.parse("p")).unwrap();
+        fs::write(from.use_checkpoints("c").unwrap().join("stage.log"), "finished").unwrap();
+        fs::write(from.upload("u"), "half").unwrap();
+        let long_ago = SystemTime::now() - Duration::from_hours(99);
+        for place in
+            [from.parse("p"), from.checkpoints("c"), from.checkpoints("c").join("stage.log")]
+        {
+            File::open(place).unwrap().set_modified(long_ago).unwrap();
+        }
+        (root, from, to)
+    }
+
+    fn moved(from: &Blobs, to: &Blobs) -> (Vec<KindOfFiles>, Damaged) {
+        let tell: Tell = Arc::new(|_| {});
+        let (kinds, damaged) = move_files(from, to, &tell).unwrap();
+        (kinds.into_iter().filter(|kind| kind.folders > 0).collect(), damaged)
+    }
+
+    fn text(file: Utf8PathBuf) -> String {
+        fs::read_to_string(file).unwrap()
+    }
+
+    #[test]
+    fn what_does_not_change_gets_a_second_name_and_what_grows_a_copy() {
+        let (_root, from, to) = folders();
+        let (kinds, damaged) = moved(&from, &to);
+        let told: Vec<_> =
+            kinds.iter().map(|kind| (kind.kind, kind.folders, kind.copied_bytes)).collect();
+        assert_eq!(told, [("parses", 1, 0), ("checkpoints", 1, 8), ("uploads", 1, 4)]);
+        assert_eq!(damaged, []);
+        assert!(to.look(&to.parse("p"), Look::Bytes).unwrap().is_empty());
+        // A log that goes on in one place goes on there alone.
+        for log in [from.checkpoints("c").join("stage.log"), from.upload("u")] {
+            fs::write(log, "more").unwrap();
+        }
+        assert_eq!(
+            (text(to.checkpoints("c").join("stage.log")), text(to.upload("u"))),
+            ("finished".into(), "half".into())
+        );
+        // Nothing is younger for having been moved.
+        assert!(
+            to.older_than("parses", Duration::from_hours(98), SystemTime::now()).unwrap() == ["p"]
+        );
+        assert!(
+            to.kept_checkpoints().unwrap()[0].used.elapsed().unwrap() > Duration::from_hours(98)
+        );
+    }
+
+    #[test]
+    fn another_try_completes_what_the_first_has_brought() {
+        let (_root, from, to) = folders();
+        moved(&from, &to);
+        // Removed where it came from, and not whole where it went to.
+        fs::create_dir(to.parse("gone")).unwrap();
+        fs::write(to.upload("gone"), "x").unwrap();
+        fs::remove_file(to.parse("p").join("views/1.jpg")).unwrap();
+        fs::write(from.upload("u"), "all of it").unwrap();
+        moved(&from, &to);
+        assert_eq!(
+            (to.names("parses").unwrap(), to.all_uploads().unwrap()),
+            (vec!["p".to_owned()], vec!["u".to_owned()])
+        );
+        assert_eq!(
+            (text(to.parse("p").join("views/1.jpg")), text(to.upload("u"))),
+            ("picture".into(), "all of it".into())
+        );
+    }
+
+    /// As it goes to another disk: every file against its sum, and one that was damaged before is
+    /// as it was.
+    #[test]
+    fn a_copy_is_whole_or_told() {
+        let (_root, from, to) = folders();
+        let (source, place) = (from.parse("p"), to.parse("p"));
+        let mut damaged = Damaged::new();
+        let (scratch, bytes) = copy("parses", &source, &to, &mut damaged).unwrap();
+        fs::rename(scratch.path(), &place).unwrap();
+        assert_eq!(
+            (bytes, size_of(&place).unwrap(), damaged.len()),
+            (size_of(&source).unwrap(), bytes, 0)
+        );
+        assert!(is_same(&source, &place).unwrap());
+        fs::write(place.join("cloud.ply"), "pointz").unwrap();
+        assert!(!is_same(&source, &place).unwrap());
+        fs::write(source.join("cloud.ply"), "pointz").unwrap();
+        let (scratch, _) = copy("parses", &source, &to, &mut damaged).unwrap();
+        assert_eq!(text(scratch.path().join("cloud.ply")), "pointz");
+        assert_eq!(damaged, [("blobs/parses/p".to_owned(), "cloud.ply damaged".to_owned())]);
+        fs::remove_file(source.join("cloud.ply")).unwrap();
+        let (_, damaged) = moved(&from, &to);
+        assert_eq!(damaged, [("blobs/parses/p".to_owned(), "cloud.ply missing".to_owned())]);
+    }
+}

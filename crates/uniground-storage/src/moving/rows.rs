@@ -1,0 +1,341 @@
+//! Rows from one database to another, table by table, a few at a time.
+
+use super::target::Folder;
+use super::{MoveError, Part, Progress, Tell};
+use crate::database::{Connections, Engine, Location, number, without_nul};
+use crate::members::Membership;
+use crate::writer::Writer;
+use crate::{Company, LEASE, Store, StoreError, migrations};
+use futures::TryStreamExt;
+use futures::stream::TryChunksError;
+use sqlx::any::{AnyArguments, AnyRow};
+use sqlx::pool::PoolConnection;
+use sqlx::query::Query;
+use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, Executor, Row};
+use std::borrow::Cow;
+use std::fmt::Write;
+use std::io;
+use tokio::task::spawn_blocking;
+
+/// Every table that moves, each after those its rows refer to. `data_folder`, which says whose a
+/// database is, and `members`, who is at work on it, are each database's own; so are vectors, which
+/// are made anew.
+const TABLES: [&str; 23] = [
+    "contents",
+    "parses",
+    "instances",
+    "room_entries",
+    "room_names",
+    "instance_names",
+    "name_indexes",
+    "corrections",
+    "scenes",
+    "scene_changes",
+    "idempotency_keys",
+    "answers",
+    "question_keys",
+    "jobs",
+    "announcements",
+    "batches",
+    "batch_items",
+    "uploads",
+    "keys",
+    "spending",
+    "reservations",
+    "key_spending",
+    "audit",
+];
+/// Rows that are read, and written in one transaction.
+const ROWS: usize = 1000;
+/// Rows that one statement writes: the time SQLite takes to read a statement grows with the square
+/// of its parameters.
+const ROWS_OF_STATEMENT: usize = 50;
+
+/// What a column holds: a value that is not there has a type, too.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Text,
+    Integer,
+    Real,
+}
+
+/// What was moved.
+pub struct Rows {
+    pub moved: Vec<(&'static str, u64)>,
+    pub texts_changed: u64,
+}
+
+/// The database that rows are moved to, and that nobody else uses.
+pub struct Database {
+    engine: Engine,
+    writer: Writer,
+    reader: AnyPool,
+    members: Membership,
+}
+
+impl Database {
+    /// A database with the schema and no rows: a new file, or one of a server's that is empty or
+    /// was begun for the same folder. The folder is begun, too, once nothing speaks against it.
+    pub async fn open(location: &Location, folder: &mut Folder) -> Result<Self, MoveError> {
+        let not_used = |source: StoreError| MoveError::To { place: location.to_string(), source };
+        let members = Membership::join(location, Company::None, LEASE).await.map_err(not_used)?;
+        let (mut server, mut is_begun) = (None, false);
+        if let Location::Postgres(url) = location {
+            let connections = Connections::to_server(url).await.map_err(not_used)?;
+            // Nothing of a database that is in use is changed, not even its schema.
+            is_begun = was_begun_for(&folder.id, &connections, location).await?;
+            server = Some(connections);
+        }
+        if !is_begun {
+            folder.renew_id();
+        }
+        begin(folder).await?;
+        let connections = match server {
+            Some(connections) => connections,
+            None => Connections::to_file(&folder.unfinished_database()).await.map_err(not_used)?,
+        };
+        let Connections { engine, reader, writer } = connections;
+        migrations(engine).run(&writer).await.map_err(StoreError::from)?;
+        let database = Self { engine, writer: Writer::new(writer, engine), reader, members };
+        if is_begun {
+            database.clear().await?;
+        }
+        Ok(database)
+    }
+
+    /// Removes what an earlier try has brought.
+    async fn clear(&self) -> Result<(), MoveError> {
+        let mut connection = without_haste(self.writer.pool(), self.engine).await?;
+        for table in TABLES.iter().rev() {
+            let sql = format!("DELETE FROM {table}");
+            let cleared = sqlx::query(AssertSqlSafe(sql)).execute(&mut *connection).await;
+            cleared.map_err(|error| MoveError::Rows { table, source: error.into() })?;
+        }
+        Ok(())
+    }
+
+    /// Lets it know the folder it will belong to, and since when it knows what lies there.
+    async fn introduce(&self, id: &str, since: &str) -> Result<(), MoveError> {
+        let mut tx = self.writer.begin().await?;
+        sqlx::query("DELETE FROM data_folder").execute(&mut *tx).await?;
+        sqlx::query("INSERT INTO data_folder (id, since) VALUES ($1, $2)")
+            .bind(id)
+            .bind(since)
+            .execute(&mut *tx)
+            .await?;
+        Ok(tx.commit().await?)
+    }
+
+    pub async fn close(&self) {
+        self.members.leave().await;
+        self.reader.close().await;
+        self.writer.close().await;
+    }
+}
+
+async fn begin(folder: &Folder) -> Result<(), MoveError> {
+    let folder = folder.clone();
+    spawn_blocking(move || folder.begin()).await.map_err(io::Error::other)?
+}
+
+/// Whether a database that is not empty was begun for a folder of this id. Every server writes down
+/// whose a database is before anything else.
+async fn was_begun_for(
+    id: &str,
+    Connections { engine, writer, .. }: &Connections,
+    location: &Location,
+) -> Result<bool, MoveError> {
+    let tables: Vec<String> = sqlx::query_scalar(engine.tables()).fetch_all(writer).await?;
+    if !tables.iter().any(|table| table == "data_folder") {
+        return Ok(false);
+    }
+    match sqlx::query_scalar::<_, String>("SELECT id FROM data_folder")
+        .fetch_optional(writer)
+        .await?
+    {
+        None => Ok(false),
+        Some(known) if known == id => Ok(true),
+        Some(_) => {
+            let sql = "SELECT (SELECT count(*) FROM scenes), (SELECT count(*) FROM answers)";
+            let (scenes, answers): (i64, i64) = sqlx::query_as(sql).fetch_one(writer).await?;
+            let found = format!("rows of another data folder: {scenes} scenes, {answers} answers");
+            Err(MoveError::NotEmpty { place: location.to_string(), found })
+        }
+    }
+}
+
+/// Moves all rows to a database, which belongs to a folder of this id from the first of them on: no
+/// other folder's server takes it.
+pub async fn move_rows(
+    source: &Store,
+    target: &Database,
+    id: &str,
+    tell: &Tell,
+) -> Result<Rows, MoveError> {
+    let since: String =
+        sqlx::query_scalar("SELECT since FROM data_folder").fetch_one(&source.reader).await?;
+    target.introduce(id, &since).await?;
+    let mut from = without_haste(&source.reader, source.engine).await?;
+    let mut rows = Rows { moved: Vec::new(), texts_changed: 0 };
+    for table in TABLES {
+        let moved = move_table(&mut from, target, table, &mut rows.texts_changed, tell).await;
+        rows.moved.push((table, moved.map_err(|source| MoveError::Rows { table, source })?));
+    }
+    Ok(rows)
+}
+
+async fn without_haste(pool: &AnyPool, engine: Engine) -> sqlx::Result<PoolConnection<Any>> {
+    let mut connection = pool.acquire().await?;
+    for statement in engine.without_haste() {
+        connection.execute(*statement).await?;
+    }
+    Ok(connection)
+}
+
+/// Moves the rows of a table; how many there were.
+async fn move_table(
+    from: &mut AnyConnection,
+    target: &Database,
+    table: &'static str,
+    texts_changed: &mut u64,
+    tell: &Tell,
+) -> Result<u64, StoreError> {
+    let sql = format!("SELECT count(*) FROM {table}");
+    let of: i64 = sqlx::query_scalar(AssertSqlSafe(sql)).fetch_one(&mut *from).await?;
+    let (mut progress, columns) = (
+        Progress { part: Part::Rows(table), done: 0, of: number(of)? },
+        columns_of(target, table).await?,
+    );
+    tell(progress);
+    let sql = format!("SELECT {} FROM {table}", names(&columns));
+    let mut chunks = sqlx::query(AssertSqlSafe(sql)).fetch(from).try_chunks(ROWS);
+    while let Some(rows) = chunks.try_next().await.map_err(|TryChunksError(_, error)| error)? {
+        let mut tx = target.writer.begin().await?;
+        for rows in rows.chunks(ROWS_OF_STATEMENT) {
+            write(rows, table, &columns, target.engine, texts_changed)?.execute(&mut *tx).await?;
+        }
+        tx.commit().await?;
+        progress.done += rows.len() as u64;
+        tell(progress);
+    }
+    Ok(progress.done)
+}
+
+/// What writes rows to a table.
+fn write<'q>(
+    rows: &[AnyRow],
+    table: &str,
+    columns: &[(String, Kind)],
+    engine: Engine,
+    texts_changed: &mut u64,
+) -> sqlx::Result<Query<'q, Any, AnyArguments>> {
+    // Not kept prepared: sqlx takes a number that is not there for a smaller type than one that is.
+    let mut query =
+        sqlx::query(AssertSqlSafe(insert(table, columns, rows.len()))).persistent(false);
+    for row in rows {
+        for (place, (_, kind)) in columns.iter().enumerate() {
+            query = match kind {
+                Kind::Integer => query.bind(row.try_get::<Option<i64>, _>(place)?),
+                Kind::Real => query.bind(row.try_get::<Option<f64>, _>(place)?),
+                Kind::Text => {
+                    let text: Option<String> = row.try_get(place)?;
+                    let kept = text.as_deref().map(|text| kept_by(engine, text));
+                    *texts_changed += u64::from(kept.as_deref() != text.as_deref());
+                    query.bind(kept.map(Cow::into_owned))
+                }
+            };
+        }
+    }
+    Ok(query)
+}
+
+/// Columns to write, as the target has them: both have the same schema.
+async fn columns_of(target: &Database, table: &str) -> sqlx::Result<Vec<(String, Kind)>> {
+    let columns: Vec<(String, String)> =
+        sqlx::query_as(target.engine.columns()).bind(table).fetch_all(target.writer.pool()).await?;
+    let columns = columns.into_iter().map(|(name, type_name)| match type_name.as_str() {
+        "text" => Ok((name, Kind::Text)),
+        "integer" | "bigint" => Ok((name, Kind::Integer)),
+        "real" | "double precision" => Ok((name, Kind::Real)),
+        _ => Err(sqlx::Error::TypeNotFound { type_name }),
+    });
+    columns.collect()
+}
+
+fn names(columns: &[(String, Kind)]) -> String {
+    columns.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", ")
+}
+
+/// The statement that writes so many rows.
+fn insert(table: &str, columns: &[(String, Kind)], rows: usize) -> String {
+    let mut sql = format!("INSERT INTO {table} ({}) VALUES ", names(columns));
+    for parameter in 0..rows * columns.len() {
+        let before = match parameter {
+            0 => "(",
+            _ if parameter % columns.len() == 0 => "), (",
+            _ => ", ",
+        };
+        let _ = write!(sql, "{before}${}", parameter + 1);
+    }
+    sql + ")"
+}
+
+/// A text as a database keeps it.
+fn kept_by(engine: Engine, text: &str) -> Cow<'_, str> {
+    match engine {
+        Engine::Sqlite => text.into(),
+        Engine::Postgres => without_nul(text),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::BlobHome;
+    use camino::Utf8Path;
+
+    /// A table that is made by a migration moves, or stands among those that do not; and none comes
+    /// before one its rows refer to.
+    #[tokio::test]
+    async fn no_table_is_forgotten() {
+        let place = tempfile::tempdir().unwrap();
+        let store = Store::open_as_it_is(
+            Utf8Path::from_path(place.path()).unwrap(),
+            &Location::Folder,
+            &BlobHome::Folder,
+        )
+        .await
+        .unwrap();
+        let mut tables: Vec<String> =
+            sqlx::query_scalar(Engine::Sqlite.tables()).fetch_all(&store.reader).await.unwrap();
+        tables.sort();
+        let mut known: Vec<&str> =
+            TABLES.into_iter().chain(["_sqlx_migrations", "data_folder", "members"]).collect();
+        known.sort_unstable();
+        assert_eq!(tables, known, "what becomes of a table when a store is moved?");
+        for (place, table) in TABLES.iter().enumerate() {
+            let sql = "SELECT \"table\" FROM pragma_foreign_key_list($1)";
+            let above: Vec<String> =
+                sqlx::query_scalar(sql).bind(*table).fetch_all(&store.reader).await.unwrap();
+            assert!(
+                above.iter().all(|above| TABLES[..place].contains(&&**above)),
+                "{table} comes before {above:?}"
+            );
+        }
+        for table in TABLES {
+            let columns: Vec<(String, String)> = sqlx::query_as(Engine::Sqlite.columns())
+                .bind(table)
+                .fetch_all(&store.reader)
+                .await
+                .unwrap();
+            assert!(!columns.is_empty() && columns.len() * ROWS_OF_STATEMENT < 1 << 15, "{table}");
+        }
+        store.close().await;
+    }
+
+    #[test]
+    fn a_statement_writes_many_rows() {
+        let columns = [("id".to_owned(), Kind::Text), ("usd".to_owned(), Kind::Real)];
+        assert_eq!(insert("t", &columns, 2), "INSERT INTO t (id, usd) VALUES ($1, $2), ($3, $4)");
+    }
+}

@@ -1,0 +1,319 @@
+//! Finished parses and their instances.
+
+use super::database::number;
+use super::growth::Continued;
+use super::records::{InstanceRecord, ParseRecord, RECORD_VERSION};
+use super::{Hold, SceneRow, Store, StoreError, now};
+use sqlx::any::AnyRow;
+use sqlx::{AnyConnection, FromRow, Row};
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::scene::{ImportReport, Instance, InstanceId, ParseReport};
+use uniground_parsing::pointed::known_as;
+use uniground_types::settings::{ParseModels, ParseSettings};
+
+/// A finished parse as stored; JSON columns as text: [`record`](Self::record) reads them.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ParseRow {
+    pub id: String,
+    pub content_hash: String,
+    pub settings_hash: String,
+    settings: String,
+    models: String,
+    import_report: String,
+    parse_report: String,
+    extent: String,
+    pub created_at: String,
+}
+
+impl FromRow<'_, AnyRow> for ParseRow {
+    fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
+        Ok(Self {
+            id: row.try_get("id")?,
+            content_hash: row.try_get("content_hash")?,
+            settings_hash: row.try_get("settings_hash")?,
+            settings: row.try_get("settings")?,
+            models: row.try_get("models")?,
+            import_report: row.try_get("import_report")?,
+            parse_report: row.try_get("parse_report")?,
+            extent: row.try_get("extent")?,
+            created_at: row.try_get("created_at")?,
+        })
+    }
+}
+
+impl ParseRow {
+    /// Whether its files were found lost or damaged, and it is kept for its answers only.
+    #[must_use]
+    pub fn is_retired(&self) -> bool {
+        self.settings_hash.contains(":retired:")
+    }
+
+    /// What the row says, as far as this version can read it.
+    #[must_use]
+    pub fn record(&self) -> ParseRecord {
+        ParseRecord::read(
+            &self.settings,
+            &self.models,
+            &self.import_report,
+            &self.parse_report,
+            &self.extent,
+        )
+    }
+}
+
+/// A parse about to be recorded; its blobs are in place.
+pub struct NewParse<'a> {
+    pub id: &'a str,
+    pub content_hash: &'a str,
+    pub settings_hash: &'a str,
+    pub settings: &'a ParseSettings,
+    pub models: &'a ParseModels,
+    pub import: &'a ImportReport,
+    pub report: &'a ParseReport,
+    pub extent: &'a Aabb,
+    pub instances: &'a [Instance],
+    /// Of a scene that has grown: what it has from the parse before.
+    pub continued: Option<Continued<'a>>,
+    /// By whose hands it was made.
+    pub hold: &'a Hold,
+}
+
+impl Store {
+    /// Records a parse and its instances as one. `false` when the same content and settings were
+    /// recorded before, or the content is gone because its last scene was deleted meanwhile:
+    /// then nothing is written.
+    ///
+    /// # Errors
+    /// [`StoreError`]; [`StoreError::NotHeld`] where its job was given to somebody else.
+    pub async fn insert_parse(&self, parse: NewParse<'_>) -> Result<bool, StoreError> {
+        let NewParse {
+            id,
+            content_hash,
+            settings_hash,
+            settings,
+            models,
+            import,
+            report,
+            extent,
+            instances,
+            continued,
+            hold,
+        } = &parse;
+        let mut tx = self.writer.begin().await?;
+        hold.check(&mut tx).await?;
+        let inserted = sqlx::query(
+            "INSERT INTO parses (id, content_hash, settings_hash, settings, models, import_report, parse_report, extent, created_at,
+                                 record_version)
+             SELECT $1, $2, $3, $4, $5, $6, $7, $8, $9, $10 WHERE EXISTS (SELECT 1 FROM contents WHERE hash = $2) ON CONFLICT DO NOTHING",
+        )
+        .bind(id)
+        .bind(content_hash)
+        .bind(settings_hash)
+        .bind(serde_json::to_string(settings)?)
+        .bind(serde_json::to_string(models)?)
+        .bind(serde_json::to_string(import)?)
+        .bind(serde_json::to_string(report)?)
+        .bind(serde_json::to_string(extent)?)
+        .bind(now())
+        .bind(i64::from(RECORD_VERSION))
+        .execute(&mut *tx)
+        .await?;
+        if inserted.rows_affected() == 0 {
+            tx.forget().await?;
+            return Ok(false);
+        }
+        for instance in *instances {
+            insert_instance(&mut tx, id, instance).await?;
+        }
+        match continued {
+            Some(continued) => self.continue_parse(&mut tx, id, continued).await?,
+            None => inherit(&mut tx, &parse, instances.len()).await?,
+        }
+        tx.commit().await?;
+        Ok(true)
+    }
+
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn parse(&self, id: &str) -> Result<Option<ParseRow>, StoreError> {
+        Ok(sqlx::query_as("SELECT * FROM parses WHERE id = $1")
+            .bind(id)
+            .fetch_optional(&self.reader)
+            .await?)
+    }
+
+    /// How often what is known of a parse has changed since it was made: names, corrections, what
+    /// was found. `None` when it is gone.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn changes_of_parse(&self, id: &str) -> Result<Option<i64>, StoreError> {
+        Ok(sqlx::query_scalar("SELECT changes FROM parses WHERE id = $1")
+            .bind(id)
+            .fetch_optional(&self.reader)
+            .await?)
+    }
+
+    /// The parse of this content under these settings, when there is one.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn parse_of(
+        &self,
+        content_hash: &str,
+        settings_hash: &str,
+    ) -> Result<Option<ParseRow>, StoreError> {
+        let sql = "SELECT * FROM parses WHERE content_hash = $1 AND settings_hash = $2";
+        Ok(sqlx::query_as(sql)
+            .bind(content_hash)
+            .bind(settings_hash)
+            .fetch_optional(&self.reader)
+            .await?)
+    }
+
+    /// All parses, in order of time.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn all_parses(&self) -> Result<Vec<ParseRow>, StoreError> {
+        Ok(sqlx::query_as("SELECT * FROM parses ORDER BY id").fetch_all(&self.reader).await?)
+    }
+
+    /// A parse whose files are lost or damaged is not given to anybody any more, so that the next
+    /// parse of the same content is made anew. Answers and scenes keep what they have until
+    /// then. The scenes that are to be parsed again come back, with the settings.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn retire_parse(&self, id: &str) -> Result<Vec<SceneRow>, StoreError> {
+        let mut tx = self.writer.begin().await?;
+        let sql = "UPDATE parses SET settings_hash = settings_hash || ':retired:' || id WHERE id = $1 AND settings_hash NOT LIKE '%:retired:%'";
+        let retired = sqlx::query(sql).bind(id).execute(&mut *tx).await?.rows_affected() > 0;
+        let scenes = sqlx::query_as("SELECT * FROM scenes WHERE parse_id = $1 ORDER BY id")
+            .bind(id)
+            .fetch_all(&mut *tx)
+            .await?;
+        tx.commit().await?;
+        // Whoever retired it has had the scenes already.
+        Ok(if retired { scenes } else { Vec::new() })
+    }
+
+    /// All instances of a parse, in order of id.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn instances(&self, parse_id: &str) -> Result<Vec<Instance>, StoreError> {
+        let bodies: Vec<String> =
+            sqlx::query_scalar("SELECT body FROM instances WHERE parse_id = $1 ORDER BY id")
+                .bind(parse_id)
+                .fetch_all(&self.reader)
+                .await?;
+        bodies.iter().map(|body| Ok(serde_json::from_str::<InstanceRecord>(body)?.into())).collect()
+    }
+
+    /// Adds an instance that was found for a question, behind all others, and answers its id: that
+    /// of the same thing where it was found before. `None` when the parse is gone or no scene's
+    /// any more, or has `most` of them already.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn insert_found(
+        &self,
+        parse_id: &str,
+        found: &Instance,
+        most: usize,
+    ) -> Result<Option<InstanceId>, StoreError> {
+        let mut tx = self.writer.begin().await?;
+        let is_found = self.engine.has_field("body", "found_for");
+        let before =
+            format!("SELECT body FROM instances WHERE parse_id = $1 AND {is_found} ORDER BY id");
+        let before: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(before))
+            .bind(parse_id)
+            .fetch_all(&mut *tx)
+            .await?;
+        let before: Vec<Instance> = before
+            .iter()
+            .map(|body| Ok(serde_json::from_str::<InstanceRecord>(body)?.into()))
+            .collect::<Result<_, StoreError>>()?;
+        let last = "SELECT max(id) FROM instances WHERE parse_id = $1 AND EXISTS (SELECT 1 FROM scenes WHERE parse_id = $1)";
+        let last: Option<i64> = sqlx::query_scalar(last).bind(parse_id).fetch_one(&mut *tx).await?;
+        let last: Option<u32> = last.map(number).transpose()?;
+        let (known, full) = (known_as(&before, found).map(|known| known.id), before.len() >= most);
+        let Some(id) = last.map(|last| InstanceId(last + 1)).filter(|_| known.is_none() && !full)
+        else {
+            tx.forget().await?;
+            return Ok(known);
+        };
+        insert_instance(&mut tx, parse_id, &Instance { id, ..found.clone() }).await?;
+        note_change(&mut tx, parse_id).await?;
+        tx.commit().await?;
+        Ok(Some(id))
+    }
+}
+
+/// What is known of a parse has changed: what others keep of it in memory is old.
+pub(super) async fn note_change(tx: &mut AnyConnection, parse_id: &str) -> Result<(), StoreError> {
+    sqlx::query("UPDATE parses SET changes = changes + 1 WHERE id = $1")
+        .bind(parse_id)
+        .execute(tx)
+        .await?;
+    Ok(())
+}
+
+/// A parse that is made anew because files of the one before were damaged takes over what people
+/// and models have said of that one, and what was found since: the same scan under the same
+/// settings has the same instances.
+async fn inherit(
+    tx: &mut AnyConnection,
+    new: &NewParse<'_>,
+    instances: usize,
+) -> Result<(), StoreError> {
+    let retired = "SELECT id FROM parses WHERE content_hash = $1 AND settings_hash LIKE $2 || ':retired:%' ORDER BY id DESC LIMIT 1";
+    let retired: Option<String> = sqlx::query_scalar(retired)
+        .bind(new.content_hash)
+        .bind(new.settings_hash)
+        .fetch_optional(&mut *tx)
+        .await?;
+    let Some(retired) = retired else { return Ok(()) };
+    let same = "SELECT count(*) FROM instances AS old JOIN instances AS new USING (id, body) WHERE old.parse_id = $1 AND new.parse_id = $2";
+    let same: i64 =
+        sqlx::query_scalar(same).bind(&retired).bind(new.id).fetch_one(&mut *tx).await?;
+    if same != instances as i64 {
+        tracing::warn!(
+            parse_id = new.id,
+            retired,
+            "a parse made anew has other instances: corrections and names stay behind"
+        );
+        return Ok(());
+    }
+    for sql in [
+        "INSERT INTO instances (parse_id, id, body, record_version) SELECT $2, id, body, record_version FROM instances
+         WHERE parse_id = $1 AND id > (SELECT max(id) FROM instances WHERE parse_id = $2)",
+        "UPDATE corrections SET parse_id = $2 WHERE parse_id = $1",
+        "INSERT INTO instance_names (parse_id, model, prompt_version, instance_id, name, created_at)
+         SELECT $2, model, prompt_version, instance_id, name, created_at FROM instance_names WHERE parse_id = $1 ON CONFLICT DO NOTHING",
+        "INSERT INTO name_indexes (parse_id, model, prompt_version, created_at)
+         SELECT $2, model, prompt_version, created_at FROM name_indexes WHERE parse_id = $1 ON CONFLICT DO NOTHING",
+    ] {
+        sqlx::query(sql).bind(&retired).bind(new.id).execute(&mut *tx).await?;
+    }
+    Ok(())
+}
+
+/// Writes one instance of a parse.
+pub(super) async fn insert_instance(
+    tx: &mut AnyConnection,
+    parse_id: &str,
+    instance: &Instance,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "INSERT INTO instances (parse_id, id, body, record_version) VALUES ($1, $2, $3, $4)",
+    )
+    .bind(parse_id)
+    .bind(i64::from(instance.id.0))
+    .bind(serde_json::to_string(&InstanceRecord::from(instance))?)
+    .bind(i64::from(RECORD_VERSION))
+    .execute(tx)
+    .await?;
+    Ok(())
+}

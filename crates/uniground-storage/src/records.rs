@@ -1,0 +1,102 @@
+//! What rows hold as JSON: types of the store's own, so that neither the API nor the pipelines can
+//! make yesterday's data unreadable.
+//!
+//! Written strictly, in the current version, which stands beside the JSON in `record_version`. Read
+//! leniently, whatever the version: fields nobody knows are passed over, fields that are missing
+//! get a value that says so, and what can not be made sense of is left out rather than taking its
+//! scene along. A field that changes its meaning raises the version, and reading looks at it.
+
+mod instance;
+mod settings;
+
+pub use instance::InstanceRecord;
+
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::scene::{ImportReport, ParseReport};
+use uniground_types::settings::{ParseModels, ParseSettings};
+
+/// Of everything written now.
+pub const RECORD_VERSION: u32 = 1;
+
+/// What a parse was made with and what came of it, as stored.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ParseRecord {
+    pub settings: ParseSettings,
+    pub models: ParseModels,
+    /// `None` where it is of a version that can not be read.
+    pub import: Option<ImportReport>,
+    /// `None` where it is of a version that can not be read.
+    pub report: Option<ParseReport>,
+    pub extent: Option<Aabb>,
+}
+
+impl ParseRecord {
+    /// Reads the columns of a row.
+    pub(super) fn read(
+        settings: &str,
+        models: &str,
+        import: &str,
+        report: &str,
+        extent: &str,
+    ) -> Self {
+        let models: Value = value(models);
+        let name =
+            |key: &str| models.get(key).and_then(Value::as_str).unwrap_or("unknown").to_owned();
+        Self {
+            settings: settings::read(value(settings)),
+            models: ParseModels { masks: name("masks"), encoder: name("encoder") },
+            import: read_or_none("import report", import),
+            report: read_or_none("parse report", report),
+            extent: read_or_none("extent", extent),
+        }
+    }
+}
+
+fn value(text: &str) -> Value {
+    serde_json::from_str(text).unwrap_or(Value::Null)
+}
+
+pub(super) fn read_or_none<T: DeserializeOwned>(what: &str, text: &str) -> Option<T> {
+    serde_json::from_str(text)
+        .inspect_err(
+            |error| tracing::warn!(what, %error, "a stored record of another version is left out"),
+        )
+        .ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_parse_of_a_stranger_version_is_read_as_far_as_it_goes() {
+        let record = ParseRecord::read(
+            r#"{"parsing": {"superpoints": {"voxel_m": 0.07, "colour_of_the_sky": 3}, "wholes": {"enabled": false}, "depth_tolerance": "loose"}}"#,
+            r#"{"masks": "rgbd-9", "vlm": "x"}"#,
+            r#"{"format": "uniground-scene/9"}"#,
+            r#"{"points": 1, "frames_used": 2, "superpoints": 3, "instances": 4, "structural": 0, "without_views": 0, "stages": [], "warnings": [], "more": true}"#,
+            r#"{"center": [1, 2, 3], "size": [4, 5, 6]}"#,
+        );
+        assert_eq!(
+            (
+                record.settings.parsing.superpoints.voxel_m,
+                record.settings.parsing.part_merging.enabled
+            ),
+            (0.07, false)
+        );
+        assert_eq!(
+            record.settings.parsing.depth_tolerance,
+            ParseSettings::default().parsing.depth_tolerance
+        );
+        assert_eq!(
+            (record.models.masks.as_str(), record.models.encoder.as_str()),
+            ("rgbd-9", "unknown")
+        );
+        assert!(
+            record.import.is_none() && record.report.is_some_and(|report| report.instances == 4)
+        );
+        assert_eq!(record.extent.unwrap().size.z, 6.0);
+    }
+}
