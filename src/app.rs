@@ -63,7 +63,7 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
     .await
     .with_context(|| format!("the data folder {}{}", config.data_dir, elsewhere(config)))?;
     if config.database.vectors == Vectors::Pgvector {
-        store.want_vectors().await?;
+        store.room_index.want_vectors().await?;
     }
     let mut keys = Keyring::open(store.clone(), api_key.as_deref()).await?;
     if let Some(secret) = config.access.link_secret()? {
@@ -126,7 +126,7 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
     let shutdown = CancellationToken::new();
     service.note_announcements(webhook.as_ref()).await?;
     // Beside others they may be of a newer version.
-    if store.came_alone() {
+    if store.locks.was_alone_at_start() {
         jobs.refuse_unknown_kinds(&Work::ALL.map(Work::kind)).await?;
     }
     let start = |work: &Work| match work {
@@ -141,7 +141,7 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
     if part.serves {
         tokio::spawn(make_left_uploads(service.clone(), shutdown.clone()));
     }
-    if let Some(newsroom) = store.newsroom().await? {
+    if let Some(newsroom) = store.notifications.newsroom().await? {
         tokio::spawn(heed_news(newsroom, jobs.clone(), service.keys.clone(), shutdown.clone()));
     }
     if let Some(chat) = chat {
@@ -279,7 +279,7 @@ async fn keep_index(service: Service, shutdown: CancellationToken) {
 async fn keep_reserve(store: Store, shutdown: CancellationToken) {
     const EVERY: Duration = Duration::from_mins(1);
     while shutdown.run_until_cancelled(sleep(EVERY)).await.is_some() {
-        store.restore_reserve().await;
+        store.reserve.restore_reserve().await;
     }
 }
 

@@ -57,8 +57,9 @@ pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
         println!("{verb}: {entries} entries, {}", table::size(bytes));
     }
     drop(service);
-    if !dry_run && (entries > 0 || store.unused_bytes().await? >= WORTH_COMPACTING_BYTES) {
-        match store.compact().await {
+    if !dry_run && (entries > 0 || store.retention.unused_bytes().await? >= WORTH_COMPACTING_BYTES)
+    {
+        match store.retention.compact().await {
             // Compacting writes the database once more: what was removed has made its room, for rows if not for files.
             Err(error) if error.is_full() => {
                 eprintln!("the disk has too little room to compact the database: run gc again when it has more");

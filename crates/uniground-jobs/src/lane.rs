@@ -9,7 +9,7 @@ use tokio::time;
 use tokio_util::sync::CancellationToken;
 use tracing::Instrument;
 use uniground_geometry::progress::Progress;
-use uniground_storage::{Hold, JobRow, JobState, Recovery, StoreError};
+use uniground_storage::{Hold, JobRecovery, JobRow, JobState, StoreError};
 
 /// How often a running job's row is brought up to date.
 const SAVE_EVERY: Duration = Duration::from_millis(500);
@@ -50,12 +50,12 @@ impl Jobs {
 
     /// Takes up what processes that are gone had in hands, as soon as the store lets it.
     async fn recover<K: JobKind>(&self, shutdown: &CancellationToken) {
-        let recovery = Recovery {
+        let recovery = JobRecovery {
             give_up_after: K::RETRY.interrupted,
             at_once: TAKEN_UP_AT_ONCE,
             wait: WAIT_AFTER_INTERRUPTIONS,
         };
-        while let Err(error) = self.store.recover_jobs(K::NAME, recovery).await {
+        while let Err(error) = self.store.jobs.recover_jobs(K::NAME, recovery).await {
             tracing::error!(
                 kind = K::NAME,
                 error = &error as &dyn std::error::Error,
@@ -73,10 +73,11 @@ impl Jobs {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn refuse_unknown_kinds(&self, known: &[&str]) -> Result<(), StoreError> {
-        for (id, kind) in self.store.open_jobs().await? {
+        for (id, kind) in self.store.jobs.open_jobs().await? {
             if !known.contains(&kind.as_str()) {
                 let detail = format!("this server does not know jobs of the kind {kind:?}");
                 self.store
+                    .jobs
                     .finish_open_job(&id, JobState::Failed, Some(("unknown_job_kind", &detail)))
                     .await?;
             }
@@ -87,7 +88,7 @@ impl Jobs {
     async fn work<K: JobKind>(&self, kind: &Arc<K>, shutdown: &CancellationToken) {
         let bell = self.bell(K::NAME);
         while !shutdown.is_cancelled() {
-            match self.store.claim_job(K::NAME).await {
+            match self.store.jobs.claim_job(K::NAME).await {
                 Ok(Some(job)) => {
                     let span = tracing::info_span!(
                         "job",
@@ -147,7 +148,7 @@ impl Jobs {
             Running { pulse: Arc::default(), cancel: shutdown.child_token(), row: job.into() };
         self.running().insert(id.clone(), running.clone());
         // From here on a wish to stop finds the token; what was wished before stands in the row.
-        match self.store.is_cancel_requested(&id).await {
+        match self.store.jobs.is_cancel_requested(&id).await {
             Ok(false) => {}
             Ok(true) => running.cancel.cancel(),
             // It goes back as it came, as soon as the store takes it.
@@ -182,7 +183,7 @@ impl Jobs {
                 result = &mut work => break result,
                 _ = saving.tick() => {
                     let Pulse { stage, progress } = running.pulse();
-                    match self.store.save_job_progress(&hold, stage, progress).await {
+                    match self.store.jobs.save_job_progress(&hold, stage, progress).await {
                         Ok(false) => {}
                         // Wished elsewhere.
                         Ok(true) => running.cancel.cancel(),
@@ -277,18 +278,18 @@ impl Jobs {
         match end {
             End::Done(message) => {
                 tracing::info!(result = message, "job done");
-                self.store.finish_job(hold, JobState::Succeeded, Some(message), None).await
+                self.store.jobs.finish_job(hold, JobState::Succeeded, Some(message), None).await
             }
-            End::PutBack => self.store.requeue_job(hold).await,
+            End::PutBack => self.store.jobs.requeue_job(hold).await,
             End::Again { wait, failures, progress } => {
-                self.store.requeue_job_after(hold, *wait, *failures, *progress).await
+                self.store.jobs.requeue_job_after(hold, *wait, *failures, *progress).await
             }
             End::Cancelled => {
                 tracing::info!("job cancelled");
-                self.store.finish_job(hold, JobState::Cancelled, None, None).await
+                self.store.jobs.finish_job(hold, JobState::Cancelled, None, None).await
             }
             End::Failed { code, detail } => {
-                self.store.finish_job(hold, JobState::Failed, None, Some((code, detail))).await
+                self.store.jobs.finish_job(hold, JobState::Failed, None, Some((code, detail))).await
             }
         }
     }

@@ -121,6 +121,7 @@ impl Jobs {
         let payload = serde_json::to_string(payload).map_err(StoreError::from)?;
         let row = self
             .store
+            .jobs
             .insert_job(subject, &NewJob { kind: K::NAME, payload: &payload, key_id, done: None })
             .await?;
         Ok(self.recorded::<K>(row))
@@ -132,13 +133,13 @@ impl Jobs {
     /// # Errors
     /// [`JobsError::QueueFull`], with the time until one more is done, by how it went lately.
     pub async fn check_room<K: JobKind>(&self, key_id: Option<&str>) -> Result<(), JobsError> {
-        let Queued { all: queued, of_key } = self.store.queued_jobs(K::NAME, key_id).await?;
+        let Queued { all: queued, of_key } = self.store.jobs.queued_jobs(K::NAME, key_id).await?;
         let tenth = self.max_queued / 10;
         let kept_free = if key_id.is_some() && of_key >= tenth { tenth } else { 0 };
         if queued < self.max_queued - kept_free {
             return Ok(());
         }
-        let done = self.store.done_lately(K::NAME, LATELY).await?;
+        let done = self.store.jobs.done_lately(K::NAME, LATELY).await?;
         let again_in_s = u32::try_from(LATELY.as_secs()).unwrap_or(u32::MAX) / done.max(1);
         Err(JobsError::QueueFull { queued, again_in_s: again_in_s.clamp(SOONEST_S, LATEST_S) })
     }
@@ -148,7 +149,7 @@ impl Jobs {
     /// # Errors
     /// [`JobsError::Store`].
     pub async fn cancel_all_of(&self, subject: &str) -> Result<(), JobsError> {
-        for id in self.store.open_jobs_of(subject).await? {
+        for id in self.store.jobs.open_jobs_of(subject).await? {
             self.cancel(&id).await?;
         }
         Ok(())
@@ -170,9 +171,10 @@ impl Jobs {
     /// # Errors
     /// [`JobsError::NotFound`].
     pub async fn get(&self, id: &str) -> Result<Job, JobsError> {
-        let row = self.store.job(id).await?.ok_or_else(|| JobsError::NotFound { id: id.into() })?;
+        let row =
+            self.store.jobs.job(id).await?.ok_or_else(|| JobsError::NotFound { id: id.into() })?;
         let ahead = match row.state {
-            JobState::Queued => Some(self.store.jobs_ahead(&row.kind, id).await?),
+            JobState::Queued => Some(self.store.jobs.jobs_ahead(&row.kind, id).await?),
             _ => None,
         };
         Ok(Job { ahead, ..self.as_it_stands(row) })
@@ -189,7 +191,7 @@ impl Jobs {
         cursor: Option<&str>,
     ) -> Result<JobList, JobsError> {
         let (rows, next_cursor) =
-            page(self.store.jobs(filter, limit + 1, cursor).await?, limit, |row| &row.id);
+            page(self.store.jobs.jobs(filter, limit + 1, cursor).await?, limit, |row| &row.id);
         Ok(JobList {
             jobs: rows.into_iter().map(|row| self.as_it_stands(row)).collect(),
             next_cursor,
@@ -215,9 +217,9 @@ impl Jobs {
     /// # Errors
     /// [`JobsError::NotFound`].
     pub async fn cancel(&self, id: &str) -> Result<Job, JobsError> {
-        let was_queued = self.store.cancel_queued_job(id).await?;
+        let was_queued = self.store.jobs.cancel_queued_job(id).await?;
         if !was_queued {
-            self.store.request_cancel(id).await?;
+            self.store.jobs.request_cancel(id).await?;
             if let Some(running) = self.running().get(id) {
                 running.cancel.cancel();
             }

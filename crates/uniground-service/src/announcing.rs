@@ -80,7 +80,7 @@ impl Service {
         if turn.is_none() {
             return Ok(false);
         }
-        let due = self.store.due_announcements(TOGETHER).await?;
+        let due = self.store.webhooks.due_announcements(TOGETHER).await?;
         let any = !due.is_empty();
         join_all(
             due.into_iter()
@@ -97,10 +97,10 @@ impl Service {
     /// [`Error::Store`].
     pub async fn note_announcements(&self, webhook: Option<&Webhook>) -> Result<(), Error> {
         match webhook {
-            Some(_) => self.store.note_announcements().await?,
+            Some(_) => self.store.webhooks.note_announcements().await?,
             // Others may want to be.
-            None if !self.store.came_alone() => {}
-            None => self.store.note_no_announcements().await?,
+            None if !self.store.locks.was_alone_at_start() => {}
+            None => self.store.webhooks.note_no_announcements().await?,
         }
         Ok(())
     }
@@ -119,7 +119,7 @@ impl Service {
     async fn announce_job(&self, webhook: &Webhook, job_id: &str, tried: u32) -> Result<(), Error> {
         let job = match self.jobs.get(job_id).await {
             Err(JobsError::NotFound { .. }) => {
-                return Ok(self.store.forget_announcement(job_id).await?);
+                return Ok(self.store.webhooks.forget_announcement(job_id).await?);
             }
             job => job?,
         };
@@ -129,7 +129,7 @@ impl Service {
         match webhook.deliver(&id, Timestamp::now().as_second(), body).await {
             // Taken; or it is gone, and says so.
             Ok(()) | Err(WebhookError::Refused(410)) => {
-                self.store.forget_announcement(job_id).await?
+                self.store.webhooks.forget_announcement(job_id).await?
             }
             Err(error) if tried + 1 >= TRIES => {
                 tracing::error!(
@@ -138,7 +138,7 @@ impl Service {
                     error = &error as &dyn std::error::Error,
                     "a webhook was never taken"
                 );
-                self.store.forget_announcement(job_id).await?;
+                self.store.webhooks.forget_announcement(job_id).await?;
             }
             Err(error) => {
                 let wait = FIRST_WAIT.saturating_mul(1 << tried.min(16)).min(LONGEST_WAIT);
@@ -149,7 +149,7 @@ impl Service {
                     error = &error as &dyn std::error::Error,
                     "a webhook was not taken"
                 );
-                self.store.put_off_announcement(job_id, wait).await?;
+                self.store.webhooks.put_off_announcement(job_id, wait).await?;
             }
         }
         Ok(())

@@ -78,11 +78,11 @@ impl Service {
     pub async fn examine(&self) -> Result<Vec<Finding>, Error> {
         let mut findings = Vec::new();
         let mut found = |trouble, detail: String| findings.push(Finding { trouble, detail });
-        for complaint in self.store.integrity().await? {
+        for complaint in self.store.integrity.integrity().await? {
             found(Trouble::Database, complaint);
         }
         for BrokenReference { table, column, parent, is_optional, rows, .. } in
-            self.store.broken_references().await?
+            self.store.integrity.broken_references().await?
         {
             let remedy =
                 if is_optional { "the reference is cleared" } else { "the rows are removed" };
@@ -93,7 +93,7 @@ impl Service {
                 ),
             );
         }
-        for hash in self.store.all_contents().await? {
+        for hash in self.store.contents.all_contents().await? {
             let (blobs, place) = (self.store.blobs.clone(), self.store.blobs.content(&hash));
             let wrong = spawn_blocking(move || blobs.look(&place, Look::Bytes)).await??;
             if let Some(detail) = told(&wrong) {
@@ -103,7 +103,7 @@ impl Service {
                 );
             }
         }
-        for parse in self.store.all_parses().await? {
+        for parse in self.store.parses.all_parses().await? {
             let wrong = self.look_at_parse(&parse.id, Look::Bytes).await?;
             if let Some(detail) = told(&wrong)
                 && !parse.is_retired()
@@ -111,7 +111,7 @@ impl Service {
                 found(Trouble::Parse { id: parse.id.clone() }, format!("{}: {detail}", parse.id));
             }
         }
-        let Strays { unclaimed, unjudged } = self.store.strays(Duration::ZERO).await?;
+        let Strays { unclaimed, unjudged } = self.store.orphans.strays(Duration::ZERO).await?;
         for (kind, name) in unclaimed {
             let detail = format!("blobs/{kind}/{name}: no record speaks of it");
             found(Trouble::Unclaimed { kind, name }, detail);
@@ -125,7 +125,7 @@ impl Service {
         for file in self.store.blobs.stray_files()? {
             found(Trouble::StrayFile, format!("{file}: no folder; it is left alone"));
         }
-        for (id, subject) in self.store.jobs_without_scene().await? {
+        for (id, subject) in self.store.jobs.jobs_without_scene().await? {
             found(Trouble::Job { id: id.clone() }, format!("{id}: its scene {subject} is gone"));
         }
         Ok(findings)
@@ -137,7 +137,7 @@ impl Service {
     /// [`Error`] of the store; what was done stays done.
     pub async fn repair(&self, findings: &[Finding]) -> Result<(), Error> {
         if findings.iter().any(|finding| finding.trouble == Trouble::References) {
-            for scene_id in self.store.repair_references().await? {
+            for scene_id in self.store.integrity.repair_references().await? {
                 self.start_parse(&scene_id, &ParseSettings::default(), &Caller::operator()).await?;
             }
         }
@@ -145,9 +145,9 @@ impl Service {
             match trouble {
                 Trouble::Parse { id } => self.retire_parse(id).await?,
                 Trouble::Unclaimed { kind, name } => {
-                    self.store.quarantine(vec![(kind, name.clone())]).await?
+                    self.store.orphans.quarantine(vec![(kind, name.clone())]).await?
                 }
-                Trouble::Job { id } => self.store.end_orphan(id).await?,
+                Trouble::Job { id } => self.store.jobs.end_orphan(id).await?,
                 Trouble::Database
                 | Trouble::References
                 | Trouble::Content { .. }
@@ -163,7 +163,7 @@ impl Service {
     /// # Errors
     /// [`Error::Store`].
     pub async fn waiting_parses(&self) -> Result<u32, Error> {
-        Ok(self.store.queued_jobs(ParseJob::NAME, None).await?.all)
+        Ok(self.store.jobs.queued_jobs(ParseJob::NAME, None).await?.all)
     }
 }
 

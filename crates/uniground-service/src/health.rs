@@ -63,7 +63,7 @@ impl Service {
                 None => None,
             }
         };
-        let (mut store, inference) = tokio::join!(self.store.health(), inference);
+        let (mut store, inference) = tokio::join!(self.store.health.health(), inference);
         // Not every look meets the damage, and it does not heal.
         if let Some(before) = self.health.last().filter(|before| before.store.is_damaged) {
             store = StoreHealth { database: before.store.database, is_damaged: true, ..store };

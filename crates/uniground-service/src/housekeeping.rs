@@ -17,17 +17,19 @@ impl Service {
     /// # Errors
     /// [`Error`] of the store; what was done stays done.
     pub async fn keep_house(&self) -> Result<(), Error> {
-        self.store.recover_beside_others().await;
+        self.store.recovery.recover_beside_others().await;
         // Copies are each process's own.
         if self.store.blobs.are_copies() {
-            self.store.sweep(Beside::TheServer.settled()).await?;
+            self.store.orphans.sweep(Beside::TheServer.settled()).await?;
         }
         // One process does the rest for all.
         let Some(_turn) = self.keeping_house().await? else { return Ok(()) };
         self.let_go(Beside::TheServer).await?;
-        self.store.forget_unused_names().await?;
+        self.store.room_index.forget_unused_names().await?;
         // One that was retired is known to be damaged, and kept for its answers only.
-        for parse in self.store.all_parses().await?.iter().filter(|parse| !parse.is_retired()) {
+        for parse in
+            self.store.parses.all_parses().await?.iter().filter(|parse| !parse.is_retired())
+        {
             let wrong = self.look_at_parse(&parse.id, Look::Bytes).await?;
             if let Some(Damage { file, what }) = wrong.iter().find(|damage| damage.what != "stray")
             {

@@ -219,7 +219,7 @@ impl Service {
     /// Whether there is room for something more of a size, and some for the rest: what runs goes
     /// on, questions are answered and kept.
     fn check_disk(&self, bytes: u64) -> Result<(), Error> {
-        let free = self.store.free_bytes()?;
+        let free = self.store.health.free_bytes()?;
         if free < self.limits.keep_free_bytes.saturating_add(bytes) {
             Err(Error::DiskNearlyFull { free })
         } else {

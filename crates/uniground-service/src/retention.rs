@@ -86,12 +86,12 @@ impl Service {
     /// [`Error`] of the store; what is gone stays gone.
     pub async fn let_go(&self, beside: Beside) -> Result<Vec<Removed>, Error> {
         let removed = match self.try_to_let_go(beside).await {
-            Err(error) if error.is_disk_full() && self.store.release_reserve() => {
+            Err(error) if error.is_disk_full() && self.store.reserve.release_reserve() => {
                 self.try_to_let_go(beside).await
             }
             done => done,
         }?;
-        self.store.restore_reserve().await;
+        self.store.reserve.restore_reserve().await;
         Ok(removed)
     }
 
@@ -165,10 +165,11 @@ impl Round<'_> {
         let (store, before) = (&self.service.store, Before::days_ago(days, self.now));
         let mut after = String::new();
         loop {
-            let due = store.due(aged, &before, &after, TOGETHER).await?;
+            let due = store.retention.due(aged, &before, &after, TOGETHER).await?;
             let Some(last) = due.last() else { break };
             after.clone_from(&last.id);
             let removed = store
+                .retention
                 .remove_due(
                     aged,
                     &before,
@@ -191,21 +192,25 @@ impl Round<'_> {
     async fn superseded_parses(&mut self, days: u32) -> Result<Removed, Error> {
         const KIND: &str = "superseded parses";
         let (service, mut gone) = (self.service, Gone::default());
-        service.store.mark_superseded_parses(self.now).await?;
+        service.store.retention.mark_superseded_parses(self.now).await?;
         if days == 0 {
             return Ok(gone.because(KIND, "kept for ever".into()));
         }
         let before = Before::days_ago(days, self.now);
         let mut after = String::new();
         while let Some(due) =
-            service.store.due(Aged::SupersededParses, &before, &after, 1).await?.pop()
+            service.store.retention.due(Aged::SupersededParses, &before, &after, 1).await?.pop()
         {
             after.clone_from(&due.id);
             let removed = {
                 // Nobody takes it for a scene while it goes.
                 let _references =
                     (service.content_references().await?, service.parse_references().await?);
-                service.store.remove_due(Aged::SupersededParses, &before, &[&due.id]).await?
+                service
+                    .store
+                    .retention
+                    .remove_due(Aged::SupersededParses, &before, &[&due.id])
+                    .await?
             };
             for id in &removed {
                 service.parses.forget(id);
@@ -227,11 +232,11 @@ impl Round<'_> {
         if days == 0 {
             return Ok(gone.because(KIND, "kept for ever".into()));
         }
-        for hash in service.store.outgrown_contents(TOGETHER).await? {
+        for hash in service.store.contents.outgrown_contents(TOGETHER).await? {
             let folders = {
                 let _references =
                     (service.content_references().await?, service.parse_references().await?);
-                service.store.remove_outgrown(&hash).await?
+                service.store.contents.remove_outgrown(&hash).await?
             };
             gone.entries += u64::from(!folders.is_empty());
             gone.bytes += self.discard(folders).await?;
@@ -252,7 +257,7 @@ impl Round<'_> {
             // No parse of it begins between the look and the removal.
             let references =
                 (self.service.content_references().await?, self.service.parse_references().await?);
-            if !self.service.store.contents_in_work().await?.contains(&hash) {
+            if !self.service.store.retention.contents_in_work().await?.contains(&hash) {
                 self.discard(vec![self.service.store.blobs.checkpoints(&hash)]).await?;
                 gone.entries += 1;
                 gone.bytes += bytes;
@@ -269,7 +274,7 @@ impl Round<'_> {
     }
 
     async fn quarantine(&self) -> Result<Removed, Error> {
-        let (entries, bytes) = self.service.store.sweep(self.beside.settled()).await?;
+        let (entries, bytes) = self.service.store.orphans.sweep(self.beside.settled()).await?;
         Ok(Gone { entries, bytes }.because(
             "quarantine",
             format!("no record speaks of them, for over {KEEP_QUARANTINE_DAYS} days"),
@@ -279,10 +284,10 @@ impl Round<'_> {
     /// Objects no record speaks of, one by one, looked up again right before.
     async fn orphans(&self) -> Result<Removed, Error> {
         let (service, mut gone) = (self.service, Gone::default());
-        for orphan in service.store.orphans().await? {
+        for orphan in service.store.orphans.orphans().await? {
             let references =
                 (service.content_references().await?, service.parse_references().await?);
-            if service.store.remove_orphan(&orphan).await? {
+            if service.store.orphans.remove_orphan(&orphan).await? {
                 gone.entries += 1;
                 gone.bytes += orphan.bytes();
             }
@@ -305,7 +310,7 @@ impl Round<'_> {
         })
         .await??;
         let store = &self.service.store;
-        store.blobs.remove_later(store.set_aside(folders).await?);
+        store.blobs.remove_later(store.orphans.set_aside(folders).await?);
         Ok(bytes)
     }
 }

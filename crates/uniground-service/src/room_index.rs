@@ -41,7 +41,7 @@ impl Service {
     /// # Errors
     /// [`Error`] of the store; what was noted stays.
     pub async fn index_rooms(&self) -> Result<(), Error> {
-        let mut wanted = self.store.parses_to_index(AT_ONCE).await?;
+        let mut wanted = self.store.room_index.parses_to_index(AT_ONCE).await?;
         if wanted.is_empty() {
             return Ok(());
         }
@@ -51,7 +51,8 @@ impl Service {
                 match self.index_room(room).await {
                     Ok(()) => {}
                     // It went meanwhile.
-                    Err(_) if self.store.changes_of_parse(&room.parse_id).await?.is_none() => {}
+                    Err(_)
+                        if self.store.parses.changes_of_parse(&room.parse_id).await?.is_none() => {}
                     // Its time comes: the database, the object store or the disk can not be used
                     // now.
                     Err(error)
@@ -67,19 +68,19 @@ impl Service {
                             error = &error as &dyn std::error::Error,
                             "a room can not be found among many"
                         );
-                        self.store.index_room(room, &[]).await?;
+                        self.store.room_index.index_room(room, &[]).await?;
                     }
                 }
                 tokio::time::sleep(PAUSE).await;
             }
-            wanted = self.store.parses_to_index(AT_ONCE).await?;
+            wanted = self.store.room_index.parses_to_index(AT_ONCE).await?;
         }
         Ok(())
     }
 
     async fn index_room(&self, room: &ToIndex) -> Result<(), Error> {
         let parse = self.passing_parse(&room.parse_id).await?;
-        let keeps_vectors = self.store.has_vectors().await?;
+        let keeps_vectors = self.store.room_index.has_vectors().await?;
         let (known, seen) = spawn_blocking(move || {
             let known = entries(&parse.instances).into_iter();
             let known = known.map(|entry| RoomEntry {
@@ -99,8 +100,8 @@ impl Service {
             (known.collect::<Vec<_>>(), seen)
         })
         .await?;
-        self.store.keep_vectors(&room.parse_id, seen.as_ref()).await?;
-        Ok(self.store.index_room(room, &known).await?)
+        self.store.room_index.keep_vectors(&room.parse_id, seen.as_ref()).await?;
+        Ok(self.store.room_index.index_room(room, &known).await?)
     }
 
     /// Of all scenes with these labels those that most likely have what a question asks for, at
@@ -149,12 +150,12 @@ impl Service {
         if chosen.is_empty() {
             // Nothing tells: the newest are as good as any.
             let filter = SceneFilter { ids: None, labels: labels.clone() };
-            return Ok(self.store.scenes(most as u32, None, &filter).await?);
+            return Ok(self.store.scenes.scenes(most as u32, None, &filter).await?);
         }
         let rank: HashMap<&str, usize> =
             chosen.iter().enumerate().map(|(rank, room)| (room.as_str(), rank)).collect();
         // A room that was uploaded again and again does not keep the others out.
-        let scenes = self.store.scenes_of_parses(&chosen, labels, SAME_ROOM).await?;
+        let scenes = self.store.room_index.scenes_of_parses(&chosen, labels, SAME_ROOM).await?;
         let rank_of =
             |scene: &SceneRow| scene.parse_id.as_deref().and_then(|parse| rank.get(parse).copied());
         let mut scenes: Vec<_> =
@@ -192,11 +193,15 @@ impl Service {
         colours: &[ColourName],
         labels: &Labels,
     ) -> Result<Vec<FoundEntry>, Error> {
-        let mut found = self.store.rooms_with(name, None, labels, ROOMS).await?;
+        let mut found = self.store.room_index.rooms_with(name, None, labels, ROOMS).await?;
         if found.len() >= ROOMS as usize {
             for colour in colours {
-                found
-                    .extend(self.store.rooms_with(name, Some(colour.word()), labels, ROOMS).await?);
+                found.extend(
+                    self.store
+                        .room_index
+                        .rooms_with(name, Some(colour.word()), labels, ROOMS)
+                        .await?,
+                );
             }
         }
         Ok(found)
@@ -215,7 +220,7 @@ impl Service {
         else {
             return Ok(Vec::new());
         };
-        if sought.is_empty() || !self.store.has_vectors().await? {
+        if sought.is_empty() || !self.store.room_index.has_vectors().await? {
             return Ok(Vec::new());
         }
         let words = sought.target.clone();
@@ -231,7 +236,7 @@ impl Service {
             }
         };
         let Some(vector) = vector else { return Ok(Vec::new()) };
-        Ok(self.store.rooms_near(&name, &vector, labels, most as u32).await?)
+        Ok(self.store.room_index.rooms_near(&name, &vector, labels, most as u32).await?)
     }
 }
 
@@ -242,7 +247,7 @@ impl RoomNames {
             Some((at, names)) if at.elapsed() < AGE => return Ok(names.clone()),
             known => known.as_ref().map(|(_, names)| names.clone()).unwrap_or_default(),
         };
-        let names = service.store.room_names().await?;
+        let names = service.store.room_index.room_names().await?;
         let read = spawn_blocking(move || {
             let read = |name: String| {
                 let read = known.get(&name).cloned().or_else(|| GivenName::read(&name))?;

@@ -151,7 +151,7 @@ impl Service {
     }
 
     async fn look_at_figures(&self) -> Result<Arc<Figures>, Arc<StoreError>> {
-        self.store.figures().await.map(Arc::new).map_err(Arc::new)
+        self.store.statistics.figures().await.map(Arc::new).map_err(Arc::new)
     }
 
     /// How much room files take, if that was measured; it is measured anew behind the caller's
@@ -177,7 +177,7 @@ impl Service {
     async fn spent_today(&self) -> Result<f64, Error> {
         match &self.vlm {
             Some(vlm) => vlm.spent_today_usd().await,
-            None => Ok(self.store.spent_on(&today()).await?),
+            None => Ok(self.store.spending.spent_on(&today()).await?),
         }
     }
 

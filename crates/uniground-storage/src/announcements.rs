@@ -1,11 +1,18 @@
 //! Ends of jobs that somebody wants to be told of.
 
+use super::database::Database;
 use super::database::number;
 use super::jobs::after;
-use super::{Store, StoreError, now};
+use super::{StoreError, now};
 use std::time::Duration;
 
-impl Store {
+/// Webhook deliveries that are due.
+#[derive(Clone)]
+pub struct WebhookRepository {
+    pub(super) database: Database,
+}
+
+impl WebhookRepository {
     /// Ends that are due to be told, those that were never tried first: id of the job, and how
     /// often it was tried.
     ///
@@ -14,8 +21,11 @@ impl Store {
     pub async fn due_announcements(&self, limit: u32) -> Result<Vec<(String, u32)>, StoreError> {
         let sql = "SELECT job_id, attempts FROM announcements WHERE not_before IS NULL OR not_before <= $1
                    ORDER BY coalesce(not_before, ''), job_id LIMIT $2";
-        let due: Vec<(String, i64)> =
-            sqlx::query_as(sql).bind(now()).bind(i64::from(limit)).fetch_all(&self.reader).await?;
+        let due: Vec<(String, i64)> = sqlx::query_as(sql)
+            .bind(now())
+            .bind(i64::from(limit))
+            .fetch_all(&self.database.reader)
+            .await?;
         Ok(due
             .into_iter()
             .map(|(id, attempts)| Ok((id, number(attempts)?)))
@@ -33,7 +43,11 @@ impl Store {
     ) -> Result<(), StoreError> {
         let sql =
             "UPDATE announcements SET attempts = attempts + 1, not_before = $1 WHERE job_id = $2";
-        sqlx::query(sql).bind(after(wait)).bind(job_id).execute(self.writer.pool()).await?;
+        sqlx::query(sql)
+            .bind(after(wait))
+            .bind(job_id)
+            .execute(self.database.writer.pool())
+            .await?;
         Ok(())
     }
 
@@ -44,7 +58,7 @@ impl Store {
     pub async fn forget_announcement(&self, job_id: &str) -> Result<(), StoreError> {
         sqlx::query("DELETE FROM announcements WHERE job_id = $1")
             .bind(job_id)
-            .execute(self.writer.pool())
+            .execute(self.database.writer.pool())
             .await?;
         Ok(())
     }
@@ -55,8 +69,8 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn note_announcements(&self) -> Result<(), StoreError> {
-        for &sql in self.engine.note_ends() {
-            sqlx::query(sql).execute(self.writer.pool()).await?;
+        for &sql in self.database.engine.note_ends() {
+            sqlx::query(sql).execute(self.database.writer.pool()).await?;
         }
         Ok(())
     }
@@ -66,8 +80,8 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn note_no_announcements(&self) -> Result<(), StoreError> {
-        for sql in [self.engine.note_no_ends(), "DELETE FROM announcements"] {
-            sqlx::query(sql).execute(self.writer.pool()).await?;
+        for sql in [self.database.engine.note_no_ends(), "DELETE FROM announcements"] {
+            sqlx::query(sql).execute(self.database.writer.pool()).await?;
         }
         Ok(())
     }

@@ -1,9 +1,10 @@
 //! Answers, kept as they were given.
 
 use super::database::Conditions;
+use super::database::Database;
 use super::records::RECORD_VERSION;
 use super::writer::Writer;
-use super::{Store, StoreError, now};
+use super::{StoreError, now};
 use jiff::Timestamp;
 use sqlx::any::AnyRow;
 use sqlx::{FromRow, Row};
@@ -117,7 +118,14 @@ async fn write(writer: &Writer, answers: &[NewAnswer]) -> Result<Vec<bool>, Stor
     Ok(kept)
 }
 
-impl Store {
+/// Answers to questions.
+#[derive(Clone)]
+pub struct AnswerRepository {
+    pub(super) database: Database,
+    pub(super) queue: AnswerQueue,
+}
+
+impl AnswerRepository {
     /// What was asked under an idempotency key, and the id its answer has or will have. A key that
     /// nobody has used stands for this question from now on.
     ///
@@ -129,7 +137,7 @@ impl Store {
         request: &str,
         answer_id: &str,
     ) -> Result<(String, String), StoreError> {
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         let sql = "INSERT INTO question_keys (key, request, answer_id, created_at) VALUES ($1, $2, $3, $4)
                    ON CONFLICT (key) DO UPDATE SET key = question_keys.key RETURNING request, answer_id";
         let row = sqlx::query_as(sql).bind(key).bind(request).bind(answer_id).bind(now());
@@ -145,7 +153,7 @@ impl Store {
     pub async fn insert_answer(&self, answer: NewAnswer) -> Result<bool, StoreError> {
         let (kept, told) = oneshot::channel();
         let closed = || StoreError::Database(sqlx::Error::PoolClosed);
-        self.answers.0.send(Waiting { answer, kept }).await.map_err(|_| closed())?;
+        self.queue.0.send(Waiting { answer, kept }).await.map_err(|_| closed())?;
         told.await.map_err(|_| closed())?
     }
 
@@ -154,7 +162,7 @@ impl Store {
     pub async fn answer(&self, id: &str) -> Result<Option<AnswerRow>, StoreError> {
         Ok(sqlx::query_as("SELECT id, parse_id, body FROM answers WHERE id = $1")
             .bind(id)
-            .fetch_optional(&self.reader)
+            .fetch_optional(&self.database.reader)
             .await?)
     }
 
@@ -174,7 +182,7 @@ impl Store {
         let mut which = match batch_id {
             // Through the batch, a page at a time.
             Some(_) => {
-                let join = self.engine.in_this_order();
+                let join = self.database.engine.in_this_order();
                 Conditions::behind(format!(
                     "{columns} batch_items {join} answers ON answers.id = answer_id WHERE true"
                 ))
@@ -194,7 +202,7 @@ impl Store {
             .first(
                 if batch_id.is_some() { "answer_id DESC" } else { "answers.id DESC" },
                 limit,
-                &self.reader,
+                &self.database.reader,
             )
             .await
     }
@@ -206,6 +214,6 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn delete_some_answers(&self, scene_id: &str) -> Result<Vec<String>, StoreError> {
         let sql = "DELETE FROM answers WHERE id IN (SELECT id FROM answers WHERE scene_id = $1 LIMIT 500) RETURNING id";
-        Ok(sqlx::query_scalar(sql).bind(scene_id).fetch_all(self.writer.pool()).await?)
+        Ok(sqlx::query_scalar(sql).bind(scene_id).fetch_all(self.database.writer.pool()).await?)
     }
 }

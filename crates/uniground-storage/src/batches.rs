@@ -1,7 +1,9 @@
 //! Batches and their items.
 
+use super::Reserve;
+use super::database::Database;
 use super::database::{number, without_nul};
-use super::{Hold, JobRow, NewJob, Store, StoreError, now};
+use super::{Hold, JobRow, NewJob, StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{AssertSqlSafe, FromRow, Row};
 use std::collections::BTreeMap;
@@ -132,14 +134,21 @@ fn select(condition: &str) -> AssertSqlSafe<String> {
     AssertSqlSafe(format!("SELECT {COLUMNS} FROM batches WHERE {condition}"))
 }
 
-impl Store {
+/// Batches of questions and their items.
+#[derive(Clone)]
+pub struct BatchRepository {
+    pub(super) database: Database,
+    pub(super) reserve: Reserve,
+}
+
+impl BatchRepository {
     /// Begins a batch: its items follow. Nobody is told of it before it is
     /// [submitted](Self::submit_batch).
     ///
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn insert_batch(&self, new: NewBatch<'_>) -> Result<String, StoreError> {
-        let id = self.new_id();
+        let id = self.database.new_id();
         let sql = "INSERT INTO batches (id, label, state, concurrency, max_cost_usd, key_id, created_at, receiver)
                    VALUES ($1, $2, 'receiving', $3, $4, $5, $6, $7)";
         // Not kept prepared: sqlx takes a number that is not there for a smaller type than one that
@@ -152,8 +161,8 @@ impl Store {
             .bind(new.max_cost_usd)
             .bind(new.key_id)
             .bind(now())
-            .bind(&*self.members.id())
-            .execute(self.writer.pool())
+            .bind(&*self.database.members.id())
+            .execute(self.database.writer.pool())
             .await?;
         Ok(id)
     }
@@ -170,14 +179,14 @@ impl Store {
         items: &[NewItem],
     ) -> Result<(), StoreError> {
         let sql = "INSERT INTO batch_items (batch_id, item, scene_id, request, answer_id) VALUES ($1, $2, $3, $4, $5)";
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         for (item, NewItem { scene_id, request }) in (first..).zip(items) {
             sqlx::query(sql)
                 .bind(batch_id)
                 .bind(i64::from(item))
                 .bind(&*without_nul(scene_id))
                 .bind(request)
-                .bind(self.new_id())
+                .bind(self.database.new_id())
                 .execute(&mut *tx)
                 .await?;
         }
@@ -194,7 +203,7 @@ impl Store {
         job: &NewJob<'_>,
     ) -> Result<Submitted, StoreError> {
         let ReceivedBatch { id, items, defaults, request, key } = *received;
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         if let Some(key) = key {
             let before: Option<BatchRow> =
                 sqlx::query_as(select("key = $1")).bind(key).fetch_optional(&mut *tx).await?;
@@ -204,7 +213,7 @@ impl Store {
                 return Ok(if same { Submitted::MadeBefore(before) } else { Submitted::KeyReused });
             }
         }
-        let job = super::jobs::insert(&mut tx, &self.new_id(), id, job).await?;
+        let job = super::jobs::insert(&mut tx, &self.database.new_id(), id, job).await?;
         let sql = "UPDATE batches SET state = 'running', items = $1, request = $2, key = $3, job_id = $4, defaults = $5 WHERE id = $6";
         sqlx::query(sql)
             .bind(i64::from(items))
@@ -227,7 +236,10 @@ impl Store {
         &self,
         key: &str,
     ) -> Result<Option<BatchRow>, StoreError> {
-        Ok(sqlx::query_as(select("key = $1")).bind(key).fetch_optional(&self.reader).await?)
+        Ok(sqlx::query_as(select("key = $1"))
+            .bind(key)
+            .fetch_optional(&self.database.reader)
+            .await?)
     }
 
     /// The fields that the items of a batch share, as JSON. `None` where its items store whole
@@ -239,7 +251,7 @@ impl Store {
         let defaults: Option<Option<String>> =
             sqlx::query_scalar("SELECT defaults FROM batches WHERE id = $1")
                 .bind(id)
-                .fetch_optional(&self.reader)
+                .fetch_optional(&self.database.reader)
                 .await?;
         Ok(defaults.flatten())
     }
@@ -252,12 +264,15 @@ impl Store {
         let some = "DELETE FROM batch_items WHERE batch_id = $1
                     AND item IN (SELECT item FROM batch_items WHERE batch_id = $1 LIMIT $2)";
         let delete = || {
-            sqlx::query(some).bind(id).bind(i64::from(ITEMS_TOGETHER)).execute(self.writer.pool())
+            sqlx::query(some)
+                .bind(id)
+                .bind(i64::from(ITEMS_TOGETHER))
+                .execute(self.database.writer.pool())
         };
         while delete().await?.rows_affected() > 0 {}
         sqlx::query("DELETE FROM batches WHERE id = $1")
             .bind(id)
-            .execute(self.writer.pool())
+            .execute(self.database.writer.pool())
             .await?;
         Ok(())
     }
@@ -269,18 +284,18 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn discard_batch(&self, id: &str) -> Result<(), StoreError> {
         match self.delete_batch(id).await {
-            Err(error) if error.is_full() && self.release_reserve() => {
+            Err(error) if error.is_full() && self.reserve.release_reserve() => {
                 self.delete_batch(id).await?
             }
             deleted => deleted?,
         }
-        if let Err(error) = self.truncate_log().await {
+        if let Err(error) = self.database.truncate_log().await {
             tracing::debug!(
                 error = &error as &dyn std::error::Error,
                 "the write-ahead log could not be truncated; its file keeps its size for now"
             );
         }
-        self.restore_reserve().await;
+        self.reserve.restore_reserve().await;
         Ok(())
     }
 
@@ -290,7 +305,8 @@ impl Store {
     /// [`StoreError::Database`].
     pub(super) async fn forget_half_received_batches(&self) -> Result<(), StoreError> {
         let sql = "SELECT id FROM batches WHERE state = 'receiving' AND (receiver IS NULL OR receiver NOT IN (SELECT id FROM members))";
-        let left: Vec<String> = sqlx::query_scalar(sql).fetch_all(self.writer.pool()).await?;
+        let left: Vec<String> =
+            sqlx::query_scalar(sql).fetch_all(self.database.writer.pool()).await?;
         for id in &left {
             self.delete_batch(id).await?;
         }
@@ -301,7 +317,7 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn batch(&self, id: &str) -> Result<Option<BatchRow>, StoreError> {
         let which = select("id = $1 AND state != 'receiving'");
-        Ok(sqlx::query_as(which).bind(id).fetch_optional(&self.reader).await?)
+        Ok(sqlx::query_as(which).bind(id).fetch_optional(&self.database.reader).await?)
     }
 
     /// Batches newest first, those before `cursor` (an id) only.
@@ -318,7 +334,7 @@ impl Store {
         Ok(sqlx::query_as(which)
             .bind(cursor)
             .bind(i64::from(limit))
-            .fetch_all(&self.reader)
+            .fetch_all(&self.database.reader)
             .await?)
     }
 
@@ -333,7 +349,7 @@ impl Store {
         let sql = "SELECT status, count(*) AS number, sum(cost_usd) AS usd FROM batch_items
                    WHERE batch_id = $1 AND status IS NOT NULL GROUP BY status";
         let (mut numbers, mut usd) = (BTreeMap::new(), 0.0);
-        for row in sqlx::query(sql).bind(id).fetch_all(&self.reader).await? {
+        for row in sqlx::query(sql).bind(id).fetch_all(&self.database.reader).await? {
             numbers.insert(row.try_get("status")?, number(row.try_get("number")?)?);
             usd += row.try_get::<f64, _>("usd")?;
         }
@@ -350,7 +366,11 @@ impl Store {
         limit: u32,
     ) -> Result<Vec<OpenItem>, StoreError> {
         let sql = "SELECT item, scene_id, request, answer_id FROM batch_items WHERE batch_id = $1 AND status IS NULL ORDER BY item LIMIT $2";
-        let rows = sqlx::query(sql).bind(id).bind(i64::from(limit)).fetch_all(&self.reader).await?;
+        let rows = sqlx::query(sql)
+            .bind(id)
+            .bind(i64::from(limit))
+            .fetch_all(&self.database.reader)
+            .await?;
         let open = |row: &AnyRow| {
             Ok(OpenItem {
                 item: number(row.try_get("item")?)?,
@@ -373,7 +393,7 @@ impl Store {
         closed: &[ClosedItem],
     ) -> Result<(), StoreError> {
         let sql = "UPDATE batch_items SET status = $1, cost_usd = $2, error_code = $3, error = $4 WHERE batch_id = $5 AND item = $6";
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         hold.check(&mut tx).await?;
         for ClosedItem { item, status, cost_usd, error } in closed {
             let (code, detail) =
@@ -411,7 +431,7 @@ impl Store {
             .bind(finished)
             .bind(id)
             .bind(from.join(","))
-            .execute(self.writer.pool())
+            .execute(self.database.writer.pool())
             .await?;
         Ok(moved.rows_affected() > 0)
     }
@@ -422,7 +442,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn resume_batch(&self, id: &str, job: &NewJob<'_>) -> Result<Resumed, StoreError> {
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         let resume = "UPDATE batches SET state = 'running', reason = NULL WHERE id = $1 AND state IN ('running', 'paused')";
         if sqlx::query(resume).bind(id).execute(&mut *tx).await?.rows_affected() == 0 {
             tx.forget().await?;
@@ -435,7 +455,7 @@ impl Store {
             tx.commit().await?;
             return Ok(Resumed::GoesOn);
         }
-        let job = super::jobs::insert(&mut tx, &self.new_id(), id, job).await?;
+        let job = super::jobs::insert(&mut tx, &self.database.new_id(), id, job).await?;
         sqlx::query("UPDATE batches SET job_id = $1 WHERE id = $2")
             .bind(&job.id)
             .bind(id)
@@ -462,7 +482,7 @@ impl Store {
             .bind(id)
             .bind(i64::from(from))
             .bind(i64::from(limit))
-            .fetch_all(&self.reader)
+            .fetch_all(&self.database.reader)
             .await?;
         let item = |row: &AnyRow| {
             let (code, detail): (Option<String>, Option<String>) =

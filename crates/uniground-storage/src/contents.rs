@@ -1,8 +1,17 @@
 //! Uploaded bytes, by hash.
 
-use super::{Store, StoreError};
+use super::Blobs;
+use super::StoreError;
+use super::database::Database;
 
-impl Store {
+/// Uploaded scans, stored once per SHA-256.
+#[derive(Clone)]
+pub struct ContentRepository {
+    pub(super) database: Database,
+    pub(super) blobs: Blobs,
+}
+
+impl ContentRepository {
     /// Whether these bytes are stored.
     ///
     /// # Errors
@@ -10,7 +19,7 @@ impl Store {
     pub async fn has_content(&self, hash: &str) -> Result<bool, StoreError> {
         let found: Option<i64> = sqlx::query_scalar("SELECT 1 FROM contents WHERE hash = $1")
             .bind(hash)
-            .fetch_optional(&self.reader)
+            .fetch_optional(&self.database.reader)
             .await?;
         Ok(found.is_some())
     }
@@ -21,7 +30,7 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn all_contents(&self) -> Result<Vec<String>, StoreError> {
         Ok(sqlx::query_scalar("SELECT hash FROM contents ORDER BY hash")
-            .fetch_all(&self.reader)
+            .fetch_all(&self.database.reader)
             .await?)
     }
 }

@@ -46,6 +46,7 @@ impl Store {
         let members = Membership::join(&Location::Folder, Company::None, LEASE).await?;
         let store = Self::connect(
             Connections::to_file(&database).await?,
+            None,
             folder,
             Blobs::look_only(data_dir)?,
             members,

@@ -1,8 +1,9 @@
 //! What people say of parses that are wrong.
 
+use super::database::Database;
 use super::database::number;
 use super::parses::{insert_instance, note_change};
-use super::{Store, StoreError, now};
+use super::{StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{FromRow, Row};
 use uniground_geometry::scene::{Instance, InstanceId};
@@ -53,7 +54,13 @@ pub struct NewCorrection<'a> {
     pub made: Option<Instance>,
 }
 
-impl Store {
+/// Corrections of instances by people.
+#[derive(Clone)]
+pub struct CorrectionRepository {
+    pub(super) database: Database,
+}
+
+impl CorrectionRepository {
     /// Records a correction, with the instance it makes, as one. `None` when the parse is gone, or
     /// has `most` corrections already.
     ///
@@ -65,7 +72,7 @@ impl Store {
         most: u32,
     ) -> Result<Option<Correction>, StoreError> {
         let NewCorrection { parse_id, change, author, made } = new;
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         let sql = "SELECT (SELECT count(*) FROM corrections WHERE parse_id = $1), (SELECT max(id) FROM instances WHERE parse_id = $1)";
         let (count, last): (i64, Option<i64>) =
             sqlx::query_as(sql).bind(parse_id).fetch_one(&mut *tx).await?;
@@ -79,7 +86,7 @@ impl Store {
             insert_instance(&mut tx, parse_id, made).await?;
         }
         let correction = Correction {
-            id: self.new_id(),
+            id: self.database.new_id(),
             change: change.clone(),
             made: made.map(|made| made.id),
             author: author.map(str::to_owned),
@@ -107,7 +114,7 @@ impl Store {
     pub async fn corrections(&self, parse_id: &str) -> Result<Vec<Correction>, StoreError> {
         let sql = "SELECT * FROM corrections WHERE parse_id = $1 ORDER BY id";
         let rows: Vec<CorrectionRow> =
-            sqlx::query_as(sql).bind(parse_id).fetch_all(&self.reader).await?;
+            sqlx::query_as(sql).bind(parse_id).fetch_all(&self.database.reader).await?;
         rows.into_iter().map(CorrectionRow::read).collect()
     }
 
@@ -116,7 +123,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn undo_correction(&self, id: &str) -> Result<(), StoreError> {
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         let sql = "UPDATE corrections SET undone_at = $1 WHERE id = $2 AND undone_at IS NULL RETURNING parse_id";
         let undone: Option<String> =
             sqlx::query_scalar(sql).bind(now()).bind(id).fetch_optional(&mut *tx).await?;

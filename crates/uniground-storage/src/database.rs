@@ -3,6 +3,9 @@
 //! `migrations/`.
 
 use super::StoreError;
+use super::ids::IdGenerator;
+use super::members::Membership;
+use super::writer::Writer;
 use camino::Utf8Path;
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
 use serde::{Deserialize, Serialize};
@@ -373,6 +376,38 @@ where
     T::Error: std::error::Error + Send + Sync + 'static,
 {
     T::try_from(kept).map_err(|error| sqlx::Error::Decode(error.into()))
+}
+
+/// The database of a store, as its repositories use it. Cheap to clone.
+#[derive(Clone)]
+pub struct Database {
+    pub(super) reader: AnyPool,
+    pub(super) writer: Writer,
+    pub(super) engine: Engine,
+    pub(super) ids: IdGenerator,
+    pub(super) members: Membership,
+    /// PostgreSQL's server, where the database is one of its.
+    pub(super) server: Option<PostgresUrl>,
+}
+
+impl Database {
+    /// An id for something new, greater than all before it.
+    #[must_use]
+    pub fn new_id(&self) -> String {
+        self.ids.new_id()
+    }
+
+    /// Gives the room that the database's log takes back to the disk. Rows that were removed leave
+    /// room in the database, for others.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn truncate_log(&self) -> Result<(), StoreError> {
+        for &sql in self.engine.truncate_log() {
+            sqlx::query(sql).execute(self.writer.pool()).await?;
+        }
+        Ok(())
+    }
 }
 
 #[cfg(test)]

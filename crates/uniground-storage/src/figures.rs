@@ -1,7 +1,9 @@
 //! How much is stored, in numbers. Read beside whoever writes.
 
+use super::StoreError;
+use super::data_folder::DataFolder;
+use super::database::Database;
 use super::database::{Engine, number};
-use super::{Store, StoreError};
 use sqlx::any::AnyRow;
 use sqlx::{AssertSqlSafe, FromRow, Row};
 use std::collections::BTreeMap;
@@ -47,7 +49,14 @@ impl FromRow<'_, AnyRow> for JobFigures {
     }
 }
 
-impl Store {
+/// Counts and sizes of what is stored.
+#[derive(Clone)]
+pub struct StatisticsRepository {
+    pub(super) database: Database,
+    pub(super) folder: DataFolder,
+}
+
+impl StatisticsRepository {
     /// Counts what is stored. It takes milliseconds, and longer with millions of answers.
     ///
     /// # Errors
@@ -55,25 +64,25 @@ impl Store {
     pub async fn figures(&self) -> Result<Figures, StoreError> {
         // Instances as reports tell them: to count them would be to read them.
         let (things, others) = (
-            self.engine.number_in("parse_report", "instances"),
-            self.engine.number_in("parse_report", "parts_and_wholes"),
+            self.database.engine.number_in("parse_report", "instances"),
+            self.database.engine.number_in("parse_report", "parts_and_wholes"),
         );
         let counts = format!(
             "SELECT (SELECT count(*) FROM scenes), (SELECT count(*) FROM parses),
              (SELECT CAST(coalesce(sum({things} + {others}), 0) AS bigint) FROM parses), (SELECT count(*) FROM answers)"
         );
         let counts: (i64, i64, i64, i64) =
-            sqlx::query_as(AssertSqlSafe(counts)).fetch_one(&self.reader).await?;
+            sqlx::query_as(AssertSqlSafe(counts)).fetch_one(&self.database.reader).await?;
         let batches: Vec<(String, i64)> =
             sqlx::query_as("SELECT state, count(*) FROM batches GROUP BY state")
-                .fetch_all(&self.reader)
+                .fetch_all(&self.database.reader)
                 .await?;
         let batches = batches
             .into_iter()
             .map(|(state, batches)| Ok((state, number(batches)?)))
             .collect::<sqlx::Result<_>>()?;
         let jobs = "SELECT kind, state, count(*) AS jobs, min(created_at) AS oldest FROM jobs GROUP BY kind, state ORDER BY kind, state";
-        let jobs = sqlx::query_as(jobs).fetch_all(&self.reader).await?;
+        let jobs = sqlx::query_as(jobs).fetch_all(&self.database.reader).await?;
         let (folder, of_server) = (self.folder.clone(), self.bytes_on_server().await?);
         let sizes = spawn_blocking(move || {
             let here = || {
@@ -98,17 +107,16 @@ impl Store {
 
     /// Bytes of a database that is not in the data folder.
     async fn bytes_on_server(&self) -> Result<Option<u64>, StoreError> {
-        let Engine::Postgres = self.engine else { return Ok(None) };
+        let Engine::Postgres = self.database.engine else { return Ok(None) };
         let bytes = sqlx::query_scalar("SELECT pg_database_size(current_database())")
-            .fetch_one(&self.reader);
+            .fetch_one(&self.database.reader);
         Ok(Some(number(bytes.await?)?))
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::{BlobHome, Location, NewJob};
+    use crate::{BlobHome, Location, NewJob, Store};
     use camino::Utf8Path;
 
     fn written(kind: &str) -> NewJob<'_> {
@@ -125,14 +133,14 @@ mod tests {
         )
         .await
         .unwrap();
-        let empty = store.figures().await.unwrap();
+        let empty = store.statistics.figures().await.unwrap();
         assert_eq!((empty.scenes, empty.answers, empty.jobs.len()), (0, 0, 0));
         assert!(empty.database_bytes > 4096 && empty.free_bytes > 0);
-        let first = store.insert_job("s", &written("parse")).await.unwrap();
-        store.insert_job("s", &written("parse")).await.unwrap();
-        store.insert_job("s", &written("naming")).await.unwrap();
-        store.claim_job("naming").await.unwrap();
-        let jobs = store.figures().await.unwrap().jobs;
+        let first = store.jobs.insert_job("s", &written("parse")).await.unwrap();
+        store.jobs.insert_job("s", &written("parse")).await.unwrap();
+        store.jobs.insert_job("s", &written("naming")).await.unwrap();
+        store.jobs.claim_job("naming").await.unwrap();
+        let jobs = store.statistics.figures().await.unwrap().jobs;
         let told: Vec<_> =
             jobs.iter().map(|j| (j.kind.as_str(), j.state.as_str(), j.jobs)).collect();
         assert_eq!(told, [("naming", "running", 1), ("parse", "queued", 2)]);

@@ -1,9 +1,12 @@
 //! Scenes that grow: another content for the same scene, and what changed in it.
 
+use super::ContentRepository;
+use super::ParseRepository;
+use super::SceneRepository;
 use super::database::number;
 use super::scenes::{add_job, made_by_key};
 use super::writer::Transaction;
-use super::{JobRow, NewJob, SceneRow, Store, StoreError, now};
+use super::{JobRow, NewJob, SceneRow, StoreError, now};
 use camino::Utf8PathBuf;
 use uniground_types::changes::Changes;
 use uniground_types::corrections::Correction;
@@ -40,7 +43,7 @@ pub struct Continued<'a> {
     pub corrections: &'a [Correction],
 }
 
-impl Store {
+impl SceneRepository {
     /// Gives a scene another content and the job that parses it, as one.
     ///
     /// # Errors
@@ -48,7 +51,7 @@ impl Store {
     pub async fn grow_scene(&self, growth: Growth<'_>) -> Result<Grew, StoreError> {
         let Growth { scene_id, from_content, content_hash, content_bytes, key, job } = growth;
         let time = now();
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         if let Some((key, request)) = key
             && let Some((scene, before)) = made_by_key(&mut tx, key).await?
         {
@@ -87,7 +90,7 @@ impl Store {
                 .execute(&mut *tx)
                 .await?;
         }
-        let job = add_job(&mut tx, scene_id, &self.new_id(), job).await?;
+        let job = add_job(&mut tx, scene_id, &self.database.new_id(), job).await?;
         let scene = sqlx::query_as("SELECT * FROM scenes WHERE id = $1")
             .bind(scene_id)
             .fetch_one(&mut *tx)
@@ -110,13 +113,15 @@ impl Store {
         let rows: Vec<(i64, String)> = sqlx::query_as(sql)
             .bind(scene_id)
             .bind(i64::from(since))
-            .fetch_all(&self.reader)
+            .fetch_all(&self.database.reader)
             .await?;
         rows.into_iter()
             .map(|(version, body)| Ok((number(version)?, serde_json::from_str(&body)?)))
             .collect()
     }
+}
 
+impl ContentRepository {
     /// Contents that a scene has outgrown: neither a scene nor a parse is of them any more.
     ///
     /// # Errors
@@ -125,7 +130,7 @@ impl Store {
         let sql = format!("SELECT hash FROM contents WHERE {OUTGROWN} LIMIT $1");
         Ok(sqlx::query_scalar(sqlx::AssertSqlSafe(sql))
             .bind(i64::from(limit))
-            .fetch_all(&self.reader)
+            .fetch_all(&self.database.reader)
             .await?)
     }
 
@@ -134,7 +139,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn remove_outgrown(&self, hash: &str) -> Result<Vec<Utf8PathBuf>, StoreError> {
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         let removed = self.remove_outgrown_row(&mut tx, hash).await?;
         tx.commit().await?;
         Ok(if removed {
@@ -196,7 +201,9 @@ impl Store {
         }
         Ok(folders)
     }
+}
 
+impl ParseRepository {
     /// Notes what a parse takes over.
     pub(super) async fn continue_parse(
         &self,
@@ -217,7 +224,7 @@ impl Store {
             .await?;
         for correction in *corrections {
             sqlx::query("INSERT INTO corrections (id, parse_id, change, made, author, created_at) VALUES ($1, $2, $3, $4, $5, $6)")
-                .bind(self.new_id())
+                .bind(self.database.new_id())
                 .bind(parse_id)
                 .bind(serde_json::to_string(&correction.change)?)
                 .bind(correction.made.map(|id| i64::from(id.0)))
@@ -227,7 +234,7 @@ impl Store {
                 .await?;
         }
         // What a model called things that are still there.
-        let gone = self.engine.has_field("body", "gone");
+        let gone = self.database.engine.has_field("body", "gone");
         let sql = format!(
             "INSERT INTO instance_names (parse_id, model, prompt_version, instance_id, name, created_at)
                    SELECT $1, model, prompt_version, instance_id, name, created_at FROM instance_names AS known

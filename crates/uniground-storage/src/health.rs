@@ -1,7 +1,11 @@
 //! Whether what is stored can be read and written now.
 
+use super::Blobs;
+use super::IntegrityRepository;
+use super::StoreError;
+use super::data_folder::DataFolder;
+use super::database::Database;
 use super::database::Engine;
-use super::{Store, StoreError};
 use std::io;
 use std::time::Duration;
 use tokio::task::spawn_blocking;
@@ -38,7 +42,15 @@ const TABLES: [(&str, &str); 8] = [
     ("audit", "id"),
 ];
 
-impl Store {
+/// Checks whether the store can be read and written now.
+#[derive(Clone)]
+pub struct HealthProbe {
+    pub(super) database: Database,
+    pub(super) blobs: Blobs,
+    pub(super) folder: DataFolder,
+}
+
+impl HealthProbe {
     /// Tries everything a request may need: a write, a read, room on the disk.
     pub async fn health(&self) -> StoreHealth {
         let written = timeout(PATIENCE, self.write_something()).await;
@@ -92,23 +104,8 @@ impl Store {
         Ok(self.folder.free_bytes()?)
     }
 
-    /// What SQLite finds wrong with the database; nothing where all is well. PostgreSQL checks its
-    /// own pages. Foreign keys: [`broken_references`](Self::broken_references).
-    ///
-    /// # Errors
-    /// [`StoreError::Database`].
-    pub async fn integrity(&self) -> Result<Vec<String>, StoreError> {
-        if self.engine == Engine::Postgres {
-            return Ok(Vec::new());
-        }
-        let mut complaints: Vec<String> =
-            sqlx::query_scalar("PRAGMA integrity_check").fetch_all(&self.reader).await?;
-        complaints.retain(|complaint| complaint != "ok");
-        Ok(complaints)
-    }
-
     async fn write_something(&self) -> Result<(), StoreError> {
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         sqlx::query("UPDATE data_folder SET since = since").execute(&mut *tx).await?;
         tx.commit().await
     }
@@ -116,8 +113,8 @@ impl Store {
     /// Reads the oldest and the newest row of every large table, and what a question about the
     /// newest parse needs: from the file, not from memory.
     async fn read_something(&self) -> Result<(), StoreError> {
-        let mut connection = self.reader.acquire().await?;
-        let columns = match self.engine {
+        let mut connection = self.database.reader.acquire().await?;
+        let columns = match self.database.engine {
             Engine::Sqlite => {
                 // The pages that this connection keeps in memory may be all that is left of the
                 // file.
@@ -136,5 +133,22 @@ impl Store {
         let sql = "SELECT count(*) FROM instances WHERE parse_id = (SELECT max(id) FROM parses) AND length(body) > 0";
         sqlx::query(sql).fetch_optional(&mut *connection).await?;
         Ok(())
+    }
+}
+
+impl IntegrityRepository {
+    /// What SQLite finds wrong with the database; nothing where all is well. PostgreSQL checks its
+    /// own pages. Foreign keys: [`broken_references`](Self::broken_references).
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn integrity(&self) -> Result<Vec<String>, StoreError> {
+        if self.database.engine == Engine::Postgres {
+            return Ok(Vec::new());
+        }
+        let mut complaints: Vec<String> =
+            sqlx::query_scalar("PRAGMA integrity_check").fetch_all(&self.database.reader).await?;
+        complaints.retain(|complaint| complaint != "ok");
+        Ok(complaints)
     }
 }

@@ -6,9 +6,15 @@ use uuid::{ContextV7, Uuid};
 
 /// Makes UUIDv7 ids, each greater than all before it. Clones share the order.
 #[derive(Clone)]
-pub(super) struct Ids(Arc<Mutex<ContextV7>>);
+pub struct IdGenerator(Arc<Mutex<ContextV7>>);
 
-impl Ids {
+impl IdGenerator {
+    /// An id for something new, greater than all before it.
+    #[must_use]
+    pub fn new_id(&self) -> String {
+        self.at(Timestamp::now())
+    }
+
     /// Goes on after `newest`, the greatest id there is.
     pub fn after(newest: Option<&str>) -> Self {
         let context = ContextV7::new();
@@ -32,6 +38,13 @@ impl Ids {
     }
 }
 
+/// The first id that could have been given at a time: ids before it are older.
+#[must_use]
+pub fn first_id_at(time: Timestamp) -> String {
+    let millis = u64::try_from(time.as_millisecond()).unwrap_or(0);
+    uuid::Builder::from_unix_timestamp_millis(millis, &[0; 10]).into_uuid().to_string()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -40,11 +53,11 @@ mod tests {
     fn a_clock_that_is_set_back_does_not_reorder() {
         let (day, hour) =
             ("2026-11-20T12:00:00Z".parse().unwrap(), "2026-11-20T11:00:00Z".parse().unwrap());
-        let ids = Ids::after(None);
+        let ids = IdGenerator::after(None);
         let made: Vec<String> = [day, day, hour, hour].map(|time| ids.at(time)).into();
         assert!(made.is_sorted() && made[0] < made[3], "{made:?}");
         // Nor does one that is set back while the server is down.
-        let later = Ids::after(Some(&made[3])).at(hour);
+        let later = IdGenerator::after(Some(&made[3])).at(hour);
         assert!(later > made[3], "{later} after {made:?}");
     }
 }

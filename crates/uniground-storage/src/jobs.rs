@@ -1,7 +1,9 @@
 //! The durable side of the job queue.
 
+use super::database::Database;
 use super::database::{Conditions, number, without_nul};
-use super::{Store, StoreError, now};
+use super::first_id_at;
+use super::{StoreError, now};
 use jiff::Timestamp;
 use sqlx::any::AnyRow;
 use sqlx::{AnyConnection, FromRow, Row};
@@ -153,7 +155,7 @@ pub(super) async fn insert_done(
 
 /// How jobs that were interrupted are taken up again.
 #[derive(Debug, Clone, Copy)]
-pub struct Recovery {
+pub struct JobRecovery {
     /// Interruptions in a row, without getting further than before, after which a job fails.
     pub give_up_after: u32,
     /// As many are taken up at once; from then on it waits, twice as long each time.
@@ -167,12 +169,18 @@ const TRIES_TO_CLAIM: u32 = 8;
 /// A wait beyond this is none: the clock was set back since it was written down.
 const LONGEST_WAIT: Duration = Duration::from_hours(2);
 
-impl Store {
+/// Rows of background jobs.
+#[derive(Clone)]
+pub struct JobRepository {
+    pub(super) database: Database,
+}
+
+impl JobRepository {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn insert_job(&self, subject: &str, new: &NewJob<'_>) -> Result<JobRow, StoreError> {
-        let mut tx = self.writer.begin().await?;
-        let row = insert(&mut tx, &self.new_id(), subject, new).await?;
+        let mut tx = self.database.writer.begin().await?;
+        let row = insert(&mut tx, &self.database.new_id(), subject, new).await?;
         tx.commit().await?;
         Ok(row)
     }
@@ -182,7 +190,7 @@ impl Store {
     pub async fn job(&self, id: &str) -> Result<Option<JobRow>, StoreError> {
         Ok(sqlx::query_as("SELECT * FROM jobs WHERE id = $1")
             .bind(id)
-            .fetch_optional(&self.reader)
+            .fetch_optional(&self.database.reader)
             .await?)
     }
 
@@ -202,7 +210,7 @@ impl Store {
         which.and("kind =", kind.as_ref());
         which.and("state =", state.map(JobState::word));
         which.and("subject =", subject.as_ref());
-        which.first("id DESC", limit, &self.reader).await
+        which.first("id DESC", limit, &self.database.reader).await
     }
 
     /// Jobs of a kind that wait.
@@ -217,7 +225,7 @@ impl Store {
         let sql = "SELECT count(*), coalesce(sum(CASE WHEN key_id IS NOT DISTINCT FROM $2 THEN 1 ELSE 0 END), 0) FROM jobs
                    WHERE kind = $1 AND state = 'queued'";
         let (all, of_key): (i64, i64) =
-            sqlx::query_as(sql).bind(kind).bind(key_id).fetch_one(&self.reader).await?;
+            sqlx::query_as(sql).bind(kind).bind(key_id).fetch_one(&self.database.reader).await?;
         Ok(Queued { all: number(all)?, of_key: number(of_key)? })
     }
 
@@ -227,7 +235,9 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn jobs_ahead(&self, kind: &str, id: &str) -> Result<u32, StoreError> {
         let sql = "SELECT count(*) FROM jobs WHERE kind = $1 AND state = 'queued' AND id < $2";
-        Ok(number(sqlx::query_scalar(sql).bind(kind).bind(id).fetch_one(&self.reader).await?)?)
+        Ok(number(
+            sqlx::query_scalar(sql).bind(kind).bind(id).fetch_one(&self.database.reader).await?,
+        )?)
     }
 
     /// How many jobs of a kind were done lately: those asked for within `lately` that have come to
@@ -240,8 +250,8 @@ impl Store {
         let sql = "SELECT count(*) FROM jobs WHERE kind = $1 AND state IN ('succeeded', 'failed') AND id >= $2 AND attempts > 0";
         let done = sqlx::query_scalar(sql)
             .bind(kind)
-            .bind(Self::first_id_at(since))
-            .fetch_one(&self.reader);
+            .bind(first_id_at(since))
+            .fetch_one(&self.database.reader);
         Ok(number(done.await?)?)
     }
 
@@ -259,7 +269,7 @@ impl Store {
         for _ in 0..TRIES_TO_CLAIM {
             // Looked for among the readers first: a queue that is empty writes nothing.
             let id = sqlx::query_scalar(due).bind(kind).bind(&time).bind(&too_late);
-            let id: Option<String> = id.fetch_optional(&self.reader).await?;
+            let id: Option<String> = id.fetch_optional(&self.database.reader).await?;
             let Some(id) = id else { return Ok(None) };
             // Where somebody was faster there may be another.
             if let Some(job) = self.take_job(&id, &time).await? {
@@ -273,8 +283,9 @@ impl Store {
         // Who is no member any more takes nothing: it would be taken from him at once.
         let sql = "UPDATE jobs SET state = 'running', attempts = attempts + 1, started_at = $1, stage = NULL, progress = 0, holder = $3
                    WHERE id = $2 AND state = 'queued' AND EXISTS (SELECT 1 FROM members WHERE id = $3) RETURNING *";
-        let claim = sqlx::query_as(sql).bind(time).bind(id).bind(self.members.id().to_string());
-        Ok(claim.fetch_optional(self.writer.pool()).await?)
+        let claim =
+            sqlx::query_as(sql).bind(time).bind(id).bind(self.database.members.id().to_string());
+        Ok(claim.fetch_optional(self.database.writer.pool()).await?)
     }
 
     /// Notes how far a job is; whether somebody wants it to stop.
@@ -294,7 +305,7 @@ impl Store {
             .bind(&hold.job_id)
             .bind(&hold.holder);
         let wished: i64 =
-            save.fetch_optional(self.writer.pool()).await?.ok_or(StoreError::NotHeld)?;
+            save.fetch_optional(self.database.writer.pool()).await?.ok_or(StoreError::NotHeld)?;
         Ok(wished != 0)
     }
 
@@ -350,7 +361,7 @@ impl Store {
             .bind(now())
             .bind(id)
             .bind(holder)
-            .execute(self.writer.pool())
+            .execute(self.database.writer.pool())
             .await?;
         Ok(ended.rows_affected() > 0)
     }
@@ -361,7 +372,12 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn cancel_queued_job(&self, id: &str) -> Result<bool, StoreError> {
         let sql = "UPDATE jobs SET state = 'cancelled', finished_at = $1 WHERE id = $2 AND state = 'queued'";
-        Ok(sqlx::query(sql).bind(now()).bind(id).execute(self.writer.pool()).await?.rows_affected()
+        Ok(sqlx::query(sql)
+            .bind(now())
+            .bind(id)
+            .execute(self.database.writer.pool())
+            .await?
+            .rows_affected()
             > 0)
     }
 
@@ -371,7 +387,7 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn open_jobs_of(&self, subject: &str) -> Result<Vec<String>, StoreError> {
         let sql = "SELECT id FROM jobs WHERE subject = $1 AND state IN ('queued', 'running')";
-        Ok(sqlx::query_scalar(sql).bind(subject).fetch_all(&self.reader).await?)
+        Ok(sqlx::query_scalar(sql).bind(subject).fetch_all(&self.database.reader).await?)
     }
 
     /// Puts a running job back: its process stops, another goes on. A planned stop does not count
@@ -385,7 +401,7 @@ impl Store {
         let put_back = sqlx::query(sql)
             .bind(&hold.job_id)
             .bind(&hold.holder)
-            .execute(self.writer.pool())
+            .execute(self.database.writer.pool())
             .await?;
         if put_back.rows_affected() > 0 { Ok(()) } else { Err(StoreError::NotHeld) }
     }
@@ -410,7 +426,7 @@ impl Store {
             .bind(progress)
             .bind(&hold.job_id)
             .bind(&hold.holder)
-            .execute(self.writer.pool())
+            .execute(self.database.writer.pool())
             .await?;
         if put_back.rows_affected() > 0 { Ok(()) } else { Err(StoreError::NotHeld) }
     }
@@ -422,7 +438,7 @@ impl Store {
     pub async fn request_cancel(&self, id: &str) -> Result<(), StoreError> {
         let sql =
             "UPDATE jobs SET cancel_requested = 1 WHERE id = $1 AND state IN ('queued', 'running')";
-        sqlx::query(sql).bind(id).execute(self.writer.pool()).await?;
+        sqlx::query(sql).bind(id).execute(self.database.writer.pool()).await?;
         Ok(())
     }
 
@@ -434,7 +450,7 @@ impl Store {
         let wished: Option<i64> =
             sqlx::query_scalar("SELECT cancel_requested FROM jobs WHERE id = $1")
                 .bind(id)
-                .fetch_optional(&self.reader)
+                .fetch_optional(&self.database.reader)
                 .await?;
         Ok(wished.is_some_and(|wished| wished != 0))
     }
@@ -445,7 +461,7 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn open_jobs(&self) -> Result<Vec<(String, String)>, StoreError> {
         let sql = "SELECT id, kind FROM jobs WHERE state IN ('queued', 'running')";
-        Ok(sqlx::query_as(sql).fetch_all(&self.reader).await?)
+        Ok(sqlx::query_as(sql).fetch_all(&self.database.reader).await?)
     }
 
     /// Jobs that are not over though their scene is gone: id and subject.
@@ -454,7 +470,7 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn jobs_without_scene(&self) -> Result<Vec<(String, String)>, StoreError> {
         let sql = "SELECT id, subject FROM jobs WHERE state IN ('queued', 'running') AND NOT EXISTS (SELECT 1 FROM scenes WHERE id = subject)";
-        Ok(sqlx::query_as(sql).fetch_all(&self.reader).await?)
+        Ok(sqlx::query_as(sql).fetch_all(&self.database.reader).await?)
     }
 
     /// Ends a job whose scene is gone.
@@ -472,19 +488,19 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn recover_jobs(&self, kind: &str, recovery: Recovery) -> Result<(), StoreError> {
+    pub async fn recover_jobs(&self, kind: &str, recovery: JobRecovery) -> Result<(), StoreError> {
         const LEFT: &str = "kind = $1 AND state = 'running' AND (holder IS NULL OR holder NOT IN (SELECT id FROM members))";
         // Looked for among the readers first: where nobody is gone, nothing is written.
         let left = format!("SELECT count(*) FROM jobs WHERE {LEFT}");
         let left: i64 = sqlx::query_scalar(sqlx::AssertSqlSafe(left))
             .bind(kind)
-            .fetch_one(&self.reader)
+            .fetch_one(&self.database.reader)
             .await?;
         if left == 0 {
             return Ok(());
         }
-        let Recovery { give_up_after, at_once, wait } = recovery;
-        let mut tx = self.writer.begin().await?;
+        let JobRecovery { give_up_after, at_once, wait } = recovery;
+        let mut tx = self.database.writer.begin().await?;
         let stop = format!(
             "UPDATE jobs SET state = 'cancelled', finished_at = $2 WHERE {LEFT} AND cancel_requested = 1"
         );

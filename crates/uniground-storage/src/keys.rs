@@ -1,8 +1,9 @@
 //! Keys of callers, what they may spend, and what was done with them.
 
+use super::database::Database;
 use super::database::number;
 use super::writer::Writer;
-use super::{Store, StoreError, now};
+use super::{StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{FromRow, Row};
 use uniground_types::keys::{AuditEntry, Scope};
@@ -82,7 +83,13 @@ impl AuditWriter {
     }
 }
 
-impl Store {
+/// API keys and the audit log.
+#[derive(Clone)]
+pub struct KeyRepository {
+    pub(super) database: Database,
+}
+
+impl KeyRepository {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn insert_key(&self, key: &KeyRow) -> Result<(), StoreError> {
@@ -102,7 +109,7 @@ impl Store {
             .bind(key.max_scenes.map(i64::from))
             .bind(key.daily_usd)
             .bind(&key.created_at)
-            .execute(self.writer.pool())
+            .execute(self.database.writer.pool())
             .await?;
         Ok(())
     }
@@ -112,7 +119,9 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn all_keys(&self) -> Result<Vec<KeyRow>, StoreError> {
-        Ok(sqlx::query_as("SELECT * FROM keys ORDER BY id").fetch_all(&self.reader).await?)
+        Ok(sqlx::query_as("SELECT * FROM keys ORDER BY id")
+            .fetch_all(&self.database.reader)
+            .await?)
     }
 
     /// Keys newest first, those before `cursor` (an id) only.
@@ -121,7 +130,11 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn keys(&self, limit: u32, cursor: Option<&str>) -> Result<Vec<KeyRow>, StoreError> {
         let sql = "SELECT * FROM keys WHERE $1 IS NULL OR id < $1 ORDER BY id DESC LIMIT $2";
-        Ok(sqlx::query_as(sql).bind(cursor).bind(i64::from(limit)).fetch_all(&self.reader).await?)
+        Ok(sqlx::query_as(sql)
+            .bind(cursor)
+            .bind(i64::from(limit))
+            .fetch_all(&self.database.reader)
+            .await?)
     }
 
     /// Has a key refused from now on; as it is then, or `None` where there is none. Who was first
@@ -131,7 +144,11 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn revoke_key(&self, id: &str) -> Result<Option<KeyRow>, StoreError> {
         let sql = "UPDATE keys SET revoked_at = coalesce(revoked_at, $1) WHERE id = $2 RETURNING *";
-        Ok(sqlx::query_as(sql).bind(now()).bind(id).fetch_optional(self.writer.pool()).await?)
+        Ok(sqlx::query_as(sql)
+            .bind(now())
+            .bind(id)
+            .fetch_optional(self.database.writer.pool())
+            .await?)
     }
 
     /// Notes when keys were last shown.
@@ -142,7 +159,7 @@ impl Store {
         sqlx::query("UPDATE keys SET last_used_at = $1 WHERE id = $2")
             .bind(at)
             .bind(id)
-            .execute(self.writer.pool())
+            .execute(self.database.writer.pool())
             .await?;
         Ok(())
     }
@@ -161,7 +178,8 @@ impl Store {
         key_id: &str,
         per_minute: u32,
     ) -> Result<Result<f64, f64>, StoreError> {
-        let (clock, share) = (self.engine.clock(), MINUTE_S / f64::from(per_minute.max(1)));
+        let (clock, share) =
+            (self.database.engine.clock(), MINUTE_S / f64::from(per_minute.max(1)));
         let sql = format!(
             "INSERT INTO key_rates (key_id, full_at) VALUES ($1, {clock} + $2)
              ON CONFLICT (key_id) DO UPDATE SET full_at = greatest(key_rates.full_at, {clock}) + $2
@@ -170,13 +188,13 @@ impl Store {
         );
         let taken =
             sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).bind(key_id).bind(share).bind(MINUTE_S);
-        if let Some(until_full) = taken.fetch_optional(self.writer.pool()).await? {
+        if let Some(until_full) = taken.fetch_optional(self.database.writer.pool()).await? {
             return Ok(Ok(until_full));
         }
         let sql = format!("SELECT full_at - {clock} FROM key_rates WHERE key_id = $1");
         let until_full: Option<f64> = sqlx::query_scalar(sqlx::AssertSqlSafe(sql))
             .bind(key_id)
-            .fetch_optional(self.writer.pool())
+            .fetch_optional(self.database.writer.pool())
             .await?;
         Ok(Err((until_full.unwrap_or(0.0) + share - MINUTE_S).max(0.0)))
     }
@@ -190,7 +208,7 @@ impl Store {
             sqlx::query_scalar("SELECT usd FROM key_spending WHERE key_id = $1 AND day = $2")
                 .bind(key_id)
                 .bind(day)
-                .fetch_optional(&self.reader)
+                .fetch_optional(&self.database.reader)
                 .await?;
         Ok(usd.unwrap_or(0.0))
     }
@@ -202,13 +220,13 @@ impl Store {
     pub async fn scenes_of_key(&self, key_id: &str) -> Result<u32, StoreError> {
         let scenes =
             sqlx::query_scalar("SELECT count(*) FROM scenes WHERE key_id = $1").bind(key_id);
-        Ok(number(scenes.fetch_one(&self.reader).await?)?)
+        Ok(number(scenes.fetch_one(&self.database.reader).await?)?)
     }
 
     /// Returns what writes audit entries.
     #[must_use]
     pub fn audit_writer(&self) -> AuditWriter {
-        AuditWriter(self.writer.clone())
+        AuditWriter(self.database.writer.clone())
     }
 
     /// What was done, newest first, before `cursor` (an id) only.
@@ -221,8 +239,11 @@ impl Store {
         cursor: Option<&str>,
     ) -> Result<Vec<AuditEntry>, StoreError> {
         let sql = "SELECT * FROM audit WHERE $1 IS NULL OR id < $1 ORDER BY id DESC LIMIT $2";
-        let rows =
-            sqlx::query(sql).bind(cursor).bind(i64::from(limit)).fetch_all(&self.reader).await?;
+        let rows = sqlx::query(sql)
+            .bind(cursor)
+            .bind(i64::from(limit))
+            .fetch_all(&self.database.reader)
+            .await?;
         let entry = |row: &AnyRow| {
             Ok(AuditEntry {
                 id: row.try_get("id")?,

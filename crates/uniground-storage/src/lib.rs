@@ -21,6 +21,7 @@ mod health;
 mod ids;
 mod jobs;
 mod keys;
+mod locks;
 mod members;
 mod migrations;
 mod moving;
@@ -41,47 +42,52 @@ mod vectors;
 mod vlm;
 mod writer;
 
-pub use answers::{AnswerFilter, AnswerRow, NewAnswer};
+pub use announcements::WebhookRepository;
+pub use answers::{AnswerFilter, AnswerRepository, AnswerRow, NewAnswer};
 pub use backup::{BackedUp, BackupError, Restored, Source, Target, back_up, check, restore};
 pub use batches::{
-    BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, ReceivedBatch, Resumed, Submitted,
+    BatchRepository, BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, ReceivedBatch,
+    Resumed, Submitted,
 };
 pub use blobs::{
     AccessKeys, Away, BlobHome, Blobs, BlobsAt, Bucket, Damage, GrowingFile, Kept, KeptCheckpoints,
     Links, Look, Measured, Prepared, Scratch, size_of,
 };
-pub use corrections::NewCorrection;
+pub use contents::ContentRepository;
+pub use corrections::{CorrectionRepository, NewCorrection};
 pub use database::{Location, PostgresUrl};
-pub use figures::{Figures, JobFigures};
+pub use figures::{Figures, JobFigures, StatisticsRepository};
 pub use growth::{Continued, Grew, Growth};
-pub use health::StoreHealth;
-pub use jobs::{Hold, JobFilter, JobRow, JobState, NewJob, Queued, Recovery};
-pub use keys::{AuditWriter, KeyRow};
+pub use health::{HealthProbe, StoreHealth};
+pub use jobs::{Hold, JobFilter, JobRecovery, JobRepository, JobRow, JobState, NewJob, Queued};
+pub use keys::{AuditWriter, KeyRepository, KeyRow};
+pub use locks::NamedLocks;
 pub use members::{Company, LEASE, Turn};
 pub use moving::{KindOfFiles, MoveError, Moved, Part, Place, Progress, move_over};
-pub use news::{News, Newsroom};
+pub use news::{News, Newsroom, Notifications};
 pub use orphans::Orphan;
-pub use parses::{NewParse, ParseRow};
+pub use parses::{NewParse, ParseRepository, ParseRow};
 pub use records::ParseRecord;
-pub use references::BrokenReference;
-pub use retention::{Aged, Before, Due};
-pub use room_index::{FoundEntry, RoomEntry, ToIndex};
-pub use scenes::{Inserted, NewSceneRow, SceneFilter, SceneRow, SceneRowChange};
-pub use sweep::{KEEP_QUARANTINE_DAYS, Strays};
-pub use uploads::{CameOf, Unfinished, UploadRow, WantedScene};
+pub use recovery::Recovery;
+pub use references::{BrokenReference, IntegrityRepository};
+pub use reserve::Reserve;
+pub use retention::{Aged, Before, Due, RetentionRepository};
+pub use room_index::{FoundEntry, RoomEntry, RoomIndexRepository, ToIndex};
+pub use scenes::{Inserted, NewSceneRow, SceneFilter, SceneRepository, SceneRow, SceneRowChange};
+pub use sweep::{KEEP_QUARANTINE_DAYS, OrphanRepository, Strays};
+pub use uploads::{CameOf, Unfinished, UploadRepository, UploadRow, WantedScene};
 pub use vectors::Seen;
-pub use vlm::{Allowance, Short, Wish};
+pub use vlm::{Allowance, NameRepository, Short, SpendingRepository, Wish};
 
 use answers::AnswerQueue;
 use blobs::Files;
 use camino::{Utf8Path, Utf8PathBuf};
 use data_folder::DataFolder;
-use database::{Connections, Engine};
-use ids::Ids;
+use database::{Connections, Database, Engine};
+pub use ids::{IdGenerator, first_id_at};
 use jiff::Timestamp;
 use members::Membership;
 use migrations::migrations;
-use sqlx::AnyPool;
 use sqlx::migrate::MigrateError;
 use std::io;
 use std::sync::Arc;
@@ -242,19 +248,35 @@ enum Leftovers {
     },
 }
 
-/// Handle to everything stored. Cheap to clone.
+/// Everything stored: a repository for each noun, and the files. Cheap to clone.
 #[derive(Clone)]
 pub struct Store {
-    reader: AnyPool,
-    writer: Writer,
-    engine: Engine,
-    answers: AnswerQueue,
-    ids: Ids,
+    pub scenes: SceneRepository,
+    pub contents: ContentRepository,
+    pub parses: ParseRepository,
+    pub answers: AnswerRepository,
+    pub batches: BatchRepository,
+    pub uploads: UploadRepository,
+    pub jobs: JobRepository,
+    pub keys: KeyRepository,
+    pub names: NameRepository,
+    pub spending: SpendingRepository,
+    pub corrections: CorrectionRepository,
+    pub webhooks: WebhookRepository,
+    pub room_index: RoomIndexRepository,
+    pub retention: RetentionRepository,
+    pub orphans: OrphanRepository,
+    pub integrity: IntegrityRepository,
+    pub statistics: StatisticsRepository,
+    pub health: HealthProbe,
+    pub recovery: Recovery,
+    pub reserve: Reserve,
+    pub locks: NamedLocks,
+    pub notifications: Notifications,
+    pub ids: IdGenerator,
     pub blobs: Blobs,
+    database: Database,
     folder: DataFolder,
-    members: Membership,
-    /// PostgreSQL's server, where the database is one of its.
-    server: Option<PostgresUrl>,
     /// Where the database is, if this is [a copy](Self::open_copy); it goes with the last handle.
     _copy: Option<Arc<TempDir>>,
 }
@@ -376,8 +398,7 @@ impl Store {
         };
         let (reader, writer) = (connections.reader.clone(), connections.writer.clone());
         let opened = async {
-            let store =
-                Self { server, ..Self::connect(connections, folder, blobs, members).await? };
+            let store = Self::connect(connections, server, folder, blobs, members).await?;
             if let Leftovers::Clear { .. } = leftovers {
                 store.clear_leftovers().await?;
             }
@@ -396,41 +417,12 @@ impl Store {
     /// Clears what interrupted processes have left, and lets others in. Deleting needs room: on a
     /// full disk that of the reserve.
     async fn clear_leftovers(&self) -> Result<(), StoreError> {
-        if let Some(full) = self.recover().await
+        if let Some(full) = self.recovery.recover().await
             && reserve::make_room_to_open(self.folder.path(), &full)
         {
-            self.recover().await;
+            self.recovery.recover().await;
         }
-        self.members.let_others_in().await
-    }
-
-    /// Waits for the turn at something, by its name: nobody else has it meanwhile, in this process
-    /// or in another.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`].
-    pub async fn turn(&self, name: &str) -> Result<Turn, StoreError> {
-        self.members.turn(name).await
-    }
-
-    /// The turn at something, if nobody has it.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`].
-    pub async fn try_turn(&self, name: &str) -> Result<Option<Turn>, StoreError> {
-        self.members.try_turn(name).await
-    }
-
-    /// Whether other processes may be at work on the same.
-    #[must_use]
-    pub fn is_shared(&self) -> bool {
-        self.members.is_shared()
-    }
-
-    /// Whether no other process was at work on the same when this one came.
-    #[must_use]
-    pub fn came_alone(&self) -> bool {
-        self.members.was_alone
+        self.database.members.let_others_in().await
     }
 
     /// As [`open_as_it_is`](Self::open_as_it_is), where there is a store already.
@@ -449,6 +441,7 @@ impl Store {
     /// A store over a database, which is brought up to date.
     async fn connect(
         connections: Connections,
+        server: Option<PostgresUrl>,
         folder: DataFolder,
         blobs: Blobs,
         members: Membership,
@@ -462,41 +455,113 @@ impl Store {
                       UNION ALL SELECT max(id) FROM corrections UNION ALL SELECT max(id) FROM uploads
                       UNION ALL SELECT max(id) FROM keys UNION ALL SELECT max(id) FROM audit) AS newest";
         let newest: Option<String> = sqlx::query_scalar(newest).fetch_one(&reader).await?;
-        let answers = AnswerQueue::start(writer.clone());
-        let ids = Ids::after(newest.as_deref());
-        let store = Self {
-            reader,
-            writer,
-            engine,
-            answers,
-            ids,
-            blobs,
-            folder,
-            members,
-            server: None,
-            _copy: None,
-        };
+        let ids = IdGenerator::after(newest.as_deref());
+        let database = Database { reader, writer, engine, ids, members, server };
+        let store = Self::over(database, folder, blobs);
         store.introduce().await?;
-        store.members.enter(&store.writer).await?;
+        store.database.members.enter(&store.database.writer).await?;
         Ok(store)
+    }
+
+    /// The repositories over one database.
+    fn over(database: Database, folder: DataFolder, blobs: Blobs) -> Self {
+        let answers = AnswerRepository {
+            database: database.clone(),
+            queue: AnswerQueue::start(database.writer.clone()),
+        };
+        let locks = NamedLocks { members: database.members.clone() };
+        let reserve = Reserve { blobs: blobs.clone(), folder: folder.clone() };
+        let contents = ContentRepository { database: database.clone(), blobs: blobs.clone() };
+        let scenes = SceneRepository {
+            database: database.clone(),
+            blobs: blobs.clone(),
+            contents: contents.clone(),
+        };
+        let parses = ParseRepository { database: database.clone() };
+        let batches = BatchRepository { database: database.clone(), reserve: reserve.clone() };
+        let uploads = UploadRepository { database: database.clone(), blobs: blobs.clone() };
+        let jobs = JobRepository { database: database.clone() };
+        let keys = KeyRepository { database: database.clone() };
+        let names = NameRepository { database: database.clone() };
+        let spending = SpendingRepository { database: database.clone() };
+        let corrections = CorrectionRepository { database: database.clone() };
+        let webhooks = WebhookRepository { database: database.clone() };
+        let room_index = RoomIndexRepository { database: database.clone() };
+        let retention =
+            RetentionRepository { database: database.clone(), batches: batches.clone() };
+        let orphans = OrphanRepository {
+            database: database.clone(),
+            blobs: blobs.clone(),
+            folder: folder.clone(),
+        };
+        let integrity = IntegrityRepository { database: database.clone() };
+        let statistics =
+            StatisticsRepository { database: database.clone(), folder: folder.clone() };
+        let health = HealthProbe {
+            database: database.clone(),
+            blobs: blobs.clone(),
+            folder: folder.clone(),
+        };
+        let notifications = Notifications { database: database.clone() };
+        let recovery = Recovery {
+            database: database.clone(),
+            batches: batches.clone(),
+            blobs: blobs.clone(),
+            contents: contents.clone(),
+            orphans: orphans.clone(),
+            spending: spending.clone(),
+            uploads: uploads.clone(),
+        };
+        Self {
+            scenes,
+            contents,
+            parses,
+            answers,
+            batches,
+            uploads,
+            jobs,
+            keys,
+            names,
+            spending,
+            corrections,
+            webhooks,
+            room_index,
+            retention,
+            orphans,
+            integrity,
+            statistics,
+            health,
+            recovery,
+            reserve,
+            locks,
+            notifications,
+            ids: database.ids.clone(),
+            blobs,
+            database,
+            folder,
+            _copy: None,
+        }
     }
 
     /// Lets the database and where files are kept know each other: the data folder, or an object
     /// store. A file that is new here, or comes from another folder, has no say over files that
     /// are older than that.
     async fn introduce(&self) -> Result<(), StoreError> {
-        let known: Option<String> =
-            sqlx::query_scalar("SELECT id FROM data_folder").fetch_optional(&self.reader).await?;
+        let known: Option<String> = sqlx::query_scalar("SELECT id FROM data_folder")
+            .fetch_optional(&self.database.reader)
+            .await?;
         let id = self.blobs.id().unwrap_or(&self.folder.id);
         if known.as_deref() == Some(id) {
             return Ok(());
         }
         // A file lies in its folder. A server's database may be named with any folder: of two that
         // do not know each other, one is wrong.
-        if self.engine == Engine::Postgres && (known.is_some() || self.blobs.hold_scans().await?) {
+        if self.database.engine == Engine::Postgres
+            && (known.is_some() || self.blobs.hold_scans().await?)
+        {
             return Err(StoreError::NotTogether);
         }
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         sqlx::query("DELETE FROM data_folder").execute(&mut *tx).await?;
         // A database of before folders had ids has known its own since its first scan.
         let since = if known.is_none() {
@@ -509,24 +574,11 @@ impl Store {
         tx.commit().await
     }
 
-    /// An id for something new, greater than all before it.
-    #[must_use]
-    pub fn new_id(&self) -> String {
-        self.ids.at(Timestamp::now())
-    }
-
-    /// The first id that could have been given at a time: ids before it are older.
-    #[must_use]
-    pub fn first_id_at(time: Timestamp) -> String {
-        let millis = u64::try_from(time.as_millisecond()).unwrap_or(0);
-        uuid::Builder::from_unix_timestamp_millis(millis, &[0; 10]).into_uuid().to_string()
-    }
-
     /// Closes the database; WAL is checkpointed.
     pub async fn close(&self) {
-        self.members.leave().await;
-        self.reader.close().await;
-        self.writer.close().await;
+        self.database.members.leave().await;
+        self.database.reader.close().await;
+        self.database.writer.close().await;
     }
 }
 

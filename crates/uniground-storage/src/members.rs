@@ -9,7 +9,7 @@
 //! anything down, and joins anew under another id.
 
 use super::StoreError;
-use super::database::{Engine, KEEPALIVES, Location};
+use super::database::{Database, Engine, KEEPALIVES, Location};
 use super::turns::{LocalTurn, LocalTurns};
 use super::writer::Writer;
 use sha2::{Digest, Sha256};
@@ -495,7 +495,8 @@ impl super::Store {
     /// [`StoreError`].
     #[doc(hidden)]
     pub async fn enter_as_new_process(&self) -> Result<(), StoreError> {
-        *self.members.member.id.write().unwrap_or_else(PoisonError::into_inner) = new_id();
-        self.members.enter(&self.writer).await
+        let Database { members, writer, .. } = &self.database;
+        *members.member.id.write().unwrap_or_else(PoisonError::into_inner) = new_id();
+        members.enter(writer).await
     }
 }

@@ -1,7 +1,8 @@
 //! What other members have done that somebody here waits for, as PostgreSQL tells it. Whoever waits
 //! looks by himself now and then as well: news may be missed.
 
-use super::{Store, StoreError};
+use super::StoreError;
+use super::database::Database;
 use sqlx::postgres::PgListener;
 
 /// Something that another member may have done.
@@ -21,13 +22,19 @@ const KEYS: &str = "uniground_keys";
 /// Where news come in.
 pub struct Newsroom(PgListener);
 
-impl Store {
+/// Notifications between processes that share a PostgreSQL database.
+#[derive(Clone)]
+pub struct Notifications {
+    pub(super) database: Database,
+}
+
+impl Notifications {
     /// What other members do from now on; `None` where there can be none.
     ///
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn newsroom(&self) -> Result<Option<Newsroom>, StoreError> {
-        let Some(url) = &self.server else { return Ok(None) };
+        let Some(url) = &self.database.server else { return Ok(None) };
         let mut listener = PgListener::connect(url.with_password()).await?;
         listener.listen_all([JOBS, KEYS]).await?;
         Ok(Some(Newsroom(listener)))

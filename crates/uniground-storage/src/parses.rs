@@ -1,9 +1,10 @@
 //! Finished parses and their instances.
 
+use super::database::Database;
 use super::database::number;
 use super::growth::Continued;
 use super::records::{InstanceRecord, ParseRecord, RECORD_VERSION};
-use super::{Hold, SceneRow, Store, StoreError, now};
+use super::{Hold, SceneRow, StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{AnyConnection, FromRow, Row};
 use uniground_geometry::boxes::Aabb;
@@ -78,7 +79,13 @@ pub struct NewParse<'a> {
     pub hold: &'a Hold,
 }
 
-impl Store {
+/// Parses and their instances.
+#[derive(Clone)]
+pub struct ParseRepository {
+    pub(super) database: Database,
+}
+
+impl ParseRepository {
     /// Records a parse and its instances as one. `false` when the same content and settings were
     /// recorded before, or the content is gone because its last scene was deleted meanwhile:
     /// then nothing is written.
@@ -99,7 +106,7 @@ impl Store {
             continued,
             hold,
         } = &parse;
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         hold.check(&mut tx).await?;
         let inserted = sqlx::query(
             "INSERT INTO parses (id, content_hash, settings_hash, settings, models, import_report, parse_report, extent, created_at,
@@ -138,7 +145,7 @@ impl Store {
     pub async fn parse(&self, id: &str) -> Result<Option<ParseRow>, StoreError> {
         Ok(sqlx::query_as("SELECT * FROM parses WHERE id = $1")
             .bind(id)
-            .fetch_optional(&self.reader)
+            .fetch_optional(&self.database.reader)
             .await?)
     }
 
@@ -150,7 +157,7 @@ impl Store {
     pub async fn changes_of_parse(&self, id: &str) -> Result<Option<i64>, StoreError> {
         Ok(sqlx::query_scalar("SELECT changes FROM parses WHERE id = $1")
             .bind(id)
-            .fetch_optional(&self.reader)
+            .fetch_optional(&self.database.reader)
             .await?)
     }
 
@@ -167,7 +174,7 @@ impl Store {
         Ok(sqlx::query_as(sql)
             .bind(content_hash)
             .bind(settings_hash)
-            .fetch_optional(&self.reader)
+            .fetch_optional(&self.database.reader)
             .await?)
     }
 
@@ -176,7 +183,9 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn all_parses(&self) -> Result<Vec<ParseRow>, StoreError> {
-        Ok(sqlx::query_as("SELECT * FROM parses ORDER BY id").fetch_all(&self.reader).await?)
+        Ok(sqlx::query_as("SELECT * FROM parses ORDER BY id")
+            .fetch_all(&self.database.reader)
+            .await?)
     }
 
     /// A parse whose files are lost or damaged is not given to anybody any more, so that the next
@@ -186,7 +195,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn retire_parse(&self, id: &str) -> Result<Vec<SceneRow>, StoreError> {
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         let sql = "UPDATE parses SET settings_hash = settings_hash || ':retired:' || id WHERE id = $1 AND settings_hash NOT LIKE '%:retired:%'";
         let retired = sqlx::query(sql).bind(id).execute(&mut *tx).await?.rows_affected() > 0;
         let scenes = sqlx::query_as("SELECT * FROM scenes WHERE parse_id = $1 ORDER BY id")
@@ -206,7 +215,7 @@ impl Store {
         let bodies: Vec<String> =
             sqlx::query_scalar("SELECT body FROM instances WHERE parse_id = $1 ORDER BY id")
                 .bind(parse_id)
-                .fetch_all(&self.reader)
+                .fetch_all(&self.database.reader)
                 .await?;
         bodies.iter().map(|body| Ok(serde_json::from_str::<InstanceRecord>(body)?.into())).collect()
     }
@@ -223,8 +232,8 @@ impl Store {
         found: &Instance,
         most: usize,
     ) -> Result<Option<InstanceId>, StoreError> {
-        let mut tx = self.writer.begin().await?;
-        let is_found = self.engine.has_field("body", "found_for");
+        let mut tx = self.database.writer.begin().await?;
+        let is_found = self.database.engine.has_field("body", "found_for");
         let before =
             format!("SELECT body FROM instances WHERE parse_id = $1 AND {is_found} ORDER BY id");
         let before: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(before))

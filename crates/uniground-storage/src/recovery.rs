@@ -3,28 +3,50 @@
 //! Every step stands for itself. A step that fails is logged and its rows and files are kept, so
 //! that recovery never keeps a server from starting.
 
+use super::BatchRepository;
+use super::Blobs;
+use super::ContentRepository;
+use super::OrphanRepository;
+use super::SpendingRepository;
+use super::StoreError;
+use super::UploadRepository;
+use super::database::Database;
 use super::growth::OUTGROWN;
-use super::{Store, StoreError};
 use sqlx::AssertSqlSafe;
 use std::time::Duration;
 
 /// Files younger than this may belong to a process that is still at work.
 const IN_USE: Duration = Duration::from_hours(24);
 
-impl Store {
+/// Clears what an interrupted run left behind.
+#[derive(Clone)]
+pub struct Recovery {
+    pub(super) database: Database,
+    pub(super) batches: BatchRepository,
+    pub(super) blobs: Blobs,
+    pub(super) contents: ContentRepository,
+    pub(super) orphans: OrphanRepository,
+    pub(super) spending: SpendingRepository,
+    pub(super) uploads: UploadRepository,
+}
+
+impl Recovery {
     /// Clears what interrupted processes left. While no other process uses the store also unused
     /// rows, folders without rows and unfinished uploads. Returns the error of a step that
     /// failed because the disk is full.
     pub(super) async fn recover(&self) -> Option<StoreError> {
         let interrupted = self.end_interrupted_work().await;
-        if !self.members.was_alone {
+        if !self.database.members.was_alone {
             return interrupted;
         }
         let steps = [
             interrupted,
             logged("remove unused parses and scans", self.remove_unused_rows().await),
-            logged("move unreferenced folders to the quarantine", self.sweep(Duration::ZERO).await),
-            logged("remove files of unfinished uploads", self.remove_stray_uploads().await),
+            logged(
+                "move unreferenced folders to the quarantine",
+                self.orphans.sweep(Duration::ZERO).await,
+            ),
+            logged("remove files of unfinished uploads", self.uploads.remove_stray_uploads().await),
             logged("remove temporary files", self.remove_temporary(Duration::ZERO)),
         ];
         steps.into_iter().flatten().next()
@@ -33,7 +55,7 @@ impl Store {
     /// Clears what crashed processes have left, while this one and others use the store.
     pub async fn recover_beside_others(&self) {
         self.end_interrupted_work().await;
-        logged("remove files of unfinished uploads", self.remove_stray_uploads().await);
+        logged("remove files of unfinished uploads", self.uploads.remove_stray_uploads().await);
         logged("remove temporary files", self.remove_temporary(IN_USE));
     }
 
@@ -42,9 +64,10 @@ impl Store {
     async fn end_interrupted_work(&self) -> Option<StoreError> {
         let received = logged(
             "remove batches that were not received completely",
-            self.forget_half_received_batches().await,
+            self.batches.forget_half_received_batches().await,
         );
-        let settled = logged("settle reserved spending", self.settle_what_was_left().await);
+        let settled =
+            logged("settle reserved spending", self.spending.settle_what_was_left().await);
         received.or(settled)
     }
 
@@ -58,7 +81,7 @@ impl Store {
     /// loser of two uploads under one idempotency key, the parse that a scene had before it
     /// grew.
     async fn remove_unused_rows(&self) -> Result<(), StoreError> {
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         // A scene that has grown names the parse of its earlier content until the new one is
         // finished.
         let parses = "DELETE FROM parses
@@ -69,7 +92,7 @@ impl Store {
         let unused: Vec<String> =
             sqlx::query_scalar(AssertSqlSafe(unused)).fetch_all(&mut *tx).await?;
         for hash in unused {
-            self.remove_outgrown_row(&mut tx, &hash).await?;
+            self.contents.remove_outgrown_row(&mut tx, &hash).await?;
         }
         tx.commit().await
     }

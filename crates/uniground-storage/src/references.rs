@@ -1,9 +1,10 @@
 //! Foreign keys of SQLite's database: which rows refer to rows that do not exist, and their repair.
 //! PostgreSQL enforces its own.
 
+use super::StoreError;
+use super::database::Database;
 use super::database::Engine;
 use super::writer::Transaction;
-use super::{Store, StoreError};
 use sqlx::AssertSqlSafe;
 
 /// Rows of a table that refer to rows which do not exist.
@@ -25,16 +26,22 @@ pub struct BrokenReference {
 /// chain is more than enough.
 const MAX_ROUNDS: usize = 8;
 
-impl Store {
+/// Checks and repairs the consistency of the database.
+#[derive(Clone)]
+pub struct IntegrityRepository {
+    pub(super) database: Database,
+}
+
+impl IntegrityRepository {
     /// Foreign keys that point to rows which do not exist; none where the database is whole.
     ///
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn broken_references(&self) -> Result<Vec<BrokenReference>, StoreError> {
-        if self.engine == Engine::Postgres {
+        if self.database.engine == Engine::Postgres {
             return Ok(Vec::new());
         }
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         let broken = broken_in(&mut tx).await?;
         tx.forget().await?;
         Ok(broken)
@@ -46,10 +53,10 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`]; then nothing has changed.
     pub async fn repair_references(&self) -> Result<Vec<String>, StoreError> {
-        if self.engine == Engine::Postgres {
+        if self.database.engine == Engine::Postgres {
             return Ok(Vec::new());
         }
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         let unparsed = "SELECT id FROM scenes WHERE parse_id IS NOT NULL AND NOT EXISTS (SELECT 1 FROM parses WHERE id = scenes.parse_id)
                         AND EXISTS (SELECT 1 FROM contents WHERE hash = scenes.content_hash)";
         let unparsed: Vec<String> = sqlx::query_scalar(unparsed).fetch_all(&mut *tx).await?;

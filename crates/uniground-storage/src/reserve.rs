@@ -5,9 +5,11 @@
 //! room before it can delete anything. The reserve is written again once the disk has several times
 //! its room.
 
+use super::Blobs;
+use super::StoreError;
 use super::blobs::remove_tree;
+use super::data_folder::DataFolder;
 use super::data_folder::LOCK;
-use super::{Store, StoreError};
 use camino::{Utf8DirEntry, Utf8Path, Utf8PathBuf};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
@@ -25,7 +27,14 @@ const FULL_BELOW_BYTES: u64 = 256 << 10;
 /// Folders that only save time, or were left by a process that was killed.
 const DISPENSABLE: [&str; 2] = ["tmp", "blobs/checkpoints"];
 
-impl Store {
+/// The reserve file.
+#[derive(Clone)]
+pub struct Reserve {
+    pub(super) blobs: Blobs,
+    pub(super) folder: DataFolder,
+}
+
+impl Reserve {
     /// Releases a part of the reserve, so that something can be deleted on a full disk; whether
     /// there was any.
     #[must_use]

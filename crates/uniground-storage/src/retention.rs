@@ -3,7 +3,10 @@
 //! What may go is looked up among the readers; only the removal itself takes the writing
 //! connection, and asks again whether it may.
 
-use super::{Store, StoreError};
+use super::BatchRepository;
+use super::StoreError;
+use super::database::Database;
+use super::first_id_at;
 use jiff::{Timestamp, ToSpan};
 use sqlx::AssertSqlSafe;
 
@@ -48,7 +51,7 @@ impl Before {
     #[must_use]
     pub fn days_ago(days: u32, now: Timestamp) -> Self {
         let time = now.checked_sub((i64::from(days) * 24).hours()).unwrap_or(Timestamp::MIN);
-        Self { time: time.to_string(), id: Store::first_id_at(time) }
+        Self { time: time.to_string(), id: first_id_at(time) }
     }
 }
 
@@ -90,7 +93,14 @@ impl Aged {
     }
 }
 
-impl Store {
+/// Rows that have expired.
+#[derive(Clone)]
+pub struct RetentionRepository {
+    pub(super) database: Database,
+    pub(super) batches: BatchRepository,
+}
+
+impl RetentionRepository {
     /// Rows that may go, in order of their keys, those after `after` only.
     ///
     /// # Errors
@@ -111,7 +121,7 @@ impl Store {
             .bind(&before.id)
             .bind(after)
             .bind(i64::from(limit));
-        let due: Vec<(String, i64)> = due.fetch_all(&self.reader).await?;
+        let due: Vec<(String, i64)> = due.fetch_all(&self.database.reader).await?;
         Ok(due
             .into_iter()
             .map(|(id, bytes)| Due { id, bytes: u64::try_from(bytes).unwrap_or(0) })
@@ -133,12 +143,12 @@ impl Store {
         if aged == Aged::Batches {
             return self.remove_batches(before, &ids, condition).await;
         }
-        let among = self.engine.values_of("$3");
+        let among = self.database.engine.values_of("$3");
         let sql =
             format!("DELETE FROM {table} WHERE {condition} AND {key} IN {among} RETURNING {key}");
         let removed =
             sqlx::query_scalar(AssertSqlSafe(sql)).bind(&before.time).bind(&before.id).bind(ids);
-        Ok(removed.fetch_all(self.writer.pool()).await?)
+        Ok(removed.fetch_all(self.database.writer.pool()).await?)
     }
 
     /// A batch may have a million items. It is hidden first, as one that is still coming in:
@@ -149,7 +159,7 @@ impl Store {
         ids: &str,
         condition: &str,
     ) -> Result<Vec<String>, StoreError> {
-        let among = self.engine.values_of("$3");
+        let among = self.database.engine.values_of("$3");
         let hide = format!(
             "UPDATE batches SET state = 'receiving', key = NULL
              WHERE {condition} AND id IN {among} RETURNING id"
@@ -158,10 +168,10 @@ impl Store {
             .bind(&before.time)
             .bind(&before.id)
             .bind(ids)
-            .fetch_all(self.writer.pool())
+            .fetch_all(self.database.writer.pool())
             .await?;
         for id in &hidden {
-            self.delete_batch(id).await?;
+            self.batches.delete_batch(id).await?;
         }
         Ok(hidden)
     }
@@ -183,7 +193,7 @@ impl Store {
         ] {
             sqlx::query(AssertSqlSafe(sql))
                 .bind(now.to_string())
-                .execute(self.writer.pool())
+                .execute(self.database.writer.pool())
                 .await?;
         }
         Ok(())
@@ -196,19 +206,7 @@ impl Store {
     pub async fn contents_in_work(&self) -> Result<Vec<String>, StoreError> {
         let sql = "SELECT DISTINCT content_hash FROM scenes
                    WHERE id IN (SELECT subject FROM jobs WHERE state IN ('queued', 'running'))";
-        Ok(sqlx::query_scalar(sql).fetch_all(&self.reader).await?)
-    }
-
-    /// Gives the room that the database's log takes back to the disk. Rows that were removed leave
-    /// room in the database, for others.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`].
-    pub async fn truncate_log(&self) -> Result<(), StoreError> {
-        for &sql in self.engine.truncate_log() {
-            sqlx::query(sql).execute(self.writer.pool()).await?;
-        }
-        Ok(())
+        Ok(sqlx::query_scalar(sql).fetch_all(&self.database.reader).await?)
     }
 
     /// Bytes that removed rows have left in the database.
@@ -216,8 +214,8 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn unused_bytes(&self) -> Result<u64, StoreError> {
-        let Some(sql) = self.engine.unused_bytes() else { return Ok(0) };
-        let bytes: i64 = sqlx::query_scalar(sql).fetch_one(&self.reader).await?;
+        let Some(sql) = self.database.engine.unused_bytes() else { return Ok(0) };
+        let bytes: i64 = sqlx::query_scalar(sql).fetch_one(&self.database.reader).await?;
         Ok(u64::try_from(bytes).unwrap_or(0))
     }
 
@@ -226,8 +224,8 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn compact(&self) -> Result<(), StoreError> {
-        for &sql in self.engine.compact() {
-            sqlx::query(sql).execute(self.writer.pool()).await?;
+        for &sql in self.database.engine.compact() {
+            sqlx::query(sql).execute(self.database.writer.pool()).await?;
         }
         Ok(())
     }

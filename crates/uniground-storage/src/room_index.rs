@@ -1,7 +1,8 @@
 //! Which of many rooms are worth a look: what their things are called, by name, and where a
 //! database can (`vectors`) what they look like.
 
-use super::{Labels, SceneRow, Store, StoreError};
+use super::database::Database;
+use super::{Labels, SceneRow, StoreError};
 use sqlx::{AssertSqlSafe, FromRow, Row};
 use std::collections::BTreeSet;
 
@@ -34,7 +35,13 @@ pub struct FoundEntry {
 /// Rows that one statement writes.
 const TOGETHER: usize = 50;
 
-impl Store {
+/// What the rooms hold, as words and vectors.
+#[derive(Clone)]
+pub struct RoomIndexRepository {
+    pub(super) database: Database,
+}
+
+impl RoomIndexRepository {
     /// Parses that are to be indexed, the oldest first.
     ///
     /// # Errors
@@ -42,7 +49,7 @@ impl Store {
     pub async fn parses_to_index(&self, most: u32) -> Result<Vec<ToIndex>, StoreError> {
         let sql = "SELECT id, changes FROM parses WHERE indexed IS NULL OR indexed <> changes ORDER BY id LIMIT $1";
         let rows: Vec<(String, i64)> =
-            sqlx::query_as(sql).bind(i64::from(most)).fetch_all(&self.reader).await?;
+            sqlx::query_as(sql).bind(i64::from(most)).fetch_all(&self.database.reader).await?;
         Ok(rows.into_iter().map(|(parse_id, changes)| ToIndex { parse_id, changes }).collect())
     }
 
@@ -56,7 +63,7 @@ impl Store {
         room: &ToIndex,
         entries: &[RoomEntry],
     ) -> Result<(), StoreError> {
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         let sql = "UPDATE parses SET indexed = $2 WHERE id = $1";
         let is_there =
             sqlx::query(sql).bind(&room.parse_id).bind(room.changes).execute(&mut *tx).await?;
@@ -85,7 +92,7 @@ impl Store {
             query.execute(&mut *tx).await?;
         }
         let names: BTreeSet<&str> = entries.iter().map(|entry| entry.name.as_str()).collect();
-        let values = self.engine.values_of("$1");
+        let values = self.database.engine.values_of("$1");
         let sql = format!(
             "INSERT INTO room_names (name) SELECT value FROM {values} AS names WHERE true ON CONFLICT DO NOTHING"
         );
@@ -102,7 +109,7 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn room_names(&self) -> Result<Vec<String>, StoreError> {
         Ok(sqlx::query_scalar("SELECT name FROM room_names ORDER BY name")
-            .fetch_all(&self.reader)
+            .fetch_all(&self.database.reader)
             .await?)
     }
 
@@ -128,7 +135,7 @@ impl Store {
             .bind(colour)
             .bind(serde_json::to_string(labels)?)
             .bind(i64::from(most));
-        let rows: Vec<(String, String, f64)> = query.fetch_all(&self.reader).await?;
+        let rows: Vec<(String, String, f64)> = query.fetch_all(&self.database.reader).await?;
         Ok(rows
             .into_iter()
             .map(|(parse_id, colour, weight)| FoundEntry {
@@ -141,7 +148,7 @@ impl Store {
 
     /// The condition that the parse of an `entry` is one of a scene with these labels.
     pub(super) fn is_meant(&self, labels: &str) -> String {
-        let is_filed_so = self.engine.contains("scenes.labels", labels);
+        let is_filed_so = self.database.engine.contains("scenes.labels", labels);
         format!(
             "EXISTS (SELECT 1 FROM scenes WHERE scenes.parse_id = entry.parse_id AND {is_filed_so})"
         )
@@ -158,8 +165,10 @@ impl Store {
         labels: &Labels,
         most_of_one: u32,
     ) -> Result<Vec<(i64, SceneRow)>, StoreError> {
-        let (among, is_filed_so) =
-            (self.engine.values_of("$1"), self.engine.contains("scenes.labels", "$2"));
+        let (among, is_filed_so) = (
+            self.database.engine.values_of("$1"),
+            self.database.engine.contains("scenes.labels", "$2"),
+        );
         let sql = format!(
             "SELECT * FROM (SELECT scenes.*, row_number() OVER (PARTITION BY parse_id ORDER BY id DESC) AS place FROM scenes
              WHERE parse_id IN {among} AND {is_filed_so}) AS placed WHERE place <= $3"
@@ -167,7 +176,7 @@ impl Store {
         let query = sqlx::query(AssertSqlSafe(sql))
             .bind(serde_json::to_string(parses)?)
             .bind(serde_json::to_string(labels)?);
-        let rows = query.bind(i64::from(most_of_one)).fetch_all(&self.reader).await?;
+        let rows = query.bind(i64::from(most_of_one)).fetch_all(&self.database.reader).await?;
         rows.iter().map(|row| Ok((row.try_get("place")?, SceneRow::from_row(row)?))).collect()
     }
 
@@ -176,7 +185,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn forget_unused_names(&self) -> Result<(), StoreError> {
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         sqlx::query("DELETE FROM room_names WHERE NOT EXISTS (SELECT 1 FROM room_entries WHERE room_entries.name = room_names.name)")
             .execute(&mut *tx)
             .await?;

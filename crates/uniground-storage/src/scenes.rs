@@ -1,9 +1,12 @@
 //! Scenes.
 
+use super::Blobs;
+use super::ContentRepository;
+use super::database::Database;
 use super::growth::number_changes;
 use super::records::read_or_none;
 use super::writer::Transaction;
-use super::{JobRow, NewJob, Store, StoreError, now};
+use super::{JobRow, NewJob, StoreError, now};
 use camino::Utf8PathBuf;
 use sqlx::any::AnyRow;
 use sqlx::{AnyConnection, AssertSqlSafe, FromRow, Row};
@@ -96,7 +99,15 @@ pub(super) async fn made_by_key(
     row.map(|row| Ok((SceneRow::from_row(&row)?, row.try_get("request")?))).transpose()
 }
 
-impl Store {
+/// Scenes.
+#[derive(Clone)]
+pub struct SceneRepository {
+    pub(super) database: Database,
+    pub(super) blobs: Blobs,
+    pub(super) contents: ContentRepository,
+}
+
+impl SceneRepository {
     /// Records a scene with its content, its key and its first job, as one: there is all of it or
     /// nothing.
     ///
@@ -105,7 +116,7 @@ impl Store {
     pub async fn insert_scene(&self, new: NewSceneRow<'_>) -> Result<Inserted, StoreError> {
         let NewSceneRow { id, name, content_hash, content_bytes, key_id, key, job } = new;
         let time = now();
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         if let Some((key, request)) = key
             && let Some((scene, before)) = made_by_key(&mut tx, key).await?
         {
@@ -134,7 +145,7 @@ impl Store {
             sqlx::query(sql).bind(key).bind(id).bind(&time).bind(request).execute(&mut *tx).await?;
         }
         let job = match job {
-            Some(job) => Some(add_job(&mut tx, id, &self.new_id(), job).await?),
+            Some(job) => Some(add_job(&mut tx, id, &self.database.new_id(), job).await?),
             None => None,
         };
         let scene = sqlx::query_as("SELECT * FROM scenes WHERE id = $1")
@@ -154,7 +165,7 @@ impl Store {
         scene_id: &str,
         job: NewJob<'_>,
     ) -> Result<Option<JobRow>, StoreError> {
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         let found: Option<i64> = sqlx::query_scalar("SELECT 1 FROM scenes WHERE id = $1")
             .bind(scene_id)
             .fetch_optional(&mut *tx)
@@ -163,7 +174,7 @@ impl Store {
             tx.forget().await?;
             return Ok(None);
         }
-        let job = add_job(&mut tx, scene_id, &self.new_id(), job).await?;
+        let job = add_job(&mut tx, scene_id, &self.database.new_id(), job).await?;
         tx.commit().await?;
         Ok(Some(job))
     }
@@ -173,7 +184,7 @@ impl Store {
     pub async fn scene(&self, id: &str) -> Result<Option<SceneRow>, StoreError> {
         Ok(sqlx::query_as("SELECT * FROM scenes WHERE id = $1")
             .bind(id)
-            .fetch_optional(&self.reader)
+            .fetch_optional(&self.database.reader)
             .await?)
     }
 
@@ -186,7 +197,7 @@ impl Store {
         &self,
         key: &str,
     ) -> Result<Option<(SceneRow, Option<String>)>, StoreError> {
-        Ok(made_by_key(&mut *self.reader.acquire().await?, key).await?)
+        Ok(made_by_key(&mut *self.database.reader.acquire().await?, key).await?)
     }
 
     /// Scenes newest first, those before `cursor` (an id) only.
@@ -199,8 +210,10 @@ impl Store {
         cursor: Option<&str>,
         filter: &SceneFilter,
     ) -> Result<Vec<SceneRow>, StoreError> {
-        let (among, is_filed_so) =
-            (self.engine.values_of("$3"), self.engine.contains("scenes.labels", "$4"));
+        let (among, is_filed_so) = (
+            self.database.engine.values_of("$3"),
+            self.database.engine.contains("scenes.labels", "$4"),
+        );
         let sql = format!(
             "SELECT * FROM scenes WHERE ($1 IS NULL OR id < $1) AND ($3 IS NULL OR id IN {among}) AND {is_filed_so}
              ORDER BY id DESC LIMIT $2"
@@ -212,7 +225,7 @@ impl Store {
             .bind(i64::from(limit))
             .bind(ids)
             .bind(labels);
-        Ok(query.fetch_all(&self.reader).await?)
+        Ok(query.fetch_all(&self.database.reader).await?)
     }
 
     /// # Errors
@@ -237,7 +250,7 @@ impl Store {
             .bind(now())
             .bind(id)
             .bind(labels.map(|labels| serde_json::to_string(&labels)).transpose()?);
-        Ok(query.fetch_optional(self.writer.pool()).await?)
+        Ok(query.fetch_optional(self.database.writer.pool()).await?)
     }
 
     /// Makes a finished parse the scene's own, a new version; unless a later job than `job_id` was
@@ -251,7 +264,7 @@ impl Store {
         parse_id: &str,
         job_id: &str,
     ) -> Result<(), StoreError> {
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         let before: Option<Option<String>> =
             sqlx::query_scalar("SELECT parse_id FROM scenes WHERE id = $1")
                 .bind(id)
@@ -275,7 +288,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn delete_scene(&self, id: &str) -> Result<Option<Vec<Utf8PathBuf>>, StoreError> {
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         let answers: Vec<String> = sqlx::query_scalar("SELECT id FROM answers WHERE scene_id = $1")
             .bind(id)
             .fetch_all(&mut *tx)
@@ -291,7 +304,7 @@ impl Store {
         };
         let mut folders: Vec<Utf8PathBuf> =
             answers.iter().map(|answer| self.blobs.answer(answer)).collect();
-        folders.extend(self.remove_content(&mut tx, content).await?);
+        folders.extend(self.contents.remove_content(&mut tx, content).await?);
         tx.commit().await?;
         Ok(Some(folders))
     }

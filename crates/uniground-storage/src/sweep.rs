@@ -2,8 +2,11 @@
 //! or restored, and then it is the database that is wrong. It goes to the quarantine, and from
 //! there after a week; not even that where the database has no standing to judge.
 
+use super::Blobs;
 use super::blobs::{KINDS, remove_tree, size_of};
-use super::{Scratch, Store, StoreError, now};
+use super::data_folder::DataFolder;
+use super::database::Database;
+use super::{Scratch, StoreError, now};
 use camino::Utf8PathBuf;
 use jiff::Timestamp;
 use jiff::civil::Date;
@@ -34,7 +37,15 @@ pub struct Strays {
     pub unjudged: Vec<(&'static str, String)>,
 }
 
-impl Store {
+/// Folders and objects that no row names: finds them, quarantines them, removes them.
+#[derive(Clone)]
+pub struct OrphanRepository {
+    pub(super) database: Database,
+    pub(super) blobs: Blobs,
+    pub(super) folder: DataFolder,
+}
+
+impl OrphanRepository {
     /// Folders no record speaks of. A folder is put in place before its row: while a server works,
     /// those younger than `settled` are none.
     ///
@@ -69,11 +80,11 @@ impl Store {
     /// What the database may say of files.
     pub(super) async fn judge(&self) -> Result<Judge, StoreError> {
         let since: Option<String> = sqlx::query_scalar("SELECT since FROM data_folder")
-            .fetch_optional(&self.reader)
+            .fetch_optional(&self.database.reader)
             .await?;
         let since = since.and_then(|since| since.parse::<Timestamp>().ok()).map(SystemTime::from);
         let any: Option<String> = sqlx::query_scalar("SELECT hash FROM contents LIMIT 1")
-            .fetch_optional(&self.reader)
+            .fetch_optional(&self.database.reader)
             .await?;
         Ok(Judge { since, knows_nothing: any.is_none() })
     }
@@ -88,7 +99,7 @@ impl Store {
             "contents" | "checkpoints" => ("contents", "hash"),
             kind => (kind, "id"),
         };
-        let here = self.engine.values_of("$1");
+        let here = self.database.engine.values_of("$1");
         let sql = format!(
             "SELECT value FROM {here} AS here WHERE NOT EXISTS (SELECT 1 FROM {table} WHERE {key} = value)"
         );
@@ -97,7 +108,7 @@ impl Store {
             let names = serde_json::to_string(names)?;
             let missing: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(sql.clone()))
                 .bind(names)
-                .fetch_all(&self.reader)
+                .fetch_all(&self.database.reader)
                 .await?;
             unknown.extend(missing);
         }
@@ -226,7 +237,7 @@ impl Store {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{BlobHome, Location};
+    use super::super::{BlobHome, Location, Store};
     use super::*;
     use camino::Utf8Path;
 
@@ -245,14 +256,18 @@ mod tests {
         make(&gone);
         let row = sqlx::query("INSERT INTO contents (hash, bytes, created_at) VALUES ('a', 1, $1)")
             .bind(now());
-        row.execute(store.writer.pool()).await.unwrap();
-        drop(store.set_aside(vec![again.clone(), gone.clone()]).await.unwrap());
+        row.execute(store.database.writer.pool()).await.unwrap();
+        drop(store.orphans.set_aside(vec![again.clone(), gone.clone()]).await.unwrap());
         assert!(
             fs::read_to_string(again.join("cloud.ply")).unwrap() == again.as_str()
                 && !gone.exists()
         );
         make(&gone);
-        store.quarantine(vec![("contents", "a".into()), ("contents", "b".into())]).await.unwrap();
+        store
+            .orphans
+            .quarantine(vec![("contents", "a".into()), ("contents", "b".into())])
+            .await
+            .unwrap();
         assert!(again.join("cloud.ply").exists() && !gone.exists());
         assert!(data.join("quarantine").join(&now()[..10]).join("contents/b/cloud.ply").exists());
     }

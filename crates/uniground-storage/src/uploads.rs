@@ -1,8 +1,10 @@
 //! Uploads that come in parts: what was said of them, how much is there, what came of them.
 
+use super::Blobs;
+use super::database::Database;
 use super::database::number;
 use super::records::read_or_none;
-use super::{Store, StoreError, now};
+use super::{StoreError, now};
 use serde::{Deserialize, Serialize};
 use sqlx::any::AnyRow;
 use sqlx::{FromRow, Row};
@@ -89,7 +91,14 @@ impl FromRow<'_, AnyRow> for UploadRow {
     }
 }
 
-impl Store {
+/// Resumable uploads.
+#[derive(Clone)]
+pub struct UploadRepository {
+    pub(super) database: Database,
+    pub(super) blobs: Blobs,
+}
+
+impl UploadRepository {
     /// Begins an upload of so many bytes.
     ///
     /// # Errors
@@ -102,12 +111,12 @@ impl Store {
     ) -> Result<UploadRow, StoreError> {
         let sql = "INSERT INTO uploads (id, key_id, wanted, length, created_at, updated_at) VALUES ($1, $2, $3, $4, $5, $5) RETURNING *";
         let query = sqlx::query_as(sql)
-            .bind(self.new_id())
+            .bind(self.database.new_id())
             .bind(key_id)
             .bind(serde_json::to_string(wanted)?)
             .bind(i64::try_from(length).unwrap_or(i64::MAX))
             .bind(now());
-        Ok(query.fetch_one(self.writer.pool()).await?)
+        Ok(query.fetch_one(self.database.writer.pool()).await?)
     }
 
     /// # Errors
@@ -115,7 +124,7 @@ impl Store {
     pub async fn upload(&self, id: &str) -> Result<Option<UploadRow>, StoreError> {
         Ok(sqlx::query_as("SELECT * FROM uploads WHERE id = $1")
             .bind(id)
-            .fetch_optional(&self.reader)
+            .fetch_optional(&self.database.reader)
             .await?)
     }
 
@@ -133,7 +142,7 @@ impl Store {
             .bind(i64::try_from(received).unwrap_or(i64::MAX))
             .bind(now())
             .bind(id);
-        Ok(query.fetch_optional(self.writer.pool()).await?)
+        Ok(query.fetch_optional(self.database.writer.pool()).await?)
     }
 
     /// Notes what came of an upload; `None` where it is gone.
@@ -152,7 +161,7 @@ impl Store {
         let sql = "UPDATE uploads SET scene_id = $1, job_id = $2, problem = $3, updated_at = $4 WHERE id = $5 RETURNING *";
         let query =
             sqlx::query_as(sql).bind(scene_id).bind(job_id).bind(problem).bind(now()).bind(id);
-        Ok(query.fetch_optional(self.writer.pool()).await?)
+        Ok(query.fetch_optional(self.database.writer.pool()).await?)
     }
 
     /// Whether there was one.
@@ -162,7 +171,7 @@ impl Store {
     pub async fn delete_upload(&self, id: &str) -> Result<bool, StoreError> {
         let deleted = sqlx::query("DELETE FROM uploads WHERE id = $1")
             .bind(id)
-            .execute(self.writer.pool())
+            .execute(self.database.writer.pool())
             .await?;
         Ok(deleted.rows_affected() > 0)
     }
@@ -185,7 +194,7 @@ impl Store {
             sqlx::query_as(sqlx::AssertSqlSafe(sql))
                 .bind(since)
                 .bind(key_id)
-                .fetch_one(&self.reader)
+                .fetch_one(&self.database.reader)
                 .await?;
         Ok(Unfinished {
             uploads: number(uploads)?,
@@ -200,7 +209,7 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn unmade_uploads(&self) -> Result<Vec<String>, StoreError> {
         let sql = format!("SELECT id FROM uploads WHERE {OPEN} AND received = length ORDER BY id");
-        Ok(sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).fetch_all(&self.reader).await?)
+        Ok(sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).fetch_all(&self.database.reader).await?)
     }
 
     /// Removes files of uploads that are over or that nobody knows: whoever sent one whose record
@@ -213,7 +222,7 @@ impl Store {
             .map_err(io::Error::other)??;
         let sql = format!("SELECT id FROM uploads WHERE {OPEN}");
         let open: Vec<String> =
-            sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).fetch_all(&self.reader).await?;
+            sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).fetch_all(&self.database.reader).await?;
         let open: HashSet<String> = open.into_iter().collect();
         let blobs = self.blobs.clone();
         let removed = tokio::task::spawn_blocking(move || {

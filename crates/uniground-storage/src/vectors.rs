@@ -2,8 +2,9 @@
 //! vector: PostgreSQL with the extension pgvector. Approximate, by a graph (HNSW) of each encoder's
 //! own; the tables are there once somebody has asked for them (`--vectors pgvector`).
 
+use super::RoomIndexRepository;
 use super::database::Engine;
-use super::{Labels, Store, StoreError};
+use super::{Labels, StoreError};
 use sha2::{Digest, Sha256};
 use sqlx::{AssertSqlSafe, Executor};
 use std::fmt::Write;
@@ -27,14 +28,14 @@ const TOGETHER: usize = 50;
 /// The longest vectors that the extension indexes.
 const LONGEST: usize = 2000;
 
-impl Store {
+impl RoomIndexRepository {
     /// Has vectors kept from now on: makes what is needed for that, and has every room indexed anew
     /// where it was not there.
     ///
     /// # Errors
     /// [`StoreError::NoVectors`] where the database can not; [`StoreError::Database`].
     pub async fn want_vectors(&self) -> Result<(), StoreError> {
-        if self.engine == Engine::Sqlite {
+        if self.database.engine == Engine::Sqlite {
             return Err(StoreError::NoVectors {
                 why: "rows are kept in SQLite's file, which can not".into(),
             });
@@ -42,7 +43,7 @@ impl Store {
         if self.has_vectors().await? {
             return Ok(());
         }
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         let made = tx.execute("CREATE EXTENSION IF NOT EXISTS vector").await;
         made.map_err(|error| StoreError::NoVectors {
             why: format!("{error}; install pgvector on the database's server and run CREATE EXTENSION vector there as its superuser"),
@@ -64,11 +65,11 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn has_vectors(&self) -> Result<bool, StoreError> {
-        match self.engine {
+        match self.database.engine {
             Engine::Sqlite => Ok(false),
             Engine::Postgres => {
                 Ok(sqlx::query_scalar("SELECT to_regclass('instance_vectors') IS NOT NULL")
-                    .fetch_one(&self.reader)
+                    .fetch_one(&self.database.reader)
                     .await?)
             }
         }
@@ -87,7 +88,7 @@ impl Store {
         if !self.has_vectors().await? {
             return Ok(());
         }
-        let mut tx = self.writer.pool().begin().await?;
+        let mut tx = self.database.writer.pool().begin().await?;
         sqlx::query("DELETE FROM instance_vectors WHERE parse_id = $1")
             .bind(parse_id)
             .execute(&mut *tx)
@@ -147,7 +148,7 @@ impl Store {
              WHERE {is_meant} GROUP BY parse_id ORDER BY cosine DESC, parse_id DESC LIMIT $3",
             quoted(encoder)
         );
-        let mut reader = self.reader.begin().await?;
+        let mut reader = self.database.reader.begin().await?;
         reader.execute(AssertSqlSafe(format!("SET LOCAL hnsw.ef_search = {IN_HAND}"))).await?;
         let near = sqlx::query_as(AssertSqlSafe(sql))
             .bind(literal(vector))

@@ -1,8 +1,9 @@
 //! What is kept of vision-language models: names they gave, and what was paid.
 
+use super::database::Database;
 use super::database::{number, without_nul};
 use super::parses::note_change;
-use super::{Store, StoreError, now};
+use super::{StoreError, now};
 use sqlx::AnyConnection;
 use std::collections::BTreeMap;
 
@@ -34,7 +35,13 @@ pub struct Short {
     pub left_usd: f64,
 }
 
-impl Store {
+/// Names that models gave to instances.
+#[derive(Clone)]
+pub struct NameRepository {
+    pub(super) database: Database,
+}
+
+impl NameRepository {
     /// Names of a parse's instances, by id, as one model gave them with one version of the
     /// question.
     ///
@@ -51,7 +58,7 @@ impl Store {
             .bind(parse_id)
             .bind(model)
             .bind(i64::from(prompt_version))
-            .fetch_all(&self.reader)
+            .fetch_all(&self.database.reader)
             .await?;
         Ok(rows
             .into_iter()
@@ -72,7 +79,7 @@ impl Store {
     ) -> Result<(), StoreError> {
         let sql = "INSERT INTO instance_names (parse_id, model, prompt_version, instance_id, name, created_at)
                    SELECT $1, $2, $3, $4, $5, $6 WHERE EXISTS (SELECT 1 FROM parses WHERE id = $1) ON CONFLICT DO NOTHING";
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         for (id, name) in names {
             sqlx::query(sql)
                 .bind(parse_id)
@@ -99,7 +106,7 @@ impl Store {
     ) -> Result<(), StoreError> {
         let sql = "INSERT INTO name_indexes (parse_id, model, prompt_version, created_at)
                    SELECT $1, $2, $3, $4 WHERE EXISTS (SELECT 1 FROM parses WHERE id = $1) ON CONFLICT DO NOTHING";
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         let insert =
             sqlx::query(sql).bind(parse_id).bind(model).bind(i64::from(prompt_version)).bind(now());
         insert.execute(&mut *tx).await?;
@@ -120,10 +127,18 @@ impl Store {
         Ok(sqlx::query_scalar(sql)
             .bind(parse_id)
             .bind(i64::from(prompt_version))
-            .fetch_optional(&self.reader)
+            .fetch_optional(&self.database.reader)
             .await?)
     }
+}
 
+/// Money spent on models, by day.
+#[derive(Clone)]
+pub struct SpendingRepository {
+    pub(super) database: Database,
+}
+
+impl SpendingRepository {
     /// What was spent on a day, US dollars.
     ///
     /// # Errors
@@ -131,7 +146,7 @@ impl Store {
     pub async fn spent_on(&self, day: &str) -> Result<f64, StoreError> {
         let usd: Option<f64> = sqlx::query_scalar("SELECT usd FROM spending WHERE day = $1")
             .bind(day)
-            .fetch_optional(&self.reader)
+            .fetch_optional(&self.database.reader)
             .await?;
         Ok(usd.unwrap_or(0.0))
     }
@@ -149,7 +164,7 @@ impl Store {
         wish: &Wish<'_>,
     ) -> Result<Result<(), Short>, StoreError> {
         let Wish { day, usd, key_id, daily_usd, key_daily_usd } = *wish;
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         let of_all = "SELECT coalesce((SELECT usd FROM spending WHERE day = $1), 0.0)
                            + coalesce((SELECT sum(usd) FROM reservations WHERE day = $1), 0.0)";
         let of_key = "SELECT coalesce((SELECT usd FROM key_spending WHERE day = $1 AND key_id = $2), 0.0)
@@ -175,7 +190,7 @@ impl Store {
             .bind(day)
             .bind(usd)
             .bind(key_id)
-            .bind(self.members.id().to_string());
+            .bind(self.database.members.id().to_string());
         if query.execute(&mut *tx).await?.rows_affected() == 0 {
             tx.forget().await?;
             return Err(StoreError::NotHeld);
@@ -189,7 +204,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn settle_spending(&self, id: &str, usd: f64) -> Result<(), StoreError> {
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         let reserved: Option<(String, Option<String>)> =
             sqlx::query_as("DELETE FROM reservations WHERE id = $1 RETURNING day, key_id")
                 .bind(id)
@@ -207,7 +222,7 @@ impl Store {
     /// [`StoreError`].
     pub(super) async fn settle_what_was_left(&self) -> Result<(), StoreError> {
         let left = "DELETE FROM reservations WHERE member IS NULL OR member NOT IN (SELECT id FROM members) RETURNING day, key_id, usd";
-        let mut tx = self.writer.begin().await?;
+        let mut tx = self.database.writer.begin().await?;
         let left: Vec<(String, Option<String>, f64)> =
             sqlx::query_as(left).fetch_all(&mut *tx).await?;
         for (day, key_id, usd) in left {

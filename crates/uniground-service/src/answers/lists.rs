@@ -36,7 +36,9 @@ impl Service {
         cursor: Option<&str>,
     ) -> Result<String, Error> {
         let (rows, next) =
-            page(self.store.answers(filter, limit + 1, cursor).await?, limit, |row| &row.id);
+            page(self.store.answers.answers(filter, limit + 1, cursor).await?, limit, |row| {
+                &row.id
+            });
         let answers: Vec<&str> = rows.iter().map(|row| row.body.as_str()).collect();
         Ok(format!(
             "{{\"answers\":[{}],\"next_cursor\":{}}}",
@@ -57,7 +59,7 @@ impl Service {
         let pages = stream::try_unfold((filter, None::<String>), move |(filter, cursor)| {
             let service = service.clone();
             async move {
-                let rows = service.store.answers(&filter, PAGE, cursor.as_deref()).await?;
+                let rows = service.store.answers.answers(&filter, PAGE, cursor.as_deref()).await?;
                 let Some(last) = rows.last() else { return Ok(None) };
                 let cursor = Some(last.id.clone());
                 let page = match format {

@@ -124,7 +124,7 @@ impl Service {
         request: &ManyGroundRequest,
     ) -> Result<(Vec<SceneRow>, bool), Error> {
         let filter = SceneFilter { ids: request.scenes.clone(), labels: request.labels.clone() };
-        let rows = self.store.scenes(MOST_SCENES as u32 + 1, None, &filter).await?;
+        let rows = self.store.scenes.scenes(MOST_SCENES as u32 + 1, None, &filter).await?;
         if rows.len() > MOST_SCENES {
             return Ok((
                 self.likely_scenes(&request.query, &request.labels, LIKELY_SCENES).await?,
@@ -158,7 +158,7 @@ impl Service {
             // What naming a scene costs is no part of a question's budget.
             let asker = Asker {
                 caller: caller.clone(),
-                answer_id: self.store.new_id(),
+                answer_id: self.store.ids.new_id(),
                 pays: pays.clone(),
                 is_batch: false,
                 may_name: false,

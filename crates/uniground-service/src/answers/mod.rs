@@ -64,7 +64,7 @@ impl Service {
     ) -> Result<Answer, Error> {
         let asker = Asker {
             caller,
-            answer_id: self.store.new_id(),
+            answer_id: self.store.ids.new_id(),
             pays: None,
             is_batch: false,
             may_name: true,
@@ -241,7 +241,7 @@ impl Service {
             parse_id: parse_id.to_owned(),
             body: serde_json::to_string(answer)?,
         };
-        Ok(self.store.insert_answer(new).await?)
+        Ok(self.store.answers.insert_answer(new).await?)
     }
 
     /// The candidates for a query, without reasoning over relations.
@@ -272,6 +272,7 @@ impl Service {
     pub async fn answer(&self, id: &str) -> Result<String, Error> {
         Ok(self
             .store
+            .answers
             .answer(id)
             .await?
             .ok_or_else(|| Error::AnswerNotFound { id: id.into() })?

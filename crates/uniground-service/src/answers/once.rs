@@ -43,23 +43,27 @@ impl Service {
         let asked: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
         // The answer has its id before it is asked: one that was kept before a crash is known
         // again.
-        let (known, answer_id) =
-            match self.store.question_of_key(&key, &asked, &self.store.new_id()).await {
-                Ok(known) => known,
-                // Nobody is paid: an answer that can not be kept is better than none.
-                Err(error) if !self.may_pay(&request) => {
-                    tracing::warn!(
-                        error = &error as &dyn std::error::Error,
-                        "a question is answered without its key, which can not be kept"
-                    );
-                    (asked.clone(), self.store.new_id())
-                }
-                Err(error) => return Err(error.into()),
-            };
+        let (known, answer_id) = match self
+            .store
+            .answers
+            .question_of_key(&key, &asked, &self.store.ids.new_id())
+            .await
+        {
+            Ok(known) => known,
+            // Nobody is paid: an answer that can not be kept is better than none.
+            Err(error) if !self.may_pay(&request) => {
+                tracing::warn!(
+                    error = &error as &dyn std::error::Error,
+                    "a question is answered without its key, which can not be kept"
+                );
+                (asked.clone(), self.store.ids.new_id())
+            }
+            Err(error) => return Err(error.into()),
+        };
         if known != asked {
             return Err(Error::IdempotencyKeyReused);
         }
-        if let Some(row) = self.store.answer(&answer_id).await? {
+        if let Some(row) = self.store.answers.answer(&answer_id).await? {
             return Ok((
                 filtered(serde_json::from_str(&row.body)?, request.include.as_deref()),
                 true,

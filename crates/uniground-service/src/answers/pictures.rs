@@ -56,8 +56,12 @@ impl Service {
 
     /// The room from above: the answer's box, its anchor and the other candidates over the cloud.
     async fn drawn_picture(&self, id: &str) -> Result<Vec<u8>, Error> {
-        let row =
-            self.store.answer(id).await?.ok_or_else(|| Error::AnswerNotFound { id: id.into() })?;
+        let row = self
+            .store
+            .answers
+            .answer(id)
+            .await?
+            .ok_or_else(|| Error::AnswerNotFound { id: id.into() })?;
         let Drawn { answer, candidates } = serde_json::from_str(&row.body)?;
         let source = StoredScene::new(self.clone(), self.loaded_parse(&row.parse_id).await?);
         // Later boxes lie on top: candidates, anchor, answer.

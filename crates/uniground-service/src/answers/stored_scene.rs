@@ -201,7 +201,8 @@ impl SceneSource for StoredScene {
         // Of a scene that grows it is kept before the next parse goes on from this one, or not at
         // all: its id would be another's.
         let _turn = self.service.correcting(&self.parse.id).await?;
-        let Some(id) = self.service.store.insert_found(&self.parse.id, &found, MOST_FOUND).await?
+        let Some(id) =
+            self.service.store.parses.insert_found(&self.parse.id, &found, MOST_FOUND).await?
         else {
             // For this question alone.
             let (mut parse, id) = (

@@ -77,7 +77,11 @@ impl Service {
 
     /// A file kept with an answer.
     pub(super) async fn kept_file(&self, id: &str, file: &str) -> Result<Vec<u8>, Error> {
-        self.store.answer(id).await?.ok_or_else(|| Error::AnswerNotFound { id: id.into() })?;
+        self.store
+            .answers
+            .answer(id)
+            .await?
+            .ok_or_else(|| Error::AnswerNotFound { id: id.into() })?;
         let (blobs, folder, file) =
             (self.store.blobs.clone(), self.store.blobs.answer(id), file.to_owned());
         let kept = spawn_blocking(move || read(&blobs, &folder, file)).await??;

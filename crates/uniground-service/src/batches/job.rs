@@ -90,13 +90,13 @@ impl Service {
         JobContext { hold, lost, payload, progress }: JobContext<Payload>,
     ) -> Result<String, Error> {
         // Deleted meanwhile, or submitted by a server that did not live to see it through.
-        let Some(batch) = self.store.batch(&payload.batch_id).await? else {
+        let Some(batch) = self.store.batches.batch(&payload.batch_id).await? else {
             return Ok("there is no such batch any more".into());
         };
         let defaults = Arc::new(BatchDefaults::from_stored(
-            self.store.batch_defaults(&batch.id).await?.as_deref(),
+            self.store.batches.batch_defaults(&batch.id).await?.as_deref(),
         )?);
-        let (numbers, spent) = self.store.batch_figures(&batch.id).await?;
+        let (numbers, spent) = self.store.batches.batch_figures(&batch.id).await?;
         let done = numbers.values().sum();
         let budget = batch.max_cost_usd.map(|usd| Budget::new(THIS_BATCH, usd).with_spent(spent));
         let mut run =
@@ -110,9 +110,12 @@ impl Service {
             };
             // Its answers take room too: on a disk that is nearly full it is put off.
             self.check_disk(0)?;
-            let items = self.store.open_batch_items(&run.batch.id, WINDOW).await?;
+            let items = self.store.batches.open_batch_items(&run.batch.id, WINDOW).await?;
             if items.is_empty() {
-                self.store.move_batch(&run.batch.id, &["running"], "succeeded", None).await?;
+                self.store
+                    .batches
+                    .move_batch(&run.batch.id, &["running"], "succeeded", None)
+                    .await?;
                 return Ok(run.told("done"));
             }
             if run.ask(items, &caller).await? == Money::Spent {
@@ -197,7 +200,7 @@ impl Run {
 
     /// Writes down what came of items; whether more are wanted.
     async fn write(&mut self, closed: &mut Vec<ClosedItem>) -> Result<bool, Error> {
-        self.service.store.close_batch_items(&self.hold, &self.batch.id, closed).await?;
+        self.service.store.batches.close_batch_items(&self.hold, &self.batch.id, closed).await?;
         for item in closed.drain(..) {
             self.service.metrics.questions.item(&item.status);
             self.done += 1;
@@ -212,13 +215,18 @@ impl Run {
         Ok(self
             .service
             .store
+            .batches
             .batch(&self.batch.id)
             .await?
             .is_some_and(|batch| batch.state == "running"))
     }
 
     async fn pause(&self, reason: &str, why: &str) -> Result<String, Error> {
-        self.service.store.move_batch(&self.batch.id, &["running"], "paused", Some(reason)).await?;
+        self.service
+            .store
+            .batches
+            .move_batch(&self.batch.id, &["running"], "paused", Some(reason))
+            .await?;
         Ok(self.told(why))
     }
 
@@ -238,7 +246,7 @@ impl Service {
         budget: Option<&Budget>,
     ) -> Result<End, Error> {
         let OpenItem { item, scene_id, request, answer_id } = open;
-        if let Some(kept) = self.store.answer(&answer_id).await? {
+        if let Some(kept) = self.store.answers.answer(&answer_id).await? {
             let Kept { status, usage } = serde_json::from_str(&kept.body)?;
             return Ok(End::Closed(ClosedItem {
                 item,

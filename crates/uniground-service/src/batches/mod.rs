@@ -49,7 +49,7 @@ impl Service {
     /// [`Error::Store`].
     pub async fn batches(&self, limit: u32, cursor: Option<&str>) -> Result<BatchList, Error> {
         let (rows, next_cursor) =
-            page(self.store.batches(limit + 1, cursor).await?, limit, |row| &row.id);
+            page(self.store.batches.batches(limit + 1, cursor).await?, limit, |row| &row.id);
         let mut batches = Vec::with_capacity(rows.len());
         for row in rows {
             batches.push(self.present_batch(row).await?);
@@ -87,7 +87,7 @@ impl Service {
             key_id: row.key_id.as_deref(),
             done: None,
         };
-        match self.store.resume_batch(id, &job).await? {
+        match self.store.batches.resume_batch(id, &job).await? {
             Resumed::By(job) => drop(self.jobs.recorded::<BatchJob>(*job)),
             Resumed::GoesOn => {}
             Resumed::Over => return Err(Error::BatchOver { id: id.into(), state: row.state }),
@@ -97,14 +97,14 @@ impl Service {
 
     async fn move_batch(&self, id: &str, from: &[&str], to: &str) -> Result<Batch, Error> {
         let row = self.batch_row(id).await?;
-        if !self.store.move_batch(id, from, to, None).await? {
+        if !self.store.batches.move_batch(id, from, to, None).await? {
             return Err(Error::BatchOver { id: id.into(), state: row.state });
         }
         self.batch(id).await
     }
 
     async fn batch_row(&self, id: &str) -> Result<BatchRow, Error> {
-        self.store.batch(id).await?.ok_or_else(|| Error::BatchNotFound { id: id.into() })
+        self.store.batches.batch(id).await?.ok_or_else(|| Error::BatchNotFound { id: id.into() })
     }
 
     /// Where a batch stands, why, and how long it will take, seconds.
@@ -141,7 +141,7 @@ impl Service {
 
     async fn present_batch(&self, row: BatchRow) -> Result<Batch, Error> {
         let (state, reason, eta_s) = self.batch_state(&row).await?;
-        let (by_status, cost_usd) = self.store.batch_figures(&row.id).await?;
+        let (by_status, cost_usd) = self.store.batches.batch_figures(&row.id).await?;
         let done = by_status.values().sum();
         let BatchRow { id, label, items, job_id, created_at, finished_at, .. } = row;
         Ok(Batch {

@@ -57,7 +57,7 @@ impl Service {
     ) -> Result<impl Stream<Item = Result<Bytes, Error>> + use<>, Error> {
         self.batch_row(&results.batch_id).await?;
         let defaults = Arc::new(BatchDefaults::from_stored(
-            self.store.batch_defaults(&results.batch_id).await?.as_deref(),
+            self.store.batches.batch_defaults(&results.batch_id).await?.as_deref(),
         )?);
         let service = self.clone();
         let begin = (results.format == LineFormat::Csv)
@@ -77,7 +77,7 @@ impl Service {
         loop {
             // Looked at before the items: what is closed after this is found next time.
             let (state, ..) = self.batch_state(&self.batch_row(&wanted.batch_id).await?).await?;
-            let rows = self.store.batch_items(&wanted.batch_id, wanted.from, PAGE).await?;
+            let rows = self.store.batches.batch_items(&wanted.batch_id, wanted.from, PAGE).await?;
             let done: Vec<ItemRow> =
                 rows.into_iter().take_while(|row| row.status.is_some()).collect();
             if let Some(last) = done.last() {

@@ -183,6 +183,7 @@ impl Receiving<'_> {
             self.service.check_disk(bytes as u64)?;
             self.service
                 .store
+                .batches
                 .insert_batch_items(id, self.items - items.len() as u32, &items)
                 .await?;
         }
@@ -294,7 +295,7 @@ impl Drop for Unfinished {
 }
 
 async fn discard(store: &Store, id: &str) {
-    if let Err(error) = store.discard_batch(id).await {
+    if let Err(error) = store.batches.discard_batch(id).await {
         let error = &error as &dyn std::error::Error;
         tracing::warn!(
             batch_id = id,
@@ -322,11 +323,11 @@ impl Service {
         let Submission { label, concurrency, max_cost_usd, idempotency_key, defaults } = submission;
         let key = idempotency_key.map(|key| caller.own(key));
         let before = match &key {
-            Some(key) => self.store.batch_of_idempotency_key(key).await?,
+            Some(key) => self.store.batches.batch_of_idempotency_key(key).await?,
             None => None,
         };
         let (batch_id, form) = if let Some(before) = &before {
-            let defaults = self.store.batch_defaults(&before.id).await?;
+            let defaults = self.store.batches.batch_defaults(&before.id).await?;
             (None, if defaults.is_some() { DigestForm::Shared } else { DigestForm::Whole })
         } else {
             self.check_disk(0)?;
@@ -337,7 +338,7 @@ impl Service {
                 max_cost_usd,
                 key_id: caller.key_id(),
             };
-            (Some(self.store.insert_batch(new).await?), DigestForm::Shared)
+            (Some(self.store.batches.insert_batch(new).await?), DigestForm::Shared)
         };
         let mut unfinished = Unfinished { store: self.store.clone(), id: batch_id.clone() };
         let mut digest = Sha256::new();
@@ -406,7 +407,7 @@ impl Service {
         let payload = serde_json::to_string(&Payload { batch_id: received.id.to_owned() })?;
         let job =
             NewJob { kind: BatchJob::NAME, payload: &payload, key_id: caller.key_id(), done: None };
-        Ok(self.store.submit_batch(received, &job).await?)
+        Ok(self.store.batches.submit_batch(received, &job).await?)
     }
 }
 

@@ -77,6 +77,7 @@ impl Service {
         let author = caller.key.as_ref().map(|key| key.row.name.as_str());
         let new = NewCorrection { parse_id: &parse_id, change: &change, author, made };
         self.store
+            .corrections
             .insert_correction(new, MOST)
             .await?
             .ok_or(Error::TooManyCorrections { most: MOST })
@@ -88,7 +89,7 @@ impl Service {
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
     pub async fn corrections(&self, scene_id: &str) -> Result<CorrectionList, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let mut corrections = self.store.corrections(&parse_id).await?;
+        let mut corrections = self.store.corrections.corrections(&parse_id).await?;
         corrections.reverse();
         Ok(CorrectionList { corrections })
     }
@@ -100,13 +101,13 @@ impl Service {
     /// instance this one has made.
     pub async fn undo_correction(&self, scene_id: &str, id: &str) -> Result<Correction, Error> {
         let (parse_id, _turn) = self.turn_at_parse(scene_id).await?;
-        let corrections = self.store.corrections(&parse_id).await?;
+        let corrections = self.store.corrections.corrections(&parse_id).await?;
         let not_found = || Error::CorrectionNotFound { id: id.to_owned() };
         let correction =
             corrections.iter().find(|correction| correction.id == id).ok_or_else(not_found)?;
         let brought: Vec<InstanceId> = match &correction.change {
             Change::Split { instance_id } => {
-                parts_of(&self.store.instances(&parse_id).await?, *instance_id)
+                parts_of(&self.store.parses.instances(&parse_id).await?, *instance_id)
             }
             _ => correction.made.into_iter().collect(),
         };
@@ -120,8 +121,9 @@ impl Service {
         {
             return Err(Error::CorrectionInUse { by: by.id.clone() });
         }
-        self.store.undo_correction(id).await?;
+        self.store.corrections.undo_correction(id).await?;
         self.store
+            .corrections
             .corrections(&parse_id)
             .await?
             .into_iter()

@@ -159,7 +159,15 @@ impl Keyring {
         let Done { method, path, status, request_id } = done;
         let path = path.chars().take(MAX_PATH_CHARS).collect();
         let key_id = caller.key_id().map(str::to_owned);
-        AuditEntry { id: self.store.new_id(), at: now(), key_id, method, path, status, request_id }
+        AuditEntry {
+            id: self.store.ids.new_id(),
+            at: now(),
+            key_id,
+            method,
+            path,
+            status,
+            request_id,
+        }
     }
 
     /// What was done, newest first.
@@ -168,7 +176,7 @@ impl Keyring {
     /// [`Error::Store`].
     pub async fn audit(&self, limit: u32, cursor: Option<&str>) -> Result<AuditList, Error> {
         let (entries, next_cursor) =
-            page(self.store.audit(limit + 1, cursor).await?, limit, |entry| &entry.id);
+            page(self.store.keys.audit(limit + 1, cursor).await?, limit, |entry| &entry.id);
         Ok(AuditList { entries, next_cursor })
     }
 }

@@ -162,13 +162,14 @@ impl Keyring {
     /// [`Error::Store`].
     pub async fn open(store: Store, own: Option<&str>) -> Result<Self, Error> {
         let known = store
+            .keys
             .all_keys()
             .await?
             .into_iter()
             .map(|row| (row.prefix.clone(), KnownKey::of(row)))
             .collect();
         let own = own.map(|key| hash_of(key).into());
-        let audit_log = AuditLog::start(store.audit_writer(), Arc::default());
+        let audit_log = AuditLog::start(store.keys.audit_writer(), Arc::default());
         Ok(Self {
             store,
             own,
@@ -181,7 +182,7 @@ impl Keyring {
     /// Counts audit entries that are dropped in these metrics.
     #[must_use]
     pub fn counted_by(self, metrics: Arc<Metrics>) -> Self {
-        let audit_log = AuditLog::start(self.store.audit_writer(), metrics);
+        let audit_log = AuditLog::start(self.store.keys.audit_writer(), metrics);
         Self { audit_log, ..self }
     }
 
@@ -191,7 +192,7 @@ impl Keyring {
     /// # Errors
     /// [`Error::Store`].
     pub async fn reload(&self) -> Result<(), Error> {
-        let rows = self.store.all_keys().await?;
+        let rows = self.store.keys.all_keys().await?;
         let mut known = self.known.write().unwrap_or_else(PoisonError::into_inner);
         for row in rows {
             if known.get(&row.prefix).is_none_or(|key| key.row.revoked_at != row.revoked_at) {
@@ -266,12 +267,12 @@ impl Keyring {
     /// How long it has to wait, seconds, and what it may.
     pub async fn count(&self, key: &KnownKey) -> Result<Option<Allowance>, (u64, Allowance)> {
         let Some(here) = key.count()? else { return Ok(None) };
-        if !self.store.is_shared() {
+        if !self.store.locks.is_shared() {
             return Ok(Some(here));
         }
         let per_minute = here.per_minute;
         let whole = |seconds: f64| seconds.ceil().max(0.0) as u64;
-        match self.store.count_request(&key.row.id, per_minute).await {
+        match self.store.keys.count_request(&key.row.id, per_minute).await {
             Ok(Ok(until_full_s)) => {
                 let left =
                     ((1.0 - until_full_s / 60.0) * f64::from(per_minute) + 0.001).max(0.0) as u32;
@@ -301,7 +302,7 @@ impl Keyring {
         *noted = Some(Instant::now());
         let (store, id) = (self.store.clone(), key.row.id.clone());
         tokio::spawn(async move {
-            if let Err(error) = store.note_key_use(&id, &now()).await {
+            if let Err(error) = store.keys.note_key_use(&id, &now()).await {
                 tracing::debug!(
                     error = &error as &dyn std::error::Error,
                     "when a key was last used could not be written down"
@@ -319,7 +320,7 @@ impl Keyring {
         let NewKey { name, scope, expires_at: _, requests_per_minute, max_scenes, daily_usd } = new;
         let secret = new_secret()?;
         let row = KeyRow {
-            id: self.store.new_id(),
+            id: self.store.ids.new_id(),
             name,
             prefix: secret[..PREFIX_CHARS].to_owned(),
             hash: hash_of(&secret),
@@ -335,10 +336,9 @@ impl Keyring {
         // A task of its own: whoever asked may leave, and what is stored is known here all the
         // same.
         let (keys, new) = (self.clone(), row.clone());
-        let inserted =
-            tokio::spawn(
-                async move { keys.store.insert_key(&new).await.inspect(|()| keys.put(new)) },
-            );
+        let inserted = tokio::spawn(async move {
+            keys.store.keys.insert_key(&new).await.inspect(|()| keys.put(new))
+        });
         inserted.await??;
         Ok(CreatedKey { key: told(row, 0.0), secret })
     }
@@ -349,7 +349,7 @@ impl Keyring {
     /// [`Error::Store`].
     pub async fn list(&self, limit: u32, cursor: Option<&str>) -> Result<KeyList, Error> {
         let (rows, next_cursor) =
-            page(self.store.keys(limit + 1, cursor).await?, limit, |row| &row.id);
+            page(self.store.keys.keys(limit + 1, cursor).await?, limit, |row| &row.id);
         let mut keys = Vec::with_capacity(rows.len());
         for row in rows {
             keys.push(self.present(row).await?);
@@ -365,6 +365,7 @@ impl Keyring {
         let (keys, key_id) = (self.clone(), id.to_owned());
         let revoked = tokio::spawn(async move {
             keys.store
+                .keys
                 .revoke_key(&key_id)
                 .await
                 .inspect(|row| row.iter().for_each(|row| keys.put(row.clone())))
@@ -381,7 +382,7 @@ impl Keyring {
     }
 
     async fn present(&self, row: KeyRow) -> Result<Key, Error> {
-        let spent_today_usd = self.store.spent_by_key(&row.id, &now()[..10]).await?;
+        let spent_today_usd = self.store.keys.spent_by_key(&row.id, &now()[..10]).await?;
         Ok(told(row, spent_today_usd))
     }
 }
@@ -548,6 +549,6 @@ mod tests {
 
     async fn row_of(keys: &Keyring, new: NewKey) -> KeyRow {
         keys.create(new).await.unwrap();
-        keys.store.all_keys().await.unwrap().remove(0)
+        keys.store.keys.all_keys().await.unwrap().remove(0)
     }
 }

@@ -68,7 +68,7 @@ impl Service {
         }
         let start = async {
             let (_, parse_id) = self.ready_scene(scene_id).await?;
-            match self.store.name_index(&parse_id, naming::NAMING_VERSION).await? {
+            match self.store.names.name_index(&parse_id, naming::NAMING_VERSION).await? {
                 Some(_) => Ok(()),
                 None => self.start_naming(scene_id, &Caller::operator()).await.map(drop),
             }
@@ -92,7 +92,8 @@ impl Service {
         caller: &Caller,
     ) -> Result<(), Error> {
         let wanted = self.vlm.as_ref().is_some_and(|vlm| vlm.names() == WhenNamed::Lazy);
-        if !wanted || self.store.name_index(parse_id, naming::NAMING_VERSION).await?.is_some() {
+        if !wanted || self.store.names.name_index(parse_id, naming::NAMING_VERSION).await?.is_some()
+        {
             return Ok(());
         }
         let filter = JobFilter {
@@ -100,8 +101,13 @@ impl Service {
             state: None,
             subject: Some(scene_id.to_owned()),
         };
-        let last =
-            self.store.jobs(&filter, 1, None).await?.into_iter().find(|job| !job.state.is_final());
+        let last = self
+            .store
+            .jobs
+            .jobs(&filter, 1, None)
+            .await?
+            .into_iter()
+            .find(|job| !job.state.is_final());
         let job_id = match last {
             Some(job) => job.id,
             None => self.start_naming(scene_id, caller).await?.id,
@@ -128,9 +134,11 @@ impl Service {
     /// Names the configured model gave to the instances of a parse.
     pub(super) async fn names_of(&self, parse_id: &str) -> Result<BTreeMap<u32, String>, Error> {
         match &self.vlm {
-            Some(vlm) => {
-                Ok(self.store.instance_names(parse_id, vlm.name(), naming::NAMING_VERSION).await?)
-            }
+            Some(vlm) => Ok(self
+                .store
+                .names
+                .instance_names(parse_id, vlm.name(), naming::NAMING_VERSION)
+                .await?),
             None => Ok(BTreeMap::new()),
         }
     }
@@ -142,10 +150,12 @@ impl Service {
         parse_id: &str,
         instances: &mut [Instance],
     ) -> Result<Option<String>, Error> {
-        let Some(model) = self.store.name_index(parse_id, naming::NAMING_VERSION).await? else {
+        let Some(model) = self.store.names.name_index(parse_id, naming::NAMING_VERSION).await?
+        else {
             return Ok(None);
         };
-        let mut names = self.store.instance_names(parse_id, &model, naming::NAMING_VERSION).await?;
+        let mut names =
+            self.store.names.instance_names(parse_id, &model, naming::NAMING_VERSION).await?;
         for instance in instances {
             // What was found for a question has a name of its own.
             let own = instance.given_name.take();
@@ -163,6 +173,7 @@ impl Service {
     ) -> Result<(), Error> {
         if let Some(vlm) = &self.vlm {
             self.store
+                .names
                 .keep_instance_names(parse_id, vlm.name(), naming::NAMING_VERSION, names)
                 .await?;
         }
@@ -200,7 +211,7 @@ impl Service {
             };
             named += names.values().filter(|name| !name.is_empty()).count();
         }
-        self.store.complete_name_index(&parse_id, vlm.name(), naming::NAMING_VERSION).await?;
+        self.store.names.complete_name_index(&parse_id, vlm.name(), naming::NAMING_VERSION).await?;
         // From here on whoever asks is answered with all names.
         Ok(format!("{named} of {} objects named by {}", unnamed.len(), vlm.name()))
     }

@@ -65,9 +65,9 @@ impl Service {
             spawn_blocking(move || Ok::<_, Error>((blobs.whole(&folder)?, blobs.whole(&content)?)));
         let (folder, content) = brought.await??;
         Ok(Previous {
-            found: self.store.instances(&parse_id).await?,
+            found: self.store.parses.instances(&parse_id).await?,
             shown: loaded.instances.clone(),
-            corrections: self.store.corrections(&parse_id).await?,
+            corrections: self.store.corrections.corrections(&parse_id).await?,
             blobs: self.store.blobs.clone(),
             folder,
             content,

@@ -106,7 +106,7 @@ impl Service {
         const PATIENCE: Duration = Duration::from_mins(10);
         const LOOK_EVERY: Duration = Duration::from_secs(2);
         let back = async {
-            while self.store.health().await.blobs.is_some() {
+            while self.store.health.health().await.blobs.is_some() {
                 sleep(LOOK_EVERY).await;
             }
         };
@@ -192,7 +192,7 @@ impl Service {
         let (blobs, pool, id, how) = (
             self.store.blobs.clone(),
             self.parsing.clone(),
-            self.store.new_id(),
+            self.store.ids.new_id(),
             settings.parsing.instances,
         );
         let place = blobs.parse(&id);
@@ -216,6 +216,7 @@ impl Service {
 
         let inserted = self
             .store
+            .parses
             .insert_parse(NewParse {
                 id: &id,
                 content_hash: &scene.content_hash,
@@ -236,7 +237,7 @@ impl Service {
             })
             .await?;
         if inserted {
-            self.store.set_scene_parse(scene_id, &id, job_id).await?;
+            self.store.scenes.set_scene_parse(scene_id, &id, job_id).await?;
         } else {
             // Somebody parsed the same meanwhile, or the scene is gone.
             self.store.blobs.discard(self.store.blobs.parse(&id)).await?;
@@ -290,7 +291,7 @@ impl Service {
         let Some(parse_id) = self.stored_parse(&scene.content_hash, settings).await? else {
             return Ok(false);
         };
-        self.store.set_scene_parse(&scene.id, &parse_id, job_id).await?;
+        self.store.scenes.set_scene_parse(&scene.id, &parse_id, job_id).await?;
         Ok(true)
     }
 }

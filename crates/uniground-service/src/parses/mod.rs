@@ -64,7 +64,7 @@ impl Service {
             self.check_disk(0)?;
             self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
         }
-        let row = self.store.insert_scene_job(&scene.id, wanted.job()).await?;
+        let row = self.store.scenes.insert_scene_job(&scene.id, wanted.job()).await?;
         let row = row.ok_or_else(|| Error::SceneNotFound { id: scene.id })?;
         Ok(self.jobs.recorded::<ParseJob>(row))
     }
@@ -100,7 +100,7 @@ impl Service {
     ) -> Result<Job, Error> {
         let scene = self.scene_row(scene_id).await?;
         let told = match &scene.job_id {
-            Some(job_id) => self.store.job(job_id).await?,
+            Some(job_id) => self.store.jobs.job(job_id).await?,
             None => None,
         };
         let overrides = match told {
@@ -144,7 +144,9 @@ impl Service {
         settings: &ParseSettings,
     ) -> Result<Option<String>, Error> {
         let hash = settings_hash(settings, &names_of(&chosen(settings.models, &self.models)))?;
-        let Some(parse) = self.store.parse_of(content_hash, &hash).await? else { return Ok(None) };
+        let Some(parse) = self.store.parses.parse_of(content_hash, &hash).await? else {
+            return Ok(None);
+        };
         let wrong = self.look_at_parse(&parse.id, Look::Names).await?;
         if wrong.is_empty() {
             return Ok(Some(parse.id));
@@ -160,15 +162,16 @@ impl Service {
     /// # Errors
     /// [`Error::Store`].
     pub async fn retire_parse(&self, parse_id: &str) -> Result<(), Error> {
-        let settings = self.store.parse(parse_id).await?.map(|parse| parse.record().settings);
-        for scene in self.store.retire_parse(parse_id).await? {
+        let settings =
+            self.store.parses.parse(parse_id).await?.map(|parse| parse.record().settings);
+        for scene in self.store.parses.retire_parse(parse_id).await? {
             let Some(settings) = &settings else { continue };
             let payload = serde_json::to_string(&Payload {
                 scene_id: scene.id.clone(),
                 settings: settings.clone(),
             })?;
             let job = NewJob { kind: ParseJob::NAME, payload: &payload, key_id: None, done: None };
-            if let Some(row) = self.store.insert_scene_job(&scene.id, job).await? {
+            if let Some(row) = self.store.scenes.insert_scene_job(&scene.id, job).await? {
                 tracing::info!(
                     parse_id,
                     scene_id = scene.id,
@@ -257,17 +260,17 @@ impl Service {
 
     /// How often what is known of a parse has changed: by this process or another.
     async fn changes_of_parse(&self, parse_id: &str) -> Result<i64, Error> {
-        let changes = self.store.changes_of_parse(parse_id).await?;
+        let changes = self.store.parses.changes_of_parse(parse_id).await?;
         changes.ok_or_else(|| Error::SceneNotFound { id: parse_id.into() })
     }
 
     async fn read_parse(&self, parse_id: &str) -> Result<LoadedParse, Error> {
         let gone = || Error::SceneNotFound { id: parse_id.into() };
-        let row = self.store.parse(parse_id).await?.ok_or_else(gone)?;
+        let row = self.store.parses.parse(parse_id).await?.ok_or_else(gone)?;
         let ParseRecord { models, extent, import, .. } = row.record();
-        let mut instances = self.store.instances(parse_id).await?;
+        let mut instances = self.store.parses.instances(parse_id).await?;
         let named_by = self.give_names(parse_id, &mut instances).await?;
-        let corrections = self.store.corrections(parse_id).await?;
+        let corrections = self.store.corrections.corrections(parse_id).await?;
         let (blobs, folder) = (self.store.blobs.clone(), self.store.blobs.parse(parse_id));
         let (id, content, masks, encoder) =
             (parse_id.to_owned(), blobs.content(&row.content_hash), models.masks, models.encoder);

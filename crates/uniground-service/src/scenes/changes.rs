@@ -42,7 +42,7 @@ impl Service {
                 version: now.version,
             });
         }
-        let known = self.store.scene_changes(scene_id, since).await?;
+        let known = self.store.scenes.scene_changes(scene_id, since).await?;
         let (mut changes, mut next) = (Changes::default(), now.version);
         // From the last on backwards: where one is missing, ids are others.
         for (version, _) in known.iter().rev() {

@@ -69,7 +69,7 @@ impl Service {
         // One after the other: each grows from what the last has left.
         let _turn = self.growing.lock().await;
         if let Some(key) = &key
-            && let Some((scene, before)) = self.store.scene_of_idempotency_key(key).await?
+            && let Some((scene, before)) = self.store.scenes.scene_of_idempotency_key(key).await?
         {
             return match before.is_some_and(|before| before == request) {
                 true => self.grown_before(scene).await,
@@ -93,12 +93,13 @@ impl Service {
         let references = self.content_references().await?;
         let settings = self
             .store
+            .parses
             .parse(&parse_id)
             .await?
             .map(|parse| parse.record().settings)
             .unwrap_or_default();
         let wanted = self.wanted_parse(scene_id, &laid, &settings, caller).await?;
-        let grew = self.store.grow_scene(Growth {
+        let grew = self.store.scenes.grow_scene(Growth {
             scene_id,
             from_content: &from_content,
             content_hash: &laid,

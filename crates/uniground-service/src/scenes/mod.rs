@@ -47,7 +47,7 @@ impl Service {
     ) -> Result<SceneList, Error> {
         let filter = SceneFilter { ids: None, labels };
         let (rows, next_cursor) =
-            page(self.store.scenes(limit + 1, cursor, &filter).await?, limit, |row| &row.id);
+            page(self.store.scenes.scenes(limit + 1, cursor, &filter).await?, limit, |row| &row.id);
         let mut scenes = Vec::with_capacity(rows.len());
         for row in rows {
             // Pages of scenes are looked through: what one scene was parsed with, and how that
@@ -91,6 +91,7 @@ impl Service {
         let change = SceneRowChange { name: name.as_deref(), scene_to_map, map_frame_id, labels };
         let row = self
             .store
+            .scenes
             .change_scene(id, change)
             .await?
             .ok_or_else(|| Error::SceneNotFound { id: id.into() })?;
@@ -105,7 +106,7 @@ impl Service {
     /// [`Error::SceneNotFound`].
     pub async fn delete_scene(&self, id: &str) -> Result<(), Error> {
         let trash = match self.try_to_delete(id).await {
-            Err(error) if error.is_disk_full() && self.store.release_reserve() => {
+            Err(error) if error.is_disk_full() && self.store.reserve.release_reserve() => {
                 self.try_to_delete(id).await
             }
             done => done,
@@ -113,7 +114,7 @@ impl Service {
         let store = self.store.clone();
         tokio::spawn(async move {
             let _ = spawn_blocking(move || drop(trash)).await;
-            store.restore_reserve().await;
+            store.reserve.restore_reserve().await;
         });
         Ok(())
     }
@@ -123,7 +124,7 @@ impl Service {
         self.jobs.cancel_all_of(id).await?;
         // Answers go first, some at a time: nobody waits for the last of a hundred thousand.
         loop {
-            let answers = self.store.delete_some_answers(id).await?;
+            let answers = self.store.answers.delete_some_answers(id).await?;
             if answers.is_empty() {
                 break;
             }
@@ -132,14 +133,15 @@ impl Service {
         let _references = self.content_references().await?;
         let left_over = self
             .store
+            .scenes
             .delete_scene(id)
             .await?
             .ok_or_else(|| Error::SceneNotFound { id: id.into() })?;
-        Ok(self.store.set_aside(left_over).await?)
+        Ok(self.store.orphans.set_aside(left_over).await?)
     }
 
     pub(super) async fn scene_row(&self, id: &str) -> Result<SceneRow, Error> {
-        self.store.scene(id).await?.ok_or_else(|| Error::SceneNotFound { id: id.into() })
+        self.store.scenes.scene(id).await?.ok_or_else(|| Error::SceneNotFound { id: id.into() })
     }
 
     /// A scene that has a parse, and the parse's id.
@@ -161,7 +163,7 @@ impl Service {
     pub(super) async fn present(&self, row: SceneRow) -> Result<Scene, Error> {
         let job = self.job_of(&row).await?;
         let parse = match &row.parse_id {
-            Some(id) => self.store.parse(id).await?,
+            Some(id) => self.store.parses.parse(id).await?,
             None => None,
         };
         let status = match (&parse, job.as_ref().map(|job| job.state)) {

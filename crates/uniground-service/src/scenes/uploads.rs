@@ -152,7 +152,7 @@ impl Service {
             check_name("/name", name)?;
         }
         let made_before = match &idempotency_key {
-            Some(key) => self.store.scene_of_idempotency_key(key).await?,
+            Some(key) => self.store.scenes.scene_of_idempotency_key(key).await?,
             None => None,
         };
         if made_before.is_none() {
@@ -210,7 +210,7 @@ impl Service {
             let blobs = self.store.blobs.clone();
             spawn_blocking(move || blobs.publish_prepared(folder)).await??;
         }
-        let id = self.store.new_id();
+        let id = self.store.ids.new_id();
         let wanted = match &parse {
             Some(settings) => Some(self.wanted_parse(&id, &received.hash, settings, caller).await?),
             None => None,
@@ -218,7 +218,7 @@ impl Service {
         if wanted.as_ref().is_some_and(|wanted| wanted.stored.is_none()) {
             self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
         }
-        let inserted = self.store.insert_scene(NewSceneRow {
+        let inserted = self.store.scenes.insert_scene(NewSceneRow {
             id: &id,
             name: &name,
             content_hash: &received.hash,
@@ -250,7 +250,7 @@ impl Service {
     ) -> Result<(), Error> {
         let Some(key) = &caller.key else { return Ok(()) };
         let Some(most) = key.row.max_scenes else { return Ok(()) };
-        let scenes = self.store.scenes_of_key(&key.row.id).await?.saturating_add(coming);
+        let scenes = self.store.keys.scenes_of_key(&key.row.id).await?.saturating_add(coming);
         if scenes >= most { Err(Error::TooManyScenes { most }) } else { Ok(()) }
     }
 
@@ -273,7 +273,7 @@ impl Service {
 
     /// Whether these bytes are stored: in the database, and on the disk.
     async fn has_content(&self, hash: &str) -> Result<bool, Error> {
-        if !self.store.has_content(hash).await? {
+        if !self.store.contents.has_content(hash).await? {
             return Ok(false);
         }
         let (blobs, content) = (self.store.blobs.clone(), self.store.blobs.content(hash));

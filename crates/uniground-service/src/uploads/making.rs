@@ -30,9 +30,10 @@ impl Service {
     /// # Errors
     /// [`Error::Store`].
     pub async fn make_left_uploads(&self) -> Result<(), Error> {
-        for id in self.store.unmade_uploads().await? {
+        for id in self.store.uploads.unmade_uploads().await? {
             let Ok(_turn) = self.at_upload(&id).await else { continue };
-            let Some(row) = self.store.upload(&id).await?.filter(|row| row.came_of.is_none())
+            let Some(row) =
+                self.store.uploads.upload(&id).await?.filter(|row| row.came_of.is_none())
             else {
                 continue;
             };
@@ -81,7 +82,7 @@ impl Service {
     }
 
     async fn end_upload(&self, id: &str, came_of: CameOf) -> Result<UploadRow, Error> {
-        let row = self.store.end_upload(id, &came_of).await?;
+        let row = self.store.uploads.end_upload(id, &came_of).await?;
         self.store.blobs.discard(self.store.blobs.upload(id)).await?;
         row.ok_or_else(|| Error::UploadNotFound { id: id.into() })
     }
@@ -100,7 +101,7 @@ impl Service {
         // scene.
         let key = caller
             .own(wanted.idempotency_key.clone().unwrap_or_else(|| format!("upload {}", row.id)));
-        let made_before = self.store.scene_of_idempotency_key(&key).await?;
+        let made_before = self.store.scenes.scene_of_idempotency_key(&key).await?;
         if made_before.is_none() {
             self.check_disk(0)?;
             self.check_quota(caller).await?;

@@ -58,7 +58,7 @@ impl Service {
         // With nobody beside: several at once must not come to more.
         let _beginning = self.beginning_uploads().await?;
         let since = self.oldest_upload().map_or_else(String::new, |oldest| oldest.to_string());
-        let unfinished = self.store.unfinished_uploads(&since, caller.key_id()).await?;
+        let unfinished = self.store.uploads.unfinished_uploads(&since, caller.key_id()).await?;
         let most = match &caller.key {
             Some(_) if unfinished.of_key >= MOST_OF_A_KEY => Some(MOST_OF_A_KEY),
             _ => (unfinished.uploads >= self.limits.max_unfinished_uploads)
@@ -70,7 +70,7 @@ impl Service {
         // What others have announced is as good as taken.
         self.check_disk(length.saturating_add(unfinished.announced_bytes))?;
         self.check_quota_beside(unfinished.of_key, caller).await?;
-        let row = self.store.insert_upload(&wanted, length, caller.key_id()).await?;
+        let row = self.store.uploads.insert_upload(&wanted, length, caller.key_id()).await?;
         Ok(self.present_upload(row))
     }
 
@@ -103,7 +103,7 @@ impl Service {
     pub async fn delete_upload(&self, id: &str, caller: &Caller) -> Result<(), Error> {
         self.upload_row(id, caller).await?;
         let _turn = self.at_upload(id).await?;
-        if !self.store.delete_upload(id).await? {
+        if !self.store.uploads.delete_upload(id).await? {
             return Err(Error::UploadNotFound { id: id.into() });
         }
         Ok(self.store.blobs.discard(self.store.blobs.upload(id)).await?)
@@ -111,8 +111,12 @@ impl Service {
 
     /// The record of a caller's upload, which claims no more than is on the disk.
     async fn upload_row(&self, id: &str, caller: &Caller) -> Result<UploadRow, Error> {
-        let row =
-            self.store.upload(id).await?.filter(|row| row.key_id.as_deref() == caller.key_id());
+        let row = self
+            .store
+            .uploads
+            .upload(id)
+            .await?
+            .filter(|row| row.key_id.as_deref() == caller.key_id());
         let row = row.ok_or_else(|| Error::UploadNotFound { id: id.into() })?;
         if self
             .oldest_upload()

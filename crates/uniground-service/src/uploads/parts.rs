@@ -137,7 +137,7 @@ impl Service {
             file.head(Packed::HEAD_BYTES).map(|head| (file, head))
         })
         .await??;
-        let noted = self.store.note_received(&row.id, file.bytes()).await?;
+        let noted = self.store.uploads.note_received(&row.id, file.bytes()).await?;
         let noted = noted.ok_or_else(|| Error::UploadNotFound { id: row.id.clone() })?;
         if row.received < HEAD_BYTES && noted.received >= HEAD_BYTES {
             what_comes(&head, file_name(&noted))?;

@@ -106,7 +106,8 @@ impl Metered {
         let thought_usd = prices.thought_usd(request);
         // Who leaves before the call is made has bought nothing, whether or not the money is aside
         // by then; who leaves while the model thinks has asked it all the same.
-        let mut call = Call { store: self.store.clone(), open: Some((self.store.new_id(), 0.0)) };
+        let mut call =
+            Call { store: self.store.clone(), open: Some((self.store.ids.new_id(), 0.0)) };
         let id = call.open.as_ref().map_or("", |(id, _)| id);
         let (day, key_id) = (today(), self.key.as_ref().map(|key| &*key.row.id));
         let wish =
@@ -134,7 +135,7 @@ impl Metered {
     async fn reserve(&self, id: &str, wish: &Wish<'_>) -> Result<Result<(), Short>, StoreError> {
         let start = Instant::now();
         loop {
-            match self.store.reserve_spending(id, wish).await {
+            match self.store.spending.reserve_spending(id, wish).await {
                 Err(error) if error.is_busy() && start.elapsed() < DATABASE_IS_BACK => {
                     sleep(LOOK_AGAIN).await
                 }
@@ -248,7 +249,7 @@ impl Drop for Call {
 
 /// What can not be settled stays reserved, and counts as spent when the server starts next.
 async fn settle(store: &Store, id: &str, usd: f64) {
-    if let Err(error) = store.settle_spending(id, usd).await {
+    if let Err(error) = store.spending.settle_spending(id, usd).await {
         tracing::warn!(
             usd,
             error = &error as &dyn std::error::Error,

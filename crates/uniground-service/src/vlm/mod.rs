@@ -112,7 +112,7 @@ impl Vlm {
 
     /// US dollars, calls under way left out.
     pub(super) async fn spent_today_usd(&self) -> Result<f64, Error> {
-        Ok(self.store.spent_on(&today()).await?)
+        Ok(self.store.spending.spent_on(&today()).await?)
     }
 
     /// What pays for a question of its own. The day's money, everybody's and a key's, is looked at

@@ -161,7 +161,8 @@ async fn bring(
     tell: &Tell,
 ) -> Result<(Folder, Moved), MoveError> {
     let (path, engine) = (to.data_dir.clone(), to.database.engine()?);
-    let current = (files == Files::Stay).then(|| (source.folder.id.clone(), source.engine));
+    let current =
+        (files == Files::Stay).then(|| (source.folder.id.clone(), source.database.engine));
     let opening = spawn_blocking(move || match current {
         Some((id, engine_before)) => Folder::in_place(path, &id, engine_before, engine),
         None => Folder::open(path, engine),

@@ -172,10 +172,11 @@ pub async fn move_rows(
     id: &str,
     tell: &Tell,
 ) -> Result<Rows, MoveError> {
-    let since: String =
-        sqlx::query_scalar("SELECT since FROM data_folder").fetch_one(&source.reader).await?;
+    let since: String = sqlx::query_scalar("SELECT since FROM data_folder")
+        .fetch_one(&source.database.reader)
+        .await?;
     target.introduce(id, &since).await?;
-    let mut from = without_haste(&source.reader, source.engine).await?;
+    let mut from = without_haste(&source.database.reader, source.database.engine).await?;
     let mut rows = Rows { moved: Vec::new(), texts_changed: 0 };
     for table in TABLES {
         let moved = move_table(&mut from, target, table, &mut rows.texts_changed, tell).await;
@@ -306,8 +307,10 @@ mod tests {
         )
         .await
         .unwrap();
-        let mut tables: Vec<String> =
-            sqlx::query_scalar(Engine::Sqlite.tables()).fetch_all(&store.reader).await.unwrap();
+        let mut tables: Vec<String> = sqlx::query_scalar(Engine::Sqlite.tables())
+            .fetch_all(&store.database.reader)
+            .await
+            .unwrap();
         tables.sort();
         let mut known: Vec<&str> =
             TABLES.into_iter().chain(["_sqlx_migrations", "data_folder", "members"]).collect();
@@ -315,8 +318,11 @@ mod tests {
         assert_eq!(tables, known, "what becomes of a table when a store is moved?");
         for (place, table) in TABLES.iter().enumerate() {
             let sql = "SELECT \"table\" FROM pragma_foreign_key_list($1)";
-            let above: Vec<String> =
-                sqlx::query_scalar(sql).bind(*table).fetch_all(&store.reader).await.unwrap();
+            let above: Vec<String> = sqlx::query_scalar(sql)
+                .bind(*table)
+                .fetch_all(&store.database.reader)
+                .await
+                .unwrap();
             assert!(
                 above.iter().all(|above| TABLES[..place].contains(&&**above)),
                 "{table} comes before {above:?}"
@@ -325,7 +331,7 @@ mod tests {
         for table in TABLES {
             let columns: Vec<(String, String)> = sqlx::query_as(Engine::Sqlite.columns())
                 .bind(table)
-                .fetch_all(&store.reader)
+                .fetch_all(&store.database.reader)
                 .await
                 .unwrap();
             assert!(!columns.is_empty() && columns.len() * ROWS_OF_STATEMENT < 1 << 15, "{table}");

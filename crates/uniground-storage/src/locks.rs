@@ -1,0 +1,40 @@
+//! Locks by name.
+
+use super::StoreError;
+use super::members::{Membership, Turn};
+
+/// Locks by name, shared by all processes that use a database. Cheap to clone.
+#[derive(Clone)]
+pub struct NamedLocks {
+    pub(super) members: Membership,
+}
+
+impl NamedLocks {
+    /// Waits for a lock. Nobody else holds it meanwhile, in this process or in another.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn lock(&self, name: &str) -> Result<Turn, StoreError> {
+        self.members.turn(name).await
+    }
+
+    /// Takes a lock, if nobody holds it.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn try_lock(&self, name: &str) -> Result<Option<Turn>, StoreError> {
+        self.members.try_turn(name).await
+    }
+
+    /// Whether other processes may use the same database.
+    #[must_use]
+    pub fn is_shared(&self) -> bool {
+        self.members.is_shared()
+    }
+
+    /// Whether no other process used the database when this one started.
+    #[must_use]
+    pub fn was_alone_at_start(&self) -> bool {
+        self.members.was_alone
+    }
+}
