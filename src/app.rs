@@ -15,7 +15,9 @@ use uniground_core::background;
 use uniground_endpoints::chat::{ChatClient, ReplayCache};
 use uniground_endpoints::inference::Probe;
 use uniground_jobs::{JobKind, Jobs};
-use uniground_service::{BatchJob, Keyring, NamingJob, ParseJob, Service, Vlm, VlmSettings};
+use uniground_service::{
+    BatchJob, Dependencies, Keyring, NamingJob, ParseJob, Services, Vlm, VlmSettings,
+};
 use uniground_storage::{BlobsAt, Location, News, Newsroom, Store};
 use uniground_telemetry::metrics::Metrics;
 
@@ -23,7 +25,7 @@ use uniground_telemetry::metrics::Metrics;
 pub struct RunningService {
     /// Where it listens, with the port the system picked.
     pub address: SocketAddr,
-    service: Service,
+    services: Services,
     shutdown: CancellationToken,
     server: JoinHandle<()>,
     lanes: Vec<JoinHandle<()>>,
@@ -105,54 +107,63 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
         config.models.bundles.inference_url.as_deref().filter(|_| !models.loaded.is_empty());
     let inference =
         inference.map(Probe::new).transpose().context("a client for the inference server")?;
-    let service = Service::new(
-        store.clone(),
-        jobs.clone(),
-        keys,
-        config.limits.service_limits(),
+    let services = Services::new(Dependencies {
+        store: store.clone(),
+        jobs: jobs.clone(),
+        keyring: keys,
+        limits: config.limits.service_limits(),
         vlm,
         models,
-        parsing,
-    )
-    .watching(inference)
-    .importing_from(config.access.import_root.clone())
-    .reading_with(config.limits.scan_reader())
-    .telling(http::told);
+        parse_pool: parsing,
+        reader: config.limits.scan_reader(),
+        import_root: config.access.import_root.clone(),
+        inference,
+        explain: http::told,
+    });
     let listener = TcpListener::bind(config.listen)
         .await
         .with_context(|| format!("listening on {}", config.listen))?;
     let address = listener.local_addr()?;
 
     let shutdown = CancellationToken::new();
-    service.note_announcements(webhook.as_ref()).await?;
+    services.webhooks.note_announcements(webhook.as_ref()).await?;
     // Beside others they may be of a newer version.
     if store.locks.was_alone_at_start() {
         jobs.refuse_unknown_kinds(&Work::ALL.map(Work::kind)).await?;
     }
     let start = |work: &Work| match work {
-        Work::Parse => start_lane(&jobs, ParseJob(service.clone()), part.concurrency, &shutdown),
-        Work::Naming => start_lane(&jobs, NamingJob(service.clone()), part.concurrency, &shutdown),
-        Work::Batch => start_lane(&jobs, BatchJob(service.clone()), part.concurrency, &shutdown),
+        Work::Parse => start_lane(
+            &jobs,
+            ParseJob { runner: services.parse_runner.clone(), naming: services.naming.clone() },
+            part.concurrency,
+            &shutdown,
+        ),
+        Work::Naming => {
+            start_lane(&jobs, NamingJob(services.naming.clone()), part.concurrency, &shutdown)
+        }
+        Work::Batch => {
+            start_lane(&jobs, BatchJob(services.batch_runner.clone()), part.concurrency, &shutdown)
+        }
     };
     let lanes = part.works.iter().map(start).collect();
-    tokio::spawn(keep_house(service.clone(), shutdown.clone()));
-    tokio::spawn(keep_index(service.clone(), shutdown.clone()));
+    tokio::spawn(keep_house(services.clone(), shutdown.clone()));
+    tokio::spawn(keep_index(services.clone(), shutdown.clone()));
     tokio::spawn(keep_reserve(store.clone(), shutdown.clone()));
     if part.serves {
-        tokio::spawn(make_left_uploads(service.clone(), shutdown.clone()));
+        tokio::spawn(make_left_uploads(services.clone(), shutdown.clone()));
     }
     if let Some(newsroom) = store.notifications.newsroom().await? {
-        tokio::spawn(heed_news(newsroom, jobs.clone(), service.keys.clone(), shutdown.clone()));
+        tokio::spawn(heed_news(newsroom, jobs.clone(), services.keyring.clone(), shutdown.clone()));
     }
     if let Some(chat) = chat {
-        tokio::spawn(look_for_model(chat, service.clone()));
+        tokio::spawn(look_for_model(chat, services.clone()));
     }
     if let Some(webhook) = webhook {
-        tokio::spawn(service.clone().announce(Arc::new(webhook), shutdown.clone()));
+        tokio::spawn(services.webhooks.clone().announce(Arc::new(webhook), shutdown.clone()));
     }
     let most = most_connections(config.limits.max_connections);
     let app = App {
-        service: service.clone(),
+        services: services.clone(),
         scopes: Arc::new(http::scopes()),
         shutdown: shutdown.clone(),
         metrics: metrics.clone(),
@@ -160,11 +171,11 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
             .then(|| Arc::new(AllowedHosts::new(&config.access.allowed_hosts))),
         origins: Origins::new(&config.access.cors_origins).context("--cors-origin")?,
         event_streams: EventStreams::beside(most),
-        mcp: Mcp::over_http(service.clone(), shutdown.child_token()),
+        mcp: Mcp::over_http(services.clone(), shutdown.child_token()),
     };
     let router = if part.serves { http::router(app) } else { http::watched(app) };
     let server = tokio::spawn(http::serve(listener, router, most, metrics, shutdown.clone()));
-    Ok(RunningService { address, service, shutdown, server, lanes, store })
+    Ok(RunningService { address, services, shutdown, server, lanes, store })
 }
 
 /// What is not in the data folder.
@@ -231,8 +242,8 @@ async fn heed_news(mut newsroom: Newsroom, jobs: Jobs, keys: Keyring, shutdown: 
 
 /// Says at the start, and not with somebody's question, that the vision-language model's server is
 /// not there, or what it will not take.
-async fn look_for_model(chat: Arc<ChatClient>, service: Service) {
-    let Some(vlm) = service.vlm() else { return };
+async fn look_for_model(chat: Arc<ChatClient>, services: Services) {
+    let Some(vlm) = services.vlm() else { return };
     if let Err(error) = chat.reach().await {
         tracing::warn!(
             error = &error as &dyn std::error::Error,
@@ -250,11 +261,13 @@ async fn look_for_model(chat: Arc<ChatClient>, service: Service) {
 
 /// Removes what was kept long enough, sweeps, and looks whether what is stored is still what was
 /// written: a while after the start, and every day.
-async fn keep_house(service: Service, shutdown: CancellationToken) {
+async fn keep_house(services: Services, shutdown: CancellationToken) {
     const DAY: Duration = Duration::from_hours(24);
     let mut wait = Duration::from_mins(1);
     while shutdown.run_until_cancelled(sleep(wait)).await.is_some() {
-        if let Some(Err(error)) = shutdown.run_until_cancelled(service.keep_house()).await {
+        if let Some(Err(error)) =
+            shutdown.run_until_cancelled(services.maintenance.keep_house()).await
+        {
             tracing::warn!(
                 error = &error as &dyn std::error::Error,
                 "the daily look at what is stored could not be finished"
@@ -266,10 +279,10 @@ async fn keep_house(service: Service, shutdown: CancellationToken) {
 
 /// Notes what the rooms are known by whose parses are new, or of which something else is known by
 /// now.
-async fn keep_index(service: Service, shutdown: CancellationToken) {
+async fn keep_index(services: Services, shutdown: CancellationToken) {
     const EVERY: Duration = Duration::from_secs(3);
     while shutdown.run_until_cancelled(sleep(EVERY)).await.is_some() {
-        if let Some(Err(error)) = shutdown.run_until_cancelled(service.index_rooms()).await {
+        if let Some(Err(error)) = shutdown.run_until_cancelled(services.rooms.index_rooms()).await {
             tracing::warn!(error = &error as &dyn std::error::Error, "rooms could not be indexed");
         }
     }
@@ -285,9 +298,10 @@ async fn keep_reserve(store: Store, shutdown: CancellationToken) {
 
 /// Goes on with uploads that were all there when their server stopped, or that a full queue or disk
 /// kept waiting.
-async fn make_left_uploads(service: Service, shutdown: CancellationToken) {
+async fn make_left_uploads(services: Services, shutdown: CancellationToken) {
     const EVERY: Duration = Duration::from_secs(10);
-    while let Some(made) = shutdown.run_until_cancelled(service.make_left_uploads()).await {
+    while let Some(made) = shutdown.run_until_cancelled(services.uploads.make_left_uploads()).await
+    {
         if let Err(error) = made {
             tracing::warn!(
                 error = &error as &dyn std::error::Error,
@@ -319,8 +333,8 @@ const GRACE: Duration = Duration::from_secs(5);
 impl RunningService {
     /// The use cases.
     #[must_use]
-    pub fn service(&self) -> Service {
-        self.service.clone()
+    pub fn services(&self) -> Services {
+        self.services.clone()
     }
 
     /// Stops: no new requests, running ones finish, running jobs go back to their queues, the

@@ -8,7 +8,7 @@ use crate::telemetry;
 use anyhow::{Context, bail, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde_json::json;
-use uniground_service::{Finding, Service, Trouble};
+use uniground_service::{Dependencies, Finding, Services, Trouble};
 use uniground_storage::Store;
 
 #[derive(Debug, clap::Args)]
@@ -34,8 +34,9 @@ pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
     ensure!(data_dir.is_dir(), "there is no folder {data_dir}");
     let store = Store::open_as_it_is(data_dir, &database.location, &blobs.home()?).await;
     let store = store.with_context(|| format!("the data folder {data_dir}"))?;
-    let service = Service::at_rest(store.clone(), LimitsConfig::default().service_limits()).await?;
-    let findings = service.examine().await?;
+    let limits = LimitsConfig::default().service_limits();
+    let services = Services::new(Dependencies::at_rest(store.clone(), limits).await?);
+    let findings = services.doctor.examine().await?;
     if findings.is_empty() {
         match as_json {
             true => print_json(&as_value(data_dir, &findings, None))?,
@@ -51,8 +52,8 @@ pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
         findings.iter().partition(|finding| finding.trouble.remedy().is_some());
     let mut waiting = None;
     if *repair {
-        service.repair(&findings).await?;
-        waiting = Some(service.waiting_parses().await?);
+        services.doctor.repair(&findings).await?;
+        waiting = Some(services.doctor.waiting_parses().await?);
     }
     match waiting {
         _ if *as_json => print_json(&as_value(data_dir, &findings, waiting))?,

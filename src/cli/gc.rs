@@ -6,7 +6,7 @@ use crate::telemetry;
 use anyhow::Context;
 use camino::Utf8PathBuf;
 use serde_json::json;
-use uniground_service::{Beside, Service};
+use uniground_service::{Beside, Dependencies, Services};
 use uniground_storage::Store;
 
 #[derive(Debug, clap::Args)]
@@ -41,8 +41,9 @@ pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
     };
     let store = opened.with_context(|| format!("the data folder {data_dir}"))?;
     let limits = LimitsConfig { retention: retention.clone(), ..LimitsConfig::default() };
-    let service = Service::at_rest(store.clone(), limits.service_limits()).await?;
-    let removed = service.let_go(Beside::Nobody).await?;
+    let dependencies = Dependencies::at_rest(store.clone(), limits.service_limits()).await?;
+    let services = Services::new(dependencies);
+    let removed = services.maintenance.let_go(Beside::Nobody).await?;
     let (entries, bytes) = removed
         .iter()
         .fold((0, 0), |(entries, bytes), one| (entries + one.entries, bytes + one.bytes));
@@ -56,7 +57,7 @@ pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
         let verb = if *dry_run { "would go" } else { "gone" };
         println!("{verb}: {entries} entries, {}", table::size(bytes));
     }
-    drop(service);
+    drop(services);
     if !dry_run && (entries > 0 || store.retention.unused_bytes().await? >= WORTH_COMPACTING_BYTES)
     {
         match store.retention.compact().await {

@@ -13,7 +13,7 @@ pub async fn run(config: &ServeConfig) -> anyhow::Result<()> {
     let here = ServeConfig { listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)), ..config.clone() };
     let running = app::start(&here).await?;
     tracing::info!("also at http://{}", running.address);
-    let served = Box::pin(Mcp::over_stdio(running.service())).await;
+    let served = Box::pin(Mcp::over_stdio(running.services())).await;
     running.stop().await?;
     served
 }

@@ -80,13 +80,15 @@ pub async fn list(
         }
         let shutdown = app.shutdown.clone().cancelled_owned();
         // Who reads a long list does not keep the server from stopping.
-        let lines =
-            futures::StreamExt::take_until(app.service.all_answers(filter, format), shutdown);
+        let lines = futures::StreamExt::take_until(
+            app.services.answers.all_answers(filter, format),
+            shutdown,
+        );
         return Ok(([(header::CONTENT_TYPE, media_type_of(format))], Body::from_stream(lines))
             .into_response());
     }
     let (limit, cursor) = checked(limit.unwrap_or(super::paging::DEFAULT_LIMIT), cursor)?;
-    let page = app.service.answers(&filter, limit, cursor.as_deref()).await?;
+    let page = app.services.answers.answers(&filter, limit, cursor.as_deref()).await?;
     Ok(([(header::CONTENT_TYPE, "application/json")], page).into_response())
 }
 
@@ -110,7 +112,10 @@ pub async fn get(
     State(app): State<App>,
     Path(answer_id): Path<String>,
 ) -> Result<impl IntoResponse, Refused> {
-    Ok(([(header::CONTENT_TYPE, "application/json")], app.service.answer(&answer_id).await?))
+    Ok((
+        [(header::CONTENT_TYPE, "application/json")],
+        app.services.answers.answer(&answer_id).await?,
+    ))
 }
 
 /// A picture that goes with an answer: `global.jpg`, and for answers of a model `candidate-7.jpg`
@@ -135,7 +140,7 @@ pub async fn picture(
 ) -> Result<impl IntoResponse, Refused> {
     Ok((
         [(header::CONTENT_TYPE, "image/jpeg")],
-        app.service.answer_picture(&answer_id, &picture).await?,
+        app.services.answers.answer_picture(&answer_id, &picture).await?,
     ))
 }
 
@@ -155,7 +160,7 @@ pub async fn prompt(
     State(app): State<App>,
     Path(answer_id): Path<String>,
 ) -> Result<Json<AnswerPrompt>, Refused> {
-    Ok(Json(app.service.answer_prompt(&answer_id).await?))
+    Ok(Json(app.services.transcripts.answer_prompt(&answer_id).await?))
 }
 
 /// What the model said, word by word.
@@ -173,5 +178,5 @@ pub async fn reply(
     State(app): State<App>,
     Path(answer_id): Path<String>,
 ) -> Result<Json<AnswerReply>, Refused> {
-    Ok(Json(app.service.answer_reply(&answer_id).await?))
+    Ok(Json(app.services.transcripts.answer_reply(&answer_id).await?))
 }

@@ -41,7 +41,7 @@ pub async fn approach(
     Extension(caller): Asking,
     Json(request): Json<ApproachRequest>,
 ) -> Result<axum::Json<Approach>, Refused> {
-    Ok(axum::Json(app.service.approach(&scene_id, request, caller).await?))
+    Ok(axum::Json(app.services.approach.approach(&scene_id, request, caller).await?))
 }
 
 #[derive(Debug, Deserialize, IntoParams)]
@@ -78,7 +78,7 @@ pub async fn floor(
     Path(scene_id): Path<String>,
     Query(FloorParameters { height_m }): Query<FloorParameters>,
 ) -> Result<axum::Json<FloorMap>, Refused> {
-    Ok(axum::Json(app.service.floor(&scene_id, height_m).await?))
+    Ok(axum::Json(app.services.approach.floor(&scene_id, height_m).await?))
 }
 
 /// The floor from above: white is free, black occupied, grey never seen; left is the least x, the
@@ -103,6 +103,6 @@ pub async fn floor_picture(
 ) -> Result<impl IntoResponse, Refused> {
     Ok((
         [(header::CONTENT_TYPE, "image/png")],
-        app.service.floor_picture(&scene_id, height_m).await?,
+        app.services.approach.floor_picture(&scene_id, height_m).await?,
     ))
 }

@@ -22,7 +22,7 @@ pub(super) const RATE_LIMIT_POLICY: HeaderName = HeaderName::from_static("rateli
 pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> Response {
     let Some(wanted) = app.scopes.wanted_by(&request) else { return next.run(request).await };
     let link = take_link(request.uri_mut());
-    let (keys, shown) = (&app.service.keys, bearer(request.headers()));
+    let (keys, shown) = (&app.services.keyring, bearer(request.headers()));
     // A link stands in for a key where none is shown, to read what is there: asking may cost money.
     let caller = match &link {
         Some(link) if shown.is_none() && keys.is_wanted() && request.method().is_safe() => {
@@ -36,8 +36,8 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
     };
     let allowance = match &caller.key {
         Some(key) => {
-            app.service.keys.note_use(key);
-            match app.service.keys.count(key).await {
+            app.services.keyring.note_use(key);
+            match app.services.keyring.count(key).await {
                 Ok(allowance) => allowance,
                 Err((wait_s, allowance)) => return limited(too_fast(wait_s), Some(allowance)),
             }
@@ -61,7 +61,7 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
     let noting = (is_noted && !request.method().is_safe()).then(|| {
         let (method, path) = (request.method().to_string(), request.uri().path().to_owned());
         let done = Done { method, path, status: 0, request_id: request_id(request.headers()) };
-        app.service.keys.noting(caller.clone(), done)
+        app.services.keyring.noting(caller.clone(), done)
     });
     request.extensions_mut().insert(caller);
     let response = next.run(request).await;

@@ -79,7 +79,8 @@ pub async fn create(
                 scene_id.map(|id| ("scene_id".to_owned(), Value::String(id))).into_iter().collect();
             let submission =
                 Submission { label, concurrency, max_cost_usd, idempotency_key, defaults };
-            app.service
+            app.services
+                .batches
                 .create_batch(
                     submission,
                     Body::Lines(request.into_body().into_data_stream()),
@@ -100,7 +101,8 @@ pub async fn create(
             }
             let Json(request) = Json::<BatchRequest>::from_request(request, &()).await?;
             let (submission, items) = Submission::of(request, idempotency_key);
-            app.service
+            app.services
+                .batches
                 .create_batch(submission, Body::<BodyDataStream>::Items(items), &caller)
                 .await?
         }
@@ -132,7 +134,7 @@ pub async fn list(
     Query(page): Query<Page>,
 ) -> Result<axum::Json<BatchList>, Refused> {
     let (limit, cursor) = page.checked()?;
-    Ok(axum::Json(app.service.batches(limit, cursor.as_deref()).await?))
+    Ok(axum::Json(app.services.batches.batches(limit, cursor.as_deref()).await?))
 }
 
 /// A batch as it stands: how far it is, what it cost, how long it will take.
@@ -150,7 +152,7 @@ pub async fn get(
     State(app): State<App>,
     Path(batch_id): Path<String>,
 ) -> Result<axum::Json<Batch>, Refused> {
-    Ok(axum::Json(app.service.batch(&batch_id).await?))
+    Ok(axum::Json(app.services.batches.batch(&batch_id).await?))
 }
 
 #[derive(Debug, Deserialize, IntoParams)]
@@ -189,7 +191,8 @@ pub async fn results(
     Query(ResultParameters { from, format, follow }): Query<ResultParameters>,
 ) -> Result<impl IntoResponse, Refused> {
     let shutdown = app.shutdown.clone().cancelled_owned();
-    let results = app.service.batch_results(Results { batch_id, from, format, follow }).await?;
+    let results =
+        app.services.batches.batch_results(Results { batch_id, from, format, follow }).await?;
     // Who follows a batch does not keep the server from stopping.
     let results = futures::StreamExt::take_until(results, shutdown);
     Ok(([(header::CONTENT_TYPE, media_type_of(format))], AxumBody::from_stream(results)))
@@ -220,7 +223,7 @@ pub async fn pause(
     State(app): State<App>,
     Path(batch_id): Path<String>,
 ) -> Result<axum::Json<Batch>, Refused> {
-    Ok(axum::Json(app.service.pause_batch(&batch_id).await?))
+    Ok(axum::Json(app.services.batches.pause_batch(&batch_id).await?))
 }
 
 /// Goes on with a batch that is paused.
@@ -240,7 +243,7 @@ pub async fn resume(
     State(app): State<App>,
     Path(batch_id): Path<String>,
 ) -> Result<axum::Json<Batch>, Refused> {
-    Ok(axum::Json(app.service.resume_batch(&batch_id).await?))
+    Ok(axum::Json(app.services.batches.resume_batch(&batch_id).await?))
 }
 
 /// Stops asking for good. What is answered stays.
@@ -260,5 +263,5 @@ pub async fn cancel(
     State(app): State<App>,
     Path(batch_id): Path<String>,
 ) -> Result<axum::Json<Batch>, Refused> {
-    Ok(axum::Json(app.service.cancel_batch(&batch_id).await?))
+    Ok(axum::Json(app.services.batches.cancel_batch(&batch_id).await?))
 }

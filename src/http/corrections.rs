@@ -39,7 +39,10 @@ pub async fn create(
     Extension(caller): Asking,
     Json(change): Json<Change>,
 ) -> Result<(StatusCode, axum::Json<Correction>), Refused> {
-    Ok((StatusCode::CREATED, axum::Json(app.service.correct(&scene_id, change, &caller).await?)))
+    Ok((
+        StatusCode::CREATED,
+        axum::Json(app.services.corrections.correct(&scene_id, change, &caller).await?),
+    ))
 }
 
 /// Lists the corrections of the current parse, newest first, with who made them and which were
@@ -59,7 +62,7 @@ pub async fn list(
     State(app): State<App>,
     Path(scene_id): Path<String>,
 ) -> Result<axum::Json<CorrectionList>, Refused> {
-    Ok(axum::Json(app.service.corrections(&scene_id).await?))
+    Ok(axum::Json(app.services.corrections.corrections(&scene_id).await?))
 }
 
 /// Takes a correction back. It stays in the list; what it had changed is as it was before.
@@ -80,7 +83,7 @@ pub async fn undo(
     State(app): State<App>,
     Path((scene_id, correction_id)): Path<(String, String)>,
 ) -> Result<axum::Json<Correction>, Refused> {
-    Ok(axum::Json(app.service.undo_correction(&scene_id, &correction_id).await?))
+    Ok(axum::Json(app.services.corrections.undo_correction(&scene_id, &correction_id).await?))
 }
 
 /// The things of the current parse as people have corrected them: the annotations that `uniground
@@ -100,7 +103,7 @@ pub async fn annotations(
     State(app): State<App>,
     Path(scene_id): Path<String>,
 ) -> Result<impl IntoResponse, Refused> {
-    let truth = app.service.ground_truth(&scene_id).await?;
+    let truth = app.services.corrections.ground_truth(&scene_id).await?;
     let name = format!("attachment; filename=\"{}.scene.json\"", truth.scene_id);
     Ok(([(header::CONTENT_DISPOSITION, name)], axum::Json(truth)))
 }

@@ -59,7 +59,7 @@ pub async fn export(
     asked: HeaderMap,
 ) -> Result<Response, Refused> {
     let ExportFile { name, bytes, fingerprint } =
-        app.service.export(&scene_id, format, points).await?;
+        app.services.exports.export(&scene_id, format, points).await?;
     let mut response = send_bytes(bytes, &fingerprint, format.media_type(), &asked);
     if let Ok(named) = HeaderValue::from_str(&format!("attachment; filename=\"{name}\"")) {
         response.headers_mut().insert(header::CONTENT_DISPOSITION, named);

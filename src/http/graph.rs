@@ -54,7 +54,7 @@ pub async fn get(
     Path(scene_id): Path<String>,
     Query(GraphParameters { format, level, around }): Query<GraphParameters>,
 ) -> Result<impl IntoResponse, Refused> {
-    let graph = app.service.graph(&scene_id, level, around.map(InstanceId)).await?;
+    let graph = app.services.instances.graph(&scene_id, level, around.map(InstanceId)).await?;
     let (media_type, body) = written(&graph, format)?;
     Ok(([(header::CONTENT_TYPE, media_type)], body))
 }

@@ -48,11 +48,11 @@ pub async fn ground(
     Json(request): Json<GroundRequest>,
 ) -> Result<Response, Refused> {
     let Some(key) = key else {
-        return Ok(
-            axum::Json(app.service.ground(&scene_id, request, caller).await?).into_response()
-        );
+        return Ok(axum::Json(app.services.grounding.ground(&scene_id, request, caller).await?)
+            .into_response());
     };
-    let (answer, is_replayed) = app.service.ground_once(&scene_id, request, caller, key).await?;
+    let (answer, is_replayed) =
+        app.services.grounding.ground_once(&scene_id, request, caller, key).await?;
     let mut response = axum::Json(answer).into_response();
     if is_replayed {
         response.headers_mut().insert("idempotent-replayed", HeaderValue::from_static("true"));
@@ -96,7 +96,7 @@ pub async fn ground_many(
             "questions about many scenes take none: what was answered is in /v1/answers",
         ));
     }
-    Ok(axum::Json(app.service.ground_many(request, caller).await?))
+    Ok(axum::Json(app.services.grounding.ground_many(request, caller).await?))
 }
 
 /// The candidates for a query, without reasoning over relations.
@@ -122,5 +122,5 @@ pub async fn shortlist(
     Path(scene_id): Path<String>,
     Json(request): Json<ShortlistRequest>,
 ) -> Result<axum::Json<Shortlisted>, Refused> {
-    Ok(axum::Json(app.service.shortlist(&scene_id, request).await?))
+    Ok(axum::Json(app.services.grounding.shortlist(&scene_id, request).await?))
 }

@@ -75,15 +75,17 @@ pub async fn add_frames(
         header("content-length").and_then(|bytes| bytes.parse().ok()).unwrap_or(0);
     let new = NewFrames { file_name: None, world, idempotency_key, announced_bytes };
     let body = request.into_body().into_data_stream();
-    let (scene, job) = match header("content-type")
-        .and_then(|media_type| parse_boundary(media_type).ok())
-    {
-        Some(boundary) => {
-            let (file_name, file) = file_of_form(body, boundary).await?;
-            app.service.add_frames(&scene_id, NewFrames { file_name, ..new }, file, &caller).await?
-        }
-        None => app.service.add_frames(&scene_id, new, body, &caller).await?,
-    };
+    let (scene, job) =
+        match header("content-type").and_then(|media_type| parse_boundary(media_type).ok()) {
+            Some(boundary) => {
+                let (file_name, file) = file_of_form(body, boundary).await?;
+                app.services
+                    .growth
+                    .add_frames(&scene_id, NewFrames { file_name, ..new }, file, &caller)
+                    .await?
+            }
+            None => app.services.growth.add_frames(&scene_id, new, body, &caller).await?,
+        };
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job: Some(job) })))
 }
 
@@ -126,9 +128,11 @@ pub async fn changes(
         (Some(_), Some(_)) => {
             return Err(Error::invalid("/to", "ask for since or for to, not for both").into());
         }
-        (None, Some(to)) => app.service.changes_to(&scene_id, &to, align.unwrap_or(true)).await?,
+        (None, Some(to)) => {
+            app.services.changes.changes_to(&scene_id, &to, align.unwrap_or(true)).await?
+        }
         (since, None) if align.is_none() => {
-            app.service.changes_since(&scene_id, since.unwrap_or(1)).await?
+            app.services.changes.changes_since(&scene_id, since.unwrap_or(1)).await?
         }
         (_, None) => return Err(Error::invalid("/align", "it goes with to").into()),
     };

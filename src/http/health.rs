@@ -18,8 +18,8 @@ use uniground_types::service::{Health as Alive, ModelList, Readiness};
 )]
 pub async fn models(State(app): State<App>) -> Json<ModelList> {
     Json(ModelList {
-        models: app.service.loaded_models().to_vec(),
-        vlm: app.service.vlm_model().map(str::to_owned),
+        models: app.services.loaded_models().to_vec(),
+        vlm: app.services.vlm_model().map(str::to_owned),
     })
 }
 
@@ -35,7 +35,7 @@ pub async fn healthz() -> Json<Alive> {
 /// answer meanwhile.
 #[utoipa::path(get, path = "/readyz", operation_id = "readyz", tag = "service", responses((status = 200, body = Readiness), (status = 503, body = Readiness)))]
 pub async fn readyz(State(app): State<App>) -> Response {
-    let health = app.service.health().await;
+    let health = app.services.health.health().await;
     let ready = health.is_ready();
     let Health {
         store: StoreHealth { database, blobs, disk, is_damaged: _ },
@@ -46,7 +46,7 @@ pub async fn readyz(State(app): State<App>) -> Response {
     let word = |trouble: Option<String>| trouble.unwrap_or_else(|| "ok".into());
     let of_server =
         |condition: Option<Result<(), String>>| condition.map(|condition| word(condition.err()));
-    let models = app.service.parse_models();
+    let models = app.services.parses.parse_models();
     let readiness = Readiness {
         ready,
         database: word(database),
@@ -59,7 +59,7 @@ pub async fn readyz(State(app): State<App>) -> Response {
         vlm: of_server(vlm),
         masks: models.masks,
         encoder: models.encoder,
-        models: app.service.loaded_models().to_vec(),
+        models: app.services.loaded_models().to_vec(),
     };
     match ready {
         true => Json(readiness).into_response(),

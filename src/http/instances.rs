@@ -58,7 +58,7 @@ pub async fn list(
     if !(1..=1000).contains(&limit) {
         return Err(Refused::invalid("limit", "must be 1 to 1000"));
     }
-    Ok(Json(app.service.instances(&scene_id, level, limit, cursor).await?))
+    Ok(Json(app.services.instances.instances(&scene_id, level, limit, cursor).await?))
 }
 
 /// One instance.
@@ -78,7 +78,7 @@ pub async fn get(
     State(app): State<App>,
     Path((scene_id, instance_id)): Path<(String, u32)>,
 ) -> Result<Json<InstanceView>, Refused> {
-    Ok(Json(app.service.instance(&scene_id, InstanceId(instance_id)).await?))
+    Ok(Json(app.services.instances.instance(&scene_id, InstanceId(instance_id)).await?))
 }
 
 #[derive(Debug, Deserialize, IntoParams)]
@@ -121,7 +121,10 @@ pub async fn view(
         )
     })?;
     send_picture(
-        app.service.view_picture(&scene_id, InstanceId(instance_id), number, picture).await?,
+        app.services
+            .instances
+            .view_picture(&scene_id, InstanceId(instance_id), number, picture)
+            .await?,
         &asked,
     )
     .await

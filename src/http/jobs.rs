@@ -68,7 +68,7 @@ pub async fn list(
     let ListParameters { kind, state, subject, limit, cursor } = parameters;
     let (limit, cursor) = checked(limit.unwrap_or(DEFAULT_LIMIT), cursor)?;
     let filter = JobFilter { kind, state, subject };
-    Ok(Json(app.service.jobs.list(&filter, limit, cursor.as_deref()).await.map_err(Error::from)?))
+    Ok(Json(app.services.jobs.list(&filter, limit, cursor.as_deref()).await.map_err(Error::from)?))
 }
 
 /// A job as it stands.
@@ -83,7 +83,7 @@ pub async fn list(
     security(("key" = ["read"]), ())
 )]
 pub async fn get(State(app): State<App>, Path(job_id): Path<String>) -> Result<Json<Job>, Refused> {
-    Ok(Json(app.service.jobs.get(&job_id).await.map_err(Error::from)?))
+    Ok(Json(app.services.jobs.get(&job_id).await.map_err(Error::from)?))
 }
 
 /// Asks a job to stop. A finished job stays as it is.
@@ -102,7 +102,7 @@ pub async fn cancel(
     State(app): State<App>,
     Path(job_id): Path<String>,
 ) -> Result<(StatusCode, Json<Job>), Refused> {
-    Ok((StatusCode::ACCEPTED, Json(app.service.jobs.cancel(&job_id).await.map_err(Error::from)?)))
+    Ok((StatusCode::ACCEPTED, Json(app.services.jobs.cancel(&job_id).await.map_err(Error::from)?)))
 }
 
 /// Follows a job: `progress` events while it goes on, then one `done`; data is the job.
@@ -126,7 +126,7 @@ pub async fn events(
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Refused> {
     // First: who is turned away costs nothing.
     let place = app.event_streams.place()?;
-    let job = app.service.jobs.follow(&job_id).await.map_err(Error::from)?;
+    let job = app.services.jobs.follow(&job_id).await.map_err(Error::from)?;
     let seen = headers.get("last-event-id").and_then(|v| v.to_str().ok()).map(str::to_owned);
     let following = Following { job, seen, shutdown: app.shutdown };
     let stream = stream::unfold(Some(following), move |following| {

@@ -31,11 +31,11 @@ pub async fn create(
     Json(new): Json<NewKey>,
 ) -> Result<(StatusCode, axum::Json<CreatedKey>), Refused> {
     // Where anybody may ask, a stranger would lock everybody else out.
-    if app.allowed_hosts.is_none() && !app.service.keys.is_wanted() {
+    if app.allowed_hosts.is_none() && !app.services.keyring.is_wanted() {
         let detail = "the first key of a server that others can reach is made by hand: uniground key create --data-dir";
         return Err(Refused::new(StatusCode::FORBIDDEN, "first_key_by_hand", detail));
     }
-    Ok((StatusCode::CREATED, axum::Json(app.service.keys.create(new).await?)))
+    Ok((StatusCode::CREATED, axum::Json(app.services.keyring.create(new).await?)))
 }
 
 /// Lists keys, newest first, without their secrets.
@@ -55,7 +55,7 @@ pub async fn list(
     Query(page): Query<Page>,
 ) -> Result<axum::Json<KeyList>, Refused> {
     let (limit, cursor) = page.checked()?;
-    Ok(axum::Json(app.service.keys.list(limit, cursor.as_deref()).await?))
+    Ok(axum::Json(app.services.keyring.list(limit, cursor.as_deref()).await?))
 }
 
 /// Revokes a key: it is refused from now on, and its batches pause. What was done with it stays
@@ -75,7 +75,7 @@ pub async fn revoke(
     State(app): State<App>,
     Path(key_id): Path<String>,
 ) -> Result<axum::Json<Key>, Refused> {
-    Ok(axum::Json(app.service.keys.revoke(&key_id).await?))
+    Ok(axum::Json(app.services.keyring.revoke(&key_id).await?))
 }
 
 /// Lists what was done, newest first: every request that was let through to change something,
@@ -96,5 +96,5 @@ pub async fn audit(
     Query(page): Query<Page>,
 ) -> Result<axum::Json<AuditList>, Refused> {
     let (limit, cursor) = page.checked()?;
-    Ok(axum::Json(app.service.keys.audit(limit, cursor.as_deref()).await?))
+    Ok(axum::Json(app.services.keyring.audit(limit, cursor.as_deref()).await?))
 }

@@ -32,5 +32,5 @@ pub async fn create(
     Extension(caller): Asking,
     Json(request): Json<LinkRequest>,
 ) -> Result<axum::Json<LinkList>, Refused> {
-    Ok(axum::Json(app.service.keys.links(request, &caller, Timestamp::now())?))
+    Ok(axum::Json(app.services.keyring.links(request, &caller, Timestamp::now())?))
 }

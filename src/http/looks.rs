@@ -39,7 +39,8 @@ pub async fn points(
     Path(scene_id): Path<String>,
     asked: HeaderMap,
 ) -> Result<Response, Refused> {
-    send_download(app.service.points(&scene_id).await?, "application/octet-stream", &asked).await
+    send_download(app.services.media.points(&scene_id).await?, "application/octet-stream", &asked)
+        .await
 }
 
 /// The room of the current parse from above, 320 x 240 pixels.
@@ -59,7 +60,7 @@ pub async fn thumbnail(
     Path(scene_id): Path<String>,
     asked: HeaderMap,
 ) -> Result<Response, Refused> {
-    send_picture(app.service.thumbnail(&scene_id).await?, &asked).await
+    send_picture(app.services.media.thumbnail(&scene_id).await?, &asked).await
 }
 
 /// The photographs of a scan: where each was taken from, and with what camera.
@@ -78,7 +79,7 @@ pub async fn frames(
     State(app): State<App>,
     Path(scene_id): Path<String>,
 ) -> Result<axum::Json<FrameList>, Refused> {
-    Ok(axum::Json(app.service.frames(&scene_id).await?))
+    Ok(axum::Json(app.services.media.frames(&scene_id).await?))
 }
 
 #[derive(Debug, Deserialize, IntoParams)]
@@ -112,7 +113,7 @@ pub async fn photograph(
     Query(PhotographParameters { instances }): Query<PhotographParameters>,
     asked: HeaderMap,
 ) -> Result<Response, Refused> {
-    send_picture(app.service.frame_picture(&scene_id, frame, instances).await?, &asked).await
+    send_picture(app.services.media.frame_picture(&scene_id, frame, instances).await?, &asked).await
 }
 
 /// A picture from a file, or one that was drawn.

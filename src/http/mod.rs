@@ -61,7 +61,7 @@ use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetReques
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::trace::{DefaultOnResponse, TraceLayer};
 use tracing::{Level, Span};
-use uniground_service::Service;
+use uniground_service::Services;
 use uniground_service::error::Error;
 use uniground_telemetry::metrics::Metrics;
 use uniground_telemetry::trace_context;
@@ -73,7 +73,7 @@ use utoipa_swagger_ui::{Config, SwaggerUi};
 /// What handlers share.
 #[derive(Clone)]
 pub struct App {
-    pub service: Service,
+    pub services: Services,
     /// What each route wants of its callers.
     pub scopes: Arc<Scopes>,
     /// Cancelled when the server stops: open event streams end.

@@ -30,7 +30,7 @@ pub async fn get(
     State(app): State<App>,
     Path(scene_id): Path<String>,
 ) -> Result<Json<SceneReport>, Refused> {
-    Ok(Json(app.service.scene_report(&scene_id).await?))
+    Ok(Json(app.services.parses.scene_report(&scene_id).await?))
 }
 
 /// A picture of the current parse.
@@ -54,6 +54,6 @@ pub async fn picture(
     let name = picture
         .strip_suffix(".jpg")
         .ok_or_else(|| Error::ReportPictureNotFound { name: picture.clone() })?;
-    let file = app.service.report_picture(&scene_id, name).await?;
+    let file = app.services.parses.report_picture(&scene_id, name).await?;
     send_file(&file, "image/jpeg", &asked).await
 }

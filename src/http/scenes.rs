@@ -111,14 +111,15 @@ pub async fn create(
         announced_bytes,
     };
     let body = request.into_body().into_data_stream();
-    let (scene, job) =
-        match header("content-type").and_then(|media_type| parse_boundary(media_type).ok()) {
-            Some(boundary) => {
-                let (file_name, file) = file_of_form(body, boundary).await?;
-                app.service.create_scene(NewScene { file_name, ..new }, file, &caller).await?
-            }
-            None => app.service.create_scene(new, body, &caller).await?,
-        };
+    let (scene, job) = match header("content-type")
+        .and_then(|media_type| parse_boundary(media_type).ok())
+    {
+        Some(boundary) => {
+            let (file_name, file) = file_of_form(body, boundary).await?;
+            app.services.imports.create_scene(NewScene { file_name, ..new }, file, &caller).await?
+        }
+        None => app.services.imports.create_scene(new, body, &caller).await?,
+    };
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
 
@@ -150,7 +151,7 @@ pub async fn import(
     IdempotencyKey(key): IdempotencyKey,
     Json(request): Json<ImportRequest>,
 ) -> Result<(StatusCode, axum::Json<Created>), Refused> {
-    let (scene, job) = app.service.import_scene(request, key, &caller).await?;
+    let (scene, job) = app.services.imports.import_scene(request, key, &caller).await?;
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
 
@@ -204,7 +205,7 @@ pub async fn create_sample(
     State(app): State<App>,
     Extension(caller): Asking,
 ) -> Result<(StatusCode, axum::Json<Created>), Refused> {
-    let (scene, job) = app.service.create_sample(&caller).await?;
+    let (scene, job) = app.services.imports.create_sample(&caller).await?;
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
 
@@ -242,7 +243,9 @@ pub async fn list(
     let (limit, cursor) = checked(limit.unwrap_or(DEFAULT_LIMIT), cursor)?;
     let labels =
         labels.map(|labels| read_labels("labels", &labels)).transpose().map_err(Error::from)?;
-    Ok(axum::Json(app.service.scenes(limit, cursor.as_deref(), labels.unwrap_or_default()).await?))
+    Ok(axum::Json(
+        app.services.scenes.scenes(limit, cursor.as_deref(), labels.unwrap_or_default()).await?,
+    ))
 }
 
 /// One scene.
@@ -260,7 +263,7 @@ pub async fn get(
     State(app): State<App>,
     Path(scene_id): Path<String>,
 ) -> Result<axum::Json<Scene>, Refused> {
-    Ok(axum::Json(app.service.scene(&scene_id).await?))
+    Ok(axum::Json(app.services.scene_lookup.scene(&scene_id).await?))
 }
 
 /// Renames a scene, files it under labels, and says where it lies in a map.
@@ -284,7 +287,7 @@ pub async fn change(
     Path(scene_id): Path<String>,
     Json(change): Json<SceneChange>,
 ) -> Result<axum::Json<Scene>, Refused> {
-    Ok(axum::Json(app.service.change_scene(&scene_id, change).await?))
+    Ok(axum::Json(app.services.scenes.change_scene(&scene_id, change).await?))
 }
 
 /// Deletes a scene with its answers.
@@ -303,7 +306,7 @@ pub async fn delete(
     State(app): State<App>,
     Path(scene_id): Path<String>,
 ) -> Result<StatusCode, Refused> {
-    app.service.delete_scene(&scene_id).await?;
+    app.services.scenes.delete_scene(&scene_id).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 
@@ -331,7 +334,7 @@ pub async fn parse(
 ) -> Result<(StatusCode, axum::Json<Job>), Refused> {
     Ok((
         StatusCode::ACCEPTED,
-        axum::Json(app.service.reparse(&scene_id, preset, settings, &caller).await?),
+        axum::Json(app.services.parses.reparse(&scene_id, preset, settings, &caller).await?),
     ))
 }
 
@@ -356,7 +359,10 @@ pub async fn name(
     Path(scene_id): Path<String>,
     Extension(caller): Asking,
 ) -> Result<(StatusCode, axum::Json<Job>), Refused> {
-    Ok((StatusCode::ACCEPTED, axum::Json(app.service.start_naming(&scene_id, &caller).await?)))
+    Ok((
+        StatusCode::ACCEPTED,
+        axum::Json(app.services.naming.start_naming(&scene_id, &caller).await?),
+    ))
 }
 
 /// The cloud in its own colours, PLY.
@@ -377,7 +383,7 @@ pub async fn cloud(
     Path(scene_id): Path<String>,
     asked: HeaderMap,
 ) -> Result<Response, Refused> {
-    let file = app.service.parse_file(&scene_id, ParseFile::Cloud).await?;
+    let file = app.services.parses.parse_file(&scene_id, ParseFile::Cloud).await?;
     send_download(file, "application/octet-stream", &asked).await
 }
 
@@ -399,7 +405,7 @@ pub async fn instances_cloud(
     Path(scene_id): Path<String>,
     asked: HeaderMap,
 ) -> Result<Response, Refused> {
-    let file = app.service.parse_file(&scene_id, ParseFile::Instances).await?;
+    let file = app.services.parses.parse_file(&scene_id, ParseFile::Instances).await?;
     send_download(file, "application/octet-stream", &asked).await
 }
 
@@ -422,6 +428,6 @@ pub async fn embeddings(
     Path(scene_id): Path<String>,
     asked: HeaderMap,
 ) -> Result<Response, Refused> {
-    let file = app.service.parse_file(&scene_id, ParseFile::Embeddings).await?;
+    let file = app.services.parses.parse_file(&scene_id, ParseFile::Embeddings).await?;
     send_download(file, "application/octet-stream", &asked).await
 }

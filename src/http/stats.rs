@@ -22,7 +22,7 @@ use uniground_types::stats::Stats;
     security(("key" = ["read"]), ())
 )]
 pub async fn stats(State(app): State<App>) -> Result<Json<Stats>, Refused> {
-    Ok(Json(app.service.stats().await?))
+    Ok(Json(app.services.stats.stats().await?))
 }
 
 /// The same and more for Prometheus, in the `OpenMetrics` text format.
@@ -37,7 +37,7 @@ pub async fn stats(State(app): State<App>) -> Result<Json<Stats>, Refused> {
 )]
 pub async fn metrics(State(app): State<App>) -> Response {
     app.metrics.requests.event_streams.set(app.event_streams.open() as i64);
-    ([(header::CONTENT_TYPE, MEDIA_TYPE)], app.service.scrape().await).into_response()
+    ([(header::CONTENT_TYPE, MEDIA_TYPE)], app.services.stats.scrape().await).into_response()
 }
 
 /// Counts a request, however it ends.

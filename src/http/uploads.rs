@@ -141,7 +141,7 @@ pub async fn create(
         WantedScene { name, file_name: filename, parse, up, preset, idempotency_key, note };
     // Before there is an upload that nobody hears of.
     let checksum = tus::checksum(&headers)?;
-    let upload = app.service.begin_upload(NewUpload { length, wanted }, &caller).await?;
+    let upload = app.services.uploads.begin_upload(NewUpload { length, wanted }, &caller).await?;
     let location = format!("/v1/uploads/{}", upload.id);
     let mut response = match tus::is_part(&headers) {
         true => {
@@ -151,7 +151,7 @@ pub async fn create(
                 checksum,
                 body: request.into_body().into_data_stream(),
             };
-            match app.service.append(&upload.id, part, caller).await {
+            match app.services.uploads.append(&upload.id, part, caller).await {
                 Ok(upload) => came_of(StatusCode::CREATED, upload),
                 Err(error) => Refused::from(error).into_response(),
             }
@@ -181,7 +181,7 @@ pub async fn create(
     security(("key" = ["write"]), ())
 )]
 pub async fn capabilities(State(app): State<App>) -> Response {
-    tus::capabilities(app.service.max_upload_bytes())
+    tus::capabilities(app.services.uploads.max_upload_bytes())
 }
 
 /// An upload as it stands: how much of it is there, the scene it has become, or why there is none.
@@ -202,7 +202,7 @@ pub async fn get(
     Path(upload_id): Path<String>,
     Extension(caller): Asking,
 ) -> Result<axum::Json<Upload>, Refused> {
-    Ok(axum::Json(app.service.upload(&upload_id, &caller).await?))
+    Ok(axum::Json(app.services.uploads.upload(&upload_id, &caller).await?))
 }
 
 /// How much of an upload is there, in headers.
@@ -232,8 +232,8 @@ pub async fn head(
     Path(upload_id): Path<String>,
     Extension(caller): Asking,
 ) -> Result<Response, Refused> {
-    let upload = app.service.upload(&upload_id, &caller).await?;
-    let note = app.service.upload_note(&upload_id, &caller).await?;
+    let upload = app.services.uploads.upload(&upload_id, &caller).await?;
+    let note = app.services.uploads.upload_note(&upload_id, &caller).await?;
     let mut headers = tus::state(&upload);
     headers.insert(tus::LENGTH, upload.length.into());
     headers.extend(
@@ -335,7 +335,7 @@ pub async fn post(
     match headers.get(tus::METHOD_OVERRIDE).map(HeaderValue::as_bytes) {
         Some(b"PATCH") => take(&app, &upload_id, caller, &headers, request.into_body()).await,
         Some(b"DELETE") => {
-            app.service.delete_upload(&upload_id, &caller).await?;
+            app.services.uploads.delete_upload(&upload_id, &caller).await?;
             Ok(StatusCode::NO_CONTENT.into_response())
         }
         _ => Err(Refused::new(
@@ -367,7 +367,7 @@ pub async fn delete(
     Path(upload_id): Path<String>,
     Extension(caller): Asking,
 ) -> Result<StatusCode, Refused> {
-    app.service.delete_upload(&upload_id, &caller).await?;
+    app.services.uploads.delete_upload(&upload_id, &caller).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 
@@ -386,7 +386,7 @@ async fn take(
         checksum,
         body: body.into_data_stream(),
     };
-    match app.service.append(upload_id, part, caller).await {
+    match app.services.uploads.append(upload_id, part, caller).await {
         Ok(upload) => Ok(came_of(StatusCode::NO_CONTENT, upload)),
         Err(uniground_service::error::Error::WrongOffset { offset }) => {
             let refused = Refused::from(uniground_service::error::Error::WrongOffset { offset });

@@ -9,7 +9,7 @@ use sqlx::Connection;
 use std::fs;
 use std::process::{Command, Output};
 use uniground::config::{LimitsConfig, ModelsConfig, RetentionConfig, VlmConfig};
-use uniground_service::Service;
+use uniground_service::{Dependencies, Services};
 use uniground_storage::{JobState, Location, Store};
 use uniground_types::corrections::Change;
 
@@ -175,8 +175,10 @@ async fn old_answers_go_and_new_ones_stay() {
         retention: RetentionConfig { keep_answers_days: 30, ..RetentionConfig::default() },
         ..LimitsConfig::default()
     };
-    let service = Service::at_rest(store.clone(), limits.service_limits()).await.unwrap();
-    service.keep_house().await.unwrap();
+    let dependencies =
+        Dependencies::at_rest(store.clone(), limits.service_limits()).await.unwrap();
+    let services = Services::new(dependencies);
+    services.maintenance.keep_house().await.unwrap();
     let left: Vec<String> =
         sqlx::query_scalar("SELECT id FROM answers").fetch_all(&mut rows).await.unwrap();
     assert_eq!(left, [answer.id]);

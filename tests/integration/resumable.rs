@@ -17,7 +17,7 @@ use tokio::net::TcpStream;
 use tokio::time::sleep;
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
 use uniground_client::Client;
-use uniground_service::{Beside, Service};
+use uniground_service::{Beside, Dependencies, Services};
 use uniground_storage::Store;
 use uniground_types::keys::{NewKey, Scope};
 use uniground_types::problem::Problem;
@@ -434,13 +434,13 @@ async fn an_upload_that_nobody_goes_on_with_is_removed_and_counted() {
     let folder = Utf8Path::from_path(data.path()).unwrap();
     let store =
         Store::open(folder, &location(folder), &blobs(folder).home().unwrap()).await.unwrap();
-    let service =
-        Service::at_rest(store.clone(), LimitsConfig::default().service_limits()).await.unwrap();
-    let removed = service.let_go(Beside::Nobody).await.unwrap();
+    let limits = LimitsConfig::default().service_limits();
+    let services = Services::new(Dependencies::at_rest(store.clone(), limits).await.unwrap());
+    let removed = services.maintenance.let_go(Beside::Nobody).await.unwrap();
     let removed = removed.iter().find(|removed| removed.kind == "uploads in parts").unwrap();
     assert_eq!((removed.entries, removed.bytes), (1, 6000));
     store.close().await;
-    drop((service, store));
+    drop((services, store));
     let server = started_on(data).await;
     assert_eq!(send(&server.client, Method::HEAD, &old, &[], &[]).await.status(), 404);
     assert_eq!(server.stored("uploads"), [""; 0]);

@@ -1,9 +1,10 @@
-//! Telling another server when jobs end: each at least once, in any order, tried again for half a
+//! Explain another server when jobs end: each at least once, in any order, tried again for half a
 //! day. Off where no webhook is configured.
 
-use super::{BatchJob, Service};
+use super::BatchJob;
 use crate::error::Error;
 use crate::webhook::{Webhook, WebhookError};
+use crate::{BatchService, ServiceLocks};
 use futures::future::join_all;
 use jiff::Timestamp;
 use serde::Serialize;
@@ -11,8 +12,8 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
-use uniground_jobs::{Job, JobKind, JobsError};
-use uniground_storage::{JobState, Turn};
+use uniground_jobs::{Job, JobKind, Jobs, JobsError};
+use uniground_storage::{JobState, NamedLocks, Turn, WebhookRepository};
 use uniground_types::batch::Batch;
 
 /// How often it is looked whether a job has ended.
@@ -44,7 +45,17 @@ struct Data {
     batch: Option<Batch>,
 }
 
-impl Service {
+/// Delivers webhooks about finished jobs.
+#[derive(Clone)]
+pub struct WebhookService {
+    pub(crate) webhook_repository: WebhookRepository,
+    pub(crate) service_locks: ServiceLocks,
+    pub(crate) named_locks: NamedLocks,
+    pub(crate) jobs: Jobs,
+    pub(crate) batch_service: BatchService,
+}
+
+impl WebhookService {
     /// Tells of every job that ends, until `shutdown`. What could not be told is told by the next
     /// server.
     pub async fn announce(self, webhook: Arc<Webhook>, shutdown: CancellationToken) {
@@ -75,12 +86,12 @@ impl Service {
             *turn = Some(ours).filter(Turn::is_ours);
         }
         if turn.is_none() {
-            *turn = self.announcing().await?;
+            *turn = self.service_locks.announcing().await?;
         }
         if turn.is_none() {
             return Ok(false);
         }
-        let due = self.store.webhooks.due_announcements(TOGETHER).await?;
+        let due = self.webhook_repository.due_announcements(TOGETHER).await?;
         let any = !due.is_empty();
         join_all(
             due.into_iter()
@@ -97,10 +108,10 @@ impl Service {
     /// [`Error::Store`].
     pub async fn note_announcements(&self, webhook: Option<&Webhook>) -> Result<(), Error> {
         match webhook {
-            Some(_) => self.store.webhooks.note_announcements().await?,
+            Some(_) => self.webhook_repository.note_announcements().await?,
             // Others may want to be.
-            None if !self.store.locks.was_alone_at_start() => {}
-            None => self.store.webhooks.note_no_announcements().await?,
+            None if !self.named_locks.was_alone_at_start() => {}
+            None => self.webhook_repository.note_no_announcements().await?,
         }
         Ok(())
     }
@@ -119,7 +130,7 @@ impl Service {
     async fn announce_job(&self, webhook: &Webhook, job_id: &str, tried: u32) -> Result<(), Error> {
         let job = match self.jobs.get(job_id).await {
             Err(JobsError::NotFound { .. }) => {
-                return Ok(self.store.webhooks.forget_announcement(job_id).await?);
+                return Ok(self.webhook_repository.forget_announcement(job_id).await?);
             }
             job => job?,
         };
@@ -129,7 +140,7 @@ impl Service {
         match webhook.deliver(&id, Timestamp::now().as_second(), body).await {
             // Taken; or it is gone, and says so.
             Ok(()) | Err(WebhookError::Refused(410)) => {
-                self.store.webhooks.forget_announcement(job_id).await?
+                self.webhook_repository.forget_announcement(job_id).await?
             }
             Err(error) if tried + 1 >= TRIES => {
                 tracing::error!(
@@ -138,7 +149,7 @@ impl Service {
                     error = &error as &dyn std::error::Error,
                     "a webhook was never taken"
                 );
-                self.store.webhooks.forget_announcement(job_id).await?;
+                self.webhook_repository.forget_announcement(job_id).await?;
             }
             Err(error) => {
                 let wait = FIRST_WAIT.saturating_mul(1 << tried.min(16)).min(LONGEST_WAIT);
@@ -149,7 +160,7 @@ impl Service {
                     error = &error as &dyn std::error::Error,
                     "a webhook was not taken"
                 );
-                self.store.webhooks.put_off_announcement(job_id, wait).await?;
+                self.webhook_repository.put_off_announcement(job_id, wait).await?;
             }
         }
         Ok(())
@@ -162,7 +173,7 @@ impl Service {
             JobState::Failed | JobState::Queued | JobState::Running => "job.failed",
         };
         let batch = match job.kind.as_str() {
-            BatchJob::NAME => self.batch(&job.subject).await.ok(),
+            BatchJob::NAME => self.batch_service.batch(&job.subject).await.ok(),
             _ => None,
         };
         Ok(Event {

@@ -1,13 +1,17 @@
 //! Whether what is stored is whole: database against files, files against their sums. What can be
 //! made again is.
 
-use super::{Caller, ParseJob, Service};
+use super::{Caller, ParseJob};
 use crate::error::Error;
+use crate::{ParseService, ParsedScenes};
 use std::fmt;
 use std::time::Duration;
 use tokio::task::spawn_blocking;
 use uniground_jobs::JobKind;
-use uniground_storage::{BrokenReference, Damage, Look, Strays};
+use uniground_storage::{
+    Blobs, BrokenReference, ContentRepository, Damage, IntegrityRepository, JobRepository, Look,
+    OrphanRepository, ParseRepository, Strays,
+};
 use uniground_types::settings::ParseSettings;
 
 /// Something that is not as it should be.
@@ -70,7 +74,20 @@ impl fmt::Display for Trouble {
     }
 }
 
-impl Service {
+/// Examines and repairs what is stored.
+#[derive(Clone)]
+pub struct DoctorService {
+    pub(crate) integrity_repository: IntegrityRepository,
+    pub(crate) content_repository: ContentRepository,
+    pub(crate) blobs: Blobs,
+    pub(crate) parse_repository: ParseRepository,
+    pub(crate) orphan_repository: OrphanRepository,
+    pub(crate) job_repository: JobRepository,
+    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) parse_service: ParseService,
+}
+
+impl DoctorService {
     /// Looks at everything that is stored, every byte of it.
     ///
     /// # Errors
@@ -78,11 +95,11 @@ impl Service {
     pub async fn examine(&self) -> Result<Vec<Finding>, Error> {
         let mut findings = Vec::new();
         let mut found = |trouble, detail: String| findings.push(Finding { trouble, detail });
-        for complaint in self.store.integrity.integrity().await? {
+        for complaint in self.integrity_repository.integrity().await? {
             found(Trouble::Database, complaint);
         }
         for BrokenReference { table, column, parent, is_optional, rows, .. } in
-            self.store.integrity.broken_references().await?
+            self.integrity_repository.broken_references().await?
         {
             let remedy =
                 if is_optional { "the reference is cleared" } else { "the rows are removed" };
@@ -93,8 +110,8 @@ impl Service {
                 ),
             );
         }
-        for hash in self.store.contents.all_contents().await? {
-            let (blobs, place) = (self.store.blobs.clone(), self.store.blobs.content(&hash));
+        for hash in self.content_repository.all_contents().await? {
+            let (blobs, place) = (self.blobs.clone(), self.blobs.content(&hash));
             let wrong = spawn_blocking(move || blobs.look(&place, Look::Bytes)).await??;
             if let Some(detail) = told(&wrong) {
                 found(
@@ -103,15 +120,15 @@ impl Service {
                 );
             }
         }
-        for parse in self.store.parses.all_parses().await? {
-            let wrong = self.look_at_parse(&parse.id, Look::Bytes).await?;
+        for parse in self.parse_repository.all_parses().await? {
+            let wrong = self.parsed_scenes.look_at_parse(&parse.id, Look::Bytes).await?;
             if let Some(detail) = told(&wrong)
                 && !parse.is_retired()
             {
                 found(Trouble::Parse { id: parse.id.clone() }, format!("{}: {detail}", parse.id));
             }
         }
-        let Strays { unclaimed, unjudged } = self.store.orphans.strays(Duration::ZERO).await?;
+        let Strays { unclaimed, unjudged } = self.orphan_repository.strays(Duration::ZERO).await?;
         for (kind, name) in unclaimed {
             let detail = format!("blobs/{kind}/{name}: no record speaks of it");
             found(Trouble::Unclaimed { kind, name }, detail);
@@ -122,10 +139,10 @@ impl Service {
                 format!("blobs/{kind}/{name}: older than the database, or the database is empty"),
             );
         }
-        for file in self.store.blobs.stray_files()? {
+        for file in self.blobs.stray_files()? {
             found(Trouble::StrayFile, format!("{file}: no folder; it is left alone"));
         }
-        for (id, subject) in self.store.jobs.jobs_without_scene().await? {
+        for (id, subject) in self.job_repository.jobs_without_scene().await? {
             found(Trouble::Job { id: id.clone() }, format!("{id}: its scene {subject} is gone"));
         }
         Ok(findings)
@@ -137,17 +154,19 @@ impl Service {
     /// [`Error`] of the store; what was done stays done.
     pub async fn repair(&self, findings: &[Finding]) -> Result<(), Error> {
         if findings.iter().any(|finding| finding.trouble == Trouble::References) {
-            for scene_id in self.store.integrity.repair_references().await? {
-                self.start_parse(&scene_id, &ParseSettings::default(), &Caller::operator()).await?;
+            for scene_id in self.integrity_repository.repair_references().await? {
+                self.parse_service
+                    .start_parse(&scene_id, &ParseSettings::default(), &Caller::operator())
+                    .await?;
             }
         }
         for Finding { trouble, .. } in findings {
             match trouble {
-                Trouble::Parse { id } => self.retire_parse(id).await?,
+                Trouble::Parse { id } => self.parsed_scenes.retire_parse(id).await?,
                 Trouble::Unclaimed { kind, name } => {
-                    self.store.orphans.quarantine(vec![(kind, name.clone())]).await?
+                    self.orphan_repository.quarantine(vec![(kind, name.clone())]).await?
                 }
-                Trouble::Job { id } => self.store.jobs.end_orphan(id).await?,
+                Trouble::Job { id } => self.job_repository.end_orphan(id).await?,
                 Trouble::Database
                 | Trouble::References
                 | Trouble::Content { .. }
@@ -163,7 +182,7 @@ impl Service {
     /// # Errors
     /// [`Error::Store`].
     pub async fn waiting_parses(&self) -> Result<u32, Error> {
-        Ok(self.store.jobs.queued_jobs(ParseJob::NAME, None).await?.all)
+        Ok(self.job_repository.queued_jobs(ParseJob::NAME, None).await?.all)
     }
 }
 

@@ -1,10 +1,12 @@
 //! Whether everything a request or a job may need is there.
 
-use super::Service;
+use crate::Vlm;
+use crate::lately::Lately;
 use std::sync::Arc;
 use std::time::Duration;
 use uniground_endpoints::inference::Probe;
-use uniground_storage::StoreHealth;
+use uniground_jobs::Jobs;
+use uniground_storage::{HealthProbe, StoreHealth};
 
 /// How the parts of the service are.
 #[derive(Debug, Clone, Default)]
@@ -38,22 +40,28 @@ impl Health {
 /// Looked at so often at most, however many ask.
 const AGE: Duration = Duration::from_secs(1);
 
-impl Service {
-    /// Has the server that runs the networks looked at, too.
-    #[must_use]
-    pub fn watching(self, inference: Option<Probe>) -> Self {
-        Self { inference: inference.map(Arc::new), ..self }
-    }
+/// Checks what the service depends on.
+#[derive(Clone)]
+pub struct HealthService {
+    pub(crate) last_health: Lately<Health>,
+    pub(crate) health_probe: HealthProbe,
+    pub(crate) inference: Option<Arc<Probe>>,
+    pub(crate) jobs: Jobs,
+    pub(crate) vlm: Option<Arc<Vlm>>,
+}
 
+impl HealthService {
     /// How everything is.
     pub async fn health(&self) -> Health {
-        self.health.get(AGE, self.look_at_health()).await
+        self.last_health.get(AGE, self.look_at_health()).await
     }
 
     /// How everything is or was, for somebody in a hurry; `None` while that is not known.
     pub(super) async fn health_soon(&self, patience: Duration) -> Option<Health> {
         let service = self.clone();
-        self.health.get_soon(AGE, patience, async move { service.look_at_health().await }).await
+        self.last_health
+            .get_soon(AGE, patience, async move { service.look_at_health().await })
+            .await
     }
 
     async fn look_at_health(&self) -> Health {
@@ -63,9 +71,9 @@ impl Service {
                 None => None,
             }
         };
-        let (mut store, inference) = tokio::join!(self.store.health.health(), inference);
+        let (mut store, inference) = tokio::join!(self.health_probe.health(), inference);
         // Not every look meets the damage, and it does not heal.
-        if let Some(before) = self.health.last().filter(|before| before.store.is_damaged) {
+        if let Some(before) = self.last_health.last().filter(|before| before.store.is_damaged) {
             store = StoreHealth { database: before.store.database, is_damaged: true, ..store };
         }
         let dead_lanes =

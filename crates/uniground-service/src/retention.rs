@@ -5,7 +5,7 @@
 //! pauses in which everybody else gets the database. Rows go first, then the folders they spoke of;
 //! what a crash leaves between the two is swept to the quarantine.
 
-use super::Service;
+use crate::MaintenanceService;
 use crate::error::Error;
 use camino::Utf8PathBuf;
 use jiff::Timestamp;
@@ -71,14 +71,14 @@ impl Beside {
 
 /// One round.
 struct Round<'a> {
-    service: &'a Service,
+    service: &'a MaintenanceService,
     beside: Beside,
     now: Timestamp,
     /// Folders that are gone, or would be: none counts twice.
     folders: HashSet<Utf8PathBuf>,
 }
 
-impl Service {
+impl MaintenanceService {
     /// Lets go of everything that was kept long enough, in small steps; what went, by kind. On a
     /// full disk the room for it comes from the reserve.
     ///
@@ -86,12 +86,12 @@ impl Service {
     /// [`Error`] of the store; what is gone stays gone.
     pub async fn let_go(&self, beside: Beside) -> Result<Vec<Removed>, Error> {
         let removed = match self.try_to_let_go(beside).await {
-            Err(error) if error.is_disk_full() && self.store.reserve.release_reserve() => {
+            Err(error) if error.is_disk_full() && self.reserve.release_reserve() => {
                 self.try_to_let_go(beside).await
             }
             done => done,
         }?;
-        self.store.reserve.restore_reserve().await;
+        self.reserve.restore_reserve().await;
         Ok(removed)
     }
 
@@ -128,7 +128,7 @@ impl Service {
             round.checkpoints().await?,
             quarantine,
         ];
-        if self.store.blobs.are_copies() {
+        if self.blobs.are_copies() {
             removed.push(round.orphans().await?);
         }
         for Removed { kind, entries, bytes, why } in
@@ -143,13 +143,13 @@ impl Service {
 impl Round<'_> {
     async fn evidence(&mut self) -> Result<Removed, Error> {
         let days = self.service.limits.retention.evidence_days;
-        let blobs = self.service.store.blobs.clone();
+        let blobs = self.service.blobs.clone();
         let old =
             spawn_blocking(move || blobs.older_than("answers", DAY * days, SystemTime::now()))
                 .await??;
         let mut gone = Gone::default();
         for names in old.chunks(TOGETHER as usize) {
-            let folders = names.iter().map(|name| self.service.store.blobs.answer(name)).collect();
+            let folders = names.iter().map(|name| self.service.blobs.answer(name)).collect();
             gone.bytes += self.discard(folders).await?;
             gone.entries += names.len() as u64;
         }
@@ -162,14 +162,15 @@ impl Round<'_> {
         if days == 0 {
             return Ok(gone.because(kind, "kept for ever".into()));
         }
-        let (store, before) = (&self.service.store, Before::days_ago(days, self.now));
+        let before = Before::days_ago(days, self.now);
+        let rows = &self.service.retention_repository;
+        let blobs = &self.service.blobs;
         let mut after = String::new();
         loop {
-            let due = store.retention.due(aged, &before, &after, TOGETHER).await?;
+            let due = rows.due(aged, &before, &after, TOGETHER).await?;
             let Some(last) = due.last() else { break };
             after.clone_from(&last.id);
-            let removed = store
-                .retention
+            let removed = rows
                 .remove_due(
                     aged,
                     &before,
@@ -178,8 +179,8 @@ impl Round<'_> {
                 .await?;
             gone.count(&due, &removed);
             let beside = match aged {
-                Aged::Answers => removed.iter().map(|id| store.blobs.answer(id)).collect(),
-                Aged::Uploads => removed.iter().map(|id| store.blobs.upload(id)).collect(),
+                Aged::Answers => removed.iter().map(|id| blobs.answer(id)).collect(),
+                Aged::Uploads => removed.iter().map(|id| blobs.upload(id)).collect(),
                 _ => Vec::new(),
             };
             gone.bytes += self.discard(beside).await?;
@@ -192,30 +193,34 @@ impl Round<'_> {
     async fn superseded_parses(&mut self, days: u32) -> Result<Removed, Error> {
         const KIND: &str = "superseded parses";
         let (service, mut gone) = (self.service, Gone::default());
-        service.store.retention.mark_superseded_parses(self.now).await?;
+        service.retention_repository.mark_superseded_parses(self.now).await?;
         if days == 0 {
             return Ok(gone.because(KIND, "kept for ever".into()));
         }
         let before = Before::days_ago(days, self.now);
         let mut after = String::new();
-        while let Some(due) =
-            service.store.retention.due(Aged::SupersededParses, &before, &after, 1).await?.pop()
+        while let Some(due) = service
+            .retention_repository
+            .due(Aged::SupersededParses, &before, &after, 1)
+            .await?
+            .pop()
         {
             after.clone_from(&due.id);
             let removed = {
                 // Nobody takes it for a scene while it goes.
-                let _references =
-                    (service.content_references().await?, service.parse_references().await?);
+                let _references = (
+                    service.service_locks.content_references().await?,
+                    service.service_locks.parse_references().await?,
+                );
                 service
-                    .store
-                    .retention
+                    .retention_repository
                     .remove_due(Aged::SupersededParses, &before, &[&due.id])
                     .await?
             };
             for id in &removed {
-                service.parses.forget(id);
-                service.parses.render_scenes.remove(id);
-                gone.bytes += self.discard(vec![service.store.blobs.parse(id)]).await?;
+                service.parse_cache.forget(id);
+                service.parse_cache.render_scenes.remove(id);
+                gone.bytes += self.discard(vec![service.blobs.parse(id)]).await?;
             }
             gone.count(&[due], &removed);
             self.beside.pause().await;
@@ -232,11 +237,13 @@ impl Round<'_> {
         if days == 0 {
             return Ok(gone.because(KIND, "kept for ever".into()));
         }
-        for hash in service.store.contents.outgrown_contents(TOGETHER).await? {
+        for hash in service.content_repository.outgrown_contents(TOGETHER).await? {
             let folders = {
-                let _references =
-                    (service.content_references().await?, service.parse_references().await?);
-                service.store.contents.remove_outgrown(&hash).await?
+                let _references = (
+                    service.service_locks.content_references().await?,
+                    service.service_locks.parse_references().await?,
+                );
+                service.content_repository.remove_outgrown(&hash).await?
             };
             gone.entries += u64::from(!folders.is_empty());
             gone.bytes += self.discard(folders).await?;
@@ -248,17 +255,19 @@ impl Round<'_> {
     async fn checkpoints(&mut self) -> Result<Removed, Error> {
         let Retention { checkpoints_days: days, checkpoints_bytes: most, .. } =
             self.service.limits.retention;
-        let blobs = self.service.store.blobs.clone();
+        let blobs = self.service.blobs.clone();
         let kept = spawn_blocking(move || blobs.kept_checkpoints()).await??;
         let oldest =
             if days == 0 { SystemTime::UNIX_EPOCH } else { SystemTime::now() - DAY * days };
         let mut gone = Gone::default();
         for KeptCheckpoints { hash, bytes, .. } in too_many(kept, oldest, most) {
             // No parse of it begins between the look and the removal.
-            let references =
-                (self.service.content_references().await?, self.service.parse_references().await?);
-            if !self.service.store.retention.contents_in_work().await?.contains(&hash) {
-                self.discard(vec![self.service.store.blobs.checkpoints(&hash)]).await?;
+            let references = (
+                self.service.service_locks.content_references().await?,
+                self.service.service_locks.parse_references().await?,
+            );
+            if !self.service.retention_repository.contents_in_work().await?.contains(&hash) {
+                self.discard(vec![self.service.blobs.checkpoints(&hash)]).await?;
                 gone.entries += 1;
                 gone.bytes += bytes;
             }
@@ -274,7 +283,7 @@ impl Round<'_> {
     }
 
     async fn quarantine(&self) -> Result<Removed, Error> {
-        let (entries, bytes) = self.service.store.orphans.sweep(self.beside.settled()).await?;
+        let (entries, bytes) = self.service.orphan_repository.sweep(self.beside.settled()).await?;
         Ok(Gone { entries, bytes }.because(
             "quarantine",
             format!("no record speaks of them, for over {KEEP_QUARANTINE_DAYS} days"),
@@ -284,10 +293,12 @@ impl Round<'_> {
     /// Objects no record speaks of, one by one, looked up again right before.
     async fn orphans(&self) -> Result<Removed, Error> {
         let (service, mut gone) = (self.service, Gone::default());
-        for orphan in service.store.orphans.orphans().await? {
-            let references =
-                (service.content_references().await?, service.parse_references().await?);
-            if service.store.orphans.remove_orphan(&orphan).await? {
+        for orphan in service.orphan_repository.orphans().await? {
+            let references = (
+                service.service_locks.content_references().await?,
+                service.service_locks.parse_references().await?,
+            );
+            if service.orphan_repository.remove_orphan(&orphan).await? {
                 gone.entries += 1;
                 gone.bytes += orphan.bytes();
             }
@@ -309,8 +320,8 @@ impl Round<'_> {
             measured.iter().map(|folder| size_of(folder)).sum::<std::io::Result<u64>>()
         })
         .await??;
-        let store = &self.service.store;
-        store.blobs.remove_later(store.orphans.set_aside(folders).await?);
+        let aside = self.service.orphan_repository.set_aside(folders).await?;
+        self.service.blobs.remove_later(aside);
         Ok(bytes)
     }
 }

@@ -1,8 +1,8 @@
 //! Which of many rooms are worth a look: what they are known by is noted beside everything else,
 //! and looked up when somebody asks about more rooms than can be looked into one by one.
 
-use super::Service;
 use crate::error::Error;
+use crate::{ParsedScenes, QuestionPermits, ServiceLocks};
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -11,8 +11,11 @@ use tokio::task::spawn_blocking;
 use uniground_geometry::colour::ColourName;
 use uniground_grounding::GivenName;
 use uniground_grounding::room_index::{Sought, entries};
-use uniground_models::neural::Role;
-use uniground_storage::{FoundEntry, RoomEntry, SceneFilter, SceneRow, Seen, ToIndex};
+use uniground_models::neural::{Models, Role};
+use uniground_storage::{
+    FoundEntry, ParseRepository, RoomEntry, RoomIndexRepository, SceneFilter, SceneRepository,
+    SceneRow, Seen, ToIndex,
+};
 use uniground_types::labels::Labels;
 
 /// Rooms that are noted in one go.
@@ -34,25 +37,42 @@ pub(super) struct RoomNames(Mutex<Option<(Instant, Arc<Names>)>>);
 
 type Names = HashMap<String, GivenName>;
 
-impl Service {
+/// Finds the scenes that are likely to hold what a question names.
+#[derive(Clone)]
+pub struct RoomSearch {
+    pub(crate) room_index_repository: RoomIndexRepository,
+    pub(crate) parse_repository: ParseRepository,
+    pub(crate) service_locks: ServiceLocks,
+    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) scene_repository: SceneRepository,
+    pub(crate) question_permits: QuestionPermits,
+    pub(crate) room_names: Arc<RoomNames>,
+    pub(crate) models: Models,
+}
+
+impl RoomSearch {
     /// Notes what rooms are known by that are new, or of which something else is known by now. One
     /// process does it for all.
     ///
     /// # Errors
     /// [`Error`] of the store; what was noted stays.
     pub async fn index_rooms(&self) -> Result<(), Error> {
-        let mut wanted = self.store.room_index.parses_to_index(AT_ONCE).await?;
+        let mut wanted = self.room_index_repository.parses_to_index(AT_ONCE).await?;
         if wanted.is_empty() {
             return Ok(());
         }
-        let Some(turn) = self.indexing().await? else { return Ok(()) };
+        let Some(turn) = self.service_locks.indexing().await? else { return Ok(()) };
         while !wanted.is_empty() && turn.is_ours() {
             for room in &wanted {
                 match self.index_room(room).await {
                     Ok(()) => {}
                     // It went meanwhile.
                     Err(_)
-                        if self.store.parses.changes_of_parse(&room.parse_id).await?.is_none() => {}
+                        if self
+                            .parse_repository
+                            .changes_of_parse(&room.parse_id)
+                            .await?
+                            .is_none() => {}
                     // Its time comes: the database, the object store or the disk can not be used
                     // now.
                     Err(error)
@@ -68,19 +88,19 @@ impl Service {
                             error = &error as &dyn std::error::Error,
                             "a room can not be found among many"
                         );
-                        self.store.room_index.index_room(room, &[]).await?;
+                        self.room_index_repository.index_room(room, &[]).await?;
                     }
                 }
                 tokio::time::sleep(PAUSE).await;
             }
-            wanted = self.store.room_index.parses_to_index(AT_ONCE).await?;
+            wanted = self.room_index_repository.parses_to_index(AT_ONCE).await?;
         }
         Ok(())
     }
 
     async fn index_room(&self, room: &ToIndex) -> Result<(), Error> {
-        let parse = self.passing_parse(&room.parse_id).await?;
-        let keeps_vectors = self.store.room_index.has_vectors().await?;
+        let parse = self.parsed_scenes.passing_parse(&room.parse_id).await?;
+        let keeps_vectors = self.room_index_repository.has_vectors().await?;
         let (known, seen) = spawn_blocking(move || {
             let known = entries(&parse.instances).into_iter();
             let known = known.map(|entry| RoomEntry {
@@ -100,8 +120,8 @@ impl Service {
             (known.collect::<Vec<_>>(), seen)
         })
         .await?;
-        self.store.room_index.keep_vectors(&room.parse_id, seen.as_ref()).await?;
-        Ok(self.store.room_index.index_room(room, &known).await?)
+        self.room_index_repository.keep_vectors(&room.parse_id, seen.as_ref()).await?;
+        Ok(self.room_index_repository.index_room(room, &known).await?)
     }
 
     /// Of all scenes with these labels those that most likely have what a question asks for, at
@@ -113,7 +133,8 @@ impl Service {
         most: usize,
     ) -> Result<Vec<SceneRow>, Error> {
         let question = query.to_owned();
-        let sought = Arc::new(self.compute(move || Ok(Sought::of(&question))).await?);
+        let sought =
+            Arc::new(self.question_permits.compute(move || Ok(Sought::of(&question))).await?);
         let mut rooms: HashMap<String, Vec<f32>> = HashMap::new();
         for at in 0..sought.len() {
             for (name, fit) in self.names_for(&sought, at).await? {
@@ -150,12 +171,13 @@ impl Service {
         if chosen.is_empty() {
             // Nothing tells: the newest are as good as any.
             let filter = SceneFilter { ids: None, labels: labels.clone() };
-            return Ok(self.store.scenes.scenes(most as u32, None, &filter).await?);
+            return Ok(self.scene_repository.scenes(most as u32, None, &filter).await?);
         }
         let rank: HashMap<&str, usize> =
             chosen.iter().enumerate().map(|(rank, room)| (room.as_str(), rank)).collect();
         // A room that was uploaded again and again does not keep the others out.
-        let scenes = self.store.room_index.scenes_of_parses(&chosen, labels, SAME_ROOM).await?;
+        let scenes =
+            self.room_index_repository.scenes_of_parses(&chosen, labels, SAME_ROOM).await?;
         let rank_of =
             |scene: &SceneRow| scene.parse_id.as_deref().and_then(|parse| rank.get(parse).copied());
         let mut scenes: Vec<_> =
@@ -172,7 +194,7 @@ impl Service {
         at: usize,
     ) -> Result<Vec<(String, f32)>, Error> {
         let (names, sought) = (self.room_names.get(self).await?, sought.clone());
-        let fits = self.compute(move || {
+        let fits = self.question_permits.compute(move || {
             let fits = names
                 .iter()
                 .map(|(name, read)| (name.clone(), sought.fit(at, read)))
@@ -193,12 +215,11 @@ impl Service {
         colours: &[ColourName],
         labels: &Labels,
     ) -> Result<Vec<FoundEntry>, Error> {
-        let mut found = self.store.room_index.rooms_with(name, None, labels, ROOMS).await?;
+        let mut found = self.room_index_repository.rooms_with(name, None, labels, ROOMS).await?;
         if found.len() >= ROOMS as usize {
             for colour in colours {
                 found.extend(
-                    self.store
-                        .room_index
+                    self.room_index_repository
                         .rooms_with(name, Some(colour.word()), labels, ROOMS)
                         .await?,
                 );
@@ -220,11 +241,11 @@ impl Service {
         else {
             return Ok(Vec::new());
         };
-        if sought.is_empty() || !self.store.room_index.has_vectors().await? {
+        if sought.is_empty() || !self.room_index_repository.has_vectors().await? {
             return Ok(Vec::new());
         }
         let words = sought.target.clone();
-        let read = self.compute(move || Ok(encoder.embed_name(&words)));
+        let read = self.question_permits.compute(move || Ok(encoder.embed_name(&words)));
         let vector = match read.await? {
             Ok(read) => read.vector,
             Err(error) => {
@@ -236,18 +257,18 @@ impl Service {
             }
         };
         let Some(vector) = vector else { return Ok(Vec::new()) };
-        Ok(self.store.room_index.rooms_near(&name, &vector, labels, most as u32).await?)
+        Ok(self.room_index_repository.rooms_near(&name, &vector, labels, most as u32).await?)
     }
 }
 
 impl RoomNames {
-    async fn get(&self, service: &Service) -> Result<Arc<Names>, Error> {
+    async fn get(&self, service: &RoomSearch) -> Result<Arc<Names>, Error> {
         let mut kept = self.0.lock().await;
         let known = match &*kept {
             Some((at, names)) if at.elapsed() < AGE => return Ok(names.clone()),
             known => known.as_ref().map(|(_, names)| names.clone()).unwrap_or_default(),
         };
-        let names = service.store.room_index.room_names().await?;
+        let names = service.room_index_repository.room_names().await?;
         let read = spawn_blocking(move || {
             let read = |name: String| {
                 let read = known.get(&name).cloned().or_else(|| GivenName::read(&name))?;

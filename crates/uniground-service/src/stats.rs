@@ -6,15 +6,21 @@
 
 use super::lately::Lately;
 use super::vlm::today;
-use super::{BatchJob, MAX_UPLOADS, NamingJob, ParseJob, Service};
+use super::{BatchJob, MAX_UPLOADS, NamingJob, ParseJob};
 use crate::error::Error;
+use crate::parses::ParseCache;
+use crate::{HealthService, Limits, Vlm};
 use jiff::Timestamp;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::Mutex;
-use uniground_jobs::JobKind;
-use uniground_storage::{Figures, JobState, Measured, StoreError};
+use tokio::sync::{Mutex, Semaphore};
+use uniground_grounding::PictureCache;
+use uniground_jobs::{JobKind, Jobs};
+use uniground_storage::{
+    Blobs, Figures, JobState, Measured, SpendingRepository, StatisticsRepository, StoreError,
+};
+use uniground_telemetry::metrics::Metrics;
 use uniground_types::stats::{DiskUse, JobStats, Spending, Stats, StoredCounts};
 
 /// Numbers of the store are not newer than that,
@@ -36,14 +42,32 @@ pub(super) struct Numbers {
     measured: Arc<Mutex<Measured>>,
 }
 
-impl Service {
+/// Statistics and metrics that are read from the store.
+#[derive(Clone)]
+pub struct StatsService {
+    pub(crate) figures: Numbers,
+    pub(crate) metrics: Arc<Metrics>,
+    pub(crate) vlm: Option<Arc<Vlm>>,
+    pub(crate) limits: Limits,
+    pub(crate) health_service: HealthService,
+    pub(crate) permits: Arc<Semaphore>,
+    pub(crate) upload_permits: Arc<Semaphore>,
+    pub(crate) parse_cache: Arc<ParseCache>,
+    pub(crate) picture_cache: Arc<PictureCache>,
+    pub(crate) statistics_repository: StatisticsRepository,
+    pub(crate) blobs: Blobs,
+    pub(crate) spending_repository: SpendingRepository,
+    pub(crate) jobs: Jobs,
+}
+
+impl StatsService {
     /// What this server holds, does and may spend.
     ///
     /// # Errors
     /// [`Error::Store`].
     pub async fn stats(&self) -> Result<Stats, Error> {
         let figures = self
-            .numbers
+            .figures
             .figures
             .get(AGE, self.look_at_figures())
             .await
@@ -83,16 +107,20 @@ impl Service {
     /// Everything that is counted, as Prometheus reads it. It takes a few milliseconds, whatever
     /// the store does.
     pub async fn scrape(&self) -> String {
-        let is_first = self.numbers.figures.last().is_none();
+        let is_first = self.figures.figures.last().is_none();
         let patience = if is_first { FIRST_PATIENCE } else { PATIENCE };
         let service = self.clone();
         let figures = self
-            .numbers
+            .figures
             .figures
             .get_soon(AGE, patience, async move { service.look_at_figures().await });
         let spent = async { tokio::time::timeout(patience, self.spent_today()).await.ok()?.ok() };
-        let (figures, health, sizes, spent) =
-            tokio::join!(figures, self.health_soon(patience), self.sizes_soon(), spent);
+        let (figures, health, sizes, spent) = tokio::join!(
+            figures,
+            self.health_service.health_soon(patience),
+            self.sizes_soon(),
+            spent
+        );
         let (stored, vlm, questions) =
             (&self.metrics.stored, &self.metrics.vlm, &self.metrics.questions);
         // What can not be read now stays as it was: that the database is in trouble is told beside
@@ -138,29 +166,31 @@ impl Service {
         }
         let most = self.limits.max_concurrent_questions;
         questions.computing_limit.set(most as i64);
-        questions.computing.set(most.saturating_sub(self.questions.available_permits()) as i64);
-        questions.uploads.set(MAX_UPLOADS.saturating_sub(self.uploads.available_permits()) as i64);
+        questions.computing.set(most.saturating_sub(self.permits.available_permits()) as i64);
+        questions
+            .uploads
+            .set(MAX_UPLOADS.saturating_sub(self.upload_permits.available_permits()) as i64);
         let looks = [
-            ("parses", self.parses.looks()),
-            ("clouds", self.parses.render_scenes.looks()),
-            ("files", self.parses.sound.looks()),
-            ("pictures", self.pictures.looks()),
+            ("parses", self.parse_cache.looks()),
+            ("clouds", self.parse_cache.render_scenes.looks()),
+            ("files", self.parse_cache.sound.looks()),
+            ("pictures", self.picture_cache.looks()),
         ];
         looks.into_iter().for_each(|(cache, (hits, misses))| questions.cache(cache, hits, misses));
         self.metrics.text()
     }
 
     async fn look_at_figures(&self) -> Result<Arc<Figures>, Arc<StoreError>> {
-        self.store.statistics.figures().await.map(Arc::new).map_err(Arc::new)
+        self.statistics_repository.figures().await.map(Arc::new).map_err(Arc::new)
     }
 
     /// How much room files take, if that was measured; it is measured anew behind the caller's
     /// back.
     async fn sizes_soon(&self) -> Option<Sizes> {
         let (blobs, measured, before) = (
-            self.store.blobs.clone(),
-            self.numbers.measured.clone(),
-            self.numbers.sizes.last().flatten(),
+            self.blobs.clone(),
+            self.figures.measured.clone(),
+            self.figures.sizes.last().flatten(),
         );
         let look = async move {
             let mut measured = measured.lock().await;
@@ -170,14 +200,14 @@ impl Service {
             );
             sizes.ok().map(Arc::new).or(before)
         };
-        self.numbers.sizes.get_soon(SIZES_AGE, PATIENCE, look).await.flatten()
+        self.figures.sizes.get_soon(SIZES_AGE, PATIENCE, look).await.flatten()
     }
 
     /// US dollars.
     async fn spent_today(&self) -> Result<f64, Error> {
         match &self.vlm {
             Some(vlm) => vlm.spent_today_usd().await,
-            None => Ok(self.store.spending.spent_on(&today()).await?),
+            None => Ok(self.spending_repository.spent_on(&today()).await?),
         }
     }
 

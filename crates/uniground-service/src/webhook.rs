@@ -1,4 +1,4 @@
-//! Telling another server that something happened, as Standard Webhooks (version 1) has it: signed,
+//! Explain another server that something happened, as Standard Webhooks (version 1) has it: signed,
 //! and never to an address that only this machine or its own network can reach, unless the operator
 //! says so.
 

@@ -1,7 +1,6 @@
 //! Ends of jobs that somebody wants to be told of.
 
-use super::database::Database;
-use super::database::number;
+use super::database::{Database, number};
 use super::jobs::after;
 use super::{StoreError, now};
 use std::time::Duration;

@@ -1,7 +1,6 @@
 //! Answers, kept as they were given.
 
-use super::database::Conditions;
-use super::database::Database;
+use super::database::{Conditions, Database};
 use super::records::RECORD_VERSION;
 use super::writer::Writer;
 use super::{StoreError, now};

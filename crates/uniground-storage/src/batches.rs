@@ -1,9 +1,7 @@
 //! Batches and their items.
 
-use super::Reserve;
-use super::database::Database;
-use super::database::{number, without_nul};
-use super::{Hold, JobRow, NewJob, StoreError, now};
+use super::database::{Database, number, without_nul};
+use super::{Hold, JobRow, NewJob, Reserve, StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{AssertSqlSafe, FromRow, Row};
 use std::collections::BTreeMap;

@@ -1,8 +1,7 @@
 //! Uploaded bytes, by hash.
 
-use super::Blobs;
-use super::StoreError;
 use super::database::Database;
+use super::{Blobs, StoreError};
 
 /// Uploaded scans, stored once per SHA-256.
 #[derive(Clone)]

@@ -7,9 +7,8 @@ use super::database::{Connections, Location};
 use super::members::{Company, LEASE, Membership};
 use super::{Store, StoreError};
 use camino::{Utf8Path, Utf8PathBuf};
-use std::fs;
-use std::io;
 use std::sync::Arc;
+use std::{fs, io};
 use tempfile::TempDir;
 use tokio::task::spawn_blocking;
 

@@ -1,7 +1,6 @@
 //! What people say of parses that are wrong.
 
-use super::database::Database;
-use super::database::number;
+use super::database::{Database, number};
 use super::parses::{insert_instance, note_change};
 use super::{StoreError, now};
 use sqlx::any::AnyRow;

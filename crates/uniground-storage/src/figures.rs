@@ -2,13 +2,11 @@
 
 use super::StoreError;
 use super::data_folder::DataFolder;
-use super::database::Database;
-use super::database::{Engine, number};
+use super::database::{Database, Engine, number};
 use sqlx::any::AnyRow;
 use sqlx::{AssertSqlSafe, FromRow, Row};
 use std::collections::BTreeMap;
-use std::fs;
-use std::io;
+use std::{fs, io};
 use tokio::task::spawn_blocking;
 
 /// Numbers of everything that is stored.

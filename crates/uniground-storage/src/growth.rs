@@ -1,12 +1,11 @@
 //! Scenes that grow: another content for the same scene, and what changed in it.
 
-use super::ContentRepository;
-use super::ParseRepository;
-use super::SceneRepository;
 use super::database::number;
 use super::scenes::{add_job, made_by_key};
 use super::writer::Transaction;
-use super::{JobRow, NewJob, SceneRow, StoreError, now};
+use super::{
+    ContentRepository, JobRow, NewJob, ParseRepository, SceneRepository, SceneRow, StoreError, now,
+};
 use camino::Utf8PathBuf;
 use uniground_types::changes::Changes;
 use uniground_types::corrections::Correction;

@@ -1,11 +1,8 @@
 //! Whether what is stored can be read and written now.
 
-use super::Blobs;
-use super::IntegrityRepository;
-use super::StoreError;
 use super::data_folder::DataFolder;
-use super::database::Database;
-use super::database::Engine;
+use super::database::{Database, Engine};
+use super::{Blobs, IntegrityRepository, StoreError};
 use std::io;
 use std::time::Duration;
 use tokio::task::spawn_blocking;

@@ -1,9 +1,7 @@
 //! The durable side of the job queue.
 
-use super::database::Database;
-use super::database::{Conditions, number, without_nul};
-use super::first_id_at;
-use super::{StoreError, now};
+use super::database::{Conditions, Database, number, without_nul};
+use super::{StoreError, first_id_at, now};
 use jiff::Timestamp;
 use sqlx::any::AnyRow;
 use sqlx::{AnyConnection, FromRow, Row};

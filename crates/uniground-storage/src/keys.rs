@@ -1,7 +1,6 @@
 //! Keys of callers, what they may spend, and what was done with them.
 
-use super::database::Database;
-use super::database::number;
+use super::database::{Database, number};
 use super::writer::Writer;
 use super::{StoreError, now};
 use sqlx::any::AnyRow;

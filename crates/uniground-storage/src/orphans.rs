@@ -3,11 +3,10 @@
 //! that is empty or younger, nor of what is young: whoever publishes has half of that time, and is
 //! refused after it.
 
-use super::OrphanRepository;
-use super::StoreError;
 use super::blobs::KINDS;
 use super::blobs::objects::{FolderName, Found, Seal, edition_of};
 use super::sweep::Judge;
+use super::{OrphanRepository, StoreError};
 use std::time::SystemTime;
 
 /// A folder in the object store, or an edition of one, that is nobody's.

@@ -1,7 +1,6 @@
 //! Finished parses and their instances.
 
-use super::database::Database;
-use super::database::number;
+use super::database::{Database, number};
 use super::growth::Continued;
 use super::records::{InstanceRecord, ParseRecord, RECORD_VERSION};
 use super::{Hold, SceneRow, StoreError, now};

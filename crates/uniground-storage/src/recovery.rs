@@ -3,15 +3,12 @@
 //! Every step stands for itself. A step that fails is logged and its rows and files are kept, so
 //! that recovery never keeps a server from starting.
 
-use super::BatchRepository;
-use super::Blobs;
-use super::ContentRepository;
-use super::OrphanRepository;
-use super::SpendingRepository;
-use super::StoreError;
-use super::UploadRepository;
 use super::database::Database;
 use super::growth::OUTGROWN;
+use super::{
+    BatchRepository, Blobs, ContentRepository, OrphanRepository, SpendingRepository, StoreError,
+    UploadRepository,
+};
 use sqlx::AssertSqlSafe;
 use std::time::Duration;
 

@@ -2,8 +2,7 @@
 //! PostgreSQL enforces its own.
 
 use super::StoreError;
-use super::database::Database;
-use super::database::Engine;
+use super::database::{Database, Engine};
 use super::writer::Transaction;
 use sqlx::AssertSqlSafe;
 

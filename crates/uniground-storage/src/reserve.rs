@@ -5,11 +5,9 @@
 //! room before it can delete anything. The reserve is written again once the disk has several times
 //! its room.
 
-use super::Blobs;
-use super::StoreError;
 use super::blobs::remove_tree;
-use super::data_folder::DataFolder;
-use super::data_folder::LOCK;
+use super::data_folder::{DataFolder, LOCK};
+use super::{Blobs, StoreError};
 use camino::{Utf8DirEntry, Utf8Path, Utf8PathBuf};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};

@@ -3,10 +3,8 @@
 //! What may go is looked up among the readers; only the removal itself takes the writing
 //! connection, and asks again whether it may.
 
-use super::BatchRepository;
-use super::StoreError;
 use super::database::Database;
-use super::first_id_at;
+use super::{BatchRepository, StoreError, first_id_at};
 use jiff::{Timestamp, ToSpan};
 use sqlx::AssertSqlSafe;
 

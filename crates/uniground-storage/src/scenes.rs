@@ -1,12 +1,10 @@
 //! Scenes.
 
-use super::Blobs;
-use super::ContentRepository;
 use super::database::Database;
 use super::growth::number_changes;
 use super::records::read_or_none;
 use super::writer::Transaction;
-use super::{JobRow, NewJob, StoreError, now};
+use super::{Blobs, ContentRepository, JobRow, NewJob, StoreError, now};
 use camino::Utf8PathBuf;
 use sqlx::any::AnyRow;
 use sqlx::{AnyConnection, AssertSqlSafe, FromRow, Row};

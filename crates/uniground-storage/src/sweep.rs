@@ -2,17 +2,15 @@
 //! or restored, and then it is the database that is wrong. It goes to the quarantine, and from
 //! there after a week; not even that where the database has no standing to judge.
 
-use super::Blobs;
 use super::blobs::{KINDS, remove_tree, size_of};
 use super::data_folder::DataFolder;
 use super::database::Database;
-use super::{Scratch, StoreError, now};
+use super::{Blobs, Scratch, StoreError, now};
 use camino::Utf8PathBuf;
 use jiff::Timestamp;
 use jiff::civil::Date;
-use std::fs;
-use std::io;
 use std::time::{Duration, SystemTime};
+use std::{fs, io};
 use tokio::task::spawn_blocking;
 
 /// Days for which the quarantine keeps things.

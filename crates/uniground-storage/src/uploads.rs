@@ -1,16 +1,13 @@
 //! Uploads that come in parts: what was said of them, how much is there, what came of them.
 
-use super::Blobs;
-use super::database::Database;
-use super::database::number;
+use super::database::{Database, number};
 use super::records::read_or_none;
-use super::{StoreError, now};
+use super::{Blobs, StoreError, now};
 use serde::{Deserialize, Serialize};
 use sqlx::any::AnyRow;
 use sqlx::{FromRow, Row};
 use std::collections::HashSet;
-use std::fs;
-use std::io;
+use std::{fs, io};
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::problem::Problem;
 use uniground_types::settings::ParsePreset;

@@ -2,9 +2,8 @@
 //! vector: PostgreSQL with the extension pgvector. Approximate, by a graph (HNSW) of each encoder's
 //! own; the tables are there once somebody has asked for them (`--vectors pgvector`).
 
-use super::RoomIndexRepository;
 use super::database::Engine;
-use super::{Labels, StoreError};
+use super::{Labels, RoomIndexRepository, StoreError};
 use sha2::{Digest, Sha256};
 use sqlx::{AssertSqlSafe, Executor};
 use std::fmt::Write;

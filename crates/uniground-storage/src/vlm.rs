@@ -1,7 +1,6 @@
 //! What is kept of vision-language models: names they gave, and what was paid.
 
-use super::database::Database;
-use super::database::{number, without_nul};
+use super::database::{Database, number, without_nul};
 use super::parses::note_change;
 use super::{StoreError, now};
 use sqlx::AnyConnection;

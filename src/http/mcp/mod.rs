@@ -26,7 +26,7 @@ use rmcp::{RoleServer, ServerHandler, ServiceExt};
 use std::sync::Arc;
 use tokio_util::sync::CancellationToken;
 use uniground_service::error::Error;
-use uniground_service::{Caller, Service};
+use uniground_service::{Caller, Services};
 use uniground_types::problem::Problem;
 
 const INSTRUCTIONS: &str = "Finds things in scanned rooms by plain words. Start with list_scenes; ground answers a question with a 3D box; \
@@ -39,7 +39,7 @@ const MOST_BYTES: usize = 64 << 10;
 /// The use cases as tools.
 #[derive(Clone)]
 pub struct Mcp {
-    service: Service,
+    services: Services,
     /// Who asks, where no request says it: over stdio, whoever started the program.
     local: Option<Caller>,
 }
@@ -50,7 +50,7 @@ pub type McpOverHttp = StreamableHttpService<Mcp, NeverSessionManager>;
 impl Mcp {
     /// For requests over HTTP, which say themselves who asks.
     #[must_use]
-    pub fn over_http(service: Service, shutdown: CancellationToken) -> McpOverHttp {
+    pub fn over_http(services: Services, shutdown: CancellationToken) -> McpOverHttp {
         let config = StreamableHttpServerConfig::default()
             .with_legacy_session_mode(false)
             .with_json_response(true)
@@ -59,7 +59,7 @@ impl Mcp {
             // Hosts and origins are looked at once for all routes.
             .disable_allowed_hosts()
             .disable_allowed_origins();
-        let handler = Self { service, local: None };
+        let handler = Self { services, local: None };
         StreamableHttpService::new(
             move || Ok(handler.clone()),
             Arc::new(NeverSessionManager::default()),
@@ -71,8 +71,8 @@ impl Mcp {
     ///
     /// # Errors
     /// When what comes in is no MCP.
-    pub async fn over_stdio(service: Service) -> anyhow::Result<()> {
-        let handler = Self { service, local: Some(Caller::operator()) };
+    pub async fn over_stdio(services: Services) -> anyhow::Result<()> {
+        let handler = Self { services, local: Some(Caller::operator()) };
         Box::pin(handler.serve(rmcp::transport::io::stdio())).await?.waiting().await?;
         Ok(())
     }
@@ -120,7 +120,7 @@ impl ServerHandler for Mcp {
     ) -> Result<CallToolResponse, ErrorData> {
         let caller = self.caller(&context)?;
         let called = tools::call(
-            &self.service,
+            &self.services,
             caller,
             &request.name,
             request.arguments.unwrap_or_default(),
@@ -141,7 +141,7 @@ impl ServerHandler for Mcp {
         _: RequestContext<RoleServer>,
     ) -> Result<ListResourcesResult, ErrorData> {
         let cursor = request.and_then(|request| request.cursor);
-        resources::list(&self.service, cursor).await.map_err(failed)
+        resources::list(&self.services, cursor).await.map_err(failed)
     }
 
     async fn list_resource_templates(
@@ -157,7 +157,7 @@ impl ServerHandler for Mcp {
         request: ReadResourceRequestParams,
         _: RequestContext<RoleServer>,
     ) -> Result<ReadResourceResponse, ErrorData> {
-        let contents = resources::read(&self.service, &request.uri).await.map_err(failed)?;
+        let contents = resources::read(&self.services, &request.uri).await.map_err(failed)?;
         let contents = contents.ok_or_else(|| {
             ErrorData::resource_not_found("resources are uniground://scenes/{scene_id} and uniground://scenes/{scene_id}/report", None)
         })?;

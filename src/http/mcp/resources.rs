@@ -3,7 +3,7 @@
 
 use crate::http::paging;
 use rmcp::model::{ListResourcesResult, Resource, ResourceContents, ResourceTemplate};
-use uniground_service::Service;
+use uniground_service::Services;
 use uniground_service::error::Error;
 use uniground_types::labels::Labels;
 
@@ -35,11 +35,11 @@ pub(super) fn templates() -> Vec<ResourceTemplate> {
 
 /// A page of scenes and their reports, newest first.
 pub(super) async fn list(
-    service: &Service,
+    services: &Services,
     cursor: Option<String>,
 ) -> Result<ListResourcesResult, Error> {
     let (_, cursor) = paging::checked(PAGE, cursor)?;
-    let page = service.scenes(PAGE, cursor.as_deref(), Labels::new()).await?;
+    let page = services.scenes.scenes(PAGE, cursor.as_deref(), Labels::new()).await?;
     let of_scene = |scene: uniground_types::scenes::Scene| {
         let uri = format!("{SCENES}{}", scene.id);
         let report = scene.counts.is_some().then(|| {
@@ -56,11 +56,14 @@ pub(super) async fn list(
 }
 
 /// What a resource holds; `None` where its address is none of ours.
-pub(super) async fn read(service: &Service, uri: &str) -> Result<Option<ResourceContents>, Error> {
+pub(super) async fn read(
+    services: &Services,
+    uri: &str,
+) -> Result<Option<ResourceContents>, Error> {
     let Some(path) = uri.strip_prefix(SCENES) else { return Ok(None) };
     let json = match path.strip_suffix(REPORT) {
-        Some(id) => serde_json::to_string(&service.scene_report(id).await?)?,
-        None => serde_json::to_string(&service.scene(path).await?)?,
+        Some(id) => serde_json::to_string(&services.parses.scene_report(id).await?)?,
+        None => serde_json::to_string(&services.scene_lookup.scene(path).await?)?,
     };
     Ok(Some(ResourceContents::text(json, uri).with_mime_type(JSON)))
 }

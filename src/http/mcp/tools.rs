@@ -14,7 +14,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use uniground_service::error::Error;
-use uniground_service::{Caller, EvidenceFile, Service, written};
+use uniground_service::{Caller, EvidenceFile, Services, written};
 use uniground_types::approach::Approach as Approached;
 use uniground_types::graph::{GraphFormat, SceneGraph};
 use uniground_types::instances::{InstanceView, Levels, ViewPicture};
@@ -77,20 +77,20 @@ fn without_output<I: ToSchema>(name: &'static str, description: &'static str) ->
 /// Calls a tool; `None` where there is none of that name. What goes wrong is told as a result, so
 /// that whoever called can do better.
 pub(super) async fn call(
-    service: &Service,
+    services: &Services,
     caller: Caller,
     name: &str,
     arguments: JsonObject,
 ) -> Option<CallToolResult> {
     let result = match name {
-        "list_scenes" => list_scenes(service, arguments).await,
-        "ground" => ground(service, caller, arguments).await,
-        "find_in_scenes" => find_in_scenes(service, caller, arguments).await,
-        "list_objects" => list_objects(service, arguments).await,
-        "get_object" => get_object(service, arguments).await,
-        "relations" => relations(service, arguments).await,
-        "approach" => approach(service, caller, arguments).await,
-        "render_view" => render_view(service, arguments).await,
+        "list_scenes" => list_scenes(services, arguments).await,
+        "ground" => ground(services, caller, arguments).await,
+        "find_in_scenes" => find_in_scenes(services, caller, arguments).await,
+        "list_objects" => list_objects(services, arguments).await,
+        "get_object" => get_object(services, arguments).await,
+        "relations" => relations(services, arguments).await,
+        "approach" => approach(services, caller, arguments).await,
+        "render_view" => render_view(services, arguments).await,
         _ => return None,
     };
     Some(result.unwrap_or_else(|error| {
@@ -130,13 +130,13 @@ fn has(name: &str, part: Option<&str>) -> bool {
     part.is_none_or(|part| name.to_lowercase().contains(&part.to_lowercase()))
 }
 
-async fn list_scenes(service: &Service, arguments: JsonObject) -> Result<CallToolResult, Error> {
+async fn list_scenes(services: &Services, arguments: JsonObject) -> Result<CallToolResult, Error> {
     let ListScenes { name, cursor } = read(arguments)?;
     let (_, mut cursor) = paging::checked(SCENES, cursor)?;
     let mut scenes = Vec::new();
     // A page of those that are meant, or all there are.
     loop {
-        let page = service.scenes(SCENES, cursor.as_deref(), Labels::new()).await?;
+        let page = services.scenes.scenes(SCENES, cursor.as_deref(), Labels::new()).await?;
         scenes.extend(
             page.scenes
                 .into_iter()
@@ -151,28 +151,28 @@ async fn list_scenes(service: &Service, arguments: JsonObject) -> Result<CallToo
 }
 
 async fn ground(
-    service: &Service,
+    services: &Services,
     caller: Caller,
     arguments: JsonObject,
 ) -> Result<CallToolResult, Error> {
     let (scene_id, request) = read::<Ground>(arguments)?.request();
-    told(&Grounded::from(service.ground(&scene_id, request, caller).await?))
+    told(&Grounded::from(services.grounding.ground(&scene_id, request, caller).await?))
 }
 
 async fn find_in_scenes(
-    service: &Service,
+    services: &Services,
     caller: Caller,
     arguments: JsonObject,
 ) -> Result<CallToolResult, Error> {
     let request = read::<FindInScenes>(arguments)?.request();
-    told(&FoundBriefs::from(service.ground_many(request, caller).await?))
+    told(&FoundBriefs::from(services.grounding.ground_many(request, caller).await?))
 }
 
-async fn list_objects(service: &Service, arguments: JsonObject) -> Result<CallToolResult, Error> {
+async fn list_objects(services: &Services, arguments: JsonObject) -> Result<CallToolResult, Error> {
     let ListObjects { scene_id, name, level, mut cursor } = read(arguments)?;
     let mut objects = Vec::new();
     loop {
-        let page = service.instances(&scene_id, level, OBJECTS, cursor).await?;
+        let page = services.instances.instances(&scene_id, level, OBJECTS, cursor).await?;
         objects.extend(
             page.instances
                 .into_iter()
@@ -186,35 +186,38 @@ async fn list_objects(service: &Service, arguments: JsonObject) -> Result<CallTo
     }
 }
 
-async fn get_object(service: &Service, arguments: JsonObject) -> Result<CallToolResult, Error> {
+async fn get_object(services: &Services, arguments: JsonObject) -> Result<CallToolResult, Error> {
     let OneObject { scene_id, instance_id } = read(arguments)?;
-    let instance = service.instance(&scene_id, InstanceId(instance_id)).await?;
+    let instance = services.instances.instance(&scene_id, InstanceId(instance_id)).await?;
     let mut result = told(&instance)?;
     if !instance.views.is_empty() {
-        let file =
-            service.view_picture(&scene_id, InstanceId(instance_id), 0, ViewPicture::Crop).await?;
+        let file = services
+            .instances
+            .view_picture(&scene_id, InstanceId(instance_id), 0, ViewPicture::Crop)
+            .await?;
         result.content.push(picture(bytes_of(file).await?));
     }
     Ok(result)
 }
 
-async fn relations(service: &Service, arguments: JsonObject) -> Result<CallToolResult, Error> {
+async fn relations(services: &Services, arguments: JsonObject) -> Result<CallToolResult, Error> {
     let Relations { scene_id, instance_id } = read(arguments)?;
-    let graph = service.graph(&scene_id, Levels::Things, instance_id.map(InstanceId)).await?;
+    let graph =
+        services.instances.graph(&scene_id, Levels::Things, instance_id.map(InstanceId)).await?;
     let (_, text) = written(&graph, GraphFormat::Text)?;
     with_text(&graph, text)
 }
 
 async fn approach(
-    service: &Service,
+    services: &Services,
     caller: Caller,
     arguments: JsonObject,
 ) -> Result<CallToolResult, Error> {
     let (scene_id, request) = read::<Approach>(arguments)?.request();
-    told(&service.approach(&scene_id, request, caller).await?)
+    told(&services.approach.approach(&scene_id, request, caller).await?)
 }
 
-async fn render_view(service: &Service, arguments: JsonObject) -> Result<CallToolResult, Error> {
+async fn render_view(services: &Services, arguments: JsonObject) -> Result<CallToolResult, Error> {
     let RenderView { scene_id, instance_ids, view } = read(arguments)?;
     if instance_ids.len() > MOST_MARKED {
         return Err(Error::invalid(
@@ -224,9 +227,10 @@ async fn render_view(service: &Service, arguments: JsonObject) -> Result<CallToo
     }
     let ids: Vec<InstanceId> = instance_ids.into_iter().map(InstanceId).collect();
     let jpeg = match (view, ids.first()) {
-        (ViewKind::Room, _) => service.room_picture(&scene_id, ids).await?,
+        (ViewKind::Room, _) => services.answers.room_picture(&scene_id, ids).await?,
         (ViewKind::Photograph, Some(&id)) => {
-            bytes_of(service.view_picture(&scene_id, id, 0, ViewPicture::Frame).await?).await?
+            bytes_of(services.instances.view_picture(&scene_id, id, 0, ViewPicture::Frame).await?)
+                .await?
         }
         (ViewKind::Photograph, None) => {
             return Err(Error::invalid(

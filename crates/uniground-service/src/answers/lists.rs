@@ -1,12 +1,12 @@
 //! Lists of answers: a page of them, or all as lines or as a table.
 
 use super::table;
-use crate::Service;
 use crate::error::Error;
+use crate::{ParsedScenes, SceneLookup, Transcripts};
 use bytes::Bytes;
 use futures::{Stream, StreamExt, stream};
 use serde::Deserialize;
-use uniground_storage::{AnswerFilter, AnswerRow, page};
+use uniground_storage::{AnswerFilter, AnswerRepository, AnswerRow, page};
 use uniground_types::answer::Answer;
 
 /// How many things are written, one after the other.
@@ -23,7 +23,16 @@ pub enum LineFormat {
 /// Answers read together.
 const PAGE: u32 = 200;
 
-impl Service {
+/// Stored answers, their lists and their pictures.
+#[derive(Clone)]
+pub struct AnswerService {
+    pub(crate) answer_repository: AnswerRepository,
+    pub(crate) transcripts: Transcripts,
+    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) scene_lookup: SceneLookup,
+}
+
+impl AnswerService {
     /// Answers that were kept, newest first: JSON of a list, each answer byte for byte as it was
     /// given.
     ///
@@ -36,7 +45,7 @@ impl Service {
         cursor: Option<&str>,
     ) -> Result<String, Error> {
         let (rows, next) =
-            page(self.store.answers.answers(filter, limit + 1, cursor).await?, limit, |row| {
+            page(self.answer_repository.answers(filter, limit + 1, cursor).await?, limit, |row| {
                 &row.id
             });
         let answers: Vec<&str> = rows.iter().map(|row| row.body.as_str()).collect();
@@ -59,7 +68,8 @@ impl Service {
         let pages = stream::try_unfold((filter, None::<String>), move |(filter, cursor)| {
             let service = service.clone();
             async move {
-                let rows = service.store.answers.answers(&filter, PAGE, cursor.as_deref()).await?;
+                let rows =
+                    service.answer_repository.answers(&filter, PAGE, cursor.as_deref()).await?;
                 let Some(last) = rows.last() else { return Ok(None) };
                 let cursor = Some(last.id.clone());
                 let page = match format {

@@ -4,7 +4,7 @@
 use super::{Asker, StoredScene};
 use crate::error::Error;
 use crate::vlm::OF_QUESTION;
-use crate::{Caller, Service};
+use crate::{Caller, GroundingService};
 use futures::{StreamExt, stream};
 use std::collections::HashSet;
 use std::time::{Duration, Instant};
@@ -27,7 +27,7 @@ const LIKELY_SCENES: usize = 200;
 const STEP_ASIDE: Duration = Duration::from_millis(100);
 const TRIES: u32 = 100;
 
-impl Service {
+impl GroundingService {
     /// Finds out in which of many scenes something is.
     ///
     /// # Errors
@@ -105,7 +105,7 @@ impl Service {
         // Each of them is a question of its own; one was counted when it came.
         if let Some(key) = &caller.key {
             for _ in answers.iter().skip(1) {
-                let _ = self.keys.count(key).await;
+                let _ = self.keyring.count(key).await;
             }
         }
         let standing_of =
@@ -124,17 +124,19 @@ impl Service {
         request: &ManyGroundRequest,
     ) -> Result<(Vec<SceneRow>, bool), Error> {
         let filter = SceneFilter { ids: request.scenes.clone(), labels: request.labels.clone() };
-        let rows = self.store.scenes.scenes(MOST_SCENES as u32 + 1, None, &filter).await?;
+        let rows = self.scene_repository.scenes(MOST_SCENES as u32 + 1, None, &filter).await?;
         if rows.len() > MOST_SCENES {
             return Ok((
-                self.likely_scenes(&request.query, &request.labels, LIKELY_SCENES).await?,
+                self.room_search
+                    .likely_scenes(&request.query, &request.labels, LIKELY_SCENES)
+                    .await?,
                 true,
             ));
         }
         let found: HashSet<&str> = rows.iter().map(|row| row.id.as_str()).collect();
         for id in request.scenes.iter().flatten().filter(|id| !found.contains(id.as_str())) {
             // It may be there under other labels.
-            self.scene_row(id).await?;
+            self.scene_lookup.scene_row(id).await?;
         }
         Ok((rows, false))
     }
@@ -158,7 +160,7 @@ impl Service {
             // What naming a scene costs is no part of a question's budget.
             let asker = Asker {
                 caller: caller.clone(),
-                answer_id: self.store.ids.new_id(),
+                answer_id: self.ids.new_id(),
                 pays: pays.clone(),
                 is_batch: false,
                 may_name: false,
@@ -187,14 +189,14 @@ impl Service {
         let parse_id = row.parse_id.as_ref().ok_or_else(not_ready)?;
         let mut tries = 1;
         loop {
-            let glance = self.glances.acquire().await;
+            let glance = self.scan_permits.acquire().await;
             check_time(question, start)?;
             let parse = if stays {
-                self.loaded_parse(parse_id).await?
+                self.parsed_scenes.loaded_parse(parse_id).await?
             } else {
-                self.passing_parse(parse_id).await?
+                self.parsed_scenes.passing_parse(parse_id).await?
             };
-            let scene = StoredScene::new(self.clone(), parse);
+            let scene = StoredScene::new(self.parsed_scenes.clone(), parse);
             match pipeline::answer(&scene, self.ask(question, caller, None, &[])?).await {
                 Err(Error::Overloaded) if tries < TRIES => {
                     drop(glance);

@@ -9,16 +9,20 @@ mod stored_scene;
 pub(super) mod table;
 mod transcripts;
 
+pub use lists::AnswerService;
 pub use lists::LineFormat;
 pub(super) use stored_scene::StoredScene;
+pub use transcripts::Transcripts;
 
 use super::parses::LoadedParse;
 use super::vlm::OF_QUESTION;
-use super::{Caller, Service, Vlm};
+use super::{Caller, Vlm};
 use crate::error::Error;
+use crate::{Keyring, Limits, NamingService, ParsedScenes, RoomSearch, SceneLookup, ServiceLocks};
 pub use in_frame::Frame;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+use tokio::sync::Semaphore;
 use tokio::time::{sleep, timeout};
 use uniground_geometry::scene::InstanceId;
 use uniground_grounding::pipeline::{self, Answered, Ask, Review, Shortlist, WithoutModel};
@@ -27,7 +31,8 @@ use uniground_grounding::vlm::Options;
 use uniground_grounding::{Grounding, Question, ShortlistScoring, Status};
 use uniground_language::{AutoParser, BuiltinParser, QueryParser, VlmParser};
 use uniground_models::chat::{Budget, CallRecord, OverBudget, usage_of};
-use uniground_storage::NewAnswer;
+use uniground_storage::{AnswerRepository, Blobs, IdGenerator, NewAnswer, SceneRepository};
+use uniground_telemetry::metrics::Metrics;
 use uniground_types::answer::{Answer, Call, CoordinateFrame, Models, Shortlisted, Trace};
 use uniground_types::question::{
     DEFAULT_MIN_CONFIDENCE, GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest,
@@ -51,7 +56,27 @@ pub(super) struct Asker {
     pub may_name: bool,
 }
 
-impl Service {
+/// Answers questions about scenes.
+#[derive(Clone)]
+pub struct GroundingService {
+    pub(crate) keyring: Keyring,
+    pub(crate) scene_repository: SceneRepository,
+    pub(crate) room_search: RoomSearch,
+    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) ids: IdGenerator,
+    pub(crate) scan_permits: Arc<Semaphore>,
+    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) metrics: Arc<Metrics>,
+    pub(crate) blobs: Blobs,
+    pub(crate) naming_service: NamingService,
+    pub(crate) vlm: Option<Arc<Vlm>>,
+    pub(crate) answer_repository: AnswerRepository,
+    pub(crate) transcripts: Transcripts,
+    pub(crate) limits: Limits,
+    pub(crate) service_locks: ServiceLocks,
+}
+
+impl GroundingService {
     /// Grounds one question in a parsed scene and keeps the answer.
     ///
     /// # Errors
@@ -64,7 +89,7 @@ impl Service {
     ) -> Result<Answer, Error> {
         let asker = Asker {
             caller,
-            answer_id: self.store.ids.new_id(),
+            answer_id: self.ids.new_id(),
             pays: None,
             is_batch: false,
             may_name: true,
@@ -106,11 +131,12 @@ impl Service {
         asker: Asker,
     ) -> Result<Answer, Error> {
         request.check()?;
-        let (scene, parse_id) = self.ready_scene(scene_id).await?;
+        let (scene, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
         let reviewer = self.reviewer(&request, &asker.caller)?;
         let start = Instant::now();
         if reviewer.is_some() && asker.may_name {
-            let naming = self.name_before_asking(&scene.id, &parse_id, &asker.caller);
+            let naming =
+                self.naming_service.name_before_asking(&scene.id, &parse_id, &asker.caller);
             let named = match request.timeout_s {
                 Some(seconds) => {
                     timeout(Duration::from_secs_f32(seconds), naming).await.unwrap_or(Ok(()))
@@ -124,7 +150,10 @@ impl Service {
                 );
             }
         }
-        let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
+        let source = StoredScene::new(
+            self.parsed_scenes.clone(),
+            self.parsed_scenes.loaded_parse(&parse_id).await?,
+        );
         let frame = Frame::of(request.frame, &scene, source.parse.source_to_scene)?;
         let request = match &frame {
             Some(frame) => GroundRequest {
@@ -168,7 +197,7 @@ impl Service {
         match self.keep_within(patience, &answer, model, &parse_id, answered.calls).await {
             Ok(true) => {}
             Ok(false) => {
-                self.store.blobs.discard(self.store.blobs.answer(&answer.id)).await?;
+                self.blobs.discard(self.blobs.answer(&answer.id)).await?;
                 return Err(Error::SceneNotFound { id: answer.scene_id });
             }
             // Who asked wants to know; that it can not be kept is the operator's concern.
@@ -234,14 +263,14 @@ impl Service {
         parse_id: &str,
         calls: Vec<CallRecord>,
     ) -> Result<bool, Error> {
-        self.keep_transcript(answer, model, calls).await?;
+        self.transcripts.keep_transcript(answer, model, calls).await?;
         let new = NewAnswer {
             id: answer.id.clone(),
             scene_id: answer.scene_id.clone(),
             parse_id: parse_id.to_owned(),
             body: serde_json::to_string(answer)?,
         };
-        Ok(self.store.answers.insert_answer(new).await?)
+        Ok(self.answer_repository.insert_answer(new).await?)
     }
 
     /// The candidates for a query, without reasoning over relations.
@@ -254,8 +283,11 @@ impl Service {
         request: ShortlistRequest,
     ) -> Result<Shortlisted, Error> {
         request.check()?;
-        let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
+        let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
+        let source = StoredScene::new(
+            self.parsed_scenes.clone(),
+            self.parsed_scenes.loaded_parse(&parse_id).await?,
+        );
         let ShortlistRequest { query, top_k, query_text, candidates, calibrated, allow_builtin } =
             request;
         let scoring = ShortlistScoring { from: candidates, query_text, calibrated };
@@ -263,20 +295,6 @@ impl Service {
             pipeline::shortlist(&source, query.clone(), scoring, allow_builtin, top_k as usize)
                 .await?;
         Ok(Shortlisted { query, candidates, encoder, cut })
-    }
-
-    /// An answer as it was given, whole: its JSON, byte for byte.
-    ///
-    /// # Errors
-    /// [`Error::AnswerNotFound`].
-    pub async fn answer(&self, id: &str) -> Result<String, Error> {
-        Ok(self
-            .store
-            .answers
-            .answer(id)
-            .await?
-            .ok_or_else(|| Error::AnswerNotFound { id: id.into() })?
-            .body)
     }
 
     /// The model that reviews a question; `None` where the built-in reasoner decides, by choice or
@@ -459,6 +477,21 @@ impl Service {
             usage: usage_of(&calls),
             timings_ms,
         }
+    }
+}
+
+impl AnswerService {
+    /// An answer as it was given, whole: its JSON, byte for byte.
+    ///
+    /// # Errors
+    /// [`Error::AnswerNotFound`].
+    pub async fn answer(&self, id: &str) -> Result<String, Error> {
+        Ok(self
+            .answer_repository
+            .answer(id)
+            .await?
+            .ok_or_else(|| Error::AnswerNotFound { id: id.into() })?
+            .body)
     }
 }
 

@@ -1,15 +1,15 @@
 //! Questions that come again: under the same idempotency key the same answer, and a model is paid
 //! once.
 
-use super::{Asker, Service, filtered};
-use crate::Caller;
+use super::{Asker, filtered};
 use crate::error::Error;
+use crate::{Caller, GroundingService};
 use sha2::{Digest, Sha256};
 use tracing::Instrument;
 use uniground_types::answer::Answer;
 use uniground_types::question::{GroundRequest, ParserChoice, ReasonerChoice};
 
-impl Service {
+impl GroundingService {
     /// Grounds one question under an idempotency key; whether the answer was given before. The
     /// question is answered to its end even if whoever asked has gone: they will come again.
     ///
@@ -36,34 +36,30 @@ impl Service {
     ) -> Result<(Answer, bool), Error> {
         request.check()?;
         // What can not be asked at all uses up no key.
-        self.ready_scene(scene_id).await?;
+        self.scene_lookup.ready_scene(scene_id).await?;
         let key = caller.own(key.to_owned());
-        let _turn = self.answering(&key).await?;
+        let _turn = self.service_locks.answering(&key).await?;
         let digest = Sha256::digest(serde_json::to_vec(&(scene_id, &request))?);
         let asked: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
         // The answer has its id before it is asked: one that was kept before a crash is known
         // again.
-        let (known, answer_id) = match self
-            .store
-            .answers
-            .question_of_key(&key, &asked, &self.store.ids.new_id())
-            .await
-        {
-            Ok(known) => known,
-            // Nobody is paid: an answer that can not be kept is better than none.
-            Err(error) if !self.may_pay(&request) => {
-                tracing::warn!(
-                    error = &error as &dyn std::error::Error,
-                    "a question is answered without its key, which can not be kept"
-                );
-                (asked.clone(), self.store.ids.new_id())
-            }
-            Err(error) => return Err(error.into()),
-        };
+        let (known, answer_id) =
+            match self.answer_repository.question_of_key(&key, &asked, &self.ids.new_id()).await {
+                Ok(known) => known,
+                // Nobody is paid: an answer that can not be kept is better than none.
+                Err(error) if !self.may_pay(&request) => {
+                    tracing::warn!(
+                        error = &error as &dyn std::error::Error,
+                        "a question is answered without its key, which can not be kept"
+                    );
+                    (asked.clone(), self.ids.new_id())
+                }
+                Err(error) => return Err(error.into()),
+            };
         if known != asked {
             return Err(Error::IdempotencyKeyReused);
         }
-        if let Some(row) = self.store.answers.answer(&answer_id).await? {
+        if let Some(row) = self.answer_repository.answer(&answer_id).await? {
             return Ok((
                 filtered(serde_json::from_str(&row.body)?, request.include.as_deref()),
                 true,

@@ -1,6 +1,7 @@
 //! The pictures that go with an answer.
 
-use super::{Service, StoredScene};
+use super::StoredScene;
+use crate::AnswerService;
 use crate::error::Error;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -36,7 +37,7 @@ struct DrawnCandidate {
 /// More candidates than this only hide the room.
 const MAX_CANDIDATES: usize = 5;
 
-impl Service {
+impl AnswerService {
     /// A picture of an answer by its name: as a model was shown it, where that is kept; the room is
     /// drawn otherwise. JPEG.
     ///
@@ -47,7 +48,8 @@ impl Service {
             .strip_suffix(".jpg")
             .filter(|stem| stem.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-'));
         let not_found = || Error::AnswerPictureNotFound { id: id.into(), name: name.into() };
-        match self.kept_file(id, &format!("{}.jpg", stem.ok_or_else(not_found)?)).await {
+        match self.transcripts.kept_file(id, &format!("{}.jpg", stem.ok_or_else(not_found)?)).await
+        {
             Err(Error::NoTranscript { .. }) if stem == Some(GLOBAL) => self.drawn_picture(id).await,
             Err(Error::NoTranscript { .. }) => Err(not_found()),
             read => read,
@@ -57,13 +59,15 @@ impl Service {
     /// The room from above: the answer's box, its anchor and the other candidates over the cloud.
     async fn drawn_picture(&self, id: &str) -> Result<Vec<u8>, Error> {
         let row = self
-            .store
-            .answers
+            .answer_repository
             .answer(id)
             .await?
             .ok_or_else(|| Error::AnswerNotFound { id: id.into() })?;
         let Drawn { answer, candidates } = serde_json::from_str(&row.body)?;
-        let source = StoredScene::new(self.clone(), self.loaded_parse(&row.parse_id).await?);
+        let source = StoredScene::new(
+            self.parsed_scenes.clone(),
+            self.parsed_scenes.loaded_parse(&row.parse_id).await?,
+        );
         // Later boxes lie on top: candidates, anchor, answer.
         let candidates = candidates
             .iter()
@@ -85,8 +89,11 @@ impl Service {
         scene_id: &str,
         marked: Vec<InstanceId>,
     ) -> Result<Vec<u8>, Error> {
-        let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
+        let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
+        let source = StoredScene::new(
+            self.parsed_scenes.clone(),
+            self.parsed_scenes.loaded_parse(&parse_id).await?,
+        );
         let instances = source.instances().len();
         if let Some(&id) = marked.iter().find(|id| !(1..=instances).contains(&(id.0 as usize))) {
             return Err(Error::InstanceNotFound { scene_id: scene_id.into(), id });

@@ -1,6 +1,6 @@
 //! A stored parse as the question pipeline sees it.
 
-use crate::Service;
+use crate::ParsedScenes;
 use crate::error::Error;
 use crate::parses::{LoadedParse, ParseFile, photograph, read_frames, read_photograph, view};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -31,36 +31,36 @@ const MOST_FOUND: usize = 500;
 
 /// A parse, and the service that keeps it.
 pub struct StoredScene {
-    service: Service,
+    scenes: ParsedScenes,
     pub parse: Arc<LoadedParse>,
 }
 
 impl StoredScene {
-    pub fn new(service: Service, parse: Arc<LoadedParse>) -> Arc<Self> {
-        Arc::new(Self { service, parse })
+    pub fn new(scenes: ParsedScenes, parse: Arc<LoadedParse>) -> Arc<Self> {
+        Arc::new(Self { scenes, parse })
     }
 
     /// A file of the parse, if it is what was written.
     pub fn check(&self, file: &Utf8Path) -> Result<Kept, Error> {
-        self.service.check_file(&self.parse.id, file)
+        self.scenes.check_file(&self.parse.id, file)
     }
 
     /// A folder of its own for as long as somebody holds it.
     pub fn scratch(&self) -> Result<Scratch, Error> {
-        Ok(self.service.store.blobs.scratch()?)
+        Ok(self.scenes.blobs.scratch()?)
     }
 
     /// What of the room is occupied, of parses asked about lately.
     pub fn known_occupancies(&self) -> &Recent<Arc<Occupancy>> {
-        &self.service.parses.occupancies
+        &self.scenes.parse_cache.occupancies
     }
 
     pub fn blobs(&self) -> &Blobs {
-        &self.service.store.blobs
+        &self.scenes.blobs
     }
 
     pub fn folder(&self) -> Utf8PathBuf {
-        self.service.store.blobs.parse(&self.parse.id)
+        self.scenes.blobs.parse(&self.parse.id)
     }
 }
 
@@ -85,7 +85,7 @@ impl SceneSource for StoredScene {
 
     fn embeddings(&self) -> Result<Option<(&DualEncoder, &Embeddings)>, Error> {
         let Some(embeddings) = &self.parse.embeddings else { return Ok(None) };
-        let models = &self.service.models;
+        let models = &self.scenes.models;
         let here = models.label(Role::Encoder).unwrap_or_else(|| attributes::NAME.into());
         match &models.encoder {
             Some(encoder) if here == self.parse.encoder => Ok(Some((encoder, embeddings))),
@@ -98,11 +98,11 @@ impl SceneSource for StoredScene {
     }
 
     fn photograph(&self, frame: FrameIndex) -> Option<RgbImage> {
-        read_photograph(&self.service.store.blobs, &self.folder(), &self.parse.content, frame)
+        read_photograph(&self.scenes.blobs, &self.folder(), &self.parse.content, frame)
     }
 
     fn render_scene(&self) -> Result<Arc<RenderScene>, Error> {
-        let known = &self.service.parses.render_scenes;
+        let known = &self.scenes.parse_cache.render_scenes;
         if let Some(render_scene) = known.get(&self.parse.id) {
             return Ok(render_scene);
         }
@@ -130,26 +130,27 @@ impl SceneSource for StoredScene {
             return shots.take(most).collect();
         }
         let folder = self.folder();
-        let shots =
-            instance.views.iter().enumerate().filter_map(|(k, view)| {
-                shot(&self.service.store.blobs, &folder, instance.id, k, view)
-            });
+        let shots = instance
+            .views
+            .iter()
+            .enumerate()
+            .filter_map(|(k, view)| shot(&self.scenes.blobs, &folder, instance.id, k, view));
         shots.take(most).collect()
     }
 
     fn pictures(&self) -> (&PictureCache, &str) {
-        (&self.service.pictures, &self.parse.id)
+        (&self.scenes.picture_cache, &self.parse.id)
     }
 
     async fn names(&self) -> Result<BTreeMap<u32, String>, Error> {
-        let mut names = self.service.names_of(&self.parse.id).await?;
+        let mut names = self.scenes.names_of(&self.parse.id).await?;
         names.extend(self.parse.renamed.clone());
         Ok(names)
     }
 
     async fn keep_names(&self, names: &BTreeMap<u32, String>) -> Result<(), Error> {
         // They were given beside an answer that was paid for: that one is not lost with them.
-        if let Err(error) = self.service.keep_names(&self.parse.id, names).await {
+        if let Err(error) = self.scenes.keep_names(&self.parse.id, names).await {
             tracing::warn!(
                 parse_id = self.parse.id,
                 error = &error as &dyn std::error::Error,
@@ -160,7 +161,7 @@ impl SceneSource for StoredScene {
     }
 
     fn cut_out(&self, place: Place, is_not: &[InstanceId]) -> Result<Option<Instance>, Error> {
-        let blobs = &self.service.store.blobs;
+        let blobs = &self.scenes.blobs;
         let Some(frames) = read_frames(blobs, &self.folder(), &self.parse.content)? else {
             return Ok(None);
         };
@@ -168,7 +169,7 @@ impl SceneSource for StoredScene {
         let _scan = blobs.whole(&self.parse.content)?;
         let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
         // As the parse was made: the same masks, or the built-in ones.
-        let models = &self.service.models;
+        let models = &self.scenes.models;
         let segmenter = models
             .segmenters
             .first()
@@ -200,9 +201,9 @@ impl SceneSource for StoredScene {
     ) -> Result<(Arc<Self>, InstanceId), Error> {
         // Of a scene that grows it is kept before the next parse goes on from this one, or not at
         // all: its id would be another's.
-        let _turn = self.service.correcting(&self.parse.id).await?;
+        let _turn = self.scenes.service_locks.correcting(&self.parse.id).await?;
         let Some(id) =
-            self.service.store.parses.insert_found(&self.parse.id, &found, MOST_FOUND).await?
+            self.scenes.parse_repository.insert_found(&self.parse.id, &found, MOST_FOUND).await?
         else {
             // For this question alone.
             let (mut parse, id) = (
@@ -210,9 +211,9 @@ impl SceneSource for StoredScene {
                 InstanceId(self.parse.instances.len() as u32 + 1),
             );
             parse.instances.push(Instance { id, ..found });
-            return Ok((Self::new(self.service.clone(), Arc::new(parse)), id));
+            return Ok((Self::new(self.scenes.clone(), Arc::new(parse)), id));
         };
-        Ok((Self::new(self.service.clone(), self.service.loaded_parse(&self.parse.id).await?), id))
+        Ok((Self::new(self.scenes.clone(), self.scenes.loaded_parse(&self.parse.id).await?), id))
     }
 
     async fn compute<T: Send + 'static>(
@@ -220,8 +221,8 @@ impl SceneSource for StoredScene {
         work: impl FnOnce(&Self) -> Result<T, Error> + Send + 'static,
     ) -> Result<T, Error> {
         let source = self.clone();
-        match self.service.compute(move || work(&source)).await {
-            Err(error) => Err(self.service.after_damage(error).await),
+        match self.scenes.question_permits.compute(move || work(&source)).await {
+            Err(error) => Err(self.scenes.after_damage(error).await),
             done => done,
         }
     }

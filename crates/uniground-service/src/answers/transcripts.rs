@@ -1,6 +1,6 @@
 //! What a model was shown and said for an answer, kept as files for as long as the operator wants.
 
-use super::Service;
+use crate::Limits;
 use crate::error::Error;
 use crate::parses::read;
 use camino::Utf8Path;
@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use tokio::task::spawn_blocking;
 use uniground_models::chat::{CallRecord, Part};
-use uniground_storage::Scratch;
+use uniground_storage::{AnswerRepository, Blobs, Scratch};
 use uniground_types::answer::Answer;
 use uniground_types::transcript::{AnswerPrompt, AnswerReply, PromptCall, PromptPart, ReplyCall};
 
@@ -30,7 +30,15 @@ pub(super) fn pictures(records: &[CallRecord]) -> BTreeSet<&str> {
         .collect()
 }
 
-impl Service {
+/// Prompts, replies and pictures that led to an answer.
+#[derive(Clone)]
+pub struct Transcripts {
+    pub(crate) blobs: Blobs,
+    pub(crate) limits: Limits,
+    pub(crate) answer_repository: AnswerRepository,
+}
+
+impl Transcripts {
     /// Writes down what was asked and said.
     pub(super) async fn keep_transcript(
         &self,
@@ -41,7 +49,7 @@ impl Service {
         if records.is_empty() || self.limits.retention.evidence_days == 0 {
             return Ok(());
         }
-        let (blobs, id, model) = (self.store.blobs.clone(), answer.id.clone(), model.to_owned());
+        let (blobs, id, model) = (self.blobs.clone(), answer.id.clone(), model.to_owned());
         spawn_blocking(move || {
             let scratch = blobs.scratch()?;
             write(&scratch, &id, model, &records)?;
@@ -77,21 +85,19 @@ impl Service {
 
     /// A file kept with an answer.
     pub(super) async fn kept_file(&self, id: &str, file: &str) -> Result<Vec<u8>, Error> {
-        self.store
-            .answers
+        self.answer_repository
             .answer(id)
             .await?
             .ok_or_else(|| Error::AnswerNotFound { id: id.into() })?;
-        let (blobs, folder, file) =
-            (self.store.blobs.clone(), self.store.blobs.answer(id), file.to_owned());
+        let (blobs, folder, file) = (self.blobs.clone(), self.blobs.answer(id), file.to_owned());
         let kept = spawn_blocking(move || read(&blobs, &folder, file)).await??;
         kept.ok_or_else(|| Error::NoTranscript { id: id.into() })
     }
 
     /// Removes what was kept for answers that are gone, in the background.
     pub(crate) async fn discard_transcripts(&self, answers: &[String]) -> Result<(), Error> {
-        let folders = answers.iter().map(|answer| self.store.blobs.answer(answer)).collect();
-        self.store.blobs.remove_later(self.store.blobs.set_aside(folders).await?);
+        let folders = answers.iter().map(|answer| self.blobs.answer(answer)).collect();
+        self.blobs.remove_later(self.blobs.set_aside(folders).await?);
         Ok(())
     }
 }

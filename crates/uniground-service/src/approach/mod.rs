@@ -1,8 +1,9 @@
 //! Where a robot can stand for a thing, and the map of the floor it stands on.
 
+use super::Caller;
 use super::answers::{Frame, StoredScene};
-use super::{Caller, Service};
 use crate::error::Error;
+use crate::{GroundingService, ParsedScenes, SceneLookup};
 use image::codecs::png::PngEncoder;
 use std::sync::Arc;
 use uniground_grounding::approach::{Floor, Occupancy, Places, Wish, approach, explanation};
@@ -15,7 +16,15 @@ use uniground_types::approach::{
 };
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
-impl Service {
+/// Places from which a robot can reach or see an instance.
+#[derive(Clone)]
+pub struct ApproachService {
+    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) grounding_service: GroundingService,
+}
+
+impl ApproachService {
     /// Finds places to stand for an instance, or for what a question means.
     ///
     /// # Errors
@@ -131,8 +140,11 @@ impl Service {
 
     async fn mapped(&self, scene_id: &str, height_m: f32) -> Result<Arc<StoredScene>, Error> {
         check_map_height(height_m)?;
-        let (_, parse_id) = self.ready_scene(scene_id).await?;
-        Ok(StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?))
+        let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
+        Ok(StoredScene::new(
+            self.parsed_scenes.clone(),
+            self.parsed_scenes.loaded_parse(&parse_id).await?,
+        ))
     }
 
     /// The answer to the question, where one is asked, and the parse that its ids are of.
@@ -144,10 +156,14 @@ impl Service {
     ) -> Result<(Option<Answer>, SceneRow, Arc<StoredScene>), Error> {
         loop {
             let answer = match &request.query {
-                Some(query) => Some(self.ground(scene_id, question(query), caller.clone()).await?),
+                Some(query) => Some(
+                    self.grounding_service
+                        .ground(scene_id, question(query), caller.clone())
+                        .await?,
+                ),
                 None => None,
             };
-            let (row, parse_id) = self.ready_scene(scene_id).await?;
+            let (row, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
             // Another parse may have come in meanwhile, and its ids are others: then the question
             // is asked of that one.
             if answer
@@ -157,7 +173,10 @@ impl Service {
                 return Ok((
                     answer,
                     row,
-                    StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?),
+                    StoredScene::new(
+                        self.parsed_scenes.clone(),
+                        self.parsed_scenes.loaded_parse(&parse_id).await?,
+                    ),
                 ));
             }
         }

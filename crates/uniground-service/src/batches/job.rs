@@ -5,7 +5,7 @@ use super::reason;
 use crate::answers::{Asker, STORE_IS_BACK};
 use crate::error::Error;
 use crate::vlm::OF_QUESTION;
-use crate::{Caller, Service, job_failure, until_cancelled};
+use crate::{Caller, Capacity, GroundingService, Keyring, Vlm, job_failure, until_cancelled};
 use futures::future::ready;
 use futures::{StreamExt, stream};
 use serde::{Deserialize, Serialize};
@@ -22,12 +22,15 @@ use uniground_geometry::progress::Progress;
 use uniground_jobs::{JobContext, JobFailure, JobKind, Retry};
 use uniground_models::chat::{Budget, OverBudget};
 use uniground_parsing::ParseError;
-use uniground_storage::{BatchRow, ClosedItem, Hold, OpenItem, StoreError};
+use uniground_storage::{
+    AnswerRepository, BatchRepository, BatchRow, ClosedItem, Hold, OpenItem, StoreError,
+};
+use uniground_telemetry::metrics::Metrics;
 use uniground_types::answer::{Answer, Usage};
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
 /// Asks batches. Some at once: a short one need not wait for a long one.
-pub struct BatchJob(pub Service);
+pub struct BatchJob(pub BatchRunner);
 
 #[derive(Serialize, Deserialize)]
 pub struct Payload {
@@ -72,7 +75,7 @@ enum End {
 
 /// A batch being asked.
 struct Run {
-    service: Service,
+    service: BatchRunner,
     batch: BatchRow,
     /// What its items share.
     defaults: Arc<BatchDefaults>,
@@ -84,19 +87,31 @@ struct Run {
     lost: CancellationToken,
 }
 
-impl Service {
+/// Runs the jobs of batches.
+#[derive(Clone)]
+pub struct BatchRunner {
+    pub(crate) metrics: Arc<Metrics>,
+    pub(crate) batch_repository: BatchRepository,
+    pub(crate) keyring: Keyring,
+    pub(crate) capacity: Capacity,
+    pub(crate) answer_repository: AnswerRepository,
+    pub(crate) vlm: Option<Arc<Vlm>>,
+    pub(crate) grounding_service: GroundingService,
+}
+
+impl BatchRunner {
     async fn run_batch(
         &self,
         JobContext { hold, lost, payload, progress }: JobContext<Payload>,
     ) -> Result<String, Error> {
         // Deleted meanwhile, or submitted by a server that did not live to see it through.
-        let Some(batch) = self.store.batches.batch(&payload.batch_id).await? else {
+        let Some(batch) = self.batch_repository.batch(&payload.batch_id).await? else {
             return Ok("there is no such batch any more".into());
         };
         let defaults = Arc::new(BatchDefaults::from_stored(
-            self.store.batches.batch_defaults(&batch.id).await?.as_deref(),
+            self.batch_repository.batch_defaults(&batch.id).await?.as_deref(),
         )?);
-        let (numbers, spent) = self.store.batches.batch_figures(&batch.id).await?;
+        let (numbers, spent) = self.batch_repository.batch_figures(&batch.id).await?;
         let done = numbers.values().sum();
         let budget = batch.max_cost_usd.map(|usd| Budget::new(THIS_BATCH, usd).with_spent(spent));
         let mut run =
@@ -105,15 +120,14 @@ impl Service {
             if !run.is_wanted().await? {
                 return Ok(run.told("stopped"));
             }
-            let Ok(caller) = self.keys.caller_of(run.batch.key_id.as_deref()) else {
+            let Ok(caller) = self.keyring.caller_of(run.batch.key_id.as_deref()) else {
                 return run.pause(reason::KEY_REFUSED, "its key is refused").await;
             };
             // Its answers take room too: on a disk that is nearly full it is put off.
-            self.check_disk(0)?;
-            let items = self.store.batches.open_batch_items(&run.batch.id, WINDOW).await?;
+            self.capacity.check_disk(0)?;
+            let items = self.batch_repository.open_batch_items(&run.batch.id, WINDOW).await?;
             if items.is_empty() {
-                self.store
-                    .batches
+                self.batch_repository
                     .move_batch(&run.batch.id, &["running"], "succeeded", None)
                     .await?;
                 return Ok(run.told("done"));
@@ -200,13 +214,13 @@ impl Run {
 
     /// Writes down what came of items; whether more are wanted.
     async fn write(&mut self, closed: &mut Vec<ClosedItem>) -> Result<bool, Error> {
-        self.service.store.batches.close_batch_items(&self.hold, &self.batch.id, closed).await?;
+        self.service.batch_repository.close_batch_items(&self.hold, &self.batch.id, closed).await?;
         for item in closed.drain(..) {
             self.service.metrics.questions.item(&item.status);
             self.done += 1;
         }
         // A key that is refused by now is found so before the next items.
-        Ok(self.service.keys.caller_of(self.batch.key_id.as_deref()).is_ok()
+        Ok(self.service.keyring.caller_of(self.batch.key_id.as_deref()).is_ok()
             && self.is_wanted().await?)
     }
 
@@ -214,8 +228,7 @@ impl Run {
     async fn is_wanted(&self) -> Result<bool, Error> {
         Ok(self
             .service
-            .store
-            .batches
+            .batch_repository
             .batch(&self.batch.id)
             .await?
             .is_some_and(|batch| batch.state == "running"))
@@ -223,8 +236,7 @@ impl Run {
 
     async fn pause(&self, reason: &str, why: &str) -> Result<String, Error> {
         self.service
-            .store
-            .batches
+            .batch_repository
             .move_batch(&self.batch.id, &["running"], "paused", Some(reason))
             .await?;
         Ok(self.told(why))
@@ -235,7 +247,7 @@ impl Run {
     }
 }
 
-impl Service {
+impl BatchRunner {
     /// Asks one question, or finds the answer it got before a server was killed. Only what is wrong
     /// with the store itself is an error.
     async fn ask_item(
@@ -246,7 +258,7 @@ impl Service {
         budget: Option<&Budget>,
     ) -> Result<End, Error> {
         let OpenItem { item, scene_id, request, answer_id } = open;
-        if let Some(kept) = self.store.answers.answer(&answer_id).await? {
+        if let Some(kept) = self.answer_repository.answer(&answer_id).await? {
             let Kept { status, usage } = serde_json::from_str(&kept.body)?;
             return Ok(End::Closed(ClosedItem {
                 item,
@@ -277,7 +289,7 @@ impl Service {
                 is_batch: true,
                 may_name: true,
             };
-            match self.ground_for(&scene_id, request.clone(), asker).await {
+            match self.grounding_service.ground_for(&scene_id, request.clone(), asker).await {
                 Ok(Answer { stored: false, .. }) => return Err(Error::AnswerNotKept),
                 Ok(answer) => {
                     let status = serde_json::to_value(answer.status)?

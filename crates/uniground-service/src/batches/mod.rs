@@ -7,14 +7,15 @@ mod results;
 mod submission;
 
 pub use job::BatchJob;
+pub use job::BatchRunner;
 pub use results::Results;
 pub use submission::{Body, Submission};
 
-use super::Service;
+use crate::Capacity;
 use crate::error::Error;
 use job::Payload;
-use uniground_jobs::{JobKind, JobsError};
-use uniground_storage::{BatchRow, NewJob, Resumed, page};
+use uniground_jobs::{JobKind, Jobs, JobsError};
+use uniground_storage::{BatchRepository, BatchRow, NewJob, Resumed, page};
 use uniground_types::batch::{Batch, BatchList, BatchState};
 
 /// Questions of a batch asked at once, where it does not say.
@@ -35,7 +36,15 @@ mod reason {
     pub const JOB_ENDED: &str = "job_ended";
 }
 
-impl Service {
+/// Batches of questions.
+#[derive(Clone)]
+pub struct BatchService {
+    pub(crate) batch_repository: BatchRepository,
+    pub(crate) jobs: Jobs,
+    pub(crate) capacity: Capacity,
+}
+
+impl BatchService {
     /// # Errors
     /// [`Error::BatchNotFound`].
     pub async fn batch(&self, id: &str) -> Result<Batch, Error> {
@@ -49,7 +58,7 @@ impl Service {
     /// [`Error::Store`].
     pub async fn batches(&self, limit: u32, cursor: Option<&str>) -> Result<BatchList, Error> {
         let (rows, next_cursor) =
-            page(self.store.batches.batches(limit + 1, cursor).await?, limit, |row| &row.id);
+            page(self.batch_repository.batches(limit + 1, cursor).await?, limit, |row| &row.id);
         let mut batches = Vec::with_capacity(rows.len());
         for row in rows {
             batches.push(self.present_batch(row).await?);
@@ -87,7 +96,7 @@ impl Service {
             key_id: row.key_id.as_deref(),
             done: None,
         };
-        match self.store.batches.resume_batch(id, &job).await? {
+        match self.batch_repository.resume_batch(id, &job).await? {
             Resumed::By(job) => drop(self.jobs.recorded::<BatchJob>(*job)),
             Resumed::GoesOn => {}
             Resumed::Over => return Err(Error::BatchOver { id: id.into(), state: row.state }),
@@ -97,14 +106,14 @@ impl Service {
 
     async fn move_batch(&self, id: &str, from: &[&str], to: &str) -> Result<Batch, Error> {
         let row = self.batch_row(id).await?;
-        if !self.store.batches.move_batch(id, from, to, None).await? {
+        if !self.batch_repository.move_batch(id, from, to, None).await? {
             return Err(Error::BatchOver { id: id.into(), state: row.state });
         }
         self.batch(id).await
     }
 
     async fn batch_row(&self, id: &str) -> Result<BatchRow, Error> {
-        self.store.batches.batch(id).await?.ok_or_else(|| Error::BatchNotFound { id: id.into() })
+        self.batch_repository.batch(id).await?.ok_or_else(|| Error::BatchNotFound { id: id.into() })
     }
 
     /// Where a batch stands, why, and how long it will take, seconds.
@@ -141,7 +150,7 @@ impl Service {
 
     async fn present_batch(&self, row: BatchRow) -> Result<Batch, Error> {
         let (state, reason, eta_s) = self.batch_state(&row).await?;
-        let (by_status, cost_usd) = self.store.batches.batch_figures(&row.id).await?;
+        let (by_status, cost_usd) = self.batch_repository.batch_figures(&row.id).await?;
         let done = by_status.values().sum();
         let BatchRow { id, label, items, job_id, created_at, finished_at, .. } = row;
         Ok(Batch {

@@ -3,7 +3,7 @@
 use super::items::BatchDefaults;
 use crate::answers::table;
 use crate::error::Error;
-use crate::{LineFormat, Service};
+use crate::{BatchService, LineFormat};
 use bytes::Bytes;
 use futures::{Stream, stream};
 use serde::Serialize;
@@ -45,7 +45,7 @@ struct Line<'a> {
     error: Option<JobError>,
 }
 
-impl Service {
+impl BatchService {
     /// Streams results in item order. The stream ends with the last item, or, unless it follows,
     /// before the first that is not done.
     ///
@@ -57,7 +57,7 @@ impl Service {
     ) -> Result<impl Stream<Item = Result<Bytes, Error>> + use<>, Error> {
         self.batch_row(&results.batch_id).await?;
         let defaults = Arc::new(BatchDefaults::from_stored(
-            self.store.batches.batch_defaults(&results.batch_id).await?.as_deref(),
+            self.batch_repository.batch_defaults(&results.batch_id).await?.as_deref(),
         )?);
         let service = self.clone();
         let begin = (results.format == LineFormat::Csv)
@@ -77,7 +77,8 @@ impl Service {
         loop {
             // Looked at before the items: what is closed after this is found next time.
             let (state, ..) = self.batch_state(&self.batch_row(&wanted.batch_id).await?).await?;
-            let rows = self.store.batches.batch_items(&wanted.batch_id, wanted.from, PAGE).await?;
+            let rows =
+                self.batch_repository.batch_items(&wanted.batch_id, wanted.from, PAGE).await?;
             let done: Vec<ItemRow> =
                 rows.into_iter().take_while(|row| row.status.is_some()).collect();
             if let Some(last) = done.last() {

@@ -4,14 +4,14 @@ use super::items::{SCENE_ID, take_scene};
 use super::job::Payload;
 use super::{BatchJob, MAX_CONCURRENCY, MAX_ITEMS, MAX_LABEL_CHARS};
 use crate::error::Error;
-use crate::{Caller, Service};
+use crate::{BatchService, Caller};
 use bytes::Bytes;
 use futures::{Stream, StreamExt};
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 use tokio::task::yield_now;
 use uniground_jobs::JobKind;
-use uniground_storage::{NewBatch, NewItem, NewJob, ReceivedBatch, Store, Submitted};
+use uniground_storage::{BatchRepository, NewBatch, NewItem, NewJob, ReceivedBatch, Submitted};
 use uniground_types::batch::{Batch, BatchRequest};
 use uniground_types::numbers::zero_or_more;
 
@@ -83,7 +83,7 @@ enum DigestForm {
 
 /// Takes items as they come and writes them some at a time.
 struct Receiving<'a> {
-    service: &'a Service,
+    service: &'a BatchService,
     /// Fields of every item that does not have them itself; without the scene once items come.
     defaults: Map<String, Value>,
     /// Of lines of defaults that have come.
@@ -180,10 +180,9 @@ impl Receiving<'_> {
         let items = std::mem::take(&mut self.waiting);
         let bytes = std::mem::take(&mut self.waiting_bytes);
         if let Some(id) = &self.batch_id {
-            self.service.check_disk(bytes as u64)?;
+            self.service.capacity.check_disk(bytes as u64)?;
             self.service
-                .store
-                .batches
+                .batch_repository
                 .insert_batch_items(id, self.items - items.len() as u32, &items)
                 .await?;
         }
@@ -271,7 +270,7 @@ fn check_size(stored_bytes: u64) -> Result<(), Error> {
 
 /// A batch that is being received; deleted where its sender leaves.
 struct Unfinished {
-    store: Store,
+    batches: BatchRepository,
     id: Option<String>,
 }
 
@@ -279,7 +278,7 @@ impl Unfinished {
     /// Deletes it now, before its sender is answered.
     async fn discard(&mut self) {
         if let Some(id) = self.id.clone() {
-            discard(&self.store, &id).await;
+            discard(&self.batches, &id).await;
             self.id = None;
         }
     }
@@ -288,14 +287,14 @@ impl Unfinished {
 impl Drop for Unfinished {
     fn drop(&mut self) {
         if let Some(id) = self.id.take() {
-            let store = self.store.clone();
-            tokio::spawn(async move { discard(&store, &id).await });
+            let batches = self.batches.clone();
+            tokio::spawn(async move { discard(&batches, &id).await });
         }
     }
 }
 
-async fn discard(store: &Store, id: &str) {
-    if let Err(error) = store.batches.discard_batch(id).await {
+async fn discard(batches: &BatchRepository, id: &str) {
+    if let Err(error) = batches.discard_batch(id).await {
         let error = &error as &dyn std::error::Error;
         tracing::warn!(
             batch_id = id,
@@ -305,7 +304,7 @@ async fn discard(store: &Store, id: &str) {
     }
 }
 
-impl Service {
+impl BatchService {
     /// Takes a list of questions and starts asking them. All of it is taken or nothing.
     ///
     /// What is wrong with one question is that item's failure. The same submission again under its
@@ -323,14 +322,14 @@ impl Service {
         let Submission { label, concurrency, max_cost_usd, idempotency_key, defaults } = submission;
         let key = idempotency_key.map(|key| caller.own(key));
         let before = match &key {
-            Some(key) => self.store.batches.batch_of_idempotency_key(key).await?,
+            Some(key) => self.batch_repository.batch_of_idempotency_key(key).await?,
             None => None,
         };
         let (batch_id, form) = if let Some(before) = &before {
-            let defaults = self.store.batches.batch_defaults(&before.id).await?;
+            let defaults = self.batch_repository.batch_defaults(&before.id).await?;
             (None, if defaults.is_some() { DigestForm::Shared } else { DigestForm::Whole })
         } else {
-            self.check_disk(0)?;
+            self.capacity.check_disk(0)?;
             self.jobs.check_room::<BatchJob>(caller.key_id()).await?;
             let new = NewBatch {
                 label: label.as_deref(),
@@ -338,9 +337,10 @@ impl Service {
                 max_cost_usd,
                 key_id: caller.key_id(),
             };
-            (Some(self.store.batches.insert_batch(new).await?), DigestForm::Shared)
+            (Some(self.batch_repository.insert_batch(new).await?), DigestForm::Shared)
         };
-        let mut unfinished = Unfinished { store: self.store.clone(), id: batch_id.clone() };
+        let mut unfinished =
+            Unfinished { batches: self.batch_repository.clone(), id: batch_id.clone() };
         let mut digest = Sha256::new();
         digest.update(serde_json::to_vec(&(&label, concurrency, max_cost_usd))?);
         let mut receiving = Receiving {
@@ -407,7 +407,7 @@ impl Service {
         let payload = serde_json::to_string(&Payload { batch_id: received.id.to_owned() })?;
         let job =
             NewJob { kind: BatchJob::NAME, payload: &payload, key_id: caller.key_id(), done: None };
-        Ok(self.store.batches.submit_batch(received, &job).await?)
+        Ok(self.batch_repository.submit_batch(received, &job).await?)
     }
 }
 

@@ -1,6 +1,6 @@
 //! What is in a room, as annotations of an evaluation: `<scene>.scene.json`.
 
-use crate::Service;
+use crate::CorrectionService;
 use crate::error::Error;
 use serde::Serialize;
 use uniground_geometry::boxes::OrientedBox;
@@ -42,15 +42,15 @@ struct TurnedBox {
     yaw_deg: f32,
 }
 
-impl Service {
+impl CorrectionService {
     /// The things of a scene's current parse as people have corrected them; floor, walls and
     /// ceiling are left out.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
     pub async fn ground_truth(&self, scene_id: &str) -> Result<GroundTruth, Error> {
-        let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let parse = self.loaded_parse(&parse_id).await?;
+        let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
+        let parse = self.parsed_scenes.loaded_parse(&parse_id).await?;
         let is_thing =
             |i: &&Instance| i.level == Level::Thing && i.structure.is_none() && !i.dismissed;
         let object = |instance: &Instance| {

@@ -8,14 +8,15 @@ mod ground_truth;
 
 pub use ground_truth::GroundTruth;
 
+use super::Caller;
 use super::answers::StoredScene;
-use super::{Caller, Service};
 use crate::error::Error;
+use crate::{ParsedScenes, SceneLookup};
 use std::collections::BTreeSet;
 use uniground_geometry::scene::{Instance, InstanceId, Level, Owners, parts_of};
 use uniground_grounding::pipeline::SceneSource;
 use uniground_parsing::instances;
-use uniground_storage::NewCorrection;
+use uniground_storage::{CorrectionRepository, NewCorrection, ParseRepository};
 use uniground_types::corrections::{Change, Correction, CorrectionList};
 use uniground_types::settings::ParsingSettings;
 
@@ -24,7 +25,16 @@ const MOST: u32 = 5000;
 const MAX_NAME_CHARS: usize = 100;
 const MAX_IDS: usize = 100;
 
-impl Service {
+/// Corrections of instances by people.
+#[derive(Clone)]
+pub struct CorrectionService {
+    pub(crate) correction_repository: CorrectionRepository,
+    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) parse_repository: ParseRepository,
+}
+
+impl CorrectionService {
     /// Corrects a scene's current parse: answers from now on know it.
     ///
     /// # Errors
@@ -38,8 +48,8 @@ impl Service {
     ) -> Result<Correction, Error> {
         check(&change)?;
         // One after the other: what is checked stays so until it is written.
-        let (parse_id, _turn) = self.turn_at_parse(scene_id).await?;
-        let parse = self.loaded_parse(&parse_id).await?;
+        let (parse_id, _turn) = self.scene_lookup.turn_at_parse(scene_id).await?;
+        let parse = self.parsed_scenes.loaded_parse(&parse_id).await?;
         let known = |id: InstanceId| {
             let instance = parse.instances.get((id.0 as usize).wrapping_sub(1));
             instance.ok_or_else(|| Error::InstanceNotFound { scene_id: scene_id.to_owned(), id })
@@ -70,14 +80,13 @@ impl Service {
                     }
                 }
                 let members = instance_ids.clone();
-                let scene = StoredScene::new(self.clone(), parse.clone());
+                let scene = StoredScene::new(self.parsed_scenes.clone(), parse.clone());
                 Some(scene.compute(move |scene| scene.merged(&members)).await?)
             }
         };
         let author = caller.key.as_ref().map(|key| key.row.name.as_str());
         let new = NewCorrection { parse_id: &parse_id, change: &change, author, made };
-        self.store
-            .corrections
+        self.correction_repository
             .insert_correction(new, MOST)
             .await?
             .ok_or(Error::TooManyCorrections { most: MOST })
@@ -88,8 +97,8 @@ impl Service {
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
     pub async fn corrections(&self, scene_id: &str) -> Result<CorrectionList, Error> {
-        let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let mut corrections = self.store.corrections.corrections(&parse_id).await?;
+        let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
+        let mut corrections = self.correction_repository.corrections(&parse_id).await?;
         corrections.reverse();
         Ok(CorrectionList { corrections })
     }
@@ -100,14 +109,14 @@ impl Service {
     /// [`Error::CorrectionNotFound`]; [`Error::CorrectionInUse`] where a later one is about the
     /// instance this one has made.
     pub async fn undo_correction(&self, scene_id: &str, id: &str) -> Result<Correction, Error> {
-        let (parse_id, _turn) = self.turn_at_parse(scene_id).await?;
-        let corrections = self.store.corrections.corrections(&parse_id).await?;
+        let (parse_id, _turn) = self.scene_lookup.turn_at_parse(scene_id).await?;
+        let corrections = self.correction_repository.corrections(&parse_id).await?;
         let not_found = || Error::CorrectionNotFound { id: id.to_owned() };
         let correction =
             corrections.iter().find(|correction| correction.id == id).ok_or_else(not_found)?;
         let brought: Vec<InstanceId> = match &correction.change {
             Change::Split { instance_id } => {
-                parts_of(&self.store.parses.instances(&parse_id).await?, *instance_id)
+                parts_of(&self.parse_repository.instances(&parse_id).await?, *instance_id)
             }
             _ => correction.made.into_iter().collect(),
         };
@@ -121,9 +130,8 @@ impl Service {
         {
             return Err(Error::CorrectionInUse { by: by.id.clone() });
         }
-        self.store.corrections.undo_correction(id).await?;
-        self.store
-            .corrections
+        self.correction_repository.undo_correction(id).await?;
+        self.correction_repository
             .corrections(&parse_id)
             .await?
             .into_iter()

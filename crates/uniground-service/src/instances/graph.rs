@@ -1,6 +1,6 @@
 //! What is in a scene and how it stands to each other.
 
-use crate::Service;
+use crate::InstanceService;
 use crate::error::Error;
 use crate::parses::LoadedParse;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use uniground_types::graph::{GraphFormat, SceneGraph};
 use uniground_types::instances::Levels;
 use uniground_types::scene::InstanceId;
 
-impl Service {
+impl InstanceService {
     /// The graph of a scene's current parse; with `around`, of an instance of any level and what it
     /// stands in a relation to.
     ///
@@ -23,10 +23,10 @@ impl Service {
         levels: Levels,
         around: Option<InstanceId>,
     ) -> Result<SceneGraph, Error> {
-        let (row, parse_id) = self.ready_scene(scene_id).await?;
-        let parse: Arc<LoadedParse> = self.loaded_parse(&parse_id).await?;
+        let (row, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
+        let parse: Arc<LoadedParse> = self.parsed_scenes.loaded_parse(&parse_id).await?;
         let levels = if around.is_some() { Levels::All } else { levels };
-        let graph = self.compute(move || Ok(graph_of(&parse, levels))).await?;
+        let graph = self.question_permits.compute(move || Ok(graph_of(&parse, levels))).await?;
         let Graph { nodes, edges } = match around {
             Some(id) => graph
                 .around(id)

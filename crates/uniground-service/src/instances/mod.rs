@@ -4,10 +4,10 @@ mod graph;
 
 pub use graph::written;
 
-use super::Service;
 use super::answers::StoredScene;
 use super::parses::LoadedParse;
 use crate::error::Error;
+use crate::{MediaService, ParsedScenes, QuestionPermits, SceneLookup};
 use bytes::Bytes;
 use std::sync::Arc;
 use uniground_geometry::scene::{Instance, InstanceId};
@@ -83,7 +83,16 @@ fn view_of(
     }
 }
 
-impl Service {
+/// Instances of a parsed scene.
+#[derive(Clone)]
+pub struct InstanceService {
+    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) question_permits: QuestionPermits,
+    pub(crate) media_service: MediaService,
+}
+
+impl InstanceService {
     /// Instances of the current parse at these levels in order of id, those after `cursor` only.
     ///
     /// # Errors
@@ -95,8 +104,8 @@ impl Service {
         limit: u32,
         cursor: u32,
     ) -> Result<InstanceList, Error> {
-        let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let parse = self.loaded_parse(&parse_id).await?;
+        let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
+        let parse = self.parsed_scenes.loaded_parse(&parse_id).await?;
         let listed = parse
             .instances
             .iter()
@@ -124,7 +133,7 @@ impl Service {
         parse: &LoadedParse,
         instances: impl Iterator<Item = &'a Instance>,
     ) -> Result<Vec<InstanceView>, Error> {
-        let mut names = self.names_of(&parse.id).await?;
+        let mut names = self.parsed_scenes.names_of(&parse.id).await?;
         let view = |instance: &Instance| {
             let (name, given) =
                 (names.remove(&instance.id.0), parse.renamed.get(&instance.id.0).cloned());
@@ -137,7 +146,7 @@ impl Service {
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::InstanceNotFound`].
     pub async fn instance(&self, scene_id: &str, id: InstanceId) -> Result<InstanceView, Error> {
         let (parse, instance) = self.known_instance(scene_id, id).await?;
-        let name = self.names_of(&parse.id).await?.remove(&id.0);
+        let name = self.parsed_scenes.names_of(&parse.id).await?.remove(&id.0);
         Ok(view_of(instance, name, parse.renamed.get(&id.0).cloned()))
     }
 
@@ -161,8 +170,9 @@ impl Service {
             ViewPicture::Frame => Picture::Frame,
             ViewPicture::Crop => Picture::Crop,
         };
-        let scene = StoredScene::new(self.clone(), parse);
-        let drawn = self.view_of_instance(scene, &instance, view as usize, picture).await?;
+        let scene = StoredScene::new(self.parsed_scenes.clone(), parse);
+        let drawn =
+            self.media_service.view_of_instance(scene, &instance, view as usize, picture).await?;
         drawn.ok_or(Error::ViewNotFound { id, view, views })
     }
 
@@ -172,8 +182,8 @@ impl Service {
         scene_id: &str,
         id: InstanceId,
     ) -> Result<(Arc<LoadedParse>, Instance), Error> {
-        let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let parse = self.loaded_parse(&parse_id).await?;
+        let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
+        let parse = self.parsed_scenes.loaded_parse(&parse_id).await?;
         match parse.instances.get((id.0 as usize).wrapping_sub(1)).cloned() {
             Some(instance) => Ok((parse, instance)),
             None => Err(Error::InstanceNotFound { scene_id: scene_id.into(), id }),

@@ -3,23 +3,24 @@
 
 use super::answers::StoredScene;
 use super::vlm::{OF_KEY, WhenNamed};
-use super::{Caller, Service, Vlm, job_failure, until_cancelled};
+use super::{Caller, Vlm, job_failure, until_cancelled};
 use crate::error::Error;
+use crate::{Keyring, ParsedScenes, SceneLookup};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
-use uniground_geometry::scene::{Instance, InstanceId};
+use uniground_geometry::scene::InstanceId;
 use uniground_grounding::pipeline::SceneSource;
 use uniground_grounding::vlm::naming;
-use uniground_jobs::{Job, JobContext, JobFailure, JobKind, Retry};
+use uniground_jobs::{Job, JobContext, JobFailure, JobKind, Jobs, Retry};
 use uniground_models::chat::{OverBudget, Session};
 use uniground_parsing::ParseError;
-use uniground_storage::JobFilter;
+use uniground_storage::{JobFilter, JobRepository, NameRepository};
 
 /// Names the objects of scenes. It waits for a model most of its time: several at once do not stand
 /// in each other's way.
-pub struct NamingJob(pub Service);
+pub struct NamingJob(pub NamingService);
 
 #[derive(Serialize, Deserialize)]
 pub struct Payload {
@@ -42,7 +43,19 @@ impl JobKind for NamingJob {
     }
 }
 
-impl Service {
+/// Has a model name the instances of a scene.
+#[derive(Clone)]
+pub struct NamingService {
+    pub(crate) vlm: Option<Arc<Vlm>>,
+    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) jobs: Jobs,
+    pub(crate) name_repository: NameRepository,
+    pub(crate) job_repository: JobRepository,
+    pub(crate) keyring: Keyring,
+    pub(crate) parsed_scenes: ParsedScenes,
+}
+
+impl NamingService {
     /// Names every object of a scene's current parse, in the background. What has a name already is
     /// not paid for again.
     ///
@@ -53,7 +66,7 @@ impl Service {
             return Err(Error::VlmNotConfigured);
         }
         self.check_paid(caller)?;
-        let (scene, _) = self.ready_scene(scene_id).await?;
+        let (scene, _) = self.scene_lookup.ready_scene(scene_id).await?;
         let payload =
             Payload { scene_id: scene.id.clone(), key_id: caller.key_id().map(str::to_owned) };
         Ok(self.jobs.submit::<NamingJob>(&scene.id, &payload, caller.key_id()).await?)
@@ -67,8 +80,8 @@ impl Service {
             return;
         }
         let start = async {
-            let (_, parse_id) = self.ready_scene(scene_id).await?;
-            match self.store.names.name_index(&parse_id, naming::NAMING_VERSION).await? {
+            let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
+            match self.name_repository.name_index(&parse_id, naming::NAMING_VERSION).await? {
                 Some(_) => Ok(()),
                 None => self.start_naming(scene_id, &Caller::operator()).await.map(drop),
             }
@@ -92,7 +105,8 @@ impl Service {
         caller: &Caller,
     ) -> Result<(), Error> {
         let wanted = self.vlm.as_ref().is_some_and(|vlm| vlm.names() == WhenNamed::Lazy);
-        if !wanted || self.store.names.name_index(parse_id, naming::NAMING_VERSION).await?.is_some()
+        if !wanted
+            || self.name_repository.name_index(parse_id, naming::NAMING_VERSION).await?.is_some()
         {
             return Ok(());
         }
@@ -102,8 +116,7 @@ impl Service {
             subject: Some(scene_id.to_owned()),
         };
         let last = self
-            .store
-            .jobs
+            .job_repository
             .jobs(&filter, 1, None)
             .await?
             .into_iter()
@@ -131,66 +144,20 @@ impl Service {
         }
     }
 
-    /// Names the configured model gave to the instances of a parse.
-    pub(super) async fn names_of(&self, parse_id: &str) -> Result<BTreeMap<u32, String>, Error> {
-        match &self.vlm {
-            Some(vlm) => Ok(self
-                .store
-                .names
-                .instance_names(parse_id, vlm.name(), naming::NAMING_VERSION)
-                .await?),
-            None => Ok(BTreeMap::new()),
-        }
-    }
-
-    /// Gives instances the names of the parse's index, where a model has named everything; that
-    /// model and the version of the question.
-    pub(super) async fn give_names(
-        &self,
-        parse_id: &str,
-        instances: &mut [Instance],
-    ) -> Result<Option<String>, Error> {
-        let Some(model) = self.store.names.name_index(parse_id, naming::NAMING_VERSION).await?
-        else {
-            return Ok(None);
-        };
-        let mut names =
-            self.store.names.instance_names(parse_id, &model, naming::NAMING_VERSION).await?;
-        for instance in instances {
-            // What was found for a question has a name of its own.
-            let own = instance.given_name.take();
-            instance.given_name =
-                names.remove(&instance.id.0).filter(|name| !name.is_empty()).or(own);
-        }
-        Ok(Some(naming::namer(&model)))
-    }
-
-    /// Keeps names the configured model gave; those given before stay.
-    pub(super) async fn keep_names(
-        &self,
-        parse_id: &str,
-        names: &BTreeMap<u32, String>,
-    ) -> Result<(), Error> {
-        if let Some(vlm) = &self.vlm {
-            self.store
-                .names
-                .keep_instance_names(parse_id, vlm.name(), naming::NAMING_VERSION, names)
-                .await?;
-        }
-        Ok(())
-    }
-
     async fn run_naming(
         &self,
         JobContext { payload, progress, .. }: JobContext<Payload>,
     ) -> Result<String, Error> {
         let vlm = self.vlm.clone().ok_or(Error::VlmNotConfigured)?;
         let caller =
-            self.keys.caller_of(payload.key_id.as_deref()).map_err(|_| Error::KeyRefused)?;
+            self.keyring.caller_of(payload.key_id.as_deref()).map_err(|_| Error::KeyRefused)?;
         self.check_paid(&caller)?;
-        let (_, parse_id) = self.ready_scene(&payload.scene_id).await?;
-        let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
-        let known = self.names_of(&parse_id).await?;
+        let (_, parse_id) = self.scene_lookup.ready_scene(&payload.scene_id).await?;
+        let source = StoredScene::new(
+            self.parsed_scenes.clone(),
+            self.parsed_scenes.loaded_parse(&parse_id).await?,
+        );
+        let known = self.parsed_scenes.names_of(&parse_id).await?;
         let unnamed: Vec<InstanceId> = source
             .instances()
             .iter()
@@ -201,7 +168,7 @@ impl Service {
         let sheets: Vec<&[InstanceId]> = unnamed.chunks(naming::PER_SHEET).collect();
         for (number, ids) in sheets.iter().enumerate() {
             // What is refused by now is not gone on with.
-            self.keys.caller_of(payload.key_id.as_deref()).map_err(|_| Error::KeyRefused)?;
+            self.keyring.caller_of(payload.key_id.as_deref()).map_err(|_| Error::KeyRefused)?;
             progress
                 .report("naming", number as f32 / sheets.len() as f32)
                 .map_err(ParseError::from)?;
@@ -211,7 +178,9 @@ impl Service {
             };
             named += names.values().filter(|name| !name.is_empty()).count();
         }
-        self.store.names.complete_name_index(&parse_id, vlm.name(), naming::NAMING_VERSION).await?;
+        self.name_repository
+            .complete_name_index(&parse_id, vlm.name(), naming::NAMING_VERSION)
+            .await?;
         // From here on whoever asks is answered with all names.
         Ok(format!("{named} of {} objects named by {}", unnamed.len(), vlm.name()))
     }
@@ -238,7 +207,7 @@ impl Service {
                 ids.iter().filter(|id| !shown.contains(&id.0)).map(|id| (id.0, String::new())),
             );
         }
-        self.keep_names(&source.parse.id, &names).await?;
+        self.parsed_scenes.keep_names(&source.parse.id, &names).await?;
         Ok(names)
     }
 }

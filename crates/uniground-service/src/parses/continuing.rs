@@ -2,7 +2,7 @@
 //! and what people have said of it.
 
 use super::{ParseFile, read_frames};
-use crate::Service;
+use crate::ParseRunner;
 use crate::error::Error;
 use std::fs::File;
 use std::io::BufReader;
@@ -14,7 +14,7 @@ use uniground_geometry::scene::{
 };
 use uniground_parsing::changes::{Counterparts, Look, carried, compare, continued, pairs};
 use uniground_parsing::scan::ParsedScan;
-use uniground_storage::{Blobs, Kept, Turn};
+use uniground_storage::{Blobs, Kept};
 use uniground_types::changes::Changes;
 use uniground_types::corrections::Correction;
 use uniground_types::settings::InstanceSettings;
@@ -39,36 +39,20 @@ pub(super) struct Inherited {
     pub corrections: Vec<Correction>,
 }
 
-impl Service {
-    /// A scene's current parse, and the turn at changing what is known of it: while somebody has
-    /// that, nothing is corrected or found in it, and a scene that grows does not go on from
-    /// it.
-    ///
-    /// # Errors
-    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
-    pub(crate) async fn turn_at_parse(&self, scene_id: &str) -> Result<(String, Turn), Error> {
-        loop {
-            let (_, parse_id) = self.ready_scene(scene_id).await?;
-            let turn = self.correcting(&parse_id).await?;
-            if self.ready_scene(scene_id).await?.1 == parse_id {
-                return Ok((parse_id, turn));
-            }
-        }
-    }
-
+impl ParseRunner {
     /// The parse that the next one of a scene that has grown goes on from.
     pub(super) async fn previous_parse(&self, parse_id: String) -> Result<Previous, Error> {
-        let loaded = self.loaded_parse(&parse_id).await?;
+        let loaded = self.parsed_scenes.loaded_parse(&parse_id).await?;
         let (blobs, folder, content) =
-            (self.store.blobs.clone(), self.store.blobs.parse(&parse_id), loaded.content.clone());
+            (self.blobs.clone(), self.blobs.parse(&parse_id), loaded.content.clone());
         let brought =
             spawn_blocking(move || Ok::<_, Error>((blobs.whole(&folder)?, blobs.whole(&content)?)));
         let (folder, content) = brought.await??;
         Ok(Previous {
-            found: self.store.parses.instances(&parse_id).await?,
+            found: self.parse_repository.instances(&parse_id).await?,
             shown: loaded.instances.clone(),
-            corrections: self.store.corrections.corrections(&parse_id).await?,
-            blobs: self.store.blobs.clone(),
+            corrections: self.correction_repository.corrections(&parse_id).await?,
+            blobs: self.blobs.clone(),
             folder,
             content,
             parse_id,

@@ -2,8 +2,11 @@
 
 use super::{files, settings_hash};
 use crate::error::Error;
-use crate::{Service, job_failure, until_cancelled};
+use crate::{
+    Capacity, NamingService, ParsedScenes, SceneLookup, ServiceLocks, job_failure, until_cancelled,
+};
 use camino::Utf8Path;
+use rayon::ThreadPool;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::io;
@@ -13,17 +16,26 @@ use tokio::task::spawn_blocking;
 use tokio::time::{sleep, timeout};
 use uniground_geometry::progress::Progress;
 use uniground_ingest::Grown;
-use uniground_isolation::{Outcome, Task};
+use uniground_isolation::{Outcome, ScanReader, Task};
 use uniground_jobs::{JobContext, JobFailure, JobKind, Retry};
+use uniground_models::neural::Models;
 use uniground_parsing::checkpoints::Checkpoints;
 use uniground_parsing::scan::{
     ImportedScan, ParsedScan, STAGE_1_VERSION, chosen, cut_scan, share_of_import, stored_import,
 };
-use uniground_storage::{Continued, NewParse, SceneRow};
+use uniground_storage::{
+    Blobs, Continued, CorrectionRepository, HealthProbe, IdGenerator, NewParse, ParseRepository,
+    SceneRepository, SceneRow,
+};
+use uniground_telemetry::metrics::Metrics;
 use uniground_types::settings::{ParseSettings, with_names_of_today};
 
 /// Parses scenes, one at a time: a parse uses every core it gets.
-pub struct ParseJob(pub Service);
+pub struct ParseJob {
+    pub runner: ParseRunner,
+    /// A model may name the objects of a scene as soon as it is parsed.
+    pub naming: NamingService,
+}
 
 /// What came of a parse that was not needed.
 pub(super) const STORED_PARSE_USED: &str =
@@ -81,10 +93,11 @@ impl JobKind for ParseJob {
     async fn run(&self, job: JobContext<Payload>) -> Result<String, JobFailure> {
         let scene_id = job.payload.scene_id.clone();
         let told = loop {
-            match self.0.run_parse(&job).await {
+            match self.runner.run_parse(&job).await {
                 // What is done is kept: nothing is computed twice.
                 Err(error)
-                    if error.is_blobs_away() && self.0.blobs_come_back(&job.progress).await =>
+                    if error.is_blobs_away()
+                        && self.runner.blobs_come_back(&job.progress).await =>
                 {
                     tracing::warn!(
                         error = &error as &dyn std::error::Error,
@@ -94,19 +107,38 @@ impl JobKind for ParseJob {
                 done => break done.map_err(job_failure)?,
             }
         };
-        self.0.name_when_parsed(&scene_id).await;
+        self.naming.name_when_parsed(&scene_id).await;
         Ok(told)
     }
 }
 
-impl Service {
+/// Runs parse jobs.
+#[derive(Clone)]
+pub struct ParseRunner {
+    pub(crate) blobs: Blobs,
+    pub(crate) parse_repository: ParseRepository,
+    pub(crate) correction_repository: CorrectionRepository,
+    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) health_probe: HealthProbe,
+    pub(crate) ids: IdGenerator,
+    pub(crate) scene_repository: SceneRepository,
+    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) models: Models,
+    pub(crate) parse_pool: Arc<ThreadPool>,
+    pub(crate) capacity: Capacity,
+    pub(crate) metrics: Arc<Metrics>,
+    pub(crate) reader: ScanReader,
+    pub(crate) service_locks: ServiceLocks,
+}
+
+impl ParseRunner {
     /// Waits until the object store can be had again; whether it can, before that takes too long or
     /// the job is to stop.
     async fn blobs_come_back(&self, progress: &Progress) -> bool {
         const PATIENCE: Duration = Duration::from_mins(10);
         const LOOK_EVERY: Duration = Duration::from_secs(2);
         let back = async {
-            while self.store.health.health().await.blobs.is_some() {
+            while self.health_probe.health().await.blobs.is_some() {
                 sleep(LOOK_EVERY).await;
             }
         };
@@ -122,13 +154,13 @@ impl Service {
     ) -> Result<String, Error> {
         let (Payload { scene_id, settings }, job_id, progress) =
             (payload, hold.job_id.as_str(), progress.clone());
-        let scene = self.scene_row(scene_id).await?;
+        let scene = self.scene_lookup.scene_row(scene_id).await?;
         if self.take_stored_parse(&scene, settings, job_id).await? {
             return Ok(STORED_PARSE_USED.into());
         }
         let (blobs, content, hash) = (
-            self.store.blobs.clone(),
-            self.store.blobs.content(&scene.content_hash),
+            self.blobs.clone(),
+            self.blobs.content(&scene.content_hash),
             scene.content_hash.clone(),
         );
         // Read from the import to the pictures of the report.
@@ -145,7 +177,7 @@ impl Service {
         // Networks take nearly all of the time where they take part.
         let parsed_by = if self.models.loaded.is_empty() { 0.9 } else { 0.99 };
         let (blobs, pool, models, job_settings) =
-            (self.store.blobs.clone(), self.parsing.clone(), self.models.clone(), settings.clone());
+            (self.blobs.clone(), self.parse_pool.clone(), self.models.clone(), settings.clone());
         let (service, entered, scan_folder, parsing) =
             (self.clone(), span.clone(), content.clone(), progress.part(0.0, parsed_by));
         let work = move || {
@@ -164,7 +196,7 @@ impl Service {
             };
             // In the pool of parses: what it does in parallel stays there, and gives way.
             pool.install(|| {
-                service.check_memory(scan.memory_wanted())?;
+                service.capacity.check_memory(scan.memory_wanted())?;
                 Ok::<_, Error>(cut_scan(
                     scan,
                     &job_settings,
@@ -174,14 +206,14 @@ impl Service {
                 )?)
             })
         };
-        let stages = self.store.blobs.keep_stages(&scene.content_hash);
+        let stages = self.blobs.keep_stages(&scene.content_hash);
         let cut = spawn_blocking(work).await?;
         stages.finish().await;
         let mut scan = cut?;
         // What people say of the scene from here on is of the parse that is being written.
         let turn = match grown_from {
-            Some(_) if self.scene_row(scene_id).await?.parse_id.is_some() => {
-                Some(self.turn_at_parse(scene_id).await?)
+            Some(_) if self.scene_lookup.scene_row(scene_id).await?.parse_id.is_some() => {
+                Some(self.scene_lookup.turn_at_parse(scene_id).await?)
             }
             _ => None,
         };
@@ -190,9 +222,9 @@ impl Service {
             None => None,
         };
         let (blobs, pool, id, how) = (
-            self.store.blobs.clone(),
-            self.parsing.clone(),
-            self.store.ids.new_id(),
+            self.blobs.clone(),
+            self.parse_pool.clone(),
+            self.ids.new_id(),
             settings.parsing.instances,
         );
         let place = blobs.parse(&id);
@@ -215,8 +247,7 @@ impl Service {
             spawn_blocking(work).await??;
 
         let inserted = self
-            .store
-            .parses
+            .parse_repository
             .insert_parse(NewParse {
                 id: &id,
                 content_hash: &scene.content_hash,
@@ -237,10 +268,10 @@ impl Service {
             })
             .await?;
         if inserted {
-            self.store.scenes.set_scene_parse(scene_id, &id, job_id).await?;
+            self.scene_repository.set_scene_parse(scene_id, &id, job_id).await?;
         } else {
             // Somebody parsed the same meanwhile, or the scene is gone.
-            self.store.blobs.discard(self.store.blobs.parse(&id)).await?;
+            self.blobs.discard(self.blobs.parse(&id)).await?;
             if !self.take_stored_parse(&scene, settings, job_id).await? {
                 return Err(Error::SceneNotFound { id: scene_id.clone() });
             }
@@ -287,11 +318,12 @@ impl Service {
         job_id: &str,
     ) -> Result<bool, Error> {
         // It stays until the scene refers to it.
-        let _references = self.parse_references().await?;
-        let Some(parse_id) = self.stored_parse(&scene.content_hash, settings).await? else {
+        let _references = self.service_locks.parse_references().await?;
+        let Some(parse_id) = self.parsed_scenes.stored_parse(&scene.content_hash, settings).await?
+        else {
             return Ok(false);
         };
-        self.store.scenes.set_scene_parse(&scene.id, &parse_id, job_id).await?;
+        self.scene_repository.set_scene_parse(&scene.id, &parse_id, job_id).await?;
         Ok(true)
     }
 }

@@ -4,12 +4,14 @@
 use super::{Download, ParseFile, photograph, read_frames, read_photograph, view};
 use crate::answers::StoredScene;
 use crate::error::Error;
-use crate::{EvidenceFile, Service};
+use crate::parses::ParseCache;
+use crate::{EvidenceFile, ParsedScenes, SceneLookup};
 use bytes::Bytes;
 use camino::Utf8PathBuf;
 use std::fs::File;
 use std::io::BufReader;
 use std::sync::Arc;
+use tokio::sync::Mutex;
 use tokio::task::spawn_blocking;
 use uniground_geometry::scene::{
     FrameRef, Instance, InstanceId, Intrinsics, Owners, read_instance_of_point, write_even_points,
@@ -17,17 +19,27 @@ use uniground_geometry::scene::{
 use uniground_grounding::pipeline::SceneSource;
 use uniground_parsing::evidence::{self, Picture};
 use uniground_parsing::{ParseError, report_pictures};
-use uniground_storage::{Kept, Scratch};
+use uniground_storage::{Blobs, Kept, Scratch};
 use uniground_types::scene::{FrameList, FrameView};
 
-impl Service {
+/// Points, pictures and photographs of a parsed scene.
+#[derive(Clone)]
+pub struct MediaService {
+    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) parse_cache: Arc<ParseCache>,
+    pub(crate) drawing_lock: Arc<Mutex<()>>,
+    pub(crate) blobs: Blobs,
+}
+
+impl MediaService {
     /// The cloud of a scene's current parse, every beginning of which is an even sample.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`].
     pub async fn points(&self, scene_id: &str) -> Result<Download, Error> {
-        let (_, parse_id) = self.ready_scene(scene_id).await?;
-        if let Some(link) = self.link_to(&parse_id, ParseFile::Points).await? {
+        let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
+        if let Some(link) = self.parsed_scenes.link_to(&parse_id, ParseFile::Points).await? {
             return Ok(Download::There(link));
         }
         let (scene, file) = self.kept(scene_id, ParseFile::Points).await?;
@@ -35,11 +47,11 @@ impl Service {
             return Ok(Download::Here(file));
         }
         let made = self.draw(scene, |service, scene| {
-            if let Some(made) = service.parses.points.get(&scene.parse.id) {
+            if let Some(made) = service.parse_cache.points.get(&scene.parse.id) {
                 return Ok(made);
             }
             let made = Arc::new(scene.even_points()?);
-            service.parses.points.put(scene.parse.id.clone(), made.clone(), 1);
+            service.parse_cache.points.put(scene.parse.id.clone(), made.clone(), 1);
             Ok(made)
         });
         Ok(Download::Here(made.await?.path().join(POINTS).into()))
@@ -67,14 +79,14 @@ impl Service {
         scene: Arc<StoredScene>,
         work: impl FnOnce(&Self, &StoredScene) -> Result<T, Error> + Send + 'static,
     ) -> Result<T, Error> {
-        let turn = self.drawing.clone().lock_owned().await;
+        let turn = self.drawing_lock.clone().lock_owned().await;
         let service = self.clone();
         let done = spawn_blocking(move || {
             let _turn = turn;
             work(&service, &scene)
         });
         match done.await? {
-            Err(error) => Err(self.after_damage(error).await),
+            Err(error) => Err(self.parsed_scenes.after_damage(error).await),
             done => done,
         }
     }
@@ -85,16 +97,23 @@ impl Service {
         scene_id: &str,
         file: ParseFile,
     ) -> Result<(Arc<StoredScene>, Option<Kept>), Error> {
-        let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let scene = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
+        let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
+        let scene = StoredScene::new(
+            self.parsed_scenes.clone(),
+            self.parsed_scenes.loaded_parse(&parse_id).await?,
+        );
         let file = self.if_kept(&scene, file.of(&scene.folder())).await?;
         Ok((scene, file))
     }
 
     async fn if_kept(&self, scene: &StoredScene, path: Utf8PathBuf) -> Result<Option<Kept>, Error> {
-        let (blobs, folder, file) = (self.store.blobs.clone(), scene.folder(), path.clone());
+        let (blobs, folder, file) = (self.blobs.clone(), scene.folder(), path.clone());
         let is_kept = spawn_blocking(move || blobs.holds(&folder, &file)).await??;
-        Ok(if is_kept { Some(self.sound_file(&scene.parse.id, path).await?) } else { None })
+        Ok(if is_kept {
+            Some(self.parsed_scenes.sound_file(&scene.parse.id, path).await?)
+        } else {
+            None
+        })
     }
 
     /// A picture of an instance in one of its views; `None`, and a line in the log, where the
@@ -115,29 +134,29 @@ impl Service {
         }
         // What merges have made may be taken back, and others may get their ids.
         let stays = !instance.came_later();
-        if let Some(drawn) = self.parses.drawn.get(file.as_str()).filter(|_| stays) {
+        if let Some(drawn) = self.parse_cache.drawn.get(file.as_str()).filter(|_| stays) {
             return Ok(Some(EvidenceFile::Drawn(drawn)));
         }
         let (seen, known_as) = (instance.views[at].clone(), file.clone());
         let drawn = self.draw(scene, move |service, scene| {
             // Somebody may have waited for the same.
-            if let Some(drawn) = service.parses.drawn.get(known_as.as_str()).filter(|_| stays) {
+            if let Some(drawn) = service.parse_cache.drawn.get(known_as.as_str()).filter(|_| stays)
+            {
                 return Ok(Some(drawn));
             }
             let (parse, folder) = (&scene.parse, scene.folder());
             let kept = photograph(&folder, seen.frame);
-            let _kept = match service.store.blobs.holds(&folder, &kept)? {
+            let _kept = match service.blobs.holds(&folder, &kept)? {
                 true => Some(scene.check(&kept)?),
                 false => None,
             };
-            let photograph =
-                read_photograph(&service.store.blobs, &folder, &parse.content, seen.frame);
+            let photograph = read_photograph(&service.blobs, &folder, &parse.content, seen.frame);
             Ok(photograph
                 .map(|photograph| Bytes::from(evidence::picture(&photograph, &seen, picture))))
         });
         let Some(drawn) = drawn.await? else { return Ok(None) };
         if stays {
-            self.parses.drawn.put(file.into(), drawn.clone(), drawn.len());
+            self.parse_cache.drawn.put(file.into(), drawn.clone(), drawn.len());
         }
         Ok(Some(EvidenceFile::Drawn(drawn)))
     }
@@ -147,12 +166,12 @@ impl Service {
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
     pub async fn frames(&self, scene_id: &str) -> Result<FrameList, Error> {
-        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
         let (folder, content) = (
-            self.store.blobs.parse(&parse_id),
-            self.loaded_parse(&parse_id).await?.content.clone(),
+            self.blobs.parse(&parse_id),
+            self.parsed_scenes.loaded_parse(&parse_id).await?.content.clone(),
         );
-        let blobs = self.store.blobs.clone();
+        let blobs = self.blobs.clone();
         let frames = spawn_blocking(move || read_frames(&blobs, &folder, &content)).await??;
         let view = |frame: FrameRef| {
             let Intrinsics { width, height, fx, fy, cx, cy } = frame.colour_intrinsics;
@@ -175,10 +194,13 @@ impl Service {
         index: u32,
         with_instances: bool,
     ) -> Result<EvidenceFile, Error> {
-        let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let scene = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
+        let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
+        let scene = StoredScene::new(
+            self.parsed_scenes.clone(),
+            self.parsed_scenes.loaded_parse(&parse_id).await?,
+        );
         let (folder, content) = (scene.folder(), scene.parse.content.clone());
-        let blobs = self.store.blobs.clone();
+        let blobs = self.blobs.clone();
         let found = spawn_blocking(move || {
             let frames = read_frames(&blobs, &folder, &content)?.unwrap_or_default();
             let frame = frames

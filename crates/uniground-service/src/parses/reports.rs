@@ -1,22 +1,20 @@
 //! What a parse did, in figures and pictures.
 
 use super::report_files::{self, Entry};
-use crate::Service;
+use crate::ParseService;
 use crate::error::Error;
 use uniground_storage::Kept;
 use uniground_types::scenes::{ReportPictureLink, Scene, SceneReport};
 
-impl Service {
+impl ParseService {
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
     pub async fn scene_report(&self, scene_id: &str) -> Result<SceneReport, Error> {
-        let (row, parse_id) = self.ready_scene(scene_id).await?;
+        let (row, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
         let Scene { id, parse_version, import, report, settings, models, .. } =
-            self.present(row).await?;
+            self.scene_lookup.present(row).await?;
         let pictures =
-            report_files::index(self.store.blobs.clone(), self.store.blobs.parse(&parse_id))
-                .await?
-                .into_iter();
+            report_files::index(self.blobs.clone(), self.blobs.parse(&parse_id)).await?.into_iter();
         let link = |Entry { name, title }| ReportPictureLink {
             url: format!("/v1/scenes/{id}/report/{name}.jpg"),
             name,
@@ -38,14 +36,13 @@ impl Service {
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ReportPictureNotFound`].
     pub async fn report_picture(&self, scene_id: &str, name: &str) -> Result<Kept, Error> {
-        let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let known =
-            report_files::index(self.store.blobs.clone(), self.store.blobs.parse(&parse_id))
-                .await?;
+        let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
+        let known = report_files::index(self.blobs.clone(), self.blobs.parse(&parse_id)).await?;
         if known.iter().all(|entry| entry.name != name) {
             return Err(Error::ReportPictureNotFound { name: name.into() });
         }
-        self.sound_file(&parse_id, report_files::picture(&self.store.blobs.parse(&parse_id), name))
+        self.parsed_scenes
+            .sound_file(&parse_id, report_files::picture(&self.blobs.parse(&parse_id), name))
             .await
     }
 }

@@ -3,9 +3,10 @@
 use crate::answers::StoredScene;
 use crate::error::Error;
 use crate::parses::read_frames;
-use crate::{MAX_COMPARISONS, Service};
+use crate::{MAX_COMPARISONS, ParsedScenes, SceneLookup};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+use tokio::sync::Semaphore;
 use tokio::task::spawn_blocking;
 use tokio_util::sync::CancellationToken;
 use uniground_geometry::progress::Progress;
@@ -17,7 +18,7 @@ use uniground_parsing::changes::{
     Aligned, Counterparts, Look, SAME_PLACE_M, align, compare, pairs,
 };
 use uniground_render::RenderScene;
-use uniground_storage::{Kept as KeptFolder, SceneRow};
+use uniground_storage::{Kept as KeptFolder, SceneRepository, SceneRow};
 use uniground_types::changes::{Changes, ScanAlignment, SceneChanges, SceneVersion};
 use uniground_types::placement::SceneToFrame;
 
@@ -26,14 +27,23 @@ const COMPARISON_TIMEOUT: Duration = Duration::from_mins(1);
 /// Share of the first scan's points that must lie on the second.
 const LEAST_OVERLAP: f32 = 0.2;
 
-impl Service {
+/// Compares two states of a room.
+#[derive(Clone)]
+pub struct ChangeService {
+    pub(crate) scene_repository: SceneRepository,
+    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) comparison_permits: Arc<Semaphore>,
+    pub(crate) parsed_scenes: ParsedScenes,
+}
+
+impl ChangeService {
     /// What changed in a scene after its version `since`, as it grew.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`]; [`Error::NoVersion`],
     /// [`Error::VersionsApart`] where the scene was parsed anew in between, with other ids.
     pub async fn changes_since(&self, scene_id: &str, since: u32) -> Result<SceneChanges, Error> {
-        let (scene, _) = self.ready_scene(scene_id).await?;
+        let (scene, _) = self.scene_lookup.ready_scene(scene_id).await?;
         let now = version(&scene);
         if since == 0 || since > now.version {
             return Err(Error::NoVersion {
@@ -42,7 +52,7 @@ impl Service {
                 version: now.version,
             });
         }
-        let known = self.store.scenes.scene_changes(scene_id, since).await?;
+        let known = self.scene_repository.scene_changes(scene_id, since).await?;
         let (mut changes, mut next) = (Changes::default(), now.version);
         // From the last on backwards: where one is missing, ids are others.
         for (version, _) in known.iter().rev() {
@@ -80,7 +90,7 @@ impl Service {
         to_id: &str,
         refine: bool,
     ) -> Result<SceneChanges, Error> {
-        let permit = self.comparisons.clone().try_acquire_owned();
+        let permit = self.comparison_permits.clone().try_acquire_owned();
         let permit = permit
             .map_err(|_| Error::TooMany { what: "comparisons of scans", most: MAX_COMPARISONS })?;
         let (from_row, from) = self.stored_scene(scene_id).await?;
@@ -102,7 +112,7 @@ impl Service {
             Err(Error::Parse(ParseError::Cancelled(_))) => {
                 return Err(Error::ComparisonTimedOut { seconds: COMPARISON_TIMEOUT.as_secs() });
             }
-            Err(error) => return Err(self.after_damage(error).await),
+            Err(error) => return Err(self.parsed_scenes.after_damage(error).await),
         };
         Ok(SceneChanges {
             from: version(&from_row),
@@ -113,8 +123,14 @@ impl Service {
     }
 
     async fn stored_scene(&self, id: &str) -> Result<(SceneRow, Arc<StoredScene>), Error> {
-        let (row, parse_id) = self.ready_scene(id).await?;
-        Ok((row, StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?)))
+        let (row, parse_id) = self.scene_lookup.ready_scene(id).await?;
+        Ok((
+            row,
+            StoredScene::new(
+                self.parsed_scenes.clone(),
+                self.parsed_scenes.loaded_parse(&parse_id).await?,
+            ),
+        ))
     }
 }
 

@@ -1,8 +1,8 @@
 //! A scene with what was found in it, as a file.
 
-use crate::Service;
 use crate::answers::StoredScene;
 use crate::error::Error;
+use crate::{InstanceService, MediaService, ParsedScenes, SceneLookup};
 use sha2::{Digest, Sha256};
 use std::io::Cursor;
 use uniground_export::{Export, write_glb, write_ply, write_usdz};
@@ -19,7 +19,16 @@ pub struct ExportFile {
     pub fingerprint: String,
 }
 
-impl Service {
+/// Scenes as files of other programs.
+#[derive(Clone)]
+pub struct ExportService {
+    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) instance_service: InstanceService,
+    pub(crate) media_service: MediaService,
+}
+
+impl ExportService {
     /// A scene's current parse as people have corrected it, with at most so many points.
     ///
     /// # Errors
@@ -34,8 +43,8 @@ impl Service {
         if !(1..=MAX_POINTS).contains(&points) {
             return Err(Error::invalid("points", format!("must be 1 to {MAX_POINTS}")));
         }
-        let (row, parse_id) = self.ready_scene(scene_id).await?;
-        let parse = self.loaded_parse(&parse_id).await?;
+        let (row, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
+        let parse = self.parsed_scenes.loaded_parse(&parse_id).await?;
         let name = file_name(&row.name, format);
         let listed = ExportedScene {
             scene_id: row.id,
@@ -43,13 +52,13 @@ impl Service {
             parse_version: u32::try_from(row.parse_version).unwrap_or(0),
             frame: CoordinateFrame::default(),
             instances: match format {
-                ExportFormat::Json => self.shown_instances(&parse).await?,
+                ExportFormat::Json => self.instance_service.shown_instances(&parse).await?,
                 ExportFormat::Glb | ExportFormat::Ply | ExportFormat::Usdz => Vec::new(),
             },
         };
-        let scene = StoredScene::new(self.clone(), parse);
+        let scene = StoredScene::new(self.parsed_scenes.clone(), parse);
         // One after the other: files of many are not in memory at once while they are made.
-        let made = self.draw(scene, move |_, scene| {
+        let made = self.media_service.draw(scene, move |_, scene| {
             let bytes = match format {
                 ExportFormat::Json => serde_json::to_vec(&listed)?,
                 ExportFormat::Glb | ExportFormat::Ply | ExportFormat::Usdz => {

@@ -4,18 +4,23 @@ use super::uploads::Received;
 use crate::answers::Frame;
 use crate::error::Error;
 use crate::parses::ParseFile;
-use crate::{Caller, MAX_UPLOADS, ParseJob, Service};
+use crate::{
+    Caller, Capacity, ImportService, Limits, MAX_UPLOADS, ParseJob, ParseService, ParsedScenes,
+    SceneLookup, ServiceLocks,
+};
 use bytes::Bytes;
 use camino::{Utf8Path, Utf8PathBuf};
 use futures::Stream;
 use sha2::{Digest, Sha256};
 use std::fs;
+use std::sync::Arc;
+use tokio::sync::{Mutex, Semaphore};
 use tokio::task::spawn_blocking;
 use uniground_geometry::scene::SourceToScene;
 use uniground_ingest::{Grown, Part, part_folder};
-use uniground_isolation::Task;
-use uniground_jobs::Job;
-use uniground_storage::{Grew, Growth, SceneRow};
+use uniground_isolation::{ScanReader, Task};
+use uniground_jobs::{Job, Jobs};
+use uniground_storage::{Blobs, Grew, Growth, ParseRepository, SceneRepository, SceneRow};
 use uniground_types::placement::{FrameChoice, SceneToFrame};
 use uniground_types::scenes::Scene;
 
@@ -33,7 +38,26 @@ pub struct NewFrames {
 /// Times a scene may grow: each is looked after in every parse.
 const MOST_PARTS: usize = 200;
 
-impl Service {
+/// Adds frames to a scene.
+#[derive(Clone)]
+pub struct GrowthService {
+    pub(crate) scene_repository: SceneRepository,
+    pub(crate) blobs: Blobs,
+    pub(crate) parse_repository: ParseRepository,
+    pub(crate) upload_permits: Arc<Semaphore>,
+    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) capacity: Capacity,
+    pub(crate) jobs: Jobs,
+    pub(crate) import_service: ImportService,
+    pub(crate) growth_lock: Arc<Mutex<()>>,
+    pub(crate) service_locks: ServiceLocks,
+    pub(crate) parse_service: ParseService,
+    pub(crate) reader: ScanReader,
+    pub(crate) limits: Limits,
+}
+
+impl GrowthService {
     /// Adds frames to a scene and starts parsing what they change. Until that is done questions are
     /// answered as before; ids of what stays are the same afterwards.
     ///
@@ -47,11 +71,11 @@ impl Service {
         body: impl Stream<Item = Result<Bytes, E>> + Unpin,
         caller: &Caller,
     ) -> Result<(Scene, Job), Error> {
-        let place = self.uploads.clone().try_acquire_owned();
+        let place = self.upload_permits.clone().try_acquire_owned();
         let place = place.map_err(|_| Error::TooMany { what: "uploads", most: MAX_UPLOADS })?;
         let NewFrames { file_name, world, idempotency_key, announced_bytes } = new;
-        let (scene, parse_id) = self.ready_scene(scene_id).await?;
-        let parse = self.loaded_parse(&parse_id).await?;
+        let (scene, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
+        let parse = self.parsed_scenes.loaded_parse(&parse_id).await?;
         let to_scene = match Frame::of(world, &scene, parse.source_to_scene)? {
             // In the files' own coordinates: whatever they are found to be whenever the scan is
             // parsed.
@@ -59,28 +83,31 @@ impl Service {
             Some(frame) => Some(inverse(&frame.from_scene)),
             None => Some(SourceToScene::IDENTITY),
         };
-        self.check_disk(announced_bytes)?;
+        self.capacity.check_disk(announced_bytes)?;
         self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
-        let received = self.receive(body, file_name.as_deref().unwrap_or_default()).await?;
+        let received =
+            self.import_service.receive(body, file_name.as_deref().unwrap_or_default()).await?;
         drop(place);
         let key = idempotency_key.map(|key| caller.own(key));
         let part = Part { hash: received.hash.clone(), to_scene };
         let request = hash_of(&("frames", scene_id, &part))?;
         // One after the other: each grows from what the last has left.
-        let _turn = self.growing.lock().await;
+        let _turn = self.growth_lock.lock().await;
         if let Some(key) = &key
-            && let Some((scene, before)) = self.store.scenes.scene_of_idempotency_key(key).await?
+            && let Some((scene, before)) =
+                self.scene_repository.scene_of_idempotency_key(key).await?
         {
             return match before.is_some_and(|before| before == request) {
                 true => self.grown_before(scene).await,
                 false => Err(Error::IdempotencyKeyReused),
             };
         }
-        let (scene, _) = self.ready_scene(scene_id).await?;
+        let (scene, _) = self.scene_lookup.ready_scene(scene_id).await?;
         let from_content = scene.content_hash.clone();
         let to_scene = parse_to_scene(part.to_scene, parse.source_to_scene);
         let cloud = self
-            .sound_file(&parse_id, ParseFile::Cloud.of(&self.store.blobs.parse(&parse_id)))
+            .parsed_scenes
+            .sound_file(&parse_id, ParseFile::Cloud.of(&self.blobs.parse(&parse_id)))
             .await?;
         let bytes = received.bytes;
         let laid = self
@@ -90,16 +117,15 @@ impl Service {
                 to_scene,
             })
             .await?;
-        let references = self.content_references().await?;
+        let references = self.service_locks.content_references().await?;
         let settings = self
-            .store
-            .parses
+            .parse_repository
             .parse(&parse_id)
             .await?
             .map(|parse| parse.record().settings)
             .unwrap_or_default();
-        let wanted = self.wanted_parse(scene_id, &laid, &settings, caller).await?;
-        let grew = self.store.scenes.grow_scene(Growth {
+        let wanted = self.parse_service.wanted_parse(scene_id, &laid, &settings, caller).await?;
+        let grew = self.scene_repository.grow_scene(Growth {
             scene_id,
             from_content: &from_content,
             content_hash: &laid,
@@ -111,7 +137,7 @@ impl Service {
         drop(references);
         match grew {
             Grew::Now(row, job) => {
-                Ok((self.present(row).await?, self.jobs.recorded::<ParseJob>(*job)))
+                Ok((self.scene_lookup.present(row).await?, self.jobs.recorded::<ParseJob>(*job)))
             }
             Grew::Before(row) => self.grown_before(row).await,
             Grew::KeyReused => Err(Error::IdempotencyKeyReused),
@@ -121,8 +147,8 @@ impl Service {
 
     async fn grown_before(&self, scene: SceneRow) -> Result<(Scene, Job), Error> {
         let not_ready = || Error::SceneNotReady { id: scene.id.clone(), job_id: None };
-        let job = self.job_of(&scene).await?.ok_or_else(not_ready)?;
-        Ok((self.present(scene).await?, job))
+        let job = self.scene_lookup.job_of(&scene).await?.ok_or_else(not_ready)?;
+        Ok((self.scene_lookup.present(scene).await?, job))
     }
 
     /// Puts what a scene is made of and what was received in place as one content, once both checks
@@ -134,7 +160,7 @@ impl Service {
         part: Part,
         fits: impl FnOnce(Utf8PathBuf) -> Task,
     ) -> Result<String, Error> {
-        let blobs = self.store.blobs.clone();
+        let blobs = self.blobs.clone();
         let content_hash = scene.content_hash.clone();
         let prepared = spawn_blocking(move || {
             let content = blobs.whole(&blobs.content(&content_hash))?;
@@ -151,7 +177,7 @@ impl Service {
         let (content, so_far, scratch, folder) = prepared.await??;
         self.reader.check(received.unpacking(&folder, &self.limits.unpack)).await?;
         self.reader.check(fits(folder)).await?;
-        let blobs = self.store.blobs.clone();
+        let blobs = self.blobs.clone();
         let publish = move || {
             let mut grown =
                 so_far.clone().unwrap_or_else(|| Grown::from_upload(&scene.content_hash));

@@ -3,7 +3,7 @@
 use super::NewScene;
 use crate::error::Error;
 use crate::packing::{Links, PackingError, pack};
-use crate::{Caller, Service};
+use crate::{Caller, ImportService};
 use bytes::Bytes;
 use camino::{Utf8Path, Utf8PathBuf};
 use futures::stream;
@@ -20,14 +20,7 @@ use uniground_types::settings::{ImportSettings, ParseSettings, check_metres_per_
 const CHUNK_BYTES: usize = 256 << 10;
 const CHUNKS: usize = 4;
 
-impl Service {
-    /// Whoever may write may import what lies below this folder.
-    #[must_use]
-    pub fn importing_from(mut self, root: Option<Utf8PathBuf>) -> Self {
-        self.import_root = root;
-        self
-    }
-
+impl ImportService {
     /// Makes a scene of a file or folder of the server's, as if it had been uploaded.
     ///
     /// # Errors

@@ -3,7 +3,9 @@
 use super::pieces::Pieces;
 use crate::error::Error;
 use crate::parses::WantedParse;
-use crate::{Caller, MAX_UPLOADS, ParseJob, Service};
+use crate::{
+    Caller, Capacity, Limits, MAX_UPLOADS, ParseJob, ParseService, SceneLookup, ServiceLocks,
+};
 use bytes::Bytes;
 use camino::{Utf8Path, Utf8PathBuf};
 use futures::Stream;
@@ -12,12 +14,16 @@ use std::fs::File;
 use std::io::{self, Read, Write};
 use std::sync::Arc;
 use tempfile::NamedTempFile;
+use tokio::sync::Semaphore;
 use tokio::task::spawn_blocking;
 use uniground_ingest::archive::UnpackLimits;
 use uniground_ingest::{Packed, what_it_is};
-use uniground_isolation::{Outcome, Task};
-use uniground_jobs::Job;
-use uniground_storage::{Inserted, Look, NewSceneRow, Prepared, SceneRow};
+use uniground_isolation::{Outcome, ScanReader, Task};
+use uniground_jobs::{Job, Jobs};
+use uniground_storage::{
+    Blobs, ContentRepository, IdGenerator, Inserted, KeyRepository, Look, NewSceneRow, Prepared,
+    SceneRepository, SceneRow,
+};
 use uniground_types::scenes::Scene;
 use uniground_types::settings::ParseSettings;
 
@@ -128,7 +134,26 @@ impl Received {
     }
 }
 
-impl Service {
+/// Makes scenes of uploaded archives and starts their parses.
+#[derive(Clone)]
+pub struct ImportService {
+    pub(crate) import_root: Option<Utf8PathBuf>,
+    pub(crate) scene_repository: SceneRepository,
+    pub(crate) upload_permits: Arc<Semaphore>,
+    pub(crate) capacity: Capacity,
+    pub(crate) jobs: Jobs,
+    pub(crate) blobs: Blobs,
+    pub(crate) ids: IdGenerator,
+    pub(crate) service_locks: ServiceLocks,
+    pub(crate) parse_service: ParseService,
+    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) key_repository: KeyRepository,
+    pub(crate) content_repository: ContentRepository,
+    pub(crate) limits: Limits,
+    pub(crate) reader: ScanReader,
+}
+
+impl ImportService {
     /// Makes a scene from an uploaded archive and starts parsing it. Nothing is stored unless all
     /// of it is fine.
     ///
@@ -144,7 +169,7 @@ impl Service {
         caller: &Caller,
     ) -> Result<(Scene, Option<Job>), Error> {
         // First: who is turned away costs nothing.
-        let place = self.uploads.clone().try_acquire_owned();
+        let place = self.upload_permits.clone().try_acquire_owned();
         let place = place.map_err(|_| Error::TooMany { what: "uploads", most: MAX_UPLOADS })?;
         let NewScene { name, file_name, parse, idempotency_key, announced_bytes } = new;
         let idempotency_key = idempotency_key.map(|key| caller.own(key));
@@ -152,11 +177,11 @@ impl Service {
             check_name("/name", name)?;
         }
         let made_before = match &idempotency_key {
-            Some(key) => self.store.scenes.scene_of_idempotency_key(key).await?,
+            Some(key) => self.scene_repository.scene_of_idempotency_key(key).await?,
             None => None,
         };
         if made_before.is_none() {
-            self.check_disk(announced_bytes)?;
+            self.capacity.check_disk(announced_bytes)?;
             self.check_quota(caller).await?;
             if parse.is_some() {
                 self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
@@ -197,28 +222,30 @@ impl Service {
             (None, Some(unpacked)) => unpacked.name.clone(),
             (None, None) => self.archive_name(&received.hash).await?,
         };
-        let mut references = self.content_references().await?;
+        let mut references = self.service_locks.content_references().await?;
         if unpacked.is_none() && !self.has_content(&received.hash).await? {
             // Its last scene was deleted in between.
             drop(references);
             unpacked = Some(self.unpack(received.clone()).await?);
-            references = self.content_references().await?;
+            references = self.service_locks.content_references().await?;
         }
         // Again, with nobody beside: several uploads at once must not come to more.
         self.check_quota(caller).await?;
         if let Some(Unpacked { folder, .. }) = unpacked {
-            let blobs = self.store.blobs.clone();
+            let blobs = self.blobs.clone();
             spawn_blocking(move || blobs.publish_prepared(folder)).await??;
         }
-        let id = self.store.ids.new_id();
+        let id = self.ids.new_id();
         let wanted = match &parse {
-            Some(settings) => Some(self.wanted_parse(&id, &received.hash, settings, caller).await?),
+            Some(settings) => {
+                Some(self.parse_service.wanted_parse(&id, &received.hash, settings, caller).await?)
+            }
             None => None,
         };
         if wanted.as_ref().is_some_and(|wanted| wanted.stored.is_none()) {
             self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
         }
-        let inserted = self.store.scenes.insert_scene(NewSceneRow {
+        let inserted = self.scene_repository.insert_scene(NewSceneRow {
             id: &id,
             name: &name,
             content_hash: &received.hash,
@@ -230,9 +257,10 @@ impl Service {
         let inserted = inserted.await?;
         drop(references);
         match inserted {
-            Inserted::New(row, job) => {
-                Ok((self.present(row).await?, job.map(|job| self.jobs.recorded::<ParseJob>(*job))))
-            }
+            Inserted::New(row, job) => Ok((
+                self.scene_lookup.present(row).await?,
+                job.map(|job| self.jobs.recorded::<ParseJob>(*job)),
+            )),
             Inserted::MadeBefore(row) => self.made_before(row, parse, caller).await,
             Inserted::KeyReused => Err(Error::IdempotencyKeyReused),
         }
@@ -250,7 +278,7 @@ impl Service {
     ) -> Result<(), Error> {
         let Some(key) = &caller.key else { return Ok(()) };
         let Some(most) = key.row.max_scenes else { return Ok(()) };
-        let scenes = self.store.keys.scenes_of_key(&key.row.id).await?.saturating_add(coming);
+        let scenes = self.key_repository.scenes_of_key(&key.row.id).await?.saturating_add(coming);
         if scenes >= most { Err(Error::TooManyScenes { most }) } else { Ok(()) }
     }
 
@@ -262,21 +290,21 @@ impl Service {
         parse: Option<ParseSettings>,
         caller: &Caller,
     ) -> Result<(Scene, Option<Job>), Error> {
-        let job = match (self.job_of(&row).await?, parse) {
+        let job = match (self.scene_lookup.job_of(&row).await?, parse) {
             (None, Some(settings)) if row.parse_id.is_none() => {
-                Some(self.start_parse(&row.id, &settings, caller).await?)
+                Some(self.parse_service.start_parse(&row.id, &settings, caller).await?)
             }
             (job, _) => job,
         };
-        Ok((self.scene(&row.id).await?, job))
+        Ok((self.scene_lookup.scene(&row.id).await?, job))
     }
 
     /// Whether these bytes are stored: in the database, and on the disk.
     async fn has_content(&self, hash: &str) -> Result<bool, Error> {
-        if !self.store.contents.has_content(hash).await? {
+        if !self.content_repository.has_content(hash).await? {
             return Ok(false);
         }
-        let (blobs, content) = (self.store.blobs.clone(), self.store.blobs.content(hash));
+        let (blobs, content) = (self.blobs.clone(), self.blobs.content(hash));
         let wrong = spawn_blocking(move || blobs.look(&content, Look::Names)).await??;
         if !wrong.is_empty() {
             tracing::warn!(
@@ -295,7 +323,7 @@ impl Service {
         file_name: &str,
     ) -> Result<Received, Error> {
         let max_bytes = self.limits.max_upload_bytes;
-        let tmp = self.store.blobs.tmp().to_owned();
+        let tmp = self.blobs.tmp().to_owned();
         let mut file = spawn_blocking(move || NamedTempFile::new_in(tmp)).await??;
         let mut receiving = Receiving::default();
         let mut pieces = Pieces::of(body, max_bytes, max_bytes);
@@ -322,11 +350,11 @@ impl Service {
     /// Unpacks what came, puts it through the importer's checks, and has all of it ready to be
     /// published.
     async fn unpack(&self, received: Arc<Received>) -> Result<Unpacked, Error> {
-        let blobs = self.store.blobs.clone();
+        let blobs = self.blobs.clone();
         let folder = spawn_blocking(move || blobs.scratch()).await??;
         let name =
             self.checked_name(received.unpacking(folder.path(), &self.limits.unpack)).await?;
-        let blobs = self.store.blobs.clone();
+        let blobs = self.blobs.clone();
         spawn_blocking(move || {
             if let Some(file) = &received.file {
                 // It is all unpacked: nothing of the archive that is still in memory has to reach
@@ -349,7 +377,7 @@ impl Service {
 
     /// What a stored archive calls itself.
     async fn archive_name(&self, hash: &str) -> Result<String, Error> {
-        let (blobs, content) = (self.store.blobs.clone(), self.store.blobs.content(hash));
+        let (blobs, content) = (self.blobs.clone(), self.blobs.content(hash));
         let Ok(scan) = spawn_blocking(move || blobs.whole(&content)).await? else {
             return Ok(name_or_scene(None));
         };

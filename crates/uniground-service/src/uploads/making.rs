@@ -3,7 +3,7 @@
 use super::parts::file_name;
 use crate::error::Error;
 use crate::scenes::{Asked, Received};
-use crate::{Caller, Service};
+use crate::{Caller, UploadService};
 use std::sync::Arc;
 use tokio::task::spawn_blocking;
 use uniground_jobs::JobsError;
@@ -14,26 +14,19 @@ use uniground_types::scenes::Scene;
 use uniground_types::settings::ParseSettings;
 
 /// How an error is told to callers.
-pub type Telling = fn(Error) -> Problem;
+pub type Explain = fn(Error) -> Problem;
 
-impl Service {
-    /// Who asks what came of an upload is told in these words.
-    #[must_use]
-    pub fn telling(mut self, tell: Telling) -> Self {
-        self.tell = tell;
-        self
-    }
-
+impl UploadService {
     /// Makes scenes of uploads that are all there and were not made one: their server was stopped,
     /// or a queue or the disk was full.
     ///
     /// # Errors
     /// [`Error::Store`].
     pub async fn make_left_uploads(&self) -> Result<(), Error> {
-        for id in self.store.uploads.unmade_uploads().await? {
-            let Ok(_turn) = self.at_upload(&id).await else { continue };
+        for id in self.upload_repository.unmade_uploads().await? {
+            let Ok(_turn) = self.service_locks.at_upload(&id).await else { continue };
             let Some(row) =
-                self.store.uploads.upload(&id).await?.filter(|row| row.came_of.is_none())
+                self.upload_repository.upload(&id).await?.filter(|row| row.came_of.is_none())
             else {
                 continue;
             };
@@ -41,7 +34,7 @@ impl Service {
             if row.received < row.length {
                 continue;
             }
-            let made = match self.keys.caller_of(row.key_id.as_deref()) {
+            let made = match self.keyring.caller_of(row.key_id.as_deref()) {
                 Ok(caller) => self.make_upload(row, &caller).await,
                 Err(_) => self.refuse_upload(&id, Error::KeyRefused).await,
             };
@@ -77,13 +70,13 @@ impl Service {
     }
 
     pub(super) async fn refuse_upload(&self, id: &str, error: Error) -> Result<UploadRow, Error> {
-        let problem = (self.tell)(error);
+        let problem = (self.explain)(error);
         self.end_upload(id, CameOf::Nothing(Some(problem))).await
     }
 
     async fn end_upload(&self, id: &str, came_of: CameOf) -> Result<UploadRow, Error> {
-        let row = self.store.uploads.end_upload(id, &came_of).await?;
-        self.store.blobs.discard(self.store.blobs.upload(id)).await?;
+        let row = self.upload_repository.end_upload(id, &came_of).await?;
+        self.blobs.discard(self.blobs.upload(id)).await?;
         row.ok_or_else(|| Error::UploadNotFound { id: id.into() })
     }
 
@@ -95,21 +88,21 @@ impl Service {
         let wanted = &row.wanted;
         let mut settings = ParseSettings::from_request(wanted.preset, None)?;
         settings.import.up = wanted.up;
-        let (path, name) = (self.store.blobs.upload(&row.id), file_name(row).to_owned());
+        let (path, name) = (self.blobs.upload(&row.id), file_name(row).to_owned());
         let received = Arc::new(spawn_blocking(move || Received::read(path, &name)).await??);
         // Made twice, by a server that was killed between the scene and the note of it, it is one
         // scene.
         let key = caller
             .own(wanted.idempotency_key.clone().unwrap_or_else(|| format!("upload {}", row.id)));
-        let made_before = self.store.scenes.scene_of_idempotency_key(&key).await?;
+        let made_before = self.scene_repository.scene_of_idempotency_key(&key).await?;
         if made_before.is_none() {
-            self.check_disk(0)?;
-            self.check_quota(caller).await?;
+            self.capacity.check_disk(0)?;
+            self.import_service.check_quota(caller).await?;
         }
         let parse = wanted.parse.then_some(settings);
         let asked =
             Asked { name: wanted.name.clone(), parse, idempotency_key: Some(key), made_before };
-        self.make_scene(asked, received, caller).await
+        self.import_service.make_scene(asked, received, caller).await
     }
 }
 

@@ -11,17 +11,21 @@ mod making;
 mod parts;
 
 pub use checking::{Algorithm, Checksum};
-pub use making::Telling;
+pub use making::Explain;
 pub use parts::Part;
 
 pub(super) use making::unexplained;
 
 use super::scenes::check_name;
-use super::{Caller, ParseJob, Service};
+use super::{Caller, ParseJob};
 use crate::error::Error;
+use crate::{Capacity, ImportService, Keyring, Limits, ServiceLocks};
 use jiff::{Timestamp, ToSpan};
+use std::sync::Arc;
+use tokio::sync::Semaphore;
 use tokio::task::spawn_blocking;
-use uniground_storage::{CameOf, UploadRow, WantedScene};
+use uniground_jobs::Jobs;
+use uniground_storage::{Blobs, CameOf, SceneRepository, UploadRepository, UploadRow, WantedScene};
 use uniground_types::uploads::{Upload, UploadState};
 
 /// An upload about to begin.
@@ -35,7 +39,23 @@ pub struct NewUpload {
 /// Uploads that one key may have unfinished at once.
 const MOST_OF_A_KEY: u32 = 32;
 
-impl Service {
+/// Resumable uploads.
+#[derive(Clone)]
+pub struct UploadService {
+    pub(crate) upload_repository: UploadRepository,
+    pub(crate) service_locks: ServiceLocks,
+    pub(crate) keyring: Keyring,
+    pub(crate) explain: Explain,
+    pub(crate) blobs: Blobs,
+    pub(crate) scene_repository: SceneRepository,
+    pub(crate) capacity: Capacity,
+    pub(crate) import_service: ImportService,
+    pub(crate) limits: Limits,
+    pub(crate) jobs: Jobs,
+    pub(crate) upload_permits: Arc<Semaphore>,
+}
+
+impl UploadService {
     /// Begins an upload; its bytes follow in parts.
     ///
     /// # Errors
@@ -56,9 +76,9 @@ impl Service {
             self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
         }
         // With nobody beside: several at once must not come to more.
-        let _beginning = self.beginning_uploads().await?;
+        let _beginning = self.service_locks.beginning_uploads().await?;
         let since = self.oldest_upload().map_or_else(String::new, |oldest| oldest.to_string());
-        let unfinished = self.store.uploads.unfinished_uploads(&since, caller.key_id()).await?;
+        let unfinished = self.upload_repository.unfinished_uploads(&since, caller.key_id()).await?;
         let most = match &caller.key {
             Some(_) if unfinished.of_key >= MOST_OF_A_KEY => Some(MOST_OF_A_KEY),
             _ => (unfinished.uploads >= self.limits.max_unfinished_uploads)
@@ -68,9 +88,9 @@ impl Service {
             return Err(Error::TooManyUploads { most });
         }
         // What others have announced is as good as taken.
-        self.check_disk(length.saturating_add(unfinished.announced_bytes))?;
-        self.check_quota_beside(unfinished.of_key, caller).await?;
-        let row = self.store.uploads.insert_upload(&wanted, length, caller.key_id()).await?;
+        self.capacity.check_disk(length.saturating_add(unfinished.announced_bytes))?;
+        self.import_service.check_quota_beside(unfinished.of_key, caller).await?;
+        let row = self.upload_repository.insert_upload(&wanted, length, caller.key_id()).await?;
         Ok(self.present_upload(row))
     }
 
@@ -102,18 +122,17 @@ impl Service {
     /// [`Error::UploadNotFound`], [`Error::UploadExpired`], [`Error::UploadBusy`].
     pub async fn delete_upload(&self, id: &str, caller: &Caller) -> Result<(), Error> {
         self.upload_row(id, caller).await?;
-        let _turn = self.at_upload(id).await?;
-        if !self.store.uploads.delete_upload(id).await? {
+        let _turn = self.service_locks.at_upload(id).await?;
+        if !self.upload_repository.delete_upload(id).await? {
             return Err(Error::UploadNotFound { id: id.into() });
         }
-        Ok(self.store.blobs.discard(self.store.blobs.upload(id)).await?)
+        Ok(self.blobs.discard(self.blobs.upload(id)).await?)
     }
 
     /// The record of a caller's upload, which claims no more than is on the disk.
     async fn upload_row(&self, id: &str, caller: &Caller) -> Result<UploadRow, Error> {
         let row = self
-            .store
-            .uploads
+            .upload_repository
             .upload(id)
             .await?
             .filter(|row| row.key_id.as_deref() == caller.key_id());
@@ -132,7 +151,7 @@ impl Service {
         if row.came_of.is_some() || row.received == 0 {
             return Ok(row);
         }
-        let (blobs, id) = (self.store.blobs.clone(), row.id.clone());
+        let (blobs, id) = (self.blobs.clone(), row.id.clone());
         let there = spawn_blocking(move || blobs.upload_bytes(&id)).await??;
         Ok(UploadRow { received: row.received.min(there), ..row })
     }

@@ -3,7 +3,7 @@
 use super::checking::{Checking, Checksum};
 use crate::error::Error;
 use crate::scenes::{Pieces, what_comes};
-use crate::{Caller, MAX_UPLOADS, Service};
+use crate::{Caller, MAX_UPLOADS, UploadService};
 use bytes::Bytes;
 use futures::Stream;
 use tokio::task::spawn_blocking;
@@ -26,7 +26,7 @@ pub struct Part<S> {
 /// What a kill may cost: so much is put on the disk and noted at once.
 const SAVE_BYTES: u64 = 32 << 20;
 
-impl Service {
+impl UploadService {
     /// Goes on with an upload. What came of a part that breaks off is kept, unless it has a
     /// checksum, which nobody can know then. With the last part the upload becomes a scene, or
     /// is refused: what came of it is told by the answer, not as an error. Done to its end even if
@@ -60,11 +60,11 @@ impl Service {
     where
         S: Stream<Item = Result<Bytes, E>> + Unpin,
     {
-        let place = self.uploads.clone().try_acquire_owned();
+        let place = self.upload_permits.clone().try_acquire_owned();
         let place = place.map_err(|_| Error::TooMany { what: "uploads", most: MAX_UPLOADS })?;
         // Whose it is not is not told that somebody is at work on it.
         self.upload_row(id, caller).await?;
-        let _turn = self.at_upload(id).await?;
+        let _turn = self.service_locks.at_upload(id).await?;
         let mut row = self.upload_row(id, caller).await?;
         if part.offset != row.received {
             return Err(Error::WrongOffset { offset: row.received });
@@ -73,7 +73,7 @@ impl Service {
             return Err(Error::UploadTooLarge { max_bytes: row.length });
         }
         if row.came_of.is_none() && row.received < row.length {
-            self.check_disk(part.announced_bytes)?;
+            self.capacity.check_disk(part.announced_bytes)?;
             row = match self.take_part(row, part).await {
                 Err(error @ Error::NoScan { .. }) => self.refuse_upload(id, error).await?,
                 taken => taken?,
@@ -91,7 +91,7 @@ impl Service {
     where
         S: Stream<Item = Result<Bytes, E>> + Unpin,
     {
-        let (blobs, id, received) = (self.store.blobs.clone(), row.id.clone(), row.received);
+        let (blobs, id, received) = (self.blobs.clone(), row.id.clone(), row.received);
         let mut file = spawn_blocking(move || blobs.open_upload(&id, received)).await??;
         let mut pieces = Pieces::of(part.body, row.length - row.received, row.length);
         let mut checking = part.checksum.map(Checking::of);
@@ -137,7 +137,7 @@ impl Service {
             file.head(Packed::HEAD_BYTES).map(|head| (file, head))
         })
         .await??;
-        let noted = self.store.uploads.note_received(&row.id, file.bytes()).await?;
+        let noted = self.upload_repository.note_received(&row.id, file.bytes()).await?;
         let noted = noted.ok_or_else(|| Error::UploadNotFound { id: row.id.clone() })?;
         if row.received < HEAD_BYTES && noted.received >= HEAD_BYTES {
             what_comes(&head, file_name(&noted))?;

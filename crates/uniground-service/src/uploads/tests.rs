@@ -1,9 +1,8 @@
 use super::*;
-use crate::Limits;
+use crate::{Dependencies, Limits, Services};
 use bytes::Bytes;
 use camino::Utf8Path;
-use futures::stream;
-use futures::{SinkExt, Stream};
+use futures::{SinkExt, Stream, stream};
 use proptest::prelude::*;
 use sha2::{Digest, Sha256};
 use std::convert::Infallible;
@@ -19,7 +18,7 @@ use uniground_types::stats::Retention;
 struct Rested {
     data: TempDir,
     store: Store,
-    service: Service,
+    service: UploadService,
 }
 
 impl Rested {
@@ -40,7 +39,8 @@ impl Rested {
             max_concurrent_questions: 1,
             retention: Retention::default(),
         };
-        let service = Service::at_rest(store.clone(), limits).await.unwrap();
+        let dependencies = Dependencies::at_rest(store.clone(), limits).await.unwrap();
+        let service = Services::new(dependencies).uploads;
         Self { data, store, service }
     }
 

@@ -6,9 +6,8 @@ use crate::{StoreError, now, reserve};
 use camino::{Utf8Path, Utf8PathBuf};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{Connection, Executor};
-use std::fs;
-use std::io;
 use std::time::Duration;
+use std::{fs, io};
 
 /// How long a server may keep us waiting.
 const PATIENCE: Duration = Duration::from_secs(30);

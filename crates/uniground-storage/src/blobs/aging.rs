@@ -2,9 +2,8 @@
 
 use super::Blobs;
 use camino::Utf8Path;
-use std::fs;
-use std::io;
 use std::time::{Duration, SystemTime};
+use std::{fs, io};
 
 /// Finished stages of a content, and when a parse used them last.
 #[derive(Debug, Clone, PartialEq, Eq)]

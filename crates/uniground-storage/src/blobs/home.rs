@@ -9,12 +9,11 @@ use crate::StoreError;
 use crate::data_folder::write_synced;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Serialize};
-use std::fmt;
 use std::fs::{self, File, TryLockError};
-use std::io;
 use std::str::FromStr;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
+use std::{fmt, io};
 use tokio::task::spawn_blocking;
 
 /// Says in `blobs/` that it holds copies, and of what.

@@ -42,10 +42,9 @@ use super::data_folder::sync_folder;
 use camino::{Utf8Path, Utf8PathBuf};
 use futures::{StreamExt, stream};
 use std::collections::HashMap;
-use std::fs;
-use std::io;
 use std::sync::Arc;
 use std::time::Duration;
+use std::{fs, io};
 use tokio::task::spawn_blocking;
 use uuid::Uuid;
 

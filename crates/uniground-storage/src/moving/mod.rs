@@ -19,9 +19,8 @@ use super::database::Location;
 use super::{BlobHome, Store, StoreError};
 use camino::{Utf8Path, Utf8PathBuf};
 use rows::Database;
-use std::fmt;
-use std::io;
 use std::sync::Arc;
+use std::{fmt, io};
 use target::Folder;
 use tokio::task::spawn_blocking;
 

@@ -1,14 +1,12 @@
 //! Which bucket, and how it is spoken to.
 
 use super::Objects;
-use object_store::ClientOptions;
 use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
-use object_store::{BackoffConfig, RetryConfig};
-use std::fmt;
-use std::io;
+use object_store::{BackoffConfig, ClientOptions, RetryConfig};
 use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
+use std::{fmt, io};
 use uniground_client::choose_cryptography;
 
 /// `s3://BUCKET/PREFIX`

@@ -1,0 +1,38 @@
+//! Checks that disk and memory have room for more work.
+
+use crate::Limits;
+use crate::error::Error;
+use uniground_storage::HealthProbe;
+use uniground_telemetry::memory::Memory;
+
+/// Checks that disk and memory have room for more work.
+#[derive(Clone)]
+pub struct Capacity {
+    pub(crate) health_probe: HealthProbe,
+    pub(crate) limits: Limits,
+}
+
+impl Capacity {
+    /// Whether there is room for something more of a size, and some for the rest: what runs goes
+    /// on, questions are answered and kept.
+    pub(crate) fn check_disk(&self, bytes: u64) -> Result<(), Error> {
+        let free = self.health_probe.free_bytes()?;
+        if free < self.limits.keep_free_bytes.saturating_add(bytes) {
+            Err(Error::DiskNearlyFull { free })
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Whether there is memory for something that takes so much. Where the system does not tell, it
+    /// is believed; blocks.
+    pub(crate) fn check_memory(&self, wanted: u64) -> Result<(), Error> {
+        let Some(Memory { resident, most }) = Memory::now() else { return Ok(()) };
+        let most = self.limits.max_memory_bytes.unwrap_or(most);
+        if resident.saturating_add(wanted) > most {
+            Err(Error::MemoryShort { wanted, resident, most })
+        } else {
+            Ok(())
+        }
+    }
+}

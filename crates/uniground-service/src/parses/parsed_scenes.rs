@@ -1,0 +1,286 @@
+//! Loads finished parses, keeps them in memory and checks their files.
+
+use crate::error::Error;
+use crate::parses::job::{ParseJob, Payload};
+use crate::parses::{LoadedParse, ParseCache, ParseFile, files, renamed, settings_hash};
+use crate::{QuestionPermits, ServiceLocks, Vlm};
+use camino::{Utf8Path, Utf8PathBuf};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::{fs, io};
+use tokio::task::spawn_blocking;
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::scene::{Instance, correct};
+use uniground_grounding::vlm::naming;
+use uniground_grounding::{NameIndex, PictureCache};
+use uniground_jobs::{JobKind, Jobs};
+use uniground_models::neural::Models;
+use uniground_parsing::scan::{chosen, names_of};
+use uniground_storage::{
+    Blobs, CorrectionRepository, Damage, Kept, Look, NameRepository, NewJob, ParseRecord,
+    ParseRepository, SceneRepository,
+};
+use uniground_types::settings::ParseSettings;
+
+/// Loads finished parses, keeps them in memory and checks their files.
+#[derive(Clone)]
+pub struct ParsedScenes {
+    pub(crate) blobs: Blobs,
+    pub(crate) name_repository: NameRepository,
+    pub(crate) vlm: Option<Arc<Vlm>>,
+    pub(crate) parse_repository: ParseRepository,
+    pub(crate) models: Models,
+    pub(crate) scene_repository: SceneRepository,
+    pub(crate) jobs: Jobs,
+    pub(crate) parse_cache: Arc<ParseCache>,
+    pub(crate) correction_repository: CorrectionRepository,
+    pub(crate) picture_cache: Arc<PictureCache>,
+    pub(crate) service_locks: ServiceLocks,
+    pub(crate) question_permits: QuestionPermits,
+}
+
+impl ParsedScenes {
+    /// Where the object store itself has a file of a parse, if callers are sent there.
+    pub(crate) async fn link_to(
+        &self,
+        parse_id: &str,
+        file: ParseFile,
+    ) -> Result<Option<String>, Error> {
+        let (blobs, folder) = (self.blobs.clone(), self.blobs.parse(parse_id));
+        Ok(spawn_blocking(move || blobs.link(&folder, &file.of(&folder))).await??)
+    }
+
+    /// The parse of a content under these settings and the models they choose, where there is one
+    /// and its files are.
+    pub(crate) async fn stored_parse(
+        &self,
+        content_hash: &str,
+        settings: &ParseSettings,
+    ) -> Result<Option<String>, Error> {
+        let hash = settings_hash(settings, &names_of(&chosen(settings.models, &self.models)))?;
+        let Some(parse) = self.parse_repository.parse_of(content_hash, &hash).await? else {
+            return Ok(None);
+        };
+        let wrong = self.look_at_parse(&parse.id, Look::Names).await?;
+        if wrong.is_empty() {
+            return Ok(Some(parse.id));
+        }
+        tracing::warn!(parse_id = parse.id, files = wrong.len(), "a stored parse is not whole");
+        self.retire_parse(&parse.id).await?;
+        Ok(None)
+    }
+
+    /// Has a parse made anew whose files are lost or damaged, for every scene that uses it. Until
+    /// then the scenes keep what they have.
+    ///
+    /// # Errors
+    /// [`Error::Store`].
+    pub async fn retire_parse(&self, parse_id: &str) -> Result<(), Error> {
+        let settings =
+            self.parse_repository.parse(parse_id).await?.map(|parse| parse.record().settings);
+        for scene in self.parse_repository.retire_parse(parse_id).await? {
+            let Some(settings) = &settings else { continue };
+            let payload = serde_json::to_string(&Payload {
+                scene_id: scene.id.clone(),
+                settings: settings.clone(),
+            })?;
+            let job = NewJob { kind: ParseJob::NAME, payload: &payload, key_id: None, done: None };
+            if let Some(row) = self.scene_repository.insert_scene_job(&scene.id, job).await? {
+                tracing::info!(
+                    parse_id,
+                    scene_id = scene.id,
+                    job_id = row.id,
+                    "a parse is made anew"
+                );
+                self.jobs.recorded::<ParseJob>(row);
+            }
+        }
+        Ok(())
+    }
+
+    /// A file of a parse, once it is known to be what was written.
+    ///
+    /// # Errors
+    /// [`Error::ParseDamaged`]: it is lost or damaged, and the parse is being made anew.
+    pub(crate) async fn sound_file(
+        &self,
+        parse_id: &str,
+        file: Utf8PathBuf,
+    ) -> Result<Kept, Error> {
+        let (service, id) = (self.clone(), parse_id.to_owned());
+        match spawn_blocking(move || service.check_file(&id, &file)).await? {
+            Err(error) => Err(self.after_damage(error).await),
+            checked => checked,
+        }
+    }
+
+    /// A file of a parse, if it is what was written; blocks. What was looked at once and has not
+    /// changed since is believed.
+    pub(crate) fn check_file(&self, parse_id: &str, file: &Utf8Path) -> Result<Kept, Error> {
+        let damaged = |what: String| Error::ParseDamaged { parse_id: parse_id.to_owned(), what };
+        let of = |error: io::Error| match error.kind() {
+            io::ErrorKind::NotFound => {
+                damaged(format!("{} is missing", file.file_name().unwrap_or_default()))
+            }
+            io::ErrorKind::InvalidData => damaged(error.to_string()),
+            // A disk that fails for a moment has lost nothing.
+            _ => Error::Io(error),
+        };
+        let stamp = |file: &Utf8Path| fs::metadata(file).and_then(|m| Ok((m.len(), m.modified()?)));
+        let folder = self.blobs.parse(parse_id);
+        let kept = self.blobs.file(&folder, file).map_err(of)?;
+        let now = stamp(file).map_err(of)?;
+        if self.parse_cache.sound.get(file.as_str()) == Some(now) {
+            return Ok(kept);
+        }
+        let name = file.strip_prefix(&folder).unwrap_or(file);
+        if let Some(Damage { file, what }) = self.blobs.look_at(&folder, name).map_err(of)? {
+            return Err(damaged(format!("{file}: {what}")));
+        }
+        self.parse_cache.sound.put(file.to_string(), stamp(file).map_err(of)?, 1);
+        Ok(kept)
+    }
+
+    /// Has a damaged parse made anew, if that is what an error is about.
+    pub(crate) async fn after_damage(&self, error: Error) -> Error {
+        match &error {
+            Error::ParseDamaged { parse_id, .. } => {
+                self.retire_parse(parse_id).await.err().unwrap_or(error)
+            }
+            _ => error,
+        }
+    }
+
+    /// A parse in memory.
+    pub(crate) async fn loaded_parse(&self, parse_id: &str) -> Result<Arc<LoadedParse>, Error> {
+        // Of now, not of when it is read: what changes in between is read once more.
+        let changes = self.changes_of_parse(parse_id).await?;
+        if let Some(parse) = self.parse_cache.loaded(parse_id, changes) {
+            return Ok(parse);
+        }
+        let parse = Arc::new(self.read_parse(parse_id).await?);
+        self.parse_cache.keep(&parse, changes);
+        Ok(parse)
+    }
+
+    /// A parse that is looked at in passing: those that people ask about stay in memory, whatever
+    /// many are looked through.
+    pub(crate) async fn passing_parse(&self, parse_id: &str) -> Result<Arc<LoadedParse>, Error> {
+        match self.parse_cache.loaded(parse_id, self.changes_of_parse(parse_id).await?) {
+            Some(parse) => Ok(parse),
+            None => Ok(Arc::new(self.read_parse(parse_id).await?)),
+        }
+    }
+
+    /// How often what is known of a parse has changed: by this process or another.
+    pub(crate) async fn changes_of_parse(&self, parse_id: &str) -> Result<i64, Error> {
+        let changes = self.parse_repository.changes_of_parse(parse_id).await?;
+        changes.ok_or_else(|| Error::SceneNotFound { id: parse_id.into() })
+    }
+
+    pub(crate) async fn read_parse(&self, parse_id: &str) -> Result<LoadedParse, Error> {
+        let gone = || Error::SceneNotFound { id: parse_id.into() };
+        let row = self.parse_repository.parse(parse_id).await?.ok_or_else(gone)?;
+        let ParseRecord { models, extent, import, .. } = row.record();
+        let mut instances = self.parse_repository.instances(parse_id).await?;
+        let named_by = self.give_names(parse_id, &mut instances).await?;
+        let corrections = self.correction_repository.corrections(parse_id).await?;
+        let (blobs, folder) = (self.blobs.clone(), self.blobs.parse(parse_id));
+        let (id, content, masks, encoder) =
+            (parse_id.to_owned(), blobs.content(&row.content_hash), models.masks, models.encoder);
+        let source_to_scene = import.and_then(|import| import.source_to_scene);
+        // Names are read as questions are: that computes.
+        let read = move || {
+            correct(&mut instances, &corrections);
+            // What was found since no encoder has seen; what was merged looks like its members
+            // together.
+            let embeddings = files::read_embeddings(&blobs, &folder)?.map(|seen| {
+                let seen = seen.padded_to(instances.len());
+                let merged = instances
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, instance)| !instance.merged_from.is_empty());
+                merged.fold(seen, |seen, (at, merged)| {
+                    seen.with_mean(merged.merged_from.iter().map(|id| id.0 as usize - 1), at)
+                })
+            });
+            let around = || {
+                Aabb::around(&instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>())
+            };
+            Ok(LoadedParse {
+                content,
+                embeddings,
+                frame_embeddings: files::read_frame_embeddings(&blobs, &folder)?,
+                renamed: renamed(&corrections),
+                extent: extent
+                    .or_else(around)
+                    .ok_or_else(|| Error::SceneNotFound { id: id.clone() })?,
+                source_to_scene,
+                names: NameIndex::of(&instances),
+                named_by,
+                instances,
+                masks,
+                encoder,
+                id,
+            })
+        };
+        spawn_blocking(read).await?
+    }
+
+    /// What is wrong with a parse's files.
+    pub(crate) async fn look_at_parse(
+        &self,
+        parse_id: &str,
+        closely: Look,
+    ) -> Result<Vec<Damage>, Error> {
+        let (blobs, place) = (self.blobs.clone(), self.blobs.parse(parse_id));
+        Ok(spawn_blocking(move || blobs.look(&place, closely)).await??)
+    }
+
+    /// Names the configured model gave to the instances of a parse.
+    pub(crate) async fn names_of(&self, parse_id: &str) -> Result<BTreeMap<u32, String>, Error> {
+        match &self.vlm {
+            Some(vlm) => Ok(self
+                .name_repository
+                .instance_names(parse_id, vlm.name(), naming::NAMING_VERSION)
+                .await?),
+            None => Ok(BTreeMap::new()),
+        }
+    }
+
+    /// Gives instances the names of the parse's index, where a model has named everything; that
+    /// model and the version of the question.
+    pub(crate) async fn give_names(
+        &self,
+        parse_id: &str,
+        instances: &mut [Instance],
+    ) -> Result<Option<String>, Error> {
+        let Some(model) = self.name_repository.name_index(parse_id, naming::NAMING_VERSION).await?
+        else {
+            return Ok(None);
+        };
+        let mut names =
+            self.name_repository.instance_names(parse_id, &model, naming::NAMING_VERSION).await?;
+        for instance in instances {
+            // What was found for a question has a name of its own.
+            let own = instance.given_name.take();
+            instance.given_name =
+                names.remove(&instance.id.0).filter(|name| !name.is_empty()).or(own);
+        }
+        Ok(Some(naming::namer(&model)))
+    }
+
+    /// Keeps names the configured model gave; those given before stay.
+    pub(crate) async fn keep_names(
+        &self,
+        parse_id: &str,
+        names: &BTreeMap<u32, String>,
+    ) -> Result<(), Error> {
+        if let Some(vlm) = &self.vlm {
+            self.name_repository
+                .keep_instance_names(parse_id, vlm.name(), naming::NAMING_VERSION, names)
+                .await?;
+        }
+        Ok(())
+    }
+}

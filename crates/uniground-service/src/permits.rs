@@ -1,0 +1,36 @@
+//! Bounds how many questions are computed at once.
+
+use crate::QUEUE_TIMEOUT;
+use crate::error::Error;
+use std::sync::Arc;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::task::spawn_blocking;
+use tokio::time::timeout;
+
+/// Bounds how many questions are computed at once.
+#[derive(Clone)]
+pub struct QuestionPermits {
+    pub(crate) permits: Arc<Semaphore>,
+}
+
+impl QuestionPermits {
+    /// Waits for one of the bounded places at work on questions; not for long.
+    pub(crate) async fn turn(&self) -> Result<OwnedSemaphorePermit, Error> {
+        let turn = timeout(QUEUE_TIMEOUT, self.permits.clone().acquire_owned()).await;
+        turn.ok().and_then(Result::ok).ok_or(Error::Overloaded)
+    }
+
+    /// Computes for a question, off the async threads, when its turn has come.
+    pub(crate) async fn compute<T: Send + 'static>(
+        &self,
+        work: impl FnOnce() -> Result<T, Error> + Send + 'static,
+    ) -> Result<T, Error> {
+        let permit = self.turn().await?;
+        let span = tracing::Span::current();
+        spawn_blocking(move || {
+            let _permit = permit;
+            span.in_scope(work)
+        })
+        .await?
+    }
+}

@@ -1,0 +1,122 @@
+//! Finds scenes and their parses.
+
+use crate::ServiceLocks;
+use crate::error::Error;
+use uniground_jobs::{Job, Jobs};
+use uniground_storage::{JobState, ParseRecord, ParseRepository, SceneRepository, SceneRow, Turn};
+use uniground_types::scenes::{Scene, SceneCounts, SceneStatus};
+
+/// Finds scenes and their parses.
+#[derive(Clone)]
+pub struct SceneLookup {
+    pub(crate) service_locks: ServiceLocks,
+    pub(crate) scene_repository: SceneRepository,
+    pub(crate) jobs: Jobs,
+    pub(crate) parse_repository: ParseRepository,
+}
+
+impl SceneLookup {
+    /// # Errors
+    /// [`Error::SceneNotFound`].
+    pub async fn scene(&self, id: &str) -> Result<Scene, Error> {
+        self.present(self.scene_row(id).await?).await
+    }
+
+    pub(crate) async fn scene_row(&self, id: &str) -> Result<SceneRow, Error> {
+        self.scene_repository.scene(id).await?.ok_or_else(|| Error::SceneNotFound { id: id.into() })
+    }
+
+    /// A scene that has a parse, and the parse's id.
+    pub(crate) async fn ready_scene(&self, id: &str) -> Result<(SceneRow, String), Error> {
+        let row = self.scene_row(id).await?;
+        match row.parse_id.clone() {
+            Some(parse_id) => Ok((row, parse_id)),
+            None => Err(Error::SceneNotReady { id: row.id, job_id: row.job_id }),
+        }
+    }
+
+    pub(crate) async fn job_of(&self, row: &SceneRow) -> Result<Option<Job>, Error> {
+        match &row.job_id {
+            Some(id) => Ok(Some(self.jobs.get(id).await?)),
+            None => Ok(None),
+        }
+    }
+
+    pub(crate) async fn present(&self, row: SceneRow) -> Result<Scene, Error> {
+        let job = self.job_of(&row).await?;
+        let parse = match &row.parse_id {
+            Some(id) => self.parse_repository.parse(id).await?,
+            None => None,
+        };
+        let status = match (&parse, job.as_ref().map(|job| job.state)) {
+            (Some(_), _) => SceneStatus::Ready,
+            (None, None) => SceneStatus::Uploaded,
+            (None, Some(JobState::Queued | JobState::Running | JobState::Succeeded)) => {
+                SceneStatus::Parsing
+            }
+            (None, Some(JobState::Failed | JobState::Cancelled)) => SceneStatus::Failed,
+        };
+        let SceneRow {
+            id,
+            name,
+            content_hash,
+            parse_id: _,
+            parse_version,
+            job_id,
+            scene_to_map,
+            map_frame_id,
+            labels,
+            created_at,
+            updated_at,
+        } = row;
+        let mut scene = Scene {
+            id,
+            name,
+            status,
+            content_hash,
+            parse_version: u32::try_from(parse_version).unwrap_or(0),
+            counts: None,
+            extent: None,
+            scene_to_map,
+            map_frame_id,
+            labels,
+            import: None,
+            report: None,
+            settings: None,
+            models: None,
+            job_id,
+            error: job.and_then(|job| job.error),
+            created_at,
+            updated_at,
+        };
+        if let Some(ParseRecord { settings, models, import, report, extent }) =
+            parse.map(|parse| parse.record())
+        {
+            scene.counts = report.as_ref().map(|report| SceneCounts {
+                points: report.points,
+                frames_used: report.frames_used,
+                superpoints: report.superpoints,
+                instances: report.instances,
+            });
+            (scene.extent, scene.import, scene.report) = (extent, import, report);
+            (scene.settings, scene.models) = (Some(settings), Some(models));
+        }
+        Ok(scene)
+    }
+
+    /// A scene's current parse, and the turn at changing what is known of it: while somebody has
+    /// that, nothing is corrected or found in it, and a scene that grows does not go on from
+    /// it.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
+    pub(crate) async fn turn_at_parse(&self, scene_id: &str) -> Result<(String, Turn), Error> {
+        loop {
+            let (_, parse_id) = self.ready_scene(scene_id).await?;
+            let turn = self.service_locks.correcting(&parse_id).await?;
+            if self.ready_scene(scene_id).await?.1 == parse_id {
+                return Ok((parse_id, turn));
+            }
+        }
+    }
+}

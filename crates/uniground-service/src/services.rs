@@ -1,0 +1,446 @@
+//! The composition of the use cases: every service with what it needs.
+
+use crate::error::Error;
+use crate::lately::Lately;
+use crate::parses::ParseCache;
+use crate::room_index::RoomNames;
+use crate::stats::Numbers;
+use crate::uploads::{Explain, unexplained};
+use crate::{
+    AnswerService, ApproachService, BatchRunner, BatchService, Capacity, ChangeService,
+    CorrectionService, DoctorService, ExportService, GroundingService, GrowthService,
+    HealthService, ImportService, InstanceService, Keyring, Limits, MAX_COMPARISONS,
+    MAX_CONCURRENT_SCENE_SCANS, MAX_UPLOADS, MaintenanceService, MediaService, NamingService,
+    ParseRunner, ParseService, ParsedScenes, QuestionPermits, RoomSearch, SceneLookup,
+    SceneService, ServiceLocks, StatsService, Transcripts, UploadService, Vlm, WebhookService,
+};
+use camino::Utf8PathBuf;
+use rayon::ThreadPool;
+use std::io;
+use std::sync::Arc;
+use tokio::sync::{Mutex, Semaphore};
+use uniground_endpoints::inference::Probe;
+use uniground_geometry::background;
+use uniground_grounding::PictureCache;
+use uniground_isolation::ScanReader;
+use uniground_jobs::Jobs;
+use uniground_models::neural::{LoadedModel, Models};
+use uniground_storage::Store;
+
+/// What the services are built from.
+pub struct Dependencies {
+    pub store: Store,
+    pub jobs: Jobs,
+    pub keyring: Keyring,
+    pub limits: Limits,
+    /// The vision-language model, where one is configured.
+    pub vlm: Option<Vlm>,
+    pub models: Models,
+    /// Parses compute in a pool of their own, whose threads have a low priority. Questions use
+    /// rayon's global pool.
+    pub parse_pool: ThreadPool,
+    /// Decodes uploads.
+    pub reader: ScanReader,
+    /// Scans below this folder may be imported; `None`: none may.
+    pub import_root: Option<Utf8PathBuf>,
+    /// The inference server, where one runs the networks.
+    pub inference: Option<Probe>,
+    /// Describes to the caller why an upload was refused.
+    pub explain: Explain,
+}
+
+impl Dependencies {
+    /// Returns what is needed to look after a store that no server uses: no models, no imports,
+    /// uploads decoded in this process.
+    ///
+    /// # Errors
+    /// [`Error::Store`]; [`Error::Io`] when the system has no threads left.
+    pub async fn at_rest(store: Store, limits: Limits) -> Result<Self, Error> {
+        Ok(Self {
+            jobs: Jobs::new(store.clone(), 0),
+            keyring: Keyring::open(store.clone(), None).await?,
+            store,
+            limits,
+            vlm: None,
+            models: Models::default(),
+            parse_pool: background::pool().map_err(|error| Error::Io(io::Error::other(error)))?,
+            reader: ScanReader::in_process(),
+            import_root: None,
+            inference: None,
+            explain: unexplained,
+        })
+    }
+}
+
+/// The use cases, one service per noun of the API. Cheap to clone.
+#[derive(Clone)]
+pub struct Services {
+    pub keyring: Keyring,
+    pub jobs: Jobs,
+    pub answers: AnswerService,
+    pub approach: ApproachService,
+    pub batch_runner: BatchRunner,
+    pub batches: BatchService,
+    pub changes: ChangeService,
+    pub corrections: CorrectionService,
+    pub doctor: DoctorService,
+    pub exports: ExportService,
+    pub grounding: GroundingService,
+    pub growth: GrowthService,
+    pub health: HealthService,
+    pub imports: ImportService,
+    pub instances: InstanceService,
+    pub maintenance: MaintenanceService,
+    pub media: MediaService,
+    pub naming: NamingService,
+    pub parse_runner: ParseRunner,
+    pub parsed_scenes: ParsedScenes,
+    pub parses: ParseService,
+    pub rooms: RoomSearch,
+    pub scene_lookup: SceneLookup,
+    pub scenes: SceneService,
+    pub stats: StatsService,
+    pub transcripts: Transcripts,
+    pub uploads: UploadService,
+    pub webhooks: WebhookService,
+    vlm: Option<Arc<Vlm>>,
+    models: Models,
+}
+
+impl Services {
+    /// Builds every service. Calls are counted where `jobs` counts.
+    #[must_use]
+    pub fn new(dependencies: Dependencies) -> Self {
+        let Dependencies {
+            store,
+            jobs,
+            keyring,
+            limits,
+            vlm,
+            models,
+            parse_pool,
+            reader,
+            import_root,
+            inference,
+            explain,
+        } = dependencies;
+        let metrics = jobs.metrics().clone();
+        let keyring = keyring.counted_by(metrics.clone());
+        let (vlm, parse_pool) = (vlm.map(Arc::new), Arc::new(parse_pool));
+        let inference = inference.map(Arc::new);
+        let permits = Arc::new(Semaphore::new(limits.max_concurrent_questions));
+        let scan_permits = Arc::new(Semaphore::new(MAX_CONCURRENT_SCENE_SCANS));
+        let upload_permits = Arc::new(Semaphore::new(MAX_UPLOADS));
+        let comparison_permits = Arc::new(Semaphore::new(MAX_COMPARISONS));
+        let (growth_lock, drawing_lock) = (Arc::new(Mutex::new(())), Arc::new(Mutex::new(())));
+        let (parse_cache, picture_cache) =
+            (Arc::<ParseCache>::default(), Arc::<PictureCache>::default());
+        let room_names = Arc::<RoomNames>::default();
+        let (last_health, figures) = (Lately::default(), Numbers::default());
+        let transcripts = Transcripts {
+            blobs: store.blobs.clone(),
+            limits,
+            answer_repository: store.answers.clone(),
+        };
+        let service_locks = ServiceLocks { named_locks: store.locks.clone() };
+        let question_permits = QuestionPermits { permits: permits.clone() };
+        let parsed_scenes = ParsedScenes {
+            blobs: store.blobs.clone(),
+            name_repository: store.names.clone(),
+            vlm: vlm.clone(),
+            parse_repository: store.parses.clone(),
+            models: models.clone(),
+            scene_repository: store.scenes.clone(),
+            jobs: jobs.clone(),
+            parse_cache: parse_cache.clone(),
+            correction_repository: store.corrections.clone(),
+            picture_cache: picture_cache.clone(),
+            service_locks: service_locks.clone(),
+            question_permits: question_permits.clone(),
+        };
+        let scene_lookup = SceneLookup {
+            service_locks: service_locks.clone(),
+            scene_repository: store.scenes.clone(),
+            jobs: jobs.clone(),
+            parse_repository: store.parses.clone(),
+        };
+        let answer_service = AnswerService {
+            answer_repository: store.answers.clone(),
+            transcripts: transcripts.clone(),
+            parsed_scenes: parsed_scenes.clone(),
+            scene_lookup: scene_lookup.clone(),
+        };
+        let room_search = RoomSearch {
+            room_index_repository: store.room_index.clone(),
+            parse_repository: store.parses.clone(),
+            service_locks: service_locks.clone(),
+            parsed_scenes: parsed_scenes.clone(),
+            scene_repository: store.scenes.clone(),
+            question_permits: question_permits.clone(),
+            room_names: room_names.clone(),
+            models: models.clone(),
+        };
+        let naming_service = NamingService {
+            vlm: vlm.clone(),
+            scene_lookup: scene_lookup.clone(),
+            jobs: jobs.clone(),
+            name_repository: store.names.clone(),
+            job_repository: store.jobs.clone(),
+            keyring: keyring.clone(),
+            parsed_scenes: parsed_scenes.clone(),
+        };
+        let grounding_service = GroundingService {
+            keyring: keyring.clone(),
+            scene_repository: store.scenes.clone(),
+            room_search: room_search.clone(),
+            scene_lookup: scene_lookup.clone(),
+            ids: store.ids.clone(),
+            scan_permits: scan_permits.clone(),
+            parsed_scenes: parsed_scenes.clone(),
+            metrics: metrics.clone(),
+            blobs: store.blobs.clone(),
+            naming_service: naming_service.clone(),
+            vlm: vlm.clone(),
+            answer_repository: store.answers.clone(),
+            transcripts: transcripts.clone(),
+            limits,
+            service_locks: service_locks.clone(),
+        };
+        let approach_service = ApproachService {
+            scene_lookup: scene_lookup.clone(),
+            parsed_scenes: parsed_scenes.clone(),
+            grounding_service: grounding_service.clone(),
+        };
+        let capacity = Capacity { health_probe: store.health.clone(), limits };
+        let batch_runner = BatchRunner {
+            metrics: metrics.clone(),
+            batch_repository: store.batches.clone(),
+            keyring: keyring.clone(),
+            capacity: capacity.clone(),
+            answer_repository: store.answers.clone(),
+            vlm: vlm.clone(),
+            grounding_service: grounding_service.clone(),
+        };
+        let batch_service = BatchService {
+            batch_repository: store.batches.clone(),
+            jobs: jobs.clone(),
+            capacity: capacity.clone(),
+        };
+        let change_service = ChangeService {
+            scene_repository: store.scenes.clone(),
+            scene_lookup: scene_lookup.clone(),
+            comparison_permits: comparison_permits.clone(),
+            parsed_scenes: parsed_scenes.clone(),
+        };
+        let correction_service = CorrectionService {
+            correction_repository: store.corrections.clone(),
+            scene_lookup: scene_lookup.clone(),
+            parsed_scenes: parsed_scenes.clone(),
+            parse_repository: store.parses.clone(),
+        };
+        let parse_service = ParseService {
+            models: models.clone(),
+            scene_repository: store.scenes.clone(),
+            scene_lookup: scene_lookup.clone(),
+            service_locks: service_locks.clone(),
+            capacity: capacity.clone(),
+            jobs: jobs.clone(),
+            parsed_scenes: parsed_scenes.clone(),
+            job_repository: store.jobs.clone(),
+            blobs: store.blobs.clone(),
+        };
+        let doctor_service = DoctorService {
+            integrity_repository: store.integrity.clone(),
+            content_repository: store.contents.clone(),
+            blobs: store.blobs.clone(),
+            parse_repository: store.parses.clone(),
+            orphan_repository: store.orphans.clone(),
+            job_repository: store.jobs.clone(),
+            parsed_scenes: parsed_scenes.clone(),
+            parse_service: parse_service.clone(),
+        };
+        let media_service = MediaService {
+            scene_lookup: scene_lookup.clone(),
+            parsed_scenes: parsed_scenes.clone(),
+            parse_cache: parse_cache.clone(),
+            drawing_lock: drawing_lock.clone(),
+            blobs: store.blobs.clone(),
+        };
+        let instance_service = InstanceService {
+            scene_lookup: scene_lookup.clone(),
+            parsed_scenes: parsed_scenes.clone(),
+            question_permits: question_permits.clone(),
+            media_service: media_service.clone(),
+        };
+        let export_service = ExportService {
+            scene_lookup: scene_lookup.clone(),
+            parsed_scenes: parsed_scenes.clone(),
+            instance_service: instance_service.clone(),
+            media_service: media_service.clone(),
+        };
+        let import_service = ImportService {
+            import_root: import_root.clone(),
+            scene_repository: store.scenes.clone(),
+            upload_permits: upload_permits.clone(),
+            capacity: capacity.clone(),
+            jobs: jobs.clone(),
+            blobs: store.blobs.clone(),
+            ids: store.ids.clone(),
+            service_locks: service_locks.clone(),
+            parse_service: parse_service.clone(),
+            scene_lookup: scene_lookup.clone(),
+            key_repository: store.keys.clone(),
+            content_repository: store.contents.clone(),
+            limits,
+            reader: reader.clone(),
+        };
+        let growth_service = GrowthService {
+            scene_repository: store.scenes.clone(),
+            blobs: store.blobs.clone(),
+            parse_repository: store.parses.clone(),
+            upload_permits: upload_permits.clone(),
+            scene_lookup: scene_lookup.clone(),
+            parsed_scenes: parsed_scenes.clone(),
+            capacity: capacity.clone(),
+            jobs: jobs.clone(),
+            import_service: import_service.clone(),
+            growth_lock: growth_lock.clone(),
+            service_locks: service_locks.clone(),
+            parse_service: parse_service.clone(),
+            reader: reader.clone(),
+            limits,
+        };
+        let health_service = HealthService {
+            last_health: last_health.clone(),
+            health_probe: store.health.clone(),
+            inference: inference.clone(),
+            jobs: jobs.clone(),
+            vlm: vlm.clone(),
+        };
+        let maintenance_service = MaintenanceService {
+            parse_cache: parse_cache.clone(),
+            recovery: store.recovery.clone(),
+            blobs: store.blobs.clone(),
+            orphan_repository: store.orphans.clone(),
+            room_index_repository: store.room_index.clone(),
+            parse_repository: store.parses.clone(),
+            service_locks: service_locks.clone(),
+            parsed_scenes: parsed_scenes.clone(),
+            reserve: store.reserve.clone(),
+            limits,
+            retention_repository: store.retention.clone(),
+            content_repository: store.contents.clone(),
+        };
+        let parse_runner = ParseRunner {
+            blobs: store.blobs.clone(),
+            parse_repository: store.parses.clone(),
+            correction_repository: store.corrections.clone(),
+            parsed_scenes: parsed_scenes.clone(),
+            health_probe: store.health.clone(),
+            ids: store.ids.clone(),
+            scene_repository: store.scenes.clone(),
+            scene_lookup: scene_lookup.clone(),
+            models: models.clone(),
+            parse_pool: parse_pool.clone(),
+            capacity: capacity.clone(),
+            metrics: metrics.clone(),
+            reader: reader.clone(),
+            service_locks: service_locks.clone(),
+        };
+        let scene_service = SceneService {
+            scene_repository: store.scenes.clone(),
+            scene_lookup: scene_lookup.clone(),
+            reserve: store.reserve.clone(),
+            answer_repository: store.answers.clone(),
+            orphan_repository: store.orphans.clone(),
+            jobs: jobs.clone(),
+            transcripts: transcripts.clone(),
+            service_locks: service_locks.clone(),
+        };
+        let stats_service = StatsService {
+            figures: figures.clone(),
+            metrics: metrics.clone(),
+            vlm: vlm.clone(),
+            limits,
+            health_service: health_service.clone(),
+            permits: permits.clone(),
+            upload_permits: upload_permits.clone(),
+            parse_cache: parse_cache.clone(),
+            picture_cache: picture_cache.clone(),
+            statistics_repository: store.statistics.clone(),
+            blobs: store.blobs.clone(),
+            spending_repository: store.spending.clone(),
+            jobs: jobs.clone(),
+        };
+        let upload_service = UploadService {
+            upload_repository: store.uploads.clone(),
+            service_locks: service_locks.clone(),
+            keyring: keyring.clone(),
+            explain,
+            blobs: store.blobs.clone(),
+            scene_repository: store.scenes.clone(),
+            capacity: capacity.clone(),
+            import_service: import_service.clone(),
+            limits,
+            jobs: jobs.clone(),
+            upload_permits: upload_permits.clone(),
+        };
+        let webhook_service = WebhookService {
+            webhook_repository: store.webhooks.clone(),
+            service_locks: service_locks.clone(),
+            named_locks: store.locks.clone(),
+            jobs: jobs.clone(),
+            batch_service: batch_service.clone(),
+        };
+        Self {
+            answers: answer_service,
+            approach: approach_service,
+            batch_runner,
+            batches: batch_service,
+            changes: change_service,
+            corrections: correction_service,
+            doctor: doctor_service,
+            exports: export_service,
+            grounding: grounding_service,
+            growth: growth_service,
+            health: health_service,
+            imports: import_service,
+            instances: instance_service,
+            maintenance: maintenance_service,
+            media: media_service,
+            naming: naming_service,
+            parse_runner,
+            parsed_scenes,
+            parses: parse_service,
+            rooms: room_search,
+            scene_lookup,
+            scenes: scene_service,
+            stats: stats_service,
+            transcripts,
+            uploads: upload_service,
+            webhooks: webhook_service,
+            keyring,
+            jobs,
+            vlm,
+            models,
+        }
+    }
+
+    /// The neural models this server was started with.
+    #[must_use]
+    pub fn loaded_models(&self) -> &[LoadedModel] {
+        &self.models.loaded
+    }
+
+    /// The vision-language model, where one is configured.
+    #[must_use]
+    pub fn vlm(&self) -> Option<&Vlm> {
+        self.vlm.as_deref()
+    }
+
+    /// The vision-language model's name.
+    #[must_use]
+    pub fn vlm_model(&self) -> Option<&str> {
+        self.vlm.as_ref().map(|vlm| vlm.name())
+    }
+}
