@@ -67,7 +67,7 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
     if config.database.vectors == Vectors::Pgvector {
         store.room_index.want_vectors().await?;
     }
-    let mut keys = Keyring::open(store.clone(), api_key.as_deref()).await?;
+    let mut keys = Keyring::open(&store, api_key.as_deref()).await?;
     if let Some(secret) = config.access.link_secret()? {
         keys = keys.with_link_secret(secret);
     }
@@ -79,7 +79,8 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
     // On an address of the network, the operator has said that anybody may ask, or there are keys.
     let is_private = config.listen.ip().is_loopback();
     let metrics = Arc::<Metrics>::default();
-    let jobs = Jobs::new(store.clone(), config.limits.max_queued_jobs).counted_by(metrics.clone());
+    let jobs =
+        Jobs::new(store.jobs.clone(), config.limits.max_queued_jobs).counted_by(metrics.clone());
     let models = tokio::task::spawn_blocking({
         let config = config.models.clone();
         move || config.load()
@@ -101,7 +102,7 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
         names: config.vlm.names.into(),
     };
     let chat = config.vlm.client(ReplayCache::Off)?.map(Arc::new);
-    let vlm = chat.clone().map(|chat| Vlm::new(chat, vlm_settings, store.clone(), metrics.clone()));
+    let vlm = chat.clone().map(|chat| Vlm::new(chat, vlm_settings, &store, metrics.clone()));
     let parsing = background::pool().context("threads for parses")?;
     let inference =
         config.models.bundles.inference_url.as_deref().filter(|_| !models.loaded.is_empty());

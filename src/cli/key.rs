@@ -118,7 +118,7 @@ impl Keys {
         let store = Store::open_beside(folder, &database.location, &blobs.home()?)
             .await
             .with_context(|| format!("the data folder {folder} (while its server runs, leave --data-dir out and ask the server)"))?;
-        let keys = Keyring::open(store.clone(), None).await?;
+        let keys = Keyring::open(&store, None).await?;
         Ok(Self::Folder(Box::new(Folder { keys, store })))
     }
 

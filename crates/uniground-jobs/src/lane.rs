@@ -55,7 +55,7 @@ impl Jobs {
             at_once: TAKEN_UP_AT_ONCE,
             wait: WAIT_AFTER_INTERRUPTIONS,
         };
-        while let Err(error) = self.store.jobs.recover_jobs(K::NAME, recovery).await {
+        while let Err(error) = self.repository.recover_jobs(K::NAME, recovery).await {
             tracing::error!(
                 kind = K::NAME,
                 error = &error as &dyn std::error::Error,
@@ -73,11 +73,10 @@ impl Jobs {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn refuse_unknown_kinds(&self, known: &[&str]) -> Result<(), StoreError> {
-        for (id, kind) in self.store.jobs.open_jobs().await? {
+        for (id, kind) in self.repository.open_jobs().await? {
             if !known.contains(&kind.as_str()) {
                 let detail = format!("this server does not know jobs of the kind {kind:?}");
-                self.store
-                    .jobs
+                self.repository
                     .finish_open_job(&id, JobState::Failed, Some(("unknown_job_kind", &detail)))
                     .await?;
             }
@@ -88,7 +87,7 @@ impl Jobs {
     async fn work<K: JobKind>(&self, kind: &Arc<K>, shutdown: &CancellationToken) {
         let bell = self.bell(K::NAME);
         while !shutdown.is_cancelled() {
-            match self.store.jobs.claim_job(K::NAME).await {
+            match self.repository.claim_job(K::NAME).await {
                 Ok(Some(job)) => {
                     let span = tracing::info_span!(
                         "job",
@@ -148,7 +147,7 @@ impl Jobs {
             Running { pulse: Arc::default(), cancel: shutdown.child_token(), row: job.into() };
         self.running().insert(id.clone(), running.clone());
         // From here on a wish to stop finds the token; what was wished before stands in the row.
-        match self.store.jobs.is_cancel_requested(&id).await {
+        match self.repository.is_cancel_requested(&id).await {
             Ok(false) => {}
             Ok(true) => running.cancel.cancel(),
             // It goes back as it came, as soon as the store takes it.
@@ -183,7 +182,7 @@ impl Jobs {
                 result = &mut work => break result,
                 _ = saving.tick() => {
                     let Pulse { stage, progress } = running.pulse();
-                    match self.store.jobs.save_job_progress(&hold, stage, progress).await {
+                    match self.repository.save_job_progress(&hold, stage, progress).await {
                         Ok(false) => {}
                         // Wished elsewhere.
                         Ok(true) => running.cancel.cancel(),
@@ -278,18 +277,18 @@ impl Jobs {
         match end {
             End::Done(message) => {
                 tracing::info!(result = message, "job done");
-                self.store.jobs.finish_job(hold, JobState::Succeeded, Some(message), None).await
+                self.repository.finish_job(hold, JobState::Succeeded, Some(message), None).await
             }
-            End::PutBack => self.store.jobs.requeue_job(hold).await,
+            End::PutBack => self.repository.requeue_job(hold).await,
             End::Again { wait, failures, progress } => {
-                self.store.jobs.requeue_job_after(hold, *wait, *failures, *progress).await
+                self.repository.requeue_job_after(hold, *wait, *failures, *progress).await
             }
             End::Cancelled => {
                 tracing::info!("job cancelled");
-                self.store.jobs.finish_job(hold, JobState::Cancelled, None, None).await
+                self.repository.finish_job(hold, JobState::Cancelled, None, None).await
             }
             End::Failed { code, detail } => {
-                self.store.jobs.finish_job(hold, JobState::Failed, None, Some((code, detail))).await
+                self.repository.finish_job(hold, JobState::Failed, None, Some((code, detail))).await
             }
         }
     }

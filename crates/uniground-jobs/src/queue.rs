@@ -8,7 +8,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
-use uniground_storage::{JobFilter, JobRow, JobState, NewJob, Queued, Store, StoreError, page};
+use uniground_storage::{
+    JobFilter, JobRepository, JobRow, JobState, NewJob, Queued, StoreError, page,
+};
 use uniground_telemetry::metrics::Metrics;
 
 #[derive(Debug, thiserror::Error)]
@@ -57,7 +59,7 @@ impl Running {
 /// The queues of all kinds. Cheap to clone.
 #[derive(Clone)]
 pub struct Jobs {
-    pub(super) store: Store,
+    pub(super) repository: JobRepository,
     /// By kind: told when a job was queued.
     bells: Arc<Mutex<HashMap<&'static str, Arc<Notify>>>>,
     running: Arc<Mutex<HashMap<String, Running>>>,
@@ -71,9 +73,9 @@ pub struct Jobs {
 impl Jobs {
     /// At most `max_queued` jobs of a kind wait.
     #[must_use]
-    pub fn new(store: Store, max_queued: u32) -> Self {
+    pub fn new(repository: JobRepository, max_queued: u32) -> Self {
         Self {
-            store,
+            repository,
             bells: Arc::default(),
             running: Arc::default(),
             followed: Followed::default(),
@@ -120,8 +122,7 @@ impl Jobs {
         self.check_room::<K>(key_id).await?;
         let payload = serde_json::to_string(payload).map_err(StoreError::from)?;
         let row = self
-            .store
-            .jobs
+            .repository
             .insert_job(subject, &NewJob { kind: K::NAME, payload: &payload, key_id, done: None })
             .await?;
         Ok(self.recorded::<K>(row))
@@ -133,13 +134,13 @@ impl Jobs {
     /// # Errors
     /// [`JobsError::QueueFull`], with the time until one more is done, by how it went lately.
     pub async fn check_room<K: JobKind>(&self, key_id: Option<&str>) -> Result<(), JobsError> {
-        let Queued { all: queued, of_key } = self.store.jobs.queued_jobs(K::NAME, key_id).await?;
+        let Queued { all: queued, of_key } = self.repository.queued_jobs(K::NAME, key_id).await?;
         let tenth = self.max_queued / 10;
         let kept_free = if key_id.is_some() && of_key >= tenth { tenth } else { 0 };
         if queued < self.max_queued - kept_free {
             return Ok(());
         }
-        let done = self.store.jobs.done_lately(K::NAME, LATELY).await?;
+        let done = self.repository.done_lately(K::NAME, LATELY).await?;
         let again_in_s = u32::try_from(LATELY.as_secs()).unwrap_or(u32::MAX) / done.max(1);
         Err(JobsError::QueueFull { queued, again_in_s: again_in_s.clamp(SOONEST_S, LATEST_S) })
     }
@@ -149,7 +150,7 @@ impl Jobs {
     /// # Errors
     /// [`JobsError::Store`].
     pub async fn cancel_all_of(&self, subject: &str) -> Result<(), JobsError> {
-        for id in self.store.jobs.open_jobs_of(subject).await? {
+        for id in self.repository.open_jobs_of(subject).await? {
             self.cancel(&id).await?;
         }
         Ok(())
@@ -172,9 +173,9 @@ impl Jobs {
     /// [`JobsError::NotFound`].
     pub async fn get(&self, id: &str) -> Result<Job, JobsError> {
         let row =
-            self.store.jobs.job(id).await?.ok_or_else(|| JobsError::NotFound { id: id.into() })?;
+            self.repository.job(id).await?.ok_or_else(|| JobsError::NotFound { id: id.into() })?;
         let ahead = match row.state {
-            JobState::Queued => Some(self.store.jobs.jobs_ahead(&row.kind, id).await?),
+            JobState::Queued => Some(self.repository.jobs_ahead(&row.kind, id).await?),
             _ => None,
         };
         Ok(Job { ahead, ..self.as_it_stands(row) })
@@ -191,7 +192,7 @@ impl Jobs {
         cursor: Option<&str>,
     ) -> Result<JobList, JobsError> {
         let (rows, next_cursor) =
-            page(self.store.jobs.jobs(filter, limit + 1, cursor).await?, limit, |row| &row.id);
+            page(self.repository.jobs(filter, limit + 1, cursor).await?, limit, |row| &row.id);
         Ok(JobList {
             jobs: rows.into_iter().map(|row| self.as_it_stands(row)).collect(),
             next_cursor,
@@ -217,9 +218,9 @@ impl Jobs {
     /// # Errors
     /// [`JobsError::NotFound`].
     pub async fn cancel(&self, id: &str) -> Result<Job, JobsError> {
-        let was_queued = self.store.jobs.cancel_queued_job(id).await?;
+        let was_queued = self.repository.cancel_queued_job(id).await?;
         if !was_queued {
-            self.store.jobs.request_cancel(id).await?;
+            self.repository.request_cancel(id).await?;
             if let Some(running) = self.running().get(id) {
                 running.cancel.cancel();
             }

@@ -57,8 +57,8 @@ impl Dependencies {
     /// [`Error::Store`]; [`Error::Io`] when the system has no threads left.
     pub async fn at_rest(store: Store, limits: Limits) -> Result<Self, Error> {
         Ok(Self {
-            jobs: Jobs::new(store.clone(), 0),
-            keyring: Keyring::open(store.clone(), None).await?,
+            jobs: Jobs::new(store.jobs.clone(), 0),
+            keyring: Keyring::open(&store, None).await?,
             store,
             limits,
             vlm: None,

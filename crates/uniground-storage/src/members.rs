@@ -488,7 +488,7 @@ fn key_of(name: &str) -> i64 {
     i64::from_be_bytes(std::array::from_fn(|i| digest[i]))
 }
 
-impl super::Store {
+impl super::JobRepository {
     /// Enters the database as another process, as a restart does. For tests of job leases.
     ///
     /// # Errors

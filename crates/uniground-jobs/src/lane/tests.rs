@@ -12,7 +12,8 @@ async fn queue(folder: &tempfile::TempDir) -> Jobs {
             &BlobHome::Folder,
         )
         .await
-        .unwrap(),
+        .unwrap()
+        .jobs,
         10,
     )
 }
@@ -104,11 +105,11 @@ async fn until(jobs: &Jobs, id: &str, done: impl Fn(&Job) -> bool) -> Job {
 async fn jobs_succeed_fail_and_panic_each_to_their_end() {
     let folder = tempfile::tempdir().unwrap();
     let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
-    let stranger = jobs.store.jobs.insert_job("s", &written("stranger", "{}")).await.unwrap().id;
+    let stranger = jobs.repository.insert_job("s", &written("stranger", "{}")).await.unwrap().id;
     jobs.refuse_unknown_kinds(&[Obedient::NAME]).await.unwrap();
     assert_eq!(jobs.get(&stranger).await.unwrap().error.unwrap().code, "unknown_job_kind");
     let unreadable =
-        jobs.store.jobs.insert_job("s", &written(Obedient::NAME, "{")).await.unwrap().id;
+        jobs.repository.insert_job("s", &written(Obedient::NAME, "{")).await.unwrap().id;
     let worker = lane(&jobs, Obedient::default(), &shutdown);
     assert_eq!(
         until(&jobs, &unreadable, |j| j.state.is_final()).await.error.unwrap().code,
@@ -156,7 +157,7 @@ async fn a_wish_to_stop_between_claim_and_start_is_not_lost() {
     let folder = tempfile::tempdir().unwrap();
     let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
     let id = submit(&jobs, "wait").await;
-    let claimed = jobs.store.jobs.claim_job(Obedient::NAME).await.unwrap().unwrap();
+    let claimed = jobs.repository.claim_job(Obedient::NAME).await.unwrap().unwrap();
     assert_eq!(
         jobs.cancel(&id).await.unwrap().state,
         JobState::Running,
@@ -171,11 +172,11 @@ async fn a_wish_to_stop_outlives_the_server() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     let id = submit(&jobs, "wait").await;
-    jobs.store.jobs.claim_job(Obedient::NAME).await.unwrap().unwrap();
+    jobs.repository.claim_job(Obedient::NAME).await.unwrap().unwrap();
     jobs.cancel(&id).await.unwrap();
     // The server dies here; the next one looks after its queue.
-    jobs.store.enter_as_new_process().await.unwrap();
-    jobs.store.jobs.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
+    jobs.repository.enter_as_new_process().await.unwrap();
+    jobs.repository.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
     assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Cancelled);
 }
 
@@ -185,21 +186,21 @@ async fn a_job_has_one_holder() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     let id = submit(&jobs, "this").await;
-    let first = Hold::of(&jobs.store.jobs.claim_job(Obedient::NAME).await.unwrap().unwrap());
-    jobs.store.jobs.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
+    let first = Hold::of(&jobs.repository.claim_job(Obedient::NAME).await.unwrap().unwrap());
+    jobs.repository.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
     assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Running, "its holder is there");
-    jobs.store.enter_as_new_process().await.unwrap();
-    jobs.store.jobs.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
+    jobs.repository.enter_as_new_process().await.unwrap();
+    jobs.repository.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
     assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Queued);
     let not_held = |written: Result<(), StoreError>| {
         assert!(matches!(written, Err(StoreError::NotHeld)), "{written:?}")
     };
-    not_held(jobs.store.jobs.save_job_progress(&first, "stage", 0.5).await.map(drop));
+    not_held(jobs.repository.save_job_progress(&first, "stage", 0.5).await.map(drop));
     not_held(
-        jobs.store.jobs.finish_job(&first, JobState::Succeeded, Some("done twice"), None).await,
+        jobs.repository.finish_job(&first, JobState::Succeeded, Some("done twice"), None).await,
     );
-    not_held(jobs.store.jobs.requeue_job(&first).await);
-    not_held(jobs.store.jobs.requeue_job_after(&first, Duration::ZERO, 1, 0.5).await);
+    not_held(jobs.repository.requeue_job(&first).await);
+    not_held(jobs.repository.requeue_job_after(&first, Duration::ZERO, 1, 0.5).await);
     let job = jobs.get(&id).await.unwrap();
     assert_eq!((job.state, job.message), (JobState::Queued, None));
 }
@@ -211,10 +212,10 @@ async fn interruptions_count_only_while_a_job_gets_no_further() {
     let jobs = queue(&folder).await;
     let id = submit(&jobs, "this").await;
     let interrupted = async |progress| {
-        let job = jobs.store.jobs.claim_job(Obedient::NAME).await.unwrap().unwrap();
-        jobs.store.jobs.save_job_progress(&Hold::of(&job), "stage", progress).await.unwrap();
-        jobs.store.enter_as_new_process().await.unwrap();
-        jobs.store.jobs.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
+        let job = jobs.repository.claim_job(Obedient::NAME).await.unwrap().unwrap();
+        jobs.repository.save_job_progress(&Hold::of(&job), "stage", progress).await.unwrap();
+        jobs.repository.enter_as_new_process().await.unwrap();
+        jobs.repository.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
         jobs.get(&id).await.unwrap().state
     };
     for step in 1_u8..30 {
@@ -222,7 +223,7 @@ async fn interruptions_count_only_while_a_job_gets_no_further() {
     }
     // Then it gets no further: it waits,
     assert_eq!(interrupted(0.1).await, JobState::Queued);
-    assert_eq!(jobs.store.jobs.claim_job(Obedient::NAME).await.unwrap(), None, "not at once again");
+    assert_eq!(jobs.repository.claim_job(Obedient::NAME).await.unwrap(), None, "not at once again");
 }
 
 #[tokio::test]
@@ -233,9 +234,9 @@ async fn a_job_that_brings_its_server_down_fails_in_the_end() {
     let recovery = JobRecovery { wait: Duration::ZERO, ..RECOVERY };
     for _ in 0..4 {
         assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Queued);
-        jobs.store.jobs.claim_job(Obedient::NAME).await.unwrap().unwrap();
-        jobs.store.enter_as_new_process().await.unwrap();
-        jobs.store.jobs.recover_jobs(Obedient::NAME, recovery).await.unwrap();
+        jobs.repository.claim_job(Obedient::NAME).await.unwrap().unwrap();
+        jobs.repository.enter_as_new_process().await.unwrap();
+        jobs.repository.recover_jobs(Obedient::NAME, recovery).await.unwrap();
     }
     assert_eq!(jobs.get(&id).await.unwrap().error.unwrap().code, "interrupted");
 }
@@ -268,7 +269,7 @@ async fn keys_take_turns() {
         jobs.submit::<Obedient>("s", &what.to_owned(), Some(key)).await.unwrap();
     }
     let mut turns = Vec::new();
-    while let Some(job) = jobs.store.jobs.claim_job(Obedient::NAME).await.unwrap() {
+    while let Some(job) = jobs.repository.claim_job(Obedient::NAME).await.unwrap() {
         turns.push(job.payload.trim_matches('"').to_owned());
     }
     assert_eq!(turns, ["a1", "b1", "a2", "b2", "a3"]);

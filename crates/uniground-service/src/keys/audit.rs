@@ -159,15 +159,7 @@ impl Keyring {
         let Done { method, path, status, request_id } = done;
         let path = path.chars().take(MAX_PATH_CHARS).collect();
         let key_id = caller.key_id().map(str::to_owned);
-        AuditEntry {
-            id: self.store.ids.new_id(),
-            at: now(),
-            key_id,
-            method,
-            path,
-            status,
-            request_id,
-        }
+        AuditEntry { id: self.ids.new_id(), at: now(), key_id, method, path, status, request_id }
     }
 
     /// What was done, newest first.
@@ -176,7 +168,7 @@ impl Keyring {
     /// [`Error::Store`].
     pub async fn audit(&self, limit: u32, cursor: Option<&str>) -> Result<AuditList, Error> {
         let (entries, next_cursor) =
-            page(self.store.keys.audit(limit + 1, cursor).await?, limit, |entry| &entry.id);
+            page(self.keys.audit(limit + 1, cursor).await?, limit, |entry| &entry.id);
         Ok(AuditList { entries, next_cursor })
     }
 }
@@ -188,9 +180,12 @@ mod tests {
     use uniground_storage::{BlobHome, Location, Store};
 
     async fn keyring(folder: &tempfile::TempDir) -> Keyring {
+        Keyring::open(&store(folder).await, None).await.unwrap()
+    }
+
+    async fn store(folder: &tempfile::TempDir) -> Store {
         let folder = Utf8Path::from_path(folder.path()).unwrap();
-        let store = Store::open(folder, &Location::Folder, &BlobHome::Folder).await.unwrap();
-        Keyring::open(store, None).await.unwrap()
+        Store::open(folder, &Location::Folder, &BlobHome::Folder).await.unwrap()
     }
 
     fn done(path: &str) -> Done {
@@ -244,8 +239,9 @@ mod tests {
     async fn entries_that_the_database_refuses_are_counted() {
         let folder = tempfile::tempdir().unwrap();
         let metrics = Arc::<Metrics>::default();
-        let keys = keyring(&folder).await.counted_by(metrics.clone());
-        keys.store.close().await;
+        let store = store(&folder).await;
+        let keys = Keyring::open(&store, None).await.unwrap().counted_by(metrics.clone());
+        store.close().await;
         let refused = keys.entry(&Caller::operator(), done("/refused"));
         let _ = keys.audit_log.push(refused).await;
         assert!(

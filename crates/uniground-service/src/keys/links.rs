@@ -179,7 +179,7 @@ mod tests {
         )
         .await
         .unwrap();
-        let keys = Keyring::open(store, Some("the servers own key")).await.unwrap();
+        let keys = Keyring::open(&store, Some("the servers own key")).await.unwrap();
         let now = Timestamp::from_second(1_700_000_000).unwrap();
         let later = |s: i64| Timestamp::from_second(1_700_000_000 + s).unwrap();
         let new = NewKey {
@@ -244,7 +244,7 @@ mod tests {
         )
         .await
         .unwrap();
-        let keys = Keyring::open(store, None).await.unwrap();
+        let keys = Keyring::open(&store, None).await.unwrap();
         let now = Timestamp::now();
         let token = keys
             .links(wanted(&[SCENE.into()]), &Caller::operator(), now)
@@ -268,7 +268,7 @@ mod tests {
         )
         .await
         .unwrap();
-        let keys = Keyring::open(store, None).await.unwrap();
+        let keys = Keyring::open(&store, None).await.unwrap();
         let refused = |paths: &[&str], expires_in_s| {
             let paths = paths.iter().map(|&path| path.to_owned()).collect();
             keys.links(LinkRequest { paths, expires_in_s }, &Caller::operator(), Timestamp::now())

@@ -23,7 +23,7 @@ use std::collections::HashMap;
 use std::num::NonZeroU32;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
-use uniground_storage::{KeyRow, Store, now, page};
+use uniground_storage::{IdGenerator, KeyRepository, KeyRow, NamedLocks, Store, now, page};
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::keys::{CreatedKey, Key, KeyList, NewKey, Scope};
 use uniground_types::numbers::zero_or_more;
@@ -146,7 +146,9 @@ impl KnownKey {
 /// All keys. Cheap to clone.
 #[derive(Clone)]
 pub struct Keyring {
-    store: Store,
+    keys: KeyRepository,
+    ids: IdGenerator,
+    locks: NamedLocks,
     /// SHA-256 of the server's own key, from its configuration.
     own: Option<Arc<str>>,
     /// By prefix.
@@ -160,7 +162,7 @@ impl Keyring {
     ///
     /// # Errors
     /// [`Error::Store`].
-    pub async fn open(store: Store, own: Option<&str>) -> Result<Self, Error> {
+    pub async fn open(store: &Store, own: Option<&str>) -> Result<Self, Error> {
         let known = store
             .keys
             .all_keys()
@@ -171,7 +173,9 @@ impl Keyring {
         let own = own.map(|key| hash_of(key).into());
         let audit_log = AuditLog::start(store.keys.audit_writer(), Arc::default());
         Ok(Self {
-            store,
+            keys: store.keys.clone(),
+            ids: store.ids.clone(),
+            locks: store.locks.clone(),
             own,
             known: Arc::new(RwLock::new(known)),
             link_secret: LinkSecret::random()?,
@@ -182,7 +186,7 @@ impl Keyring {
     /// Counts audit entries that are dropped in these metrics.
     #[must_use]
     pub fn counted_by(self, metrics: Arc<Metrics>) -> Self {
-        let audit_log = AuditLog::start(self.store.keys.audit_writer(), metrics);
+        let audit_log = AuditLog::start(self.keys.audit_writer(), metrics);
         Self { audit_log, ..self }
     }
 
@@ -192,7 +196,7 @@ impl Keyring {
     /// # Errors
     /// [`Error::Store`].
     pub async fn reload(&self) -> Result<(), Error> {
-        let rows = self.store.keys.all_keys().await?;
+        let rows = self.keys.all_keys().await?;
         let mut known = self.known.write().unwrap_or_else(PoisonError::into_inner);
         for row in rows {
             if known.get(&row.prefix).is_none_or(|key| key.row.revoked_at != row.revoked_at) {
@@ -267,12 +271,12 @@ impl Keyring {
     /// How long it has to wait, seconds, and what it may.
     pub async fn count(&self, key: &KnownKey) -> Result<Option<Allowance>, (u64, Allowance)> {
         let Some(here) = key.count()? else { return Ok(None) };
-        if !self.store.locks.is_shared() {
+        if !self.locks.is_shared() {
             return Ok(Some(here));
         }
         let per_minute = here.per_minute;
         let whole = |seconds: f64| seconds.ceil().max(0.0) as u64;
-        match self.store.keys.count_request(&key.row.id, per_minute).await {
+        match self.keys.count_request(&key.row.id, per_minute).await {
             Ok(Ok(until_full_s)) => {
                 let left =
                     ((1.0 - until_full_s / 60.0) * f64::from(per_minute) + 0.001).max(0.0) as u32;
@@ -300,9 +304,9 @@ impl Keyring {
             return;
         }
         *noted = Some(Instant::now());
-        let (store, id) = (self.store.clone(), key.row.id.clone());
+        let (keys, id) = (self.keys.clone(), key.row.id.clone());
         tokio::spawn(async move {
-            if let Err(error) = store.keys.note_key_use(&id, &now()).await {
+            if let Err(error) = keys.note_key_use(&id, &now()).await {
                 tracing::debug!(
                     error = &error as &dyn std::error::Error,
                     "when a key was last used could not be written down"
@@ -320,7 +324,7 @@ impl Keyring {
         let NewKey { name, scope, expires_at: _, requests_per_minute, max_scenes, daily_usd } = new;
         let secret = new_secret()?;
         let row = KeyRow {
-            id: self.store.ids.new_id(),
+            id: self.ids.new_id(),
             name,
             prefix: secret[..PREFIX_CHARS].to_owned(),
             hash: hash_of(&secret),
@@ -336,9 +340,10 @@ impl Keyring {
         // A task of its own: whoever asked may leave, and what is stored is known here all the
         // same.
         let (keys, new) = (self.clone(), row.clone());
-        let inserted = tokio::spawn(async move {
-            keys.store.keys.insert_key(&new).await.inspect(|()| keys.put(new))
-        });
+        let inserted =
+            tokio::spawn(
+                async move { keys.keys.insert_key(&new).await.inspect(|()| keys.put(new)) },
+            );
         inserted.await??;
         Ok(CreatedKey { key: told(row, 0.0), secret })
     }
@@ -349,7 +354,7 @@ impl Keyring {
     /// [`Error::Store`].
     pub async fn list(&self, limit: u32, cursor: Option<&str>) -> Result<KeyList, Error> {
         let (rows, next_cursor) =
-            page(self.store.keys.keys(limit + 1, cursor).await?, limit, |row| &row.id);
+            page(self.keys.keys(limit + 1, cursor).await?, limit, |row| &row.id);
         let mut keys = Vec::with_capacity(rows.len());
         for row in rows {
             keys.push(self.present(row).await?);
@@ -364,8 +369,7 @@ impl Keyring {
     pub async fn revoke(&self, id: &str) -> Result<Key, Error> {
         let (keys, key_id) = (self.clone(), id.to_owned());
         let revoked = tokio::spawn(async move {
-            keys.store
-                .keys
+            keys.keys
                 .revoke_key(&key_id)
                 .await
                 .inspect(|row| row.iter().for_each(|row| keys.put(row.clone())))
@@ -382,7 +386,7 @@ impl Keyring {
     }
 
     async fn present(&self, row: KeyRow) -> Result<Key, Error> {
-        let spent_today_usd = self.store.keys.spent_by_key(&row.id, &now()[..10]).await?;
+        let spent_today_usd = self.keys.spent_by_key(&row.id, &now()[..10]).await?;
         Ok(told(row, spent_today_usd))
     }
 }
@@ -478,7 +482,7 @@ mod tests {
         )
         .await
         .unwrap();
-        Keyring::open(store, own).await.unwrap()
+        Keyring::open(&store, own).await.unwrap()
     }
 
     fn wanted(scope: Scope) -> NewKey {
@@ -515,9 +519,10 @@ mod tests {
         assert_eq!(keys.caller(Some(&secret)).unwrap_err(), Denied::Revoked);
         assert_eq!(keys.caller(None).unwrap_err(), Denied::NoKey, "the last key locks the door");
         // Not even as the server's own.
-        let both = Keyring::open(keys.store.clone(), Some(&secret)).await.unwrap();
+        drop(keys);
+        let both = keyring(&folder, Some(&secret)).await;
         assert_eq!(both.caller(Some(&secret)).unwrap_err(), Denied::Revoked);
-        drop((keys, both));
+        drop(both);
         let data = keyring(&folder, Some("ug_the_servers_own")).await;
         assert_eq!(
             data.caller(Some(&secret)).unwrap_err(),
@@ -549,6 +554,6 @@ mod tests {
 
     async fn row_of(keys: &Keyring, new: NewKey) -> KeyRow {
         keys.create(new).await.unwrap();
-        keys.store.keys.all_keys().await.unwrap().remove(0)
+        keys.keys.all_keys().await.unwrap().remove(0)
     }
 }

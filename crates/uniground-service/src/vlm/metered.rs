@@ -14,7 +14,9 @@ use uniground_models::chat::{
     ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, OverBudget, Prices,
 };
 use uniground_models::with_causes;
-use uniground_storage::{Allowance, Short, Store, StoreError, Wish};
+use uniground_storage::{
+    Allowance, IdGenerator, Short, SpendingRepository, Store, StoreError, Wish,
+};
 use uniground_telemetry::metrics::Metrics;
 
 /// What may come of a call.
@@ -67,7 +69,8 @@ fn sign_of(answered: &Result<ChatReply, ChatFailure>) -> Option<Sign> {
 #[derive(Clone)]
 pub struct Metered {
     model: Arc<dyn ChatModel>,
-    store: Store,
+    spending: SpendingRepository,
+    ids: IdGenerator,
     metrics: Arc<Metrics>,
     circuit: Arc<Circuit>,
     /// Most that may be spent in a day (UTC), US dollars.
@@ -80,11 +83,12 @@ impl Metered {
     pub fn new(
         model: Arc<dyn ChatModel>,
         daily_usd: Option<f64>,
-        store: Store,
+        store: &Store,
         metrics: Arc<Metrics>,
     ) -> Self {
         metrics.vlm.knows(&[ANSWERED, REFUSED, UNREACHABLE, UNREADABLE, NOT_ASKED]);
-        Self { model, store, metrics, circuit: Arc::default(), daily_usd, key: None }
+        let (spending, ids) = (store.spending.clone(), store.ids.clone());
+        Self { model, spending, ids, metrics, circuit: Arc::default(), daily_usd, key: None }
     }
 
     /// The same for somebody: what calls cost is written down for them, too.
@@ -107,7 +111,7 @@ impl Metered {
         // Who leaves before the call is made has bought nothing, whether or not the money is aside
         // by then; who leaves while the model thinks has asked it all the same.
         let mut call =
-            Call { store: self.store.clone(), open: Some((self.store.ids.new_id(), 0.0)) };
+            Call { spending: self.spending.clone(), open: Some((self.ids.new_id(), 0.0)) };
         let id = call.open.as_ref().map_or("", |(id, _)| id);
         let (day, key_id) = (today(), self.key.as_ref().map(|key| &*key.row.id));
         let wish =
@@ -135,7 +139,7 @@ impl Metered {
     async fn reserve(&self, id: &str, wish: &Wish<'_>) -> Result<Result<(), Short>, StoreError> {
         let start = Instant::now();
         loop {
-            match self.store.spending.reserve_spending(id, wish).await {
+            match self.spending.reserve_spending(id, wish).await {
                 Err(error) if error.is_busy() && start.elapsed() < DATABASE_IS_BACK => {
                     sleep(LOOK_AGAIN).await
                 }
@@ -225,7 +229,7 @@ impl Drop for Counted<'_> {
 
 /// A call under way.
 struct Call {
-    store: Store,
+    spending: SpendingRepository,
     /// Its reservation, and what it is taken to cost.
     open: Option<(String, f64)>,
 }
@@ -233,7 +237,7 @@ struct Call {
 impl Call {
     async fn settle(&mut self) {
         if let Some((id, usd)) = self.open.take() {
-            settle(&self.store, &id, usd).await;
+            settle(&self.spending, &id, usd).await;
         }
     }
 }
@@ -241,15 +245,15 @@ impl Call {
 impl Drop for Call {
     fn drop(&mut self) {
         if let Some((id, usd)) = self.open.take() {
-            let store = self.store.clone();
-            tokio::spawn(async move { settle(&store, &id, usd).await });
+            let spending = self.spending.clone();
+            tokio::spawn(async move { settle(&spending, &id, usd).await });
         }
     }
 }
 
 /// What can not be settled stays reserved, and counts as spent when the server starts next.
-async fn settle(store: &Store, id: &str, usd: f64) {
-    if let Err(error) = store.spending.settle_spending(id, usd).await {
+async fn settle(spending: &SpendingRepository, id: &str, usd: f64) {
+    if let Err(error) = spending.settle_spending(id, usd).await {
         tracing::warn!(
             usd,
             error = &error as &dyn std::error::Error,

@@ -10,13 +10,13 @@ use std::sync::Arc;
 use std::time::Instant;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use uniground_models::chat::{Budget, ChatModel, Prices};
-use uniground_storage::{Store, now};
+use uniground_storage::{SpendingRepository, Store, now};
 use uniground_telemetry::metrics::Metrics;
 
 /// A model and how it is used here.
 pub struct Vlm {
     model: Metered,
-    store: Store,
+    spending: SpendingRepository,
     settings: VlmSettings,
     /// Questions that wait for the model; more are told to come back.
     places: Arc<Semaphore>,
@@ -57,11 +57,12 @@ impl Vlm {
     pub fn new(
         model: Arc<dyn ChatModel>,
         settings: VlmSettings,
-        store: Store,
+        store: &Store,
         metrics: Arc<Metrics>,
     ) -> Self {
-        let model = Metered::new(model, settings.daily_usd, store.clone(), metrics);
-        Self { model, store, settings, places: Arc::new(Semaphore::new(MAX_WAITING)) }
+        let model = Metered::new(model, settings.daily_usd, store, metrics);
+        let spending = store.spending.clone();
+        Self { model, spending, settings, places: Arc::new(Semaphore::new(MAX_WAITING)) }
     }
 
     /// Its server was looked at and can not be reached: nobody has to find out.
@@ -112,7 +113,7 @@ impl Vlm {
 
     /// US dollars, calls under way left out.
     pub(super) async fn spent_today_usd(&self) -> Result<f64, Error> {
-        Ok(self.store.spending.spent_on(&today()).await?)
+        Ok(self.spending.spent_on(&today()).await?)
     }
 
     /// What pays for a question of its own. The day's money, everybody's and a key's, is looked at
