@@ -11,7 +11,7 @@ use uniground_core::ingest::archive::UnpackLimits;
 use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::progress::Progress;
 use uniground_core::scan::{import_scan, stored_import};
-use uniground_isolation::{ChildProcess, Outcome, ScanReader, Task};
+use uniground_isolation::{ChildProcess, ScanReader, Task, TaskOutcome};
 use uniground_types::settings::ImportSettings;
 
 const TURNS: usize = 7;
@@ -92,7 +92,7 @@ fn unpack(scan: &Utf8Path, reader: &ScanReader) -> Duration {
     let task = unpacking(scan, folder(&temporary));
     let start = Instant::now();
     let outcome = reader.import(&task, &Progress::silent()).unwrap();
-    assert!(matches!(outcome, Outcome::Scan { .. }));
+    assert!(matches!(outcome, TaskOutcome::Scan { .. }));
     start.elapsed()
 }
 

@@ -1,7 +1,7 @@
 //! Composition root: configuration to parts to a running service to a clean stop. The only place
 //! that knows every part.
 
-use crate::config::{ChosenModels, Part, ServeConfig, Vectors, Work};
+use crate::config::{ChosenModels, JobType, ProcessRole, ServeConfig, Vectors};
 use crate::http::{self, AllowedHosts, App, EventStreams, Mcp, Origins};
 use anyhow::{Context, ensure};
 use std::net::SocketAddr;
@@ -18,7 +18,7 @@ use uniground_jobs::{JobKind, Jobs};
 use uniground_service::{
     BatchJob, Dependencies, Keyring, NamingJob, ParseJob, Services, Vlm, VlmSettings,
 };
-use uniground_storage::{BlobsAt, Location, News, Newsroom, Store};
+use uniground_storage::{BlobsAt, DbNotification, Location, NotificationListener, Store};
 use uniground_telemetry::metrics::Metrics;
 
 /// A service that listens.
@@ -44,12 +44,15 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
 ///
 /// # Errors
 /// As [`start`]; a part where the database is of one process.
-pub async fn start_part(config: &ServeConfig, part: &Part) -> anyhow::Result<RunningService> {
+pub async fn start_part(
+    config: &ServeConfig,
+    part: &ProcessRole,
+) -> anyhow::Result<RunningService> {
     // It holds much while it waits: whoever starts it need not hold that too.
-    Box::pin(put_together(config, part)).await
+    Box::pin(build_app(config, part)).await
 }
 
-async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<RunningService> {
+async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<RunningService> {
     ensure!(
         !part.needs_others() || matches!(config.database.location, Location::Postgres(_)),
         "a process that does a part only needs others over the same database: say --database postgres://…, or let \"uniground serve\" do everything"
@@ -130,31 +133,36 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
     services.webhooks.note_announcements(webhook.as_ref()).await?;
     // Beside others they may be of a newer version.
     if store.locks.was_alone_at_start() {
-        jobs.refuse_unknown_kinds(&Work::ALL.map(Work::kind)).await?;
+        jobs.refuse_unknown_kinds(&JobType::ALL.map(JobType::kind)).await?;
     }
-    let start = |work: &Work| match work {
-        Work::Parse => start_lane(
+    let start = |work: &JobType| match work {
+        JobType::Parse => start_lane(
             &jobs,
             ParseJob { runner: services.parse_runner.clone(), naming: services.naming.clone() },
             part.concurrency,
             &shutdown,
         ),
-        Work::Naming => {
+        JobType::Naming => {
             start_lane(&jobs, NamingJob(services.naming.clone()), part.concurrency, &shutdown)
         }
-        Work::Batch => {
+        JobType::Batch => {
             start_lane(&jobs, BatchJob(services.batch_runner.clone()), part.concurrency, &shutdown)
         }
     };
     let lanes = part.works.iter().map(start).collect();
-    tokio::spawn(keep_house(services.clone(), shutdown.clone()));
+    tokio::spawn(run_maintenance(services.clone(), shutdown.clone()));
     tokio::spawn(keep_index(services.clone(), shutdown.clone()));
     tokio::spawn(keep_reserve(store.clone(), shutdown.clone()));
     if part.serves {
         tokio::spawn(make_left_uploads(services.clone(), shutdown.clone()));
     }
-    if let Some(newsroom) = store.notifications.newsroom().await? {
-        tokio::spawn(heed_news(newsroom, jobs.clone(), services.keyring.clone(), shutdown.clone()));
+    if let Some(listen) = store.notifications.listen().await? {
+        tokio::spawn(handle_notifications(
+            listen,
+            jobs.clone(),
+            services.keyring.clone(),
+            shutdown.clone(),
+        ));
     }
     if let Some(chat) = chat {
         tokio::spawn(look_for_model(chat, services.clone()));
@@ -204,19 +212,24 @@ fn start_lane<K: JobKind>(
 }
 
 /// Does what other processes' doings ask for, as soon as they are known here.
-async fn heed_news(mut newsroom: Newsroom, jobs: Jobs, keys: Keyring, shutdown: CancellationToken) {
+async fn handle_notifications(
+    mut listen: NotificationListener,
+    jobs: Jobs,
+    keys: Keyring,
+    shutdown: CancellationToken,
+) {
     /// News may be missed, in silence too: after so long everything is looked at.
     const SILENCE: Duration = Duration::from_secs(10);
     const TROUBLE: Duration = Duration::from_secs(2);
     // As is what came before the first of them.
-    let mut news = News::Missed;
+    let mut news = DbNotification::Missed;
     loop {
         match &news {
-            News::JobWaits { kind } => jobs.ring(Some(kind)),
-            News::KeysChanged => {}
-            News::Missed => jobs.ring(None),
+            DbNotification::JobWaits { kind } => jobs.ring(Some(kind)),
+            DbNotification::KeysChanged => {}
+            DbNotification::Missed => jobs.ring(None),
         }
-        if !matches!(news, News::JobWaits { .. })
+        if !matches!(news, DbNotification::JobWaits { .. })
             && let Err(error) = keys.reload().await
         {
             tracing::warn!(
@@ -224,7 +237,7 @@ async fn heed_news(mut newsroom: Newsroom, jobs: Jobs, keys: Keyring, shutdown: 
                 "keys that others made or revoked can not be read"
             );
         }
-        let next = timeout(SILENCE, Box::pin(newsroom.next()));
+        let next = timeout(SILENCE, Box::pin(listen.next()));
         news = match shutdown.run_until_cancelled(next).await {
             None => return,
             Some(Ok(Ok(news))) => news,
@@ -234,9 +247,9 @@ async fn heed_news(mut newsroom: Newsroom, jobs: Jobs, keys: Keyring, shutdown: 
                     "news of other processes do not come in"
                 );
                 let _ = shutdown.run_until_cancelled(sleep(TROUBLE)).await;
-                News::Missed
+                DbNotification::Missed
             }
-            Some(Err(_)) => News::Missed,
+            Some(Err(_)) => DbNotification::Missed,
         };
     }
 }
@@ -262,12 +275,12 @@ async fn look_for_model(chat: Arc<ChatClient>, services: Services) {
 
 /// Removes what was kept long enough, sweeps, and looks whether what is stored is still what was
 /// written: a while after the start, and every day.
-async fn keep_house(services: Services, shutdown: CancellationToken) {
+async fn run_maintenance(services: Services, shutdown: CancellationToken) {
     const DAY: Duration = Duration::from_hours(24);
     let mut wait = Duration::from_mins(1);
     while shutdown.run_until_cancelled(sleep(wait)).await.is_some() {
         if let Some(Err(error)) =
-            shutdown.run_until_cancelled(services.maintenance.keep_house()).await
+            shutdown.run_until_cancelled(services.maintenance.run_maintenance()).await
         {
             tracing::warn!(
                 error = &error as &dyn std::error::Error,

@@ -12,7 +12,7 @@ pub use blobs::BlobsConfig;
 pub use choice::ChosenModels;
 pub use database::{DatabaseConfig, Vectors};
 pub use models::{BundlesConfig, LIBRARY_FOLDER, ModelsConfig, RuntimeConfig};
-pub use part::{Part, Role, Work, WorkerConfig};
+pub use part::{JobType, ProcessRole, Role, WorkerConfig};
 pub use registries::registries;
 pub use retention::RetentionConfig;
 pub use uniground_core::models::choice::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS};
@@ -25,7 +25,7 @@ use std::net::SocketAddr;
 use std::time::Duration;
 use uniground_core::ingest::archive::UnpackLimits;
 use uniground_core::models::chat::Prices;
-use uniground_endpoints::chat::{ChatClient, Endpoint, Patience, ReplayCache};
+use uniground_endpoints::chat::{ChatClient, Endpoint, ReplayCache, RetryPolicy};
 use uniground_isolation::{ChildProcess, ScanReader};
 use uniground_service::webhook::Webhook;
 use uniground_service::{Limits, LinkSecret, WhenNamed};
@@ -316,11 +316,11 @@ impl VlmConfig {
             "--vlm-daily-usd needs --vlm-prompt-usd and --vlm-completion-usd"
         );
         let prices = Prices { prompt_usd: *vlm_prompt_usd, completion_usd: *vlm_completion_usd };
-        let patience = Patience {
+        let patience = RetryPolicy {
             timeout: Duration::from_secs(self.vlm_timeout_s),
             attempts: self.vlm_attempts,
             backoff: Duration::from_millis(self.vlm_backoff_ms),
-            ..Patience::default()
+            ..RetryPolicy::default()
         };
         let endpoint = Endpoint {
             base_url,

@@ -7,7 +7,7 @@ use anyhow::{bail, ensure};
 use camino::Utf8PathBuf;
 use serde_json::json;
 use std::time::Instant;
-use uniground_storage::{BackedUp, Target, back_up};
+use uniground_storage::{BackupReport, BackupTarget, back_up};
 
 #[derive(Debug, clap::Args)]
 pub struct BackupArgs {
@@ -26,8 +26,8 @@ pub async fn run(BackupArgs { to, data_dir, json: as_json }: &BackupArgs) -> any
     telemetry::start_quiet();
     ensure!(!(*as_json && to == "-"), "--json: standard output is the backup itself");
     let begun = Instant::now();
-    let done = back_up(data_dir, Target::of(to)).await?;
-    let BackedUp { scenes, answers, folders, bytes, new_folders, new_bytes, left_out } = done;
+    let done = back_up(data_dir, BackupTarget::of(to)).await?;
+    let BackupReport { scenes, answers, folders, bytes, new_folders, new_bytes, left_out } = done;
     // Standard output may be the backup itself.
     eprintln!("{to}: {scenes} scenes, {answers} answers, {folders} folders, {}", size(bytes));
     eprintln!(

@@ -58,7 +58,7 @@ struct RunArgs {
 pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyhow::Result<()> {
     let client = args.server.client()?;
     let lines = lines_of(&fs::read_to_string(&args.file).with_context(|| args.file.to_string())?);
-    let mut out = Out::open(args.out.as_deref())?;
+    let mut out = ResultWriter::open(args.out.as_deref())?;
     let scene = match &args.scene {
         Some(scene) => Some(choosing::id_of(&client, scene).await?),
         None => None,
@@ -144,12 +144,12 @@ fn lines_of(text: &str) -> String {
 }
 
 /// Results that are written, and how many there are.
-struct Out {
+struct ResultWriter {
     to: Box<dyn Write>,
     lines: u32,
 }
 
-impl Out {
+impl ResultWriter {
     /// Goes on behind the last whole line.
     fn open(path: Option<&Utf8Path>) -> anyhow::Result<Self> {
         let Some(path) = path else { return Ok(Self { to: Box::new(io::stdout()), lines: 0 }) };

@@ -1,7 +1,7 @@
 //! `uniground demo`: the whole job on the sample scene, against a real server on a free loopback
 //! port.
 
-use super::private::Private;
+use super::private::PrivateServer;
 use super::{following, table};
 use crate::config::{BUILTIN, BundlesConfig, ModelsConfig};
 use crate::telemetry;
@@ -61,7 +61,8 @@ pub async fn run(args: &DemoArgs) -> anyhow::Result<()> {
         encoder: args.encoder.clone(),
         bundles: args.bundles.clone(),
     };
-    let service = Private::start(Utf8PathBuf::try_from(data.path().to_owned())?, models).await?;
+    let service =
+        PrivateServer::start(Utf8PathBuf::try_from(data.path().to_owned())?, models).await?;
     println!(
         "uniground {} on http://{}, data in a fresh folder\n",
         env!("CARGO_PKG_VERSION"),

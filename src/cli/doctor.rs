@@ -8,7 +8,7 @@ use crate::telemetry;
 use anyhow::{Context, bail, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde_json::json;
-use uniground_service::{Dependencies, Finding, Services, Trouble};
+use uniground_service::{Dependencies, Finding, FindingKind, Services};
 use uniground_storage::Store;
 
 #[derive(Debug, clap::Args)]
@@ -67,7 +67,7 @@ pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
         ),
     }
     store.close().await;
-    let harmless = |trouble: &Trouble| matches!(trouble, Trouble::StrayFile);
+    let harmless = |trouble: &FindingKind| matches!(trouble, FindingKind::StrayFile);
     let open = if *repair {
         left.iter().filter(|finding| !harmless(&finding.trouble)).count()
     } else {

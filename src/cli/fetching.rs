@@ -2,7 +2,7 @@
 //! line a file that is in place.
 
 use crate::config::{ModelsConfig, registries};
-use crate::packages::{Event, Home, PARTS, Part, Places, fetch};
+use crate::packages::{Event, InstallTarget, PARTS, PackagePart, Places, fetch};
 use anyhow::bail;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{self, IsTerminal, Write};
@@ -13,11 +13,15 @@ use uniground_core::models::neural::OnnxRuntime;
 ///
 /// # Errors
 /// How many could not be fetched, after each was told; an address of a registry that is none.
-pub fn fetch_all(parts: &[&Part], places: &Places, out: &mut dyn Write) -> anyhow::Result<()> {
+pub fn fetch_all(
+    parts: &[&PackagePart],
+    places: &Places,
+    out: &mut dyn Write,
+) -> anyhow::Result<()> {
     let registries = registries()?;
     let mut failed = Vec::new();
     for part in parts {
-        let mut shown = Shown { bar: None, out };
+        let mut shown = ProgressBarView { bar: None, out };
         let fetched = fetch(part, places, &registries, &mut |event| shown.tell(event));
         if let Some(bar) = shown.bar.take() {
             bar.finish_and_clear();
@@ -35,23 +39,23 @@ pub fn fetch_all(parts: &[&Part], places: &Places, out: &mut dyn Write) -> anyho
 
 /// What a server with these flags would use and does not find. A library that is found anywhere
 /// will do.
-pub fn wanted(config: &ModelsConfig) -> Vec<&'static Part> {
-    let is_bundle_wanted =
-        |part: &&Part| matches!(part.home, Home::Bundle(name, role) if config.wants(role, name));
-    let bundles: Vec<&Part> = PARTS.iter().filter(is_bundle_wanted).collect();
+pub fn wanted(config: &ModelsConfig) -> Vec<&'static PackagePart> {
+    let is_bundle_wanted = |part: &&PackagePart| matches!(part.home, InstallTarget::Bundle(name, role) if config.wants(role, name));
+    let bundles: Vec<&PackagePart> = PARTS.iter().filter(is_bundle_wanted).collect();
     let is_library_wanted = !bundles.is_empty()
         && config.bundles.is_usual()
         && OnnxRuntime::find(&config.bundles.runtime.settings()).is_err();
-    let library = PARTS.iter().filter(|part| is_library_wanted && part.home == Home::Library);
+    let library =
+        PARTS.iter().filter(|part| is_library_wanted && part.home == InstallTarget::Library);
     library.chain(bundles).collect()
 }
 
-struct Shown<'a> {
+struct ProgressBarView<'a> {
     bar: Option<ProgressBar>,
     out: &'a mut dyn Write,
 }
 
-impl Shown<'_> {
+impl ProgressBarView<'_> {
     fn tell(&mut self, event: Event) {
         match event {
             Event::There(folder) => self.line(&format!("{folder} is there")),

@@ -32,7 +32,8 @@ pub async fn send(
 ) -> anyhow::Result<Created> {
     let (file, bytes) = scan.bytes()?;
     let bar = bar(bytes, SENDING).with_message("uploading");
-    let sent = client.upload(reqwest::Body::wrap(Sent::of(file, bytes, bar.clone())), query).await;
+    let sent =
+        client.upload(reqwest::Body::wrap(UploadBody::of(file, bytes, bar.clone())), query).await;
     bar.finish_and_clear();
     Ok(sent?)
 }
@@ -50,7 +51,7 @@ pub async fn add(
     let (file, bytes) = scan.bytes()?;
     let bar = bar(bytes, SENDING).with_message("uploading");
     let sent = client
-        .add_frames(scene_id, world, reqwest::Body::wrap(Sent::of(file, bytes, bar.clone())))
+        .add_frames(scene_id, world, reqwest::Body::wrap(UploadBody::of(file, bytes, bar.clone())))
         .await;
     bar.finish_and_clear();
     Ok(sent?)
@@ -116,13 +117,13 @@ fn stage_of(job: &Job) -> &str {
 
 /// A file as the body of a request. Its length is told, so that a server without room says so
 /// before the first byte.
-struct Sent {
+struct UploadBody {
     stream: ReaderStream<tokio::fs::File>,
     left: u64,
     bar: ProgressBar,
 }
 
-impl Sent {
+impl UploadBody {
     fn of(file: File, bytes: u64, bar: ProgressBar) -> Self {
         Self {
             stream: ReaderStream::with_capacity(tokio::fs::File::from_std(file), 256 << 10),
@@ -132,7 +133,7 @@ impl Sent {
     }
 }
 
-impl Body for Sent {
+impl Body for UploadBody {
     type Data = Bytes;
     type Error = io::Error;
 

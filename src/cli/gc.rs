@@ -6,7 +6,7 @@ use crate::telemetry;
 use anyhow::Context;
 use camino::Utf8PathBuf;
 use serde_json::json;
-use uniground_service::{Beside, Dependencies, Services};
+use uniground_service::{Dependencies, RunMode, Services};
 use uniground_storage::Store;
 
 #[derive(Debug, clap::Args)]
@@ -43,7 +43,7 @@ pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
     let limits = LimitsConfig { retention: retention.clone(), ..LimitsConfig::default() };
     let dependencies = Dependencies::at_rest(store.clone(), limits.service_limits()).await?;
     let services = Services::new(dependencies);
-    let removed = services.maintenance.let_go(Beside::Nobody).await?;
+    let removed = services.maintenance.apply_retention(RunMode::Nobody).await?;
     let (entries, bytes) = removed
         .iter()
         .fold((0, 0), |(entries, bytes), one| (entries + one.entries, bytes + one.bytes));

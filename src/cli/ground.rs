@@ -54,7 +54,7 @@ pub struct GroundArgs {
     /// Who "me" is, and from where left and right are seen: metres, and the direction of view in
     /// degrees from +X towards +Y. Without Z, eyes are at 1.5 m
     #[arg(long, value_name = "X,Y[,Z],YAW", allow_hyphen_values = true, value_parser = eyes)]
-    observer: Option<Eyes>,
+    observer: Option<ObserverArg>,
     /// Whose coordinates --observer is in, and boxes are told in beside the scene's own
     #[arg(long, default_value = "scene", value_parser = words::frame())]
     frame: FrameChoice,
@@ -67,7 +67,7 @@ pub struct GroundArgs {
 
 /// Somebody who stands in the room, as the command line has it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Eyes {
+struct ObserverArg {
     at: [f64; 2],
     z: Option<f64>,
     yaw_deg: f64,
@@ -76,19 +76,19 @@ struct Eyes {
 /// Above a floor at zero, where nobody says.
 const EYE_HEIGHT_M: f64 = 1.5;
 
-fn eyes(text: &str) -> Result<Eyes, String> {
+fn eyes(text: &str) -> Result<ObserverArg, String> {
     let numbers: Option<Vec<f64>> = text
         .split(',')
         .map(|number| number.trim().parse().ok().filter(|number: &f64| number.is_finite()))
         .collect();
     match numbers.as_deref() {
-        Some(&[x, y, yaw_deg]) => Ok(Eyes { at: [x, y], z: None, yaw_deg }),
-        Some(&[x, y, z, yaw_deg]) => Ok(Eyes { at: [x, y], z: Some(z), yaw_deg }),
+        Some(&[x, y, yaw_deg]) => Ok(ObserverArg { at: [x, y], z: None, yaw_deg }),
+        Some(&[x, y, z, yaw_deg]) => Ok(ObserverArg { at: [x, y], z: Some(z), yaw_deg }),
         _ => Err("expected x,y,yaw or x,y,z,yaw: metres, and degrees from +X towards +Y".into()),
     }
 }
 
-impl Eyes {
+impl ObserverArg {
     fn observer(self) -> Observer {
         let [x, y] = self.at;
         Observer {
@@ -112,7 +112,7 @@ pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
         reasoner: args.reasoner,
         evidence: args.evidence,
         max_cost_usd: args.max_cost_usd,
-        observer: args.observer.map(Eyes::observer),
+        observer: args.observer.map(ObserverArg::observer),
         frame: args.frame,
         ..GroundRequest::of(&args.query)
     };

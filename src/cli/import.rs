@@ -48,7 +48,7 @@ pub struct ImportArgs {
 }
 
 /// A scan as it came in.
-struct Imported {
+struct ImportedScanInfo {
     report: ImportReport,
     frames: Vec<FrameRef>,
     /// `None`: only looked at, and it has no cloud of its own.
@@ -60,7 +60,7 @@ struct Imported {
 
 /// What is written as JSON: the report a scene keeps, and what is looked at here only.
 #[derive(Serialize)]
-struct Told<'a> {
+struct ImportOutput<'a> {
     #[serde(flatten)]
     report: &'a ImportReport,
     neighbours: Option<Neighbours>,
@@ -68,8 +68,8 @@ struct Told<'a> {
     extent_m: Option<[f32; 3]>,
 }
 
-impl<'a> Told<'a> {
-    fn of(imported: &'a Imported) -> Self {
+impl<'a> ImportOutput<'a> {
+    fn of(imported: &'a ImportedScanInfo) -> Self {
         let extent = imported.cloud.as_ref().and_then(|cloud| Aabb::around(&cloud.positions));
         Self {
             report: &imported.report,
@@ -97,8 +97,13 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
         Inspected { frames: bundle.frames, cloud: Some(bundle.cloud), report: bundle.report }
     };
     let neighbours = ingest::neighbours(&frames);
-    let imported =
-        Imported { report, frames, cloud, neighbours, seconds: begun.elapsed().as_secs_f32() };
+    let imported = ImportedScanInfo {
+        report,
+        frames,
+        cloud,
+        neighbours,
+        seconds: begun.elapsed().as_secs_f32(),
+    };
     if let Some(out) = &args.report {
         write_report(out, &args.scan, &imported)?;
     }
@@ -107,7 +112,9 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
     }
     let mut stdout = io::stdout().lock();
     match args.json {
-        true => writeln!(stdout, "{}", serde_json::to_string_pretty(&Told::of(&imported))?)?,
+        true => {
+            writeln!(stdout, "{}", serde_json::to_string_pretty(&ImportOutput::of(&imported))?)?
+        }
         false => summary(&imported)
             .iter()
             .try_for_each(|(what, value)| writeln!(stdout, "{what:<12} {value}"))?,
@@ -117,7 +124,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
 
 /// What a person wants to know, a line each.
 fn summary(
-    Imported { report, cloud, seconds, neighbours, .. }: &Imported,
+    ImportedScanInfo { report, cloud, seconds, neighbours, .. }: &ImportedScanInfo,
 ) -> Vec<(&'static str, String)> {
     let mut lines = vec![("read as", format!("{} in {seconds:.1} s", report.format))];
     let skipped = if report.frames_skipped > 0 {
@@ -179,7 +186,11 @@ const VIEWS: [(&str, &str, Orbit); 3] = [
     ("top", "From above", Orbit { width: 1024, height: 768, azimuth_deg: -90.0, tilt_deg: 0.5 }),
 ];
 
-fn write_report(out: &Utf8Path, scan: &Utf8Path, imported: &Imported) -> anyhow::Result<()> {
+fn write_report(
+    out: &Utf8Path,
+    scan: &Utf8Path,
+    imported: &ImportedScanInfo,
+) -> anyhow::Result<()> {
     ensure!(!out.as_str().is_empty(), "--report: the folder's name is empty");
     fs::create_dir_all(out).with_context(|| format!("--report {out}"))?;
     let mut pictures = Vec::new();
@@ -199,7 +210,7 @@ fn write_report(out: &Utf8Path, scan: &Utf8Path, imported: &Imported) -> anyhow:
         fs::write(out.join("frames.jpg"), jpeg(&sheet))?;
         pictures.push(("frames", "Frames over the scan"));
     }
-    fs::write(out.join("report.json"), serde_json::to_vec_pretty(&Told::of(imported))?)?;
+    fs::write(out.join("report.json"), serde_json::to_vec_pretty(&ImportOutput::of(imported))?)?;
     fs::write(out.join("index.html"), page::render(scan, &summary(imported), &pictures))?;
     Ok(())
 }

@@ -49,13 +49,13 @@ struct CreateArgs {
     #[arg(long, value_name = "USD", value_parser = words::usd)]
     daily_usd: Option<f64>,
     #[command(flatten)]
-    place: Place,
+    place: KeyTarget,
 }
 
 #[derive(Debug, clap::Args)]
 struct ListArgs {
     #[command(flatten)]
-    place: Place,
+    place: KeyTarget,
 }
 
 #[derive(Debug, clap::Args)]
@@ -63,13 +63,13 @@ struct RevokeArgs {
     /// Its id, or how its secret begins (ug_ and eight more)
     key: String,
     #[command(flatten)]
-    place: Place,
+    place: KeyTarget,
 }
 
 /// Whose keys: a running server's, or those of a data folder whose server is stopped.
 #[allow(clippy::doc_markdown)] // Help is no Markdown.
 #[derive(Debug, clap::Args)]
-struct Place {
+struct KeyTarget {
     /// Address of the server; an admin's key in UNIGROUND_API_KEY
     #[arg(long, env = "UNIGROUND_SERVER", default_value = "http://127.0.0.1:8080")]
     server: String,
@@ -89,20 +89,20 @@ struct Place {
 const PAGE: u32 = 100;
 
 /// A data folder whose server is stopped.
-struct Folder {
+struct StoppedServer {
     keys: Keyring,
     store: Store,
 }
 
 /// Where keys are made, listed and revoked.
-enum Keys {
+enum KeyStore {
     Server(Client),
-    Folder(Box<Folder>),
+    Folder(Box<StoppedServer>),
 }
 
-impl Keys {
+impl KeyStore {
     async fn of(
-        Place { server, data_dir, database, blobs, json: _ }: &Place,
+        KeyTarget { server, data_dir, database, blobs, json: _ }: &KeyTarget,
     ) -> anyhow::Result<Self> {
         match data_dir {
             Some(folder) => Self::of_folder(folder, database, blobs).await,
@@ -119,7 +119,7 @@ impl Keys {
             .await
             .with_context(|| format!("the data folder {folder} (while its server runs, leave --data-dir out and ask the server)"))?;
         let keys = Keyring::open(&store, None).await?;
-        Ok(Self::Folder(Box::new(Folder { keys, store })))
+        Ok(Self::Folder(Box::new(StoppedServer { keys, store })))
     }
 
     async fn create(&self, new: NewKey) -> anyhow::Result<CreatedKey> {
@@ -163,7 +163,7 @@ pub async fn run(args: &KeyArgs) -> anyhow::Result<()> {
     match &args.command {
         Command::Create(args) => create(args).await,
         Command::List(ListArgs { place }) => {
-            let keys = Keys::of(place).await?;
+            let keys = KeyStore::of(place).await?;
             let all = keys.all().await;
             keys.close().await;
             match place.json {
@@ -172,7 +172,7 @@ pub async fn run(args: &KeyArgs) -> anyhow::Result<()> {
             }
         }
         Command::Revoke(RevokeArgs { key, place }) => {
-            let keys = Keys::of(place).await?;
+            let keys = KeyStore::of(place).await?;
             let revoked = revoke(&keys, key).await;
             keys.close().await;
             let revoked = revoked?;
@@ -209,7 +209,7 @@ async fn create(args: &CreateArgs) -> anyhow::Result<()> {
         max_scenes: *max_scenes,
         daily_usd: *daily_usd,
     };
-    let keys = Keys::of(place).await?;
+    let keys = KeyStore::of(place).await?;
     let created = keys.create(new).await;
     keys.close().await;
     let created = created?;
@@ -226,7 +226,7 @@ async fn create(args: &CreateArgs) -> anyhow::Result<()> {
 }
 
 /// By id or by how the secret begins.
-async fn revoke(keys: &Keys, key: &str) -> anyhow::Result<Key> {
+async fn revoke(keys: &KeyStore, key: &str) -> anyhow::Result<Key> {
     let found: Vec<Key> = keys
         .all()
         .await?

@@ -4,7 +4,7 @@
 //! Its folder stays: the same bytes under the same settings are known again, by their hash, and the
 //! next question is answered at once.
 
-use super::private::Private;
+use super::private::PrivateServer;
 use super::scan_file::ScanFile;
 use super::{choosing, following, hints};
 use crate::config::{BUILTIN, BundlesConfig, ModelsConfig};
@@ -63,12 +63,13 @@ pub async fn answer(
     let cache = args.cache.clone().map_or_else(usual_cache, Ok)?;
     let service = start(&cache, args).await?;
     let answered =
-        ask(&service.client, &Asked { scan, file, hash, cache: &cache, args }, request).await;
+        ask(&service.client, &LocalQuestion { scan, file, hash, cache: &cache, args }, request)
+            .await;
     service.stop().await?;
     answered
 }
 
-struct Asked<'a> {
+struct LocalQuestion<'a> {
     scan: &'a Utf8Path,
     file: ScanFile,
     hash: String,
@@ -92,7 +93,7 @@ fn usual_cache() -> anyhow::Result<Utf8PathBuf> {
 async fn start(
     cache: &Utf8Path,
     LocalArgs { masks, encoder, bundles, .. }: &LocalArgs,
-) -> anyhow::Result<Private> {
+) -> anyhow::Result<PrivateServer> {
     let models =
         ModelsConfig { masks: masks.clone(), encoder: encoder.clone(), bundles: bundles.clone() };
     let is_used = |error: &anyhow::Error| {
@@ -100,7 +101,7 @@ async fn start(
     };
     let mut is_told = false;
     loop {
-        match Private::start(cache.to_owned(), models.clone()).await {
+        match PrivateServer::start(cache.to_owned(), models.clone()).await {
             Err(error) if is_used(&error) => {
                 if !std::mem::replace(&mut is_told, true) {
                     eprintln!(
@@ -114,7 +115,11 @@ async fn start(
     }
 }
 
-async fn ask(client: &Client, asked: &Asked<'_>, request: GroundRequest) -> anyhow::Result<Answer> {
+async fn ask(
+    client: &Client,
+    asked: &LocalQuestion<'_>,
+    request: GroundRequest,
+) -> anyhow::Result<Answer> {
     let scene = parsed(client, asked).await.map_err(|error| hints::of_scan(error, asked.scan))?;
     // Pictures are asked of the service, which is gone by then.
     let include = Some(vec![Include::Candidates, Include::Trace]);
@@ -124,7 +129,7 @@ async fn ask(client: &Client, asked: &Asked<'_>, request: GroundRequest) -> anyh
 /// The id of the scan's scene, parsed as it is wanted.
 async fn parsed(
     client: &Client,
-    Asked { scan, file, hash, cache, args }: &Asked<'_>,
+    LocalQuestion { scan, file, hash, cache, args }: &LocalQuestion<'_>,
 ) -> anyhow::Result<String> {
     let begun = Instant::now();
     give_up_others(client).await?;

@@ -10,7 +10,9 @@ use serde_json::json;
 use std::io::{self, IsTerminal};
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
-use uniground_storage::{Location, Moved, Place, Progress, move_over};
+use uniground_storage::{
+    Location, MigrationProgress, MigrationReport, StoreLocation, migrate_data,
+};
 
 #[allow(clippy::doc_markdown)] // Help is no Markdown.
 #[derive(Debug, clap::Args)]
@@ -50,18 +52,18 @@ pub async fn run(args: &MigrateArgs) -> anyhow::Result<()> {
     telemetry::start_quiet_about_statements();
     let MigrateArgs { from, from_database, to, to_database, json: as_json } = args;
     let (from, to) = (
-        Place { data_dir: from.clone(), database: from_database.clone() },
-        Place { data_dir: to.clone(), database: to_database.clone() },
+        StoreLocation { data_dir: from.clone(), database: from_database.clone() },
+        StoreLocation { data_dir: to.clone(), database: to_database.clone() },
     );
     let begun = Instant::now();
-    let shown = Arc::new(Mutex::new(Shown::default()));
+    let shown = Arc::new(Mutex::new(ProgressBarView::default()));
     let teller = shown.clone();
     let tell = move |progress| {
         if let Ok(mut shown) = teller.lock() {
             shown.tell(progress);
         }
     };
-    let moved = move_over(&from, &to, Arc::new(tell)).await;
+    let moved = migrate_data(&from, &to, Arc::new(tell)).await;
     if let Ok(mut shown) = shown.lock() {
         shown.clear();
     }
@@ -89,12 +91,12 @@ pub async fn run(args: &MigrateArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn told(place: &Place) -> String {
+fn told(place: &StoreLocation) -> String {
     format!("{} ({})", place.data_dir, place.database)
 }
 
 /// What is to be done now.
-fn next(from: &Place, to: &Place, moved: &Moved) -> String {
+fn next(from: &StoreLocation, to: &StoreLocation, moved: &MigrationReport) -> String {
     let database = if to.database == Location::Folder {
         "sqlite".to_owned()
     } else {
@@ -111,10 +113,13 @@ fn next(from: &Place, to: &Place, moved: &Moved) -> String {
     format!("{start}; when all is well, remove {old}: nothing uses it any more")
 }
 
-fn as_value(from: &Place, to: &Place, moved: &Moved) -> serde_json::Value {
-    let Moved { rows, texts_changed, files, damaged, set_aside } = moved;
-    let place =
-        |place: &Place| json!({"data_dir": place.data_dir, "database": place.database.to_string()});
+fn as_value(
+    from: &StoreLocation,
+    to: &StoreLocation,
+    moved: &MigrationReport,
+) -> serde_json::Value {
+    let MigrationReport { rows, texts_changed, files, damaged, set_aside } = moved;
+    let place = |place: &StoreLocation| json!({"data_dir": place.data_dir, "database": place.database.to_string()});
     let rows: serde_json::Map<_, _> =
         rows.iter().map(|(table, rows)| ((*table).to_owned(), (*rows).into())).collect();
     let files: Vec<_> = files
@@ -131,13 +136,13 @@ fn as_value(from: &Place, to: &Place, moved: &Moved) -> serde_json::Value {
 
 /// A bar on a terminal, a line a part elsewhere.
 #[derive(Default)]
-struct Shown {
+struct ProgressBarView {
     part: Option<String>,
     bar: Option<ProgressBar>,
 }
 
-impl Shown {
-    fn tell(&mut self, Progress { part, done, of }: Progress) {
+impl ProgressBarView {
+    fn tell(&mut self, MigrationProgress { part, done, of }: MigrationProgress) {
         let name = part.to_string();
         if self.part.as_ref() != Some(&name) {
             self.clear();

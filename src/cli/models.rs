@@ -3,7 +3,7 @@
 use super::fetching::fetch_all;
 use super::output::print_json;
 use crate::config::{BundlesConfig, LIBRARY_FOLDER};
-use crate::packages::{PARTS, Part, Places};
+use crate::packages::{PARTS, PackagePart, Places};
 use anyhow::{Context, bail, ensure};
 use camino::Utf8PathBuf;
 use clap::builder::{PossibleValue, PossibleValuesParser};
@@ -68,7 +68,7 @@ struct VerifyArgs {
 }
 
 fn parts() -> PossibleValuesParser {
-    let help = |part: &Part| format!("{} ({})", part.what, part.licence);
+    let help = |part: &PackagePart| format!("{} ({})", part.what, part.licence);
     PossibleValuesParser::new(
         PARTS.iter().map(|part| PossibleValue::new(part.name).help(help(part))),
     )
@@ -85,7 +85,7 @@ pub fn run(args: &ModelsArgs) -> anyhow::Result<()> {
 fn fetch(args: &FetchArgs) -> anyhow::Result<()> {
     let FetchArgs { parts, models, onnxruntime, json: as_json } = args;
     let places = Places { models: models.clone(), library: onnxruntime.clone() };
-    let chosen: Vec<&Part> = PARTS
+    let chosen: Vec<&PackagePart> = PARTS
         .iter()
         .filter(|part| parts.is_empty() || parts.iter().any(|name| name == part.name))
         .collect();

@@ -10,13 +10,13 @@ use camino::Utf8PathBuf;
 use std::net::{Ipv4Addr, SocketAddr};
 use uniground_client::Client;
 
-pub struct Private {
+pub struct PrivateServer {
     pub client: Client,
     pub address: SocketAddr,
     running: RunningService,
 }
 
-impl Private {
+impl PrivateServer {
     /// # Errors
     /// When the folder or a model can not be used.
     pub async fn start(data_dir: Utf8PathBuf, models: ModelsConfig) -> anyhow::Result<Self> {

@@ -6,7 +6,7 @@ use crate::telemetry;
 use anyhow::bail;
 use camino::Utf8PathBuf;
 use serde_json::json;
-use uniground_storage::{Restored, Source, check, restore};
+use uniground_storage::{BackupSource, RestoreReport, check, restore};
 
 #[derive(Debug, clap::Args)]
 pub struct RestoreArgs {
@@ -27,13 +27,13 @@ pub async fn run(
     RestoreArgs { from, data_dir, check: only_check, json: as_json }: &RestoreArgs,
 ) -> anyhow::Result<()> {
     telemetry::start_quiet();
-    let source = Source::of(from);
+    let source = BackupSource::of(from);
     let (restored, done) = match data_dir {
         _ if *only_check => (check(source).await?, format!("{from} is whole")),
         Some(data_dir) => (restore(source, data_dir).await?, format!("restored to {data_dir}")),
         None => bail!("--data-dir: where to restore to"),
     };
-    let Restored { taken_at, program, scenes, answers, folders, bytes, left_out } = restored;
+    let RestoreReport { taken_at, program, scenes, answers, folders, bytes, left_out } = restored;
     if *as_json {
         let left_out: Vec<_> =
             left_out.iter().map(|(folder, what)| json!({"folder": folder, "what": what})).collect();

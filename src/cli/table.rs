@@ -4,8 +4,8 @@ use comfy_table::{ColumnConstraint, ContentArrangement, Table, presets};
 use jiff::Timestamp;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::{Alternative, Status};
-use uniground_service::{Finding, Removed};
-use uniground_storage::{KindOfFiles, Moved};
+use uniground_service::{Finding, RetentionReport};
+use uniground_storage::{MigratedFiles, MigrationReport};
 use uniground_types::answer::Answer;
 use uniground_types::changes::{ChangedThing, Changes, MovedThing};
 use uniground_types::instances::InstanceView;
@@ -227,17 +227,17 @@ pub fn of_keys(keys: &[Key]) -> Table {
 }
 
 /// What was kept long enough.
-pub fn of_removed(removed: &[Removed]) -> Table {
+pub fn of_removed(removed: &[RetentionReport]) -> Table {
     let mut table = empty();
     table.set_header(vec!["Kind", "Entries", "Size", "Why"]);
-    for Removed { kind, entries, bytes, why } in removed {
+    for RetentionReport { kind, entries, bytes, why } in removed {
         table.add_row(vec![(*kind).to_owned(), entries.to_string(), size(*bytes), why.clone()]);
     }
     table
 }
 
 /// What was moved from one store to another; what there was none of is left out.
-pub fn of_moved(moved: &Moved) -> Table {
+pub fn of_moved(moved: &MigrationReport) -> Table {
     let mut table = empty();
     table.set_header(vec!["What", "How many", "Size", "Of it copied"]);
     for (name, rows) in moved.rows.iter().filter(|(_, rows)| *rows > 0) {
@@ -248,7 +248,7 @@ pub fn of_moved(moved: &Moved) -> Table {
             String::new(),
         ]);
     }
-    for KindOfFiles { kind, folders, bytes, copied_bytes } in
+    for MigratedFiles { kind, folders, bytes, copied_bytes } in
         moved.files.iter().filter(|kind| kind.folders > 0)
     {
         table.add_row(vec![

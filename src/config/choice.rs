@@ -26,14 +26,14 @@ pub struct ChosenModels {
 
 /// What was asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Wish<'a> {
+enum ModelChoice<'a> {
     Auto,
     Builtin,
     /// Bundles, by name or folder.
     Named(&'a str),
 }
 
-impl<'a> Wish<'a> {
+impl<'a> ModelChoice<'a> {
     /// Reads a flag; `own` is what the built-in part calls itself.
     fn of(flag: &'a str, own: &str) -> Self {
         match flag {
@@ -66,20 +66,21 @@ impl ModelsConfig {
     /// server that was.
     pub fn load(&self) -> anyhow::Result<ChosenModels> {
         let Self { masks, encoder, bundles } = self;
-        let (masks, encoder) = (Wish::of(masks, BUILTIN_MASKS), Wish::of(encoder, BUILTIN_ENCODER));
-        let mut choosing = Choosing {
+        let (masks, encoder) =
+            (ModelChoice::of(masks, BUILTIN_MASKS), ModelChoice::of(encoder, BUILTIN_ENCODER));
+        let mut choosing = ModelChooser {
             bundles,
             lying: Vec::new(),
             engine: None,
             models: Models::default(),
             warnings: Vec::new(),
         };
-        if [masks, encoder].contains(&Wish::Auto) {
+        if [masks, encoder].contains(&ModelChoice::Auto) {
             choosing.look();
         }
-        let is_named = [masks, encoder].iter().any(|wish| matches!(wish, Wish::Named(_)));
-        let lies_there = (masks == Wish::Auto && choosing.lies(Role::Masks))
-            || (encoder == Wish::Auto && choosing.lies(Role::Encoder));
+        let is_named = [masks, encoder].iter().any(|wish| matches!(wish, ModelChoice::Named(_)));
+        let lies_there = (masks == ModelChoice::Auto && choosing.lies(Role::Masks))
+            || (encoder == ModelChoice::Auto && choosing.lies(Role::Encoder));
         if is_named || lies_there {
             match bundles.engine() {
                 Ok(engine) => choosing.engine = Some(engine),
@@ -91,7 +92,7 @@ impl ModelsConfig {
         }
         let masks = choosing.choose(Role::Masks, masks).context("--masks")?;
         let encoder = choosing.choose(Role::Encoder, encoder).context("--encoder")?;
-        let Choosing { models, warnings, .. } = choosing;
+        let ModelChooser { models, warnings, .. } = choosing;
         Ok(ChosenModels { models, told: format!("masks: {masks}; encoder: {encoder}"), warnings })
     }
 
@@ -99,18 +100,18 @@ impl ModelsConfig {
     #[must_use]
     pub fn wants(&self, role: Role, bundle: &str) -> bool {
         let wish = match role {
-            Role::Masks => Wish::of(&self.masks, BUILTIN_MASKS),
-            Role::Encoder => Wish::of(&self.encoder, BUILTIN_ENCODER),
+            Role::Masks => ModelChoice::of(&self.masks, BUILTIN_MASKS),
+            Role::Encoder => ModelChoice::of(&self.encoder, BUILTIN_ENCODER),
         };
         match wish {
-            Wish::Auto => true,
-            Wish::Builtin => false,
-            Wish::Named(names) => names.split('+').any(|name| name == bundle),
+            ModelChoice::Auto => true,
+            ModelChoice::Builtin => false,
+            ModelChoice::Named(names) => names.split('+').any(|name| name == bundle),
         }
     }
 }
 
-struct Choosing<'a> {
+struct ModelChooser<'a> {
     bundles: &'a BundlesConfig,
     /// What lies in the folder of bundles, by name; only looked at where something is left to
     /// choose.
@@ -121,7 +122,7 @@ struct Choosing<'a> {
     warnings: Vec<String>,
 }
 
-impl Choosing<'_> {
+impl ModelChooser<'_> {
     fn look(&mut self) {
         let folder = &self.bundles.models;
         match list(folder) {
@@ -139,10 +140,10 @@ impl Choosing<'_> {
     }
 
     /// Loads what a role is to be done with, and tells what and why.
-    fn choose(&mut self, role: Role, wish: Wish) -> anyhow::Result<String> {
+    fn choose(&mut self, role: Role, wish: ModelChoice) -> anyhow::Result<String> {
         match wish {
-            Wish::Builtin => Ok("built in (as asked)".into()),
-            Wish::Named(names) => {
+            ModelChoice::Builtin => Ok("built in (as asked)".into()),
+            ModelChoice::Named(names) => {
                 let names_of_masks = names.split('+');
                 let names: Vec<&str> =
                     if role == Role::Masks { names_of_masks.collect() } else { vec![names] };
@@ -151,7 +152,7 @@ impl Choosing<'_> {
                 }
                 Ok(format!("{} (as asked)", names.join("+")))
             }
-            Wish::Auto => Ok(self.choose_lying(role)),
+            ModelChoice::Auto => Ok(self.choose_lying(role)),
         }
     }
 

@@ -16,7 +16,7 @@ pub enum Role {
 
 /// Work that waits in a queue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum Work {
+pub enum JobType {
     /// Scans that are cut into instances
     Parse,
     /// Scenes whose things a model names
@@ -25,7 +25,7 @@ pub enum Work {
     Batch,
 }
 
-impl Work {
+impl JobType {
     /// All there is.
     pub const ALL: [Self; 3] = [Self::Parse, Self::Naming, Self::Batch];
 
@@ -47,8 +47,8 @@ impl Work {
 #[command(mut_arg("role", |arg| arg.hide(true)))]
 pub struct WorkerConfig {
     /// Which jobs to do
-    #[arg(long, env = "UNIGROUND_KINDS", value_enum, value_delimiter = ',', default_values_t = Work::ALL, value_name = "KIND")]
-    pub kinds: Vec<Work>,
+    #[arg(long, env = "UNIGROUND_KINDS", value_enum, value_delimiter = ',', default_values_t = JobType::ALL, value_name = "KIND")]
+    pub kinds: Vec<JobType>,
     /// Jobs of each kind at once; default: 1 parse, 1 naming, 4 batches
     #[arg(long, env = "UNIGROUND_CONCURRENCY", value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
     pub concurrency: Option<u16>,
@@ -58,25 +58,25 @@ pub struct WorkerConfig {
 
 /// What a process does.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Part {
+pub struct ProcessRole {
     /// Whether it answers requests; if not, it only tells how it is.
     pub serves: bool,
-    pub works: Vec<Work>,
+    pub works: Vec<JobType>,
     /// Jobs of each kind at once, where somebody says.
     pub concurrency: Option<usize>,
 }
 
-impl From<Role> for Part {
+impl From<Role> for ProcessRole {
     fn from(role: Role) -> Self {
         let works = match role {
-            Role::All => Work::ALL.to_vec(),
+            Role::All => JobType::ALL.to_vec(),
             Role::Api => Vec::new(),
         };
         Self { serves: true, works, concurrency: None }
     }
 }
 
-impl From<&WorkerConfig> for Part {
+impl From<&WorkerConfig> for ProcessRole {
     fn from(config: &WorkerConfig) -> Self {
         Self {
             serves: false,
@@ -86,7 +86,7 @@ impl From<&WorkerConfig> for Part {
     }
 }
 
-impl Part {
+impl ProcessRole {
     /// Whether others have to do the rest.
     #[must_use]
     pub fn needs_others(&self) -> bool {

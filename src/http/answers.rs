@@ -5,7 +5,7 @@ use super::Binary;
 use super::batches::media_type_of;
 use super::extract::{Path, Query};
 use super::paging::checked;
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
@@ -63,7 +63,7 @@ pub struct ListParameters {
 pub async fn list(
     State(app): State<App>,
     Query(parameters): Query<ListParameters>,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     let ListParameters { scene_id, batch_id, status, since, until, limit, cursor, format } =
         parameters;
     let status = status.map(serde_json::to_value).transpose().map_err(Error::from)?;
@@ -76,7 +76,10 @@ pub async fn list(
     };
     if let Some(format) = format {
         if limit.is_some() || cursor.is_some() {
-            return Err(Refused::invalid("format", "gives all answers: without limit and cursor"));
+            return Err(ProblemResponse::invalid(
+                "format",
+                "gives all answers: without limit and cursor",
+            ));
         }
         let shutdown = app.shutdown.clone().cancelled_owned();
         // Who reads a long list does not keep the server from stopping.
@@ -111,7 +114,7 @@ fn time(parameter: &str, text: Option<String>) -> Result<Option<Timestamp>, Erro
 pub async fn get(
     State(app): State<App>,
     Path(answer_id): Path<String>,
-) -> Result<impl IntoResponse, Refused> {
+) -> Result<impl IntoResponse, ProblemResponse> {
     Ok((
         [(header::CONTENT_TYPE, "application/json")],
         app.services.answers.answer(&answer_id).await?,
@@ -137,7 +140,7 @@ pub async fn get(
 pub async fn picture(
     State(app): State<App>,
     Path((answer_id, picture)): Path<(String, String)>,
-) -> Result<impl IntoResponse, Refused> {
+) -> Result<impl IntoResponse, ProblemResponse> {
     Ok((
         [(header::CONTENT_TYPE, "image/jpeg")],
         app.services.answers.answer_picture(&answer_id, &picture).await?,
@@ -159,7 +162,7 @@ pub async fn picture(
 pub async fn prompt(
     State(app): State<App>,
     Path(answer_id): Path<String>,
-) -> Result<Json<AnswerPrompt>, Refused> {
+) -> Result<Json<AnswerPrompt>, ProblemResponse> {
     Ok(Json(app.services.transcripts.answer_prompt(&answer_id).await?))
 }
 
@@ -177,6 +180,6 @@ pub async fn prompt(
 pub async fn reply(
     State(app): State<App>,
     Path(answer_id): Path<String>,
-) -> Result<Json<AnswerReply>, Refused> {
+) -> Result<Json<AnswerReply>, ProblemResponse> {
     Ok(Json(app.services.transcripts.answer_reply(&answer_id).await?))
 }

@@ -1,8 +1,8 @@
 //! `/v1/scenes/{scene_id}/approach` and `/floor`
 
 use super::extract::{Json, Path, Query};
-use super::problem::Refused;
-use super::{App, Asking, Binary};
+use super::problem::ProblemResponse;
+use super::{App, Binary, CallerExtension};
 use axum::Extension;
 use axum::extract::State;
 use axum::http::header;
@@ -38,9 +38,9 @@ use utoipa::IntoParams;
 pub async fn approach(
     State(app): State<App>,
     Path(scene_id): Path<String>,
-    Extension(caller): Asking,
+    Extension(caller): CallerExtension,
     Json(request): Json<ApproachRequest>,
-) -> Result<axum::Json<Approach>, Refused> {
+) -> Result<axum::Json<Approach>, ProblemResponse> {
     Ok(axum::Json(app.services.approach.approach(&scene_id, request, caller).await?))
 }
 
@@ -77,7 +77,7 @@ pub async fn floor(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     Query(FloorParameters { height_m }): Query<FloorParameters>,
-) -> Result<axum::Json<FloorMap>, Refused> {
+) -> Result<axum::Json<FloorMap>, ProblemResponse> {
     Ok(axum::Json(app.services.approach.floor(&scene_id, height_m).await?))
 }
 
@@ -100,7 +100,7 @@ pub async fn floor_picture(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     Query(FloorParameters { height_m }): Query<FloorParameters>,
-) -> Result<impl IntoResponse, Refused> {
+) -> Result<impl IntoResponse, ProblemResponse> {
     Ok((
         [(header::CONTENT_TYPE, "image/png")],
         app.services.approach.floor_picture(&scene_id, height_m).await?,

@@ -1,14 +1,14 @@
 //! Who asks, and whether they may: keys as bearer tokens, scopes, rates. What was done is written
 //! down.
 
-use super::problem::{Refused, request_id};
+use super::problem::{ProblemResponse, request_id};
 use super::{App, Scopes};
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use jiff::Timestamp;
-use uniground_service::{Allowance, Caller, Denied, Done, LINK_PARAMETER};
+use uniground_service::{AuditedRequest, Caller, KeyRejection, LINK_PARAMETER, RateLimitStatus};
 use uniground_types::keys::Scope;
 use utoipa::Modify;
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
@@ -51,7 +51,7 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
             wanted.word()
         );
         return limited(
-            Refused::new(StatusCode::FORBIDDEN, "scope_missing", detail).into_response(),
+            ProblemResponse::new(StatusCode::FORBIDDEN, "scope_missing", detail).into_response(),
             allowance,
         );
     }
@@ -60,7 +60,8 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
     let is_noted = wanted > Scope::Read || request.uri().path() == "/v1/links";
     let noting = (is_noted && !request.method().is_safe()).then(|| {
         let (method, path) = (request.method().to_string(), request.uri().path().to_owned());
-        let done = Done { method, path, status: 0, request_id: request_id(request.headers()) };
+        let done =
+            AuditedRequest { method, path, status: 0, request_id: request_id(request.headers()) };
         app.services.keyring.noting(caller.clone(), done)
     });
     request.extensions_mut().insert(caller);
@@ -94,24 +95,24 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
     scheme.eq_ignore_ascii_case("bearer").then_some(token.trim())
 }
 
-fn unauthorized(denied: Denied) -> Response {
+fn unauthorized(denied: KeyRejection) -> Response {
     let detail = match denied {
-        Denied::NoKey | Denied::UnknownKey => {
+        KeyRejection::NoKey | KeyRejection::UnknownKey => {
             "this server wants a key: Authorization: Bearer <key>"
         }
-        Denied::Expired => "this key has expired",
-        Denied::Revoked => "this key was revoked",
-        Denied::BadLink => "this link is none of this server's, or not to this path",
-        Denied::LinkOver => "the time of this link is over: POST /v1/links makes another",
+        KeyRejection::Expired => "this key has expired",
+        KeyRejection::Revoked => "this key was revoked",
+        KeyRejection::BadLink => "this link is none of this server's, or not to this path",
+        KeyRejection::LinkOver => "the time of this link is over: POST /v1/links makes another",
     };
     let mut refused =
-        Refused::new(StatusCode::UNAUTHORIZED, "unauthorized", detail).into_response();
+        ProblemResponse::new(StatusCode::UNAUTHORIZED, "unauthorized", detail).into_response();
     refused.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
     refused
 }
 
 fn too_fast(wait_s: u64) -> Response {
-    Refused::new(
+    ProblemResponse::new(
         StatusCode::TOO_MANY_REQUESTS,
         "rate_limited",
         format!("this key asks too often: try again in {wait_s} s"),
@@ -121,8 +122,8 @@ fn too_fast(wait_s: u64) -> Response {
 }
 
 /// Tells what is left of the key's requests.
-fn limited(mut response: Response, allowance: Option<Allowance>) -> Response {
-    if let Some(Allowance { per_minute, left, reset_s }) = allowance {
+fn limited(mut response: Response, allowance: Option<RateLimitStatus>) -> Response {
+    if let Some(RateLimitStatus { per_minute, left, reset_s }) = allowance {
         let told = [
             (RATE_LIMIT_POLICY, format!("\"key\";q={per_minute};w=60")),
             (RATE_LIMIT, format!("\"key\";r={left};t={reset_s}")),
@@ -143,7 +144,7 @@ pub fn scopes() -> Scopes {
 }
 
 /// Who asks, for handlers.
-pub type Asking = axum::Extension<Caller>;
+pub type CallerExtension = axum::Extension<Caller>;
 
 /// Declares the bearer scheme in the description.
 pub struct BearerAuth;

@@ -2,16 +2,16 @@
 
 use super::extract::{IdempotencyKey, Json, Path, Query};
 use super::paging::Page;
-use super::problem::Refused;
-use super::{App, Asking};
+use super::problem::ProblemResponse;
+use super::{App, CallerExtension};
 use axum::Extension;
-use axum::body::{Body as AxumBody, BodyDataStream};
+use axum::body::{Body, BodyDataStream};
 use axum::extract::{FromRequest, Request, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::IntoResponse;
 use serde::Deserialize;
 use serde_json::{Map, Value};
-use uniground_service::{Body, LineFormat, Results, Submission};
+use uniground_service::{BatchBody, LineFormat, ResultRequest, Submission};
 use uniground_types::batch::{Batch, BatchList, BatchRequest, BatchResult};
 use uniground_types::problem::Problem;
 use utoipa::IntoParams;
@@ -59,11 +59,11 @@ pub struct CreateParameters {
 pub async fn create(
     State(app): State<App>,
     Query(CreateParameters { scene_id, label, concurrency, max_cost_usd }): Query<CreateParameters>,
-    Extension(caller): Asking,
+    Extension(caller): CallerExtension,
     IdempotencyKey(idempotency_key): IdempotencyKey,
     headers: HeaderMap,
     request: Request,
-) -> Result<(StatusCode, axum::Json<Batch>), Refused> {
+) -> Result<(StatusCode, axum::Json<Batch>), ProblemResponse> {
     let media_type = headers
         .get(header::CONTENT_TYPE)
         .and_then(|v| v.to_str().ok())
@@ -83,7 +83,7 @@ pub async fn create(
                 .batches
                 .create_batch(
                     submission,
-                    Body::Lines(request.into_body().into_data_stream()),
+                    BatchBody::Lines(request.into_body().into_data_stream()),
                     &caller,
                 )
                 .await?
@@ -94,7 +94,7 @@ pub async fn create(
                 || concurrency.is_some()
                 || max_cost_usd.is_some()
             {
-                return Err(Refused::invalid(
+                return Err(ProblemResponse::invalid(
                     "query",
                     "a JSON body says all of this itself: defaults.scene_id, label, concurrency, max_cost_usd",
                 ));
@@ -103,12 +103,12 @@ pub async fn create(
             let (submission, items) = Submission::of(request, idempotency_key);
             app.services
                 .batches
-                .create_batch(submission, Body::<BodyDataStream>::Items(items), &caller)
+                .create_batch(submission, BatchBody::<BodyDataStream>::Items(items), &caller)
                 .await?
         }
         other => {
             let detail = format!("a batch is application/json or application/jsonl, not {other:?}");
-            return Err(Refused::new(
+            return Err(ProblemResponse::new(
                 StatusCode::UNSUPPORTED_MEDIA_TYPE,
                 "unsupported_media_type",
                 detail,
@@ -132,7 +132,7 @@ pub async fn create(
 pub async fn list(
     State(app): State<App>,
     Query(page): Query<Page>,
-) -> Result<axum::Json<BatchList>, Refused> {
+) -> Result<axum::Json<BatchList>, ProblemResponse> {
     let (limit, cursor) = page.checked()?;
     Ok(axum::Json(app.services.batches.batches(limit, cursor.as_deref()).await?))
 }
@@ -151,7 +151,7 @@ pub async fn list(
 pub async fn get(
     State(app): State<App>,
     Path(batch_id): Path<String>,
-) -> Result<axum::Json<Batch>, Refused> {
+) -> Result<axum::Json<Batch>, ProblemResponse> {
     Ok(axum::Json(app.services.batches.batch(&batch_id).await?))
 }
 
@@ -189,13 +189,16 @@ pub async fn results(
     State(app): State<App>,
     Path(batch_id): Path<String>,
     Query(ResultParameters { from, format, follow }): Query<ResultParameters>,
-) -> Result<impl IntoResponse, Refused> {
+) -> Result<impl IntoResponse, ProblemResponse> {
     let shutdown = app.shutdown.clone().cancelled_owned();
-    let results =
-        app.services.batches.batch_results(Results { batch_id, from, format, follow }).await?;
+    let results = app
+        .services
+        .batches
+        .batch_results(ResultRequest { batch_id, from, format, follow })
+        .await?;
     // Who follows a batch does not keep the server from stopping.
     let results = futures::StreamExt::take_until(results, shutdown);
-    Ok(([(header::CONTENT_TYPE, media_type_of(format))], AxumBody::from_stream(results)))
+    Ok(([(header::CONTENT_TYPE, media_type_of(format))], Body::from_stream(results)))
 }
 
 /// Of things written one after the other.
@@ -222,7 +225,7 @@ pub(super) fn media_type_of(format: LineFormat) -> &'static str {
 pub async fn pause(
     State(app): State<App>,
     Path(batch_id): Path<String>,
-) -> Result<axum::Json<Batch>, Refused> {
+) -> Result<axum::Json<Batch>, ProblemResponse> {
     Ok(axum::Json(app.services.batches.pause_batch(&batch_id).await?))
 }
 
@@ -242,7 +245,7 @@ pub async fn pause(
 pub async fn resume(
     State(app): State<App>,
     Path(batch_id): Path<String>,
-) -> Result<axum::Json<Batch>, Refused> {
+) -> Result<axum::Json<Batch>, ProblemResponse> {
     Ok(axum::Json(app.services.batches.resume_batch(&batch_id).await?))
 }
 
@@ -262,6 +265,6 @@ pub async fn resume(
 pub async fn cancel(
     State(app): State<App>,
     Path(batch_id): Path<String>,
-) -> Result<axum::Json<Batch>, Refused> {
+) -> Result<axum::Json<Batch>, ProblemResponse> {
     Ok(axum::Json(app.services.batches.cancel_batch(&batch_id).await?))
 }

@@ -5,7 +5,7 @@
 //! client counts, so that a slow disk is not taken for a slow client.
 
 use super::connections::BodyProgress;
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use axum::body::{Body, Bytes};
 use axum::extract::{MatchedPath, Request};
 use axum::http::{HeaderValue, StatusCode, header};
@@ -83,12 +83,12 @@ impl MinimumRate {
         most.saturating_sub(waited).min(self.silence)
     }
 
-    fn refusal(&self) -> Refused {
+    fn refusal(&self) -> ProblemResponse {
         if let Some(bytes_per_s) = self.bytes_per_s {
             Error::UploadTooSlow { bytes_per_s, silence_s: self.silence.as_secs() }.into()
         } else {
             let detail = format!("a JSON body is sent within {} s", self.total.as_secs());
-            Refused::new(StatusCode::REQUEST_TIMEOUT, "body_too_slow", detail)
+            ProblemResponse::new(StatusCode::REQUEST_TIMEOUT, "body_too_slow", detail)
         }
     }
 }

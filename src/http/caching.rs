@@ -2,7 +2,7 @@
 //! address stays while its parse changes, so each answer has a mark (`ETag`), and whoever shows it
 //! again is told when nothing has changed.
 
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use axum::body::{Body, to_bytes};
 use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
@@ -13,7 +13,7 @@ use http_body::Body as _;
 use sha2::{Digest, Sha256};
 use tower::ServiceExt;
 use tower_http::services::ServeFile;
-use uniground_service::Download;
+use uniground_service::FileDownload;
 use uniground_service::error::Error;
 
 /// For the caller alone, and to be asked about each time.
@@ -27,7 +27,7 @@ pub async fn send_file(
     path: &Utf8Path,
     media_type: &'static str,
     asked: &HeaderMap,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     let serve = async |names: &[HeaderName]| {
         let mut request = Request::new(Body::empty());
         for name in names {
@@ -58,13 +58,13 @@ pub async fn send_file(
 
 /// A file that is here, or where else it is: only for now, so that nothing keeps the address.
 pub async fn send_download(
-    file: Download,
+    file: FileDownload,
     media_type: &'static str,
     asked: &HeaderMap,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     match file {
-        Download::Here(file) => send_file(&file, media_type, asked).await,
-        Download::There(link) => {
+        FileDownload::Here(file) => send_file(&file, media_type, asked).await,
+        FileDownload::There(link) => {
             let headers = [(header::LOCATION, link.as_str()), (header::CACHE_CONTROL, "no-store")];
             Ok((StatusCode::TEMPORARY_REDIRECT, headers).into_response())
         }
@@ -106,7 +106,7 @@ pub async fn mark(request: Request, next: Next) -> Response {
     }
     let (mut parts, body) = response.into_parts();
     let Ok(bytes) = to_bytes(body, MOST_BYTES as usize).await else {
-        return Refused::internal().into_response();
+        return ProblemResponse::internal().into_response();
     };
     let hash: String =
         Sha256::digest(&bytes).iter().take(12).map(|byte| format!("{byte:02x}")).collect();

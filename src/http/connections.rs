@@ -6,7 +6,7 @@
 //! newcomer. That is one that is idle or half way through a header, or one whose request's
 //! body comes slowly. Those whose request is being answered keep theirs.
 
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use axum::Router;
 use axum::body::{Body, Bytes};
 use axum::http::Request;
@@ -47,7 +47,8 @@ pub async fn serve(
     shutdown: CancellationToken,
 ) {
     metrics.requests.connections_limit.set(most as i64);
-    let (places, graceful) = (Places::new(most, metrics.clone()), GracefulShutdown::new());
+    let (places, graceful) =
+        (ConnectionLimiter::new(most, metrics.clone()), GracefulShutdown::new());
     loop {
         let accepted = tokio::select! {
             accepted = listener.accept() => accepted,
@@ -77,7 +78,7 @@ pub async fn serve(
 async fn connection(
     stream: TcpStream,
     router: Router,
-    place: Place,
+    place: ConnectionSlot,
     watcher: hyper_util::server::graceful::Watcher,
 ) {
     // A small answer does not wait for the acknowledgement of the one before. One that can not be
@@ -88,11 +89,11 @@ async fn connection(
     let (close, place) = (place.close.clone(), Arc::new(place));
     let service = service_fn(move |request: Request<hyper::body::Incoming>| {
         let (router, busy, mut request) =
-            (router.clone(), Busy::of(&place), request.map(Body::new));
+            (router.clone(), ActiveRequest::of(&place), request.map(Body::new));
         request.extensions_mut().insert(place.body.clone());
         async move {
             let response = router.oneshot(request).await;
-            response.map(|response| response.map(|body| Held { body, _busy: busy }))
+            response.map(|response| response.map(|body| TrackedBody { body, _busy: busy }))
         }
     });
     let served = http1::Builder::new()
@@ -111,7 +112,7 @@ async fn connection(
 /// Says that there is no room, for those who listen.
 async fn turn_away(mut stream: TcpStream, metrics: Arc<Metrics>) {
     metrics.requests.connections_refused.inc();
-    let body = Refused::no_connection().body();
+    let body = ProblemResponse::no_connection().body();
     let response = format!(
         "HTTP/1.1 503 Service Unavailable\r\ncontent-type: application/problem+json\r\nretry-after: 1\r\nconnection: close\r\ncontent-length: {}\r\n\r\n{body}",
         body.len()
@@ -121,15 +122,15 @@ async fn turn_away(mut stream: TcpStream, metrics: Arc<Metrics>) {
 
 /// Who is connected.
 #[derive(Clone)]
-struct Places {
+struct ConnectionLimiter {
     most: usize,
     /// By order of arrival.
-    taken: Arc<Mutex<BTreeMap<u64, Taken>>>,
+    taken: Arc<Mutex<BTreeMap<u64, ConnectionState>>>,
     next: Arc<AtomicU64>,
     metrics: Arc<Metrics>,
 }
 
-struct Taken {
+struct ConnectionState {
     /// Requests under way, their answers included.
     busy: usize,
     /// When it was last without one.
@@ -138,7 +139,7 @@ struct Taken {
     close: CancellationToken,
 }
 
-impl Taken {
+impl ConnectionState {
     /// Returns how long the client has kept the server waiting; `None` while the server works on
     /// its request.
     fn lag(&self, now: Instant) -> Option<Duration> {
@@ -150,8 +151,8 @@ impl Taken {
 }
 
 /// A connection's place; free again when this is dropped.
-struct Place {
-    places: Places,
+struct ConnectionSlot {
+    places: ConnectionLimiter,
     number: u64,
     body: BodyProgress,
     close: CancellationToken,
@@ -163,10 +164,10 @@ const EXPECTED_BYTES_PER_S: u64 = 16 << 10;
 
 /// The progress of the body of a connection's current request.
 #[derive(Debug, Clone, Default)]
-pub struct BodyProgress(Arc<Mutex<Arrived>>);
+pub struct BodyProgress(Arc<Mutex<BodyArrival>>);
 
 #[derive(Debug, Default)]
-struct Arrived {
+struct BodyArrival {
     bytes: u64,
     /// Time for which the server has waited for these bytes.
     waited: Duration,
@@ -175,13 +176,13 @@ struct Arrived {
 }
 
 impl BodyProgress {
-    fn arrived(&self) -> MutexGuard<'_, Arrived> {
+    fn arrived(&self) -> MutexGuard<'_, BodyArrival> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Starts over with the body of another request.
     pub fn begin(&self) {
-        *self.arrived() = Arrived::default();
+        *self.arrived() = BodyArrival::default();
     }
 
     /// Records that the server waits for the client from now on. Returns the bytes received so far
@@ -222,18 +223,18 @@ impl BodyProgress {
     }
 }
 
-impl Places {
+impl ConnectionLimiter {
     fn new(most: usize, metrics: Arc<Metrics>) -> Self {
         Self { most, taken: Arc::default(), next: Arc::default(), metrics }
     }
 
-    fn taken(&self) -> MutexGuard<'_, BTreeMap<u64, Taken>> {
+    fn taken(&self) -> MutexGuard<'_, BTreeMap<u64, ConnectionState>> {
         self.taken.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Takes a place, if need be that of the connection whose client has kept the server waiting
     /// longest. Returns `None` while all requests are being answered.
-    fn enter(&self) -> Option<Place> {
+    fn enter(&self) -> Option<ConnectionSlot> {
         let (mut taken, now) = (self.taken(), Instant::now());
         if taken.len() >= self.most {
             let slowest = taken
@@ -247,15 +248,15 @@ impl Places {
         let (body, close) = (BodyProgress::default(), CancellationToken::new());
         taken.insert(
             number,
-            Taken { busy: 0, idle_since: now, body: body.clone(), close: close.clone() },
+            ConnectionState { busy: 0, idle_since: now, body: body.clone(), close: close.clone() },
         );
         self.metrics.requests.connections.set(taken.len() as i64);
         drop(taken);
-        Some(Place { places: self.clone(), number, body, close })
+        Some(ConnectionSlot { places: self.clone(), number, body, close })
     }
 }
 
-impl Drop for Place {
+impl Drop for ConnectionSlot {
     fn drop(&mut self) {
         let mut taken = self.places.taken();
         taken.remove(&self.number);
@@ -264,10 +265,10 @@ impl Drop for Place {
 }
 
 /// A request under way.
-struct Busy(Arc<Place>);
+struct ActiveRequest(Arc<ConnectionSlot>);
 
-impl Busy {
-    fn of(place: &Arc<Place>) -> Self {
+impl ActiveRequest {
+    fn of(place: &Arc<ConnectionSlot>) -> Self {
         if let Some(taken) = place.places.taken().get_mut(&place.number) {
             taken.busy += 1;
         }
@@ -275,7 +276,7 @@ impl Busy {
     }
 }
 
-impl Drop for Busy {
+impl Drop for ActiveRequest {
     fn drop(&mut self) {
         if let Some(taken) = self.0.places.taken().get_mut(&self.0.number) {
             taken.busy -= 1;
@@ -285,12 +286,12 @@ impl Drop for Busy {
 }
 
 /// A response's body, under way until it is sent.
-struct Held {
+struct TrackedBody {
     body: Body,
-    _busy: Busy,
+    _busy: ActiveRequest,
 }
 
-impl HttpBody for Held {
+impl HttpBody for TrackedBody {
     type Data = Bytes;
     type Error = axum::Error;
 
@@ -316,14 +317,14 @@ mod tests {
 
     #[test]
     fn the_longest_idle_leaves_and_who_works_stays() {
-        let places = Places::new(2, Arc::default());
+        let places = ConnectionLimiter::new(2, Arc::default());
         let (first, second) =
             (Arc::new(places.enter().unwrap()), Arc::new(places.enter().unwrap()));
-        let working = Busy::of(&first);
+        let working = ActiveRequest::of(&first);
         let third = places.enter().unwrap();
         assert!(second.close.is_cancelled() && !first.close.is_cancelled());
         let third = Arc::new(third);
-        let also = Busy::of(&third);
+        let also = ActiveRequest::of(&third);
         assert!(places.enter().is_none(), "all have work under way");
         drop((working, also));
         assert!(places.enter().is_some() && first.close.is_cancelled());
@@ -333,28 +334,31 @@ mod tests {
 
     #[test]
     fn a_client_that_sends_its_body_slowly_leaves_before_one_that_waits_for_its_answer() {
-        let places = Places::new(3, Arc::default());
+        let places = ConnectionLimiter::new(3, Arc::default());
         let [answered, quick, slow] = [(); 3].map(|()| Arc::new(places.enter().unwrap()));
-        let _busy = [&answered, &quick, &slow].map(Busy::of);
+        let _busy = [&answered, &quick, &slow].map(ActiveRequest::of);
         for (place, bytes) in [(&quick, 100 << 20), (&slow, 1)] {
             place.body.begin();
             place.body.received(bytes);
             assert_eq!(place.body.wait().map(|(bytes, _)| bytes), Some(bytes));
             assert_eq!(place.body.wait(), None, "it is waited for already");
         }
-        let is_closed = |place: &Place| place.close.is_cancelled();
+        let is_closed = |place: &ConnectionSlot| place.close.is_cancelled();
         std::thread::sleep(Duration::from_millis(2));
         let newcomer = Arc::new(places.enter().unwrap());
         assert!(is_closed(&slow) && !is_closed(&quick) && !is_closed(&answered));
-        let _busy = Busy::of(&newcomer);
+        let _busy = ActiveRequest::of(&newcomer);
         assert!(places.enter().is_none(), "nobody else keeps the server waiting");
     }
 
     #[test]
     fn a_client_is_behind_by_what_it_would_have_sent() {
         let (progress, s, start) = (BodyProgress::default(), Duration::from_secs, Instant::now());
-        *progress.arrived() =
-            Arrived { bytes: 10 * EXPECTED_BYTES_PER_S, waited: s(8), waiting_since: Some(start) };
+        *progress.arrived() = BodyArrival {
+            bytes: 10 * EXPECTED_BYTES_PER_S,
+            waited: s(8),
+            waiting_since: Some(start),
+        };
         let after = |seconds| progress.lag(start + s(seconds));
         assert_eq!((after(1), after(5)), (None, Some(s(3))));
         progress.end();

@@ -1,8 +1,8 @@
 //! `/v1/scenes/{scene_id}/corrections` and `/annotations`
 
 use super::extract::{Json, Path};
-use super::problem::Refused;
-use super::{App, Asking};
+use super::problem::ProblemResponse;
+use super::{App, CallerExtension};
 use axum::Extension;
 use axum::extract::State;
 use axum::http::{StatusCode, header};
@@ -36,9 +36,9 @@ use uniground_types::problem::Problem;
 pub async fn create(
     State(app): State<App>,
     Path(scene_id): Path<String>,
-    Extension(caller): Asking,
+    Extension(caller): CallerExtension,
     Json(change): Json<Change>,
-) -> Result<(StatusCode, axum::Json<Correction>), Refused> {
+) -> Result<(StatusCode, axum::Json<Correction>), ProblemResponse> {
     Ok((
         StatusCode::CREATED,
         axum::Json(app.services.corrections.correct(&scene_id, change, &caller).await?),
@@ -61,7 +61,7 @@ pub async fn create(
 pub async fn list(
     State(app): State<App>,
     Path(scene_id): Path<String>,
-) -> Result<axum::Json<CorrectionList>, Refused> {
+) -> Result<axum::Json<CorrectionList>, ProblemResponse> {
     Ok(axum::Json(app.services.corrections.corrections(&scene_id).await?))
 }
 
@@ -82,7 +82,7 @@ pub async fn list(
 pub async fn undo(
     State(app): State<App>,
     Path((scene_id, correction_id)): Path<(String, String)>,
-) -> Result<axum::Json<Correction>, Refused> {
+) -> Result<axum::Json<Correction>, ProblemResponse> {
     Ok(axum::Json(app.services.corrections.undo_correction(&scene_id, &correction_id).await?))
 }
 
@@ -102,7 +102,7 @@ pub async fn undo(
 pub async fn annotations(
     State(app): State<App>,
     Path(scene_id): Path<String>,
-) -> Result<impl IntoResponse, Refused> {
+) -> Result<impl IntoResponse, ProblemResponse> {
     let truth = app.services.corrections.ground_truth(&scene_id).await?;
     let name = format!("attachment; filename=\"{}.scene.json\"", truth.scene_id);
     Ok(([(header::CONTENT_DISPOSITION, name)], axum::Json(truth)))

@@ -2,7 +2,7 @@
 
 use super::caching::send_bytes;
 use super::extract::{Path, Query};
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use super::{App, Binary};
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, header};
@@ -57,7 +57,7 @@ pub async fn export(
     Path(scene_id): Path<String>,
     Query(ExportParameters { format, points }): Query<ExportParameters>,
     asked: HeaderMap,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     let ExportFile { name, bytes, fingerprint } =
         app.services.exports.export(&scene_id, format, points).await?;
     let mut response = send_bytes(bytes, &fingerprint, format.media_type(), &asked);

@@ -1,6 +1,6 @@
 //! Extractors that fail with a [`Problem`] naming the field.
 
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use axum::body::to_bytes;
 use axum::extract::{FromRequest, FromRequestParts, Request};
 use axum::http::request::Parts;
@@ -14,9 +14,9 @@ const MAX_JSON_BYTES: usize = 1 << 20;
 pub struct Json<T>(pub T);
 
 impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
-    type Rejection = Refused;
+    type Rejection = ProblemResponse;
 
-    async fn from_request(request: Request, _state: &S) -> Result<Self, Refused> {
+    async fn from_request(request: Request, _state: &S) -> Result<Self, ProblemResponse> {
         let media_type = request
             .headers()
             .get(header::CONTENT_TYPE)
@@ -25,21 +25,21 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
         let essence = media_type.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
         if essence != "application/json" {
             let detail = format!("the body must be application/json, not {essence:?}");
-            return Err(Refused::new(
+            return Err(ProblemResponse::new(
                 StatusCode::UNSUPPORTED_MEDIA_TYPE,
                 "unsupported_media_type",
                 detail,
             ));
         }
         let bytes = to_bytes(request.into_body(), MAX_JSON_BYTES).await.map_err(|_| {
-            Refused::new(
+            ProblemResponse::new(
                 StatusCode::PAYLOAD_TOO_LARGE,
                 "body_too_large",
                 format!("a JSON body has at most {MAX_JSON_BYTES} bytes"),
             )
         })?;
         if holds_nul(&bytes) {
-            return Err(Refused::invalid(
+            return Err(ProblemResponse::invalid(
                 "body",
                 "a text holds a NUL character, which no text has",
             ));
@@ -54,9 +54,9 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
                 .collect();
             match error.inner().classify() {
                 serde_json::error::Category::Data => {
-                    Refused::invalid(pointer, error.inner().to_string())
+                    ProblemResponse::invalid(pointer, error.inner().to_string())
                 }
-                _ => Refused::new(
+                _ => ProblemResponse::new(
                     StatusCode::BAD_REQUEST,
                     "malformed_json",
                     error.inner().to_string(),
@@ -64,7 +64,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
             }
         })?;
         reader.end().map_err(|error| {
-            Refused::new(StatusCode::BAD_REQUEST, "malformed_json", error.to_string())
+            ProblemResponse::new(StatusCode::BAD_REQUEST, "malformed_json", error.to_string())
         })?;
         Ok(Self(value))
     }
@@ -87,11 +87,14 @@ fn names_nul(parts: &Parts) -> bool {
 pub struct Query<T>(pub T);
 
 impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
-    type Rejection = Refused;
+    type Rejection = ProblemResponse;
 
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Refused> {
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ProblemResponse> {
         if names_nul(parts) {
-            return Err(Refused::invalid("query", "it holds a NUL character, which no text has"));
+            return Err(ProblemResponse::invalid(
+                "query",
+                "it holds a NUL character, which no text has",
+            ));
         }
         match axum::extract::Query::<T>::from_request_parts(parts, state).await {
             Ok(axum::extract::Query(value)) => Ok(Self(value)),
@@ -99,7 +102,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
                 let reason = std::error::Error::source(&rejection)
                     .map_or_else(|| rejection.body_text(), ToString::to_string);
                 let (parameter, detail) = reason.split_once(": ").unwrap_or(("query", &reason));
-                Err(Refused::invalid(parameter, detail))
+                Err(ProblemResponse::invalid(parameter, detail))
             }
         }
     }
@@ -109,11 +112,11 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
 pub struct Path<T>(pub T);
 
 impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for Path<T> {
-    type Rejection = Refused;
+    type Rejection = ProblemResponse;
 
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Refused> {
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ProblemResponse> {
         if names_nul(parts) {
-            return Err(Refused::new(
+            return Err(ProblemResponse::new(
                 StatusCode::NOT_FOUND,
                 "not_found",
                 "nothing has a name with a NUL character",
@@ -122,7 +125,7 @@ impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for Path<T>
         match axum::extract::Path::<T>::from_request_parts(parts, state).await {
             Ok(axum::extract::Path(value)) => Ok(Self(value)),
             Err(rejection) => {
-                Err(Refused::new(StatusCode::NOT_FOUND, "not_found", rejection.body_text()))
+                Err(ProblemResponse::new(StatusCode::NOT_FOUND, "not_found", rejection.body_text()))
             }
         }
     }
@@ -135,9 +138,9 @@ const MAX_IDEMPOTENCY_KEY_BYTES: usize = 255;
 pub struct IdempotencyKey(pub Option<String>);
 
 impl<S: Send + Sync> FromRequestParts<S> for IdempotencyKey {
-    type Rejection = Refused;
+    type Rejection = ProblemResponse;
 
-    async fn from_request_parts(parts: &mut Parts, _state: &S) -> Result<Self, Refused> {
+    async fn from_request_parts(parts: &mut Parts, _state: &S) -> Result<Self, ProblemResponse> {
         let mut headers = parts.headers.get_all("idempotency-key").iter();
         let Some(key) = headers.next() else { return Ok(Self(None)) };
         let is_visible = |byte: &u8| byte.is_ascii_graphic() || *byte == b' ';
@@ -145,7 +148,7 @@ impl<S: Send + Sync> FromRequestParts<S> for IdempotencyKey {
             && key.as_bytes().iter().all(is_visible);
         match key.to_str() {
             Ok(key) if is_key && headers.next().is_none() => Ok(Self(Some(key.to_owned()))),
-            _ => Err(Refused::invalid(
+            _ => Err(ProblemResponse::invalid(
                 "Idempotency-Key",
                 format!(
                     "must be sent once and have 1 to {MAX_IDEMPOTENCY_KEY_BYTES} visible ASCII characters"
@@ -160,7 +163,7 @@ mod tests {
     use super::*;
     use axum::http::HeaderValue;
 
-    async fn key_of(values: &[&[u8]]) -> Result<Option<String>, Refused> {
+    async fn key_of(values: &[&[u8]]) -> Result<Option<String>, ProblemResponse> {
         let (mut parts, ()) = Request::new(()).into_parts();
         for value in values {
             parts.headers.append("idempotency-key", HeaderValue::from_bytes(value).unwrap());

@@ -2,7 +2,7 @@
 
 use super::App;
 use super::extract::{Path, Query};
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use axum::extract::State;
 use axum::http::header;
 use axum::response::IntoResponse;
@@ -53,7 +53,7 @@ pub async fn get(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     Query(GraphParameters { format, level, around }): Query<GraphParameters>,
-) -> Result<impl IntoResponse, Refused> {
+) -> Result<impl IntoResponse, ProblemResponse> {
     let graph = app.services.instances.graph(&scene_id, level, around.map(InstanceId)).await?;
     let (media_type, body) = written(&graph, format)?;
     Ok(([(header::CONTENT_TYPE, media_type)], body))

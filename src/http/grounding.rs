@@ -1,8 +1,8 @@
 //! `/v1/scenes/{scene_id}/ground` and `/shortlist`, and `/v1/ground`
 
 use super::extract::{IdempotencyKey, Json, Path};
-use super::problem::Refused;
-use super::{App, Asking};
+use super::problem::ProblemResponse;
+use super::{App, CallerExtension};
 use axum::Extension;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue};
@@ -43,10 +43,10 @@ use uniground_types::question::{GroundRequest, ShortlistRequest};
 pub async fn ground(
     State(app): State<App>,
     Path(scene_id): Path<String>,
-    Extension(caller): Asking,
+    Extension(caller): CallerExtension,
     IdempotencyKey(key): IdempotencyKey,
     Json(request): Json<GroundRequest>,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     let Some(key) = key else {
         return Ok(axum::Json(app.services.grounding.ground(&scene_id, request, caller).await?)
             .into_response());
@@ -85,13 +85,13 @@ pub async fn ground(
 )]
 pub async fn ground_many(
     State(app): State<App>,
-    Extension(caller): Asking,
+    Extension(caller): CallerExtension,
     headers: HeaderMap,
     Json(request): Json<ManyGroundRequest>,
-) -> Result<axum::Json<ManyAnswers>, Refused> {
+) -> Result<axum::Json<ManyAnswers>, ProblemResponse> {
     // Better than to pay twice for who believes that it is heeded.
     if headers.contains_key("idempotency-key") {
-        return Err(Refused::invalid(
+        return Err(ProblemResponse::invalid(
             "Idempotency-Key",
             "questions about many scenes take none: what was answered is in /v1/answers",
         ));
@@ -121,6 +121,6 @@ pub async fn shortlist(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     Json(request): Json<ShortlistRequest>,
-) -> Result<axum::Json<Shortlisted>, Refused> {
+) -> Result<axum::Json<Shortlisted>, ProblemResponse> {
     Ok(axum::Json(app.services.grounding.shortlist(&scene_id, request).await?))
 }

@@ -2,9 +2,9 @@
 
 use super::Binary;
 use super::extract::{IdempotencyKey, Path, Query};
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use super::scenes::file_of_form;
-use super::{App, Asking};
+use super::{App, CallerExtension};
 use axum::Extension;
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, StatusCode};
@@ -65,11 +65,11 @@ pub async fn add_frames(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     Query(AddParameters { world }): Query<AddParameters>,
-    Extension(caller): Asking,
+    Extension(caller): CallerExtension,
     IdempotencyKey(idempotency_key): IdempotencyKey,
     headers: HeaderMap,
     request: Request,
-) -> Result<(StatusCode, axum::Json<Created>), Refused> {
+) -> Result<(StatusCode, axum::Json<Created>), ProblemResponse> {
     let header = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
     let announced_bytes =
         header("content-length").and_then(|bytes| bytes.parse().ok()).unwrap_or(0);
@@ -123,7 +123,7 @@ pub async fn changes(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     Query(ChangesParameters { since, to, align }): Query<ChangesParameters>,
-) -> Result<axum::Json<SceneChanges>, Refused> {
+) -> Result<axum::Json<SceneChanges>, ProblemResponse> {
     let changes = match (since, to) {
         (Some(_), Some(_)) => {
             return Err(Error::invalid("/to", "ask for since or for to, not for both").into());

@@ -2,7 +2,7 @@
 //! own name point to this machine; its requests then carry that name, and are refused.
 
 use super::App;
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use axum::extract::{Request, State};
 use axum::http::uri::Authority;
 use axum::http::{StatusCode, header};
@@ -41,7 +41,7 @@ pub async fn check(State(app): State<App>, request: Request, next: Next) -> Resp
                 "this server is not {}: start it with --allowed-host, or with a key",
                 host.host()
             );
-            Refused::new(StatusCode::MISDIRECTED_REQUEST, "host_not_allowed", detail)
+            ProblemResponse::new(StatusCode::MISDIRECTED_REQUEST, "host_not_allowed", detail)
                 .into_response()
         }
         _ => next.run(request).await,

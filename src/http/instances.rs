@@ -4,7 +4,7 @@ use super::App;
 use super::Binary;
 use super::extract::{Path, Query};
 use super::looks::send_picture;
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
@@ -54,9 +54,9 @@ pub async fn list(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     Query(ListParameters { limit, cursor, level }): Query<ListParameters>,
-) -> Result<Json<InstanceList>, Refused> {
+) -> Result<Json<InstanceList>, ProblemResponse> {
     if !(1..=1000).contains(&limit) {
-        return Err(Refused::invalid("limit", "must be 1 to 1000"));
+        return Err(ProblemResponse::invalid("limit", "must be 1 to 1000"));
     }
     Ok(Json(app.services.instances.instances(&scene_id, level, limit, cursor).await?))
 }
@@ -77,7 +77,7 @@ pub async fn list(
 pub async fn get(
     State(app): State<App>,
     Path((scene_id, instance_id)): Path<(String, u32)>,
-) -> Result<Json<InstanceView>, Refused> {
+) -> Result<Json<InstanceView>, ProblemResponse> {
     Ok(Json(app.services.instances.instance(&scene_id, InstanceId(instance_id)).await?))
 }
 
@@ -111,10 +111,10 @@ pub async fn view(
     Path((scene_id, instance_id, view)): Path<(String, u32, String)>,
     Query(ViewParameters { picture }): Query<ViewParameters>,
     asked: HeaderMap,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     let number = view.strip_suffix(".jpg").and_then(|k| k.parse().ok());
     let number = number.ok_or_else(|| {
-        Refused::new(
+        ProblemResponse::new(
             StatusCode::NOT_FOUND,
             "view_not_found",
             format!("views are 0.jpg, 1.jpg, ...; not {view:?}"),

@@ -3,7 +3,7 @@
 use super::App;
 use super::extract::{Path, Query};
 use super::paging::{DEFAULT_LIMIT, checked};
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
@@ -64,7 +64,7 @@ pub struct ListParameters {
 pub async fn list(
     State(app): State<App>,
     Query(parameters): Query<ListParameters>,
-) -> Result<Json<JobList>, Refused> {
+) -> Result<Json<JobList>, ProblemResponse> {
     let ListParameters { kind, state, subject, limit, cursor } = parameters;
     let (limit, cursor) = checked(limit.unwrap_or(DEFAULT_LIMIT), cursor)?;
     let filter = JobFilter { kind, state, subject };
@@ -82,7 +82,10 @@ pub async fn list(
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn get(State(app): State<App>, Path(job_id): Path<String>) -> Result<Json<Job>, Refused> {
+pub async fn get(
+    State(app): State<App>,
+    Path(job_id): Path<String>,
+) -> Result<Json<Job>, ProblemResponse> {
     Ok(Json(app.services.jobs.get(&job_id).await.map_err(Error::from)?))
 }
 
@@ -101,7 +104,7 @@ pub async fn get(State(app): State<App>, Path(job_id): Path<String>) -> Result<J
 pub async fn cancel(
     State(app): State<App>,
     Path(job_id): Path<String>,
-) -> Result<(StatusCode, Json<Job>), Refused> {
+) -> Result<(StatusCode, Json<Job>), ProblemResponse> {
     Ok((StatusCode::ACCEPTED, Json(app.services.jobs.cancel(&job_id).await.map_err(Error::from)?)))
 }
 
@@ -123,12 +126,12 @@ pub async fn events(
     State(app): State<App>,
     Path(job_id): Path<String>,
     headers: HeaderMap,
-) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Refused> {
+) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, ProblemResponse> {
     // First: who is turned away costs nothing.
     let place = app.event_streams.place()?;
     let job = app.services.jobs.follow(&job_id).await.map_err(Error::from)?;
     let seen = headers.get("last-event-id").and_then(|v| v.to_str().ok()).map(str::to_owned);
-    let following = Following { job, seen, shutdown: app.shutdown };
+    let following = JobStream { job, seen, shutdown: app.shutdown };
     let stream = stream::unfold(Some(following), move |following| {
         // The place is the stream's: free when it ends.
         let _ = &place;
@@ -138,7 +141,7 @@ pub async fn events(
 }
 
 /// One who follows a job.
-struct Following {
+struct JobStream {
     job: watch::Receiver<Job>,
     /// The last moment told.
     seen: Option<String>,
@@ -147,8 +150,8 @@ struct Following {
 
 /// The next event the caller has not seen, and who goes on to follow then; `None` ends the stream.
 async fn next_event(
-    mut following: Following,
-) -> Option<(Result<Event, Infallible>, Option<Following>)> {
+    mut following: JobStream,
+) -> Option<(Result<Event, Infallible>, Option<JobStream>)> {
     loop {
         if following.shutdown.is_cancelled() {
             return None;

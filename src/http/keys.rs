@@ -3,7 +3,7 @@
 use super::App;
 use super::extract::{Json, Path, Query};
 use super::paging::Page;
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use axum::extract::State;
 use axum::http::StatusCode;
 use uniground_types::keys::{AuditList, CreatedKey, Key, KeyList, NewKey};
@@ -29,11 +29,11 @@ use uniground_types::problem::Problem;
 pub async fn create(
     State(app): State<App>,
     Json(new): Json<NewKey>,
-) -> Result<(StatusCode, axum::Json<CreatedKey>), Refused> {
+) -> Result<(StatusCode, axum::Json<CreatedKey>), ProblemResponse> {
     // Where anybody may ask, a stranger would lock everybody else out.
     if app.allowed_hosts.is_none() && !app.services.keyring.is_wanted() {
         let detail = "the first key of a server that others can reach is made by hand: uniground key create --data-dir";
-        return Err(Refused::new(StatusCode::FORBIDDEN, "first_key_by_hand", detail));
+        return Err(ProblemResponse::new(StatusCode::FORBIDDEN, "first_key_by_hand", detail));
     }
     Ok((StatusCode::CREATED, axum::Json(app.services.keyring.create(new).await?)))
 }
@@ -53,7 +53,7 @@ pub async fn create(
 pub async fn list(
     State(app): State<App>,
     Query(page): Query<Page>,
-) -> Result<axum::Json<KeyList>, Refused> {
+) -> Result<axum::Json<KeyList>, ProblemResponse> {
     let (limit, cursor) = page.checked()?;
     Ok(axum::Json(app.services.keyring.list(limit, cursor.as_deref()).await?))
 }
@@ -74,7 +74,7 @@ pub async fn list(
 pub async fn revoke(
     State(app): State<App>,
     Path(key_id): Path<String>,
-) -> Result<axum::Json<Key>, Refused> {
+) -> Result<axum::Json<Key>, ProblemResponse> {
     Ok(axum::Json(app.services.keyring.revoke(&key_id).await?))
 }
 
@@ -94,7 +94,7 @@ pub async fn revoke(
 pub async fn audit(
     State(app): State<App>,
     Query(page): Query<Page>,
-) -> Result<axum::Json<AuditList>, Refused> {
+) -> Result<axum::Json<AuditList>, ProblemResponse> {
     let (limit, cursor) = page.checked()?;
     Ok(axum::Json(app.services.keyring.audit(limit, cursor.as_deref()).await?))
 }

@@ -1,8 +1,8 @@
 //! `/v1/links`
 
 use super::extract::Json;
-use super::problem::Refused;
-use super::{App, Asking};
+use super::problem::ProblemResponse;
+use super::{App, CallerExtension};
 use axum::Extension;
 use axum::extract::State;
 use jiff::Timestamp;
@@ -29,8 +29,8 @@ use uniground_types::problem::Problem;
 )]
 pub async fn create(
     State(app): State<App>,
-    Extension(caller): Asking,
+    Extension(caller): CallerExtension,
     Json(request): Json<LinkRequest>,
-) -> Result<axum::Json<LinkList>, Refused> {
+) -> Result<axum::Json<LinkList>, ProblemResponse> {
     Ok(axum::Json(app.services.keyring.links(request, &caller, Timestamp::now())?))
 }

@@ -3,7 +3,7 @@
 
 use super::caching::{send_download, send_file};
 use super::extract::{Path, Query};
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use super::{App, Binary};
 use axum::extract::State;
 use axum::http::{HeaderMap, header};
@@ -38,7 +38,7 @@ pub async fn points(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     asked: HeaderMap,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     send_download(app.services.media.points(&scene_id).await?, "application/octet-stream", &asked)
         .await
 }
@@ -59,7 +59,7 @@ pub async fn thumbnail(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     asked: HeaderMap,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     send_picture(app.services.media.thumbnail(&scene_id).await?, &asked).await
 }
 
@@ -78,7 +78,7 @@ pub async fn thumbnail(
 pub async fn frames(
     State(app): State<App>,
     Path(scene_id): Path<String>,
-) -> Result<axum::Json<FrameList>, Refused> {
+) -> Result<axum::Json<FrameList>, ProblemResponse> {
     Ok(axum::Json(app.services.media.frames(&scene_id).await?))
 }
 
@@ -112,7 +112,7 @@ pub async fn photograph(
     Path((scene_id, frame)): Path<(String, u32)>,
     Query(PhotographParameters { instances }): Query<PhotographParameters>,
     asked: HeaderMap,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     send_picture(app.services.media.frame_picture(&scene_id, frame, instances).await?, &asked).await
 }
 
@@ -120,7 +120,7 @@ pub async fn photograph(
 pub(super) async fn send_picture(
     picture: EvidenceFile,
     asked: &HeaderMap,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     match picture {
         EvidenceFile::Stored(file) => {
             let is_png = file.extension().is_some_and(|end| end.eq_ignore_ascii_case("png"));

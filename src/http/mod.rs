@@ -33,14 +33,14 @@ mod stats;
 mod tus;
 mod uploads;
 
-use auth::Asking;
+use auth::CallerExtension;
 pub use auth::scopes;
 pub use connections::serve;
 use description::Description;
 pub use hosts::AllowedHosts;
 pub use mcp::{Mcp, McpOverHttp};
 pub use origins::Origins;
-use problem::Refused;
+use problem::ProblemResponse;
 pub use problem::told;
 pub use scopes::Scopes;
 
@@ -304,5 +304,5 @@ fn span_of(request: &Request) -> Span {
 /// The panic itself is on stderr, with its place; here it gets the request's ids.
 fn panicked(_: Box<dyn std::any::Any + Send>) -> Response {
     tracing::error!(code = "internal", "a handler panicked");
-    Refused::internal().into_response()
+    ProblemResponse::internal().into_response()
 }

@@ -2,7 +2,7 @@
 //! (`--cors-origin`). Browsers ask before they send most things (CORS); what they send unasked, a
 //! form or a plain POST, is refused when it comes from somewhere else.
 
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use super::{REQUEST_ID, auth, tus};
 use axum::extract::{Request, State};
 use axum::http::header::{self, HeaderName};
@@ -116,5 +116,5 @@ pub async fn answer(State(cors): State<CorsLayer>, request: Request, next: Next)
 
 fn foreign(_: ProtectionError) -> Response {
     let detail = "this comes from a page of another origin: start the server with --cors-origin and that origin, if it may";
-    Refused::new(StatusCode::FORBIDDEN, "origin_not_allowed", detail).into_response()
+    ProblemResponse::new(StatusCode::FORBIDDEN, "origin_not_allowed", detail).into_response()
 }

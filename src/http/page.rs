@@ -19,7 +19,7 @@ use std::sync::LazyLock;
 #[derive(Embed)]
 #[folder = "web/dist"]
 #[exclude = "SOURCES"]
-struct Built;
+struct PageFiles;
 
 /// What the page may load and do: only what is its own, nothing inline, in nobody's frame. Pictures
 /// come through `fetch`, which can show a key, and are drawn from memory (`blob:`).
@@ -41,8 +41,8 @@ struct File {
 }
 
 static FILES: LazyLock<BTreeMap<String, File>> = LazyLock::new(|| {
-    let files = Built::iter().filter_map(|name| {
-        Some((name.to_string(), File::of(&name, Built::get(&name)?.data.into_owned())))
+    let files = PageFiles::iter().filter_map(|name| {
+        Some((name.to_string(), File::of(&name, PageFiles::get(&name)?.data.into_owned())))
     });
     files.collect()
 });

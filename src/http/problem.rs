@@ -15,9 +15,9 @@ use uniground_types::problem::{FieldError, Problem};
 
 /// A request that was refused: the problem as a response.
 #[derive(Debug, Clone)]
-pub struct Refused(Box<Problem>);
+pub struct ProblemResponse(Box<Problem>);
 
-impl Refused {
+impl ProblemResponse {
     pub fn new(status: StatusCode, code: &str, detail: impl Into<String>) -> Self {
         Self(Box::new(Problem {
             kind: "about:blank".into(),
@@ -82,7 +82,7 @@ impl Refused {
     }
 }
 
-impl From<Problem> for Refused {
+impl From<Problem> for ProblemResponse {
     fn from(problem: Problem) -> Self {
         Self(Box::new(problem))
     }
@@ -91,10 +91,10 @@ impl From<Problem> for Refused {
 /// An error as callers are told of it.
 #[must_use]
 pub fn told(error: Error) -> Problem {
-    Refused::from(error).problem()
+    ProblemResponse::from(error).problem()
 }
 
-impl From<Error> for Refused {
+impl From<Error> for ProblemResponse {
     fn from(error: Error) -> Self {
         let (code, status) = (error.code(), status_of(&error));
         // The only line about it: route and request id are those of the request's span.
@@ -116,7 +116,7 @@ impl From<Error> for Refused {
                 "the server's disk is full: delete scenes, or ask its operator".into()
             }
             StatusCode::SERVICE_UNAVAILABLE if error.is_store_busy() => "the server's database is busy: try again in a moment".into(),
-            StatusCode::SERVICE_UNAVAILABLE if error.is_blobs_away() => {
+            StatusCode::SERVICE_UNAVAILABLE if error.is_object_store_unavailable() => {
                 "the object store that scans and parses are kept in can not be reached: try again in a moment".into()
             }
             _ => error.to_string(),
@@ -147,7 +147,7 @@ fn status_of(error: &Error) -> StatusCode {
     if error.is_disk_full() {
         return StatusCode::INSUFFICIENT_STORAGE;
     }
-    if error.is_store_busy() || error.is_blobs_away() {
+    if error.is_store_busy() || error.is_object_store_unavailable() {
         return StatusCode::SERVICE_UNAVAILABLE;
     }
     match error {
@@ -263,7 +263,7 @@ fn shorten(text: &mut String) {
     }
 }
 
-impl IntoResponse for Refused {
+impl IntoResponse for ProblemResponse {
     fn into_response(self) -> Response {
         let mut problem = *self.0;
         shorten(&mut problem.detail);
@@ -292,7 +292,8 @@ pub async fn name_request(request: Request, next: Next) -> Response {
     match response.extensions_mut().remove::<Problem>() {
         Some(problem) => {
             let headers = response.headers().clone();
-            let mut named = Refused::from(Problem { request_id: id, ..problem }).into_response();
+            let mut named =
+                ProblemResponse::from(Problem { request_id: id, ..problem }).into_response();
             // Keep what handlers and layers said beside the body ("Allow" and the like).
             headers.into_iter().filter_map(|(name, value)| Some((name?, value))).for_each(
                 |(name, value)| {
@@ -311,16 +312,16 @@ pub fn request_id(headers: &HeaderMap) -> Option<String> {
     headers.get(REQUEST_ID).and_then(|id| id.to_str().ok()).map(str::to_owned)
 }
 
-pub async fn no_such_route(uri: Uri) -> Refused {
-    Refused::new(
+pub async fn no_such_route(uri: Uri) -> ProblemResponse {
+    ProblemResponse::new(
         StatusCode::NOT_FOUND,
         "no_such_route",
         format!("there is nothing at {}", uri.path()),
     )
 }
 
-pub async fn method_not_allowed(method: Method, uri: Uri) -> Refused {
-    Refused::new(
+pub async fn method_not_allowed(method: Method, uri: Uri) -> ProblemResponse {
+    ProblemResponse::new(
         StatusCode::METHOD_NOT_ALLOWED,
         "method_not_allowed",
         format!("{method} is not possible at {}", uri.path()),

@@ -4,7 +4,7 @@ use super::App;
 use super::Binary;
 use super::caching::send_file;
 use super::extract::Path;
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use axum::Json;
 use axum::extract::State;
 use axum::http::HeaderMap;
@@ -29,7 +29,7 @@ use uniground_types::scenes::SceneReport;
 pub async fn get(
     State(app): State<App>,
     Path(scene_id): Path<String>,
-) -> Result<Json<SceneReport>, Refused> {
+) -> Result<Json<SceneReport>, ProblemResponse> {
     Ok(Json(app.services.parses.scene_report(&scene_id).await?))
 }
 
@@ -50,7 +50,7 @@ pub async fn picture(
     State(app): State<App>,
     Path((scene_id, picture)): Path<(String, String)>,
     asked: HeaderMap,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     let name = picture
         .strip_suffix(".jpg")
         .ok_or_else(|| Error::ReportPictureNotFound { name: picture.clone() })?;

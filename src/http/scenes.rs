@@ -4,8 +4,8 @@ use super::Binary;
 use super::caching::send_download;
 use super::extract::{IdempotencyKey, Json, Path, Query};
 use super::paging::{DEFAULT_LIMIT, checked};
-use super::problem::Refused;
-use super::{App, Asking};
+use super::problem::ProblemResponse;
+use super::{App, CallerExtension};
 use axum::Extension;
 use axum::body::BodyDataStream;
 use axum::extract::{Request, State};
@@ -92,11 +92,11 @@ pub async fn create(
     Query(CreateParameters { name, parse, up, metres_per_unit, levelling, preset }): Query<
         CreateParameters,
     >,
-    Extension(caller): Asking,
+    Extension(caller): CallerExtension,
     IdempotencyKey(idempotency_key): IdempotencyKey,
     headers: HeaderMap,
     request: Request,
-) -> Result<(StatusCode, axum::Json<Created>), Refused> {
+) -> Result<(StatusCode, axum::Json<Created>), ProblemResponse> {
     check_metres_per_unit("metres_per_unit", metres_per_unit).map_err(Error::from)?;
     let header = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
     let mut settings = ParseSettings::from_request(preset, None).map_err(Error::from)?;
@@ -147,10 +147,10 @@ pub async fn create(
 )]
 pub async fn import(
     State(app): State<App>,
-    Extension(caller): Asking,
+    Extension(caller): CallerExtension,
     IdempotencyKey(key): IdempotencyKey,
     Json(request): Json<ImportRequest>,
-) -> Result<(StatusCode, axum::Json<Created>), Refused> {
+) -> Result<(StatusCode, axum::Json<Created>), ProblemResponse> {
     let (scene, job) = app.services.imports.import_scene(request, key, &caller).await?;
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
@@ -162,9 +162,10 @@ const BEFORE_FILE_BYTES: usize = 64 << 10;
 pub(super) async fn file_of_form(
     body: BodyDataStream,
     boundary: String,
-) -> Result<(Option<String>, Field<'static>), Refused> {
+) -> Result<(Option<String>, Field<'static>), ProblemResponse> {
     const NO_FILE: &str = "this form has no file: curl -F scan=@room.zip sends one";
-    let refused = |detail: &str| Refused::new(StatusCode::BAD_REQUEST, "malformed_form", detail);
+    let refused =
+        |detail: &str| ProblemResponse::new(StatusCode::BAD_REQUEST, "malformed_form", detail);
     let is_found = Arc::new(AtomicBool::new(false));
     let (found, mut before) = (is_found.clone(), 0);
     let bounded = body.map(move |chunk| {
@@ -203,8 +204,8 @@ pub(super) async fn file_of_form(
 )]
 pub async fn create_sample(
     State(app): State<App>,
-    Extension(caller): Asking,
-) -> Result<(StatusCode, axum::Json<Created>), Refused> {
+    Extension(caller): CallerExtension,
+) -> Result<(StatusCode, axum::Json<Created>), ProblemResponse> {
     let (scene, job) = app.services.imports.create_sample(&caller).await?;
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
@@ -238,7 +239,7 @@ pub struct ListParameters {
 pub async fn list(
     State(app): State<App>,
     Query(parameters): Query<ListParameters>,
-) -> Result<axum::Json<SceneList>, Refused> {
+) -> Result<axum::Json<SceneList>, ProblemResponse> {
     let ListParameters { limit, cursor, labels } = parameters;
     let (limit, cursor) = checked(limit.unwrap_or(DEFAULT_LIMIT), cursor)?;
     let labels =
@@ -262,7 +263,7 @@ pub async fn list(
 pub async fn get(
     State(app): State<App>,
     Path(scene_id): Path<String>,
-) -> Result<axum::Json<Scene>, Refused> {
+) -> Result<axum::Json<Scene>, ProblemResponse> {
     Ok(axum::Json(app.services.scene_lookup.scene(&scene_id).await?))
 }
 
@@ -286,7 +287,7 @@ pub async fn change(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     Json(change): Json<SceneChange>,
-) -> Result<axum::Json<Scene>, Refused> {
+) -> Result<axum::Json<Scene>, ProblemResponse> {
     Ok(axum::Json(app.services.scenes.change_scene(&scene_id, change).await?))
 }
 
@@ -305,7 +306,7 @@ pub async fn change(
 pub async fn delete(
     State(app): State<App>,
     Path(scene_id): Path<String>,
-) -> Result<StatusCode, Refused> {
+) -> Result<StatusCode, ProblemResponse> {
     app.services.scenes.delete_scene(&scene_id).await?;
     Ok(StatusCode::NO_CONTENT)
 }
@@ -329,9 +330,9 @@ pub async fn delete(
 pub async fn parse(
     State(app): State<App>,
     Path(scene_id): Path<String>,
-    Extension(caller): Asking,
+    Extension(caller): CallerExtension,
     Json(ParseRequest { preset, settings }): Json<ParseRequest>,
-) -> Result<(StatusCode, axum::Json<Job>), Refused> {
+) -> Result<(StatusCode, axum::Json<Job>), ProblemResponse> {
     Ok((
         StatusCode::ACCEPTED,
         axum::Json(app.services.parses.reparse(&scene_id, preset, settings, &caller).await?),
@@ -357,8 +358,8 @@ pub async fn parse(
 pub async fn name(
     State(app): State<App>,
     Path(scene_id): Path<String>,
-    Extension(caller): Asking,
-) -> Result<(StatusCode, axum::Json<Job>), Refused> {
+    Extension(caller): CallerExtension,
+) -> Result<(StatusCode, axum::Json<Job>), ProblemResponse> {
     Ok((
         StatusCode::ACCEPTED,
         axum::Json(app.services.naming.start_naming(&scene_id, &caller).await?),
@@ -382,7 +383,7 @@ pub async fn cloud(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     asked: HeaderMap,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     let file = app.services.parses.parse_file(&scene_id, ParseFile::Cloud).await?;
     send_download(file, "application/octet-stream", &asked).await
 }
@@ -404,7 +405,7 @@ pub async fn instances_cloud(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     asked: HeaderMap,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     let file = app.services.parses.parse_file(&scene_id, ParseFile::Instances).await?;
     send_download(file, "application/octet-stream", &asked).await
 }
@@ -427,7 +428,7 @@ pub async fn embeddings(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     asked: HeaderMap,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     let file = app.services.parses.parse_file(&scene_id, ParseFile::Embeddings).await?;
     send_download(file, "application/octet-stream", &asked).await
 }

@@ -1,7 +1,7 @@
 //! `/metrics` and `/v1/stats`, and the layer that counts requests.
 
 use super::App;
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use axum::Json;
 use axum::extract::{MatchedPath, Request, State};
 use axum::http::header;
@@ -21,7 +21,7 @@ use uniground_types::stats::Stats;
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn stats(State(app): State<App>) -> Result<Json<Stats>, Refused> {
+pub async fn stats(State(app): State<App>) -> Result<Json<Stats>, ProblemResponse> {
     Ok(Json(app.services.stats.stats().await?))
 }
 

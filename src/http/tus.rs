@@ -2,7 +2,7 @@
 //! version. What they mean is the service's business, so that another protocol can stand beside
 //! this one.
 
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::middleware::Next;
@@ -11,7 +11,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use jiff::Timestamp;
 use jiff::fmt::rfc2822::DateTimePrinter;
-use uniground_service::{Algorithm, Checksum};
+use uniground_service::{Checksum, ChecksumAlgorithm};
 use uniground_types::uploads::Upload;
 
 pub const RESUMABLE: HeaderName = HeaderName::from_static("tus-resumable");
@@ -50,8 +50,11 @@ pub async fn speak(request: Request, next: Next) -> Response {
     let mut response = match is_asked && request.headers().get(RESUMABLE) != Some(&SPOKEN) {
         true => {
             let detail = "uploads in parts speak tus 1.0: send the header Tus-Resumable: 1.0.0";
-            let refused =
-                Refused::new(StatusCode::PRECONDITION_FAILED, "tus_version_unknown", detail);
+            let refused = ProblemResponse::new(
+                StatusCode::PRECONDITION_FAILED,
+                "tus_version_unknown",
+                detail,
+            );
             ([(VERSION, SPOKEN)], refused).into_response()
         }
         false => next.run(request).await,
@@ -62,7 +65,7 @@ pub async fn speak(request: Request, next: Next) -> Response {
 
 /// What this server can do.
 pub fn capabilities(max_bytes: u64) -> Response {
-    let algorithms = Algorithm::ALL.map(Algorithm::word).join(",");
+    let algorithms = ChecksumAlgorithm::ALL.map(ChecksumAlgorithm::word).join(",");
     let told = [
         (VERSION, "1.0.0".to_owned()),
         (EXTENSION, EXTENSIONS.to_owned()),
@@ -99,11 +102,11 @@ pub fn is_part(headers: &HeaderMap) -> bool {
 
 /// # Errors
 /// When it is something else.
-pub fn check_part(headers: &HeaderMap) -> Result<(), Refused> {
+pub fn check_part(headers: &HeaderMap) -> Result<(), ProblemResponse> {
     if is_part(headers) {
         return Ok(());
     }
-    Err(Refused::new(
+    Err(ProblemResponse::new(
         StatusCode::UNSUPPORTED_MEDIA_TYPE,
         "unsupported_media_type",
         format!("a part of an upload is {PART}"),
@@ -114,7 +117,7 @@ pub fn check_part(headers: &HeaderMap) -> Result<(), Refused> {
 ///
 /// # Errors
 /// When it is missing, or none.
-pub fn bytes(headers: &HeaderMap, name: &HeaderName) -> Result<u64, Refused> {
+pub fn bytes(headers: &HeaderMap, name: &HeaderName) -> Result<u64, ProblemResponse> {
     let value = headers
         .get(name)
         .and_then(|value| value.to_str().ok())
@@ -129,15 +132,16 @@ pub fn bytes(headers: &HeaderMap, name: &HeaderName) -> Result<u64, Refused> {
 ///
 /// # Errors
 /// When that is no checksum known here.
-pub fn checksum(headers: &HeaderMap) -> Result<Option<Checksum>, Refused> {
+pub fn checksum(headers: &HeaderMap) -> Result<Option<Checksum>, ProblemResponse> {
     let Some(value) = headers.get(CHECKSUM) else { return Ok(None) };
     let read = || {
         let (word, sum) = value.to_str().ok()?.split_once(' ')?;
-        let algorithm = Algorithm::ALL.into_iter().find(|algorithm| algorithm.word() == word)?;
+        let algorithm =
+            ChecksumAlgorithm::ALL.into_iter().find(|algorithm| algorithm.word() == word)?;
         let sum = STANDARD.decode(sum.trim()).ok().filter(|sum| sum.len() == algorithm.bytes())?;
         Some(Checksum { algorithm, sum })
     };
-    let known = Algorithm::ALL.map(Algorithm::word).join(" or ");
+    let known = ChecksumAlgorithm::ALL.map(ChecksumAlgorithm::word).join(" or ");
     read().map(Some).ok_or_else(|| {
         wrong(&CHECKSUM, &format!("{known} is wanted, a space, and the sum in base64"))
     })
@@ -156,7 +160,7 @@ pub struct Metadata {
 ///
 /// # Errors
 /// When it can not be read.
-pub fn metadata(headers: &HeaderMap) -> Result<Metadata, Refused> {
+pub fn metadata(headers: &HeaderMap) -> Result<Metadata, ProblemResponse> {
     let Some(value) = headers.get(METADATA) else { return Ok(Metadata::default()) };
     let value = value.to_str().ok().filter(|value| value.len() <= MOST_METADATA);
     let value = value
@@ -174,8 +178,8 @@ pub fn metadata(headers: &HeaderMap) -> Result<Metadata, Refused> {
     Ok(Metadata { header: Some(value.to_owned()).filter(|value| !value.is_empty()), pairs })
 }
 
-fn wrong(name: &HeaderName, detail: &str) -> Refused {
-    Refused::new(StatusCode::BAD_REQUEST, "header_wrong", format!("{name}: {detail}"))
+fn wrong(name: &HeaderName, detail: &str) -> ProblemResponse {
+    ProblemResponse::new(StatusCode::BAD_REQUEST, "header_wrong", format!("{name}: {detail}"))
 }
 
 #[cfg(test)]
@@ -216,7 +220,7 @@ mod tests {
         let read = |value| {
             checksum(&of(CHECKSUM, value)).ok().flatten().map(|checksum| checksum.algorithm)
         };
-        assert_eq!(read("sha1 Kq5sNclPz7QV2+lfQIuc6R7oRu0="), Some(Algorithm::Sha1));
+        assert_eq!(read("sha1 Kq5sNclPz7QV2+lfQIuc6R7oRu0="), Some(ChecksumAlgorithm::Sha1));
         for wrong in [
             "sha1 Kq5s",
             "md5 Kq5sNclPz7QV2+lfQIuc6R7oRu0=",

@@ -1,8 +1,8 @@
 //! `/v1/uploads`: scans that come in parts, in the words of tus 1.0.
 
 use super::extract::{IdempotencyKey, Path, Query};
-use super::problem::Refused;
-use super::{App, Asking, tus};
+use super::problem::ProblemResponse;
+use super::{App, CallerExtension, tus};
 use axum::Extension;
 use axum::body::Body;
 use axum::extract::{Request, State};
@@ -11,8 +11,8 @@ use axum::middleware::from_fn;
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
-use uniground_service::{Caller, NewUpload, Part};
-use uniground_storage::WantedScene;
+use uniground_service::{Caller, NewUpload, UploadPart};
+use uniground_storage::SceneRequest;
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::problem::Problem;
 use uniground_types::settings::ParsePreset;
@@ -53,17 +53,17 @@ pub struct UploadParameters {
 }
 
 impl UploadParameters {
-    fn of(pairs: Vec<(String, String)>) -> Result<Self, Refused> {
+    fn of(pairs: Vec<(String, String)>) -> Result<Self, ProblemResponse> {
         let mut parameters = Self::default();
         for (key, text) in pairs {
             match key.as_str() {
                 "name" => parameters.name = Some(text),
                 "filename" => parameters.filename = Some(text),
                 "parse" => {
-                    parameters.parse = Some(
-                        text.parse()
-                            .map_err(|_| Refused::invalid("parse", "\"true\" or \"false\""))?,
-                    )
+                    parameters.parse =
+                        Some(text.parse().map_err(|_| {
+                            ProblemResponse::invalid("parse", "\"true\" or \"false\"")
+                        })?)
                 }
                 "up" => parameters.up = Some(word("up", text)?),
                 "preset" => parameters.preset = Some(word("preset", text)?),
@@ -85,8 +85,9 @@ impl UploadParameters {
     }
 }
 
-fn word<T: DeserializeOwned>(key: &str, text: String) -> Result<T, Refused> {
-    serde_json::from_value(text.into()).map_err(|error| Refused::invalid(key, error.to_string()))
+fn word<T: DeserializeOwned>(key: &str, text: String) -> Result<T, ProblemResponse> {
+    serde_json::from_value(text.into())
+        .map_err(|error| ProblemResponse::invalid(key, error.to_string()))
 }
 
 /// Begins an upload that comes in parts.
@@ -127,25 +128,25 @@ fn word<T: DeserializeOwned>(key: &str, text: String) -> Result<T, Refused> {
 pub async fn create(
     State(app): State<App>,
     Query(parameters): Query<UploadParameters>,
-    Extension(caller): Asking,
+    Extension(caller): CallerExtension,
     IdempotencyKey(idempotency_key): IdempotencyKey,
     headers: HeaderMap,
     request: Request,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     let length = tus::bytes(&headers, &tus::LENGTH)?;
     let tus::Metadata { header: note, pairs } = tus::metadata(&headers)?;
     let UploadParameters { name, filename, parse, up, preset } =
         parameters.or(UploadParameters::of(pairs)?);
     let (parse, preset) = (parse.unwrap_or(true), preset.unwrap_or_default());
     let wanted =
-        WantedScene { name, file_name: filename, parse, up, preset, idempotency_key, note };
+        SceneRequest { name, file_name: filename, parse, up, preset, idempotency_key, note };
     // Before there is an upload that nobody hears of.
     let checksum = tus::checksum(&headers)?;
     let upload = app.services.uploads.begin_upload(NewUpload { length, wanted }, &caller).await?;
     let location = format!("/v1/uploads/{}", upload.id);
     let mut response = match tus::is_part(&headers) {
         true => {
-            let part = Part {
+            let part = UploadPart {
                 offset: 0,
                 announced_bytes: announced(&headers),
                 checksum,
@@ -153,7 +154,7 @@ pub async fn create(
             };
             match app.services.uploads.append(&upload.id, part, caller).await {
                 Ok(upload) => came_of(StatusCode::CREATED, upload),
-                Err(error) => Refused::from(error).into_response(),
+                Err(error) => ProblemResponse::from(error).into_response(),
             }
         }
         false => came_of(StatusCode::CREATED, upload),
@@ -200,8 +201,8 @@ pub async fn capabilities(State(app): State<App>) -> Response {
 pub async fn get(
     State(app): State<App>,
     Path(upload_id): Path<String>,
-    Extension(caller): Asking,
-) -> Result<axum::Json<Upload>, Refused> {
+    Extension(caller): CallerExtension,
+) -> Result<axum::Json<Upload>, ProblemResponse> {
     Ok(axum::Json(app.services.uploads.upload(&upload_id, &caller).await?))
 }
 
@@ -230,8 +231,8 @@ pub async fn get(
 pub async fn head(
     State(app): State<App>,
     Path(upload_id): Path<String>,
-    Extension(caller): Asking,
-) -> Result<Response, Refused> {
+    Extension(caller): CallerExtension,
+) -> Result<Response, ProblemResponse> {
     let upload = app.services.uploads.upload(&upload_id, &caller).await?;
     let note = app.services.uploads.upload_note(&upload_id, &caller).await?;
     let mut headers = tus::state(&upload);
@@ -286,10 +287,10 @@ pub async fn head(
 pub async fn append(
     State(app): State<App>,
     Path(upload_id): Path<String>,
-    Extension(caller): Asking,
+    Extension(caller): CallerExtension,
     headers: HeaderMap,
     request: Request,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     take(&app, &upload_id, caller, &headers, request.into_body()).await
 }
 
@@ -328,17 +329,17 @@ pub async fn append(
 pub async fn post(
     State(app): State<App>,
     Path(upload_id): Path<String>,
-    Extension(caller): Asking,
+    Extension(caller): CallerExtension,
     headers: HeaderMap,
     request: Request,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     match headers.get(tus::METHOD_OVERRIDE).map(HeaderValue::as_bytes) {
         Some(b"PATCH") => take(&app, &upload_id, caller, &headers, request.into_body()).await,
         Some(b"DELETE") => {
             app.services.uploads.delete_upload(&upload_id, &caller).await?;
             Ok(StatusCode::NO_CONTENT.into_response())
         }
-        _ => Err(Refused::new(
+        _ => Err(ProblemResponse::new(
             StatusCode::BAD_REQUEST,
             "header_wrong",
             "x-http-method-override: PATCH or DELETE is wanted",
@@ -365,8 +366,8 @@ pub async fn post(
 pub async fn delete(
     State(app): State<App>,
     Path(upload_id): Path<String>,
-    Extension(caller): Asking,
-) -> Result<StatusCode, Refused> {
+    Extension(caller): CallerExtension,
+) -> Result<StatusCode, ProblemResponse> {
     app.services.uploads.delete_upload(&upload_id, &caller).await?;
     Ok(StatusCode::NO_CONTENT)
 }
@@ -377,10 +378,10 @@ async fn take(
     caller: Caller,
     headers: &HeaderMap,
     body: Body,
-) -> Result<Response, Refused> {
+) -> Result<Response, ProblemResponse> {
     tus::check_part(headers)?;
     let (offset, checksum) = (tus::bytes(headers, &tus::OFFSET)?, tus::checksum(headers)?);
-    let part = Part {
+    let part = UploadPart {
         offset,
         announced_bytes: announced(headers),
         checksum,
@@ -389,7 +390,8 @@ async fn take(
     match app.services.uploads.append(upload_id, part, caller).await {
         Ok(upload) => Ok(came_of(StatusCode::NO_CONTENT, upload)),
         Err(uniground_service::error::Error::WrongOffset { offset }) => {
-            let refused = Refused::from(uniground_service::error::Error::WrongOffset { offset });
+            let refused =
+                ProblemResponse::from(uniground_service::error::Error::WrongOffset { offset });
             Ok(([(tus::OFFSET, offset.to_string())], refused).into_response())
         }
         Err(error) => Err(error.into()),
@@ -400,7 +402,7 @@ async fn take(
 fn came_of(status: StatusCode, upload: Upload) -> Response {
     let headers = tus::state(&upload);
     match (&upload.problem, status) {
-        (Some(problem), _) => (headers, Refused::from(problem.clone())).into_response(),
+        (Some(problem), _) => (headers, ProblemResponse::from(problem.clone())).into_response(),
         (None, StatusCode::CREATED) => (status, headers, axum::Json(upload)).into_response(),
         (None, status) => (status, headers).into_response(),
     }

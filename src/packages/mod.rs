@@ -16,7 +16,9 @@ mod unpack;
 #[cfg(test)]
 mod tests;
 
-pub use parts::{Build, CarriedFile, Home, PARTS, Package, PackagedFile, Part, Source};
+pub use parts::{
+    Build, CarriedFile, InstallTarget, PARTS, Package, PackagePart, PackagedFile, Source,
+};
 pub use registry::{Registries, Registry};
 
 use camino::{Utf8Path, Utf8PathBuf};
@@ -78,7 +80,7 @@ pub enum Event<'a> {
 /// # Errors
 /// [`FetchError`]; what was in place before is as it was, or right.
 pub fn fetch(
-    part: &Part,
+    part: &PackagePart,
     places: &Places,
     registries: &Registries,
     tell: &mut dyn FnMut(Event),

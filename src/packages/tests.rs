@@ -47,7 +47,7 @@ struct Bench {
     served: Arc<Served>,
     registries: Registries,
     places: Places,
-    part: Part,
+    part: PackagePart,
     _folder: tempfile::TempDir,
     _runtime: Runtime,
 }
@@ -144,11 +144,11 @@ impl Bench {
             PackagedFile { inside: "lib/network.onnx", name: "network.onnx", sha256: sum(NETWORK) },
             PackagedFile { inside: "lib/LICENSE", name: "LICENSE", sha256: sum(LICENSE) },
         ];
-        let part = Part {
+        let part = PackagePart {
             name: "test",
             what: "",
             licence: "",
-            home: Home::Bundle("test-bundle", Role::Encoder),
+            home: InstallTarget::Bundle("test-bundle", Role::Encoder),
             builds: vec![Build { system: None, package, files: files.leak() }].leak(),
             carried: &[CarriedFile { name: "model.json", bytes: MANIFEST }],
         };
@@ -284,7 +284,7 @@ fn bundles_are_whole() {
     let models = Utf8PathBuf::from_path_buf(folder.path().to_owned()).unwrap();
     let places = Places { library: models.join("library"), models: models.clone() };
     let mut bundles = Vec::new();
-    for part in PARTS.iter().filter(|part| part.home != Home::Library) {
+    for part in PARTS.iter().filter(|part| part.home != InstallTarget::Library) {
         let place = part.folder(&places);
         fs::create_dir_all(&place).unwrap();
         part.carried.iter().for_each(|file| fs::write(place.join(file.name), file.bytes).unwrap());
@@ -304,13 +304,13 @@ fn bundles_are_whole() {
     bundles.sort();
     let listed = list(&models).unwrap();
     assert!(listed.iter().all(|bundle| bundle.problem.is_none()), "{listed:?}");
-    let is_listed = |home: &Home| {
+    let is_listed = |home: &InstallTarget| {
         listed
             .iter()
-            .any(|bundle| matches!(home, Home::Bundle(name, role) if *name == bundle.name && Some(*role) == bundle.role))
+            .any(|bundle| matches!(home, InstallTarget::Bundle(name, role) if *name == bundle.name && Some(*role) == bundle.role))
     };
     assert!(
-        PARTS.iter().all(|part| part.home == Home::Library || is_listed(&part.home)),
+        PARTS.iter().all(|part| part.home == InstallTarget::Library || is_listed(&part.home)),
         "{listed:?}"
     );
     assert_eq!(

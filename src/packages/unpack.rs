@@ -14,7 +14,7 @@ const MODE: u32 = 0o644;
 
 /// Whether a file is there and has this SHA-256.
 pub fn is_right(file: &Utf8Path, sha256: &str) -> bool {
-    let mut sum = Sum(Sha256::new(), io::sink());
+    let mut sum = HashingWriter(Sha256::new(), io::sink());
     File::open(file).and_then(|mut file| io::copy(&mut file, &mut sum)).is_ok()
         && hex(sum.0) == sha256
 }
@@ -73,12 +73,12 @@ pub fn files(
 }
 
 /// Why a file is not in its place.
-pub enum Unplaced {
+pub enum InstallError {
     Wrong { file: Utf8PathBuf, found: String, expected: &'static str },
     Failed { file: Utf8PathBuf, why: io::Error },
 }
 
-impl Unplaced {
+impl InstallError {
     pub fn of(self, package: &str) -> FetchError {
         match self {
             Self::Wrong { file, found, expected } => {
@@ -98,8 +98,8 @@ pub fn place(
     to: &Utf8Path,
     bytes: &mut dyn Read,
     expected: Option<&'static str>,
-) -> Result<Utf8PathBuf, Unplaced> {
-    let failed = |why: io::Error| Unplaced::Failed { file: to.to_owned(), why };
+) -> Result<Utf8PathBuf, InstallError> {
+    let failed = |why: io::Error| InstallError::Failed { file: to.to_owned(), why };
     let folder = to.parent().unwrap_or(Utf8Path::new("."));
     let mut options = tempfile::Builder::new();
     let part = options
@@ -107,20 +107,20 @@ pub fn place(
         .permissions(Permissions::from_mode(MODE))
         .tempfile_in(folder)
         .map_err(failed)?;
-    let mut sum = Sum(Sha256::new(), part.as_file());
+    let mut sum = HashingWriter(Sha256::new(), part.as_file());
     io::copy(bytes, &mut sum).map_err(failed)?;
     let found = hex(sum.0);
     if let Some(expected) = expected.filter(|expected| *expected != found) {
-        return Err(Unplaced::Wrong { file: to.to_owned(), found, expected });
+        return Err(InstallError::Wrong { file: to.to_owned(), found, expected });
     }
     part.persist(to).map_err(|e| failed(e.error))?;
     Ok(to.to_owned())
 }
 
 /// Adds up what goes through it.
-struct Sum<W>(Sha256, W);
+struct HashingWriter<W>(Sha256, W);
 
-impl<W: Write> Write for Sum<W> {
+impl<W: Write> Write for HashingWriter<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let written = self.1.write(bytes)?;
         self.0.update(&bytes[..written]);

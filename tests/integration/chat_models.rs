@@ -12,14 +12,14 @@ use std::time::Duration;
 use uniground::config::{LimitsConfig, VlmConfig};
 use uniground_client::ClientError;
 use uniground_core::models::chat::{ChatError, ChatModel, ChatRequest, Part, Prices};
-use uniground_endpoints::chat::{ChatClient, Endpoint, Patience, ReplayCache};
+use uniground_endpoints::chat::{ChatClient, Endpoint, ReplayCache, RetryPolicy};
 use uniground_types::question::{GroundRequest, ParserChoice, ReasonerChoice};
 
-fn quick() -> Patience {
-    Patience {
+fn quick() -> RetryPolicy {
+    RetryPolicy {
         backoff: Duration::from_millis(1),
         longest_wait: Duration::from_millis(5),
-        ..Patience::default()
+        ..RetryPolicy::default()
     }
 }
 

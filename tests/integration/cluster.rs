@@ -7,7 +7,7 @@ use camino::Utf8Path;
 use std::time::Duration;
 use tokio::time::sleep;
 use uniground::app::{self, RunningService};
-use uniground::config::{Part, Role, ServeConfig, Work, WorkerConfig};
+use uniground::config::{JobType, ProcessRole, Role, ServeConfig, WorkerConfig};
 use uniground_client::Client;
 use uniground_storage::Location;
 use uniground_types::corrections::Change;
@@ -41,9 +41,9 @@ async fn server(data: &Utf8Path, role: Role) -> (RunningService, Client) {
     (running, client)
 }
 
-async fn worker(data: &Utf8Path, kinds: &[Work]) -> RunningService {
+async fn worker(data: &Utf8Path, kinds: &[JobType]) -> RunningService {
     let worker = WorkerConfig { kinds: kinds.to_vec(), concurrency: Some(2), serve: config(data) };
-    app::start_part(&worker.serve, &Part::from(&worker)).await.unwrap()
+    app::start_part(&worker.serve, &ProcessRole::from(&worker)).await.unwrap()
 }
 
 #[tokio::test]
@@ -75,8 +75,8 @@ async fn servers_agree_and_workers_work() {
     let job = created.job.unwrap();
     sleep(Duration::from_millis(300)).await;
     assert_eq!(b.job(&job.id).await.unwrap().state, JobState::Queued, "nobody works yet");
-    let naming = worker(data, &[Work::Naming]).await;
-    let parsing = worker(data, &[Work::Parse, Work::Batch]).await;
+    let naming = worker(data, &[JobType::Naming]).await;
+    let parsing = worker(data, &[JobType::Parse, JobType::Batch]).await;
     let health = reqwest::get(format!("http://{}/readyz", parsing.address)).await.unwrap();
     assert_eq!(health.status(), 200);
     let nothing_else = reqwest::get(format!("http://{}/v1/scenes", parsing.address)).await.unwrap();
@@ -172,8 +172,8 @@ async fn the_job_of_one_who_is_gone_goes_on_elsewhere() {
     ] {
         sqlx::query(sqlx::AssertSqlSafe(sql)).execute(&mut rows).await.unwrap();
     }
-    let worker = WorkerConfig { kinds: vec![Work::Parse], concurrency: None, serve: short };
-    let other = app::start_part(&worker.serve, &Part::from(&worker)).await.unwrap();
+    let worker = WorkerConfig { kinds: vec![JobType::Parse], concurrency: None, serve: short };
+    let other = app::start_part(&worker.serve, &ProcessRole::from(&worker)).await.unwrap();
     sleep(Duration::from_secs(4)).await;
     let state = client.job(&job.id).await.unwrap();
     assert_eq!((state.state, state.attempts), (JobState::Running, 1), "he may only be slow");

@@ -177,7 +177,7 @@ async fn old_answers_go_and_new_ones_stay() {
     };
     let dependencies = Dependencies::at_rest(store.clone(), limits.service_limits()).await.unwrap();
     let services = Services::new(dependencies);
-    services.maintenance.keep_house().await.unwrap();
+    services.maintenance.run_maintenance().await.unwrap();
     let left: Vec<String> =
         sqlx::query_scalar("SELECT id FROM answers").fetch_all(&mut rows).await.unwrap();
     assert_eq!(left, [answer.id]);

@@ -17,7 +17,7 @@ use tokio::net::TcpStream;
 use tokio::time::sleep;
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
 use uniground_client::Client;
-use uniground_service::{Beside, Dependencies, Services};
+use uniground_service::{Dependencies, RunMode, Services};
 use uniground_storage::Store;
 use uniground_types::keys::{NewKey, Scope};
 use uniground_types::problem::Problem;
@@ -436,7 +436,7 @@ async fn an_upload_that_nobody_goes_on_with_is_removed_and_counted() {
         Store::open(folder, &location(folder), &blobs(folder).home().unwrap()).await.unwrap();
     let limits = LimitsConfig::default().service_limits();
     let services = Services::new(Dependencies::at_rest(store.clone(), limits).await.unwrap());
-    let removed = services.maintenance.let_go(Beside::Nobody).await.unwrap();
+    let removed = services.maintenance.apply_retention(RunMode::Nobody).await.unwrap();
     let removed = removed.iter().find(|removed| removed.kind == "uploads in parts").unwrap();
     assert_eq!((removed.entries, removed.bytes), (1, 6000));
     store.close().await;

@@ -2,7 +2,7 @@
 //! not wanted any more.
 
 use super::wire::{Message, Request};
-use super::{Outcome, ReadError, Task};
+use super::{ReadError, Task, TaskOutcome};
 use camino::Utf8PathBuf;
 use std::borrow::Cow;
 use std::io::{self, BufRead, BufReader, Read, Write};
@@ -39,16 +39,16 @@ pub struct ChildProcess {
 }
 
 /// How a child ended.
-struct Ended {
+struct ChildExit {
     status: ExitStatus,
-    last: Option<Result<Outcome, ReadError>>,
-    stopped: Option<Stopped>,
+    last: Option<Result<TaskOutcome, ReadError>>,
+    stopped: Option<StopReason>,
     stderr: String,
 }
 
 /// Why the service ended a child.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Stopped {
+enum StopReason {
     Cancelled,
     TooLate,
 }
@@ -70,7 +70,7 @@ impl ChildProcess {
         task: &Task,
         memory_share: u64,
         progress: &Progress,
-    ) -> Result<Outcome, ReadError> {
+    ) -> Result<TaskOutcome, ReadError> {
         let (memory_bytes, time_limit) = (self.memory_bytes / memory_share, task.time_limit());
         let request =
             Request { task: Cow::Borrowed(task), memory_bytes, cpu_s: cpu_seconds(time_limit) };
@@ -112,7 +112,7 @@ fn follow(
     request: &[u8],
     deadline: Instant,
     progress: &Progress,
-) -> Result<Ended, ReadError> {
+) -> Result<ChildExit, ReadError> {
     let (stdin, stdout, stderr) = (child.stdin.take(), child.stdout.take(), child.stderr.take());
     thread::scope(|scope| {
         let (sender, messages) = mpsc::channel();
@@ -140,8 +140,8 @@ fn follow(
             }
             let why = match () {
                 () if stopped.is_some() => None,
-                () if progress.check().is_err() => Some(Stopped::Cancelled),
-                () if Instant::now() >= deadline => Some(Stopped::TooLate),
+                () if progress.check().is_err() => Some(StopReason::Cancelled),
+                () if Instant::now() >= deadline => Some(StopReason::TooLate),
                 () => None,
             };
             if why.is_some() {
@@ -152,7 +152,7 @@ fn follow(
         let status = ended(&mut child)?;
         drop(stdin);
         let stderr = stderr.and_then(|tail| tail.join().ok()).unwrap_or_default();
-        Ok(Ended { status, last, stopped, stderr })
+        Ok(ChildExit { status, last, stopped, stderr })
     })
 }
 
@@ -202,19 +202,19 @@ fn tail_of(mut stderr: ChildStderr) -> String {
 
 /// What came of a task whose child ended so.
 fn outcome(
-    ended: Ended,
+    ended: ChildExit,
     task: &Task,
     memory_bytes: u64,
     time_limit: Duration,
-) -> Result<Outcome, ReadError> {
-    let Ended { status, last, stopped, stderr } = ended;
-    if stopped == Some(Stopped::Cancelled) {
+) -> Result<TaskOutcome, ReadError> {
+    let ChildExit { status, last, stopped, stderr } = ended;
+    if stopped == Some(StopReason::Cancelled) {
         return Err(IngestError::Cancelled(Cancelled).into());
     }
     let file = task.subject();
     let too_costly =
         |limit: String| Err(IngestError::TooCostly { file: file.clone(), limit }.into());
-    let out_of_time = stopped == Some(Stopped::TooLate) || status.signal() == Some(SIGXCPU);
+    let out_of_time = stopped == Some(StopReason::TooLate) || status.signal() == Some(SIGXCPU);
     match last {
         Some(told) if status.success() => {
             if !stderr.trim().is_empty() {
@@ -258,7 +258,7 @@ mod tests {
     fn run(
         script: &str,
         is_cancelled: impl Fn() -> bool + Send + Sync + 'static,
-    ) -> Result<Outcome, ReadError> {
+    ) -> Result<TaskOutcome, ReadError> {
         let folder = tempfile::tempdir().unwrap();
         let program = Utf8PathBuf::from_path_buf(folder.path().join("reader")).unwrap();
         fs::write(&program, format!("#!/bin/sh\nread request\n{script}\n")).unwrap();
@@ -271,7 +271,7 @@ mod tests {
         )
     }
 
-    fn kind(result: Result<Outcome, ReadError>) -> IngestErrorKind {
+    fn kind(result: Result<TaskOutcome, ReadError>) -> IngestErrorKind {
         match result {
             Err(ReadError::Ingest(error)) => error.kind(),
             other => panic!("{other:?}"),
@@ -282,7 +282,7 @@ mod tests {
     fn whatever_becomes_of_a_child_is_an_error_and_no_more() {
         let never = || false;
         let done = run(r#"echo '{"done":{"scan":{"name":"hall"}}}'"#, never).unwrap();
-        assert_eq!(done, Outcome::Scan { name: Some("hall".into()) });
+        assert_eq!(done, TaskOutcome::Scan { name: Some("hall".into()) });
         let failed = r#"echo '{"failed":{"kind":"EmptyScene","message":"nothing","file":null,"is_disk_full":false}}'"#;
         assert_eq!(kind(run(failed, never)), IngestErrorKind::EmptyScene);
         assert_eq!(kind(run("kill -ABRT $$", never)), IngestErrorKind::Malformed);

@@ -16,7 +16,7 @@ mod wire;
 mod worker;
 
 pub use child::ChildProcess;
-pub use task::{Outcome, Task};
+pub use task::{Task, TaskOutcome};
 pub use worker::run;
 
 use std::io;
@@ -49,12 +49,12 @@ pub enum ReadError {
 /// Runs [`Task`]s. Cheap to clone.
 #[derive(Debug, Clone)]
 pub struct ScanReader {
-    how: How,
+    how: ReaderMode,
     checks: Arc<Semaphore>,
 }
 
 #[derive(Debug, Clone)]
-enum How {
+enum ReaderMode {
     InProcess,
     Isolated(Arc<ChildProcess>),
 }
@@ -63,16 +63,16 @@ impl ScanReader {
     /// Reads in this process: for programs whose scans are their user's own.
     #[must_use]
     pub fn in_process() -> Self {
-        Self::of(How::InProcess)
+        Self::of(ReaderMode::InProcess)
     }
 
     /// Reads in child processes.
     #[must_use]
     pub fn isolated(child: ChildProcess) -> Self {
-        Self::of(How::Isolated(Arc::new(child)))
+        Self::of(ReaderMode::Isolated(Arc::new(child)))
     }
 
-    fn of(how: How) -> Self {
+    fn of(how: ReaderMode) -> Self {
         Self { how, checks: Arc::new(Semaphore::new(MAX_CONCURRENT_CHECKS)) }
     }
 
@@ -80,7 +80,7 @@ impl ScanReader {
     ///
     /// # Errors
     /// [`ReadError`].
-    pub async fn check(&self, task: Task) -> Result<Outcome, ReadError> {
+    pub async fn check(&self, task: Task) -> Result<TaskOutcome, ReadError> {
         let permit = self.checks.clone().acquire_owned().await.map_err(io::Error::other)?;
         let (reader, span) = (self.clone(), tracing::Span::current());
         let run = move || {
@@ -94,7 +94,7 @@ impl ScanReader {
     ///
     /// # Errors
     /// [`ReadError`], also when it was cancelled.
-    pub fn import(&self, task: &Task, progress: &Progress) -> Result<Outcome, ReadError> {
+    pub fn import(&self, task: &Task, progress: &Progress) -> Result<TaskOutcome, ReadError> {
         self.run(task, 1, progress)
     }
 
@@ -103,10 +103,10 @@ impl ScanReader {
         task: &Task,
         memory_share: u64,
         progress: &Progress,
-    ) -> Result<Outcome, ReadError> {
+    ) -> Result<TaskOutcome, ReadError> {
         match &self.how {
-            How::InProcess => Ok(task.run(progress)?),
-            How::Isolated(child) => child.run(task, memory_share, progress),
+            ReaderMode::InProcess => Ok(task.run(progress)?),
+            ReaderMode::Isolated(child) => child.run(task, memory_share, progress),
         }
     }
 }

@@ -36,7 +36,7 @@ pub enum Task {
 /// What came of a task.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Outcome {
+pub enum TaskOutcome {
     /// It is a scan, which may have a name of its own.
     Scan { name: Option<String> },
     /// The frames lie in the scene.
@@ -57,7 +57,7 @@ impl Task {
     ///
     /// # Errors
     /// [`IngestError`].
-    pub fn run(&self, progress: &Progress) -> Result<Outcome, IngestError> {
+    pub fn run(&self, progress: &Progress) -> Result<TaskOutcome, IngestError> {
         match self {
             Self::Unpack { archive, file_name, folder, limits } => {
                 let head = head_of(archive);
@@ -70,7 +70,7 @@ impl Task {
             Self::CheckFit { folder, cloud, to_scene } => {
                 let (scan, known) =
                     (uniground_ingest::open(folder)?, uniground_ingest::read_cloud(cloud)?);
-                uniground_ingest::fits(scan, to_scene, &known, 0).map(|_| Outcome::Fits)
+                uniground_ingest::fits(scan, to_scene, &known, 0).map(|_| TaskOutcome::Fits)
             }
             Self::Import { content, settings, checkpoints, origin } => {
                 let checkpoints = Checkpoints::kept_in(checkpoints, origin);
@@ -78,7 +78,7 @@ impl Task {
                     import_scan(content, settings, &checkpoints, &progress.part(0.0, 0.8))
                         .and_then(|scan| {
                             scan.try_pictures(&progress.part(0.8, 1.0))?;
-                            Ok(Outcome::Imported { stages: scan.stages().to_vec() })
+                            Ok(TaskOutcome::Imported { stages: scan.stages().to_vec() })
                         });
                 imported.map_err(|error| of_import(error, content))
             }
@@ -109,8 +109,8 @@ impl Task {
 /// A name that is longer is none.
 const MAX_NAME_BYTES: usize = 4 << 10;
 
-fn named(name: Option<String>) -> Outcome {
-    Outcome::Scan { name: name.filter(|name| name.len() <= MAX_NAME_BYTES) }
+fn named(name: Option<String>) -> TaskOutcome {
+    TaskOutcome::Scan { name: name.filter(|name| name.len() <= MAX_NAME_BYTES) }
 }
 
 fn unreadable(file_name: &str, reason: &str) -> IngestError {

@@ -1,6 +1,6 @@
 //! Messages between the service and a child process, one line of JSON each.
 
-use super::{Outcome, ReadError, Task};
+use super::{ReadError, Task, TaskOutcome};
 use camino::Utf8PathBuf;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -21,7 +21,7 @@ pub(super) struct Request<'a> {
 #[serde(rename_all = "snake_case")]
 pub(super) enum Message {
     Progress { stage: String, done: f32 },
-    Done(Outcome),
+    Done(TaskOutcome),
     Failed(Failure),
 }
 

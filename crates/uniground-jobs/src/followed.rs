@@ -16,9 +16,9 @@ const TROUBLE: Duration = Duration::from_millis(1500);
 
 /// Those that are followed now, by id.
 #[derive(Clone, Default)]
-pub(super) struct Followed(Arc<Mutex<HashMap<String, watch::Sender<Job>>>>);
+pub(super) struct JobWatchers(Arc<Mutex<HashMap<String, watch::Sender<Job>>>>);
 
-impl Followed {
+impl JobWatchers {
     fn all(&self) -> MutexGuard<'_, HashMap<String, watch::Sender<Job>>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }

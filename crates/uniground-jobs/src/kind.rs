@@ -5,7 +5,7 @@ use serde::de::DeserializeOwned;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use uniground_geometry::progress::Progress;
-use uniground_storage::Hold;
+use uniground_storage::JobLease;
 
 /// A kind of job: its name, what it is asked to do, and how that is done. Every kind waits in a
 /// queue of its own.
@@ -40,7 +40,7 @@ pub struct Retry {
 /// What a job is run with.
 pub struct JobContext<P> {
     /// What is written down of it is written in this hold.
-    pub hold: Hold,
+    pub hold: JobLease,
     /// Cancelled once it was given to somebody else, because this process was not seen for longer
     /// than its lease: what comes of it counts for nothing, and nothing more may be bought for
     /// it.

@@ -1,6 +1,6 @@
 //! A lane: takes the jobs of one kind from their queue and sees each to an end.
 
-use super::queue::{Pulse, Running};
+use super::queue::{JobProgress, RunningJob};
 use super::{JobContext, JobFailure, JobKind, Jobs, Retry};
 use futures::future::join_all;
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use tokio::time;
 use tokio_util::sync::CancellationToken;
 use tracing::Instrument;
 use uniground_geometry::progress::Progress;
-use uniground_storage::{Hold, JobRecovery, JobRow, JobState, StoreError};
+use uniground_storage::{JobLease, JobRecovery, JobRow, JobState, StoreError};
 
 /// How often a running job's row is brought up to date.
 const SAVE_EVERY: Duration = Duration::from_millis(500);
@@ -37,7 +37,7 @@ impl Jobs {
         shutdown: CancellationToken,
     ) {
         self.metrics.jobs.knows(K::NAME);
-        let _at_work = AtWork::begin(self, K::NAME);
+        let _at_work = WorkerGuard::begin(self, K::NAME);
         self.recover::<K>(&shutdown).await;
         let recovering = async {
             while shutdown.run_until_cancelled(time::sleep(LOOK_EVERY)).await.is_some() {
@@ -131,7 +131,7 @@ impl Jobs {
         shutdown: &CancellationToken,
     ) -> Result<(), StoreError> {
         let JobRow { id, payload, attempts, failures, furthest, .. } = job.clone();
-        let hold = Hold::of(&job);
+        let hold = JobLease::of(&job);
         let payload = match serde_json::from_str(&payload) {
             Ok(payload) => payload,
             Err(error) => {
@@ -139,12 +139,16 @@ impl Jobs {
                 tracing::error!(%error, "a job's payload can not be read");
                 self.metrics.jobs.finished(K::NAME, JobState::Failed.word(), None);
                 return self
-                    .record(&hold, &End::Failed { code: "internal".into(), detail }, shutdown)
+                    .record(
+                        &hold,
+                        &JobOutcome::Failed { code: "internal".into(), detail },
+                        shutdown,
+                    )
                     .await;
             }
         };
         let running =
-            Running { pulse: Arc::default(), cancel: shutdown.child_token(), row: job.into() };
+            RunningJob { pulse: Arc::default(), cancel: shutdown.child_token(), row: job.into() };
         self.running().insert(id.clone(), running.clone());
         // From here on a wish to stop finds the token; what was wished before stands in the row.
         match self.repository.is_cancel_requested(&id).await {
@@ -157,12 +161,12 @@ impl Jobs {
                     "a job can not be begun yet"
                 );
                 self.running().remove(&id);
-                return self.record(&hold, &End::PutBack, shutdown).await;
+                return self.record(&hold, &JobOutcome::PutBack, shutdown).await;
             }
         }
         let (beating, cancel) = (running.clone(), running.cancel.clone());
         let progress = Progress::new(
-            move |stage, progress| beating.beat(Pulse { stage, progress }),
+            move |stage, progress| beating.beat(JobProgress { stage, progress }),
             move || cancel.is_cancelled(),
         );
         // A task of its own: a job that panics ends itself, not the lane.
@@ -181,7 +185,7 @@ impl Jobs {
             tokio::select! {
                 result = &mut work => break result,
                 _ = saving.tick() => {
-                    let Pulse { stage, progress } = running.pulse();
+                    let JobProgress { stage, progress } = running.pulse();
                     match self.repository.save_job_progress(&hold, stage, progress).await {
                         Ok(false) => {}
                         // Wished elsewhere.
@@ -196,12 +200,14 @@ impl Jobs {
             }
         };
         let end = match result {
-            Ok(Ok(message)) => End::Done(message),
-            Ok(Err(_)) if shutdown.is_cancelled() => End::PutBack,
-            Ok(Err(JobFailure::Cancelled)) => End::Cancelled,
+            Ok(Ok(message)) => JobOutcome::Done(message),
+            Ok(Err(_)) if shutdown.is_cancelled() => JobOutcome::PutBack,
+            Ok(Err(JobFailure::Cancelled)) => JobOutcome::Cancelled,
             // Asked to stop, it stumbled over what was taken from under it: that is no failure of
             // its own.
-            Ok(Err(JobFailure::Failed { .. })) if running.cancel.is_cancelled() => End::Cancelled,
+            Ok(Err(JobFailure::Failed { .. })) if running.cancel.is_cancelled() => {
+                JobOutcome::Cancelled
+            }
             Ok(Err(JobFailure::Failed { code, detail, cause, transient })) => {
                 let progress = running.pulse().progress;
                 // One that got further starts to count anew.
@@ -214,7 +220,7 @@ impl Jobs {
                     again_in_s = again.map(|wait| wait.as_secs()),
                     "job failed"
                 );
-                again.map_or(End::Failed { code, detail }, |wait| End::Again {
+                again.map_or(JobOutcome::Failed { code, detail }, |wait| JobOutcome::Again {
                     wait,
                     failures,
                     progress,
@@ -224,7 +230,7 @@ impl Jobs {
                 tracing::error!(error = &panic as &dyn std::error::Error, "job panicked");
                 let detail =
                     "the job stopped because of an internal error; the server's log has the cause";
-                End::Failed { code: "internal".into(), detail: detail.into() }
+                JobOutcome::Failed { code: "internal".into(), detail: detail.into() }
             }
         };
         // Whoever sees the job's end sees it counted.
@@ -234,13 +240,13 @@ impl Jobs {
         ended
     }
 
-    fn count(&self, kind: &'static str, end: &End, took: Duration) {
+    fn count(&self, kind: &'static str, end: &JobOutcome, took: Duration) {
         let state = match end {
-            End::Done(_) => JobState::Succeeded,
-            End::Failed { .. } => JobState::Failed,
-            End::Cancelled => JobState::Cancelled,
-            End::Again { .. } => return self.metrics.jobs.retried(kind),
-            End::PutBack => return,
+            JobOutcome::Done(_) => JobState::Succeeded,
+            JobOutcome::Failed { .. } => JobState::Failed,
+            JobOutcome::Cancelled => JobState::Cancelled,
+            JobOutcome::Again { .. } => return self.metrics.jobs.retried(kind),
+            JobOutcome::PutBack => return,
         };
         self.metrics.jobs.finished(kind, state.word(), Some(took));
     }
@@ -249,8 +255,8 @@ impl Jobs {
     /// nobody knows would run for ever.
     async fn record(
         &self,
-        hold: &Hold,
-        end: &End,
+        hold: &JobLease,
+        end: &JobOutcome,
         shutdown: &CancellationToken,
     ) -> Result<(), StoreError> {
         loop {
@@ -268,26 +274,26 @@ impl Jobs {
                     );
                     let _ = shutdown.run_until_cancelled(time::sleep(LOOK_EVERY)).await;
                 }
-                recorded => return recorded,
+                notify_worker => return notify_worker,
             }
         }
     }
 
-    async fn try_to_record(&self, hold: &Hold, end: &End) -> Result<(), StoreError> {
+    async fn try_to_record(&self, hold: &JobLease, end: &JobOutcome) -> Result<(), StoreError> {
         match end {
-            End::Done(message) => {
+            JobOutcome::Done(message) => {
                 tracing::info!(result = message, "job done");
                 self.repository.finish_job(hold, JobState::Succeeded, Some(message), None).await
             }
-            End::PutBack => self.repository.requeue_job(hold).await,
-            End::Again { wait, failures, progress } => {
+            JobOutcome::PutBack => self.repository.requeue_job(hold).await,
+            JobOutcome::Again { wait, failures, progress } => {
                 self.repository.requeue_job_after(hold, *wait, *failures, *progress).await
             }
-            End::Cancelled => {
+            JobOutcome::Cancelled => {
                 tracing::info!("job cancelled");
                 self.repository.finish_job(hold, JobState::Cancelled, None, None).await
             }
-            End::Failed { code, detail } => {
+            JobOutcome::Failed { code, detail } => {
                 self.repository.finish_job(hold, JobState::Failed, None, Some((code, detail))).await
             }
         }
@@ -295,26 +301,26 @@ impl Jobs {
 }
 
 /// A lane at work; however it ends, whoever asks learns of it.
-struct AtWork<'a> {
+struct WorkerGuard<'a> {
     jobs: &'a Jobs,
     kind: &'static str,
 }
 
-impl<'a> AtWork<'a> {
+impl<'a> WorkerGuard<'a> {
     fn begin(jobs: &'a Jobs, kind: &'static str) -> Self {
         jobs.note_lane(kind, true);
         Self { jobs, kind }
     }
 }
 
-impl Drop for AtWork<'_> {
+impl Drop for WorkerGuard<'_> {
     fn drop(&mut self) {
         self.jobs.note_lane(self.kind, false);
     }
 }
 
 /// What becomes of a job.
-enum End {
+enum JobOutcome {
     Done(String),
     /// The server stops: the next one goes on.
     PutBack,

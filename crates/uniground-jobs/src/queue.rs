@@ -1,6 +1,6 @@
 //! Submitting, watching and cancelling jobs.
 
-use super::followed::Followed;
+use super::followed::JobWatchers;
 use super::{Job, JobKind, JobList, job_of};
 use jiff::Timestamp;
 use std::collections::{BTreeMap, HashMap};
@@ -9,7 +9,7 @@ use std::time::Duration;
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 use uniground_storage::{
-    JobFilter, JobRepository, JobRow, JobState, NewJob, Queued, StoreError, page,
+    JobFilter, JobRepository, JobRow, JobState, NewJob, QueueLengths, StoreError, page,
 };
 use uniground_telemetry::metrics::Metrics;
 
@@ -32,26 +32,26 @@ const LATEST_S: u32 = 120;
 
 /// Where a running job stands.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(super) struct Pulse {
+pub(super) struct JobProgress {
     pub stage: &'static str,
     pub progress: f32,
 }
 
 /// A job in a worker's hands.
 #[derive(Clone)]
-pub(super) struct Running {
-    pub pulse: Arc<Mutex<Pulse>>,
+pub(super) struct RunningJob {
+    pub pulse: Arc<Mutex<JobProgress>>,
     pub cancel: CancellationToken,
     /// As it was when the worker took it.
     pub row: Arc<JobRow>,
 }
 
-impl Running {
-    pub fn pulse(&self) -> Pulse {
+impl RunningJob {
+    pub fn pulse(&self) -> JobProgress {
         *self.pulse.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub fn beat(&self, pulse: Pulse) {
+    pub fn beat(&self, pulse: JobProgress) {
         *self.pulse.lock().unwrap_or_else(PoisonError::into_inner) = pulse;
     }
 }
@@ -62,8 +62,8 @@ pub struct Jobs {
     pub(super) repository: JobRepository,
     /// By kind: told when a job was queued.
     bells: Arc<Mutex<HashMap<&'static str, Arc<Notify>>>>,
-    running: Arc<Mutex<HashMap<String, Running>>>,
-    pub(super) followed: Followed,
+    running: Arc<Mutex<HashMap<String, RunningJob>>>,
+    pub(super) followed: JobWatchers,
     /// By kind: whether its lane is at work.
     lanes: Arc<Mutex<BTreeMap<&'static str, bool>>>,
     pub(super) metrics: Arc<Metrics>,
@@ -78,7 +78,7 @@ impl Jobs {
             repository,
             bells: Arc::default(),
             running: Arc::default(),
-            followed: Followed::default(),
+            followed: JobWatchers::default(),
             lanes: Arc::default(),
             metrics: Arc::default(),
             max_queued,
@@ -119,13 +119,13 @@ impl Jobs {
         payload: &K::Payload,
         key_id: Option<&str>,
     ) -> Result<Job, JobsError> {
-        self.check_room::<K>(key_id).await?;
+        self.check_queue_capacity::<K>(key_id).await?;
         let payload = serde_json::to_string(payload).map_err(StoreError::from)?;
         let row = self
             .repository
             .insert_job(subject, &NewJob { kind: K::NAME, payload: &payload, key_id, done: None })
             .await?;
-        Ok(self.recorded::<K>(row))
+        Ok(self.notify_worker::<K>(row))
     }
 
     /// Whether another job of this kind may be queued for somebody. Of keys, those that have few in
@@ -133,8 +133,12 @@ impl Jobs {
     ///
     /// # Errors
     /// [`JobsError::QueueFull`], with the time until one more is done, by how it went lately.
-    pub async fn check_room<K: JobKind>(&self, key_id: Option<&str>) -> Result<(), JobsError> {
-        let Queued { all: queued, of_key } = self.repository.queued_jobs(K::NAME, key_id).await?;
+    pub async fn check_queue_capacity<K: JobKind>(
+        &self,
+        key_id: Option<&str>,
+    ) -> Result<(), JobsError> {
+        let QueueLengths { all: queued, of_key } =
+            self.repository.queued_jobs(K::NAME, key_id).await?;
         let tenth = self.max_queued / 10;
         let kept_free = if key_id.is_some() && of_key >= tenth { tenth } else { 0 };
         if queued < self.max_queued - kept_free {
@@ -158,7 +162,7 @@ impl Jobs {
 
     /// A job that somebody recorded, as callers see it; its lane is told if it waits.
     #[allow(clippy::must_use_candidate)] // Its lane is told.
-    pub fn recorded<K: JobKind>(&self, row: JobRow) -> Job {
+    pub fn notify_worker<K: JobKind>(&self, row: JobRow) -> Job {
         match row.state {
             JobState::Queued => self.bell(K::NAME).notify_one(),
             state if state.is_final() => self.metrics.jobs.finished(K::NAME, state.word(), None),
@@ -204,7 +208,7 @@ impl Jobs {
         if row.state == JobState::Running
             && let Some(running) = self.running().get(&row.id)
         {
-            let Pulse { stage, progress } = running.pulse();
+            let JobProgress { stage, progress } = running.pulse();
             row.progress = f64::from(progress);
             row.stage = (!stage.is_empty()).then(|| stage.to_owned());
         }
@@ -247,7 +251,7 @@ impl Jobs {
         self.bells.lock().unwrap_or_else(PoisonError::into_inner).entry(kind).or_default().clone()
     }
 
-    pub(super) fn running(&self) -> MutexGuard<'_, HashMap<String, Running>> {
+    pub(super) fn running(&self) -> MutexGuard<'_, HashMap<String, RunningJob>> {
         // The map is whole between any two statements: a panic elsewhere does not spoil it.
         self.running.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -13,7 +13,7 @@ use std::time::Duration;
 use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
 use uniground_jobs::{Job, JobKind, Jobs, JobsError};
-use uniground_storage::{JobState, NamedLocks, Turn, WebhookRepository};
+use uniground_storage::{JobState, LockTable, NamedLock, WebhookRepository};
 use uniground_types::batch::Batch;
 
 /// How often it is looked whether a job has ended.
@@ -28,17 +28,17 @@ const TRIES: u32 = 17;
 
 /// What is told.
 #[derive(Serialize)]
-struct Event {
+struct WebhookEvent {
     /// `job.succeeded`, `job.failed`, `job.cancelled`.
     #[serde(rename = "type")]
     kind: &'static str,
     /// When the job ended, RFC 3339 UTC.
     timestamp: String,
-    data: Data,
+    data: WebhookData,
 }
 
 #[derive(Serialize)]
-struct Data {
+struct WebhookData {
     job: Job,
     /// Of a batch's job: how the batch stands.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -50,7 +50,7 @@ struct Data {
 pub struct WebhookService {
     pub(crate) webhook_repository: WebhookRepository,
     pub(crate) service_locks: ServiceLocks,
-    pub(crate) named_locks: NamedLocks,
+    pub(crate) named_locks: LockTable,
     pub(crate) jobs: Jobs,
     pub(crate) batch_service: BatchService,
 }
@@ -79,11 +79,11 @@ impl WebhookService {
     async fn announce_due(
         &self,
         webhook: &Arc<Webhook>,
-        turn: &mut Option<Turn>,
+        turn: &mut Option<NamedLock>,
     ) -> Result<bool, Error> {
         // One process tells for all; another goes on when it is gone.
         if let Some(ours) = turn.take() {
-            *turn = Some(ours).filter(Turn::is_ours);
+            *turn = Some(ours).filter(NamedLock::is_ours);
         }
         if turn.is_none() {
             *turn = self.service_locks.announcing().await?;
@@ -166,7 +166,7 @@ impl WebhookService {
         Ok(())
     }
 
-    async fn event_of(&self, job: Job) -> Result<Event, Error> {
+    async fn event_of(&self, job: Job) -> Result<WebhookEvent, Error> {
         let kind = match job.state {
             JobState::Succeeded => "job.succeeded",
             JobState::Cancelled => "job.cancelled",
@@ -176,10 +176,10 @@ impl WebhookService {
             BatchJob::NAME => self.batch_service.batch(&job.subject).await.ok(),
             _ => None,
         };
-        Ok(Event {
+        Ok(WebhookEvent {
             kind,
             timestamp: job.finished_at.clone().unwrap_or_default(),
-            data: Data { job, batch },
+            data: WebhookData { job, batch },
         })
     }
 }

@@ -3,7 +3,7 @@
 use crate::Limits;
 use crate::error::Error;
 use uniground_storage::HealthProbe;
-use uniground_telemetry::memory::Memory;
+use uniground_telemetry::memory::MemoryUsage;
 
 /// Checks that disk and memory have room for more work.
 #[derive(Clone)]
@@ -27,7 +27,7 @@ impl Capacity {
     /// Whether there is memory for something that takes so much. Where the system does not tell, it
     /// is believed; blocks.
     pub(crate) fn check_memory(&self, wanted: u64) -> Result<(), Error> {
-        let Some(Memory { resident, most }) = Memory::now() else { return Ok(()) };
+        let Some(MemoryUsage { resident, most }) = MemoryUsage::now() else { return Ok(()) };
         let most = self.limits.max_memory_bytes.unwrap_or(most);
         if resident.saturating_add(wanted) > most {
             Err(Error::MemoryShort { wanted, resident, most })

@@ -9,22 +9,22 @@ use std::time::Duration;
 use tokio::task::spawn_blocking;
 use uniground_jobs::JobKind;
 use uniground_storage::{
-    Blobs, BrokenReference, ContentRepository, Damage, IntegrityRepository, JobRepository, Look,
-    OrphanRepository, ParseRepository, Strays,
+    Blobs, BrokenReference, CheckDepth, ContentRepository, DamagedFile, IntegrityRepository,
+    JobRepository, OrphanFolders, OrphanRepository, ParseRepository,
 };
 use uniground_types::settings::ParseSettings;
 
 /// Something that is not as it should be.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finding {
-    pub trouble: Trouble,
+    pub trouble: FindingKind,
     /// In plain words, with the file or id.
     pub detail: String,
 }
 
 /// Kinds of trouble, and what can be done.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Trouble {
+pub enum FindingKind {
     /// The database itself. Nothing is done: restore a backup.
     Database,
     /// Rows that refer to rows which do not exist: the reference is cleared or the rows are
@@ -45,7 +45,7 @@ pub enum Trouble {
     Job { id: String },
 }
 
-impl Trouble {
+impl FindingKind {
     /// What repairing does about it; `None`: that is for people.
     #[must_use]
     pub fn remedy(&self) -> Option<&'static str> {
@@ -59,7 +59,7 @@ impl Trouble {
     }
 }
 
-impl fmt::Display for Trouble {
+impl fmt::Display for FindingKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Database => "database",
@@ -96,7 +96,7 @@ impl DoctorService {
         let mut findings = Vec::new();
         let mut found = |trouble, detail: String| findings.push(Finding { trouble, detail });
         for complaint in self.integrity_repository.integrity().await? {
-            found(Trouble::Database, complaint);
+            found(FindingKind::Database, complaint);
         }
         for BrokenReference { table, column, parent, is_optional, rows, .. } in
             self.integrity_repository.broken_references().await?
@@ -104,7 +104,7 @@ impl DoctorService {
             let remedy =
                 if is_optional { "the reference is cleared" } else { "the rows are removed" };
             found(
-                Trouble::References,
+                FindingKind::References,
                 format!(
                     "{rows} rows of {table} refer by {column} to rows of {parent} that do not exist; repair: {remedy}"
                 ),
@@ -112,38 +112,45 @@ impl DoctorService {
         }
         for hash in self.content_repository.all_contents().await? {
             let (blobs, place) = (self.blobs.clone(), self.blobs.content(&hash));
-            let wrong = spawn_blocking(move || blobs.look(&place, Look::Bytes)).await??;
+            let wrong = spawn_blocking(move || blobs.look(&place, CheckDepth::Bytes)).await??;
             if let Some(detail) = told(&wrong) {
                 found(
-                    Trouble::Content { hash: hash.clone() },
+                    FindingKind::Content { hash: hash.clone() },
                     format!("{hash}: {detail}; upload the scan again"),
                 );
             }
         }
         for parse in self.parse_repository.all_parses().await? {
-            let wrong = self.parsed_scenes.look_at_parse(&parse.id, Look::Bytes).await?;
+            let wrong = self.parsed_scenes.look_at_parse(&parse.id, CheckDepth::Bytes).await?;
             if let Some(detail) = told(&wrong)
                 && !parse.is_retired()
             {
-                found(Trouble::Parse { id: parse.id.clone() }, format!("{}: {detail}", parse.id));
+                found(
+                    FindingKind::Parse { id: parse.id.clone() },
+                    format!("{}: {detail}", parse.id),
+                );
             }
         }
-        let Strays { unclaimed, unjudged } = self.orphan_repository.strays(Duration::ZERO).await?;
+        let OrphanFolders { unclaimed, unjudged } =
+            self.orphan_repository.orphan_folders(Duration::ZERO).await?;
         for (kind, name) in unclaimed {
             let detail = format!("blobs/{kind}/{name}: no record speaks of it");
-            found(Trouble::Unclaimed { kind, name }, detail);
+            found(FindingKind::Unclaimed { kind, name }, detail);
         }
         for (kind, name) in unjudged {
             found(
-                Trouble::Unjudged,
+                FindingKind::Unjudged,
                 format!("blobs/{kind}/{name}: older than the database, or the database is empty"),
             );
         }
         for file in self.blobs.stray_files()? {
-            found(Trouble::StrayFile, format!("{file}: no folder; it is left alone"));
+            found(FindingKind::StrayFile, format!("{file}: no folder; it is left alone"));
         }
         for (id, subject) in self.job_repository.jobs_without_scene().await? {
-            found(Trouble::Job { id: id.clone() }, format!("{id}: its scene {subject} is gone"));
+            found(
+                FindingKind::Job { id: id.clone() },
+                format!("{id}: its scene {subject} is gone"),
+            );
         }
         Ok(findings)
     }
@@ -153,7 +160,7 @@ impl DoctorService {
     /// # Errors
     /// [`Error`] of the store; what was done stays done.
     pub async fn repair(&self, findings: &[Finding]) -> Result<(), Error> {
-        if findings.iter().any(|finding| finding.trouble == Trouble::References) {
+        if findings.iter().any(|finding| finding.trouble == FindingKind::References) {
             for scene_id in self.integrity_repository.repair_references().await? {
                 self.parse_service
                     .start_parse(&scene_id, &ParseSettings::default(), &Caller::operator())
@@ -162,16 +169,16 @@ impl DoctorService {
         }
         for Finding { trouble, .. } in findings {
             match trouble {
-                Trouble::Parse { id } => self.parsed_scenes.retire_parse(id).await?,
-                Trouble::Unclaimed { kind, name } => {
+                FindingKind::Parse { id } => self.parsed_scenes.retire_parse(id).await?,
+                FindingKind::Unclaimed { kind, name } => {
                     self.orphan_repository.quarantine(vec![(kind, name.clone())]).await?
                 }
-                Trouble::Job { id } => self.job_repository.end_orphan(id).await?,
-                Trouble::Database
-                | Trouble::References
-                | Trouble::Content { .. }
-                | Trouble::Unjudged
-                | Trouble::StrayFile => {}
+                FindingKind::Job { id } => self.job_repository.end_orphan(id).await?,
+                FindingKind::Database
+                | FindingKind::References
+                | FindingKind::Content { .. }
+                | FindingKind::Unjudged
+                | FindingKind::StrayFile => {}
             }
         }
         Ok(())
@@ -187,9 +194,9 @@ impl DoctorService {
 }
 
 /// The first thing that is wrong, and how many more; strays hurt nobody.
-fn told(wrong: &[Damage]) -> Option<String> {
+fn told(wrong: &[DamagedFile]) -> Option<String> {
     let mut wrong = wrong.iter().filter(|damage| damage.what != "stray");
-    let Damage { file, what } = wrong.next()?;
+    let DamagedFile { file, what } = wrong.next()?;
     let more = match wrong.count() {
         0 => String::new(),
         n => format!(", and {n} more"),

@@ -11,7 +11,7 @@ use uniground_models::neural::ModelError;
 use uniground_parsing::ParseError;
 use uniground_parsing::changes::ChangesError;
 use uniground_parsing::scan::ScanError;
-use uniground_storage::{Away, StoreError, is_disk_full};
+use uniground_storage::{ObjectStoreUnavailable, StoreError, is_disk_full};
 use uniground_types::problem::FieldError;
 
 #[derive(Debug, thiserror::Error)]
@@ -256,7 +256,7 @@ impl Error {
     /// Whether the same may go well a while later: a disk that was full, a database that was
     /// locked, a model that did not answer.
     #[must_use]
-    pub fn may_pass(&self) -> bool {
+    pub fn is_transient(&self) -> bool {
         matches!(
             self,
             Self::Store(_)
@@ -294,11 +294,13 @@ impl Error {
 
     /// Whether the object store can not be had for a moment.
     #[must_use]
-    pub fn is_blobs_away(&self) -> bool {
+    pub fn is_object_store_unavailable(&self) -> bool {
         match self {
-            Self::Store(error) | Self::Jobs(JobsError::Store(error)) => error.is_blobs_away(),
+            Self::Store(error) | Self::Jobs(JobsError::Store(error)) => {
+                error.is_object_store_unavailable()
+            }
             Self::Io(error) | Self::Ingest(IngestError::Io { source: error, .. }) => {
-                Away::is_behind(error)
+                ObjectStoreUnavailable::is_behind(error)
             }
             _ => false,
         }
@@ -314,7 +316,7 @@ impl Error {
         if self.is_store_busy() {
             return "storage_busy";
         }
-        if self.is_blobs_away() {
+        if self.is_object_store_unavailable() {
             return "blobs_busy";
         }
         match self {

@@ -1,7 +1,7 @@
 //! Whether everything a request or a job may need is there.
 
 use crate::Vlm;
-use crate::lately::Lately;
+use crate::lately::SingleFlightCache;
 use std::sync::Arc;
 use std::time::Duration;
 use uniground_endpoints::inference::Probe;
@@ -43,7 +43,7 @@ const AGE: Duration = Duration::from_secs(1);
 /// Checks what the service depends on.
 #[derive(Clone)]
 pub struct HealthService {
-    pub(crate) last_health: Lately<Health>,
+    pub(crate) last_health: SingleFlightCache<Health>,
     pub(crate) health_probe: HealthProbe,
     pub(crate) inference: Option<Arc<Probe>>,
     pub(crate) jobs: Jobs,

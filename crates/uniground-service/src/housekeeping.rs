@@ -1,7 +1,7 @@
 //! What happens without being asked for: what was kept long enough goes, stray folders are swept,
 //! damage is found before somebody meets it.
 
-use super::Beside;
+use super::RunMode;
 use crate::error::Error;
 use crate::parses::ParseCache;
 use crate::{Limits, ParsedScenes, ServiceLocks};
@@ -9,8 +9,8 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::sleep;
 use uniground_storage::{
-    Blobs, ContentRepository, Damage, Look, OrphanRepository, ParseRepository, Recovery, Reserve,
-    RetentionRepository, RoomIndexRepository,
+    Blobs, CheckDepth, ContentRepository, DamagedFile, OrphanRepository, ParseRepository, Recovery,
+    Reserve, RetentionRepository, RoomIndexRepository,
 };
 
 /// The pause between two looks at a parse's files: nobody shall notice.
@@ -38,22 +38,23 @@ impl MaintenanceService {
     ///
     /// # Errors
     /// [`Error`] of the store; what was done stays done.
-    pub async fn keep_house(&self) -> Result<(), Error> {
+    pub async fn run_maintenance(&self) -> Result<(), Error> {
         self.recovery.recover_beside_others().await;
         // Copies are each process's own.
         if self.blobs.are_copies() {
-            self.orphan_repository.sweep(Beside::TheServer.settled()).await?;
+            self.orphan_repository.sweep(RunMode::TheServer.settled()).await?;
         }
         // One process does the rest for all.
         let Some(_turn) = self.service_locks.keeping_house().await? else { return Ok(()) };
-        self.let_go(Beside::TheServer).await?;
+        self.apply_retention(RunMode::TheServer).await?;
         self.room_index_repository.forget_unused_names().await?;
         // One that was retired is known to be damaged, and kept for its answers only.
         for parse in
             self.parse_repository.all_parses().await?.iter().filter(|parse| !parse.is_retired())
         {
-            let wrong = self.parsed_scenes.look_at_parse(&parse.id, Look::Bytes).await?;
-            if let Some(Damage { file, what }) = wrong.iter().find(|damage| damage.what != "stray")
+            let wrong = self.parsed_scenes.look_at_parse(&parse.id, CheckDepth::Bytes).await?;
+            if let Some(DamagedFile { file, what }) =
+                wrong.iter().find(|damage| damage.what != "stray")
             {
                 tracing::error!(parse_id = parse.id, file = %file, what, "a stored parse is damaged");
                 self.parsed_scenes.retire_parse(&parse.id).await?;

@@ -6,25 +6,25 @@ use std::time::{Duration, Instant};
 use tokio::time::timeout;
 
 /// What was seen last, and when.
-pub struct Lately<T> {
+pub struct SingleFlightCache<T> {
     last: Arc<Mutex<Option<(Instant, T)>>>,
     /// Held by who looks.
     looking: Arc<tokio::sync::Mutex<()>>,
 }
 
-impl<T> Clone for Lately<T> {
+impl<T> Clone for SingleFlightCache<T> {
     fn clone(&self) -> Self {
         Self { last: self.last.clone(), looking: self.looking.clone() }
     }
 }
 
-impl<T> Default for Lately<T> {
+impl<T> Default for SingleFlightCache<T> {
     fn default() -> Self {
         Self { last: Arc::default(), looking: Arc::default() }
     }
 }
 
-impl<T: Clone + Send + 'static> Lately<T> {
+impl<T: Clone + Send + 'static> SingleFlightCache<T> {
     /// The value as it is, or was less than `age` ago.
     pub async fn get(&self, age: Duration, look: impl Future<Output = T>) -> T {
         let _looking = self.looking.lock().await;
@@ -72,7 +72,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_look_is_shared_and_nobody_waits_longer_than_he_likes() {
-        let (lately, long) = (Lately::default(), Duration::from_hours(1));
+        let (lately, long) = (SingleFlightCache::default(), Duration::from_hours(1));
         assert_eq!(lately.get(long, async { 1 }).await, 1);
         assert_eq!(lately.get(long, async { 2 }).await, 1);
         let slow = async {

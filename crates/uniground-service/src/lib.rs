@@ -36,25 +36,27 @@ pub use announcing::WebhookService;
 pub use answers::LineFormat;
 pub use answers::{AnswerService, GroundingService, Transcripts};
 pub use approach::ApproachService;
-pub use batches::{BatchJob, Body, Results, Submission};
+pub use batches::{BatchBody, BatchJob, ResultRequest, Submission};
 pub use batches::{BatchRunner, BatchService};
 pub use capacity::Capacity;
 pub use corrections::CorrectionService;
 pub use corrections::GroundTruth;
 pub use doctor::DoctorService;
-pub use doctor::{Finding, Trouble};
+pub use doctor::{Finding, FindingKind};
 pub use health::Health;
 pub use health::HealthService;
 pub use housekeeping::MaintenanceService;
 pub use instances::InstanceService;
 pub use instances::{EvidenceFile, written};
-pub use keys::{Allowance, Caller, Denied, Done, Keyring, LINK_PARAMETER, LinkSecret};
+pub use keys::{
+    AuditedRequest, Caller, KeyRejection, Keyring, LINK_PARAMETER, LinkSecret, RateLimitStatus,
+};
 pub use names::NamingJob;
 pub use names::NamingService;
-pub use parses::{Download, ParseFile, ParseJob};
+pub use parses::{FileDownload, ParseFile, ParseJob};
 pub use parses::{MediaService, ParseRunner, ParseService, ParsedScenes};
 pub use permits::QuestionPermits;
-pub use retention::{Beside, Removed};
+pub use retention::{RetentionReport, RunMode};
 pub use room_index::RoomSearch;
 pub use scenes::{
     ChangeService, ExportService, GrowthService, ImportService, SceneLookup, SceneService,
@@ -65,7 +67,7 @@ pub use stats::StatsService;
 pub use turns::ServiceLocks;
 pub use uploads::Explain;
 pub use uploads::UploadService;
-pub use uploads::{Algorithm, Checksum, NewUpload, Part};
+pub use uploads::{Checksum, ChecksumAlgorithm, NewUpload, UploadPart};
 pub use vlm::{Vlm, VlmSettings, WhenNamed};
 
 use crate::error::Error;
@@ -110,7 +112,7 @@ fn job_failure(error: Error) -> JobFailure {
             code: code.to_owned(),
             detail: error.to_string(),
             cause: with_causes(&error),
-            transient: error.may_pass(),
+            transient: error.is_transient(),
         },
     }
 }

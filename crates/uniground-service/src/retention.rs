@@ -14,12 +14,14 @@ use std::collections::HashSet;
 use std::time::{Duration, SystemTime};
 use tokio::task::spawn_blocking;
 use tokio::time::sleep;
-use uniground_storage::{Aged, Before, Due, KEEP_QUARANTINE_DAYS, KeptCheckpoints, size_of};
+use uniground_storage::{
+    Cutoff, ExpiredRow, KEEP_QUARANTINE_DAYS, RetentionKind, StoredCheckpoints, size_of,
+};
 use uniground_types::stats::Retention;
 
 /// What was removed of a kind.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Removed {
+pub struct RetentionReport {
     pub kind: &'static str,
     pub entries: u64,
     pub bytes: u64,
@@ -32,26 +34,26 @@ const DAY: Duration = Duration::from_hours(24);
 
 /// What of a kind has gone so far.
 #[derive(Default)]
-struct Gone {
+struct RemovedSoFar {
     entries: u64,
     bytes: u64,
 }
 
-impl Gone {
-    fn because(self, kind: &'static str, why: String) -> Removed {
-        Removed { kind, entries: self.entries, bytes: self.bytes, why }
+impl RemovedSoFar {
+    fn because(self, kind: &'static str, why: String) -> RetentionReport {
+        RetentionReport { kind, entries: self.entries, bytes: self.bytes, why }
     }
 }
 
 /// Who is at work on what is looked at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Beside {
+pub enum RunMode {
     Nobody,
     /// Questions come first, and what is being put in place is left alone.
     TheServer,
 }
 
-impl Beside {
+impl RunMode {
     /// Between two steps.
     async fn pause(self) {
         const BREATH: Duration = Duration::from_millis(50);
@@ -70,9 +72,9 @@ impl Beside {
 }
 
 /// One round.
-struct Round<'a> {
+struct RetentionRun<'a> {
     service: &'a MaintenanceService,
-    beside: Beside,
+    beside: RunMode,
     now: Timestamp,
     /// Folders that are gone, or would be: none counts twice.
     folders: HashSet<Utf8PathBuf>,
@@ -84,10 +86,10 @@ impl MaintenanceService {
     ///
     /// # Errors
     /// [`Error`] of the store; what is gone stays gone.
-    pub async fn let_go(&self, beside: Beside) -> Result<Vec<Removed>, Error> {
-        let removed = match self.try_to_let_go(beside).await {
+    pub async fn apply_retention(&self, beside: RunMode) -> Result<Vec<RetentionReport>, Error> {
+        let removed = match self.try_to_apply_retention(beside).await {
             Err(error) if error.is_disk_full() && self.reserve.release_reserve() => {
-                self.try_to_let_go(beside).await
+                self.try_to_apply_retention(beside).await
             }
             done => done,
         }?;
@@ -95,9 +97,9 @@ impl MaintenanceService {
         Ok(removed)
     }
 
-    async fn try_to_let_go(&self, beside: Beside) -> Result<Vec<Removed>, Error> {
+    async fn try_to_apply_retention(&self, beside: RunMode) -> Result<Vec<RetentionReport>, Error> {
         let mut round =
-            Round { service: self, beside, now: Timestamp::now(), folders: HashSet::new() };
+            RetentionRun { service: self, beside, now: Timestamp::now(), folders: HashSet::new() };
         let Retention {
             answers_days,
             jobs_days,
@@ -112,26 +114,32 @@ impl MaintenanceService {
         let quarantine = round.quarantine().await?;
         let mut removed = vec![
             round.evidence().await?,
-            round.rows(Aged::Answers, answers_days, "answers").await?,
-            round.rows(Aged::Batches, batches_days, "batches").await?,
+            round.rows(RetentionKind::Answers, answers_days, "answers").await?,
+            round.rows(RetentionKind::Batches, batches_days, "batches").await?,
             // After batches and answers, which refer to jobs and parses.
-            round.rows(Aged::Jobs, jobs_days, "jobs").await?,
-            round.rows(Aged::IdempotencyKeys, idempotency_days, "idempotency keys").await?,
+            round.rows(RetentionKind::Jobs, jobs_days, "jobs").await?,
             round
-                .rows(Aged::QuestionKeys, idempotency_days, "idempotency keys of questions")
+                .rows(RetentionKind::IdempotencyKeys, idempotency_days, "idempotency keys")
                 .await?,
-            round.rows(Aged::Audit, audit_days, "audit").await?,
+            round
+                .rows(
+                    RetentionKind::QuestionKeys,
+                    idempotency_days,
+                    "idempotency keys of questions",
+                )
+                .await?,
+            round.rows(RetentionKind::Audit, audit_days, "audit").await?,
             round.superseded_parses(superseded_days).await?,
             // After the parses of them.
             round.outgrown_contents(superseded_days).await?,
-            round.rows(Aged::Uploads, uploads_days, "uploads in parts").await?,
+            round.rows(RetentionKind::Uploads, uploads_days, "uploads in parts").await?,
             round.checkpoints().await?,
             quarantine,
         ];
         if self.blobs.are_copies() {
             removed.push(round.orphans().await?);
         }
-        for Removed { kind, entries, bytes, why } in
+        for RetentionReport { kind, entries, bytes, why } in
             removed.iter().filter(|removed| removed.entries > 0)
         {
             tracing::info!(kind, entries, bytes, why, "removed what was kept long enough");
@@ -140,14 +148,14 @@ impl MaintenanceService {
     }
 }
 
-impl Round<'_> {
-    async fn evidence(&mut self) -> Result<Removed, Error> {
+impl RetentionRun<'_> {
+    async fn evidence(&mut self) -> Result<RetentionReport, Error> {
         let days = self.service.limits.retention.evidence_days;
         let blobs = self.service.blobs.clone();
         let old =
             spawn_blocking(move || blobs.older_than("answers", DAY * days, SystemTime::now()))
                 .await??;
-        let mut gone = Gone::default();
+        let mut gone = RemovedSoFar::default();
         for names in old.chunks(TOGETHER as usize) {
             let folders = names.iter().map(|name| self.service.blobs.answer(name)).collect();
             gone.bytes += self.discard(folders).await?;
@@ -157,12 +165,17 @@ impl Round<'_> {
     }
 
     /// Rows of a kind, and what lies beside them.
-    async fn rows(&mut self, aged: Aged, days: u32, kind: &'static str) -> Result<Removed, Error> {
-        let mut gone = Gone::default();
+    async fn rows(
+        &mut self,
+        aged: RetentionKind,
+        days: u32,
+        kind: &'static str,
+    ) -> Result<RetentionReport, Error> {
+        let mut gone = RemovedSoFar::default();
         if days == 0 {
             return Ok(gone.because(kind, "kept for ever".into()));
         }
-        let before = Before::days_ago(days, self.now);
+        let before = Cutoff::days_ago(days, self.now);
         let rows = &self.service.retention_repository;
         let blobs = &self.service.blobs;
         let mut after = String::new();
@@ -179,8 +192,8 @@ impl Round<'_> {
                 .await?;
             gone.count(&due, &removed);
             let beside = match aged {
-                Aged::Answers => removed.iter().map(|id| blobs.answer(id)).collect(),
-                Aged::Uploads => removed.iter().map(|id| blobs.upload(id)).collect(),
+                RetentionKind::Answers => removed.iter().map(|id| blobs.answer(id)).collect(),
+                RetentionKind::Uploads => removed.iter().map(|id| blobs.upload(id)).collect(),
                 _ => Vec::new(),
             };
             gone.bytes += self.discard(beside).await?;
@@ -190,18 +203,18 @@ impl Round<'_> {
     }
 
     /// Parses one by one: with their instances they are large.
-    async fn superseded_parses(&mut self, days: u32) -> Result<Removed, Error> {
+    async fn superseded_parses(&mut self, days: u32) -> Result<RetentionReport, Error> {
         const KIND: &str = "superseded parses";
-        let (service, mut gone) = (self.service, Gone::default());
+        let (service, mut gone) = (self.service, RemovedSoFar::default());
         service.retention_repository.mark_superseded_parses(self.now).await?;
         if days == 0 {
             return Ok(gone.because(KIND, "kept for ever".into()));
         }
-        let before = Before::days_ago(days, self.now);
+        let before = Cutoff::days_ago(days, self.now);
         let mut after = String::new();
         while let Some(due) = service
             .retention_repository
-            .due(Aged::SupersededParses, &before, &after, 1)
+            .due(RetentionKind::SupersededParses, &before, &after, 1)
             .await?
             .pop()
         {
@@ -214,7 +227,7 @@ impl Round<'_> {
                 );
                 service
                     .retention_repository
-                    .remove_due(Aged::SupersededParses, &before, &[&due.id])
+                    .remove_due(RetentionKind::SupersededParses, &before, &[&due.id])
                     .await?
             };
             for id in &removed {
@@ -231,9 +244,9 @@ impl Round<'_> {
 
     /// Scans as they were before they grew. Their files are those of the scan that has grown: what
     /// goes is little but links.
-    async fn outgrown_contents(&mut self, days: u32) -> Result<Removed, Error> {
+    async fn outgrown_contents(&mut self, days: u32) -> Result<RetentionReport, Error> {
         const KIND: &str = "outgrown scans";
-        let (service, mut gone) = (self.service, Gone::default());
+        let (service, mut gone) = (self.service, RemovedSoFar::default());
         if days == 0 {
             return Ok(gone.because(KIND, "kept for ever".into()));
         }
@@ -252,15 +265,15 @@ impl Round<'_> {
         Ok(gone.because(KIND, "their scenes have grown, and no parse is of them any more".into()))
     }
 
-    async fn checkpoints(&mut self) -> Result<Removed, Error> {
+    async fn checkpoints(&mut self) -> Result<RetentionReport, Error> {
         let Retention { checkpoints_days: days, checkpoints_bytes: most, .. } =
             self.service.limits.retention;
         let blobs = self.service.blobs.clone();
         let kept = spawn_blocking(move || blobs.kept_checkpoints()).await??;
         let oldest =
             if days == 0 { SystemTime::UNIX_EPOCH } else { SystemTime::now() - DAY * days };
-        let mut gone = Gone::default();
-        for KeptCheckpoints { hash, bytes, .. } in too_many(kept, oldest, most) {
+        let mut gone = RemovedSoFar::default();
+        for StoredCheckpoints { hash, bytes, .. } in too_many(kept, oldest, most) {
             // No parse of it begins between the look and the removal.
             let references = (
                 self.service.service_locks.content_references().await?,
@@ -282,18 +295,18 @@ impl Round<'_> {
         ))
     }
 
-    async fn quarantine(&self) -> Result<Removed, Error> {
+    async fn quarantine(&self) -> Result<RetentionReport, Error> {
         let (entries, bytes) = self.service.orphan_repository.sweep(self.beside.settled()).await?;
-        Ok(Gone { entries, bytes }.because(
+        Ok(RemovedSoFar { entries, bytes }.because(
             "quarantine",
             format!("no record speaks of them, for over {KEEP_QUARANTINE_DAYS} days"),
         ))
     }
 
     /// Objects no record speaks of, one by one, looked up again right before.
-    async fn orphans(&self) -> Result<Removed, Error> {
-        let (service, mut gone) = (self.service, Gone::default());
-        for orphan in service.orphan_repository.orphans().await? {
+    async fn orphans(&self) -> Result<RetentionReport, Error> {
+        let (service, mut gone) = (self.service, RemovedSoFar::default());
+        for orphan in service.orphan_repository.orphan_objects().await? {
             let references = (
                 service.service_locks.content_references().await?,
                 service.service_locks.parse_references().await?,
@@ -326,9 +339,9 @@ impl Round<'_> {
     }
 }
 
-impl Gone {
+impl RemovedSoFar {
     /// Counts those that were due and are gone.
-    fn count(&mut self, due: &[Due], removed: &[String]) {
+    fn count(&mut self, due: &[ExpiredRow], removed: &[String]) {
         let removed: HashSet<&str> = removed.iter().map(String::as_str).collect();
         for due in due.iter().filter(|due| removed.contains(due.id.as_str())) {
             self.entries += 1;
@@ -339,7 +352,7 @@ impl Gone {
 
 /// Those of all checkpoints, the longest unused first, that were last used before `oldest`, or that
 /// are too many.
-fn too_many(kept: Vec<KeptCheckpoints>, oldest: SystemTime, most: u64) -> Vec<KeptCheckpoints> {
+fn too_many(kept: Vec<StoredCheckpoints>, oldest: SystemTime, most: u64) -> Vec<StoredCheckpoints> {
     let mut total: u64 = kept.iter().map(|kept| kept.bytes).sum();
     let mut going = Vec::new();
     for kept in kept {
@@ -358,8 +371,11 @@ mod tests {
     #[test]
     fn checkpoints_go_by_age_and_then_the_longest_unused_until_the_rest_fits() {
         let at = |days: u32| SystemTime::UNIX_EPOCH + DAY * days;
-        let kept =
-            |hash: &str, days, bytes| KeptCheckpoints { hash: hash.into(), bytes, used: at(days) };
+        let kept = |hash: &str, days, bytes| StoredCheckpoints {
+            hash: hash.into(),
+            bytes,
+            used: at(days),
+        };
         let all = vec![
             kept("old", 1, 10),
             kept("large", 5, 1000),

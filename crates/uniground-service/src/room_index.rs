@@ -13,8 +13,8 @@ use uniground_grounding::GivenName;
 use uniground_grounding::room_index::{Sought, entries};
 use uniground_models::neural::{Models, Role};
 use uniground_storage::{
-    FoundEntry, ParseRepository, RoomEntry, RoomIndexRepository, SceneFilter, SceneRepository,
-    SceneRow, Seen, ToIndex,
+    ParseRepository, ParseToIndex, RoomEntry, RoomIndexRepository, RoomMatch, RoomVectors,
+    SceneFilter, SceneRepository, SceneRow,
 };
 use uniground_types::labels::Labels;
 
@@ -98,7 +98,7 @@ impl RoomSearch {
         Ok(())
     }
 
-    async fn index_room(&self, room: &ToIndex) -> Result<(), Error> {
+    async fn index_room(&self, room: &ParseToIndex) -> Result<(), Error> {
         let parse = self.parsed_scenes.passing_parse(&room.parse_id).await?;
         let keeps_vectors = self.room_index_repository.has_vectors().await?;
         let (known, seen) = spawn_blocking(move || {
@@ -115,7 +115,7 @@ impl RoomSearch {
                 };
                 let vectors =
                     (0..embeddings.len()).filter(of_things).map(|at| embeddings.row(at)).collect();
-                Seen { encoder: parse.encoder.clone(), vectors }
+                RoomVectors { encoder: parse.encoder.clone(), vectors }
             });
             (known.collect::<Vec<_>>(), seen)
         })
@@ -138,7 +138,7 @@ impl RoomSearch {
         let mut rooms: HashMap<String, Vec<f32>> = HashMap::new();
         for at in 0..sought.len() {
             for (name, fit) in self.names_for(&sought, at).await? {
-                for FoundEntry { parse_id, colour, weight } in
+                for RoomMatch { parse_id, colour, weight } in
                     self.rooms_with(&name, sought.colours(at), labels).await?
                 {
                     let counts = sought.weigh_entry(
@@ -214,7 +214,7 @@ impl RoomSearch {
         name: &str,
         colours: &[ColourName],
         labels: &Labels,
-    ) -> Result<Vec<FoundEntry>, Error> {
+    ) -> Result<Vec<RoomMatch>, Error> {
         let mut found = self.room_index_repository.rooms_with(name, None, labels, ROOMS).await?;
         if found.len() >= ROOMS as usize {
             for colour in colours {

@@ -1,10 +1,10 @@
 //! The composition of the use cases: every service with what it needs.
 
 use crate::error::Error;
-use crate::lately::Lately;
+use crate::lately::SingleFlightCache;
 use crate::parses::ParseCache;
 use crate::room_index::RoomNames;
-use crate::stats::Numbers;
+use crate::stats::FigureCache;
 use crate::uploads::{Explain, unexplained};
 use crate::{
     AnswerService, ApproachService, BatchRunner, BatchService, Capacity, ChangeService,
@@ -136,7 +136,7 @@ impl Services {
         let (parse_cache, picture_cache) =
             (Arc::<ParseCache>::default(), Arc::<PictureCache>::default());
         let room_names = Arc::<RoomNames>::default();
-        let (last_health, figures) = (Lately::default(), Numbers::default());
+        let (last_health, figures) = (SingleFlightCache::default(), FigureCache::default());
         let transcripts = Transcripts {
             blobs: store.blobs.clone(),
             limits,

@@ -4,7 +4,7 @@
 //! for all who ask together, and a scrape does not wait for a disk that is slow: it tells what was
 //! seen before.
 
-use super::lately::Lately;
+use super::lately::SingleFlightCache;
 use super::vlm::today;
 use super::{BatchJob, MAX_UPLOADS, NamingJob, ParseJob};
 use crate::error::Error;
@@ -18,7 +18,7 @@ use tokio::sync::{Mutex, Semaphore};
 use uniground_grounding::PictureCache;
 use uniground_jobs::{JobKind, Jobs};
 use uniground_storage::{
-    Blobs, Figures, JobState, Measured, SpendingRepository, StatisticsRepository, StoreError,
+    Blobs, Figures, FolderSizes, JobState, SpendingRepository, StatisticsRepository, StoreError,
 };
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::stats::{DiskUse, JobStats, Spending, Stats, StoredCounts};
@@ -35,17 +35,17 @@ type Sizes = Arc<BTreeMap<&'static str, u64>>;
 
 /// What was seen of the store a moment ago.
 #[derive(Clone, Default)]
-pub(super) struct Numbers {
+pub(super) struct FigureCache {
     /// An error is one for all who asked together.
-    figures: Lately<Result<Arc<Figures>, Arc<StoreError>>>,
-    sizes: Lately<Option<Sizes>>,
-    measured: Arc<Mutex<Measured>>,
+    figures: SingleFlightCache<Result<Arc<Figures>, Arc<StoreError>>>,
+    sizes: SingleFlightCache<Option<Sizes>>,
+    measured: Arc<Mutex<FolderSizes>>,
 }
 
 /// Statistics and metrics that are read from the store.
 #[derive(Clone)]
 pub struct StatsService {
-    pub(crate) figures: Numbers,
+    pub(crate) figures: FigureCache,
     pub(crate) metrics: Arc<Metrics>,
     pub(crate) vlm: Option<Arc<Vlm>>,
     pub(crate) limits: Limits,

@@ -1,6 +1,6 @@
 //! Answers, kept as they were given.
 
-use super::database::{Conditions, Database};
+use super::database::{Database, SqlFilter};
 use super::records::RECORD_VERSION;
 use super::writer::Writer;
 use super::{StoreError, now};
@@ -51,7 +51,7 @@ pub struct NewAnswer {
     pub body: String,
 }
 
-struct Waiting {
+struct QueuedAnswer {
     answer: NewAnswer,
     kept: oneshot::Sender<Result<bool, StoreError>>,
 }
@@ -59,7 +59,7 @@ struct Waiting {
 /// Answers that wait to be written. Each is on the disk before its caller hears of it; those that
 /// come together are written together, so that the disk is waited for once.
 #[derive(Clone)]
-pub(super) struct AnswerQueue(mpsc::Sender<Waiting>);
+pub(super) struct AnswerQueue(mpsc::Sender<QueuedAnswer>);
 
 /// Answers that may wait; more wait at the door.
 const MOST_WAITING: usize = 1024;
@@ -68,7 +68,7 @@ const MOST_TOGETHER: usize = 128;
 
 impl AnswerQueue {
     pub fn start(writer: Writer) -> Self {
-        let (sender, mut queue) = mpsc::channel::<Waiting>(MOST_WAITING);
+        let (sender, mut queue) = mpsc::channel::<QueuedAnswer>(MOST_WAITING);
         tokio::spawn(async move {
             let mut together = Vec::new();
             while queue.recv_many(&mut together, MOST_TOGETHER).await > 0 {
@@ -152,7 +152,7 @@ impl AnswerRepository {
     pub async fn insert_answer(&self, answer: NewAnswer) -> Result<bool, StoreError> {
         let (kept, told) = oneshot::channel();
         let closed = || StoreError::Database(sqlx::Error::PoolClosed);
-        self.queue.0.send(Waiting { answer, kept }).await.map_err(|_| closed())?;
+        self.queue.0.send(QueuedAnswer { answer, kept }).await.map_err(|_| closed())?;
         told.await.map_err(|_| closed())?
     }
 
@@ -182,11 +182,11 @@ impl AnswerRepository {
             // Through the batch, a page at a time.
             Some(_) => {
                 let join = self.database.engine.in_this_order();
-                Conditions::behind(format!(
+                SqlFilter::behind(format!(
                     "{columns} batch_items {join} answers ON answers.id = answer_id WHERE true"
                 ))
             }
-            None => Conditions::behind(format!("{columns} answers WHERE true")),
+            None => SqlFilter::behind(format!("{columns} answers WHERE true")),
         };
         which.and("batch_id =", batch_id.as_ref());
         which.and("answer_id <", cursor.filter(|_| batch_id.is_some()));

@@ -1,7 +1,7 @@
 //! Batches and their items.
 
 use super::database::{Database, number, without_nul};
-use super::{Hold, JobRow, NewJob, Reserve, StoreError, now};
+use super::{JobLease, JobRow, NewJob, Reserve, StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{AssertSqlSafe, FromRow, Row};
 use std::collections::BTreeMap;
@@ -105,7 +105,7 @@ pub struct ItemRow {
 }
 
 /// What came of resuming a batch.
-pub enum Resumed {
+pub enum ResumeOutcome {
     /// A new job.
     By(Box<JobRow>),
     /// Its job was at it all the time.
@@ -115,7 +115,7 @@ pub enum Resumed {
 }
 
 /// What came of submitting a batch.
-pub enum Submitted {
+pub enum SubmitOutcome {
     New(JobRow),
     /// The same key made this one before.
     MadeBefore(BatchRow),
@@ -199,7 +199,7 @@ impl BatchRepository {
         &self,
         received: &ReceivedBatch<'_>,
         job: &NewJob<'_>,
-    ) -> Result<Submitted, StoreError> {
+    ) -> Result<SubmitOutcome, StoreError> {
         let ReceivedBatch { id, items, defaults, request, key } = *received;
         let mut tx = self.database.writer.begin().await?;
         if let Some(key) = key {
@@ -208,7 +208,11 @@ impl BatchRepository {
             if let Some(before) = before {
                 tx.forget().await?;
                 let same = before.request.as_deref() == Some(request);
-                return Ok(if same { Submitted::MadeBefore(before) } else { Submitted::KeyReused });
+                return Ok(if same {
+                    SubmitOutcome::MadeBefore(before)
+                } else {
+                    SubmitOutcome::KeyReused
+                });
             }
         }
         let job = super::jobs::insert(&mut tx, &self.database.new_id(), id, job).await?;
@@ -223,7 +227,7 @@ impl BatchRepository {
             .execute(&mut *tx)
             .await?;
         tx.commit().await?;
-        Ok(Submitted::New(job))
+        Ok(SubmitOutcome::New(job))
     }
 
     /// The batch an idempotency key made.
@@ -386,7 +390,7 @@ impl BatchRepository {
     /// [`StoreError::NotHeld`], [`StoreError::Database`].
     pub async fn close_batch_items(
         &self,
-        hold: &Hold,
+        hold: &JobLease,
         id: &str,
         closed: &[ClosedItem],
     ) -> Result<(), StoreError> {
@@ -439,19 +443,23 @@ impl BatchRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn resume_batch(&self, id: &str, job: &NewJob<'_>) -> Result<Resumed, StoreError> {
+    pub async fn resume_batch(
+        &self,
+        id: &str,
+        job: &NewJob<'_>,
+    ) -> Result<ResumeOutcome, StoreError> {
         let mut tx = self.database.writer.begin().await?;
         let resume = "UPDATE batches SET state = 'running', reason = NULL WHERE id = $1 AND state IN ('running', 'paused')";
         if sqlx::query(resume).bind(id).execute(&mut *tx).await?.rows_affected() == 0 {
             tx.forget().await?;
-            return Ok(Resumed::Over);
+            return Ok(ResumeOutcome::Over);
         }
         let works = "SELECT count(*) FROM jobs JOIN batches ON jobs.id = job_id
                      WHERE batches.id = $1 AND jobs.state IN ('queued', 'running')";
         let works: i64 = sqlx::query_scalar(works).bind(id).fetch_one(&mut *tx).await?;
         if works > 0 {
             tx.commit().await?;
-            return Ok(Resumed::GoesOn);
+            return Ok(ResumeOutcome::GoesOn);
         }
         let job = super::jobs::insert(&mut tx, &self.database.new_id(), id, job).await?;
         sqlx::query("UPDATE batches SET job_id = $1 WHERE id = $2")
@@ -460,7 +468,7 @@ impl BatchRepository {
             .execute(&mut *tx)
             .await?;
         tx.commit().await?;
-        Ok(Resumed::By(Box::new(job)))
+        Ok(ResumeOutcome::By(Box::new(job)))
     }
 
     /// Items in order from a place on, each with its answer.

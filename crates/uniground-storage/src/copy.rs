@@ -4,7 +4,7 @@
 use super::blobs::Blobs;
 use super::data_folder::DataFolder;
 use super::database::{Connections, Location};
-use super::members::{Company, LEASE, Membership};
+use super::members::{ClusterMembership, LEASE, StoreAccess};
 use super::{Store, StoreError};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::sync::Arc;
@@ -42,7 +42,7 @@ impl Store {
             Ok::<_, StoreError>((folder, elsewhere, database))
         });
         let (folder, elsewhere, database) = copied.await.map_err(io::Error::other)??;
-        let members = Membership::join(&Location::Folder, Company::None, LEASE).await?;
+        let members = ClusterMembership::join(&Location::Folder, StoreAccess::None, LEASE).await?;
         let store = Self::connect(
             Connections::to_file(&database).await?,
             None,

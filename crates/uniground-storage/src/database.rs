@@ -4,7 +4,7 @@
 
 use super::StoreError;
 use super::ids::IdGenerator;
-use super::members::Membership;
+use super::members::ClusterMembership;
 use super::writer::Writer;
 use camino::Utf8Path;
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
@@ -290,7 +290,7 @@ impl Engine {
     }
 
     /// What lets the statements of a connection take as long as they need.
-    pub const fn without_haste(self) -> &'static [&'static str] {
+    pub const fn disable_timeout(self) -> &'static [&'static str] {
         match self {
             Self::Sqlite => &[],
             Self::Postgres => &["SET statement_timeout = 0"],
@@ -327,12 +327,12 @@ impl Engine {
 }
 
 /// Conditions that are told one by one, with the texts they compare with.
-pub(super) struct Conditions {
+pub(super) struct SqlFilter {
     sql: String,
     values: Vec<String>,
 }
 
-impl Conditions {
+impl SqlFilter {
     /// Behind `sql`, which ends in a condition.
     pub fn behind(sql: impl Into<String>) -> Self {
         Self { sql: sql.into(), values: Vec::new() }
@@ -385,7 +385,7 @@ pub struct Database {
     pub(super) writer: Writer,
     pub(super) engine: Engine,
     pub(super) ids: IdGenerator,
-    pub(super) members: Membership,
+    pub(super) members: ClusterMembership,
     /// PostgreSQL's server, where the database is one of its.
     pub(super) server: Option<PostgresUrl>,
 }

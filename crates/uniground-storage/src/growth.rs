@@ -11,7 +11,7 @@ use uniground_types::changes::Changes;
 use uniground_types::corrections::Correction;
 
 /// A scene about to grow. Its new content's blob is in place.
-pub struct Growth<'a> {
+pub struct SceneGrowth<'a> {
     pub scene_id: &'a str,
     /// What it is made of so far: who was faster has made it another.
     pub from_content: &'a str,
@@ -23,7 +23,7 @@ pub struct Growth<'a> {
 }
 
 /// What came of it.
-pub enum Grew {
+pub enum GrowthOutcome {
     Now(SceneRow, Box<JobRow>),
     /// The scene is gone, or has another content by now.
     Overtaken,
@@ -34,7 +34,7 @@ pub enum Grew {
 }
 
 /// What a parse takes over from the one before it.
-pub struct Continued<'a> {
+pub struct ContinuedParse<'a> {
     pub scene_id: &'a str,
     pub from_parse: &'a str,
     pub changes: &'a Changes,
@@ -47,8 +47,8 @@ impl SceneRepository {
     ///
     /// # Errors
     /// [`StoreError`].
-    pub async fn grow_scene(&self, growth: Growth<'_>) -> Result<Grew, StoreError> {
-        let Growth { scene_id, from_content, content_hash, content_bytes, key, job } = growth;
+    pub async fn grow_scene(&self, growth: SceneGrowth<'_>) -> Result<GrowthOutcome, StoreError> {
+        let SceneGrowth { scene_id, from_content, content_hash, content_bytes, key, job } = growth;
         let time = now();
         let mut tx = self.database.writer.begin().await?;
         if let Some((key, request)) = key
@@ -56,9 +56,9 @@ impl SceneRepository {
         {
             tx.forget().await?;
             return Ok(if before.is_some_and(|before| before == request) {
-                Grew::Before(scene)
+                GrowthOutcome::Before(scene)
             } else {
-                Grew::KeyReused
+                GrowthOutcome::KeyReused
             });
         }
         sqlx::query("INSERT INTO contents (hash, bytes, created_at, grown_from) VALUES ($1, $2, $3, $4) ON CONFLICT DO NOTHING")
@@ -77,7 +77,7 @@ impl SceneRepository {
             .await?;
         if grown.rows_affected() == 0 {
             tx.forget().await?;
-            return Ok(Grew::Overtaken);
+            return Ok(GrowthOutcome::Overtaken);
         }
         if let Some((key, request)) = key {
             let sql = "INSERT INTO idempotency_keys (key, scene_id, created_at, request) VALUES ($1, $2, $3, $4)";
@@ -95,7 +95,7 @@ impl SceneRepository {
             .fetch_one(&mut *tx)
             .await?;
         tx.commit().await?;
-        Ok(Grew::Now(scene, Box::new(job)))
+        Ok(GrowthOutcome::Now(scene, Box::new(job)))
     }
 
     /// What changed from one version of a scene to the next, for the versions after `since`, in
@@ -208,9 +208,9 @@ impl ParseRepository {
         &self,
         tx: &mut Transaction,
         parse_id: &str,
-        continued: &Continued<'_>,
+        continued: &ContinuedParse<'_>,
     ) -> Result<(), StoreError> {
-        let Continued { scene_id, from_parse, changes, corrections } = continued;
+        let ContinuedParse { scene_id, from_parse, changes, corrections } = continued;
         let sql = "INSERT INTO scene_changes (scene_id, parse_id, from_parse, body, created_at) SELECT $1, $2, $3, $4, $5
                    WHERE EXISTS (SELECT 1 FROM scenes WHERE id = $1)";
         sqlx::query(sql)

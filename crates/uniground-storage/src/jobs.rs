@@ -1,6 +1,6 @@
 //! The durable side of the job queue.
 
-use super::database::{Conditions, Database, number, without_nul};
+use super::database::{Database, SqlFilter, number, without_nul};
 use super::{StoreError, first_id_at, now};
 use jiff::Timestamp;
 use sqlx::any::AnyRow;
@@ -64,13 +64,13 @@ fn state(word: String) -> sqlx::Result<JobState> {
 /// A running job in somebody's hands. Whatever is written down of it says so: once it was given to
 /// somebody else, nothing is.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Hold {
+pub struct JobLease {
     pub job_id: String,
     /// The member that took it.
     holder: String,
 }
 
-impl Hold {
+impl JobLease {
     /// That of a job that was just taken.
     #[must_use]
     pub fn of(job: &JobRow) -> Self {
@@ -97,7 +97,7 @@ pub struct JobFilter {
 
 /// Jobs that wait.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Queued {
+pub struct QueueLengths {
     pub all: u32,
     /// Of these, one key's.
     pub of_key: u32,
@@ -203,7 +203,7 @@ impl JobRepository {
         cursor: Option<&str>,
     ) -> Result<Vec<JobRow>, StoreError> {
         let JobFilter { kind, state, subject } = filter;
-        let mut which = Conditions::behind("SELECT * FROM jobs WHERE true");
+        let mut which = SqlFilter::behind("SELECT * FROM jobs WHERE true");
         which.and("id <", cursor);
         which.and("kind =", kind.as_ref());
         which.and("state =", state.map(JobState::word));
@@ -219,12 +219,12 @@ impl JobRepository {
         &self,
         kind: &str,
         key_id: Option<&str>,
-    ) -> Result<Queued, StoreError> {
+    ) -> Result<QueueLengths, StoreError> {
         let sql = "SELECT count(*), coalesce(sum(CASE WHEN key_id IS NOT DISTINCT FROM $2 THEN 1 ELSE 0 END), 0) FROM jobs
                    WHERE kind = $1 AND state = 'queued'";
         let (all, of_key): (i64, i64) =
             sqlx::query_as(sql).bind(kind).bind(key_id).fetch_one(&self.database.reader).await?;
-        Ok(Queued { all: number(all)?, of_key: number(of_key)? })
+        Ok(QueueLengths { all: number(all)?, of_key: number(of_key)? })
     }
 
     /// Jobs of a kind that wait and were asked for before another.
@@ -292,7 +292,7 @@ impl JobRepository {
     /// [`StoreError::NotHeld`], [`StoreError::Database`].
     pub async fn save_job_progress(
         &self,
-        hold: &Hold,
+        hold: &JobLease,
         stage: &str,
         progress: f32,
     ) -> Result<bool, StoreError> {
@@ -313,7 +313,7 @@ impl JobRepository {
     /// [`StoreError::NotHeld`], [`StoreError::Database`].
     pub async fn finish_job(
         &self,
-        hold: &Hold,
+        hold: &JobLease,
         state: JobState,
         message: Option<&str>,
         error: Option<(&str, &str)>,
@@ -393,7 +393,7 @@ impl JobRepository {
     ///
     /// # Errors
     /// [`StoreError::NotHeld`], [`StoreError::Database`].
-    pub async fn requeue_job(&self, hold: &Hold) -> Result<(), StoreError> {
+    pub async fn requeue_job(&self, hold: &JobLease) -> Result<(), StoreError> {
         let sql = "UPDATE jobs SET state = 'queued', attempts = attempts - 1, started_at = NULL, stage = NULL, progress = 0
                    WHERE id = $1 AND holder = $2 AND state = 'running'";
         let put_back = sqlx::query(sql)
@@ -411,7 +411,7 @@ impl JobRepository {
     /// [`StoreError::NotHeld`], [`StoreError::Database`].
     pub async fn requeue_job_after(
         &self,
-        hold: &Hold,
+        hold: &JobLease,
         wait: Duration,
         failures: u32,
         progress: f32,

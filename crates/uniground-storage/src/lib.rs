@@ -44,49 +44,59 @@ mod writer;
 
 pub use announcements::WebhookRepository;
 pub use answers::{AnswerFilter, AnswerRepository, AnswerRow, NewAnswer};
-pub use backup::{BackedUp, BackupError, Restored, Source, Target, back_up, check, restore};
+pub use backup::{
+    BackupError, BackupReport, BackupSource, BackupTarget, RestoreReport, back_up, check, restore,
+};
 pub use batches::{
     BatchRepository, BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, ReceivedBatch,
-    Resumed, Submitted,
+    ResumeOutcome, SubmitOutcome,
 };
 pub use blobs::{
-    AccessKeys, Away, BlobHome, Blobs, BlobsAt, Bucket, Damage, GrowingFile, Kept, KeptCheckpoints,
-    Links, Look, Measured, Prepared, Scratch, size_of,
+    AccessKeys, BlobHome, Blobs, BlobsAt, Bucket, CheckDepth, DamagedFile, FolderSizes,
+    GrowingFile, Links, ObjectStoreUnavailable, PinnedPath, Prepared, Scratch, StoredCheckpoints,
+    size_of,
 };
 pub use contents::ContentRepository;
 pub use corrections::{CorrectionRepository, NewCorrection};
 pub use database::{Location, PostgresUrl};
 pub use figures::{Figures, JobFigures, StatisticsRepository};
-pub use growth::{Continued, Grew, Growth};
+pub use growth::{ContinuedParse, GrowthOutcome, SceneGrowth};
 pub use health::{HealthProbe, StoreHealth};
-pub use jobs::{Hold, JobFilter, JobRecovery, JobRepository, JobRow, JobState, NewJob, Queued};
+pub use jobs::{
+    JobFilter, JobLease, JobRecovery, JobRepository, JobRow, JobState, NewJob, QueueLengths,
+};
 pub use keys::{AuditWriter, KeyRepository, KeyRow};
-pub use locks::NamedLocks;
-pub use members::{Company, LEASE, Turn};
-pub use moving::{KindOfFiles, MoveError, Moved, Part, Place, Progress, move_over};
-pub use news::{News, Newsroom, Notifications};
-pub use orphans::Orphan;
+pub use locks::LockTable;
+pub use members::{LEASE, NamedLock, StoreAccess};
+pub use moving::{
+    MigratedFiles, MigrationError, MigrationProgress, MigrationReport, MigrationStep,
+    StoreLocation, migrate_data,
+};
+pub use news::{DbNotification, NotificationListener, Notifications};
+pub use orphans::OrphanObject;
 pub use parses::{NewParse, ParseRepository, ParseRow};
 pub use records::ParseRecord;
 pub use recovery::Recovery;
 pub use references::{BrokenReference, IntegrityRepository};
 pub use reserve::Reserve;
-pub use retention::{Aged, Before, Due, RetentionRepository};
-pub use room_index::{FoundEntry, RoomEntry, RoomIndexRepository, ToIndex};
-pub use scenes::{Inserted, NewSceneRow, SceneFilter, SceneRepository, SceneRow, SceneRowChange};
-pub use sweep::{KEEP_QUARANTINE_DAYS, OrphanRepository, Strays};
-pub use uploads::{CameOf, Unfinished, UploadRepository, UploadRow, WantedScene};
-pub use vectors::Seen;
-pub use vlm::{Allowance, NameRepository, Short, SpendingRepository, Wish};
+pub use retention::{Cutoff, ExpiredRow, RetentionKind, RetentionRepository};
+pub use room_index::{ParseToIndex, RoomEntry, RoomIndexRepository, RoomMatch};
+pub use scenes::{
+    InsertOutcome, NewSceneRow, SceneFilter, SceneRepository, SceneRow, SceneRowChange,
+};
+pub use sweep::{KEEP_QUARANTINE_DAYS, OrphanFolders, OrphanRepository};
+pub use uploads::{SceneRequest, UnfinishedUploads, UploadRepository, UploadResult, UploadRow};
+pub use vectors::RoomVectors;
+pub use vlm::{BudgetExceeded, BudgetOwner, NameRepository, SpendRequest, SpendingRepository};
 
 use answers::AnswerQueue;
-use blobs::Files;
+use blobs::FileAccess;
 use camino::{Utf8Path, Utf8PathBuf};
 use data_folder::DataFolder;
 use database::{Connections, Database, Engine};
 pub use ids::{IdGenerator, first_id_at};
 use jiff::Timestamp;
-use members::Membership;
+use members::ClusterMembership;
 use migrations::migrations;
 use sqlx::migrate::MigrateError;
 use std::io;
@@ -215,10 +225,10 @@ impl StoreError {
 
     /// Whether the object store can not be had now.
     #[must_use]
-    pub fn is_blobs_away(&self) -> bool {
+    pub fn is_object_store_unavailable(&self) -> bool {
         match self {
-            Self::Blobs(error) => Away::is_behind(error),
-            Self::Together(error) => error.is_blobs_away(),
+            Self::Blobs(error) => ObjectStoreUnavailable::is_behind(error),
+            Self::Together(error) => error.is_object_store_unavailable(),
             _ => false,
         }
     }
@@ -240,7 +250,7 @@ pub fn is_disk_full(error: &io::Error) -> bool {
 
 /// What an opened store does with what interrupted processes have left.
 #[derive(Debug, Clone, Copy)]
-enum Leftovers {
+enum LeftoverPolicy {
     Keep,
     /// A process that was not seen for a lease is taken to be gone.
     Clear {
@@ -271,7 +281,7 @@ pub struct Store {
     pub health: HealthProbe,
     pub recovery: Recovery,
     pub reserve: Reserve,
-    pub locks: NamedLocks,
+    pub locks: LockTable,
     pub notifications: Notifications,
     pub ids: IdGenerator,
     pub blobs: Blobs,
@@ -309,9 +319,9 @@ impl Store {
         Self::open_for(
             data_dir,
             location,
-            (home, Files::Used),
-            Company::Welcome,
-            Leftovers::Clear { lease },
+            (home, FileAccess::Used),
+            StoreAccess::Welcome,
+            LeftoverPolicy::Clear { lease },
         )
         .await
     }
@@ -329,9 +339,9 @@ impl Store {
         Self::open_for(
             data_dir,
             location,
-            (home, Files::Untouched),
-            Company::Welcome,
-            Leftovers::Keep,
+            (home, FileAccess::Untouched),
+            StoreAccess::Welcome,
+            LeftoverPolicy::Keep,
         )
         .await
     }
@@ -345,17 +355,23 @@ impl Store {
         location: &Location,
         home: &BlobHome,
     ) -> Result<Self, StoreError> {
-        Self::open_for(data_dir, location, (home, Files::Used), Company::None, Leftovers::Keep)
-            .await
+        Self::open_for(
+            data_dir,
+            location,
+            (home, FileAccess::Used),
+            StoreAccess::None,
+            LeftoverPolicy::Keep,
+        )
+        .await
     }
 
     /// On a full disk the room for it comes from the reserve.
     async fn open_for(
         data_dir: &Utf8Path,
         location: &Location,
-        used: (&BlobHome, Files),
-        company: Company,
-        leftovers: Leftovers,
+        used: (&BlobHome, FileAccess),
+        company: StoreAccess,
+        leftovers: LeftoverPolicy,
     ) -> Result<Self, StoreError> {
         match Self::try_to_open(data_dir, location, used, company, leftovers).await {
             Err(error) if reserve::make_room_to_open(data_dir, &error) => {
@@ -368,15 +384,15 @@ impl Store {
     async fn try_to_open(
         data_dir: &Utf8Path,
         location: &Location,
-        (home, files): (&BlobHome, Files),
-        company: Company,
-        leftovers: Leftovers,
+        (home, files): (&BlobHome, FileAccess),
+        company: StoreAccess,
+        leftovers: LeftoverPolicy,
     ) -> Result<Self, StoreError> {
-        let lease = if let Leftovers::Clear { lease } = leftovers { lease } else { LEASE };
+        let lease = if let LeftoverPolicy::Clear { lease } = leftovers { lease } else { LEASE };
         let engine = location.engine()?;
         DataFolder::goes_with(data_dir, engine)?;
         // A folder is marked as one of a server's database once that has been reached.
-        let members = Membership::join(location, company, lease).await?;
+        let members = ClusterMembership::join(location, company, lease).await?;
         let server = match location {
             Location::Postgres(url) => Some(url.clone()),
             _ => None,
@@ -399,7 +415,7 @@ impl Store {
         let (reader, writer) = (connections.reader.clone(), connections.writer.clone());
         let opened = async {
             let store = Self::connect(connections, server, folder, blobs, members).await?;
-            if let Leftovers::Clear { .. } = leftovers {
+            if let LeftoverPolicy::Clear { .. } = leftovers {
                 store.clear_leftovers().await?;
             }
             Ok(store)
@@ -444,7 +460,7 @@ impl Store {
         server: Option<PostgresUrl>,
         folder: DataFolder,
         blobs: Blobs,
-        members: Membership,
+        members: ClusterMembership,
     ) -> Result<Self, StoreError> {
         let Connections { engine, reader, writer } = connections;
         migrations(engine).run(&writer).await?;
@@ -469,7 +485,7 @@ impl Store {
             database: database.clone(),
             queue: AnswerQueue::start(database.writer.clone()),
         };
-        let locks = NamedLocks { members: database.members.clone() };
+        let locks = LockTable { members: database.members.clone() };
         let reserve = Reserve { blobs: blobs.clone(), folder: folder.clone() };
         let contents = ContentRepository { database: database.clone(), blobs: blobs.clone() };
         let scenes = SceneRepository {

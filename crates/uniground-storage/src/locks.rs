@@ -1,20 +1,20 @@
 //! Locks by name.
 
 use super::StoreError;
-use super::members::{Membership, Turn};
+use super::members::{ClusterMembership, NamedLock};
 
 /// Locks by name, shared by all processes that use a database. Cheap to clone.
 #[derive(Clone)]
-pub struct NamedLocks {
-    pub(super) members: Membership,
+pub struct LockTable {
+    pub(super) members: ClusterMembership,
 }
 
-impl NamedLocks {
+impl LockTable {
     /// Waits for a lock. Nobody else holds it meanwhile, in this process or in another.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn lock(&self, name: &str) -> Result<Turn, StoreError> {
+    pub async fn lock(&self, name: &str) -> Result<NamedLock, StoreError> {
         self.members.turn(name).await
     }
 
@@ -22,7 +22,7 @@ impl NamedLocks {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn try_lock(&self, name: &str) -> Result<Option<Turn>, StoreError> {
+    pub async fn try_lock(&self, name: &str) -> Result<Option<NamedLock>, StoreError> {
         self.members.try_turn(name).await
     }
 

@@ -10,7 +10,7 @@
 
 use super::StoreError;
 use super::database::{Database, Engine, KEEPALIVES, Location};
-use super::turns::{LocalTurn, LocalTurns};
+use super::turns::{LocalLock, LocalLocks};
 use super::writer::Writer;
 use sha2::{Digest, Sha256};
 use sqlx::any::{AnyConnectOptions, install_default_drivers};
@@ -46,7 +46,7 @@ pub const LEASE: Duration = Duration::from_secs(30);
 
 /// Whether others may use the store meanwhile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Company {
+pub enum StoreAccess {
     /// As its database allows: PostgreSQL does, SQLite does not.
     Welcome,
     /// Nobody.
@@ -55,9 +55,9 @@ pub enum Company {
 
 /// This process among those who use the store. Cheap to clone.
 #[derive(Clone)]
-pub(super) struct Membership {
-    member: Member,
-    turns: LocalTurns,
+pub(super) struct ClusterMembership {
+    member: ProcessLease,
+    turns: LocalLocks,
     /// Where there may be others.
     session: Option<Session>,
     /// Nobody else was there when it came.
@@ -66,7 +66,7 @@ pub(super) struct Membership {
 
 /// By what it is known.
 #[derive(Clone)]
-struct Member {
+struct ProcessLease {
     id: Arc<RwLock<Arc<str>>>,
     lease: Duration,
 }
@@ -82,13 +82,13 @@ struct Session {
 }
 
 /// A turn at something: nobody else, in this process or another, has it as long as this lives.
-pub struct Turn {
+pub struct NamedLock {
     /// Within this process, where there is no other.
-    _local: Option<LocalTurn>,
-    shared: Option<SharedTurn>,
+    _local: Option<LocalLock>,
+    shared: Option<AdvisoryLock>,
 }
 
-impl Turn {
+impl NamedLock {
     /// Whether it still is: it goes with the session where the database was away, or this process
     /// was not seen for a lease. For those who keep one for long.
     #[must_use]
@@ -99,13 +99,13 @@ impl Turn {
 
 /// A lock of the database's. It goes when this does, also where whoever wanted it has left before
 /// he could be told.
-struct SharedTurn {
+struct AdvisoryLock {
     session: Session,
     key: i64,
     number: u64,
     /// Within this process. Nobody here has it before the others could: it is let go once the lock
     /// is.
-    local: Option<LocalTurn>,
+    local: Option<LocalLock>,
 }
 
 /// The number of no connection: this member has left.
@@ -115,7 +115,7 @@ const LEFT: u64 = u64::MAX;
 /// is ours alone in this database.
 const MEMBERS: i64 = 7_313_053;
 
-impl Membership {
+impl ClusterMembership {
     /// Joins those who use a database. Its row follows with [`enter`](Self::enter), once the schema
     /// is up to date.
     ///
@@ -123,11 +123,11 @@ impl Membership {
     /// [`StoreError::DatabaseInUse`], or what the database says.
     pub async fn join(
         location: &Location,
-        company: Company,
+        company: StoreAccess,
         lease: Duration,
     ) -> Result<Self, StoreError> {
         let (member, turns) =
-            (Member { id: Arc::new(RwLock::new(new_id())), lease }, LocalTurns::default());
+            (ProcessLease { id: Arc::new(RwLock::new(new_id())), lease }, LocalLocks::default());
         let Location::Postgres(url) = location else {
             return Ok(Self { member, turns, session: None, was_alone: true });
         };
@@ -147,12 +147,12 @@ impl Membership {
                 waited = true;
                 continue;
             }
-            if company == Company::Welcome
+            if company == StoreAccess::Welcome
                 && locked(&mut connection, "pg_try_advisory_lock_shared", MEMBERS).await?
             {
                 break false;
             }
-            let patience = if company == Company::Welcome { CLEARING } else { HANDOVER };
+            let patience = if company == StoreAccess::Welcome { CLEARING } else { HANDOVER };
             if begun.elapsed() >= patience {
                 return Err(StoreError::DatabaseInUse);
             }
@@ -210,26 +210,26 @@ impl Membership {
     ///
     /// # Errors
     /// What the database says.
-    pub async fn turn(&self, name: &str) -> Result<Turn, StoreError> {
+    pub async fn turn(&self, name: &str) -> Result<NamedLock, StoreError> {
         let local = self.turns.at(name).await;
         let Some(session) = &self.session else {
-            return Ok(Turn { _local: Some(local), shared: None });
+            return Ok(NamedLock { _local: Some(local), shared: None });
         };
-        let shared = session.clone().take(key_of(name), Waiting::AsLongAsItTakes).await?;
-        Ok(Turn { _local: None, shared: shared.map(|shared| shared.with(local)) })
+        let shared = session.clone().take(key_of(name), LockWait::AsLongAsItTakes).await?;
+        Ok(NamedLock { _local: None, shared: shared.map(|shared| shared.with(local)) })
     }
 
     /// The turn at something, by its name, if nobody has it.
     ///
     /// # Errors
     /// What the database says.
-    pub async fn try_turn(&self, name: &str) -> Result<Option<Turn>, StoreError> {
+    pub async fn try_turn(&self, name: &str) -> Result<Option<NamedLock>, StoreError> {
         let Some(local) = self.turns.try_at(name) else { return Ok(None) };
         let Some(session) = &self.session else {
-            return Ok(Some(Turn { _local: Some(local), shared: None }));
+            return Ok(Some(NamedLock { _local: Some(local), shared: None }));
         };
-        let shared = session.clone().take(key_of(name), Waiting::NotAtAll).await?;
-        Ok(shared.map(|shared| Turn { _local: None, shared: Some(shared.with(local)) }))
+        let shared = session.clone().take(key_of(name), LockWait::NotAtAll).await?;
+        Ok(shared.map(|shared| NamedLock { _local: None, shared: Some(shared.with(local)) }))
     }
 
     /// Leaves: what it was at work on is others' at once.
@@ -251,7 +251,7 @@ impl Membership {
     }
 }
 
-impl Member {
+impl ProcessLease {
     fn id(&self) -> Arc<str> {
         self.id.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -363,7 +363,7 @@ impl Member {
     }
 }
 
-enum Waiting {
+enum LockWait {
     NotAtAll,
     AsLongAsItTakes,
 }
@@ -371,7 +371,7 @@ enum Waiting {
 impl Session {
     /// A lock of the database's. In a task of its own: a caller that leaves in the middle leaves no
     /// connection in the middle.
-    async fn take(self, key: i64, waiting: Waiting) -> Result<Option<SharedTurn>, StoreError> {
+    async fn take(self, key: i64, waiting: LockWait) -> Result<Option<AdvisoryLock>, StoreError> {
         let wanted = CancellationToken::new();
         let _wants = wanted.clone().drop_guard();
         let taking = tokio::spawn(async move {
@@ -379,9 +379,9 @@ impl Session {
             loop {
                 let (taken, number) = self.lock(key).await?;
                 if taken {
-                    return Ok(Some(SharedTurn { session: self, key, number, local: None }));
+                    return Ok(Some(AdvisoryLock { session: self, key, number, local: None }));
                 }
-                if matches!(waiting, Waiting::NotAtAll) || wanted.is_cancelled() {
+                if matches!(waiting, LockWait::NotAtAll) || wanted.is_cancelled() {
                     return Ok(None);
                 }
                 sleep(wait).await;
@@ -417,14 +417,14 @@ impl Session {
     }
 }
 
-impl SharedTurn {
-    fn with(mut self, local: LocalTurn) -> Self {
+impl AdvisoryLock {
+    fn with(mut self, local: LocalLock) -> Self {
         self.local = Some(local);
         self
     }
 }
 
-impl Drop for SharedTurn {
+impl Drop for AdvisoryLock {
     fn drop(&mut self) {
         let (session, key, number, local) =
             (self.session.clone(), self.key, self.number, self.local.take());

@@ -7,7 +7,7 @@ use sqlx::postgres::PgListener;
 
 /// Something that another member may have done.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum News {
+pub enum DbNotification {
     /// A job of this kind waits.
     JobWaits { kind: String },
     /// A key was made or revoked.
@@ -20,7 +20,7 @@ const JOBS: &str = "uniground_job";
 const KEYS: &str = "uniground_keys";
 
 /// Where news come in.
-pub struct Newsroom(PgListener);
+pub struct NotificationListener(PgListener);
 
 /// Notifications between processes that share a PostgreSQL database.
 #[derive(Clone)]
@@ -33,25 +33,25 @@ impl Notifications {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn newsroom(&self) -> Result<Option<Newsroom>, StoreError> {
+    pub async fn listen(&self) -> Result<Option<NotificationListener>, StoreError> {
         let Some(url) = &self.database.server else { return Ok(None) };
         let mut listener = PgListener::connect(url.with_password()).await?;
         listener.listen_all([JOBS, KEYS]).await?;
-        Ok(Some(Newsroom(listener)))
+        Ok(Some(NotificationListener(listener)))
     }
 }
 
-impl Newsroom {
+impl NotificationListener {
     /// Waits for the next.
     ///
     /// # Errors
     /// [`StoreError::Database`]: it is away for longer.
-    pub async fn next(&mut self) -> Result<News, StoreError> {
+    pub async fn next(&mut self) -> Result<DbNotification, StoreError> {
         // Nothing: the connection broke, and is made anew with the next call.
-        let Some(told) = self.0.try_recv().await? else { return Ok(News::Missed) };
+        let Some(told) = self.0.try_recv().await? else { return Ok(DbNotification::Missed) };
         Ok(match told.channel() {
-            JOBS => News::JobWaits { kind: told.payload().to_owned() },
-            _ => News::KeysChanged,
+            JOBS => DbNotification::JobWaits { kind: told.payload().to_owned() },
+            _ => DbNotification::KeysChanged,
         })
     }
 }

@@ -4,21 +4,21 @@
 //! refused after it.
 
 use super::blobs::KINDS;
-use super::blobs::objects::{FolderName, Found, Seal, edition_of};
-use super::sweep::Judge;
+use super::blobs::objects::{FolderName, FoundFolder, Seal, edition_of};
+use super::sweep::OrphanRule;
 use super::{OrphanRepository, StoreError};
 use std::time::SystemTime;
 
 /// A folder in the object store, or an edition of one, that is nobody's.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Orphan {
+pub struct OrphanObject {
     folder: FolderName,
     /// Only this edition of it.
     edition: Option<String>,
-    found: Found,
+    found: FoundFolder,
 }
 
-impl Orphan {
+impl OrphanObject {
     /// Bytes of its objects, as far as they were counted.
     #[must_use]
     pub fn bytes(&self) -> u64 {
@@ -31,12 +31,12 @@ impl OrphanRepository {
     ///
     /// # Errors
     /// [`StoreError`].
-    pub async fn orphans(&self) -> Result<Vec<Orphan>, StoreError> {
+    pub async fn orphan_objects(&self) -> Result<Vec<OrphanObject>, StoreError> {
         let Some(objects) = self.blobs.objects() else { return Ok(Vec::new()) };
-        let Judge { since, knows_nothing } = self.judge().await?;
-        let mut orphans = Vec::new();
+        let OrphanRule { since, knows_nothing } = self.orphan_rule().await?;
+        let mut orphan_objects = Vec::new();
         if knows_nothing {
-            return Ok(orphans);
+            return Ok(orphan_objects);
         }
         let is_judged = |put: SystemTime| {
             since.is_some_and(|since| put >= since)
@@ -46,7 +46,7 @@ impl OrphanRepository {
             let mut found = objects.folders(kind).await?;
             for name in self.unknown(kind, found.keys().cloned().collect()).await? {
                 if let Some(found) = found.remove(&name).filter(|found| is_judged(found.newest())) {
-                    orphans.push(Orphan {
+                    orphan_objects.push(OrphanObject {
                         folder: FolderName { kind, name },
                         edition: None,
                         found,
@@ -64,14 +64,14 @@ impl OrphanRepository {
                     edition_of(&seal.text) != Some(edition) && is_judged(**put)
                 });
                 let others: Vec<String> = others.map(|(edition, _)| edition.clone()).collect();
-                orphans.extend(others.into_iter().map(|edition| Orphan {
+                orphan_objects.extend(others.into_iter().map(|edition| OrphanObject {
                     folder: folder.clone(),
                     edition: Some(edition),
                     found: found.clone(),
                 }));
             }
         }
-        Ok(orphans)
+        Ok(orphan_objects)
     }
 
     /// Removes one, if it still is one; whether it was. Whoever calls lets nobody refer to it
@@ -81,7 +81,7 @@ impl OrphanRepository {
     /// [`StoreError`].
     pub async fn remove_orphan(
         &self,
-        Orphan { folder, edition, found }: &Orphan,
+        OrphanObject { folder, edition, found }: &OrphanObject,
     ) -> Result<bool, StoreError> {
         let Some(objects) = self.blobs.objects() else { return Ok(false) };
         if let Some(edition) = edition {

@@ -1,9 +1,9 @@
 //! Finished parses and their instances.
 
 use super::database::{Database, number};
-use super::growth::Continued;
+use super::growth::ContinuedParse;
 use super::records::{InstanceRecord, ParseRecord, RECORD_VERSION};
-use super::{Hold, SceneRow, StoreError, now};
+use super::{JobLease, SceneRow, StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{AnyConnection, FromRow, Row};
 use uniground_geometry::boxes::Aabb;
@@ -73,9 +73,9 @@ pub struct NewParse<'a> {
     pub extent: &'a Aabb,
     pub instances: &'a [Instance],
     /// Of a scene that has grown: what it has from the parse before.
-    pub continued: Option<Continued<'a>>,
+    pub continued: Option<ContinuedParse<'a>>,
     /// By whose hands it was made.
-    pub hold: &'a Hold,
+    pub hold: &'a JobLease,
 }
 
 /// Parses and their instances.

@@ -37,12 +37,12 @@ impl Reserve {
     /// there was any.
     #[must_use]
     pub fn release_reserve(&self) -> bool {
-        self.blobs.has_free_hands() && release_half(self.folder.path())
+        self.blobs.is_writable() && release_half(self.folder.path())
     }
 
     /// Writes the reserve again, where the disk has room for it, off the async threads.
     pub async fn restore_reserve(&self) {
-        if !self.blobs.has_free_hands() {
+        if !self.blobs.is_writable() {
             return;
         }
         let folder = self.folder.clone();

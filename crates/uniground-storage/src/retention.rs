@@ -10,7 +10,7 @@ use sqlx::AssertSqlSafe;
 
 /// Kinds of rows that go after a time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Aged {
+pub enum RetentionKind {
     Answers,
     /// Those that are over, with their items.
     Batches,
@@ -30,7 +30,7 @@ pub enum Aged {
 
 /// Everything before it has been kept long enough.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Before {
+pub struct Cutoff {
     time: String,
     /// The first id that could have been given then.
     id: String,
@@ -38,13 +38,13 @@ pub struct Before {
 
 /// A row that may go.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Due {
+pub struct ExpiredRow {
     pub id: String,
     /// Of what it says, roughly.
     pub bytes: u64,
 }
 
-impl Before {
+impl Cutoff {
     /// So many days before `now`.
     #[must_use]
     pub fn days_ago(days: u32, now: Timestamp) -> Self {
@@ -53,7 +53,7 @@ impl Before {
     }
 }
 
-impl Aged {
+impl RetentionKind {
     /// Table, key, bytes and condition; `?1` is a time, `?2` the first id of that time.
     const fn sql(self) -> (&'static str, &'static str, &'static str, &'static str) {
         match self {
@@ -105,11 +105,11 @@ impl RetentionRepository {
     /// [`StoreError::Database`].
     pub async fn due(
         &self,
-        aged: Aged,
-        before: &Before,
+        aged: RetentionKind,
+        before: &Cutoff,
         after: &str,
         limit: u32,
-    ) -> Result<Vec<Due>, StoreError> {
+    ) -> Result<Vec<ExpiredRow>, StoreError> {
         let (table, key, bytes, condition) = aged.sql();
         let sql = format!(
             "SELECT {key} AS id, {bytes} AS bytes FROM {table} WHERE {condition} AND {key} > $3 ORDER BY {key} LIMIT $4"
@@ -122,7 +122,7 @@ impl RetentionRepository {
         let due: Vec<(String, i64)> = due.fetch_all(&self.database.reader).await?;
         Ok(due
             .into_iter()
-            .map(|(id, bytes)| Due { id, bytes: u64::try_from(bytes).unwrap_or(0) })
+            .map(|(id, bytes)| ExpiredRow { id, bytes: u64::try_from(bytes).unwrap_or(0) })
             .collect())
     }
 
@@ -132,13 +132,13 @@ impl RetentionRepository {
     /// [`StoreError`].
     pub async fn remove_due(
         &self,
-        aged: Aged,
-        before: &Before,
+        aged: RetentionKind,
+        before: &Cutoff,
         ids: &[&str],
     ) -> Result<Vec<String>, StoreError> {
         let (table, key, _, condition) = aged.sql();
         let ids = serde_json::to_string(ids)?;
-        if aged == Aged::Batches {
+        if aged == RetentionKind::Batches {
             return self.remove_batches(before, &ids, condition).await;
         }
         let among = self.database.engine.values_of("$3");
@@ -153,7 +153,7 @@ impl RetentionRepository {
     /// whatever happens then, nobody meets half of it.
     async fn remove_batches(
         &self,
-        before: &Before,
+        before: &Cutoff,
         ids: &str,
         condition: &str,
     ) -> Result<Vec<String>, StoreError> {

@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 
 /// A parse whose index is not of what is known of it now.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ToIndex {
+pub struct ParseToIndex {
     pub parse_id: String,
     /// How often what is known of it has changed.
     pub changes: i64,
@@ -26,7 +26,7 @@ pub struct RoomEntry {
 
 /// An entry that was asked for.
 #[derive(Debug, Clone, PartialEq)]
-pub struct FoundEntry {
+pub struct RoomMatch {
     pub parse_id: String,
     pub colour: String,
     pub weight: f32,
@@ -46,11 +46,11 @@ impl RoomIndexRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn parses_to_index(&self, most: u32) -> Result<Vec<ToIndex>, StoreError> {
+    pub async fn parses_to_index(&self, most: u32) -> Result<Vec<ParseToIndex>, StoreError> {
         let sql = "SELECT id, changes FROM parses WHERE indexed IS NULL OR indexed <> changes ORDER BY id LIMIT $1";
         let rows: Vec<(String, i64)> =
             sqlx::query_as(sql).bind(i64::from(most)).fetch_all(&self.database.reader).await?;
-        Ok(rows.into_iter().map(|(parse_id, changes)| ToIndex { parse_id, changes }).collect())
+        Ok(rows.into_iter().map(|(parse_id, changes)| ParseToIndex { parse_id, changes }).collect())
     }
 
     /// Writes down what a room is known by, in place of what it was known by before. A parse that
@@ -60,7 +60,7 @@ impl RoomIndexRepository {
     /// [`StoreError::Database`].
     pub async fn index_room(
         &self,
-        room: &ToIndex,
+        room: &ParseToIndex,
         entries: &[RoomEntry],
     ) -> Result<(), StoreError> {
         let mut tx = self.database.writer.begin().await?;
@@ -124,7 +124,7 @@ impl RoomIndexRepository {
         colour: Option<&str>,
         labels: &Labels,
         most: u32,
-    ) -> Result<Vec<FoundEntry>, StoreError> {
+    ) -> Result<Vec<RoomMatch>, StoreError> {
         let is_meant = self.is_meant("$3");
         let sql = format!(
             "SELECT parse_id, colour, weight FROM room_entries AS entry WHERE name = $1 AND ($2 IS NULL OR colour = $2) AND {is_meant}
@@ -138,11 +138,7 @@ impl RoomIndexRepository {
         let rows: Vec<(String, String, f64)> = query.fetch_all(&self.database.reader).await?;
         Ok(rows
             .into_iter()
-            .map(|(parse_id, colour, weight)| FoundEntry {
-                parse_id,
-                colour,
-                weight: weight as f32,
-            })
+            .map(|(parse_id, colour, weight)| RoomMatch { parse_id, colour, weight: weight as f32 })
             .collect())
     }
 

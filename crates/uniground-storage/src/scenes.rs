@@ -80,7 +80,7 @@ pub struct NewSceneRow<'a> {
 }
 
 /// What came of recording a scene.
-pub enum Inserted {
+pub enum InsertOutcome {
     New(SceneRow, Option<Box<JobRow>>),
     /// The same key made this one before.
     MadeBefore(SceneRow),
@@ -111,7 +111,7 @@ impl SceneRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn insert_scene(&self, new: NewSceneRow<'_>) -> Result<Inserted, StoreError> {
+    pub async fn insert_scene(&self, new: NewSceneRow<'_>) -> Result<InsertOutcome, StoreError> {
         let NewSceneRow { id, name, content_hash, content_bytes, key_id, key, job } = new;
         let time = now();
         let mut tx = self.database.writer.begin().await?;
@@ -121,7 +121,11 @@ impl SceneRepository {
             tx.forget().await?;
             // Servers of before requests were noted believed the key.
             let same = before.is_none_or(|before| before == request);
-            return Ok(if same { Inserted::MadeBefore(scene) } else { Inserted::KeyReused });
+            return Ok(if same {
+                InsertOutcome::MadeBefore(scene)
+            } else {
+                InsertOutcome::KeyReused
+            });
         }
         sqlx::query("INSERT INTO contents (hash, bytes, created_at) VALUES ($1, $2, $3) ON CONFLICT DO NOTHING")
             .bind(content_hash)
@@ -151,7 +155,7 @@ impl SceneRepository {
             .fetch_one(&mut *tx)
             .await?;
         tx.commit().await?;
-        Ok(Inserted::New(scene, job.map(Box::new)))
+        Ok(InsertOutcome::New(scene, job.map(Box::new)))
     }
 
     /// Records a job and makes it the scene's own, as one. `None` when the scene is gone.

@@ -21,14 +21,14 @@ pub const KEEP_QUARANTINE_DAYS: u32 = QUARANTINE_DAYS as u32;
 const CHUNK: usize = 500;
 
 /// What a database may say of files: nothing of those that are older, or where it is empty.
-pub(super) struct Judge {
+pub(super) struct OrphanRule {
     pub since: Option<SystemTime>,
     pub knows_nothing: bool,
 }
 
 /// Folders no record speaks of.
 #[derive(Debug, Default, Clone, PartialEq, Eq)]
-pub struct Strays {
+pub struct OrphanFolders {
     /// Those that may go: kind and name.
     pub unclaimed: Vec<(&'static str, String)>,
     /// Those the database can not judge, because it is younger or knows nothing.
@@ -49,14 +49,14 @@ impl OrphanRepository {
     ///
     /// # Errors
     /// [`StoreError`].
-    pub async fn strays(&self, settled: Duration) -> Result<Strays, StoreError> {
-        let Judge { since, knows_nothing } = self.judge().await?;
+    pub async fn orphan_folders(&self, settled: Duration) -> Result<OrphanFolders, StoreError> {
+        let OrphanRule { since, knows_nothing } = self.orphan_rule().await?;
         let mut unknown: Vec<(&'static str, String)> = Vec::new();
         for kind in KINDS {
             let names = self.blobs.names(kind)?;
             unknown.extend(self.unknown(kind, names).await?.into_iter().map(|name| (kind, name)));
         }
-        let mut strays = Strays::default();
+        let mut orphan_folders = OrphanFolders::default();
         for (kind, name) in unknown {
             let made = match fs::metadata(self.blobs.place(kind, &name)) {
                 // Removed meanwhile, by whoever may.
@@ -68,15 +68,15 @@ impl OrphanRepository {
                 continue;
             }
             match knows_nothing || since.is_none_or(|since| made < since) {
-                true => strays.unjudged.push((kind, name)),
-                false => strays.unclaimed.push((kind, name)),
+                true => orphan_folders.unjudged.push((kind, name)),
+                false => orphan_folders.unclaimed.push((kind, name)),
             }
         }
-        Ok(strays)
+        Ok(orphan_folders)
     }
 
     /// What the database may say of files.
-    pub(super) async fn judge(&self) -> Result<Judge, StoreError> {
+    pub(super) async fn orphan_rule(&self) -> Result<OrphanRule, StoreError> {
         let since: Option<String> = sqlx::query_scalar("SELECT since FROM data_folder")
             .fetch_optional(&self.database.reader)
             .await?;
@@ -84,7 +84,7 @@ impl OrphanRepository {
         let any: Option<String> = sqlx::query_scalar("SELECT hash FROM contents LIMIT 1")
             .fetch_optional(&self.database.reader)
             .await?;
-        Ok(Judge { since, knows_nothing: any.is_none() })
+        Ok(OrphanRule { since, knows_nothing: any.is_none() })
     }
 
     /// Of folders of a kind those that no record speaks of.
@@ -114,12 +114,12 @@ impl OrphanRepository {
     }
 
     /// Takes what no record speaks of to the quarantine, and removes what has been there long
-    /// enough: how many days of it, and bytes. `settled` as for [`strays`](Self::strays).
+    /// enough: how many days of it, and bytes. `settled` as for [`orphan_folders`](Self::orphan_folders).
     ///
     /// # Errors
     /// [`StoreError`].
     pub async fn sweep(&self, settled: Duration) -> Result<(u64, u64), StoreError> {
-        let Strays { unclaimed, unjudged } = self.strays(settled).await?;
+        let OrphanFolders { unclaimed, unjudged } = self.orphan_folders(settled).await?;
         if self.blobs.are_copies() {
             let places = unclaimed
                 .iter()
@@ -184,7 +184,7 @@ impl OrphanRepository {
     /// # Errors
     /// Those of the file system.
     pub async fn quarantine(&self, folders: Vec<(&'static str, String)>) -> Result<(), StoreError> {
-        if !self.blobs.has_free_hands() {
+        if !self.blobs.is_writable() {
             return Ok(());
         }
         let today = self.folder.path().join("quarantine").join(&now()[..10]);
@@ -222,7 +222,7 @@ impl OrphanRepository {
                 if age.is_some_and(|age| i64::from(age.get_days()) > QUARANTINE_DAYS) {
                     bytes += size_of(day.path())?;
                     removed += 1;
-                    if blobs.has_free_hands() {
+                    if blobs.is_writable() {
                         remove_tree(day.path(), blobs.tmp())?;
                     }
                 }

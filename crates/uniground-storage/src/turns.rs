@@ -6,20 +6,20 @@ use std::sync::{Arc, PoisonError, Weak};
 use tokio::sync::{Mutex, OwnedMutexGuard};
 
 /// Lasts as long as it lives.
-pub(super) type LocalTurn = OwnedMutexGuard<()>;
+pub(super) type LocalLock = OwnedMutexGuard<()>;
 
 /// Who is at work on what, by its name. Cheap to clone.
 #[derive(Clone, Default)]
-pub(super) struct LocalTurns(Arc<std::sync::Mutex<HashMap<String, Weak<Mutex<()>>>>>);
+pub(super) struct LocalLocks(Arc<std::sync::Mutex<HashMap<String, Weak<Mutex<()>>>>>);
 
-impl LocalTurns {
+impl LocalLocks {
     /// Waits for the turn at something.
-    pub async fn at(&self, name: &str) -> LocalTurn {
+    pub async fn at(&self, name: &str) -> LocalLock {
         self.lock_of(name).lock_owned().await
     }
 
     /// The turn at something, if nobody has it.
-    pub fn try_at(&self, name: &str) -> Option<LocalTurn> {
+    pub fn try_at(&self, name: &str) -> Option<LocalLock> {
         self.lock_of(name).try_lock_owned().ok()
     }
 

@@ -15,7 +15,7 @@ use uniground_types::settings::ParsePreset;
 /// What is to be made of an upload.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
-pub struct WantedScene {
+pub struct SceneRequest {
     pub name: Option<String>,
     pub file_name: Option<String>,
     /// Only stored, where not.
@@ -32,19 +32,19 @@ pub struct WantedScene {
 pub struct UploadRow {
     pub id: String,
     pub key_id: Option<String>,
-    pub wanted: WantedScene,
+    pub wanted: SceneRequest,
     /// Bytes it will have.
     pub length: u64,
     /// Bytes that are on the disk.
     pub received: u64,
-    pub came_of: Option<CameOf>,
+    pub came_of: Option<UploadResult>,
     pub created_at: String,
     pub updated_at: String,
 }
 
 /// What came of an upload.
 #[derive(Debug, Clone, PartialEq)]
-pub enum CameOf {
+pub enum UploadResult {
     Scene {
         scene_id: String,
         job_id: Option<String>,
@@ -55,7 +55,7 @@ pub enum CameOf {
 
 /// Uploads that have not come to an end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Unfinished {
+pub struct UnfinishedUploads {
     pub uploads: u32,
     /// Of these, one key's.
     pub of_key: u32,
@@ -71,10 +71,10 @@ impl FromRow<'_, AnyRow> for UploadRow {
         let job_id = row.try_get("job_id")?;
         let scene = row
             .try_get::<Option<String>, _>("scene_id")?
-            .map(|scene_id| CameOf::Scene { scene_id, job_id });
+            .map(|scene_id| UploadResult::Scene { scene_id, job_id });
         let problem = row.try_get::<Option<String>, _>("problem")?;
         let problem =
-            problem.map(|text| CameOf::Nothing(read_or_none("problem of an upload", &text)));
+            problem.map(|text| UploadResult::Nothing(read_or_none("problem of an upload", &text)));
         Ok(Self {
             id: row.try_get("id")?,
             key_id: row.try_get("key_id")?,
@@ -102,7 +102,7 @@ impl UploadRepository {
     /// [`StoreError`].
     pub async fn insert_upload(
         &self,
-        wanted: &WantedScene,
+        wanted: &SceneRequest,
         length: u64,
         key_id: Option<&str>,
     ) -> Result<UploadRow, StoreError> {
@@ -149,11 +149,11 @@ impl UploadRepository {
     pub async fn end_upload(
         &self,
         id: &str,
-        came_of: &CameOf,
+        came_of: &UploadResult,
     ) -> Result<Option<UploadRow>, StoreError> {
         let (scene_id, job_id, problem) = match came_of {
-            CameOf::Scene { scene_id, job_id } => (Some(scene_id), job_id.as_ref(), None),
-            CameOf::Nothing(why) => (None, None, Some(serde_json::to_string(why)?)),
+            UploadResult::Scene { scene_id, job_id } => (Some(scene_id), job_id.as_ref(), None),
+            UploadResult::Nothing(why) => (None, None, Some(serde_json::to_string(why)?)),
         };
         let sql = "UPDATE uploads SET scene_id = $1, job_id = $2, problem = $3, updated_at = $4 WHERE id = $5 RETURNING *";
         let query =
@@ -181,7 +181,7 @@ impl UploadRepository {
         &self,
         since: &str,
         key_id: Option<&str>,
-    ) -> Result<Unfinished, StoreError> {
+    ) -> Result<UnfinishedUploads, StoreError> {
         let sql = format!(
             "SELECT count(*), coalesce(sum(CASE WHEN key_id IS NOT DISTINCT FROM $2 THEN 1 ELSE 0 END), 0),
                     CAST(coalesce(sum(length - received), 0) AS bigint) FROM uploads
@@ -193,7 +193,7 @@ impl UploadRepository {
                 .bind(key_id)
                 .fetch_one(&self.database.reader)
                 .await?;
-        Ok(Unfinished {
+        Ok(UnfinishedUploads {
             uploads: number(uploads)?,
             of_key: number(of_key)?,
             announced_bytes: number(announced)?,
@@ -223,8 +223,8 @@ impl UploadRepository {
         let open: HashSet<String> = open.into_iter().collect();
         let blobs = self.blobs.clone();
         let removed = tokio::task::spawn_blocking(move || {
-            let mut strays = all.into_iter().filter(|name| !open.contains(name));
-            strays.try_for_each(|name| match fs::remove_file(blobs.upload(&name)) {
+            let mut orphan_folders = all.into_iter().filter(|name| !open.contains(name));
+            orphan_folders.try_for_each(|name| match fs::remove_file(blobs.upload(&name)) {
                 // Whoever ended it was faster.
                 Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
                 removed => removed,

@@ -10,7 +10,7 @@ use std::fmt::Write;
 
 /// What an encoder has seen of a room.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Seen {
+pub struct RoomVectors {
     /// Its name and version: vectors of different ones have nothing in common.
     pub encoder: String,
     /// One for each instance that was seen, of unit length.
@@ -82,7 +82,7 @@ impl RoomIndexRepository {
     pub async fn keep_vectors(
         &self,
         parse_id: &str,
-        seen: Option<&Seen>,
+        seen: Option<&RoomVectors>,
     ) -> Result<(), StoreError> {
         if !self.has_vectors().await? {
             return Ok(());
@@ -93,7 +93,8 @@ impl RoomIndexRepository {
             .execute(&mut *tx)
             .await?;
         let dim = seen.and_then(|seen| seen.vectors.first()).map_or(0, Vec::len);
-        let Some(Seen { encoder, vectors }) = seen.filter(|_| (1..=LONGEST).contains(&dim)) else {
+        let Some(RoomVectors { encoder, vectors }) = seen.filter(|_| (1..=LONGEST).contains(&dim))
+        else {
             return Ok(tx.commit().await?);
         };
         // Its name is ours: nothing of the encoder's stands in it but a hash.

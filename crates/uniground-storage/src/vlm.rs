@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 /// Money that somebody wants to have put aside.
 #[derive(Debug, Clone, Copy)]
-pub struct Wish<'a> {
+pub struct SpendRequest<'a> {
     /// UTC date.
     pub day: &'a str,
     /// US dollars, as all of these.
@@ -21,15 +21,15 @@ pub struct Wish<'a> {
 
 /// Whose money a day's is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Allowance {
+pub enum BudgetOwner {
     OfAll,
     OfKey,
 }
 
 /// There is too little of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Short {
-    pub whose: Allowance,
+pub struct BudgetExceeded {
+    pub whose: BudgetOwner,
     pub limit_usd: f64,
     pub left_usd: f64,
 }
@@ -160,25 +160,25 @@ impl SpendingRepository {
     pub async fn reserve_spending(
         &self,
         id: &str,
-        wish: &Wish<'_>,
-    ) -> Result<Result<(), Short>, StoreError> {
-        let Wish { day, usd, key_id, daily_usd, key_daily_usd } = *wish;
+        wish: &SpendRequest<'_>,
+    ) -> Result<Result<(), BudgetExceeded>, StoreError> {
+        let SpendRequest { day, usd, key_id, daily_usd, key_daily_usd } = *wish;
         let mut tx = self.database.writer.begin().await?;
         let of_all = "SELECT coalesce((SELECT usd FROM spending WHERE day = $1), 0.0)
                            + coalesce((SELECT sum(usd) FROM reservations WHERE day = $1), 0.0)";
         let of_key = "SELECT coalesce((SELECT usd FROM key_spending WHERE day = $1 AND key_id = $2), 0.0)
                            + coalesce((SELECT sum(usd) FROM reservations WHERE day = $1 AND key_id = $2), 0.0)";
         for (whose, sql, limit_usd) in
-            [(Allowance::OfKey, of_key, key_daily_usd), (Allowance::OfAll, of_all, daily_usd)]
+            [(BudgetOwner::OfKey, of_key, key_daily_usd), (BudgetOwner::OfAll, of_all, daily_usd)]
         {
             let Some(limit_usd) = limit_usd else { continue };
             let spent = sqlx::query_scalar(sql).bind(day);
-            let spent = if whose == Allowance::OfKey { spent.bind(key_id) } else { spent };
+            let spent = if whose == BudgetOwner::OfKey { spent.bind(key_id) } else { spent };
             let spent: f64 = spent.fetch_one(&mut *tx).await?;
             let left_usd = limit_usd - spent;
             if left_usd <= 0.0 || usd > left_usd {
                 tx.forget().await?;
-                return Ok(Err(Short { whose, limit_usd, left_usd: left_usd.max(0.0) }));
+                return Ok(Err(BudgetExceeded { whose, limit_usd, left_usd: left_usd.max(0.0) }));
             }
         }
         // Who is no member any more buys nothing: others do what he was at work on.

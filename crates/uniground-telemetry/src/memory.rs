@@ -6,7 +6,7 @@ use sysinfo::{
 
 /// Bytes of memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Memory {
+pub struct MemoryUsage {
     /// What of this process is not swapped out.
     pub resident: u64,
     /// What it may come to have: its container's limit, or all of the machine's; no more than
@@ -14,7 +14,7 @@ pub struct Memory {
     pub most: u64,
 }
 
-impl Memory {
+impl MemoryUsage {
     /// As it is now; `None` where the system does not tell.
     #[must_use]
     pub fn now() -> Option<Self> {
@@ -43,7 +43,7 @@ mod tests {
 
     #[test]
     fn a_process_has_less_than_it_may_have() {
-        let Memory { resident, most } = Memory::now().unwrap();
+        let MemoryUsage { resident, most } = MemoryUsage::now().unwrap();
         assert!((1 << 20..most).contains(&resident), "{resident} of {most}");
     }
 }

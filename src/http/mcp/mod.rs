@@ -8,7 +8,7 @@ mod tools;
 mod values;
 
 use super::App;
-use super::problem::Refused;
+use super::problem::ProblemResponse;
 use axum::body::{Body, to_bytes};
 use axum::extract::{Request, State};
 use axum::http::request::Parts;
@@ -89,7 +89,7 @@ impl Mcp {
 
 /// A problem as an error of the protocol.
 fn failed(error: Error) -> ErrorData {
-    let problem = Refused::from(error).problem();
+    let problem = ProblemResponse::from(error).problem();
     let message = format!("{} ({})", problem.detail, problem.code);
     match problem.status {
         404 => ErrorData::resource_not_found(message, None),
@@ -216,7 +216,7 @@ pub(super) async fn answer(State(app): State<App>, request: Request) -> Response
         StatusCode::NOT_ACCEPTABLE => "not_acceptable",
         _ => "mcp_refused",
     };
-    Refused::new(status, code, String::from_utf8_lossy(&words)).into_response()
+    ProblemResponse::new(status, code, String::from_utf8_lossy(&words)).into_response()
 }
 
 fn is_json(kind: &HeaderValue) -> bool {

@@ -6,7 +6,7 @@ use super::values::{
     ObjectBrief, ObjectBriefs, OneObject, Relations, RenderView, SceneBrief, SceneBriefs, ViewKind,
 };
 use crate::http::paging;
-use crate::http::problem::Refused;
+use crate::http::problem::ProblemResponse;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use rmcp::model::{CallToolResult, ContentBlock, JsonObject, Tool, ToolAnnotations};
@@ -94,7 +94,7 @@ pub(super) async fn call(
         _ => return None,
     };
     Some(result.unwrap_or_else(|error| {
-        let problem = Refused::from(error).problem();
+        let problem = ProblemResponse::from(error).problem();
         CallToolResult::error(vec![ContentBlock::text(format!(
             "{} ({})",
             problem.detail, problem.code

@@ -161,7 +161,7 @@ impl ChatClient {
 
 #[cfg(test)]
 mod tests {
-    use crate::chat::{ChatClient, Endpoint, Patience, ReplayCache};
+    use crate::chat::{ChatClient, Endpoint, ReplayCache, RetryPolicy};
     use axum::routing::{get, post};
     use axum::{Json, Router, http::StatusCode};
     use serde_json::{Value, json};
@@ -192,7 +192,7 @@ mod tests {
             prices: Prices::default(),
             concurrency: 1,
         };
-        ChatClient::new(endpoint, Patience::default(), ReplayCache::Off).unwrap().limits().await
+        ChatClient::new(endpoint, RetryPolicy::default(), ReplayCache::Off).unwrap().limits().await
     }
 
     fn models(owner: &str, max_model_len: Option<u64>) -> Value {

@@ -49,7 +49,7 @@ impl std::fmt::Debug for Endpoint {
 
 /// How patiently a model is asked. Defaults are the paper's.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Patience {
+pub struct RetryPolicy {
     pub timeout: Duration,
     pub attempts: u32,
     /// The wait before the second attempt; it doubles from one to the next.
@@ -58,7 +58,7 @@ pub struct Patience {
     pub longest_wait: Duration,
 }
 
-impl Default for Patience {
+impl Default for RetryPolicy {
     fn default() -> Self {
         Self {
             timeout: Duration::from_mins(5),
@@ -73,7 +73,7 @@ impl Default for Patience {
 pub struct ChatClient {
     http: reqwest::Client,
     endpoint: Endpoint,
-    patience: Patience,
+    patience: RetryPolicy,
     replay_cache: ReplayCache,
     turns: Semaphore,
 }
@@ -178,7 +178,7 @@ impl ChatClient {
     /// No client can be made: the system's certificates can not be read, say.
     pub fn new(
         endpoint: Endpoint,
-        patience: Patience,
+        patience: RetryPolicy,
         replay_cache: ReplayCache,
     ) -> Result<Self, reqwest::Error> {
         choose_cryptography();

@@ -186,7 +186,7 @@ async fn a_job_has_one_holder() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     let id = submit(&jobs, "this").await;
-    let first = Hold::of(&jobs.repository.claim_job(Obedient::NAME).await.unwrap().unwrap());
+    let first = JobLease::of(&jobs.repository.claim_job(Obedient::NAME).await.unwrap().unwrap());
     jobs.repository.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
     assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Running, "its holder is there");
     jobs.repository.enter_as_new_process().await.unwrap();
@@ -213,7 +213,7 @@ async fn interruptions_count_only_while_a_job_gets_no_further() {
     let id = submit(&jobs, "this").await;
     let interrupted = async |progress| {
         let job = jobs.repository.claim_job(Obedient::NAME).await.unwrap().unwrap();
-        jobs.repository.save_job_progress(&Hold::of(&job), "stage", progress).await.unwrap();
+        jobs.repository.save_job_progress(&JobLease::of(&job), "stage", progress).await.unwrap();
         jobs.repository.enter_as_new_process().await.unwrap();
         jobs.repository.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
         jobs.get(&id).await.unwrap().state

@@ -9,13 +9,13 @@ use uniground_types::placement::{FrameChoice, InFrame, SceneToFrame, Stamp};
 use uniground_types::scene::SourceToScene;
 
 /// Coordinates other than the scene's.
-pub struct Frame {
+pub struct CoordinateFrameView {
     choice: FrameChoice,
     id: Option<String>,
     pub from_scene: SceneToFrame,
 }
 
-impl Frame {
+impl CoordinateFrameView {
     /// Those that were chosen; `None` for the scene's own.
     ///
     /// # Errors

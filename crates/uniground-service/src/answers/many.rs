@@ -1,7 +1,7 @@
 //! Questions about many scenes: every one is looked into without a model, and those that most
 //! likely have it are asked in full.
 
-use super::{Asker, StoredScene};
+use super::{QuestionCaller, StoredScene};
 use crate::error::Error;
 use crate::vlm::OF_QUESTION;
 use crate::{Caller, GroundingService};
@@ -44,7 +44,7 @@ impl GroundingService {
         let (rows, narrowed) = self.scenes_meant(&request).await?;
         let glance_at = GroundRequest { reasoner: ReasonerChoice::Builtin, ..question.clone() };
         let stays = rows.len() <= FEW_SCENES;
-        let looks: Vec<(SceneRow, Result<Standing, Error>)> = stream::iter(rows)
+        let looks: Vec<(SceneRow, Result<MatchRank, Error>)> = stream::iter(rows)
             .map(async |row| {
                 let seen = Box::pin(self.glance(&row, &glance_at, &caller, start, stays)).await;
                 (row, seen)
@@ -158,7 +158,7 @@ impl GroundingService {
                 .map(|seconds| seconds - start.elapsed().as_secs_f32())
                 .filter(|left| *left > 0.0);
             // What naming a scene costs is no part of a question's budget.
-            let asker = Asker {
+            let asker = QuestionCaller {
                 caller: caller.clone(),
                 answer_id: self.ids.new_id(),
                 pays: pays.clone(),
@@ -184,7 +184,7 @@ impl GroundingService {
         caller: &Caller,
         start: Instant,
         stays: bool,
-    ) -> Result<Standing, Error> {
+    ) -> Result<MatchRank, Error> {
         let not_ready = || Error::SceneNotReady { id: row.id.clone(), job_id: row.job_id.clone() };
         let parse_id = row.parse_id.as_ref().ok_or_else(not_ready)?;
         let mut tries = 1;
@@ -221,11 +221,11 @@ fn check_time(question: &GroundRequest, start: Instant) -> Result<(), Error> {
 }
 
 /// A rank, the lower the better, and within it the higher the better.
-type Standing = (u8, f32);
+type MatchRank = (u8, f32);
 
 /// The lower first, then by confidence: what is said of a thing counts before what is said of its
 /// absence.
-fn standing(status: Status, confidence: f32) -> Standing {
+fn standing(status: Status, confidence: f32) -> MatchRank {
     match status {
         Status::Grounded => (0, confidence),
         Status::Ambiguous => (1, confidence),

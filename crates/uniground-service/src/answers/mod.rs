@@ -19,7 +19,7 @@ use super::vlm::OF_QUESTION;
 use super::{Caller, Vlm};
 use crate::error::Error;
 use crate::{Keyring, Limits, NamingService, ParsedScenes, RoomSearch, SceneLookup, ServiceLocks};
-pub use in_frame::Frame;
+pub use in_frame::CoordinateFrameView;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::Semaphore;
@@ -44,7 +44,7 @@ pub(super) const STORE_IS_BACK: Duration = Duration::from_mins(5);
 const LOOK_AGAIN: Duration = Duration::from_secs(1);
 
 /// Who asks, and what goes with that where it is not somebody who waits for the answer.
-pub(super) struct Asker {
+pub(super) struct QuestionCaller {
     pub caller: Caller,
     /// Of the answer.
     pub answer_id: String,
@@ -87,7 +87,7 @@ impl GroundingService {
         request: GroundRequest,
         caller: Caller,
     ) -> Result<Answer, Error> {
-        let asker = Asker {
+        let asker = QuestionCaller {
             caller,
             answer_id: self.ids.new_id(),
             pays: None,
@@ -102,7 +102,7 @@ impl GroundingService {
         &self,
         scene_id: &str,
         request: GroundRequest,
-        asker: Asker,
+        asker: QuestionCaller,
     ) -> Result<Answer, Error> {
         let (start, is_batch) = (Instant::now(), asker.is_batch);
         let answered = Box::pin(self.ground_uncounted(scene_id, request, asker)).await;
@@ -128,7 +128,7 @@ impl GroundingService {
         &self,
         scene_id: &str,
         request: GroundRequest,
-        asker: Asker,
+        asker: QuestionCaller,
     ) -> Result<Answer, Error> {
         request.check()?;
         let (scene, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
@@ -154,7 +154,7 @@ impl GroundingService {
             self.parsed_scenes.clone(),
             self.parsed_scenes.loaded_parse(&parse_id).await?,
         );
-        let frame = Frame::of(request.frame, &scene, source.parse.source_to_scene)?;
+        let frame = CoordinateFrameView::of(request.frame, &scene, source.parse.source_to_scene)?;
         let request = match &frame {
             Some(frame) => GroundRequest {
                 observer: request.observer.map(|observer| frame.from_scene.observer(&observer)),
@@ -243,7 +243,7 @@ impl GroundingService {
         let start = Instant::now();
         loop {
             match self.keep(answer, model, parse_id, calls.clone()).await {
-                Err(error) if error.may_pass() && start.elapsed() < patience => {
+                Err(error) if error.is_transient() && start.elapsed() < patience => {
                     tracing::warn!(
                         error = &error as &dyn std::error::Error,
                         "an answer can not be kept yet"

@@ -1,7 +1,7 @@
 //! Questions that come again: under the same idempotency key the same answer, and a model is paid
 //! once.
 
-use super::{Asker, filtered};
+use super::{QuestionCaller, filtered};
 use crate::error::Error;
 use crate::{Caller, GroundingService};
 use sha2::{Digest, Sha256};
@@ -65,7 +65,8 @@ impl GroundingService {
                 true,
             ));
         }
-        let asker = Asker { caller, answer_id, pays: None, is_batch: false, may_name: true };
+        let asker =
+            QuestionCaller { caller, answer_id, pays: None, is_batch: false, may_name: true };
         Ok((self.ground_for(scene_id, request, asker).await?, false))
     }
 

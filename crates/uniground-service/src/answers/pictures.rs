@@ -14,7 +14,7 @@ pub(super) const GLOBAL: &str = "global";
 /// What a picture takes of a stored answer, of whatever version: fields that are missing are not
 /// drawn.
 #[derive(Deserialize)]
-struct Drawn {
+struct StoredAnswer {
     #[serde(default)]
     answer: DrawnFields,
     #[serde(default)]
@@ -63,7 +63,7 @@ impl AnswerService {
             .answer(id)
             .await?
             .ok_or_else(|| Error::AnswerNotFound { id: id.into() })?;
-        let Drawn { answer, candidates } = serde_json::from_str(&row.body)?;
+        let StoredAnswer { answer, candidates } = serde_json::from_str(&row.body)?;
         let source = StoredScene::new(
             self.parsed_scenes.clone(),
             self.parsed_scenes.loaded_parse(&row.parse_id).await?,

@@ -23,7 +23,7 @@ use uniground_parsing::ParseError;
 use uniground_parsing::evidence::Picture;
 use uniground_parsing::pointed::{Place, Pointing};
 use uniground_render::{RenderScene, Shot};
-use uniground_storage::{Blobs, Kept, Scratch};
+use uniground_storage::{Blobs, PinnedPath, Scratch};
 use uniground_types::settings::ParsingSettings;
 
 /// Instances that questions may add to a parse.
@@ -41,7 +41,7 @@ impl StoredScene {
     }
 
     /// A file of the parse, if it is what was written.
-    pub fn check(&self, file: &Utf8Path) -> Result<Kept, Error> {
+    pub fn check(&self, file: &Utf8Path) -> Result<PinnedPath, Error> {
         self.scenes.check_file(&self.parse.id, file)
     }
 

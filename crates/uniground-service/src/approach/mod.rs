@@ -1,7 +1,7 @@
 //! Where a robot can stand for a thing, and the map of the floor it stands on.
 
 use super::Caller;
-use super::answers::{Frame, StoredScene};
+use super::answers::{CoordinateFrameView, StoredScene};
 use crate::error::Error;
 use crate::{GroundingService, ParsedScenes, SceneLookup};
 use image::codecs::png::PngEncoder;
@@ -38,7 +38,7 @@ impl ApproachService {
     ) -> Result<Approach, Error> {
         request.check()?;
         let (answer, row, scene) = self.asked_about(scene_id, &request, caller).await?;
-        let frame = Frame::of(request.frame, &row, scene.parse.source_to_scene)?;
+        let frame = CoordinateFrameView::of(request.frame, &row, scene.parse.source_to_scene)?;
         let mut told = Approach {
             scene_id: row.id,
             parse_version: u32::try_from(row.parse_version).unwrap_or(0),
@@ -193,7 +193,7 @@ fn question(query: &str) -> GroundRequest {
 }
 
 /// `frame` is that of the robot's own place; `None` for the scene's.
-fn wish_of(request: &ApproachRequest, frame: Option<&Frame>) -> Wish {
+fn wish_of(request: &ApproachRequest, frame: Option<&CoordinateFrameView>) -> Wish {
     let ApproachRequest {
         instance_id: _,
         query: _,

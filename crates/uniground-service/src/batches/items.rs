@@ -39,14 +39,14 @@ impl BatchDefaults {
     pub fn query_of(&self, request: &str) -> String {
         /// The question's words, whatever they are and whatever else the item has.
         #[derive(Default, Deserialize)]
-        struct Query<'a> {
+        struct ItemQuery<'a> {
             #[serde(borrow, default, deserialize_with = "present")]
             query: Option<&'a RawValue>,
         }
         fn present<'de, D: Deserializer<'de>>(value: D) -> Result<Option<&'de RawValue>, D::Error> {
             <&RawValue>::deserialize(value).map(Some)
         }
-        let own: Query<'_> = serde_json::from_str(request).unwrap_or_default();
+        let own: ItemQuery<'_> = serde_json::from_str(request).unwrap_or_default();
         let query = own.query.or_else(|| self.0.get("query").map(Box::as_ref));
         query.and_then(|query| serde_json::from_str(query.get()).ok()).unwrap_or_default()
     }

@@ -2,7 +2,7 @@
 
 use super::items::{BatchDefaults, question_of};
 use super::reason;
-use crate::answers::{Asker, STORE_IS_BACK};
+use crate::answers::{QuestionCaller, STORE_IS_BACK};
 use crate::error::Error;
 use crate::vlm::OF_QUESTION;
 use crate::{Caller, Capacity, GroundingService, Keyring, Vlm, job_failure, until_cancelled};
@@ -23,7 +23,7 @@ use uniground_jobs::{JobContext, JobFailure, JobKind, Retry};
 use uniground_models::chat::{Budget, OverBudget};
 use uniground_parsing::ParseError;
 use uniground_storage::{
-    AnswerRepository, BatchRepository, BatchRow, ClosedItem, Hold, OpenItem, StoreError,
+    AnswerRepository, BatchRepository, BatchRow, ClosedItem, JobLease, OpenItem, StoreError,
 };
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::answer::{Answer, Usage};
@@ -67,14 +67,14 @@ const STEP_ASIDE: Duration = Duration::from_millis(50);
 const GRACE: Duration = Duration::from_secs(5);
 
 /// How an item ended.
-enum End {
+enum ItemOutcome {
     Closed(ClosedItem),
     /// The batch's money is spent: it waits.
     OverBudget,
 }
 
 /// A batch being asked.
-struct Run {
+struct BatchRun {
     service: BatchRunner,
     batch: BatchRow,
     /// What its items share.
@@ -83,7 +83,7 @@ struct Run {
     /// Items that are answered or have failed, those of earlier runs too.
     done: u32,
     progress: Progress,
-    hold: Hold,
+    hold: JobLease,
     lost: CancellationToken,
 }
 
@@ -115,7 +115,7 @@ impl BatchRunner {
         let done = numbers.values().sum();
         let budget = batch.max_cost_usd.map(|usd| Budget::new(THIS_BATCH, usd).with_spent(spent));
         let mut run =
-            Run { service: self.clone(), batch, defaults, budget, done, progress, hold, lost };
+            BatchRun { service: self.clone(), batch, defaults, budget, done, progress, hold, lost };
         loop {
             if !run.is_wanted().await? {
                 return Ok(run.told("stopped"));
@@ -132,7 +132,7 @@ impl BatchRunner {
                     .await?;
                 return Ok(run.told("done"));
             }
-            if run.ask(items, &caller).await? == Money::Spent {
+            if run.ask(items, &caller).await? == BudgetState::Spent {
                 return run.pause(reason::BUDGET_SPENT, "its money is spent").await;
             }
         }
@@ -141,14 +141,14 @@ impl BatchRunner {
 
 /// Whether what a batch may cost was enough.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Money {
+enum BudgetState {
     Enough,
     Spent,
 }
 
-impl Run {
+impl BatchRun {
     /// Asks items, some at once, and writes down what comes of them.
-    async fn ask(&mut self, items: Vec<OpenItem>, caller: &Caller) -> Result<Money, Error> {
+    async fn ask(&mut self, items: Vec<OpenItem>, caller: &Caller) -> Result<BudgetState, Error> {
         let asking = AtomicBool::new(true);
         let wanted = stream::iter(items).take_while(|_| ready(asking.load(Relaxed)));
         let (service, caller, budget) = (self.service.clone(), caller.clone(), self.budget.clone());
@@ -166,7 +166,8 @@ impl Run {
         };
         let width = self.batch.concurrency.unwrap_or(super::CONCURRENCY) as usize;
         let mut ends = pin!(wanted.map(task).buffer_unordered(width));
-        let (mut closed, mut written, mut money) = (Vec::new(), Instant::now(), Money::Enough);
+        let (mut closed, mut written, mut money) =
+            (Vec::new(), Instant::now(), BudgetState::Enough);
         // Why it stops, and until when it waits for what is under way: that has been paid for.
         let (mut stop, mut is_cancelled): (Option<(Error, tokio::time::Instant)>, bool) =
             (None, false);
@@ -188,8 +189,8 @@ impl Run {
             };
             match end {
                 None => break,
-                Some(Ok(End::Closed(item))) => closed.push(item),
-                Some(Ok(End::OverBudget)) => money = Money::Spent,
+                Some(Ok(ItemOutcome::Closed(item))) => closed.push(item),
+                Some(Ok(ItemOutcome::OverBudget)) => money = BudgetState::Spent,
                 // The store is in trouble: what is known is kept, and the job is tried again.
                 Some(Err(error)) => drop(stop.get_or_insert_with(|| (error, when_it_is_back()))),
             }
@@ -204,7 +205,7 @@ impl Run {
                     Err(error) => drop(stop.get_or_insert_with(|| (error, when_it_is_back()))),
                 }
             }
-            if money == Money::Spent || stop.is_some() {
+            if money == BudgetState::Spent || stop.is_some() {
                 asking.store(false, Relaxed);
             }
         }
@@ -256,11 +257,11 @@ impl BatchRunner {
         defaults: &BatchDefaults,
         caller: &Caller,
         budget: Option<&Budget>,
-    ) -> Result<End, Error> {
+    ) -> Result<ItemOutcome, Error> {
         let OpenItem { item, scene_id, request, answer_id } = open;
         if let Some(kept) = self.answer_repository.answer(&answer_id).await? {
-            let Kept { status, usage } = serde_json::from_str(&kept.body)?;
-            return Ok(End::Closed(ClosedItem {
+            let AnswerSummary { status, usage } = serde_json::from_str(&kept.body)?;
+            return Ok(ItemOutcome::Closed(ClosedItem {
                 item,
                 status,
                 cost_usd: usage.cost_usd,
@@ -282,7 +283,7 @@ impl BatchRunner {
             };
         let (mut tries, mut wait) = (0, FIRST_WAIT);
         loop {
-            let asker = Asker {
+            let asker = QuestionCaller {
                 caller: caller.clone(),
                 answer_id: answer_id.clone(),
                 pays: budget.cloned(),
@@ -296,7 +297,7 @@ impl BatchRunner {
                         .as_str()
                         .unwrap_or_default()
                         .to_owned();
-                    return Ok(End::Closed(ClosedItem {
+                    return Ok(ItemOutcome::Closed(ClosedItem {
                         item,
                         status,
                         cost_usd: answer.usage.cost_usd,
@@ -307,14 +308,14 @@ impl BatchRunner {
                 // The batch's own money, its key's or the server's of today: it waits. What the
                 // question itself may cost will not grow.
                 Err(Error::OverBudget(OverBudget { of, .. })) if of != OF_QUESTION => {
-                    return Ok(End::OverBudget);
+                    return Ok(ItemOutcome::OverBudget);
                 }
                 // Nothing of this kind can be asked now: the batch is put off, and no item fails
                 // for it.
                 Err(error @ (Error::Store(_) | Error::Io(_) | Error::VlmDown { .. })) => {
                     return Err(error);
                 }
-                Err(error) if error.may_pass() && tries + 1 < TRIES => {
+                Err(error) if error.is_transient() && tries + 1 < TRIES => {
                     sleep(wait).await;
                     (tries, wait) = (tries + 1, wait * 2);
                 }
@@ -335,7 +336,7 @@ fn shortened(text: &str) -> String {
     }
 }
 
-fn failed(item: u32, error: &Error) -> End {
+fn failed(item: u32, error: &Error) -> ItemOutcome {
     let detail = match error {
         Error::Invalid { pointer, detail } => {
             format!("{}: {}", shortened(pointer), shortened(detail))
@@ -343,7 +344,7 @@ fn failed(item: u32, error: &Error) -> End {
         other => shortened(&other.to_string()),
     };
     let error = Some((error.code().to_owned(), detail));
-    End::Closed(ClosedItem { item, status: "failed".into(), cost_usd: 0.0, error })
+    ItemOutcome::Closed(ClosedItem { item, status: "failed".into(), cost_usd: 0.0, error })
 }
 
 /// Whose budget it is, in messages.
@@ -351,7 +352,7 @@ const THIS_BATCH: &str = "this batch";
 
 /// What a batch wants to know of an answer that is kept.
 #[derive(Deserialize)]
-struct Kept {
+struct AnswerSummary {
     status: String,
     usage: Usage,
 }

@@ -8,14 +8,14 @@ mod submission;
 
 pub use job::BatchJob;
 pub use job::BatchRunner;
-pub use results::Results;
-pub use submission::{Body, Submission};
+pub use results::ResultRequest;
+pub use submission::{BatchBody, Submission};
 
 use crate::Capacity;
 use crate::error::Error;
 use job::Payload;
 use uniground_jobs::{JobKind, Jobs, JobsError};
-use uniground_storage::{BatchRepository, BatchRow, NewJob, Resumed, page};
+use uniground_storage::{BatchRepository, BatchRow, NewJob, ResumeOutcome, page};
 use uniground_types::batch::{Batch, BatchList, BatchState};
 
 /// Questions of a batch asked at once, where it does not say.
@@ -88,7 +88,7 @@ impl BatchService {
     /// As [`pause_batch`](Self::pause_batch); a full queue.
     pub async fn resume_batch(&self, id: &str) -> Result<Batch, Error> {
         let row = self.batch_row(id).await?;
-        self.jobs.check_room::<BatchJob>(row.key_id.as_deref()).await?;
+        self.jobs.check_queue_capacity::<BatchJob>(row.key_id.as_deref()).await?;
         let payload = serde_json::to_string(&Payload { batch_id: id.to_owned() })?;
         let job = NewJob {
             kind: BatchJob::NAME,
@@ -97,9 +97,11 @@ impl BatchService {
             done: None,
         };
         match self.batch_repository.resume_batch(id, &job).await? {
-            Resumed::By(job) => drop(self.jobs.recorded::<BatchJob>(*job)),
-            Resumed::GoesOn => {}
-            Resumed::Over => return Err(Error::BatchOver { id: id.into(), state: row.state }),
+            ResumeOutcome::By(job) => drop(self.jobs.notify_worker::<BatchJob>(*job)),
+            ResumeOutcome::GoesOn => {}
+            ResumeOutcome::Over => {
+                return Err(Error::BatchOver { id: id.into(), state: row.state });
+            }
         }
         self.batch(id).await
     }

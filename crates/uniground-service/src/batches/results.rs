@@ -18,7 +18,7 @@ use uniground_types::job::JobError;
 
 /// What results are wanted, and how.
 #[derive(Debug, Clone)]
-pub struct Results {
+pub struct ResultRequest {
     pub batch_id: String,
     /// The first item.
     pub from: u32,
@@ -34,7 +34,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(200);
 
 /// A line of results; the answer is passed on as it is kept, byte for byte.
 #[derive(Serialize)]
-struct Line<'a> {
+struct ResultLine<'a> {
     item: u32,
     scene_id: &'a str,
     query: &'a str,
@@ -53,7 +53,7 @@ impl BatchService {
     /// [`Error::BatchNotFound`].
     pub async fn batch_results(
         &self,
-        results: Results,
+        results: ResultRequest,
     ) -> Result<impl Stream<Item = Result<Bytes, Error>> + use<>, Error> {
         self.batch_row(&results.batch_id).await?;
         let defaults = Arc::new(BatchDefaults::from_stored(
@@ -71,9 +71,9 @@ impl BatchService {
 
     async fn next_page(
         &self,
-        mut wanted: Results,
+        mut wanted: ResultRequest,
         defaults: &BatchDefaults,
-    ) -> Result<Option<(Bytes, Results)>, Error> {
+    ) -> Result<Option<(Bytes, ResultRequest)>, Error> {
         loop {
             // Looked at before the items: what is closed after this is found next time.
             let (state, ..) = self.batch_state(&self.batch_row(&wanted.batch_id).await?).await?;
@@ -101,7 +101,7 @@ fn lines(rows: &[ItemRow], defaults: &BatchDefaults) -> Result<Vec<u8>, Error> {
     let mut page = Vec::new();
     for row in rows {
         let query = defaults.query_of(&row.request);
-        let line = Line {
+        let line = ResultLine {
             item: row.item,
             scene_id: &row.scene_id,
             query: &query,

@@ -11,7 +11,7 @@ use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 use tokio::task::yield_now;
 use uniground_jobs::JobKind;
-use uniground_storage::{BatchRepository, NewBatch, NewItem, NewJob, ReceivedBatch, Submitted};
+use uniground_storage::{BatchRepository, NewBatch, NewItem, NewJob, ReceivedBatch, SubmitOutcome};
 use uniground_types::batch::{Batch, BatchRequest};
 use uniground_types::numbers::zero_or_more;
 
@@ -27,7 +27,7 @@ pub struct Submission {
 }
 
 /// The items of a batch.
-pub enum Body<S> {
+pub enum BatchBody<S> {
     Items(Vec<Map<String, Value>>),
     /// An object a line.
     Lines(S),
@@ -82,7 +82,7 @@ enum DigestForm {
 }
 
 /// Takes items as they come and writes them some at a time.
-struct Receiving<'a> {
+struct BatchReceiver<'a> {
     service: &'a BatchService,
     /// Fields of every item that does not have them itself; without the scene once items come.
     defaults: Map<String, Value>,
@@ -99,7 +99,7 @@ struct Receiving<'a> {
     stored_bytes: u64,
 }
 
-impl Receiving<'_> {
+impl BatchReceiver<'_> {
     async fn take(&mut self, mut fields: Map<String, Value>) -> Result<(), Error> {
         // "{"defaults": {...}}", before the first item.
         if self.items == 0
@@ -199,15 +199,15 @@ impl Receiving<'_> {
     /// Takes all items; a batch has at least one.
     async fn take_all<E>(
         &mut self,
-        body: Body<impl Stream<Item = Result<Bytes, E>> + Unpin>,
+        body: BatchBody<impl Stream<Item = Result<Bytes, E>> + Unpin>,
     ) -> Result<(), Error> {
         match body {
-            Body::Items(items) => {
+            BatchBody::Items(items) => {
                 for fields in items {
                     self.take(fields).await?;
                 }
             }
-            Body::Lines(lines) => self.take_lines(lines).await?,
+            BatchBody::Lines(lines) => self.take_lines(lines).await?,
         }
         if self.items == 0 {
             return Err(Error::invalid("/items", "a batch has at least one question"));
@@ -269,12 +269,12 @@ fn check_size(stored_bytes: u64) -> Result<(), Error> {
 }
 
 /// A batch that is being received; deleted where its sender leaves.
-struct Unfinished {
+struct UnfinishedBatch {
     batches: BatchRepository,
     id: Option<String>,
 }
 
-impl Unfinished {
+impl UnfinishedBatch {
     /// Deletes it now, before its sender is answered.
     async fn discard(&mut self) {
         if let Some(id) = self.id.clone() {
@@ -284,7 +284,7 @@ impl Unfinished {
     }
 }
 
-impl Drop for Unfinished {
+impl Drop for UnfinishedBatch {
     fn drop(&mut self) {
         if let Some(id) = self.id.take() {
             let batches = self.batches.clone();
@@ -315,7 +315,7 @@ impl BatchService {
     pub async fn create_batch<E, S: Stream<Item = Result<Bytes, E>> + Unpin>(
         &self,
         submission: Submission,
-        body: Body<S>,
+        body: BatchBody<S>,
         caller: &Caller,
     ) -> Result<Batch, Error> {
         submission.check()?;
@@ -330,7 +330,7 @@ impl BatchService {
             (None, if defaults.is_some() { DigestForm::Shared } else { DigestForm::Whole })
         } else {
             self.capacity.check_disk(0)?;
-            self.jobs.check_room::<BatchJob>(caller.key_id()).await?;
+            self.jobs.check_queue_capacity::<BatchJob>(caller.key_id()).await?;
             let new = NewBatch {
                 label: label.as_deref(),
                 concurrency,
@@ -340,10 +340,10 @@ impl BatchService {
             (Some(self.batch_repository.insert_batch(new).await?), DigestForm::Shared)
         };
         let mut unfinished =
-            Unfinished { batches: self.batch_repository.clone(), id: batch_id.clone() };
+            UnfinishedBatch { batches: self.batch_repository.clone(), id: batch_id.clone() };
         let mut digest = Sha256::new();
         digest.update(serde_json::to_vec(&(&label, concurrency, max_cost_usd))?);
-        let mut receiving = Receiving {
+        let mut receiving = BatchReceiver {
             service: self,
             defaults,
             defaults_bytes: 0,
@@ -379,16 +379,16 @@ impl BatchService {
             Err(error) => Err(error),
         };
         match submitted {
-            Ok(Submitted::New(job)) => {
+            Ok(SubmitOutcome::New(job)) => {
                 unfinished.id = None;
-                self.jobs.recorded::<BatchJob>(job);
+                self.jobs.notify_worker::<BatchJob>(job);
                 self.batch(&id).await
             }
-            Ok(Submitted::MadeBefore(before)) => {
+            Ok(SubmitOutcome::MadeBefore(before)) => {
                 unfinished.discard().await;
                 self.batch(&before.id).await
             }
-            Ok(Submitted::KeyReused) => {
+            Ok(SubmitOutcome::KeyReused) => {
                 unfinished.discard().await;
                 Err(Error::IdempotencyKeyReused)
             }
@@ -403,7 +403,7 @@ impl BatchService {
         &self,
         received: &ReceivedBatch<'_>,
         caller: &Caller,
-    ) -> Result<Submitted, Error> {
+    ) -> Result<SubmitOutcome, Error> {
         let payload = serde_json::to_string(&Payload { batch_id: received.id.to_owned() })?;
         let job =
             NewJob { kind: BatchJob::NAME, payload: &payload, key_id: caller.key_id(), done: None };

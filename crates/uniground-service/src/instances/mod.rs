@@ -12,13 +12,13 @@ use bytes::Bytes;
 use std::sync::Arc;
 use uniground_geometry::scene::{Instance, InstanceId};
 use uniground_parsing::evidence::Picture;
-use uniground_storage::Kept;
+use uniground_storage::PinnedPath;
 use uniground_types::instances::{InstanceList, InstanceView, Levels, ViewPicture};
 
 /// A picture of an instance.
 pub enum EvidenceFile {
     /// A JPEG file.
-    Stored(Kept),
+    Stored(PinnedPath),
     /// The bytes of one.
     Drawn(Bytes),
 }

@@ -14,7 +14,7 @@ use uniground_types::keys::{AuditEntry, AuditList};
 
 /// A request that is under way, and what came of it.
 #[derive(Debug, Clone)]
-pub struct Done {
+pub struct AuditedRequest {
     pub method: String,
     pub path: String,
     pub status: u16,
@@ -26,28 +26,34 @@ const LEFT: u16 = 499;
 
 /// A request that is written down however it ends: answered, or because whoever asked left, or
 /// because the handler panicked.
-pub struct Noting {
+pub struct PendingAudit {
     keys: Keyring,
-    open: Option<(Caller, Done)>,
+    open: Option<(Caller, AuditedRequest)>,
 }
 
-impl Noting {
+impl PendingAudit {
     /// It was answered. Whoever asked waits until that is written down, unless the database takes
     /// too long.
     pub async fn answered(mut self, status: u16) {
         if let Some((caller, done)) = self.open.take() {
-            let written =
-                self.keys.audit_log.push(self.keys.entry(&caller, Done { status, ..done }));
+            let written = self
+                .keys
+                .audit_log
+                .push(self.keys.entry(&caller, AuditedRequest { status, ..done }));
             // What waits longer is written all the same; what was dropped has been logged.
             let _ = timeout(MAX_WAIT, written).await;
         }
     }
 }
 
-impl Drop for Noting {
+impl Drop for PendingAudit {
     fn drop(&mut self) {
         if let Some((caller, done)) = self.open.take() {
-            drop(self.keys.audit_log.push(self.keys.entry(&caller, Done { status: LEFT, ..done })));
+            drop(
+                self.keys
+                    .audit_log
+                    .push(self.keys.entry(&caller, AuditedRequest { status: LEFT, ..done })),
+            );
         }
     }
 }
@@ -70,11 +76,11 @@ const LOG_EVERY: Duration = Duration::from_secs(10);
 /// together.
 #[derive(Clone)]
 pub(super) struct AuditLog {
-    queue: mpsc::Sender<Pending>,
-    dropped: Arc<Dropped>,
+    queue: mpsc::Sender<QueuedEntry>,
+    dropped: Arc<DroppedEntries>,
 }
 
-struct Pending {
+struct QueuedEntry {
     entry: AuditEntry,
     /// Closed when the entry was written or dropped.
     written: oneshot::Sender<()>,
@@ -84,7 +90,7 @@ impl AuditLog {
     /// Begins to write; ends when the last handle is gone and everything is written.
     pub fn start(writer: AuditWriter, metrics: Arc<Metrics>) -> Self {
         let (queue, pending) = mpsc::channel(MAX_QUEUED);
-        let dropped = Arc::new(Dropped { metrics, unlogged: Mutex::default() });
+        let dropped = Arc::new(DroppedEntries { metrics, unlogged: Mutex::default() });
         tokio::spawn(write_entries(writer, pending, dropped.clone()));
         Self { queue, dropped }
     }
@@ -92,7 +98,7 @@ impl AuditLog {
     /// Queues an entry. The receiver ends when it was written, or dropped because too many wait.
     fn push(&self, entry: AuditEntry) -> oneshot::Receiver<()> {
         let (written, receiver) = oneshot::channel();
-        if let Err(error) = self.queue.try_send(Pending { entry, written }) {
+        if let Err(error) = self.queue.try_send(QueuedEntry { entry, written }) {
             self.dropped.count(
                 std::slice::from_ref(&error.into_inner().entry),
                 "too many are waiting to be written",
@@ -104,8 +110,8 @@ impl AuditLog {
 
 async fn write_entries(
     writer: AuditWriter,
-    mut queue: mpsc::Receiver<Pending>,
-    dropped: Arc<Dropped>,
+    mut queue: mpsc::Receiver<QueuedEntry>,
+    dropped: Arc<DroppedEntries>,
 ) {
     let mut pending = Vec::new();
     while queue.recv_many(&mut pending, MAX_TOGETHER).await > 0 {
@@ -129,13 +135,13 @@ async fn write(writer: &AuditWriter, entries: &[AuditEntry]) -> Result<(), Store
 }
 
 /// Entries that were not written.
-struct Dropped {
+struct DroppedEntries {
     metrics: Arc<Metrics>,
     /// How many since the log last said so, and when that was.
     unlogged: Mutex<(usize, Option<Instant>)>,
 }
 
-impl Dropped {
+impl DroppedEntries {
     fn count(&self, entries: &[AuditEntry], why: &str) {
         self.metrics.requests.audit_entries_dropped.inc_by(entries.len() as u64);
         let mut unlogged = self.unlogged.lock().unwrap_or_else(PoisonError::into_inner);
@@ -151,12 +157,12 @@ impl Dropped {
 impl Keyring {
     /// Begins to write down what somebody does.
     #[must_use]
-    pub fn noting(&self, caller: Caller, done: Done) -> Noting {
-        Noting { keys: self.clone(), open: Some((caller, done)) }
+    pub fn noting(&self, caller: Caller, done: AuditedRequest) -> PendingAudit {
+        PendingAudit { keys: self.clone(), open: Some((caller, done)) }
     }
 
-    fn entry(&self, caller: &Caller, done: Done) -> AuditEntry {
-        let Done { method, path, status, request_id } = done;
+    fn entry(&self, caller: &Caller, done: AuditedRequest) -> AuditEntry {
+        let AuditedRequest { method, path, status, request_id } = done;
         let path = path.chars().take(MAX_PATH_CHARS).collect();
         let key_id = caller.key_id().map(str::to_owned);
         AuditEntry { id: self.ids.new_id(), at: now(), key_id, method, path, status, request_id }
@@ -188,8 +194,8 @@ mod tests {
         Store::open(folder, &Location::Folder, &BlobHome::Folder).await.unwrap()
     }
 
-    fn done(path: &str) -> Done {
-        Done { method: "DELETE".into(), path: path.into(), status: 0, request_id: None }
+    fn done(path: &str) -> AuditedRequest {
+        AuditedRequest { method: "DELETE".into(), path: path.into(), status: 0, request_id: None }
     }
 
     /// All entries, once there are so many.

@@ -5,7 +5,7 @@
 //! link = <expires, Unix seconds>.<id of the key, "own" or "none">.<HMAC-SHA-256 of both and the path, hex>
 //! ```
 
-use super::{Caller, Denied, Keyring, equal, hex};
+use super::{Caller, KeyRejection, Keyring, equal, hex};
 use crate::error::Error;
 use hmac::{Hmac, KeyInit, Mac};
 use jiff::Timestamp;
@@ -128,27 +128,27 @@ impl Keyring {
         token: &str,
         path: &str,
         now: Timestamp,
-    ) -> Result<Caller, Denied> {
+    ) -> Result<Caller, KeyRejection> {
         let mut parts = token.splitn(3, '.');
         let (Some(expires), Some(maker), Some(mac)) = (parts.next(), parts.next(), parts.next())
         else {
-            return Err(Denied::BadLink);
+            return Err(KeyRejection::BadLink);
         };
-        let expires: i64 = expires.parse().map_err(|_| Denied::BadLink)?;
+        let expires: i64 = expires.parse().map_err(|_| KeyRejection::BadLink)?;
         // The path itself, or everything below one of the folders it lies in.
         let folders =
             path.match_indices('/').skip(3).map(|(at, _)| format!("{}{ALL}", &path[..at]));
         let signer = self.signer(maker);
         let is_signed = |path: String| equal(&self.link_secret.sign(&path, expires, &signer), mac);
         if !std::iter::once(path.to_owned()).chain(folders).any(is_signed) {
-            return Err(Denied::BadLink);
+            return Err(KeyRejection::BadLink);
         }
         if expires <= now.as_second() {
-            return Err(Denied::LinkOver);
+            return Err(KeyRejection::LinkOver);
         }
         let caller = match maker {
-            NONE if self.is_wanted() => return Err(Denied::NoKey),
-            OWN if self.own.is_none() => return Err(Denied::BadLink),
+            NONE if self.is_wanted() => return Err(KeyRejection::NoKey),
+            OWN if self.own.is_none() => return Err(KeyRejection::BadLink),
             OWN | NONE => Caller::operator(),
             id => self.caller_of(Some(id))?,
         };
@@ -209,7 +209,7 @@ mod tests {
             reader,
             "no more than reading, whoever made it"
         );
-        assert_eq!(opens(&links[0].token, &cloud, later(60)), Err(Denied::LinkOver));
+        assert_eq!(opens(&links[0].token, &cloud, later(60)), Err(KeyRejection::LinkOver));
         for below in [cloud.clone(), format!("{SCENE}/instances/3/views/0.jpg")] {
             assert_eq!(opens(&links[1].token, &below, now), reader);
         }
@@ -224,12 +224,12 @@ mod tests {
             ("1.2".into(), cloud.clone()),
             (String::new(), cloud.clone()),
         ] {
-            assert_eq!(opens(&token, &path, now), Err(Denied::BadLink), "{token} {path}");
+            assert_eq!(opens(&token, &path, now), Err(KeyRejection::BadLink), "{token} {path}");
         }
         keys.revoke(&made.key.id).await.unwrap();
         assert_eq!(
             opens(&links[0].token, &cloud, now),
-            Err(Denied::Revoked),
+            Err(KeyRejection::Revoked),
             "it goes with its key"
         );
     }
@@ -255,7 +255,7 @@ mod tests {
         assert!(keys.caller_of_link(&token, SCENE, now).is_ok());
         let new = serde_json::from_str(r#"{"name": "first", "scope": "admin"}"#).unwrap();
         keys.create(new).await.unwrap();
-        assert_eq!(keys.caller_of_link(&token, SCENE, now).unwrap_err(), Denied::NoKey);
+        assert_eq!(keys.caller_of_link(&token, SCENE, now).unwrap_err(), KeyRejection::NoKey);
     }
 
     #[tokio::test]

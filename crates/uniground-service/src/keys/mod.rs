@@ -7,7 +7,7 @@
 mod audit;
 mod links;
 
-pub use audit::Done;
+pub use audit::AuditedRequest;
 pub use links::{LinkSecret, PARAMETER as LINK_PARAMETER};
 
 use crate::error::Error;
@@ -23,7 +23,7 @@ use std::collections::HashMap;
 use std::num::NonZeroU32;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
-use uniground_storage::{IdGenerator, KeyRepository, KeyRow, NamedLocks, Store, now, page};
+use uniground_storage::{IdGenerator, KeyRepository, KeyRow, LockTable, Store, now, page};
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::keys::{CreatedKey, Key, KeyList, NewKey, Scope};
 use uniground_types::numbers::zero_or_more;
@@ -74,7 +74,7 @@ pub struct KnownKey {
 
 /// What is left of a key's requests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Allowance {
+pub struct RateLimitStatus {
     pub per_minute: u32,
     pub left: u32,
     /// Until all of it is there again, seconds.
@@ -83,7 +83,7 @@ pub struct Allowance {
 
 /// Why a caller is turned away.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Denied {
+pub enum KeyRejection {
     NoKey,
     UnknownKey,
     Expired,
@@ -108,7 +108,7 @@ impl KnownKey {
     ///
     /// # Errors
     /// How long it has to wait, seconds, and what it may.
-    fn count(&self) -> Result<Option<Allowance>, (u64, Allowance)> {
+    fn count(&self) -> Result<Option<RateLimitStatus>, (u64, RateLimitStatus)> {
         let Some(limit) = &self.limit else { return Ok(None) };
         let per_minute = self.row.requests_per_minute.unwrap_or(1);
         let whole = |wait: Duration| wait.as_secs() + u64::from(wait.subsec_nanos() > 0);
@@ -117,11 +117,11 @@ impl KnownKey {
                 let left = state.remaining_burst_capacity();
                 let missing = per_minute.saturating_sub(left);
                 let reset_s = whole(state.quota().replenish_interval() * missing);
-                Ok(Some(Allowance { per_minute, left, reset_s }))
+                Ok(Some(RateLimitStatus { per_minute, left, reset_s }))
             }
             Err(not_until) => {
                 let wait = whole(not_until.wait_time_from(DefaultClock::default().now())).max(1);
-                Err((wait, Allowance { per_minute, left: 0, reset_s: wait }))
+                Err((wait, RateLimitStatus { per_minute, left: 0, reset_s: wait }))
             }
         }
     }
@@ -135,10 +135,10 @@ impl KnownKey {
     }
 
     /// Why it is refused, if so.
-    pub(super) fn refusal(&self, now: Timestamp) -> Option<Denied> {
+    pub(super) fn refusal(&self, now: Timestamp) -> Option<KeyRejection> {
         match &self.row.revoked_at {
-            Some(_) => Some(Denied::Revoked),
-            None => self.is_expired(now).then_some(Denied::Expired),
+            Some(_) => Some(KeyRejection::Revoked),
+            None => self.is_expired(now).then_some(KeyRejection::Expired),
         }
     }
 }
@@ -148,7 +148,7 @@ impl KnownKey {
 pub struct Keyring {
     keys: KeyRepository,
     ids: IdGenerator,
-    locks: NamedLocks,
+    locks: LockTable,
     /// SHA-256 of the server's own key, from its configuration.
     own: Option<Arc<str>>,
     /// By prefix.
@@ -224,11 +224,11 @@ impl Keyring {
     ///
     /// # Errors
     /// Why nobody is known by it.
-    pub fn caller(&self, presented: Option<&str>) -> Result<Caller, Denied> {
+    pub fn caller(&self, presented: Option<&str>) -> Result<Caller, KeyRejection> {
         if !self.is_wanted() {
             return Ok(Caller::operator());
         }
-        let presented = presented.ok_or(Denied::NoKey)?;
+        let presented = presented.ok_or(KeyRejection::NoKey)?;
         let hash = hash_of(presented);
         // First, also where it is the server's own key as well: its limits hold, and it can be
         // revoked.
@@ -241,7 +241,7 @@ impl Keyring {
         }
         match self.own.as_ref().is_some_and(|own| equal(own, &hash)) {
             true => Ok(Caller::operator()),
-            false => Err(Denied::UnknownKey),
+            false => Err(KeyRejection::UnknownKey),
         }
     }
 
@@ -254,10 +254,11 @@ impl Keyring {
     ///
     /// # Errors
     /// Why it is refused.
-    pub(super) fn caller_of(&self, key_id: Option<&str>) -> Result<Caller, Denied> {
+    pub(super) fn caller_of(&self, key_id: Option<&str>) -> Result<Caller, KeyRejection> {
         let Some(id) = key_id else { return Ok(Caller::operator()) };
         let known = self.known.read().unwrap_or_else(PoisonError::into_inner);
-        let key = known.values().find(|key| key.row.id == id).cloned().ok_or(Denied::UnknownKey)?;
+        let key =
+            known.values().find(|key| key.row.id == id).cloned().ok_or(KeyRejection::UnknownKey)?;
         match key.refusal(Timestamp::now()) {
             Some(denied) => Err(denied),
             None => Ok(Caller { scope: key.row.scope, key: Some(key) }),
@@ -269,7 +270,10 @@ impl Keyring {
     ///
     /// # Errors
     /// How long it has to wait, seconds, and what it may.
-    pub async fn count(&self, key: &KnownKey) -> Result<Option<Allowance>, (u64, Allowance)> {
+    pub async fn count(
+        &self,
+        key: &KnownKey,
+    ) -> Result<Option<RateLimitStatus>, (u64, RateLimitStatus)> {
         let Some(here) = key.count()? else { return Ok(None) };
         if !self.locks.is_shared() {
             return Ok(Some(here));
@@ -280,11 +284,11 @@ impl Keyring {
             Ok(Ok(until_full_s)) => {
                 let left =
                     ((1.0 - until_full_s / 60.0) * f64::from(per_minute) + 0.001).max(0.0) as u32;
-                Ok(Some(Allowance { per_minute, left, reset_s: whole(until_full_s) }))
+                Ok(Some(RateLimitStatus { per_minute, left, reset_s: whole(until_full_s) }))
             }
             Ok(Err(wait_s)) => {
                 let wait_s = whole(wait_s).max(1);
-                Err((wait_s, Allowance { per_minute, left: 0, reset_s: wait_s }))
+                Err((wait_s, RateLimitStatus { per_minute, left: 0, reset_s: wait_s }))
             }
             // What this process has counted holds all the same.
             Err(error) => {
@@ -503,7 +507,7 @@ mod tests {
         assert_eq!(keys.caller(None).unwrap().scope, Scope::Admin, "nobody has made a key yet");
         let CreatedKey { key, secret } = keys.create(wanted(Scope::Read)).await.unwrap();
         assert!(secret.starts_with(&key.prefix) && secret.len() > 40, "{secret}");
-        assert_eq!(keys.caller(None).unwrap_err(), Denied::NoKey);
+        assert_eq!(keys.caller(None).unwrap_err(), KeyRejection::NoKey);
         assert_eq!(keys.caller(Some(&secret)).unwrap().scope, Scope::Read);
         for wrong in [
             "",
@@ -513,20 +517,24 @@ mod tests {
             &key.prefix,
             "ug_0123é56789ab",
         ] {
-            assert_eq!(keys.caller(Some(wrong)).unwrap_err(), Denied::UnknownKey, "{wrong}");
+            assert_eq!(keys.caller(Some(wrong)).unwrap_err(), KeyRejection::UnknownKey, "{wrong}");
         }
         keys.revoke(&key.id).await.unwrap();
-        assert_eq!(keys.caller(Some(&secret)).unwrap_err(), Denied::Revoked);
-        assert_eq!(keys.caller(None).unwrap_err(), Denied::NoKey, "the last key locks the door");
+        assert_eq!(keys.caller(Some(&secret)).unwrap_err(), KeyRejection::Revoked);
+        assert_eq!(
+            keys.caller(None).unwrap_err(),
+            KeyRejection::NoKey,
+            "the last key locks the door"
+        );
         // Not even as the server's own.
         drop(keys);
         let both = keyring(&folder, Some(&secret)).await;
-        assert_eq!(both.caller(Some(&secret)).unwrap_err(), Denied::Revoked);
+        assert_eq!(both.caller(Some(&secret)).unwrap_err(), KeyRejection::Revoked);
         drop(both);
         let data = keyring(&folder, Some("ug_the_servers_own")).await;
         assert_eq!(
             data.caller(Some(&secret)).unwrap_err(),
-            Denied::Revoked,
+            KeyRejection::Revoked,
             "nor is it known to the next server"
         );
         assert_eq!(data.caller(Some("ug_the_servers_own")).unwrap().scope, Scope::Admin);
@@ -543,7 +551,10 @@ mod tests {
             expires_at: Some("2001-01-01T00:00:00Z".into()),
             ..row_of(&keys, wanted(Scope::Read)).await
         };
-        assert_eq!(KnownKey::of(row.clone()).refusal(Timestamp::now()), Some(Denied::Expired));
+        assert_eq!(
+            KnownKey::of(row.clone()).refusal(Timestamp::now()),
+            Some(KeyRejection::Expired)
+        );
         (row.expires_at, row.requests_per_minute) = (None, Some(2));
         let key = KnownKey::of(row);
         assert_eq!(key.count().unwrap().unwrap().left, 1);

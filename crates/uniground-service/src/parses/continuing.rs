@@ -14,13 +14,13 @@ use uniground_geometry::scene::{
 };
 use uniground_parsing::changes::{Counterparts, Look, carried, compare, continued, pairs};
 use uniground_parsing::scan::ParsedScan;
-use uniground_storage::{Blobs, Kept};
+use uniground_storage::{Blobs, PinnedPath};
 use uniground_types::changes::Changes;
 use uniground_types::corrections::Correction;
 use uniground_types::settings::InstanceSettings;
 
 /// The parse a scene has had.
-pub(super) struct Previous {
+pub(super) struct PreviousParse {
     pub parse_id: String,
     /// As that parse has found them, with what was made since.
     found: Vec<Instance>,
@@ -28,12 +28,12 @@ pub(super) struct Previous {
     shown: Vec<Instance>,
     corrections: Vec<Correction>,
     blobs: Blobs,
-    folder: Kept,
-    content: Kept,
+    folder: PinnedPath,
+    content: PinnedPath,
 }
 
 /// What the new parse has from the one before.
-pub(super) struct Inherited {
+pub(super) struct InheritedState {
     pub parse_id: String,
     pub changes: Changes,
     pub corrections: Vec<Correction>,
@@ -41,14 +41,14 @@ pub(super) struct Inherited {
 
 impl ParseRunner {
     /// The parse that the next one of a scene that has grown goes on from.
-    pub(super) async fn previous_parse(&self, parse_id: String) -> Result<Previous, Error> {
+    pub(super) async fn previous_parse(&self, parse_id: String) -> Result<PreviousParse, Error> {
         let loaded = self.parsed_scenes.loaded_parse(&parse_id).await?;
         let (blobs, folder, content) =
             (self.blobs.clone(), self.blobs.parse(&parse_id), loaded.content.clone());
         let brought =
             spawn_blocking(move || Ok::<_, Error>((blobs.whole(&folder)?, blobs.whole(&content)?)));
         let (folder, content) = brought.await??;
-        Ok(Previous {
+        Ok(PreviousParse {
             found: self.parse_repository.instances(&parse_id).await?,
             shown: loaded.instances.clone(),
             corrections: self.correction_repository.corrections(&parse_id).await?,
@@ -60,7 +60,7 @@ impl ParseRunner {
     }
 }
 
-impl Previous {
+impl PreviousParse {
     /// Brings a parse under the ids of this one, and tells what changed; blocks.
     ///
     /// # Errors
@@ -70,7 +70,7 @@ impl Previous {
         scan: &mut ParsedScan,
         settings: &InstanceSettings,
         progress: &Progress,
-    ) -> Result<Inherited, Error> {
+    ) -> Result<InheritedState, Error> {
         let Some((cloud, of_point)) = self.points() else {
             tracing::warn!(
                 parse_id = self.parse_id,
@@ -79,7 +79,7 @@ impl Previous {
             let same = identical(&self.found, &scan.scene.instances);
             scan.scene = continued(&self.found, scan.scene.clone(), &same);
             let corrections = carried(&self.corrections, &mut scan.scene, settings);
-            return Ok(Inherited {
+            return Ok(InheritedState {
                 parse_id: self.parse_id,
                 changes: Changes::default(),
                 corrections,
@@ -120,7 +120,7 @@ impl Previous {
             &Isometry3::identity(),
             progress,
         )?;
-        Ok(Inherited { parse_id: self.parse_id, changes, corrections })
+        Ok(InheritedState { parse_id: self.parse_id, changes, corrections })
     }
 
     fn points(&self) -> Option<(PointCloud, Vec<InstanceId>)> {

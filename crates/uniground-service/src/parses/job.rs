@@ -16,7 +16,7 @@ use tokio::task::spawn_blocking;
 use tokio::time::{sleep, timeout};
 use uniground_geometry::progress::Progress;
 use uniground_ingest::Grown;
-use uniground_isolation::{Outcome, ScanReader, Task};
+use uniground_isolation::{ScanReader, Task, TaskOutcome};
 use uniground_jobs::{JobContext, JobFailure, JobKind, Retry};
 use uniground_models::neural::Models;
 use uniground_parsing::checkpoints::Checkpoints;
@@ -24,8 +24,8 @@ use uniground_parsing::scan::{
     ImportedScan, ParsedScan, STAGE_1_VERSION, chosen, cut_scan, share_of_import, stored_import,
 };
 use uniground_storage::{
-    Blobs, Continued, CorrectionRepository, HealthProbe, IdGenerator, NewParse, ParseRepository,
-    SceneRepository, SceneRow,
+    Blobs, ContinuedParse, CorrectionRepository, HealthProbe, IdGenerator, NewParse,
+    ParseRepository, SceneRepository, SceneRow,
 };
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::settings::{ParseSettings, with_names_of_today};
@@ -96,8 +96,8 @@ impl JobKind for ParseJob {
             match self.runner.run_parse(&job).await {
                 // What is done is kept: nothing is computed twice.
                 Err(error)
-                    if error.is_blobs_away()
-                        && self.runner.blobs_come_back(&job.progress).await =>
+                    if error.is_object_store_unavailable()
+                        && self.runner.wait_for_object_store(&job.progress).await =>
                 {
                     tracing::warn!(
                         error = &error as &dyn std::error::Error,
@@ -134,7 +134,7 @@ pub struct ParseRunner {
 impl ParseRunner {
     /// Waits until the object store can be had again; whether it can, before that takes too long or
     /// the job is to stop.
-    async fn blobs_come_back(&self, progress: &Progress) -> bool {
+    async fn wait_for_object_store(&self, progress: &Progress) -> bool {
         const PATIENCE: Duration = Duration::from_mins(10);
         const LOOK_EVERY: Duration = Duration::from_secs(2);
         let back = async {
@@ -259,7 +259,7 @@ impl ParseRunner {
                 extent: &parsed.extent,
                 instances: &parsed.instances,
                 hold,
-                continued: inherited.as_ref().map(|inherited| Continued {
+                continued: inherited.as_ref().map(|inherited| ContinuedParse {
                     scene_id,
                     from_parse: &inherited.parse_id,
                     changes: &inherited.changes,
@@ -296,7 +296,7 @@ impl ParseRunner {
         progress: &Progress,
     ) -> Result<ImportedScan, Error> {
         let outcome = self.reader.import(task, progress)?;
-        let (Task::Import { content, settings, .. }, Outcome::Imported { stages }) =
+        let (Task::Import { content, settings, .. }, TaskOutcome::Imported { stages }) =
             (task, outcome)
         else {
             return Err(Error::Io(io::Error::other(

@@ -1,7 +1,7 @@
 //! A parse for who looks at it: points, a small picture, the photographs and where they were taken
 //! from.
 
-use super::{Download, ParseFile, photograph, read_frames, read_photograph, view};
+use super::{FileDownload, ParseFile, photograph, read_frames, read_photograph, view};
 use crate::answers::StoredScene;
 use crate::error::Error;
 use crate::parses::ParseCache;
@@ -19,7 +19,7 @@ use uniground_geometry::scene::{
 use uniground_grounding::pipeline::SceneSource;
 use uniground_parsing::evidence::{self, Picture};
 use uniground_parsing::{ParseError, report_pictures};
-use uniground_storage::{Blobs, Kept, Scratch};
+use uniground_storage::{Blobs, PinnedPath, Scratch};
 use uniground_types::scene::{FrameList, FrameView};
 
 /// Points, pictures and photographs of a parsed scene.
@@ -37,14 +37,14 @@ impl MediaService {
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`].
-    pub async fn points(&self, scene_id: &str) -> Result<Download, Error> {
+    pub async fn points(&self, scene_id: &str) -> Result<FileDownload, Error> {
         let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
         if let Some(link) = self.parsed_scenes.link_to(&parse_id, ParseFile::Points).await? {
-            return Ok(Download::There(link));
+            return Ok(FileDownload::There(link));
         }
         let (scene, file) = self.kept(scene_id, ParseFile::Points).await?;
         if let Some(file) = file {
-            return Ok(Download::Here(file));
+            return Ok(FileDownload::Here(file));
         }
         let made = self.draw(scene, |service, scene| {
             if let Some(made) = service.parse_cache.points.get(&scene.parse.id) {
@@ -54,7 +54,7 @@ impl MediaService {
             service.parse_cache.points.put(scene.parse.id.clone(), made.clone(), 1);
             Ok(made)
         });
-        Ok(Download::Here(made.await?.path().join(POINTS).into()))
+        Ok(FileDownload::Here(made.await?.path().join(POINTS).into()))
     }
 
     /// The room of a scene's current parse, small.
@@ -96,7 +96,7 @@ impl MediaService {
         &self,
         scene_id: &str,
         file: ParseFile,
-    ) -> Result<(Arc<StoredScene>, Option<Kept>), Error> {
+    ) -> Result<(Arc<StoredScene>, Option<PinnedPath>), Error> {
         let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
         let scene = StoredScene::new(
             self.parsed_scenes.clone(),
@@ -106,7 +106,11 @@ impl MediaService {
         Ok((scene, file))
     }
 
-    async fn if_kept(&self, scene: &StoredScene, path: Utf8PathBuf) -> Result<Option<Kept>, Error> {
+    async fn if_kept(
+        &self,
+        scene: &StoredScene,
+        path: Utf8PathBuf,
+    ) -> Result<Option<PinnedPath>, Error> {
         let (blobs, folder, file) = (self.blobs.clone(), scene.folder(), path.clone());
         let is_kept = spawn_blocking(move || blobs.holds(&folder, &file)).await??;
         Ok(if is_kept {

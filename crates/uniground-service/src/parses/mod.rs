@@ -25,13 +25,13 @@ use std::collections::BTreeMap;
 use uniground_jobs::{Job, JobKind, Jobs};
 use uniground_models::neural::Models;
 use uniground_parsing::scan::{STAGE_1_VERSION, names_of};
-use uniground_storage::{Blobs, JobRepository, Kept, NewJob, SceneRepository};
+use uniground_storage::{Blobs, JobRepository, NewJob, PinnedPath, SceneRepository};
 use uniground_types::corrections::{Change, Correction};
 use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};
 
 /// A file somebody asks for.
-pub enum Download {
-    Here(Kept),
+pub enum FileDownload {
+    Here(PinnedPath),
     /// An address of the object store's that works for a while.
     There(String),
 }
@@ -74,11 +74,11 @@ impl ParseService {
         let wanted = self.wanted_parse(&scene.id, &scene.content_hash, settings, caller).await?;
         if wanted.stored.is_none() {
             self.capacity.check_disk(0)?;
-            self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
+            self.jobs.check_queue_capacity::<ParseJob>(caller.key_id()).await?;
         }
         let row = self.scene_repository.insert_scene_job(&scene.id, wanted.job()).await?;
         let row = row.ok_or_else(|| Error::SceneNotFound { id: scene.id })?;
-        Ok(self.jobs.recorded::<ParseJob>(row))
+        Ok(self.jobs.notify_worker::<ParseJob>(row))
     }
 
     /// What a scene's parse comes to, before it is recorded.
@@ -128,7 +128,7 @@ impl ParseService {
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`]; [`Error::NoEmbeddings`] when no encoder
     /// has seen the scene.
-    pub async fn parse_file(&self, scene_id: &str, file: ParseFile) -> Result<Download, Error> {
+    pub async fn parse_file(&self, scene_id: &str, file: ParseFile) -> Result<FileDownload, Error> {
         let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
         if file == ParseFile::Embeddings
             && self.parsed_scenes.loaded_parse(&parse_id).await?.embeddings.is_none()
@@ -136,8 +136,8 @@ impl ParseService {
             return Err(Error::NoEmbeddings { scene_id: scene_id.into() });
         }
         match self.parsed_scenes.link_to(&parse_id, file).await? {
-            Some(link) => Ok(Download::There(link)),
-            None => Ok(Download::Here(
+            Some(link) => Ok(FileDownload::There(link)),
+            None => Ok(FileDownload::Here(
                 self.parsed_scenes
                     .sound_file(&parse_id, file.of(&self.blobs.parse(&parse_id)))
                     .await?,

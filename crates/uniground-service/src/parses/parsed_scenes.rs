@@ -17,8 +17,8 @@ use uniground_jobs::{JobKind, Jobs};
 use uniground_models::neural::Models;
 use uniground_parsing::scan::{chosen, names_of};
 use uniground_storage::{
-    Blobs, CorrectionRepository, Damage, Kept, Look, NameRepository, NewJob, ParseRecord,
-    ParseRepository, SceneRepository,
+    Blobs, CheckDepth, CorrectionRepository, DamagedFile, NameRepository, NewJob, ParseRecord,
+    ParseRepository, PinnedPath, SceneRepository,
 };
 use uniground_types::settings::ParseSettings;
 
@@ -61,7 +61,7 @@ impl ParsedScenes {
         let Some(parse) = self.parse_repository.parse_of(content_hash, &hash).await? else {
             return Ok(None);
         };
-        let wrong = self.look_at_parse(&parse.id, Look::Names).await?;
+        let wrong = self.look_at_parse(&parse.id, CheckDepth::Names).await?;
         if wrong.is_empty() {
             return Ok(Some(parse.id));
         }
@@ -92,7 +92,7 @@ impl ParsedScenes {
                     job_id = row.id,
                     "a parse is made anew"
                 );
-                self.jobs.recorded::<ParseJob>(row);
+                self.jobs.notify_worker::<ParseJob>(row);
             }
         }
         Ok(())
@@ -106,7 +106,7 @@ impl ParsedScenes {
         &self,
         parse_id: &str,
         file: Utf8PathBuf,
-    ) -> Result<Kept, Error> {
+    ) -> Result<PinnedPath, Error> {
         let (service, id) = (self.clone(), parse_id.to_owned());
         match spawn_blocking(move || service.check_file(&id, &file)).await? {
             Err(error) => Err(self.after_damage(error).await),
@@ -116,7 +116,7 @@ impl ParsedScenes {
 
     /// A file of a parse, if it is what was written; blocks. What was looked at once and has not
     /// changed since is believed.
-    pub(crate) fn check_file(&self, parse_id: &str, file: &Utf8Path) -> Result<Kept, Error> {
+    pub(crate) fn check_file(&self, parse_id: &str, file: &Utf8Path) -> Result<PinnedPath, Error> {
         let damaged = |what: String| Error::ParseDamaged { parse_id: parse_id.to_owned(), what };
         let of = |error: io::Error| match error.kind() {
             io::ErrorKind::NotFound => {
@@ -134,7 +134,7 @@ impl ParsedScenes {
             return Ok(kept);
         }
         let name = file.strip_prefix(&folder).unwrap_or(file);
-        if let Some(Damage { file, what }) = self.blobs.look_at(&folder, name).map_err(of)? {
+        if let Some(DamagedFile { file, what }) = self.blobs.look_at(&folder, name).map_err(of)? {
             return Err(damaged(format!("{file}: {what}")));
         }
         self.parse_cache.sound.put(file.to_string(), stamp(file).map_err(of)?, 1);
@@ -231,8 +231,8 @@ impl ParsedScenes {
     pub(crate) async fn look_at_parse(
         &self,
         parse_id: &str,
-        closely: Look,
-    ) -> Result<Vec<Damage>, Error> {
+        closely: CheckDepth,
+    ) -> Result<Vec<DamagedFile>, Error> {
         let (blobs, place) = (self.blobs.clone(), self.blobs.parse(parse_id));
         Ok(spawn_blocking(move || blobs.look(&place, closely)).await??)
     }

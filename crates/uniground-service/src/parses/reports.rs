@@ -3,7 +3,7 @@
 use super::report_files::{self, Entry};
 use crate::ParseService;
 use crate::error::Error;
-use uniground_storage::Kept;
+use uniground_storage::PinnedPath;
 use uniground_types::scenes::{ReportPictureLink, Scene, SceneReport};
 
 impl ParseService {
@@ -35,7 +35,7 @@ impl ParseService {
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ReportPictureNotFound`].
-    pub async fn report_picture(&self, scene_id: &str, name: &str) -> Result<Kept, Error> {
+    pub async fn report_picture(&self, scene_id: &str, name: &str) -> Result<PinnedPath, Error> {
         let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
         let known = report_files::index(self.blobs.clone(), self.blobs.parse(&parse_id)).await?;
         if known.iter().all(|entry| entry.name != name) {

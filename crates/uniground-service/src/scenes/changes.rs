@@ -18,7 +18,7 @@ use uniground_parsing::changes::{
     Aligned, Counterparts, Look, SAME_PLACE_M, align, compare, pairs,
 };
 use uniground_render::RenderScene;
-use uniground_storage::{Kept as KeptFolder, SceneRepository, SceneRow};
+use uniground_storage::{PinnedPath, SceneRepository, SceneRow};
 use uniground_types::changes::{Changes, ScanAlignment, SceneChanges, SceneVersion};
 use uniground_types::placement::SceneToFrame;
 
@@ -173,7 +173,7 @@ fn compared(
     refine: bool,
     progress: &Progress,
 ) -> Result<(ScanAlignment, Changes), Error> {
-    let (before, after) = (Kept::of(from)?, Kept::of(to)?);
+    let (before, after) = (ComparedParse::of(from)?, ComparedParse::of(to)?);
     let aligned = align(&before.scene.cloud, &after.scene.cloud, guess, refine, progress);
     let Aligned { place, overlap, rms_m } = aligned.map_err(ParseError::from)?;
     if overlap < LEAST_OVERLAP {
@@ -199,15 +199,15 @@ fn compared(
 }
 
 /// A parse as it is kept, for who compares.
-struct Kept {
+struct ComparedParse {
     scene: Arc<RenderScene>,
     owner_of_point: Vec<InstanceId>,
     frames: Vec<FrameRef>,
     /// What the frames are read from.
-    _scan: KeptFolder,
+    _scan: PinnedPath,
 }
 
-impl Kept {
+impl ComparedParse {
     fn of(scene: &StoredScene) -> Result<Self, Error> {
         let (render_scene, of_point) = (scene.render_scene()?, scene.instance_of_point()?);
         let owners = Owners::of(&of_point, scene.instances());

@@ -1,7 +1,7 @@
 //! Frames added to a scene: received, checked against it, and laid beside what it is made of.
 
-use super::uploads::Received;
-use crate::answers::Frame;
+use super::uploads::ReceivedArchive;
+use crate::answers::CoordinateFrameView;
 use crate::error::Error;
 use crate::parses::ParseFile;
 use crate::{
@@ -20,7 +20,9 @@ use uniground_geometry::scene::SourceToScene;
 use uniground_ingest::{Grown, Part, part_folder};
 use uniground_isolation::{ScanReader, Task};
 use uniground_jobs::{Job, Jobs};
-use uniground_storage::{Blobs, Grew, Growth, ParseRepository, SceneRepository, SceneRow};
+use uniground_storage::{
+    Blobs, GrowthOutcome, ParseRepository, SceneGrowth, SceneRepository, SceneRow,
+};
 use uniground_types::placement::{FrameChoice, SceneToFrame};
 use uniground_types::scenes::Scene;
 
@@ -76,7 +78,7 @@ impl GrowthService {
         let NewFrames { file_name, world, idempotency_key, announced_bytes } = new;
         let (scene, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
         let parse = self.parsed_scenes.loaded_parse(&parse_id).await?;
-        let to_scene = match Frame::of(world, &scene, parse.source_to_scene)? {
+        let to_scene = match CoordinateFrameView::of(world, &scene, parse.source_to_scene)? {
             // In the files' own coordinates: whatever they are found to be whenever the scan is
             // parsed.
             Some(_) if world == FrameChoice::Source => None,
@@ -84,7 +86,7 @@ impl GrowthService {
             None => Some(SourceToScene::IDENTITY),
         };
         self.capacity.check_disk(announced_bytes)?;
-        self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
+        self.jobs.check_queue_capacity::<ParseJob>(caller.key_id()).await?;
         let received =
             self.import_service.receive(body, file_name.as_deref().unwrap_or_default()).await?;
         drop(place);
@@ -125,7 +127,7 @@ impl GrowthService {
             .map(|parse| parse.record().settings)
             .unwrap_or_default();
         let wanted = self.parse_service.wanted_parse(scene_id, &laid, &settings, caller).await?;
-        let grew = self.scene_repository.grow_scene(Growth {
+        let grew = self.scene_repository.grow_scene(SceneGrowth {
             scene_id,
             from_content: &from_content,
             content_hash: &laid,
@@ -136,12 +138,13 @@ impl GrowthService {
         let grew = grew.await?;
         drop(references);
         match grew {
-            Grew::Now(row, job) => {
-                Ok((self.scene_lookup.present(row).await?, self.jobs.recorded::<ParseJob>(*job)))
-            }
-            Grew::Before(row) => self.grown_before(row).await,
-            Grew::KeyReused => Err(Error::IdempotencyKeyReused),
-            Grew::Overtaken => Err(Error::GrowthOvertaken { id: scene_id.to_owned() }),
+            GrowthOutcome::Now(row, job) => Ok((
+                self.scene_lookup.present(row).await?,
+                self.jobs.notify_worker::<ParseJob>(*job),
+            )),
+            GrowthOutcome::Before(row) => self.grown_before(row).await,
+            GrowthOutcome::KeyReused => Err(Error::IdempotencyKeyReused),
+            GrowthOutcome::Overtaken => Err(Error::GrowthOvertaken { id: scene_id.to_owned() }),
         }
     }
 
@@ -156,7 +159,7 @@ impl GrowthService {
     async fn lay_beside(
         &self,
         scene: SceneRow,
-        received: Received,
+        received: ReceivedArchive,
         part: Part,
         fits: impl FnOnce(Utf8PathBuf) -> Task,
     ) -> Result<String, Error> {

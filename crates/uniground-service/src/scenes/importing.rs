@@ -46,11 +46,11 @@ impl ImportService {
             announced_bytes,
         };
         match found {
-            Found::File { file, name, bytes } => {
+            ScanOnDisk::File { file, name, bytes } => {
                 let mut body = ReaderStream::new(tokio::fs::File::from_std(file));
                 self.create_scene(new(name, bytes), &mut body, caller).await
             }
-            Found::Folder { path, name } => {
+            ScanOnDisk::Folder { path, name } => {
                 // Packed while it is received: bounded like any upload, and never on the disk
                 // twice.
                 let (sender, receiver) = mpsc::channel(CHUNKS);
@@ -77,13 +77,13 @@ impl ImportService {
 }
 
 /// A scan on the disk.
-enum Found {
+enum ScanOnDisk {
     File { file: File, name: String, bytes: u64 },
     Folder { path: Utf8PathBuf, name: String },
 }
 
 /// What lies at a path below a folder.
-fn found(root: &Utf8Path, path: &str) -> Result<Found, Error> {
+fn found(root: &Utf8Path, path: &str) -> Result<ScanOnDisk, Error> {
     let not_found = || Error::ImportNotFound { path: path.to_owned() };
     let root = root.canonicalize_utf8()?;
     // Whoever leaves the folder is not told what lies there.
@@ -99,14 +99,14 @@ fn found(root: &Utf8Path, path: &str) -> Result<Found, Error> {
     }
     let name = path.file_name().unwrap_or("scan").to_owned();
     if path.is_dir() {
-        return Ok(Found::Folder { path, name });
+        return Ok(ScanOnDisk::Folder { path, name });
     }
     if !path.is_file() {
         return Err(not_found());
     }
     let file = File::open(&path)?;
     let bytes = file.metadata()?.len();
-    Ok(Found::File { file, name, bytes })
+    Ok(ScanOnDisk::File { file, name, bytes })
 }
 
 /// Packs a folder into a body. Nothing that a link brings in from elsewhere goes with it.
@@ -116,7 +116,7 @@ fn packed(
     to: &mpsc::Sender<io::Result<Bytes>>,
 ) -> Result<(), PackingError> {
     let below = |source| PackingError::File { path: folder.to_owned(), source };
-    let mut body = BufWriter::with_capacity(CHUNK_BYTES, Body(to));
+    let mut body = BufWriter::with_capacity(CHUNK_BYTES, ArchiveWriter(to));
     let root = root.canonicalize_utf8().map_err(below)?;
     let done =
         pack(folder, Links::Below(&root), &mut body).and_then(|()| body.flush().map_err(below));
@@ -128,9 +128,9 @@ fn packed(
 }
 
 /// What is written, to be received as an upload is.
-struct Body<'a>(&'a mpsc::Sender<io::Result<Bytes>>);
+struct ArchiveWriter<'a>(&'a mpsc::Sender<io::Result<Bytes>>);
 
-impl Write for Body<'_> {
+impl Write for ArchiveWriter<'_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let sent = self.0.blocking_send(Ok(Bytes::copy_from_slice(bytes)));
         sent.map(|()| bytes.len()).map_err(|_| io::ErrorKind::BrokenPipe.into())

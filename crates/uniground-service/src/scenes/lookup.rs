@@ -3,7 +3,9 @@
 use crate::ServiceLocks;
 use crate::error::Error;
 use uniground_jobs::{Job, Jobs};
-use uniground_storage::{JobState, ParseRecord, ParseRepository, SceneRepository, SceneRow, Turn};
+use uniground_storage::{
+    JobState, NamedLock, ParseRecord, ParseRepository, SceneRepository, SceneRow,
+};
 use uniground_types::scenes::{Scene, SceneCounts, SceneStatus};
 
 /// Finds scenes and their parses.
@@ -110,7 +112,7 @@ impl SceneLookup {
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
-    pub(crate) async fn turn_at_parse(&self, scene_id: &str) -> Result<(String, Turn), Error> {
+    pub(crate) async fn turn_at_parse(&self, scene_id: &str) -> Result<(String, NamedLock), Error> {
         loop {
             let (_, parse_id) = self.ready_scene(scene_id).await?;
             let turn = self.service_locks.correcting(&parse_id).await?;

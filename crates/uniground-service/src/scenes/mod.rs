@@ -14,10 +14,10 @@ pub use export::ExportService;
 pub use growing::GrowthService;
 pub use growing::NewFrames;
 pub use lookup::SceneLookup;
-pub(super) use pieces::Pieces;
+pub(super) use pieces::BodyPieces;
 pub use uploads::ImportService;
 pub use uploads::NewScene;
-pub(super) use uploads::{Asked, Received, check_name, what_comes};
+pub(super) use uploads::{ReceivedArchive, SceneToMake, check_name, what_comes};
 
 use super::Caller;
 use crate::error::Error;

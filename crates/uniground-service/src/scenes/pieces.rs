@@ -9,7 +9,7 @@ use futures::{Stream, StreamExt};
 const PIECE_BYTES: usize = 1 << 20;
 
 /// A body, piece by piece.
-pub struct Pieces<S> {
+pub struct BodyPieces<S> {
     body: S,
     most: u64,
     max_bytes: u64,
@@ -18,7 +18,7 @@ pub struct Pieces<S> {
     end: Option<Result<(), Error>>,
 }
 
-impl<E, S: Stream<Item = Result<Bytes, E>> + Unpin> Pieces<S> {
+impl<E, S: Stream<Item = Result<Bytes, E>> + Unpin> BodyPieces<S> {
     /// Of a body that may have `most` bytes; where it has more, `max_bytes` is what is told.
     pub fn of(body: S, most: u64, max_bytes: u64) -> Self {
         Self { body, most, max_bytes, received: 0, end: None }

@@ -1,6 +1,6 @@
 //! Receiving an archive: streamed to disk and hashed, unpacked, checked, and only then a scene.
 
-use super::pieces::Pieces;
+use super::pieces::BodyPieces;
 use crate::error::Error;
 use crate::parses::WantedParse;
 use crate::{
@@ -18,11 +18,11 @@ use tokio::sync::Semaphore;
 use tokio::task::spawn_blocking;
 use uniground_ingest::archive::UnpackLimits;
 use uniground_ingest::{Packed, what_it_is};
-use uniground_isolation::{Outcome, ScanReader, Task};
+use uniground_isolation::{ScanReader, Task, TaskOutcome};
 use uniground_jobs::{Job, Jobs};
 use uniground_storage::{
-    Blobs, ContentRepository, IdGenerator, Inserted, KeyRepository, Look, NewSceneRow, Prepared,
-    SceneRepository, SceneRow,
+    Blobs, CheckDepth, ContentRepository, IdGenerator, InsertOutcome, KeyRepository, NewSceneRow,
+    Prepared, SceneRepository, SceneRow,
 };
 use uniground_types::scenes::Scene;
 use uniground_types::settings::ParseSettings;
@@ -41,7 +41,7 @@ pub struct NewScene {
 }
 
 /// An archive on disk.
-pub struct Received {
+pub struct ReceivedArchive {
     path: Utf8PathBuf,
     /// Goes with this, where it is nobody else's.
     file: Option<NamedTempFile>,
@@ -53,7 +53,7 @@ pub struct Received {
 }
 
 /// What is asked to be made of an archive.
-pub struct Asked {
+pub struct SceneToMake {
     pub name: Option<String>,
     pub parse: Option<ParseSettings>,
     /// The caller's own.
@@ -64,7 +64,7 @@ pub struct Asked {
 }
 
 /// An archive unpacked and found to be a scan.
-struct Unpacked {
+struct UnpackedScan {
     folder: Prepared,
     /// What it calls itself.
     name: String,
@@ -76,14 +76,14 @@ const MAX_NAME_CHARS: usize = 200;
 
 /// An archive being received.
 #[derive(Default)]
-struct Receiving {
+struct ArchiveReceiver {
     /// The first bytes.
     head: Vec<u8>,
     hasher: Sha256,
     bytes: u64,
 }
 
-impl Receiving {
+impl ArchiveReceiver {
     fn take(&mut self, chunk: &[u8]) {
         let missing = Packed::HEAD_BYTES.saturating_sub(self.head.len()).min(chunk.len());
         self.head.extend_from_slice(&chunk[..missing]);
@@ -96,10 +96,10 @@ impl Receiving {
         path: Utf8PathBuf,
         file: Option<NamedTempFile>,
         file_name: &str,
-    ) -> Result<Received, Error> {
+    ) -> Result<ReceivedArchive, Error> {
         what_comes(&self.head, file_name)?;
         let hash = self.hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Received { path, file, file_name: file_name.to_owned(), hash, bytes: self.bytes })
+        Ok(ReceivedArchive { path, file, file_name: file_name.to_owned(), hash, bytes: self.bytes })
     }
 }
 
@@ -108,7 +108,7 @@ pub fn what_comes(head: &[u8], file_name: &str) -> Result<Packed, Error> {
     Packed::of_head(head, file_name).ok_or(Error::NoScan { what: what_it_is(head) })
 }
 
-impl Received {
+impl ReceivedArchive {
     /// The task that unpacks it into a folder, which is there and empty, and checks it as a scan.
     pub fn unpacking(&self, into: &Utf8Path, limits: &UnpackLimits) -> Task {
         Task::Unpack {
@@ -122,7 +122,7 @@ impl Received {
     /// An archive that is on the disk already, read once; it stays there.
     pub fn read(path: Utf8PathBuf, file_name: &str) -> Result<Self, Error> {
         let (mut receiving, mut file, mut chunk) =
-            (Receiving::default(), File::open(&path)?, vec![0; READ_BYTES]);
+            (ArchiveReceiver::default(), File::open(&path)?, vec![0; READ_BYTES]);
         loop {
             match file.read(&mut chunk) {
                 Ok(0) => return receiving.finish(path, None, file_name),
@@ -184,13 +184,14 @@ impl ImportService {
             self.capacity.check_disk(announced_bytes)?;
             self.check_quota(caller).await?;
             if parse.is_some() {
-                self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
+                self.jobs.check_queue_capacity::<ParseJob>(caller.key_id()).await?;
             }
         }
         let file_name = file_name.or_else(|| name.clone()).unwrap_or_default();
         let received = Arc::new(self.receive(body, &file_name).await?);
         drop(place);
-        self.make_scene(Asked { name, parse, idempotency_key, made_before }, received, caller).await
+        self.make_scene(SceneToMake { name, parse, idempotency_key, made_before }, received, caller)
+            .await
     }
 
     /// Makes a scene of an archive that is there, and starts parsing it.
@@ -199,11 +200,11 @@ impl ImportService {
     /// As [`create_scene`](Self::create_scene).
     pub(crate) async fn make_scene(
         &self,
-        asked: Asked,
-        received: Arc<Received>,
+        asked: SceneToMake,
+        received: Arc<ReceivedArchive>,
         caller: &Caller,
     ) -> Result<(Scene, Option<Job>), Error> {
-        let Asked { name, parse, idempotency_key, made_before } = asked;
+        let SceneToMake { name, parse, idempotency_key, made_before } = asked;
         let request = request_of(&received.hash, name.as_deref(), parse.as_ref())?;
         if let Some((scene, before)) = made_before {
             // Servers of before requests were noted believed the key.
@@ -231,7 +232,7 @@ impl ImportService {
         }
         // Again, with nobody beside: several uploads at once must not come to more.
         self.check_quota(caller).await?;
-        if let Some(Unpacked { folder, .. }) = unpacked {
+        if let Some(UnpackedScan { folder, .. }) = unpacked {
             let blobs = self.blobs.clone();
             spawn_blocking(move || blobs.publish_prepared(folder)).await??;
         }
@@ -243,7 +244,7 @@ impl ImportService {
             None => None,
         };
         if wanted.as_ref().is_some_and(|wanted| wanted.stored.is_none()) {
-            self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
+            self.jobs.check_queue_capacity::<ParseJob>(caller.key_id()).await?;
         }
         let inserted = self.scene_repository.insert_scene(NewSceneRow {
             id: &id,
@@ -257,12 +258,12 @@ impl ImportService {
         let inserted = inserted.await?;
         drop(references);
         match inserted {
-            Inserted::New(row, job) => Ok((
+            InsertOutcome::New(row, job) => Ok((
                 self.scene_lookup.present(row).await?,
-                job.map(|job| self.jobs.recorded::<ParseJob>(*job)),
+                job.map(|job| self.jobs.notify_worker::<ParseJob>(*job)),
             )),
-            Inserted::MadeBefore(row) => self.made_before(row, parse, caller).await,
-            Inserted::KeyReused => Err(Error::IdempotencyKeyReused),
+            InsertOutcome::MadeBefore(row) => self.made_before(row, parse, caller).await,
+            InsertOutcome::KeyReused => Err(Error::IdempotencyKeyReused),
         }
     }
 
@@ -305,7 +306,7 @@ impl ImportService {
             return Ok(false);
         }
         let (blobs, content) = (self.blobs.clone(), self.blobs.content(hash));
-        let wrong = spawn_blocking(move || blobs.look(&content, Look::Names)).await??;
+        let wrong = spawn_blocking(move || blobs.look(&content, CheckDepth::Names)).await??;
         if !wrong.is_empty() {
             tracing::warn!(
                 hash,
@@ -321,12 +322,12 @@ impl ImportService {
         &self,
         body: impl Stream<Item = Result<Bytes, E>> + Unpin,
         file_name: &str,
-    ) -> Result<Received, Error> {
+    ) -> Result<ReceivedArchive, Error> {
         let max_bytes = self.limits.max_upload_bytes;
         let tmp = self.blobs.tmp().to_owned();
         let mut file = spawn_blocking(move || NamedTempFile::new_in(tmp)).await??;
-        let mut receiving = Receiving::default();
-        let mut pieces = Pieces::of(body, max_bytes, max_bytes);
+        let mut receiving = ArchiveReceiver::default();
+        let mut pieces = BodyPieces::of(body, max_bytes, max_bytes);
         while let Some(piece) = pieces.next().await? {
             let written = spawn_blocking(move || {
                 for chunk in piece {
@@ -349,7 +350,7 @@ impl ImportService {
 
     /// Unpacks what came, puts it through the importer's checks, and has all of it ready to be
     /// published.
-    async fn unpack(&self, received: Arc<Received>) -> Result<Unpacked, Error> {
+    async fn unpack(&self, received: Arc<ReceivedArchive>) -> Result<UnpackedScan, Error> {
         let blobs = self.blobs.clone();
         let folder = spawn_blocking(move || blobs.scratch()).await??;
         let name =
@@ -362,7 +363,7 @@ impl ImportService {
                 file.as_file().set_len(0)?;
             }
             let folder = blobs.prepare(folder, &blobs.content(&received.hash))?;
-            Ok(Unpacked { folder, name })
+            Ok(UnpackedScan { folder, name })
         })
         .await?
     }
@@ -370,8 +371,8 @@ impl ImportService {
     /// Checks a scan and returns what it calls itself.
     async fn checked_name(&self, check: Task) -> Result<String, Error> {
         Ok(match self.reader.check(check).await? {
-            Outcome::Scan { name } => name_or_scene(name),
-            Outcome::Fits | Outcome::Imported { .. } => name_or_scene(None),
+            TaskOutcome::Scan { name } => name_or_scene(name),
+            TaskOutcome::Fits | TaskOutcome::Imported { .. } => name_or_scene(None),
         })
     }
 

@@ -7,13 +7,13 @@ use sha2::{Digest, Sha256};
 
 /// How a sum is made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Algorithm {
+pub enum ChecksumAlgorithm {
     /// For senders that know no better: it tells damage on the way, not intent.
     Sha1,
     Sha256,
 }
 
-impl Algorithm {
+impl ChecksumAlgorithm {
     pub const ALL: [Self; 2] = [Self::Sha1, Self::Sha256];
 
     #[must_use]
@@ -40,17 +40,17 @@ impl Algorithm {
 /// What a part's bytes come to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Checksum {
-    pub algorithm: Algorithm,
+    pub algorithm: ChecksumAlgorithm,
     pub sum: Vec<u8>,
 }
 
 /// A part being summed up.
-pub struct Checking {
+pub struct ChecksumCheck {
     hasher: Box<dyn DynDigest + Send>,
     sum: Vec<u8>,
 }
 
-impl Checking {
+impl ChecksumCheck {
     pub fn of(Checksum { algorithm, sum }: Checksum) -> Self {
         Self { hasher: algorithm.hasher(), sum }
     }

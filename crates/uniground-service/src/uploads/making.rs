@@ -2,12 +2,12 @@
 
 use super::parts::file_name;
 use crate::error::Error;
-use crate::scenes::{Asked, Received};
+use crate::scenes::{ReceivedArchive, SceneToMake};
 use crate::{Caller, UploadService};
 use std::sync::Arc;
 use tokio::task::spawn_blocking;
 use uniground_jobs::JobsError;
-use uniground_storage::{CameOf, UploadRow};
+use uniground_storage::{UploadResult, UploadRow};
 use uniground_types::job::Job;
 use uniground_types::problem::Problem;
 use uniground_types::scenes::Scene;
@@ -60,21 +60,21 @@ impl UploadService {
             Ok((scene, job)) => {
                 self.end_upload(
                     &row.id,
-                    CameOf::Scene { scene_id: scene.id, job_id: job.map(|job| job.id) },
+                    UploadResult::Scene { scene_id: scene.id, job_id: job.map(|job| job.id) },
                 )
                 .await
             }
-            Err(error) if may_pass(&error) => Err(error),
+            Err(error) if is_transient(&error) => Err(error),
             Err(error) => self.refuse_upload(&row.id, error).await,
         }
     }
 
     pub(super) async fn refuse_upload(&self, id: &str, error: Error) -> Result<UploadRow, Error> {
         let problem = (self.explain)(error);
-        self.end_upload(id, CameOf::Nothing(Some(problem))).await
+        self.end_upload(id, UploadResult::Nothing(Some(problem))).await
     }
 
-    async fn end_upload(&self, id: &str, came_of: CameOf) -> Result<UploadRow, Error> {
+    async fn end_upload(&self, id: &str, came_of: UploadResult) -> Result<UploadRow, Error> {
         let row = self.upload_repository.end_upload(id, &came_of).await?;
         self.blobs.discard(self.blobs.upload(id)).await?;
         row.ok_or_else(|| Error::UploadNotFound { id: id.into() })
@@ -89,7 +89,7 @@ impl UploadService {
         let mut settings = ParseSettings::from_request(wanted.preset, None)?;
         settings.import.up = wanted.up;
         let (path, name) = (self.blobs.upload(&row.id), file_name(row).to_owned());
-        let received = Arc::new(spawn_blocking(move || Received::read(path, &name)).await??);
+        let received = Arc::new(spawn_blocking(move || ReceivedArchive::read(path, &name)).await??);
         // Made twice, by a server that was killed between the scene and the note of it, it is one
         // scene.
         let key = caller
@@ -100,15 +100,19 @@ impl UploadService {
             self.import_service.check_quota(caller).await?;
         }
         let parse = wanted.parse.then_some(settings);
-        let asked =
-            Asked { name: wanted.name.clone(), parse, idempotency_key: Some(key), made_before };
+        let asked = SceneToMake {
+            name: wanted.name.clone(),
+            parse,
+            idempotency_key: Some(key),
+            made_before,
+        };
         self.import_service.make_scene(asked, received, caller).await
     }
 }
 
 /// Whether an upload may become a scene a while later.
-fn may_pass(error: &Error) -> bool {
-    error.may_pass()
+fn is_transient(error: &Error) -> bool {
+    error.is_transient()
         || matches!(error, Error::Jobs(JobsError::QueueFull { .. }) | Error::Background(_))
 }
 

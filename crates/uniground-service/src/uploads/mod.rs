@@ -10,9 +10,9 @@ mod checking;
 mod making;
 mod parts;
 
-pub use checking::{Algorithm, Checksum};
+pub use checking::{Checksum, ChecksumAlgorithm};
 pub use making::Explain;
-pub use parts::Part;
+pub use parts::UploadPart;
 
 pub(super) use making::unexplained;
 
@@ -25,7 +25,9 @@ use std::sync::Arc;
 use tokio::sync::Semaphore;
 use tokio::task::spawn_blocking;
 use uniground_jobs::Jobs;
-use uniground_storage::{Blobs, CameOf, SceneRepository, UploadRepository, UploadRow, WantedScene};
+use uniground_storage::{
+    Blobs, SceneRepository, SceneRequest, UploadRepository, UploadResult, UploadRow,
+};
 use uniground_types::uploads::{Upload, UploadState};
 
 /// An upload about to begin.
@@ -33,7 +35,7 @@ pub struct NewUpload {
     /// Bytes it will have.
     pub length: u64,
     /// What is to be made of it.
-    pub wanted: WantedScene,
+    pub wanted: SceneRequest,
 }
 
 /// Uploads that one key may have unfinished at once.
@@ -73,7 +75,7 @@ impl UploadService {
             check_name("/name", name)?;
         }
         if wanted.parse {
-            self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
+            self.jobs.check_queue_capacity::<ParseJob>(caller.key_id()).await?;
         }
         // With nobody beside: several at once must not come to more.
         let _beginning = self.service_locks.beginning_uploads().await?;
@@ -178,14 +180,14 @@ impl UploadService {
             updated_at: _,
         } = row;
         let state = match &came_of {
-            Some(CameOf::Scene { .. }) => UploadState::Done,
-            Some(CameOf::Nothing(_)) => UploadState::Refused,
+            Some(UploadResult::Scene { .. }) => UploadState::Done,
+            Some(UploadResult::Nothing(_)) => UploadState::Refused,
             None if received == length => UploadState::Making,
             None => UploadState::Receiving,
         };
         let (scene_id, job_id, problem) = match came_of {
-            Some(CameOf::Scene { scene_id, job_id }) => (Some(scene_id), job_id, None),
-            Some(CameOf::Nothing(problem)) => (None, None, problem),
+            Some(UploadResult::Scene { scene_id, job_id }) => (Some(scene_id), job_id, None),
+            Some(UploadResult::Nothing(problem)) => (None, None, problem),
             None => (None, None, None),
         };
         Upload {

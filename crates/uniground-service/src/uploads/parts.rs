@@ -1,8 +1,8 @@
 //! Parts of an upload as they come in.
 
-use super::checking::{Checking, Checksum};
+use super::checking::{Checksum, ChecksumCheck};
 use crate::error::Error;
-use crate::scenes::{Pieces, what_comes};
+use crate::scenes::{BodyPieces, what_comes};
 use crate::{Caller, MAX_UPLOADS, UploadService};
 use bytes::Bytes;
 use futures::Stream;
@@ -13,7 +13,7 @@ use uniground_storage::{GrowingFile, UploadRow};
 use uniground_types::uploads::Upload;
 
 /// A part of an upload.
-pub struct Part<S> {
+pub struct UploadPart<S> {
     /// Where it goes: as much as was there before.
     pub offset: u64,
     /// Bytes it says it has.
@@ -39,7 +39,7 @@ impl UploadService {
     pub async fn append<E, S>(
         &self,
         id: &str,
-        part: Part<S>,
+        part: UploadPart<S>,
         caller: Caller,
     ) -> Result<Upload, Error>
     where
@@ -54,7 +54,7 @@ impl UploadService {
     async fn append_to_end<E, S>(
         &self,
         id: &str,
-        part: Part<S>,
+        part: UploadPart<S>,
         caller: &Caller,
     ) -> Result<Upload, Error>
     where
@@ -87,14 +87,18 @@ impl UploadService {
     }
 
     /// Takes a part as far as it comes.
-    async fn take_part<E, S>(&self, mut row: UploadRow, part: Part<S>) -> Result<UploadRow, Error>
+    async fn take_part<E, S>(
+        &self,
+        mut row: UploadRow,
+        part: UploadPart<S>,
+    ) -> Result<UploadRow, Error>
     where
         S: Stream<Item = Result<Bytes, E>> + Unpin,
     {
         let (blobs, id, received) = (self.blobs.clone(), row.id.clone(), row.received);
         let mut file = spawn_blocking(move || blobs.open_upload(&id, received)).await??;
-        let mut pieces = Pieces::of(part.body, row.length - row.received, row.length);
-        let mut checking = part.checksum.map(Checking::of);
+        let mut pieces = BodyPieces::of(part.body, row.length - row.received, row.length);
+        let mut checking = part.checksum.map(ChecksumCheck::of);
         let end = loop {
             let piece = match pieces.next().await {
                 Ok(Some(piece)) => piece,

@@ -56,7 +56,7 @@ impl Rested {
     }
 
     async fn begun(&self, length: usize) -> String {
-        let new = NewUpload { length: length as u64, wanted: WantedScene::default() };
+        let new = NewUpload { length: length as u64, wanted: SceneRequest::default() };
         self.service.begin_upload(new, &Caller::operator()).await.unwrap().id
     }
 
@@ -67,7 +67,7 @@ impl Rested {
     async fn append(
         &self,
         id: &str,
-        part: Part<impl Stream<Item = Result<Bytes, ()>> + Send + Unpin + 'static>,
+        part: UploadPart<impl Stream<Item = Result<Bytes, ()>> + Send + Unpin + 'static>,
     ) -> Result<Upload, Error> {
         self.service.append(id, part, Caller::operator()).await
     }
@@ -86,12 +86,12 @@ fn body(
     stream::iter(chunks)
 }
 
-fn part<S>(offset: usize, checksum: Option<Checksum>, body: S) -> Part<S> {
-    Part { offset: offset as u64, announced_bytes: 0, checksum, body }
+fn part<S>(offset: usize, checksum: Option<Checksum>, body: S) -> UploadPart<S> {
+    UploadPart { offset: offset as u64, announced_bytes: 0, checksum, body }
 }
 
 fn sum_of(bytes: &[u8]) -> Checksum {
-    Checksum { algorithm: Algorithm::Sha256, sum: Sha256::digest(bytes).to_vec() }
+    Checksum { algorithm: ChecksumAlgorithm::Sha256, sum: Sha256::digest(bytes).to_vec() }
 }
 
 /// Begins as an archive does, so that nobody turns it away for its first bytes.
@@ -150,7 +150,7 @@ proptest! {
                     Fate::CheckedAndCut => rested.append(&id, part(there, Some(sum_of(piece)), body(piece, Some(())))).await.map(|_| 0),
                     Fate::Misplaced => rested.append(&id, part(there + 1, None, body(piece, None))).await.map(|_| 0),
                     Fate::TooLong => {
-                        let long = Part { announced_bytes: length as u64 + 2, ..part(there, None, body(piece, None)) };
+                        let long = UploadPart { announced_bytes: length as u64 + 2, ..part(there, None, body(piece, None)) };
                         rested.append(&id, long).await.map(|_| 0)
                     }
                     Fate::Killed => {

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 /// What a call says of the model's server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Sign {
+pub enum CallSignal {
     /// It answered.
     Up,
     /// It can not be reached: that is sure at once.
@@ -26,20 +26,20 @@ const FAILURES: u32 = 5;
 
 /// Whether a model is asked.
 #[derive(Default)]
-pub struct Circuit(Mutex<State>);
+pub struct CircuitBreaker(Mutex<CircuitState>);
 
 #[derive(Default)]
-struct State {
+struct CircuitState {
     /// Calls in a row that came to nothing, what the last one came to, and when the first of them
     /// was.
     failing: Option<(u32, &'static str, String)>,
     /// Calls in a row after which it was taken to be down, or might have been.
     down: u32,
-    open: Option<Open>,
+    open: Option<OpenCircuit>,
 }
 
 /// Nobody is let through.
-struct Open {
+struct OpenCircuit {
     until: Instant,
     wait: Duration,
     /// Somebody tries it now, since then.
@@ -49,8 +49,8 @@ struct Open {
 /// Who tries and never comes back does not keep others from it for longer.
 const LONGEST_TRY: Duration = Duration::from_mins(10);
 
-impl Circuit {
-    fn state(&self) -> MutexGuard<'_, State> {
+impl CircuitBreaker {
+    fn state(&self) -> MutexGuard<'_, CircuitState> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -72,23 +72,23 @@ impl Circuit {
     }
 
     /// Notes what came of a call, in a word.
-    pub fn note(&self, sign: Sign, word: &'static str, now: Instant) {
+    pub fn note(&self, sign: CallSignal, word: &'static str, now: Instant) {
         let mut state = self.state();
-        if sign == Sign::Up {
-            *state = State::default();
+        if sign == CallSignal::Up {
+            *state = CircuitState::default();
             return;
         }
         let (calls, _, since) =
             state.failing.take().unwrap_or_else(|| (0, word, Timestamp::now().to_string()));
         state.failing = Some((calls + 1, word, since));
         state.down = match sign {
-            Sign::Gone | Sign::Failing => state.down + 1,
+            CallSignal::Gone | CallSignal::Failing => state.down + 1,
             // It is there.
-            Sign::Up | Sign::Unclear => 0,
+            CallSignal::Up | CallSignal::Unclear => 0,
         };
-        let is_down = sign == Sign::Gone || state.down >= FAILURES;
+        let is_down = sign == CallSignal::Gone || state.down >= FAILURES;
         let wait = state.open.as_ref().map_or(FIRST_WAIT, |open| (open.wait * 2).min(LONGEST_WAIT));
-        state.open = is_down.then(|| Open { until: now + wait, wait, trying: None });
+        state.open = is_down.then(|| OpenCircuit { until: now + wait, wait, trying: None });
     }
 
     /// Somebody who tried it left before there was an answer: the next one may.
@@ -113,20 +113,20 @@ mod tests {
 
     #[test]
     fn a_server_that_is_gone_is_tried_now_and_then_by_one_at_a_time() {
-        let (circuit, start) = (Circuit::default(), Instant::now());
+        let (circuit, start) = (CircuitBreaker::default(), Instant::now());
         let after = |seconds| start + Duration::from_secs(seconds);
         assert!(circuit.admit(start).is_ok() && circuit.condition().is_ok());
-        circuit.note(Sign::Gone, "unreachable", start);
+        circuit.note(CallSignal::Gone, "unreachable", start);
         assert_eq!(circuit.admit(after(1)), Err(Duration::from_secs(4)));
         assert!(circuit.condition().unwrap_err().starts_with("unreachable since"));
         assert!(circuit.admit(after(5)).is_ok(), "one tries it");
         assert!(circuit.admit(after(5)).is_err(), "and nobody beside");
-        circuit.note(Sign::Gone, "unreachable", after(6));
+        circuit.note(CallSignal::Gone, "unreachable", after(6));
         assert_eq!(circuit.admit(after(6)), Err(Duration::from_secs(10)));
         assert!(circuit.admit(after(16)).is_ok());
         circuit.left();
         assert!(circuit.admit(after(16)).is_ok(), "who tried it left");
-        circuit.note(Sign::Up, "answered", after(17));
+        circuit.note(CallSignal::Up, "answered", after(17));
         assert!(
             circuit.admit(after(17)).is_ok()
                 && circuit.admit(after(17)).is_ok()
@@ -136,11 +136,11 @@ mod tests {
 
     #[test]
     fn some_failures_are_none_and_a_question_that_is_refused_closes_nothing() {
-        let (circuit, now) = (Circuit::default(), Instant::now());
+        let (circuit, now) = (CircuitBreaker::default(), Instant::now());
         let failing =
-            |calls: u32| (0..calls).for_each(|_| circuit.note(Sign::Failing, "refused", now));
+            |calls: u32| (0..calls).for_each(|_| circuit.note(CallSignal::Failing, "refused", now));
         failing(FAILURES - 1);
-        circuit.note(Sign::Unclear, "refused", now);
+        circuit.note(CallSignal::Unclear, "refused", now);
         failing(FAILURES - 1);
         assert!(circuit.admit(now).is_ok(), "not in a row");
         failing(1);

@@ -1,6 +1,6 @@
 //! Calls of the model, written down before they are made and counted when they end.
 
-use super::circuit::{Circuit, Sign};
+use super::circuit::{CallSignal, CircuitBreaker};
 use super::{OF_EVERYBODY, OF_KEY, today};
 use crate::Caller;
 use crate::keys::KnownKey;
@@ -15,7 +15,7 @@ use uniground_models::chat::{
 };
 use uniground_models::with_causes;
 use uniground_storage::{
-    Allowance, IdGenerator, Short, SpendingRepository, Store, StoreError, Wish,
+    BudgetExceeded, BudgetOwner, IdGenerator, SpendRequest, SpendingRepository, Store, StoreError,
 };
 use uniground_telemetry::metrics::Metrics;
 
@@ -48,13 +48,13 @@ fn outcome_of(answered: &Result<ChatReply, ChatFailure>) -> &'static str {
 }
 
 /// What a call says of the model's server; nothing where it never got there.
-fn sign_of(answered: &Result<ChatReply, ChatFailure>) -> Option<Sign> {
+fn sign_of(answered: &Result<ChatReply, ChatFailure>) -> Option<CallSignal> {
     match answered {
-        Ok(_) => Some(Sign::Up),
+        Ok(_) => Some(CallSignal::Up),
         Err(ChatFailure { error, .. }) => match error {
-            ChatError::Transport(_) => Some(Sign::Gone),
-            ChatError::Refused { status: 429 | 500..=599, .. } => Some(Sign::Failing),
-            ChatError::Refused { .. } | ChatError::Undecodable(_) => Some(Sign::Unclear),
+            ChatError::Transport(_) => Some(CallSignal::Gone),
+            ChatError::Refused { status: 429 | 500..=599, .. } => Some(CallSignal::Failing),
+            ChatError::Refused { .. } | ChatError::Undecodable(_) => Some(CallSignal::Unclear),
             ChatError::NotRecorded(_)
             | ChatError::ReplayCache(_)
             | ChatError::NotRecordable(_)
@@ -67,19 +67,19 @@ fn sign_of(answered: &Result<ChatReply, ChatFailure>) -> Option<Sign> {
 /// A model whose calls are written down before they are made: whatever becomes of the server or of
 /// who asked, what was spent is known. They are counted, too.
 #[derive(Clone)]
-pub struct Metered {
+pub struct MeteredModel {
     model: Arc<dyn ChatModel>,
     spending: SpendingRepository,
     ids: IdGenerator,
     metrics: Arc<Metrics>,
-    circuit: Arc<Circuit>,
+    circuit: Arc<CircuitBreaker>,
     /// Most that may be spent in a day (UTC), US dollars.
     daily_usd: Option<f64>,
     /// Whose calls they are.
     key: Option<Arc<KnownKey>>,
 }
 
-impl Metered {
+impl MeteredModel {
     pub fn new(
         model: Arc<dyn ChatModel>,
         daily_usd: Option<f64>,
@@ -97,7 +97,7 @@ impl Metered {
     }
 
     /// Whether its server is there.
-    pub fn circuit(&self) -> &Arc<Circuit> {
+    pub fn circuit(&self) -> &Arc<CircuitBreaker> {
         &self.circuit
     }
 
@@ -111,17 +111,22 @@ impl Metered {
         // Who leaves before the call is made has bought nothing, whether or not the money is aside
         // by then; who leaves while the model thinks has asked it all the same.
         let mut call =
-            Call { spending: self.spending.clone(), open: Some((self.ids.new_id(), 0.0)) };
+            OpenCall { spending: self.spending.clone(), open: Some((self.ids.new_id(), 0.0)) };
         let id = call.open.as_ref().map_or("", |(id, _)| id);
         let (day, key_id) = (today(), self.key.as_ref().map(|key| &*key.row.id));
-        let wish =
-            Wish { day: &day, usd: thought_usd, key_id, daily_usd: self.daily_usd, key_daily_usd };
+        let wish = SpendRequest {
+            day: &day,
+            usd: thought_usd,
+            key_id,
+            daily_usd: self.daily_usd,
+            key_daily_usd,
+        };
         let never_asked = |error| ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 };
         let reserved = self.reserve(id, &wish).await;
         let reserved =
             reserved.map_err(|error| never_asked(ChatError::NotRecordable(with_causes(&error))))?;
-        if let Err(Short { whose, limit_usd, left_usd }) = reserved {
-            let of = if whose == Allowance::OfKey { OF_KEY } else { OF_EVERYBODY };
+        if let Err(BudgetExceeded { whose, limit_usd, left_usd }) = reserved {
+            let of = if whose == BudgetOwner::OfKey { OF_KEY } else { OF_EVERYBODY };
             call.open = None;
             return Err(never_asked(
                 OverBudget { of, limit_usd, left_usd, wanted_usd: thought_usd }.into(),
@@ -136,7 +141,11 @@ impl Metered {
 
     /// Puts money aside. In the middle of a question, whose first call was paid, the database may
     /// be away for a moment.
-    async fn reserve(&self, id: &str, wish: &Wish<'_>) -> Result<Result<(), Short>, StoreError> {
+    async fn reserve(
+        &self,
+        id: &str,
+        wish: &SpendRequest<'_>,
+    ) -> Result<Result<(), BudgetExceeded>, StoreError> {
         let start = Instant::now();
         loop {
             match self.spending.reserve_spending(id, wish).await {
@@ -154,7 +163,7 @@ impl Metered {
     }
 }
 
-impl ChatModel for Metered {
+impl ChatModel for MeteredModel {
     fn name(&self) -> &str {
         self.model.name()
     }
@@ -179,7 +188,7 @@ impl ChatModel for Metered {
                 outcome = field::Empty,
                 attempts = field::Empty
             );
-            let mut counted = Counted {
+            let mut counted = CallCounter {
                 metered: self,
                 start: Instant::now(),
                 thought_usd: Some(self.prices().thought_usd(request)),
@@ -211,14 +220,14 @@ impl ChatModel for Metered {
 }
 
 /// A call that will be counted, also when nobody waits for its end.
-struct Counted<'a> {
-    metered: &'a Metered,
+struct CallCounter<'a> {
+    metered: &'a MeteredModel,
     start: Instant,
     /// What the call is taken to cost as long as it is under way.
     thought_usd: Option<f64>,
 }
 
-impl Drop for Counted<'_> {
+impl Drop for CallCounter<'_> {
     fn drop(&mut self) {
         if let Some(usd) = self.thought_usd {
             self.metered.count(ABANDONED, 1, self.start, usd);
@@ -228,13 +237,13 @@ impl Drop for Counted<'_> {
 }
 
 /// A call under way.
-struct Call {
+struct OpenCall {
     spending: SpendingRepository,
     /// Its reservation, and what it is taken to cost.
     open: Option<(String, f64)>,
 }
 
-impl Call {
+impl OpenCall {
     async fn settle(&mut self) {
         if let Some((id, usd)) = self.open.take() {
             settle(&self.spending, &id, usd).await;
@@ -242,7 +251,7 @@ impl Call {
     }
 }
 
-impl Drop for Call {
+impl Drop for OpenCall {
     fn drop(&mut self) {
         if let Some((id, usd)) = self.open.take() {
             let spending = self.spending.clone();

@@ -5,7 +5,7 @@ mod metered;
 
 use super::Caller;
 use crate::error::Error;
-use metered::Metered;
+use metered::MeteredModel;
 use std::sync::Arc;
 use std::time::Instant;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
@@ -15,7 +15,7 @@ use uniground_telemetry::metrics::Metrics;
 
 /// A model and how it is used here.
 pub struct Vlm {
-    model: Metered,
+    model: MeteredModel,
     spending: SpendingRepository,
     settings: VlmSettings,
     /// Questions that wait for the model; more are told to come back.
@@ -60,14 +60,14 @@ impl Vlm {
         store: &Store,
         metrics: Arc<Metrics>,
     ) -> Self {
-        let model = Metered::new(model, settings.daily_usd, store, metrics);
+        let model = MeteredModel::new(model, settings.daily_usd, store, metrics);
         let spending = store.spending.clone();
         Self { model, spending, settings, places: Arc::new(Semaphore::new(MAX_WAITING)) }
     }
 
     /// Its server was looked at and can not be reached: nobody has to find out.
     pub fn found_gone(&self) {
-        self.model.circuit().note(circuit::Sign::Gone, "unreachable", Instant::now());
+        self.model.circuit().note(circuit::CallSignal::Gone, "unreachable", Instant::now());
     }
 
     pub(super) fn name(&self) -> &str {

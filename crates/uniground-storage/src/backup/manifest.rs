@@ -22,16 +22,16 @@ pub struct Manifest {
     pub taken_at: String,
     /// Id of the data folder it was taken of.
     pub data_folder: String,
-    pub database: Database,
+    pub database: DatabaseEntry,
     pub scenes: u64,
     pub answers: u64,
-    pub folders: Vec<Kept>,
+    pub folders: Vec<BackupFolder>,
     /// What was lost or damaged before the backup was taken.
-    pub left_out: Vec<LeftOut>,
+    pub left_out: Vec<OmittedFolder>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Database {
+pub struct DatabaseEntry {
     pub file: String,
     pub sha256: String,
     pub bytes: u64,
@@ -39,7 +39,7 @@ pub struct Database {
 
 /// A published folder in the backup.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Kept {
+pub struct BackupFolder {
     pub kind: String,
     pub name: String,
     /// SHA-256 of its `.sha256sums`, which has those of its files.
@@ -52,14 +52,14 @@ pub struct Kept {
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LeftOut {
+pub struct OmittedFolder {
     pub folder: String,
     pub why: String,
 }
 
 /// A manifest with its own sum: what is wrong with it can be told too.
 #[derive(Serialize, Deserialize)]
-struct Sealed {
+struct SealedManifest {
     sha256: String,
     backup: Box<RawValue>,
 }
@@ -68,13 +68,13 @@ impl Manifest {
     pub fn sealed(&self) -> io::Result<Vec<u8>> {
         let text = serde_json::to_string(self)?;
         let sha256 = hex(&Sha256::digest(&text));
-        Ok(serde_json::to_vec(&Sealed { sha256, backup: RawValue::from_string(text)? })?)
+        Ok(serde_json::to_vec(&SealedManifest { sha256, backup: RawValue::from_string(text)? })?)
     }
 
     /// Reads a manifest and looks whether it can be believed: sums fit, names lead nowhere else.
     pub fn open(bytes: &[u8]) -> Result<Self, BackupError> {
         let damaged = |what: &str| BackupError::Damaged { what: format!("{FILE}: {what}") };
-        let Sealed { sha256, backup } =
+        let SealedManifest { sha256, backup } =
             serde_json::from_slice(bytes).map_err(|_| damaged("it can not be read"))?;
         if hex(&Sha256::digest(backup.get())) != sha256 {
             return Err(damaged("it is not what was written"));
@@ -88,7 +88,7 @@ impl Manifest {
             .folders
             .iter()
             .find(|kept| !KINDS.contains(&kept.kind.as_str()) || !is_plain_name(&kept.name));
-        if let Some(Kept { kind, name, .. }) = strange {
+        if let Some(BackupFolder { kind, name, .. }) = strange {
             return Err(damaged(&format!("it names {kind}/{name}")));
         }
         if !is_plain_name(&manifest.database.file) {
@@ -113,8 +113,9 @@ mod tests {
     use super::*;
 
     fn manifest(name: &str) -> Manifest {
-        let database = Database { file: "uniground-1.sqlite".into(), sha256: "0".into(), bytes: 1 };
-        let kept = Kept {
+        let database =
+            DatabaseEntry { file: "uniground-1.sqlite".into(), sha256: "0".into(), bytes: 1 };
+        let kept = BackupFolder {
             kind: "parses".into(),
             name: name.into(),
             sha256: "0".into(),

@@ -18,9 +18,9 @@ mod restore;
 mod sink;
 mod snapshot;
 
-pub(super) use reading::Unsound;
-pub use restore::{Restored, Source, check, restore};
-pub use sink::Target;
+pub(super) use reading::CopyFailure;
+pub use restore::{BackupSource, RestoreReport, check, restore};
+pub use sink::BackupTarget;
 pub(super) use sink::copy_folder;
 
 use super::StoreError;
@@ -28,8 +28,8 @@ use super::blobs::Blobs;
 use super::data_folder::DataFolder;
 use super::database::Engine;
 use camino::{Utf8Path, Utf8PathBuf};
-use manifest::{Kept, LeftOut, Manifest};
-use sink::Sink;
+use manifest::{BackupFolder, Manifest, OmittedFolder};
+use sink::BackupSink;
 use snapshot::Snapshot;
 use std::collections::BTreeMap;
 use std::io;
@@ -75,7 +75,7 @@ impl From<io::Error> for BackupError {
 
 /// What a backup came to.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct BackedUp {
+pub struct BackupReport {
     pub scenes: u64,
     pub answers: u64,
     /// Folders of scans, parses and transcripts.
@@ -95,13 +95,13 @@ const KINDS: [&str; 3] = ["contents", "parses", "answers"];
 const ROUNDS: u32 = 20;
 
 /// Kind and name of a published folder.
-type Name = (&'static str, String);
+type FolderKey = (&'static str, String);
 
 /// Folders in the backup, and those that could not be had.
 #[derive(Default)]
-struct Progress {
-    kept: BTreeMap<Name, Kept>,
-    missing: BTreeMap<Name, String>,
+struct BackupProgress {
+    kept: BTreeMap<FolderKey, BackupFolder>,
+    missing: BTreeMap<FolderKey, String>,
     new_folders: u64,
     new_bytes: u64,
 }
@@ -110,7 +110,10 @@ struct Progress {
 ///
 /// # Errors
 /// [`BackupError`]; a backup that was there before is as it was.
-pub async fn back_up(data_dir: &Utf8Path, target: Target) -> Result<BackedUp, BackupError> {
+pub async fn back_up(
+    data_dir: &Utf8Path,
+    target: BackupTarget,
+) -> Result<BackupReport, BackupError> {
     let (path, opened) = (data_dir.to_owned(), target);
     let opening = spawn_blocking(move || {
         let (id, engine) = DataFolder::identity(&path)?;
@@ -118,10 +121,10 @@ pub async fn back_up(data_dir: &Utf8Path, target: Target) -> Result<BackedUp, Ba
             return Err(StoreError::OnlyOfSqlite { kept_in: engine.name() }.into());
         }
         let source = Blobs::look_only(&path)?;
-        Ok::<_, BackupError>((id, source, Sink::open(opened, &path)?))
+        Ok::<_, BackupError>((id, source, BackupSink::open(opened, &path)?))
     });
     let (id, source, mut sink) = opening.await.map_err(io::Error::other)??;
-    let mut progress = Progress::default();
+    let mut progress = BackupProgress::default();
     for _ in 0..ROUNDS {
         let snapshot =
             Snapshot::take(&data_dir.join(super::data_folder::DATABASE), sink.room_for_database())
@@ -144,12 +147,12 @@ pub async fn back_up(data_dir: &Utf8Path, target: Target) -> Result<BackedUp, Ba
 /// Copies what a snapshot speaks of and the backup does not have.
 fn copy(
     source: &Blobs,
-    wanted: Vec<Name>,
-    mut sink: Sink,
-    before: Progress,
-) -> Result<(Sink, Progress), BackupError> {
-    let Progress { kept: mut had, new_folders, new_bytes, .. } = before;
-    let mut progress = Progress { new_folders, new_bytes, ..Progress::default() };
+    wanted: Vec<FolderKey>,
+    mut sink: BackupSink,
+    before: BackupProgress,
+) -> Result<(BackupSink, BackupProgress), BackupError> {
+    let BackupProgress { kept: mut had, new_folders, new_bytes, .. } = before;
+    let mut progress = BackupProgress { new_folders, new_bytes, ..BackupProgress::default() };
     for (kind, name) in wanted {
         let name = (kind, name);
         if let Some(kept) = had.remove(&name) {
@@ -164,10 +167,10 @@ fn copy(
             }
             // What a model was shown and said is kept for a time only: it may be gone while its
             // answer is there.
-            Err(Unsound::Gone) if kind == "answers" => {}
-            Err(Unsound::Gone) => drop(progress.missing.insert(name, "missing".into())),
-            Err(Unsound::Damaged(what)) => drop(progress.missing.insert(name, what)),
-            Err(Unsound::NotWritten(error)) => return Err(error.into()),
+            Err(CopyFailure::Gone) if kind == "answers" => {}
+            Err(CopyFailure::Gone) => drop(progress.missing.insert(name, "missing".into())),
+            Err(CopyFailure::Damaged(what)) => drop(progress.missing.insert(name, what)),
+            Err(CopyFailure::NotWritten(error)) => return Err(error.into()),
         }
     }
     Ok((sink, progress))
@@ -175,18 +178,18 @@ fn copy(
 
 /// Writes the manifest: from then on it is a backup.
 fn finish(
-    mut sink: Sink,
+    mut sink: BackupSink,
     snapshot: &Snapshot,
     id: &str,
-    progress: Progress,
-) -> Result<BackedUp, BackupError> {
-    let Progress { kept, missing, new_folders, new_bytes } = progress;
+    progress: BackupProgress,
+) -> Result<BackupReport, BackupError> {
+    let BackupProgress { kept, missing, new_folders, new_bytes } = progress;
     let database = sink.put_database(&snapshot.file)?;
     let left_out: Vec<(String, String)> = missing
         .into_iter()
         .map(|((kind, name), what)| (format!("blobs/{kind}/{name}"), what))
         .collect();
-    let backed_up = BackedUp {
+    let backed_up = BackupReport {
         scenes: snapshot.scenes,
         answers: snapshot.answers,
         folders: kept.len() as u64,
@@ -205,7 +208,7 @@ fn finish(
         scenes: snapshot.scenes,
         answers: snapshot.answers,
         folders: kept.into_values().collect(),
-        left_out: left_out.into_iter().map(|(folder, why)| LeftOut { folder, why }).collect(),
+        left_out: left_out.into_iter().map(|(folder, why)| OmittedFolder { folder, why }).collect(),
     };
     sink.finish(&manifest)?;
     Ok(backed_up)

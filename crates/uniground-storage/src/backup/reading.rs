@@ -10,7 +10,7 @@ use std::io::{self, Read};
 
 /// Why a folder could not be copied.
 #[derive(Debug)]
-pub enum Unsound {
+pub enum CopyFailure {
     /// It is not there, or went away meanwhile.
     Gone,
     /// What is wrong with which file.
@@ -20,7 +20,7 @@ pub enum Unsound {
 }
 
 /// A folder that was read whole.
-pub struct Whole {
+pub struct CopiedFolder {
     /// Its `.sha256sums`; made here for folders of before there were sums.
     pub sums: String,
     pub files: u64,
@@ -28,17 +28,17 @@ pub struct Whole {
 }
 
 /// The sums a folder came with; nothing for one of before there were sums.
-pub fn sums_of(folder: &Utf8Path) -> Result<Option<String>, Unsound> {
+pub fn sums_of(folder: &Utf8Path) -> Result<Option<String>, CopyFailure> {
     match fs::read_to_string(folder.join(SUMS)) {
         Ok(sums) => Ok(Some(sums)),
         Err(error) if error.kind() == io::ErrorKind::NotFound && folder.is_dir() => Ok(None),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Err(Unsound::Gone),
-        Err(error) => Err(Unsound::Damaged(format!("{SUMS}: {error}"))),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Err(CopyFailure::Gone),
+        Err(error) => Err(CopyFailure::Damaged(format!("{SUMS}: {error}"))),
     }
 }
 
 /// Files and their sums, as a folder's list has them.
-pub fn listed(sums: &str) -> Result<Vec<(Utf8PathBuf, &str)>, Unsound> {
+pub fn listed(sums: &str) -> Result<Vec<(Utf8PathBuf, &str)>, CopyFailure> {
     let entries = sums
         .lines()
         .filter_map(|line| line.split_once("  "))
@@ -48,7 +48,7 @@ pub fn listed(sums: &str) -> Result<Vec<(Utf8PathBuf, &str)>, Unsound> {
         .iter()
         .find(|(file, _)| file.components().any(|step| !matches!(step, Utf8Component::Normal(_))));
     match strange {
-        Some((file, _)) => Err(Unsound::Damaged(format!("{SUMS} names {file}"))),
+        Some((file, _)) => Err(CopyFailure::Damaged(format!("{SUMS} names {file}"))),
         None => Ok(entries),
     }
 }
@@ -58,7 +58,7 @@ pub fn listed(sums: &str) -> Result<Vec<(Utf8PathBuf, &str)>, Unsound> {
 pub fn read_folder(
     folder: &Utf8Path,
     mut take: impl FnMut(&Utf8Path, u64, &mut dyn Read) -> io::Result<()>,
-) -> Result<Whole, Unsound> {
+) -> Result<CopiedFolder, CopyFailure> {
     let known = sums_of(folder)?;
     let files: Vec<(Utf8PathBuf, Option<String>)> = if let Some(sums) = &known {
         listed(sums)?.into_iter().map(|(file, sum)| (file, Some(sum.to_owned()))).collect()
@@ -71,55 +71,57 @@ pub fn read_folder(
         let (sum, length) =
             read_file(&folder.join(file), |length, reader| take(file, length, reader)).map_err(
                 |unsound| match unsound {
-                    Unsound::Gone if folder.is_dir() => Unsound::Damaged(format!("{file} missing")),
-                    Unsound::Damaged(what) => Unsound::Damaged(format!("{file} {what}")),
+                    CopyFailure::Gone if folder.is_dir() => {
+                        CopyFailure::Damaged(format!("{file} missing"))
+                    }
+                    CopyFailure::Damaged(what) => CopyFailure::Damaged(format!("{file} {what}")),
                     other => other,
                 },
             )?;
         if known.as_ref().is_some_and(|known| *known != sum) {
-            return Err(Unsound::Damaged(format!("{file} damaged")));
+            return Err(CopyFailure::Damaged(format!("{file} damaged")));
         }
         let _ = writeln!(sums, "{sum}  {file}");
         bytes += length;
     }
-    Ok(Whole { sums: known.unwrap_or(sums), files: files.len() as u64, bytes })
+    Ok(CopiedFolder { sums: known.unwrap_or(sums), files: files.len() as u64, bytes })
 }
 
 /// Reads a file; its sum and length.
 pub fn read_file(
     path: &Utf8Path,
     take: impl FnOnce(u64, &mut dyn Read) -> io::Result<()>,
-) -> Result<(String, u64), Unsound> {
+) -> Result<(String, u64), CopyFailure> {
     let opened = File::open(path).and_then(|file| Ok((file.metadata()?.len(), file)));
     let (length, file) = opened.map_err(|error| match error.kind() {
-        io::ErrorKind::NotFound => Unsound::Gone,
-        _ => Unsound::Damaged(error.to_string()),
+        io::ErrorKind::NotFound => CopyFailure::Gone,
+        _ => CopyFailure::Damaged(error.to_string()),
     })?;
-    let mut summing = Summing { file, hasher: Sha256::new(), failed: None };
+    let mut summing = HashingReader { file, hasher: Sha256::new(), failed: None };
     // Nobody's archive shall break because a file is shorter than its folder says.
     take(length, &mut (&mut summing).chain(io::repeat(0)).take(length))
-        .map_err(Unsound::NotWritten)?;
+        .map_err(CopyFailure::NotWritten)?;
     match summing.failed {
-        Some(error) => Err(Unsound::Damaged(error.to_string())),
+        Some(error) => Err(CopyFailure::Damaged(error.to_string())),
         None => Ok((hex(&summing.hasher.finalize()), length)),
     }
 }
 
-fn lost_or(folder: &Utf8Path, error: &io::Error) -> Unsound {
+fn lost_or(folder: &Utf8Path, error: &io::Error) -> CopyFailure {
     match error.kind() {
-        io::ErrorKind::NotFound if !folder.is_dir() => Unsound::Gone,
-        _ => Unsound::Damaged(error.to_string()),
+        io::ErrorKind::NotFound if !folder.is_dir() => CopyFailure::Gone,
+        _ => CopyFailure::Damaged(error.to_string()),
     }
 }
 
 /// Adds up what passes. A file that can not be read ends there; why is kept.
-struct Summing {
+struct HashingReader {
     file: File,
     hasher: Sha256,
     failed: Option<io::Error>,
 }
 
-impl Read for Summing {
+impl Read for HashingReader {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         match self.file.read(buffer) {
             Ok(n) => {

@@ -1,8 +1,8 @@
 //! A data folder from a backup: all of it, or nothing.
 
 use super::BackupError;
-use super::manifest::{self, Kept, Manifest, hex};
-use super::reading::{Unsound, Whole, read_file, read_folder, sums_of};
+use super::manifest::{self, BackupFolder, Manifest, hex};
+use super::reading::{CopiedFolder, CopyFailure, read_file, read_folder, sums_of};
 use super::sink::copy_folder;
 use super::snapshot::rename_folder;
 use crate::StoreError;
@@ -20,13 +20,13 @@ use uuid::Uuid;
 
 /// Where a backup is.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Source {
+pub enum BackupSource {
     Folder(Utf8PathBuf),
     Archive(Utf8PathBuf),
     Stdin,
 }
 
-impl Source {
+impl BackupSource {
     /// What a path on the command line means.
     #[must_use]
     pub fn of(path: &Utf8Path) -> Self {
@@ -40,7 +40,7 @@ impl Source {
 
 /// What was restored.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Restored {
+pub struct RestoreReport {
     pub taken_at: String,
     /// Version of the program that made the backup.
     pub program: String,
@@ -59,7 +59,7 @@ const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
 /// What is wanted of a backup.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Wanted {
+enum ManifestRequest {
     Everything,
     /// Only whether it is whole.
     Word,
@@ -67,7 +67,7 @@ enum Wanted {
 
 /// How a backup's folders come to where they are needed.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Take {
+enum FolderTransfer {
     Copy,
     /// It was unpacked for us.
     Move,
@@ -79,12 +79,16 @@ enum Take {
 ///
 /// # Errors
 /// [`BackupError`]; the folder is as empty as it was.
-pub async fn restore(source: Source, data_dir: &Utf8Path) -> Result<Restored, BackupError> {
+pub async fn restore(
+    source: BackupSource,
+    data_dir: &Utf8Path,
+) -> Result<RestoreReport, BackupError> {
     let path = data_dir.to_owned();
-    let place = spawn_blocking(move || Place::open(path)).await.map_err(io::Error::other)??;
+    let place =
+        spawn_blocking(move || RestoreTarget::open(path)).await.map_err(io::Error::other)??;
     // Given back when all is done, or removed with everything that is not.
     let gathering = spawn_blocking(move || {
-        let gathered = gather(&source, &place.staging(), Wanted::Everything)?;
+        let gathered = gather(&source, &place.staging(), ManifestRequest::Everything)?;
         Ok::<_, BackupError>((place, gathered))
     });
     let (place, manifest) = gathering.await.map_err(io::Error::other)??;
@@ -92,7 +96,7 @@ pub async fn restore(source: Source, data_dir: &Utf8Path) -> Result<Restored, Ba
     rename_folder(&place.staging().join(NEW).join(DATABASE), &id).await?;
     spawn_blocking(move || {
         place.settle(&id)?;
-        Ok(Restored::of(manifest))
+        Ok(RestoreReport::of(manifest))
     })
     .await
     .map_err(io::Error::other)?
@@ -102,16 +106,16 @@ pub async fn restore(source: Source, data_dir: &Utf8Path) -> Result<Restored, Ba
 ///
 /// # Errors
 /// [`BackupError`].
-pub async fn check(source: Source) -> Result<Restored, BackupError> {
+pub async fn check(source: BackupSource) -> Result<RestoreReport, BackupError> {
     let looking = spawn_blocking(move || {
         let scratch = tempfile::tempdir()?;
         let staging = Utf8PathBuf::try_from(scratch.path().to_owned()).map_err(io::Error::other)?;
-        Ok(Restored::of(gather(&source, &staging, Wanted::Word)?))
+        Ok(RestoreReport::of(gather(&source, &staging, ManifestRequest::Word)?))
     });
     looking.await.map_err(io::Error::other)?
 }
 
-impl Restored {
+impl RestoreReport {
     fn of(manifest: Manifest) -> Self {
         let Manifest { program, taken_at, database, scenes, answers, folders, left_out, .. } =
             manifest;
@@ -131,13 +135,13 @@ impl Restored {
 const NEW: &str = "new";
 
 /// The folder to restore to. What is not finished there goes when this does.
-struct Place {
+struct RestoreTarget {
     data_dir: Utf8PathBuf,
     was_there: bool,
     lock: File,
 }
 
-impl Place {
+impl RestoreTarget {
     fn open(data_dir: Utf8PathBuf) -> Result<Self, BackupError> {
         let was_there = data_dir.is_dir();
         fs::create_dir_all(&data_dir)
@@ -184,7 +188,7 @@ impl Place {
     }
 }
 
-impl Drop for Place {
+impl Drop for RestoreTarget {
     fn drop(&mut self) {
         if let Err(error) = self.clear() {
             tracing::warn!(folder = %self.staging(), %error, "a folder that was being restored stays behind");
@@ -198,22 +202,26 @@ impl Drop for Place {
 }
 
 /// Brings a backup to where it is needed, everything checked.
-fn gather(source: &Source, staging: &Utf8Path, wanted: Wanted) -> Result<Manifest, BackupError> {
+fn gather(
+    source: &BackupSource,
+    staging: &Utf8Path,
+    wanted: ManifestRequest,
+) -> Result<Manifest, BackupError> {
     let unpacked = staging.join("unpacked");
     let (folder, take) = match source {
-        Source::Folder(folder) => (folder.as_path(), Take::Copy),
-        Source::Archive(file) => {
+        BackupSource::Folder(folder) => (folder.as_path(), FolderTransfer::Copy),
+        BackupSource::Archive(file) => {
             let archive = File::open(file)
                 .map_err(|source| BackupError::File { file: file.clone(), source })?;
             unpack(BufReader::new(archive), &unpacked)?;
-            (unpacked.as_path(), Take::Move)
+            (unpacked.as_path(), FolderTransfer::Move)
         }
-        Source::Stdin => {
+        BackupSource::Stdin => {
             unpack(BufReader::new(io::stdin()), &unpacked)?;
-            (unpacked.as_path(), Take::Move)
+            (unpacked.as_path(), FolderTransfer::Move)
         }
     };
-    let take = if wanted == Wanted::Word { Take::Look } else { take };
+    let take = if wanted == ManifestRequest::Word { FolderTransfer::Look } else { take };
     let manifest = match fs::read(folder.join(manifest::FILE)) {
         Ok(bytes) => Manifest::open(&bytes)?,
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
@@ -238,7 +246,7 @@ fn bring_database(
     folder: &Utf8Path,
     to: &Utf8Path,
 ) -> Result<(), BackupError> {
-    let manifest::Database { file, sha256, .. } = &manifest.database;
+    let manifest::DatabaseEntry { file, sha256, .. } = &manifest.database;
     let copied = read_file(&folder.join(file), |_, reader| {
         io::copy(reader, &mut File::create(to)?).map(drop)
     });
@@ -250,10 +258,10 @@ fn bring_database(
 }
 
 fn bring_folder(
-    kept: &Kept,
+    kept: &BackupFolder,
     folder: &Utf8Path,
     new: &Utf8Path,
-    take: Take,
+    take: FolderTransfer,
 ) -> Result<(), BackupError> {
     let below = format!("blobs/{}/{}", kept.kind, kept.name);
     let (from, to) = (folder.join(&below), new.join(&below));
@@ -261,18 +269,18 @@ fn bring_folder(
     if sums.is_none_or(|sums| hex(&Sha256::digest(sums)) != kept.sha256) {
         return Err(damaged(&below, ".sha256sums damaged"));
     }
-    let read: Result<Whole, Unsound> = match take {
-        Take::Copy => copy_folder(&from, &to),
-        Take::Move | Take::Look => {
+    let read: Result<CopiedFolder, CopyFailure> = match take {
+        FolderTransfer::Copy => copy_folder(&from, &to),
+        FolderTransfer::Move | FolderTransfer::Look => {
             read_folder(&from, |_, _, reader| io::copy(reader, &mut io::sink()).map(drop))
         }
     };
     read.map_err(|unsound| unsound_error(&below, unsound))?;
-    if take == Take::Move {
+    if take == FolderTransfer::Move {
         fs::create_dir_all(to.parent().unwrap_or(new))?;
         fs::rename(&from, &to)?;
     }
-    if take == Take::Look {
+    if take == FolderTransfer::Look {
         return Ok(());
     }
     // As old as it was: what is kept for a time only goes when it would have gone.
@@ -284,11 +292,11 @@ fn damaged(place: &str, what: &str) -> BackupError {
     BackupError::Damaged { what: format!("{place}: {what}") }
 }
 
-fn unsound_error(place: &str, unsound: Unsound) -> BackupError {
+fn unsound_error(place: &str, unsound: CopyFailure) -> BackupError {
     match unsound {
-        Unsound::Gone => damaged(place, "missing"),
-        Unsound::Damaged(what) => damaged(place, &what),
-        Unsound::NotWritten(error) => error.into(),
+        CopyFailure::Gone => damaged(place, "missing"),
+        CopyFailure::Damaged(what) => damaged(place, &what),
+        CopyFailure::NotWritten(error) => error.into(),
     }
 }
 

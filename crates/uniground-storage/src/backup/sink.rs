@@ -1,8 +1,8 @@
 //! Where a backup goes: a folder that is brought up to date, or an archive that is written from
 //! front to back.
 
-use super::manifest::{self, Database, Kept, Manifest, hex};
-use super::reading::{Unsound, Whole, listed, read_file, read_folder, sums_of};
+use super::manifest::{self, BackupFolder, DatabaseEntry, Manifest, hex};
+use super::reading::{CopiedFolder, CopyFailure, listed, read_file, read_folder, sums_of};
 use super::{BackupError, KINDS};
 use crate::blobs::checksums::{SUMS, sync_everything};
 use crate::data_folder::write_synced;
@@ -16,7 +16,7 @@ use tempfile::{NamedTempFile, TempDir};
 
 /// Where to write a backup.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Target {
+pub enum BackupTarget {
     /// A folder: empty, not there yet, or an earlier backup, of which what has not changed stays.
     Folder(Utf8PathBuf),
     /// A tar archive, compressed with zstd where its name says so.
@@ -25,7 +25,7 @@ pub enum Target {
     Stdout,
 }
 
-impl Target {
+impl BackupTarget {
     /// What a path on the command line means.
     #[must_use]
     pub fn of(path: &Utf8Path) -> Self {
@@ -39,7 +39,7 @@ impl Target {
     }
 }
 
-pub enum Sink {
+pub enum BackupSink {
     Folder(FolderSink),
     Archive(Box<ArchiveSink>),
 }
@@ -49,11 +49,11 @@ const LOCK: &str = "backup.lock";
 const UNFINISHED: &str = "unfinished";
 const DATABASES: (&str, &str) = ("uniground-", ".sqlite");
 
-impl Sink {
-    pub fn open(target: Target, data_dir: &Utf8Path) -> Result<Self, BackupError> {
+impl BackupSink {
+    pub fn open(target: BackupTarget, data_dir: &Utf8Path) -> Result<Self, BackupError> {
         match target {
-            Target::Folder(folder) => Ok(Self::Folder(FolderSink::open(folder, data_dir)?)),
-            Target::Archive(file) => {
+            BackupTarget::Folder(folder) => Ok(Self::Folder(FolderSink::open(folder, data_dir)?)),
+            BackupTarget::Archive(file) => {
                 let folder = match file.parent() {
                     Some(parent) if parent != "" => parent.to_owned(),
                     _ => Utf8PathBuf::from("."),
@@ -71,7 +71,7 @@ impl Sink {
                     tempfile::tempdir_in(folder)?,
                 ))))
             }
-            Target::Stdout => Ok(Self::Archive(Box::new(ArchiveSink::new(
+            BackupTarget::Stdout => Ok(Self::Archive(Box::new(ArchiveSink::new(
                 Box::new(BufWriter::new(io::stdout())),
                 None,
                 tempfile::tempdir()?,
@@ -96,16 +96,17 @@ impl Sink {
         kind: &str,
         name: &str,
         source: &Utf8Path,
-    ) -> Result<(Kept, bool), Unsound> {
-        let published =
-            fs::metadata(source).and_then(|folder| folder.modified()).map_err(|_| Unsound::Gone)?;
+    ) -> Result<(BackupFolder, bool), CopyFailure> {
+        let published = fs::metadata(source)
+            .and_then(|folder| folder.modified())
+            .map_err(|_| CopyFailure::Gone)?;
         let (whole, is_new) = match self {
             Self::Folder(sink) => sink.put(kind, name, source)?,
             Self::Archive(sink) => (sink.put(kind, name, source)?, true),
         };
-        let Whole { sums, files, bytes } = whole;
+        let CopiedFolder { sums, files, bytes } = whole;
         let published_s = published.duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
-        let kept = Kept {
+        let kept = BackupFolder {
             kind: kind.to_owned(),
             name: name.to_owned(),
             sha256: hex(&Sha256::digest(&sums)),
@@ -117,7 +118,7 @@ impl Sink {
     }
 
     /// Takes the last snapshot in.
-    pub fn put_database(&mut self, snapshot: &Utf8Path) -> Result<Database, BackupError> {
+    pub fn put_database(&mut self, snapshot: &Utf8Path) -> Result<DatabaseEntry, BackupError> {
         let unreadable = |_| BackupError::File {
             file: snapshot.to_owned(),
             source: io::Error::other("it can not be read"),
@@ -132,7 +133,7 @@ impl Sink {
                 sink.append(&file, bytes, SystemTime::now(), &mut File::open(snapshot)?)?
             }
         }
-        Ok(Database { file, sha256, bytes })
+        Ok(DatabaseEntry { file, sha256, bytes })
     }
 
     /// Makes a backup of what was taken in.
@@ -183,7 +184,12 @@ impl FolderSink {
         Ok(Self { folder, _lock: lock })
     }
 
-    fn put(&mut self, kind: &str, name: &str, source: &Utf8Path) -> Result<(Whole, bool), Unsound> {
+    fn put(
+        &mut self,
+        kind: &str,
+        name: &str,
+        source: &Utf8Path,
+    ) -> Result<(CopiedFolder, bool), CopyFailure> {
         let place = self.folder.join("blobs").join(kind).join(name);
         if let Some(whole) = same(source, &place)? {
             return Ok((whole, false));
@@ -195,9 +201,9 @@ impl FolderSink {
         }
         let whole = copied?;
         if place.exists() {
-            fs::remove_dir_all(&place).map_err(Unsound::NotWritten)?;
+            fs::remove_dir_all(&place).map_err(CopyFailure::NotWritten)?;
         }
-        fs::rename(&unfinished, &place).map_err(Unsound::NotWritten)?;
+        fs::rename(&unfinished, &place).map_err(CopyFailure::NotWritten)?;
         Ok((whole, true))
     }
 
@@ -231,19 +237,19 @@ impl FolderSink {
 }
 
 /// Copies a folder with the sums of its files, each file looked at on the way.
-pub fn copy_folder(source: &Utf8Path, to: &Utf8Path) -> Result<Whole, Unsound> {
-    fs::create_dir_all(to).map_err(Unsound::NotWritten)?;
+pub fn copy_folder(source: &Utf8Path, to: &Utf8Path) -> Result<CopiedFolder, CopyFailure> {
+    fs::create_dir_all(to).map_err(CopyFailure::NotWritten)?;
     let whole = read_folder(source, |file, _, reader| {
         let path = to.join(file);
         fs::create_dir_all(path.parent().unwrap_or(to))?;
         io::copy(reader, &mut File::create(path)?).map(drop)
     })?;
-    fs::write(to.join(SUMS), &whole.sums).map_err(Unsound::NotWritten)?;
+    fs::write(to.join(SUMS), &whole.sums).map_err(CopyFailure::NotWritten)?;
     Ok(whole)
 }
 
 /// What is known of a folder the backup has already, as it is now at its source.
-fn same(source: &Utf8Path, place: &Utf8Path) -> Result<Option<Whole>, Unsound> {
+fn same(source: &Utf8Path, place: &Utf8Path) -> Result<Option<CopiedFolder>, CopyFailure> {
     let Ok(Some(sums)) = sums_of(place) else { return Ok(None) };
     // A folder of before there were sums got them when it was copied first. Its name stands for
     // what it holds, then as now.
@@ -259,7 +265,7 @@ fn same(source: &Utf8Path, place: &Utf8Path) -> Result<Option<Whole>, Unsound> {
             _ => return Ok(None),
         }
     }
-    Ok(Some(Whole { sums, files, bytes }))
+    Ok(Some(CopiedFolder { sums, files, bytes }))
 }
 
 /// A stream that must be told that it is over.
@@ -311,7 +317,12 @@ impl ArchiveSink {
         self.archive.append_data(&mut header, path, reader)
     }
 
-    fn put(&mut self, kind: &str, name: &str, source: &Utf8Path) -> Result<Whole, Unsound> {
+    fn put(
+        &mut self,
+        kind: &str,
+        name: &str,
+        source: &Utf8Path,
+    ) -> Result<CopiedFolder, CopyFailure> {
         let below = format!("blobs/{kind}/{name}");
         let now = SystemTime::now();
         let whole = read_folder(source, |file, length, reader| {
@@ -323,7 +334,7 @@ impl ArchiveSink {
             now,
             &mut whole.sums.as_bytes(),
         )
-        .map_err(Unsound::NotWritten)?;
+        .map_err(CopyFailure::NotWritten)?;
         Ok(whole)
     }
 

@@ -1,6 +1,6 @@
 //! The database as it is at one moment, in a file of its own.
 
-use super::{BackupError, KINDS, Name};
+use super::{BackupError, FolderKey, KINDS};
 use crate::blobs::Blobs;
 use crate::{StoreError, now, reserve};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -64,7 +64,7 @@ impl Snapshot {
     }
 
     /// Folders it speaks of; of answers those that are there.
-    pub async fn folders(&self, source: &Blobs) -> Result<Vec<Name>, BackupError> {
+    pub async fn folders(&self, source: &Blobs) -> Result<Vec<FolderKey>, BackupError> {
         let [contents, parses, answers] = KINDS;
         let mut copy = SqliteConnection::connect_with(&read_only(&self.file)).await?;
         let mut folders = Vec::new();

@@ -7,7 +7,7 @@ use std::{fs, io};
 
 /// Finished stages of a content, and when a parse used them last.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct KeptCheckpoints {
+pub struct StoredCheckpoints {
     pub hash: String,
     pub bytes: u64,
     pub used: SystemTime,
@@ -90,7 +90,7 @@ mod tests {
         Blobs::open(
             Utf8Path::from_path(data.path()).unwrap(),
             &super::super::BlobHome::Folder,
-            super::super::Files::Used,
+            super::super::FileAccess::Used,
         )
         .unwrap()
     }

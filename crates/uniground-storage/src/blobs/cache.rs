@@ -15,26 +15,26 @@ use uuid::Uuid;
 
 /// What lies here of an object store's folders.
 #[derive(Debug)]
-pub struct Cache {
+pub struct FolderCache {
     /// Bytes that folders nobody uses may come to.
     most: u64,
     tmp: Utf8PathBuf,
     runtime: Handle,
-    here: Mutex<Here>,
+    here: Mutex<CacheState>,
     /// Keeps other processes out.
     _lock: Option<File>,
 }
 
 #[derive(Debug, Default)]
-struct Here {
-    folders: HashMap<Utf8PathBuf, Folder>,
+struct CacheState {
+    folders: HashMap<Utf8PathBuf, CachedFolder>,
     bytes: u64,
     /// Counts uses.
     clock: u64,
 }
 
 #[derive(Debug, Default)]
-struct Folder {
+struct CachedFolder {
     bytes: u64,
     used: u64,
     /// Whoever uses the folder has a handle of it, and who adds to it the lock.
@@ -43,20 +43,20 @@ struct Folder {
 
 /// A folder that stays as long as this does.
 #[derive(Debug)]
-pub struct Held {
-    cache: Arc<Cache>,
+pub struct FolderPin {
+    cache: Arc<FolderCache>,
     place: Utf8PathBuf,
     turn: Option<Arc<Mutex<()>>>,
 }
 
-impl Held {
+impl FolderPin {
     /// The turn at adding to the folder; blocks.
     pub fn turn(&self) -> Option<MutexGuard<'_, ()>> {
         self.turn.as_ref().map(|turn| turn.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
-impl Drop for Held {
+impl Drop for FolderPin {
     fn drop(&mut self) {
         self.turn = None;
         self.cache.forget_nothing(&self.place);
@@ -66,25 +66,25 @@ impl Drop for Held {
 
 /// A file or folder that is read: it stays where it is as long as this does.
 #[derive(Debug)]
-pub struct Kept {
+pub struct PinnedPath {
     path: Utf8PathBuf,
-    _held: Option<Held>,
+    _held: Option<FolderPin>,
 }
 
-impl Kept {
-    pub(super) fn held(path: Utf8PathBuf, held: Held) -> Self {
+impl PinnedPath {
+    pub(super) fn held(path: Utf8PathBuf, held: FolderPin) -> Self {
         Self { path, _held: Some(held) }
     }
 }
 
 /// What stays anyway.
-impl From<Utf8PathBuf> for Kept {
+impl From<Utf8PathBuf> for PinnedPath {
     fn from(path: Utf8PathBuf) -> Self {
         Self { path, _held: None }
     }
 }
 
-impl Deref for Kept {
+impl Deref for PinnedPath {
     type Target = Utf8Path;
 
     fn deref(&self) -> &Utf8Path {
@@ -92,13 +92,13 @@ impl Deref for Kept {
     }
 }
 
-impl AsRef<Path> for Kept {
+impl AsRef<Path> for PinnedPath {
     fn as_ref(&self) -> &Path {
         self.path.as_std_path()
     }
 }
 
-impl Cache {
+impl FolderCache {
     /// A cache of folders that lie somewhere already, by when each was brought, and how large it
     /// is.
     pub fn new(
@@ -109,7 +109,7 @@ impl Cache {
         lock: impl Into<Option<File>>,
     ) -> Arc<Self> {
         found.sort();
-        let mut here = Here::default();
+        let mut here = CacheState::default();
         for (_, place, bytes) in found {
             here.touch(&place).bytes = bytes;
             here.bytes += bytes;
@@ -125,14 +125,14 @@ impl Cache {
         cache
     }
 
-    fn here(&self) -> MutexGuard<'_, Here> {
+    fn here(&self) -> MutexGuard<'_, CacheState> {
         self.here.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Keeps a folder where it is, if it is there.
-    pub fn hold(self: &Arc<Self>, place: &Utf8Path) -> Held {
+    pub fn hold(self: &Arc<Self>, place: &Utf8Path) -> FolderPin {
         let turn = self.here().touch(place).turn.clone();
-        Held { cache: self.clone(), place: place.to_owned(), turn: Some(turn) }
+        FolderPin { cache: self.clone(), place: place.to_owned(), turn: Some(turn) }
     }
 
     /// Forgets a folder that was looked for and not found.
@@ -231,8 +231,8 @@ impl Cache {
     }
 }
 
-impl Here {
-    fn touch(&mut self, place: &Utf8Path) -> &mut Folder {
+impl CacheState {
+    fn touch(&mut self, place: &Utf8Path) -> &mut CachedFolder {
         self.clock += 1;
         let clock = self.clock;
         let folder = self.folders.entry(place.to_owned()).or_default();
@@ -257,7 +257,7 @@ mod tests {
         let root = Utf8Path::from_path(root.path()).unwrap();
         let tmp = folder(root, "tmp");
         let [a, b, c, d] = ["a", "b", "c", "d"].map(|name| folder(root, name));
-        let cache = Cache::new(20, &tmp, Handle::current(), Vec::new(), None);
+        let cache = FolderCache::new(20, &tmp, Handle::current(), Vec::new(), None);
         cache.add(&a, 10);
         let in_use = cache.hold(&a);
         cache.add(&b, 10);
@@ -285,7 +285,7 @@ mod tests {
         let found = ["new", "old"].map(|name| folder(root, name));
         let age = |days: u64| SystemTime::UNIX_EPOCH + std::time::Duration::from_hours(24 * days);
         let [new, old] = found.clone();
-        let cache = Cache::new(
+        let cache = FolderCache::new(
             15,
             &tmp,
             Handle::current(),

@@ -14,7 +14,7 @@ const SYNC_ONE_BY_ONE: usize = 64;
 
 /// A file that is not what it was.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Damage {
+pub struct DamagedFile {
     /// Below the folder that was looked at.
     pub file: Utf8PathBuf,
     /// "missing", "damaged", "stray", or why it can not be read.
@@ -23,7 +23,7 @@ pub struct Damage {
 
 /// How closely a folder is looked at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Look {
+pub enum CheckDepth {
     /// Whether all files are there.
     Names,
     /// Every byte of them.
@@ -120,7 +120,7 @@ pub fn share(sealed: &Utf8Path, to: &Utf8Path, below: &Utf8Path) -> io::Result<S
 
 /// What is wrong with a folder; nothing where nothing was written down about it, as long as it is
 /// there.
-pub fn look(folder: &Utf8Path, closely: Look) -> io::Result<Vec<Damage>> {
+pub fn look(folder: &Utf8Path, closely: CheckDepth) -> io::Result<Vec<DamagedFile>> {
     let sums = match fs::read_to_string(folder.join(SUMS)) {
         Ok(sums) => sums,
         // A folder of before there were sums.
@@ -138,9 +138,9 @@ pub fn look(folder: &Utf8Path, closely: Look) -> io::Result<Vec<Damage>> {
         known.insert(Utf8PathBuf::from(file));
         let path = folder.join(file);
         match closely {
-            Look::Names if path.is_file() => {}
-            Look::Names => wrong.push(damage(file, "missing")),
-            Look::Bytes => match hash_of(&path) {
+            CheckDepth::Names if path.is_file() => {}
+            CheckDepth::Names => wrong.push(damage(file, "missing")),
+            CheckDepth::Bytes => match hash_of(&path) {
                 Ok(found) if found == sum => {}
                 Ok(_) => wrong.push(damage(file, "damaged")),
                 Err(error) if error.kind() == io::ErrorKind::NotFound => {
@@ -150,15 +150,15 @@ pub fn look(folder: &Utf8Path, closely: Look) -> io::Result<Vec<Damage>> {
             },
         }
     }
-    if closely == Look::Bytes {
-        let strays = files_below(folder)?.into_iter().filter(|file| !known.contains(file));
-        wrong.extend(strays.map(|file| damage(file.as_str(), "stray")));
+    if closely == CheckDepth::Bytes {
+        let orphan_folders = files_below(folder)?.into_iter().filter(|file| !known.contains(file));
+        wrong.extend(orphan_folders.map(|file| damage(file.as_str(), "stray")));
     }
     Ok(wrong)
 }
 
 /// What is wrong with one file of a folder; nothing where nothing was written down about it.
-pub fn look_at(folder: &Utf8Path, file: &Utf8Path) -> io::Result<Option<Damage>> {
+pub fn look_at(folder: &Utf8Path, file: &Utf8Path) -> io::Result<Option<DamagedFile>> {
     let sums = match fs::read_to_string(folder.join(SUMS)) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         sums => sums?,
@@ -181,8 +181,8 @@ pub fn holds(folder: &Utf8Path, file: &Utf8Path) -> io::Result<bool> {
     }
 }
 
-fn damage(file: &str, what: &str) -> Damage {
-    Damage { file: file.into(), what: what.to_owned() }
+fn damage(file: &str, what: &str) -> DamagedFile {
+    DamagedFile { file: file.into(), what: what.to_owned() }
 }
 
 /// Plain files below a folder, sorted; without the sums.

@@ -1,10 +1,10 @@
 //! Where published folders are kept: in the data folder, or in an object store, of which the data
 //! folder then holds copies.
 
-use super::cache::Cache;
+use super::cache::FolderCache;
 use super::objects::{AccessKeys, Bucket, Links, Objects};
-use super::shared::Shared;
-use super::{Blobs, Hands, KINDS, SEALED, Scratch};
+use super::shared::SharedBlobs;
+use super::{Blobs, KINDS, SEALED, Scratch, WriteMode};
 use crate::StoreError;
 use crate::data_folder::write_synced;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -62,7 +62,7 @@ pub enum BlobHome {
 
 /// Whether who opens a store will read and write files, or rows alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Files {
+pub enum FileAccess {
     Used,
     Untouched,
 }
@@ -79,9 +79,9 @@ impl Blobs {
     pub(crate) fn open(
         data_dir: &Utf8Path,
         home: &BlobHome,
-        files: Files,
+        files: FileAccess,
     ) -> Result<Self, StoreError> {
-        let blobs = Self::below(data_dir, Hands::Free);
+        let blobs = Self::below(data_dir, WriteMode::Free);
         let kept_in = kept_in(data_dir)?;
         if let (BlobHome::Folder, Some(CopiesOf { bucket, .. })) = (home, &kept_in) {
             return Err(StoreError::BlobsElsewhere { kept_in: bucket.clone() });
@@ -96,10 +96,10 @@ impl Blobs {
         };
         let objects = bucket.objects(keys.as_ref(), *links, *grace)?;
         match files {
-            Files::Used => blobs.copying(objects, &bucket.to_string(), kept_in, *cache_bytes),
-            Files::Untouched => {
+            FileAccess::Used => blobs.copying(objects, &bucket.to_string(), kept_in, *cache_bytes),
+            FileAccess::Untouched => {
                 let id = objects.wait(objects.id())?;
-                Ok(Self { id: Some(id.into()), hands: Hands::Tied, ..blobs })
+                Ok(Self { id: Some(id.into()), hands: WriteMode::Tied, ..blobs })
             }
         }
     }
@@ -149,8 +149,12 @@ impl Blobs {
                 here.push((brought, place, bytes));
             }
         }
-        let cache = Cache::new(cache_bytes, &self.tmp, objects.runtime().clone(), here, lock);
-        Ok(Self { id: Some(id.into()), shared: Some(Arc::new(Shared { objects, cache })), ..self })
+        let cache = FolderCache::new(cache_bytes, &self.tmp, objects.runtime().clone(), here, lock);
+        Ok(Self {
+            id: Some(id.into()),
+            shared: Some(Arc::new(SharedBlobs { objects, cache })),
+            ..self
+        })
     }
 
     /// Folders that are looked at and stay as they are, whatever is asked: nothing goes out of the
@@ -161,7 +165,7 @@ impl Blobs {
     pub(crate) fn look_only(data_dir: &Utf8Path) -> Result<Self, StoreError> {
         match kept_in(data_dir)? {
             Some(CopiesOf { bucket, .. }) => Err(StoreError::OnlyOfFolder { kept_in: bucket }),
-            None => Ok(Self::below(data_dir, Hands::Tied)),
+            None => Ok(Self::below(data_dir, WriteMode::Tied)),
         }
     }
 

@@ -27,16 +27,16 @@ mod shared;
 mod sizes;
 mod stages;
 
-pub use aging::{KeptCheckpoints, size_of};
-pub use cache::Kept;
+pub use aging::{StoredCheckpoints, size_of};
+pub use cache::PinnedPath;
 use checksums::Sums;
-pub use checksums::{Damage, Look};
+pub use checksums::{CheckDepth, DamagedFile};
 pub use growing::GrowingFile;
-pub use home::{BlobHome, BlobsAt, Files};
-pub use objects::{AccessKeys, Away, Bucket, Links};
-use objects::{FolderName, Unclaimed};
-use shared::{Put, Shared};
-pub use sizes::Measured;
+pub use home::{BlobHome, BlobsAt, FileAccess};
+pub use objects::{AccessKeys, Bucket, Links, ObjectStoreUnavailable};
+use objects::{FolderName, UnsealedObjects};
+use shared::{PendingUpload, SharedBlobs};
+pub use sizes::FolderSizes;
 
 use super::data_folder::sync_folder;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -52,16 +52,16 @@ use uuid::Uuid;
 pub struct Blobs {
     root: Utf8PathBuf,
     tmp: Utf8PathBuf,
-    hands: Hands,
+    hands: WriteMode,
     /// What it all goes by, where that is not the data folder's own id.
     id: Option<Arc<str>>,
     /// Where folders are kept in an object store.
-    shared: Option<Arc<Shared>>,
+    shared: Option<Arc<SharedBlobs>>,
 }
 
 /// Whether what is done with folders is done, or only thought through.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Hands {
+enum WriteMode {
     Free,
     /// Nothing that is there is moved or removed.
     Tied,
@@ -73,7 +73,7 @@ pub struct Scratch {
     path: Utf8PathBuf,
     tmp: Utf8PathBuf,
     /// What goes with it elsewhere.
-    beyond: Option<Unclaimed>,
+    beyond: Option<UnsealedObjects>,
 }
 
 impl Scratch {
@@ -106,12 +106,12 @@ const AT_ONCE: usize = 16;
 pub struct Prepared {
     scratch: Scratch,
     place: Utf8PathBuf,
-    put: Option<(Arc<Shared>, FolderName, Put)>,
+    put: Option<(Arc<SharedBlobs>, FolderName, PendingUpload)>,
 }
 
 impl Blobs {
     /// Folders below `data_dir`, and nowhere else.
-    fn below(data_dir: &Utf8Path, hands: Hands) -> Self {
+    fn below(data_dir: &Utf8Path, hands: WriteMode) -> Self {
         Self {
             root: data_dir.join("blobs"),
             tmp: data_dir.join("tmp"),
@@ -122,8 +122,8 @@ impl Blobs {
     }
 
     /// Whether folders may be moved and removed.
-    pub(super) fn has_free_hands(&self) -> bool {
-        self.hands == Hands::Free
+    pub(super) fn is_writable(&self) -> bool {
+        self.hands == WriteMode::Free
     }
 
     /// What lies under `tmp/` and is to go.
@@ -151,7 +151,7 @@ impl Blobs {
     pub(super) fn names(&self, kind: &str) -> io::Result<Vec<String>> {
         let mut names = Vec::new();
         let folder = self.root.join(kind);
-        if !self.has_free_hands() && !folder.is_dir() {
+        if !self.is_writable() && !folder.is_dir() {
             return Ok(names);
         }
         for entry in folder.read_dir_utf8()? {
@@ -168,16 +168,16 @@ impl Blobs {
     /// # Errors
     /// Those of the file system.
     pub fn stray_files(&self) -> io::Result<Vec<Utf8PathBuf>> {
-        let mut strays = Vec::new();
+        let mut orphan_folders = Vec::new();
         for folder in KINDS.map(|kind| self.root.join(kind)).iter().chain([&self.root]) {
             for entry in folder.read_dir_utf8()? {
                 let entry = entry?;
                 if !entry.file_type()?.is_dir() && entry.file_name() != home::CACHE_OF {
-                    strays.push(entry.into_path());
+                    orphan_folders.push(entry.into_path());
                 }
             }
         }
-        Ok(strays)
+        Ok(orphan_folders)
     }
 
     pub(super) fn place(&self, kind: &str, name: &str) -> Utf8PathBuf {
@@ -281,7 +281,7 @@ impl Blobs {
             return self.publish_put(&shared, &name, &scratch, put, &place);
         }
         if place.exists() {
-            if checksums::look(&place, Look::Bytes)?.is_empty() {
+            if checksums::look(&place, CheckDepth::Bytes)?.is_empty() {
                 return Ok(());
             }
             tracing::warn!(blob = %place, "a damaged folder is replaced");
@@ -308,7 +308,7 @@ impl Blobs {
     /// Takes a folder out of the way, under `tmp/`: it is gone for everybody at once, whatever it
     /// holds. `None` where nothing was.
     fn take_away(&self, folder: &Utf8Path) -> io::Result<Option<Scratch>> {
-        if let Some(Shared { cache, .. }) = self.shared.as_deref() {
+        if let Some(SharedBlobs { cache, .. }) = self.shared.as_deref() {
             return Ok(cache.take(folder)?.map(|path| self.aside(path)));
         }
         let path = self.free_name();
@@ -331,7 +331,9 @@ impl Blobs {
         let blobs = self.clone();
         spawn_blocking(move || match (blobs.shared.as_deref(), aside.beyond.take()) {
             // Its copy comes again when somebody wants it.
-            (Some(Shared { objects, .. }), Some(unclaimed)) => objects.wait(unclaimed.put_back()),
+            (Some(SharedBlobs { objects, .. }), Some(unclaimed)) => {
+                objects.wait(unclaimed.put_back())
+            }
             _ => fs::rename(&aside.path, &place)
                 .or_else(|error| if place.exists() { Ok(()) } else { Err(error) }),
         })
@@ -343,7 +345,7 @@ impl Blobs {
     /// # Errors
     /// Those of the file system.
     pub async fn set_aside(&self, folders: Vec<Utf8PathBuf>) -> io::Result<Vec<Scratch>> {
-        if !self.has_free_hands() {
+        if !self.is_writable() {
             return Ok(Vec::new());
         }
         let blobs = self.clone();
@@ -366,8 +368,10 @@ impl Blobs {
 
     /// Takes folders away from the object store, where they are there. What can not be had now is
     /// for the sweep: no row speaks of it any more.
-    fn unseal(&self, folders: &[Utf8PathBuf]) -> HashMap<Utf8PathBuf, Unclaimed> {
-        let Some(Shared { objects, .. }) = self.shared.as_deref() else { return HashMap::new() };
+    fn unseal(&self, folders: &[Utf8PathBuf]) -> HashMap<Utf8PathBuf, UnsealedObjects> {
+        let Some(SharedBlobs { objects, .. }) = self.shared.as_deref() else {
+            return HashMap::new();
+        };
         let named =
             folders.iter().filter_map(|folder| Some((folder.clone(), self.name_of(folder)?)));
         let unsealed = named.map(async |(folder, name)| match objects.unseal(&name).await {
@@ -437,7 +441,7 @@ mod tests {
     use super::*;
 
     fn opened(data: &tempfile::TempDir) -> Blobs {
-        Blobs::open(Utf8Path::from_path(data.path()).unwrap(), &BlobHome::Folder, Files::Used)
+        Blobs::open(Utf8Path::from_path(data.path()).unwrap(), &BlobHome::Folder, FileAccess::Used)
             .unwrap()
     }
 
@@ -476,16 +480,22 @@ mod tests {
         publish();
         let look = |closely| {
             let wrong = blobs.look(&blobs.parse("p"), closely).unwrap();
-            wrong.iter().map(|Damage { file, what }| format!("{file} {what}")).collect::<Vec<_>>()
+            wrong
+                .iter()
+                .map(|DamagedFile { file, what }| format!("{file} {what}"))
+                .collect::<Vec<_>>()
         };
-        assert_eq!(look(Look::Bytes), [""; 0]);
+        assert_eq!(look(CheckDepth::Bytes), [""; 0]);
         fs::write(blobs.parse("p").join("cloud.ply"), "pointz").unwrap();
         fs::remove_file(blobs.parse("p").join("views/1.jpg")).unwrap();
         fs::write(blobs.parse("p").join("note"), "x").unwrap();
-        assert_eq!(look(Look::Names), ["views/1.jpg missing"]);
-        assert_eq!(look(Look::Bytes), ["cloud.ply damaged", "views/1.jpg missing", "note stray"]);
+        assert_eq!(look(CheckDepth::Names), ["views/1.jpg missing"]);
+        assert_eq!(
+            look(CheckDepth::Bytes),
+            ["cloud.ply damaged", "views/1.jpg missing", "note stray"]
+        );
         publish();
-        assert_eq!(look(Look::Bytes), [""; 0]);
-        assert_eq!(blobs.look(&blobs.parse("q"), Look::Names).unwrap()[0].what, "missing");
+        assert_eq!(look(CheckDepth::Bytes), [""; 0]);
+        assert_eq!(blobs.look(&blobs.parse("q"), CheckDepth::Names).unwrap()[0].what, "missing");
     }
 }

@@ -1,11 +1,11 @@
 //! Folders that are kept in an object store: brought here by whoever is going to read them, put
 //! there by whoever publishes.
 
-use super::cache::{Cache, Held, Kept};
-use super::checksums::{self, Damage, Look, SUMS, Sums};
+use super::cache::{FolderCache, FolderPin, PinnedPath};
+use super::checksums::{self, CheckDepth, DamagedFile, SUMS, Sums};
 use super::objects::{
-    Away, FolderName, Objects, Sealed, Unclaimed, edition_of, head_of_seal, new_edition,
-    sums_of_seal,
+    FolderName, ObjectStoreUnavailable, Objects, SealOutcome, UnsealedObjects, edition_of,
+    head_of_seal, new_edition, sums_of_seal,
 };
 use super::{Blobs, SEALED, Scratch, size_of, sync_folder};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -16,14 +16,14 @@ use std::time::Instant;
 
 /// The object store, and what of it is here.
 #[derive(Debug)]
-pub(crate) struct Shared {
+pub(crate) struct SharedBlobs {
     pub objects: Objects,
-    pub cache: Arc<Cache>,
+    pub cache: Arc<FolderCache>,
 }
 
 /// What of a folder is wanted.
 #[derive(Debug, Clone, Copy)]
-enum Wanted<'a> {
+enum WantedFiles<'a> {
     Everything,
     File(&'a Utf8Path),
     /// Only what it holds, by name.
@@ -32,26 +32,26 @@ enum Wanted<'a> {
 
 /// What has been put into the object store of a folder that is not published yet.
 #[derive(Debug)]
-pub struct Put {
-    files: Unclaimed,
+pub struct PendingUpload {
+    files: UnsealedObjects,
     seal: String,
     begun: Instant,
 }
 
-impl Shared {
+impl SharedBlobs {
     /// Seals a folder that is written, and puts it into the object store, as nobody's yet.
     pub(super) fn put(
         &self,
         scratch: &Scratch,
         name: &FolderName,
         known: &Sums,
-    ) -> io::Result<Put> {
+    ) -> io::Result<PendingUpload> {
         let (objects, begun, edition) = (&self.objects, Instant::now(), new_edition());
         checksums::seal(scratch.path(), known, &head_of_seal(&edition))?;
         let seal = fs::read_to_string(scratch.path().join(SUMS))?;
         let files = sums_of_seal(&seal).into_keys().collect();
         let files = objects.wait(objects.put_edition(scratch.path(), name, &edition, files))?;
-        Ok(Put { files, seal, begun })
+        Ok(PendingUpload { files, seal, begun })
     }
 }
 
@@ -62,13 +62,14 @@ impl Blobs {
     ///
     /// # Errors
     /// Those of the file system; that the object store can not be used.
-    pub fn file(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<Kept> {
+    pub fn file(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<PinnedPath> {
         let below = file.strip_prefix(place).unwrap_or(file);
         let path = place.join(below);
         match (&self.shared, self.name_of(place)) {
-            (Some(shared), Some(name)) => {
-                Ok(Kept::held(path, self.bring(shared, &name, place, Wanted::File(below))?))
-            }
+            (Some(shared), Some(name)) => Ok(PinnedPath::held(
+                path,
+                self.bring(shared, &name, place, WantedFiles::File(below))?,
+            )),
             _ => Ok(path.into()),
         }
     }
@@ -77,11 +78,11 @@ impl Blobs {
     ///
     /// # Errors
     /// As for [`file`](Self::file).
-    pub fn whole(&self, place: &Utf8Path) -> io::Result<Kept> {
+    pub fn whole(&self, place: &Utf8Path) -> io::Result<PinnedPath> {
         match (&self.shared, self.name_of(place)) {
-            (Some(shared), Some(name)) => Ok(Kept::held(
+            (Some(shared), Some(name)) => Ok(PinnedPath::held(
                 place.to_owned(),
-                self.bring(shared, &name, place, Wanted::Everything)?,
+                self.bring(shared, &name, place, WantedFiles::Everything)?,
             )),
             _ => Ok(place.to_owned().into()),
         }
@@ -115,7 +116,8 @@ impl Blobs {
     /// As for [`file`](Self::file).
     pub fn holds(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<bool> {
         let _held = match (&self.shared, self.name_of(place)) {
-            (Some(shared), Some(name)) => match self.bring(shared, &name, place, Wanted::Seal) {
+            (Some(shared), Some(name)) => match self.bring(shared, &name, place, WantedFiles::Seal)
+            {
                 Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
                 held => Some(held?),
             },
@@ -129,11 +131,13 @@ impl Blobs {
     ///
     /// # Errors
     /// Those of the file system; that the object store can not be used.
-    pub fn look(&self, place: &Utf8Path, closely: Look) -> io::Result<Vec<Damage>> {
+    pub fn look(&self, place: &Utf8Path, closely: CheckDepth) -> io::Result<Vec<DamagedFile>> {
         match (&self.shared, self.name_of(place)) {
             (Some(shared), Some(name)) => shared.objects.wait(async {
                 match closely {
-                    Look::Names if shared.objects.seal(&name).await?.is_some() => Ok(Vec::new()),
+                    CheckDepth::Names if shared.objects.seal(&name).await?.is_some() => {
+                        Ok(Vec::new())
+                    }
                     _ => shared.objects.look(&name).await,
                 }
             }),
@@ -146,7 +150,7 @@ impl Blobs {
     ///
     /// # Errors
     /// As for [`file`](Self::file).
-    pub fn look_at(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<Option<Damage>> {
+    pub fn look_at(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<Option<DamagedFile>> {
         let damage = checksums::look_at(place, file)?;
         if damage.is_none() || self.shared.is_none() {
             return Ok(damage);
@@ -167,11 +171,11 @@ impl Blobs {
 
     fn bring(
         &self,
-        shared: &Shared,
+        shared: &SharedBlobs,
         name: &FolderName,
         place: &Utf8Path,
-        wanted: Wanted<'_>,
-    ) -> io::Result<Held> {
+        wanted: WantedFiles<'_>,
+    ) -> io::Result<FolderPin> {
         let held = shared.cache.hold(place);
         if is_here(place, wanted)? {
             return Ok(held);
@@ -202,10 +206,10 @@ impl Blobs {
     /// all. Whether the folder has what is wanted.
     fn bring_missing(
         &self,
-        Shared { objects, cache, .. }: &Shared,
+        SharedBlobs { objects, cache, .. }: &SharedBlobs,
         name: &FolderName,
         place: &Utf8Path,
-        wanted: Wanted<'_>,
+        wanted: WantedFiles<'_>,
     ) -> io::Result<bool> {
         let seal = match fs::read_to_string(place.join(SUMS)) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
@@ -225,9 +229,9 @@ impl Blobs {
         })?;
         let mut missing: Sums = sums_of_seal(&seal);
         match wanted {
-            Wanted::Seal => return Ok(true),
-            Wanted::Everything => missing.retain(|file, _| !place.join(file).exists()),
-            Wanted::File(wanted) => {
+            WantedFiles::Seal => return Ok(true),
+            WantedFiles::Everything => missing.retain(|file, _| !place.join(file).exists()),
+            WantedFiles::File(wanted) => {
                 missing.retain(|file, _| file == wanted);
                 if missing.is_empty() {
                     return Ok(false);
@@ -259,26 +263,26 @@ impl Blobs {
     /// Seals what was put, and keeps what was written here.
     pub(super) fn publish_put(
         &self,
-        shared: &Shared,
+        shared: &SharedBlobs,
         name: &FolderName,
         scratch: &Scratch,
-        put: Put,
+        put: PendingUpload,
         place: &Utf8Path,
     ) -> io::Result<()> {
-        let Shared { objects, cache, .. } = shared;
-        let Put { files, seal, begun } = put;
+        let SharedBlobs { objects, cache, .. } = shared;
+        let PendingUpload { files, seal, begun } = put;
         // Its row must come before the sweep takes it for one that nobody wants.
         if begun.elapsed() > objects.grace / 2 {
-            return Err(Away::because(
+            return Err(ObjectStoreUnavailable::because(
                 "putting a folder there took longer than half of what is kept without a row (--blobs-grace-s)",
             ));
         }
         objects.wait(async {
             match objects.put_seal(name, &seal).await? {
-                Sealed::Ours => files.keep(),
+                SealOutcome::Ours => files.keep(),
                 // Same name, same content; but one that is old may be about to go, and one that is
                 // not whole is of no use.
-                Sealed::Theirs(theirs) => {
+                SealOutcome::Theirs(theirs) => {
                     let is_young = theirs.made.elapsed().unwrap_or_default() < objects.grace / 2;
                     if is_young && objects.look(name).await?.is_empty() {
                         return Ok(());
@@ -303,18 +307,18 @@ impl Blobs {
     }
 }
 
-fn is_here(place: &Utf8Path, wanted: Wanted<'_>) -> io::Result<bool> {
+fn is_here(place: &Utf8Path, wanted: WantedFiles<'_>) -> io::Result<bool> {
     match wanted {
-        Wanted::File(file) => Ok(place.join(file).exists()),
-        Wanted::Seal => Ok(place.join(SUMS).exists()),
-        Wanted::Everything if !place.join(SUMS).exists() => Ok(false),
-        Wanted::Everything => Ok(checksums::look(place, Look::Names)?.is_empty()),
+        WantedFiles::File(file) => Ok(place.join(file).exists()),
+        WantedFiles::Seal => Ok(place.join(SUMS).exists()),
+        WantedFiles::Everything if !place.join(SUMS).exists() => Ok(false),
+        WantedFiles::Everything => Ok(checksums::look(place, CheckDepth::Names)?.is_empty()),
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::{BlobHome, Files};
+    use super::super::{BlobHome, FileAccess};
     use super::*;
     use object_store::memory::InMemory;
     use object_store::path::Path;
@@ -342,7 +346,7 @@ mod tests {
                     let blobs = Blobs::open(
                         Utf8Path::from_path(folder.path()).unwrap(),
                         &BlobHome::Folder,
-                        Files::Used,
+                        FileAccess::Used,
                     )
                     .unwrap();
                     let blobs = blobs.copying(objects, "memory", None, cache_bytes).unwrap();
@@ -433,12 +437,15 @@ mod tests {
                 place.join("cloud.ply").exists(),
                 "what it never had is no reason to doubt what is here"
             );
-            assert!(blobs.look(&place, Look::Bytes).unwrap().is_empty());
+            assert!(blobs.look(&place, CheckDepth::Bytes).unwrap().is_empty());
             assert_eq!(
                 read(&blobs, &blobs.parse("q"), "cloud.ply").unwrap_err().kind(),
                 io::ErrorKind::NotFound
             );
-            assert_eq!(blobs.look(&blobs.parse("q"), Look::Names).unwrap()[0].what, "missing");
+            assert_eq!(
+                blobs.look(&blobs.parse("q"), CheckDepth::Names).unwrap()[0].what,
+                "missing"
+            );
         })
         .await;
         let expected: BTreeMap<String, String> =
@@ -510,7 +517,8 @@ mod tests {
         let blobs = site.machines[0].1.clone();
         blobs.discard(blobs.content("c")).await.unwrap();
         assert_eq!(
-            site.on(0, |blobs| blobs.look(&blobs.content("c"), Look::Names).unwrap().len()).await,
+            site.on(0, |blobs| blobs.look(&blobs.content("c"), CheckDepth::Names).unwrap().len())
+                .await,
             1
         );
         gone_but(&site, 0).await;
@@ -570,7 +578,7 @@ mod tests {
             std::thread::sleep(Duration::from_millis(60));
             blobs.publish_prepared(prepared)
         });
-        assert!(Away::is_behind(&told.await.unwrap_err()));
+        assert!(ObjectStoreUnavailable::is_behind(&told.await.unwrap_err()));
         gone_but(&site, 0).await;
     }
 
@@ -603,7 +611,7 @@ mod tests {
             spawn_blocking(move || blobs.copying(other, "memory", known, u64::MAX).map(drop));
         assert!(matches!(again.await.unwrap(), Err(crate::StoreError::NotTogether)));
         assert!(matches!(
-            Blobs::open(path, &BlobHome::Folder, Files::Used),
+            Blobs::open(path, &BlobHome::Folder, FileAccess::Used),
             Err(crate::StoreError::BlobsElsewhere { .. })
         ));
         assert!(matches!(Blobs::look_only(path), Err(crate::StoreError::OnlyOfFolder { .. })));

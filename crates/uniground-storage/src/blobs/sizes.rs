@@ -19,7 +19,7 @@ const BESIDE: [&str; 3] = ["uploads", "tmp", "quarantine"];
 
 /// Sizes of folders that were measured before, by a hash of kind and name.
 #[derive(Debug, Default)]
-pub struct Measured(HashMap<u64, u64>);
+pub struct FolderSizes(HashMap<u64, u64>);
 
 impl Blobs {
     /// Bytes of all files, by kind; folders that were measured before and do not change are
@@ -27,7 +27,10 @@ impl Blobs {
     ///
     /// # Errors
     /// Those of the file system. Folders that go meanwhile are none.
-    pub async fn sizes(&self, measured: &mut Measured) -> io::Result<BTreeMap<&'static str, u64>> {
+    pub async fn sizes(
+        &self,
+        measured: &mut FolderSizes,
+    ) -> io::Result<BTreeMap<&'static str, u64>> {
         let (mut sizes, mut known) = (BTreeMap::new(), HashMap::new());
         for kind in KINDS {
             let blobs = self.clone();
@@ -107,7 +110,7 @@ mod tests {
         let blobs = Blobs::open(
             Utf8Path::from_path(data.path()).unwrap(),
             &super::super::BlobHome::Folder,
-            super::super::Files::Used,
+            super::super::FileAccess::Used,
         )
         .unwrap();
         for i in 0..STEP + 3 {
@@ -117,7 +120,7 @@ mod tests {
         }
         fs::create_dir(blobs.checkpoints("c")).unwrap();
         fs::write(blobs.checkpoints("c").join("log"), [0; 7]).unwrap();
-        let mut measured = Measured::default();
+        let mut measured = FolderSizes::default();
         let sizes = blobs.sizes(&mut measured).await.unwrap();
         assert_eq!(
             (sizes["parses"], sizes["checkpoints"], sizes["contents"], sizes["tmp"]),

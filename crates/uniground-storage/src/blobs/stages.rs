@@ -3,7 +3,7 @@
 //! computed again.
 
 use super::objects::{Objects, StoredLog};
-use super::{Blobs, KeptCheckpoints};
+use super::{Blobs, StoredCheckpoints};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File};
@@ -21,16 +21,16 @@ const PATIENCE: Duration = Duration::from_secs(30);
 
 /// Logs of a content that are put into the object store while they grow.
 #[derive(Debug)]
-pub struct StagesKept(Option<(JoinHandle<()>, Following)>);
+pub struct CheckpointUpload(Option<(JoinHandle<()>, CheckpointSync)>);
 
 #[derive(Debug, Clone)]
-struct Following {
+struct CheckpointSync {
     objects: Objects,
     hash: String,
     folder: Utf8PathBuf,
 }
 
-impl StagesKept {
+impl CheckpointUpload {
     /// Puts what they have come to.
     pub async fn finish(mut self) {
         let Some((looking, following)) = self.0.take() else { return };
@@ -44,7 +44,7 @@ impl StagesKept {
     }
 }
 
-impl Drop for StagesKept {
+impl Drop for CheckpointUpload {
     fn drop(&mut self) {
         if let Some((looking, _)) = self.0.take() {
             looking.abort();
@@ -92,9 +92,9 @@ impl Blobs {
     /// Puts the logs of a content into the object store as stages are finished, as long as what is
     /// returned lives.
     #[must_use]
-    pub fn keep_stages(&self, hash: &str) -> StagesKept {
-        let Some(shared) = &self.shared else { return StagesKept(None) };
-        let following = Following {
+    pub fn keep_stages(&self, hash: &str) -> CheckpointUpload {
+        let Some(shared) = &self.shared else { return CheckpointUpload(None) };
+        let following = CheckpointSync {
             objects: shared.objects.clone(),
             hash: hash.to_owned(),
             folder: self.checkpoints(hash),
@@ -109,7 +109,7 @@ impl Blobs {
                 }
             }
         });
-        StagesKept(Some((looking, following)))
+        CheckpointUpload(Some((looking, following)))
     }
 
     /// Finished stages of one content are those of another that has grown from it.
@@ -141,10 +141,10 @@ impl Blobs {
     ///
     /// # Errors
     /// Those of the file system; that the object store can not be used.
-    pub fn kept_checkpoints(&self) -> io::Result<Vec<KeptCheckpoints>> {
-        let mut kept: BTreeMap<String, KeptCheckpoints> = BTreeMap::new();
+    pub fn kept_checkpoints(&self) -> io::Result<Vec<StoredCheckpoints>> {
+        let mut kept: BTreeMap<String, StoredCheckpoints> = BTreeMap::new();
         let mut count = |hash: String, bytes: u64, used: SystemTime| {
-            let known = kept.entry(hash.clone()).or_insert(KeptCheckpoints { hash, bytes, used });
+            let known = kept.entry(hash.clone()).or_insert(StoredCheckpoints { hash, bytes, used });
             (known.bytes, known.used) = (known.bytes.max(bytes), known.used.max(used));
         };
         for hash in self.names("checkpoints")? {
@@ -155,13 +155,13 @@ impl Blobs {
             let stored = shared.objects.wait(shared.objects.folders("checkpoints"))?;
             stored.into_iter().for_each(|(hash, found)| count(hash, found.bytes, found.newest()));
         }
-        let mut kept: Vec<KeptCheckpoints> = kept.into_values().collect();
+        let mut kept: Vec<StoredCheckpoints> = kept.into_values().collect();
         kept.sort_by(|a, b| a.used.cmp(&b.used).then_with(|| a.hash.cmp(&b.hash)));
         Ok(kept)
     }
 }
 
-impl Following {
+impl CheckpointSync {
     /// Puts logs that have come to rest, or have grown by a quarter: all in all little more than
     /// once.
     async fn put_finished(&self, put: &mut HashMap<String, u64>) {

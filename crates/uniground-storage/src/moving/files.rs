@@ -1,9 +1,9 @@
 //! Files from one data folder to another, a published folder at a time.
 
-use super::{MoveError, Part, Progress, Tell};
-use crate::backup::{Unsound, copy_folder};
+use super::{MigrationError, MigrationProgress, MigrationStep, OnProgress};
+use crate::backup::{CopyFailure, copy_folder};
 use crate::blobs::checksums::{SUMS, files_below, look};
-use crate::blobs::{Blobs, Damage, KINDS, Look, Scratch, remove_tree, size_of};
+use crate::blobs::{Blobs, CheckDepth, DamagedFile, KINDS, Scratch, remove_tree, size_of};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::collections::BTreeSet;
 use std::fs::{self, File};
@@ -16,7 +16,7 @@ const UPLOADS: &str = "uploads";
 
 /// What came over of one kind.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct KindOfFiles {
+pub struct MigratedFiles {
     pub kind: &'static str,
     /// Of uploads, files.
     pub folders: u64,
@@ -27,32 +27,32 @@ pub struct KindOfFiles {
 }
 
 /// Folder, and what is wrong with it.
-type Damaged = Vec<(String, String)>;
+type DamagedFolders = Vec<(String, String)>;
 
 /// Brings all files to where others are missing, or are there already; what an earlier try has
 /// brought that is not wanted any more goes.
 pub fn move_files(
     from: &Blobs,
     to: &Blobs,
-    tell: &Tell,
-) -> Result<(Vec<KindOfFiles>, Damaged), MoveError> {
-    let (mut kinds, mut damaged) = (Vec::new(), Damaged::new());
+    tell: &OnProgress,
+) -> Result<(Vec<MigratedFiles>, DamagedFolders), MigrationError> {
+    let (mut kinds, mut damaged) = (Vec::new(), DamagedFolders::new());
     for kind in KINDS {
         let names: BTreeSet<String> = from.names(kind)?.into_iter().collect();
         for name in to.names(kind)?.iter().filter(|name| !names.contains(*name)) {
             remove_tree(&to.place(kind, name), to.tmp())?;
         }
-        let mut moved = KindOfFiles { kind, folders: 0, bytes: 0, copied_bytes: 0 };
+        let mut moved = MigratedFiles { kind, folders: 0, bytes: 0, copied_bytes: 0 };
         let of = names.len() as u64;
-        tell(Progress { part: Part::Files(kind), done: 0, of });
+        tell(MigrationProgress { part: MigrationStep::Files(kind), done: 0, of });
         for name in names {
             let (source, place) = (from.place(kind, &name), to.place(kind, &name));
-            let file_error = |error| MoveError::File { file: source.clone(), source: error };
+            let file_error = |error| MigrationError::File { file: source.clone(), source: error };
             moved.copied_bytes +=
                 move_folder(kind, &source, &place, to, &mut damaged).map_err(file_error)?;
             moved.bytes += size_of(&place).map_err(file_error)?;
             moved.folders += 1;
-            tell(Progress { part: Part::Files(kind), done: moved.folders, of });
+            tell(MigrationProgress { part: MigrationStep::Files(kind), done: moved.folders, of });
         }
         kinds.push(moved);
     }
@@ -66,7 +66,7 @@ fn move_folder(
     source: &Utf8Path,
     place: &Utf8Path,
     to: &Blobs,
-    damaged: &mut Damaged,
+    damaged: &mut DamagedFolders,
 ) -> io::Result<u64> {
     let (scratch, copied) = match link(kind, source, to, damaged)? {
         Some(scratch) => (scratch, 0),
@@ -83,7 +83,7 @@ fn move_folder(
 /// Whether a folder has come before, every byte of it.
 fn is_same(source: &Utf8Path, place: &Utf8Path) -> io::Result<bool> {
     match (fs::read(source.join(SUMS)), fs::read(place.join(SUMS))) {
-        (Ok(own), Ok(sums)) if own == sums => Ok(look(place, Look::Bytes)?.is_empty()),
+        (Ok(own), Ok(sums)) if own == sums => Ok(look(place, CheckDepth::Bytes)?.is_empty()),
         _ => Ok(false),
     }
 }
@@ -94,7 +94,7 @@ fn link(
     kind: &str,
     source: &Utf8Path,
     to: &Blobs,
-    damaged: &mut Damaged,
+    damaged: &mut DamagedFolders,
 ) -> io::Result<Option<Scratch>> {
     if kind == GROWING {
         return Ok(None);
@@ -107,11 +107,11 @@ fn link(
             return Ok(None);
         }
     }
-    let missing = look(source, Look::Names)?;
+    let missing = look(source, CheckDepth::Names)?;
     damaged.extend(
         missing
             .into_iter()
-            .map(|Damage { file, what }| (name_of(source), format!("{file} {what}"))),
+            .map(|DamagedFile { file, what }| (name_of(source), format!("{file} {what}"))),
     );
     Ok(Some(scratch))
 }
@@ -122,18 +122,18 @@ fn copy(
     kind: &str,
     source: &Utf8Path,
     to: &Blobs,
-    damaged: &mut Damaged,
+    damaged: &mut DamagedFolders,
 ) -> io::Result<(Scratch, u64)> {
     let mut scratch = to.scratch()?;
     let copied = match kind {
-        GROWING => copy_as_it_is(source, scratch.path()).map_err(Unsound::NotWritten),
+        GROWING => copy_as_it_is(source, scratch.path()).map_err(CopyFailure::NotWritten),
         _ => copy_folder(source, scratch.path()).map(drop),
     };
     match copied {
         Ok(()) => {}
-        Err(Unsound::NotWritten(error)) => return Err(error),
-        Err(Unsound::Gone) => return Err(io::ErrorKind::NotFound.into()),
-        Err(Unsound::Damaged(what)) => {
+        Err(CopyFailure::NotWritten(error)) => return Err(error),
+        Err(CopyFailure::Gone) => return Err(io::ErrorKind::NotFound.into()),
+        Err(CopyFailure::Damaged(what)) => {
             damaged.push((name_of(source), what));
             scratch = to.scratch()?;
             copy_as_it_is(source, scratch.path())?;
@@ -167,25 +167,29 @@ fn name_of(folder: &Utf8Path) -> String {
 }
 
 /// Uploads under way: they grow, so each side has its own.
-fn move_uploads(from: &Blobs, to: &Blobs, tell: &Tell) -> Result<KindOfFiles, MoveError> {
+fn move_uploads(
+    from: &Blobs,
+    to: &Blobs,
+    tell: &OnProgress,
+) -> Result<MigratedFiles, MigrationError> {
     for gone in to.all_uploads()? {
         fs::remove_file(to.upload(&gone))?;
     }
     let uploads = from.all_uploads()?;
     let of = uploads.len() as u64;
-    let mut moved = KindOfFiles { kind: UPLOADS, folders: 0, bytes: 0, copied_bytes: 0 };
-    tell(Progress { part: Part::Files(UPLOADS), done: 0, of });
+    let mut moved = MigratedFiles { kind: UPLOADS, folders: 0, bytes: 0, copied_bytes: 0 };
+    tell(MigrationProgress { part: MigrationStep::Files(UPLOADS), done: 0, of });
     for id in uploads {
         let file = from.upload(&id);
-        let bytes =
-            fs::copy(&file, to.upload(&id)).map_err(|source| MoveError::File { file, source })?;
-        moved = KindOfFiles {
+        let bytes = fs::copy(&file, to.upload(&id))
+            .map_err(|source| MigrationError::File { file, source })?;
+        moved = MigratedFiles {
             folders: moved.folders + 1,
             bytes: moved.bytes + bytes,
             copied_bytes: moved.copied_bytes + bytes,
             ..moved
         };
-        tell(Progress { part: Part::Files(UPLOADS), done: moved.folders, of });
+        tell(MigrationProgress { part: MigrationStep::Files(UPLOADS), done: moved.folders, of });
     }
     Ok(moved)
 }
@@ -193,7 +197,7 @@ fn move_uploads(from: &Blobs, to: &Blobs, tell: &Tell) -> Result<KindOfFiles, Mo
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::blobs::{BlobHome, Files};
+    use crate::blobs::{BlobHome, FileAccess};
     use std::sync::Arc;
     use std::time::{Duration, SystemTime};
 
@@ -204,7 +208,7 @@ mod tests {
             Blobs::open(
                 &Utf8Path::from_path(root.path()).unwrap().join(name),
                 &BlobHome::Folder,
-                Files::Used,
+                FileAccess::Used,
             )
             .unwrap()
         });
@@ -224,8 +228,8 @@ mod tests {
         (root, from, to)
     }
 
-    fn moved(from: &Blobs, to: &Blobs) -> (Vec<KindOfFiles>, Damaged) {
-        let tell: Tell = Arc::new(|_| {});
+    fn moved(from: &Blobs, to: &Blobs) -> (Vec<MigratedFiles>, DamagedFolders) {
+        let tell: OnProgress = Arc::new(|_| {});
         let (kinds, damaged) = move_files(from, to, &tell).unwrap();
         (kinds.into_iter().filter(|kind| kind.folders > 0).collect(), damaged)
     }
@@ -242,7 +246,7 @@ mod tests {
             kinds.iter().map(|kind| (kind.kind, kind.folders, kind.copied_bytes)).collect();
         assert_eq!(told, [("parses", 1, 0), ("checkpoints", 1, 8), ("uploads", 1, 4)]);
         assert_eq!(damaged, []);
-        assert!(to.look(&to.parse("p"), Look::Bytes).unwrap().is_empty());
+        assert!(to.look(&to.parse("p"), CheckDepth::Bytes).unwrap().is_empty());
         // A log that goes on in one place goes on there alone.
         for log in [from.checkpoints("c").join("stage.log"), from.upload("u")] {
             fs::write(log, "more").unwrap();
@@ -286,7 +290,7 @@ mod tests {
     fn a_copy_is_whole_or_told() {
         let (_root, from, to) = folders();
         let (source, place) = (from.parse("p"), to.parse("p"));
-        let mut damaged = Damaged::new();
+        let mut damaged = DamagedFolders::new();
         let (scratch, bytes) = copy("parses", &source, &to, &mut damaged).unwrap();
         fs::rename(scratch.path(), &place).unwrap();
         assert_eq!(

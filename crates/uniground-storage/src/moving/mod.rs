@@ -13,26 +13,26 @@ mod files;
 mod rows;
 mod target;
 
-pub use files::KindOfFiles;
+pub use files::MigratedFiles;
 
 use super::database::Location;
 use super::{BlobHome, Store, StoreError};
 use camino::{Utf8Path, Utf8PathBuf};
-use rows::Database;
+use rows::TargetDatabase;
 use std::sync::Arc;
 use std::{fmt, io};
-use target::Folder;
+use target::TargetFolder;
 use tokio::task::spawn_blocking;
 
 /// A data folder, and where its rows are.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Place {
+pub struct StoreLocation {
     pub data_dir: Utf8PathBuf,
     pub database: Location,
 }
 
 #[derive(Debug, thiserror::Error)]
-pub enum MoveError {
+pub enum MigrationError {
     #[error("what is to be moved can not be opened ({data_dir})")]
     From { data_dir: Utf8PathBuf, source: StoreError },
     #[error("the rows of {data_dir} are kept in {kept_in}: say so with --from-database")]
@@ -61,13 +61,13 @@ pub enum MoveError {
     Store(#[from] StoreError),
 }
 
-impl From<sqlx::Error> for MoveError {
+impl From<sqlx::Error> for MigrationError {
     fn from(error: sqlx::Error) -> Self {
         Self::Store(error.into())
     }
 }
 
-impl From<io::Error> for MoveError {
+impl From<io::Error> for MigrationError {
     fn from(error: io::Error) -> Self {
         Self::Store(error.into())
     }
@@ -75,13 +75,13 @@ impl From<io::Error> for MoveError {
 
 /// What was moved.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Moved {
+pub struct MigrationReport {
     /// How many rows of which table.
     pub rows: Vec<(&'static str, u64)>,
     /// Texts with a NUL, which PostgreSQL does not keep: U+FFFD stands there instead.
     pub texts_changed: u64,
     /// None where the folder stays.
-    pub files: Vec<KindOfFiles>,
+    pub files: Vec<MigratedFiles>,
     /// What was lost or damaged before, and is as it was: folder, and what is wrong.
     pub damaged: Vec<(String, String)>,
     /// The database's file that a folder which stays does not use any more.
@@ -90,8 +90,8 @@ pub struct Moved {
 
 /// How far a part has come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Progress {
-    pub part: Part,
+pub struct MigrationProgress {
+    pub part: MigrationStep,
     /// Rows or folders, of so many.
     pub done: u64,
     pub of: u64,
@@ -99,14 +99,14 @@ pub struct Progress {
 
 /// What is moved one after the other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Part {
+pub enum MigrationStep {
     /// Of a table.
     Rows(&'static str),
     /// Of a kind of folders.
     Files(&'static str),
 }
 
-impl fmt::Display for Part {
+impl fmt::Display for MigrationStep {
     fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Rows(table) => write!(to, "rows of {table}"),
@@ -116,11 +116,11 @@ impl fmt::Display for Part {
 }
 
 /// Who is told how far it has come.
-pub type Tell = Arc<dyn Fn(Progress) + Send + Sync>;
+pub type OnProgress = Arc<dyn Fn(MigrationProgress) + Send + Sync>;
 
 /// Whether files move.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Files {
+enum FileTransfer {
     Move,
     Stay,
 }
@@ -129,19 +129,23 @@ enum Files {
 /// to date; in place, the file of a database that is not used any more gets another name.
 ///
 /// # Errors
-/// [`MoveError`]: nothing has moved, and it can be tried again.
-pub async fn move_over(from: &Place, to: &Place, tell: Tell) -> Result<Moved, MoveError> {
+/// [`MigrationError`]: nothing has moved, and it can be tried again.
+pub async fn migrate_data(
+    from: &StoreLocation,
+    to: &StoreLocation,
+    tell: OnProgress,
+) -> Result<MigrationReport, MigrationError> {
     let files = way(from, to)?;
     let source = Store::open_known(&from.data_dir, &from.database, &BlobHome::Folder)
         .await
         .map_err(|source| match source {
             StoreError::OtherDatabase { kept_in } => {
-                MoveError::FromOtherDatabase { data_dir: from.data_dir.clone(), kept_in }
+                MigrationError::FromOtherDatabase { data_dir: from.data_dir.clone(), kept_in }
             }
             StoreError::BlobsElsewhere { kept_in } => {
-                MoveError::FromElsewhere { data_dir: from.data_dir.clone(), kept_in }
+                MigrationError::FromElsewhere { data_dir: from.data_dir.clone(), kept_in }
             }
-            source => MoveError::From { data_dir: from.data_dir.clone(), source },
+            source => MigrationError::From { data_dir: from.data_dir.clone(), source },
         })?;
     let brought = bring(&source, to, files, &tell).await;
     source.close().await;
@@ -149,31 +153,36 @@ pub async fn move_over(from: &Place, to: &Place, tell: Tell) -> Result<Moved, Mo
     let set_aside = spawn_blocking(move || folder.settle()).await.map_err(io::Error::other)??;
     // The folder was ours until here.
     drop(source);
-    Ok(Moved { set_aside, ..moved })
+    Ok(MigrationReport { set_aside, ..moved })
 }
 
 /// Brings everything that a place lacks to it.
 async fn bring(
     source: &Store,
-    to: &Place,
-    files: Files,
-    tell: &Tell,
-) -> Result<(Folder, Moved), MoveError> {
+    to: &StoreLocation,
+    files: FileTransfer,
+    tell: &OnProgress,
+) -> Result<(TargetFolder, MigrationReport), MigrationError> {
     let (path, engine) = (to.data_dir.clone(), to.database.engine()?);
     let current =
-        (files == Files::Stay).then(|| (source.folder.id.clone(), source.database.engine));
+        (files == FileTransfer::Stay).then(|| (source.folder.id.clone(), source.database.engine));
     let opening = spawn_blocking(move || match current {
-        Some((id, engine_before)) => Folder::in_place(path, &id, engine_before, engine),
-        None => Folder::open(path, engine),
+        Some((id, engine_before)) => TargetFolder::in_place(path, &id, engine_before, engine),
+        None => TargetFolder::open(path, engine),
     });
     let mut folder = opening.await.map_err(io::Error::other)??;
-    let database = Database::open(&to.database, &mut folder).await?;
+    let database = TargetDatabase::open(&to.database, &mut folder).await?;
     let rows = rows::move_rows(source, &database, &folder.id, tell).await;
     database.close().await;
-    let rows::Rows { moved: rows, texts_changed } = rows?;
-    let mut moved =
-        Moved { rows, texts_changed, files: Vec::new(), damaged: Vec::new(), set_aside: None };
-    if files == Files::Move {
+    let rows::MigratedRows { moved: rows, texts_changed } = rows?;
+    let mut moved = MigrationReport {
+        rows,
+        texts_changed,
+        files: Vec::new(),
+        damaged: Vec::new(),
+        set_aside: None,
+    };
+    if files == FileTransfer::Move {
         let (from, to, tell) = (source.blobs.clone(), folder.clone(), tell.clone());
         let moving = spawn_blocking(move || files::move_files(&from, &to.blobs()?, &tell));
         (moved.files, moved.damaged) = moving.await.map_err(io::Error::other)??;
@@ -182,10 +191,10 @@ async fn bring(
 }
 
 /// Whether the folder stays, for two places between which there is something to move.
-fn way(from: &Place, to: &Place) -> Result<Files, MoveError> {
+fn way(from: &StoreLocation, to: &StoreLocation) -> Result<FileTransfer, MigrationError> {
     let no_folder = |_| {
         let (data_dir, folder) = (from.data_dir.clone(), from.data_dir.clone());
-        MoveError::From { data_dir, source: StoreError::NoDataFolder { folder } }
+        MigrationError::From { data_dir, source: StoreError::NoDataFolder { folder } }
     };
     let own = from.data_dir.canonicalize_utf8().map_err(no_folder)?;
     // Where it is not there yet, what it would lie in.
@@ -193,16 +202,16 @@ fn way(from: &Place, to: &Place) -> Result<Files, MoveError> {
     let other = nearest.canonicalize_utf8()?;
     let is_there = nearest == to.data_dir;
     let files = match own == other && is_there {
-        true => Files::Stay,
+        true => FileTransfer::Stay,
         false if other.starts_with(&own) || (is_there && own.starts_with(&other)) => {
-            return Err(MoveError::Within { data_dir: from.data_dir.clone() });
+            return Err(MigrationError::Within { data_dir: from.data_dir.clone() });
         }
-        false => Files::Move,
+        false => FileTransfer::Move,
     };
     match from.database == to.database
-        && (files == Files::Stay || from.database != Location::Folder)
+        && (files == FileTransfer::Stay || from.database != Location::Folder)
     {
-        true => Err(MoveError::SameDatabase),
+        true => Err(MigrationError::SameDatabase),
         false => Ok(files),
     }
 }

@@ -1,11 +1,11 @@
 //! Rows from one database to another, table by table, a few at a time.
 
-use super::target::Folder;
-use super::{MoveError, Part, Progress, Tell};
+use super::target::TargetFolder;
+use super::{MigrationError, MigrationProgress, MigrationStep, OnProgress};
 use crate::database::{Connections, Engine, Location, number, without_nul};
-use crate::members::Membership;
+use crate::members::ClusterMembership;
 use crate::writer::Writer;
-use crate::{Company, LEASE, Store, StoreError, migrations};
+use crate::{LEASE, Store, StoreAccess, StoreError, migrations};
 use futures::TryStreamExt;
 use futures::stream::TryChunksError;
 use sqlx::any::{AnyArguments, AnyRow};
@@ -53,32 +53,37 @@ const ROWS_OF_STATEMENT: usize = 50;
 
 /// What a column holds: a value that is not there has a type, too.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
+enum ColumnType {
     Text,
     Integer,
     Real,
 }
 
 /// What was moved.
-pub struct Rows {
+pub struct MigratedRows {
     pub moved: Vec<(&'static str, u64)>,
     pub texts_changed: u64,
 }
 
 /// The database that rows are moved to, and that nobody else uses.
-pub struct Database {
+pub struct TargetDatabase {
     engine: Engine,
     writer: Writer,
     reader: AnyPool,
-    members: Membership,
+    members: ClusterMembership,
 }
 
-impl Database {
+impl TargetDatabase {
     /// A database with the schema and no rows: a new file, or one of a server's that is empty or
     /// was begun for the same folder. The folder is begun, too, once nothing speaks against it.
-    pub async fn open(location: &Location, folder: &mut Folder) -> Result<Self, MoveError> {
-        let not_used = |source: StoreError| MoveError::To { place: location.to_string(), source };
-        let members = Membership::join(location, Company::None, LEASE).await.map_err(not_used)?;
+    pub async fn open(
+        location: &Location,
+        folder: &mut TargetFolder,
+    ) -> Result<Self, MigrationError> {
+        let not_used =
+            |source: StoreError| MigrationError::To { place: location.to_string(), source };
+        let members =
+            ClusterMembership::join(location, StoreAccess::None, LEASE).await.map_err(not_used)?;
         let (mut server, mut is_begun) = (None, false);
         if let Location::Postgres(url) = location {
             let connections = Connections::to_server(url).await.map_err(not_used)?;
@@ -104,18 +109,18 @@ impl Database {
     }
 
     /// Removes what an earlier try has brought.
-    async fn clear(&self) -> Result<(), MoveError> {
-        let mut connection = without_haste(self.writer.pool(), self.engine).await?;
+    async fn clear(&self) -> Result<(), MigrationError> {
+        let mut connection = disable_timeout(self.writer.pool(), self.engine).await?;
         for table in TABLES.iter().rev() {
             let sql = format!("DELETE FROM {table}");
             let cleared = sqlx::query(AssertSqlSafe(sql)).execute(&mut *connection).await;
-            cleared.map_err(|error| MoveError::Rows { table, source: error.into() })?;
+            cleared.map_err(|error| MigrationError::Rows { table, source: error.into() })?;
         }
         Ok(())
     }
 
     /// Lets it know the folder it will belong to, and since when it knows what lies there.
-    async fn introduce(&self, id: &str, since: &str) -> Result<(), MoveError> {
+    async fn introduce(&self, id: &str, since: &str) -> Result<(), MigrationError> {
         let mut tx = self.writer.begin().await?;
         sqlx::query("DELETE FROM data_folder").execute(&mut *tx).await?;
         sqlx::query("INSERT INTO data_folder (id, since) VALUES ($1, $2)")
@@ -133,7 +138,7 @@ impl Database {
     }
 }
 
-async fn begin(folder: &Folder) -> Result<(), MoveError> {
+async fn begin(folder: &TargetFolder) -> Result<(), MigrationError> {
     let folder = folder.clone();
     spawn_blocking(move || folder.begin()).await.map_err(io::Error::other)?
 }
@@ -144,7 +149,7 @@ async fn was_begun_for(
     id: &str,
     Connections { engine, writer, .. }: &Connections,
     location: &Location,
-) -> Result<bool, MoveError> {
+) -> Result<bool, MigrationError> {
     let tables: Vec<String> = sqlx::query_scalar(engine.tables()).fetch_all(writer).await?;
     if !tables.iter().any(|table| table == "data_folder") {
         return Ok(false);
@@ -159,7 +164,7 @@ async fn was_begun_for(
             let sql = "SELECT (SELECT count(*) FROM scenes), (SELECT count(*) FROM answers)";
             let (scenes, answers): (i64, i64) = sqlx::query_as(sql).fetch_one(writer).await?;
             let found = format!("rows of another data folder: {scenes} scenes, {answers} answers");
-            Err(MoveError::NotEmpty { place: location.to_string(), found })
+            Err(MigrationError::NotEmpty { place: location.to_string(), found })
         }
     }
 }
@@ -168,26 +173,26 @@ async fn was_begun_for(
 /// other folder's server takes it.
 pub async fn move_rows(
     source: &Store,
-    target: &Database,
+    target: &TargetDatabase,
     id: &str,
-    tell: &Tell,
-) -> Result<Rows, MoveError> {
+    tell: &OnProgress,
+) -> Result<MigratedRows, MigrationError> {
     let since: String = sqlx::query_scalar("SELECT since FROM data_folder")
         .fetch_one(&source.database.reader)
         .await?;
     target.introduce(id, &since).await?;
-    let mut from = without_haste(&source.database.reader, source.database.engine).await?;
-    let mut rows = Rows { moved: Vec::new(), texts_changed: 0 };
+    let mut from = disable_timeout(&source.database.reader, source.database.engine).await?;
+    let mut rows = MigratedRows { moved: Vec::new(), texts_changed: 0 };
     for table in TABLES {
         let moved = move_table(&mut from, target, table, &mut rows.texts_changed, tell).await;
-        rows.moved.push((table, moved.map_err(|source| MoveError::Rows { table, source })?));
+        rows.moved.push((table, moved.map_err(|source| MigrationError::Rows { table, source })?));
     }
     Ok(rows)
 }
 
-async fn without_haste(pool: &AnyPool, engine: Engine) -> sqlx::Result<PoolConnection<Any>> {
+async fn disable_timeout(pool: &AnyPool, engine: Engine) -> sqlx::Result<PoolConnection<Any>> {
     let mut connection = pool.acquire().await?;
-    for statement in engine.without_haste() {
+    for statement in engine.disable_timeout() {
         connection.execute(*statement).await?;
     }
     Ok(connection)
@@ -196,15 +201,15 @@ async fn without_haste(pool: &AnyPool, engine: Engine) -> sqlx::Result<PoolConne
 /// Moves the rows of a table; how many there were.
 async fn move_table(
     from: &mut AnyConnection,
-    target: &Database,
+    target: &TargetDatabase,
     table: &'static str,
     texts_changed: &mut u64,
-    tell: &Tell,
+    tell: &OnProgress,
 ) -> Result<u64, StoreError> {
     let sql = format!("SELECT count(*) FROM {table}");
     let of: i64 = sqlx::query_scalar(AssertSqlSafe(sql)).fetch_one(&mut *from).await?;
     let (mut progress, columns) = (
-        Progress { part: Part::Rows(table), done: 0, of: number(of)? },
+        MigrationProgress { part: MigrationStep::Rows(table), done: 0, of: number(of)? },
         columns_of(target, table).await?,
     );
     tell(progress);
@@ -226,7 +231,7 @@ async fn move_table(
 fn write<'q>(
     rows: &[AnyRow],
     table: &str,
-    columns: &[(String, Kind)],
+    columns: &[(String, ColumnType)],
     engine: Engine,
     texts_changed: &mut u64,
 ) -> sqlx::Result<Query<'q, Any, AnyArguments>> {
@@ -236,9 +241,9 @@ fn write<'q>(
     for row in rows {
         for (place, (_, kind)) in columns.iter().enumerate() {
             query = match kind {
-                Kind::Integer => query.bind(row.try_get::<Option<i64>, _>(place)?),
-                Kind::Real => query.bind(row.try_get::<Option<f64>, _>(place)?),
-                Kind::Text => {
+                ColumnType::Integer => query.bind(row.try_get::<Option<i64>, _>(place)?),
+                ColumnType::Real => query.bind(row.try_get::<Option<f64>, _>(place)?),
+                ColumnType::Text => {
                     let text: Option<String> = row.try_get(place)?;
                     let kept = text.as_deref().map(|text| kept_by(engine, text));
                     *texts_changed += u64::from(kept.as_deref() != text.as_deref());
@@ -251,24 +256,27 @@ fn write<'q>(
 }
 
 /// Columns to write, as the target has them: both have the same schema.
-async fn columns_of(target: &Database, table: &str) -> sqlx::Result<Vec<(String, Kind)>> {
+async fn columns_of(
+    target: &TargetDatabase,
+    table: &str,
+) -> sqlx::Result<Vec<(String, ColumnType)>> {
     let columns: Vec<(String, String)> =
         sqlx::query_as(target.engine.columns()).bind(table).fetch_all(target.writer.pool()).await?;
     let columns = columns.into_iter().map(|(name, type_name)| match type_name.as_str() {
-        "text" => Ok((name, Kind::Text)),
-        "integer" | "bigint" => Ok((name, Kind::Integer)),
-        "real" | "double precision" => Ok((name, Kind::Real)),
+        "text" => Ok((name, ColumnType::Text)),
+        "integer" | "bigint" => Ok((name, ColumnType::Integer)),
+        "real" | "double precision" => Ok((name, ColumnType::Real)),
         _ => Err(sqlx::Error::TypeNotFound { type_name }),
     });
     columns.collect()
 }
 
-fn names(columns: &[(String, Kind)]) -> String {
+fn names(columns: &[(String, ColumnType)]) -> String {
     columns.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", ")
 }
 
 /// The statement that writes so many rows.
-fn insert(table: &str, columns: &[(String, Kind)], rows: usize) -> String {
+fn insert(table: &str, columns: &[(String, ColumnType)], rows: usize) -> String {
     let mut sql = format!("INSERT INTO {table} ({}) VALUES ", names(columns));
     for parameter in 0..rows * columns.len() {
         let before = match parameter {
@@ -341,7 +349,7 @@ mod tests {
 
     #[test]
     fn a_statement_writes_many_rows() {
-        let columns = [("id".to_owned(), Kind::Text), ("usd".to_owned(), Kind::Real)];
+        let columns = [("id".to_owned(), ColumnType::Text), ("usd".to_owned(), ColumnType::Real)];
         assert_eq!(insert("t", &columns, 2), "INSERT INTO t (id, usd) VALUES ($1, $2), ($3, $4)");
     }
 }

@@ -1,9 +1,9 @@
 //! The folder that a store is moved to, as long as not all of it is there.
 
-use super::MoveError;
+use super::MigrationError;
 use crate::StoreError;
 use crate::blobs::checksums::sync_everything;
-use crate::blobs::{BlobHome, Blobs, Files};
+use crate::blobs::{BlobHome, Blobs, FileAccess};
 use crate::data_folder::{DATABASE, LOCK, MARKER, MOVING, is_harmless, mark, write_synced};
 use crate::database::Engine;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -20,13 +20,13 @@ const PARTS_OF_DATABASE: [&str; 3] = ["", "-wal", "-shm"];
 
 /// Says of a folder that something is being moved to it.
 #[derive(Serialize, Deserialize)]
-struct Note {
+struct TargetMarker {
     /// What the folder's id will be; by it a database is known that was begun for it.
     id: String,
 }
 
 #[derive(Clone)]
-pub struct Folder {
+pub struct TargetFolder {
     path: Utf8PathBuf,
     /// What its id will be.
     pub id: String,
@@ -37,12 +37,14 @@ pub struct Folder {
     _lock: Option<Arc<File>>,
 }
 
-impl Folder {
+impl TargetFolder {
     /// A folder that is empty or not there, or has been begun before. It is as empty as it was
     /// until something [begins](Self::begin).
-    pub fn open(path: Utf8PathBuf, engine: Engine) -> Result<Self, MoveError> {
-        let not_used =
-            |source: io::Error| MoveError::To { place: path.to_string(), source: source.into() };
+    pub fn open(path: Utf8PathBuf, engine: Engine) -> Result<Self, MigrationError> {
+        let not_used = |source: io::Error| MigrationError::To {
+            place: path.to_string(),
+            source: source.into(),
+        };
         fs::create_dir_all(&path).map_err(not_used)?;
         let begun = read_note(&path)?;
         let stranger = path
@@ -52,7 +54,7 @@ impl Folder {
         if let Some(stranger) = stranger
             && (begun.is_none() || path.join(MARKER).exists())
         {
-            return Err(MoveError::NotEmpty {
+            return Err(MigrationError::NotEmpty {
                 found: stranger.file_name().to_owned(),
                 place: path.to_string(),
             });
@@ -61,7 +63,10 @@ impl Folder {
         match lock.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
-                return Err(MoveError::To { place: path.to_string(), source: StoreError::InUse });
+                return Err(MigrationError::To {
+                    place: path.to_string(),
+                    source: StoreError::InUse,
+                });
             }
             Err(TryLockError::Error(error)) => return Err(not_used(error)),
         }
@@ -76,7 +81,7 @@ impl Folder {
         id_before: &str,
         engine_before: Engine,
         engine: Engine,
-    ) -> Result<Self, MoveError> {
+    ) -> Result<Self, MigrationError> {
         // A note of its own id is what a move that came to its end was killed before removing.
         let id = read_note(&path)?.filter(|id| id != id_before).unwrap_or_else(new_id);
         Ok(Self { path, id, engine, engine_before: Some(engine_before), _lock: None })
@@ -90,16 +95,16 @@ impl Folder {
 
     /// Notes that something is on its way here, and makes room for it: what an earlier try has left
     /// half done goes.
-    pub fn begin(&self) -> Result<(), MoveError> {
-        let note =
-            serde_json::to_vec_pretty(&Note { id: self.id.clone() }).map_err(StoreError::from)?;
+    pub fn begin(&self) -> Result<(), MigrationError> {
+        let note = serde_json::to_vec_pretty(&TargetMarker { id: self.id.clone() })
+            .map_err(StoreError::from)?;
         write_synced(&self.path.join(MOVING), &note)?;
         drop(self.blobs()?.left_behind(Duration::ZERO)?);
         Ok(())
     }
 
     pub fn blobs(&self) -> Result<Blobs, StoreError> {
-        Blobs::open(&self.path, &BlobHome::Folder, Files::Used)
+        Blobs::open(&self.path, &BlobHome::Folder, FileAccess::Used)
     }
 
     /// Where a database is written that is a file: out of every server's sight.
@@ -110,7 +115,7 @@ impl Folder {
     /// Makes a data folder of it, now that everything is there; the name of a database's file that
     /// is not used any more. What is interrupted here is a data folder, or can be moved once
     /// more.
-    pub fn settle(self) -> Result<Option<Utf8PathBuf>, MoveError> {
+    pub fn settle(self) -> Result<Option<Utf8PathBuf>, MigrationError> {
         sync_everything(&self.path)?;
         let mut aside = None;
         if self.engine == Engine::Sqlite {
@@ -134,11 +139,13 @@ fn new_id() -> String {
 }
 
 /// The id that was meant for a folder, where something was on its way to it.
-fn read_note(folder: &Utf8Path) -> Result<Option<String>, MoveError> {
+fn read_note(folder: &Utf8Path) -> Result<Option<String>, MigrationError> {
     match fs::read(folder.join(MOVING)) {
-        Ok(bytes) => Ok(Some(serde_json::from_slice::<Note>(&bytes).map_err(StoreError::from)?.id)),
+        Ok(bytes) => {
+            Ok(Some(serde_json::from_slice::<TargetMarker>(&bytes).map_err(StoreError::from)?.id))
+        }
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(source) => Err(MoveError::File { file: folder.join(MOVING), source }),
+        Err(source) => Err(MigrationError::File { file: folder.join(MOVING), source }),
     }
 }
 

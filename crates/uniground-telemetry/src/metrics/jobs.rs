@@ -8,7 +8,7 @@ use prometheus_client::registry::{Registry, Unit};
 use std::time::Duration;
 
 /// The queues, by kind of job.
-pub struct Jobs {
+pub struct JobMetrics {
     queued: Family<Labels<1>, Gauge>,
     running: Family<Labels<1>, Gauge>,
     oldest: Family<Labels<1>, FloatGauge>,
@@ -18,7 +18,7 @@ pub struct Jobs {
     lanes: Family<Labels<1>, Gauge>,
 }
 
-impl Jobs {
+impl JobMetrics {
     pub(super) fn new(registry: &mut Registry) -> Self {
         let jobs = Self {
             queued: Family::default(),

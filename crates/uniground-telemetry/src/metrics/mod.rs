@@ -12,12 +12,12 @@ mod requests;
 mod stored;
 mod vlm;
 
-pub use jobs::Jobs;
-pub use process::Process;
-pub use questions::Questions;
-pub use requests::{Requests, Underway};
-pub use stored::Stored;
-pub use vlm::Vlm;
+pub use jobs::JobMetrics;
+pub use process::ProcessMetrics;
+pub use questions::QuestionMetrics;
+pub use requests::{InFlightRequest, RequestMetrics};
+pub use stored::StoredMetrics;
+pub use vlm::VlmMetrics;
 
 use prometheus_client::encoding::text;
 use prometheus_client::metrics::family::Family;
@@ -39,19 +39,19 @@ type FloatGauge = Gauge<f64, AtomicU64>;
 
 /// Everything that is counted, by who counts it.
 pub struct Metrics {
-    pub requests: Requests,
-    pub questions: Questions,
-    pub jobs: Jobs,
-    pub vlm: Vlm,
-    pub stored: Stored,
-    pub process: Process,
+    pub requests: RequestMetrics,
+    pub questions: QuestionMetrics,
+    pub jobs: JobMetrics,
+    pub vlm: VlmMetrics,
+    pub stored: StoredMetrics,
+    pub process: ProcessMetrics,
     registry: Registry,
 }
 
 impl Default for Metrics {
     fn default() -> Self {
         let mut registry = Registry::default();
-        let process = Process::new(&mut registry);
+        let process = ProcessMetrics::new(&mut registry);
         let own = registry.sub_registry_with_prefix("uniground");
         own.register(
             "build",
@@ -59,11 +59,11 @@ impl Default for Metrics {
             Info::new([("version", env!("CARGO_PKG_VERSION"))]),
         );
         Self {
-            requests: Requests::new(own),
-            questions: Questions::new(own),
-            jobs: Jobs::new(own),
-            vlm: Vlm::new(own),
-            stored: Stored::new(own),
+            requests: RequestMetrics::new(own),
+            questions: QuestionMetrics::new(own),
+            jobs: JobMetrics::new(own),
+            vlm: VlmMetrics::new(own),
+            stored: StoredMetrics::new(own),
             process,
             registry,
         }

@@ -1,19 +1,19 @@
 //! The process itself, under the names every exporter uses for that.
 
 use super::FloatGauge;
-use crate::memory::Memory;
+use crate::memory::MemoryUsage;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::{Registry, Unit};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 /// Since when the process runs, and what it holds.
-pub struct Process {
+pub struct ProcessMetrics {
     resident: Gauge,
     started: Instant,
     started_at: SystemTime,
 }
 
-impl Process {
+impl ProcessMetrics {
     pub(super) fn new(registry: &mut Registry) -> Self {
         let process = Self {
             resident: Gauge::default(),
@@ -51,7 +51,8 @@ impl Process {
 
     /// Brings the gauges up to date. Where the system does not tell, they stay 0.
     pub(super) fn look(&self) {
-        self.resident
-            .set(Memory::now().and_then(|memory| memory.resident.try_into().ok()).unwrap_or(0));
+        self.resident.set(
+            MemoryUsage::now().and_then(|memory| memory.resident.try_into().ok()).unwrap_or(0),
+        );
     }
 }

@@ -31,7 +31,7 @@ const STAGES: [&str; 14] = [
 const STATUSES: [&str; 5] = ["grounded", "uncertain", "ambiguous", "no_match", "failed"];
 
 /// The two stages of the method at work.
-pub struct Questions {
+pub struct QuestionMetrics {
     answered: Family<Labels<2>, Counter>,
     failures: Family<Labels<1>, Counter>,
     degraded: Counter,
@@ -45,7 +45,7 @@ pub struct Questions {
     pub uploads: Gauge,
 }
 
-impl Questions {
+impl QuestionMetrics {
     pub(super) fn new(registry: &mut Registry) -> Self {
         let questions = Self {
             answered: Family::default(),

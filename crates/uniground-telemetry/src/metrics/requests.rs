@@ -23,7 +23,7 @@ const NO_ROUTE: &str = "none";
 const CALLER_LEFT: u16 = 499;
 
 /// What happens at the door.
-pub struct Requests {
+pub struct RequestMetrics {
     finished: Family<Labels, Counter>,
     duration: Histograms<Labels>,
     in_flight: Gauge,
@@ -34,7 +34,7 @@ pub struct Requests {
     pub audit_entries_dropped: Counter,
 }
 
-impl Requests {
+impl RequestMetrics {
     pub(super) fn new(registry: &mut Registry) -> Self {
         let requests = Self {
             finished: Family::default(),
@@ -83,30 +83,30 @@ impl Requests {
 
     /// A request begins. `route` is its template, where its path has one.
     #[must_use]
-    pub fn begin(&self, method: &str, route: Option<&str>) -> Underway<'_> {
+    pub fn begin(&self, method: &str, route: Option<&str>) -> InFlightRequest<'_> {
         self.in_flight.inc();
         let method = METHODS.into_iter().find(|known| *known == method).unwrap_or("other");
         let labels =
             Labels { method, route: route.unwrap_or(NO_ROUTE).to_owned(), status: CALLER_LEFT };
-        Underway { requests: self, labels, start: Instant::now() }
+        InFlightRequest { requests: self, labels, start: Instant::now() }
     }
 }
 
 /// A request under way; counted when this is dropped.
-pub struct Underway<'a> {
-    requests: &'a Requests,
+pub struct InFlightRequest<'a> {
+    requests: &'a RequestMetrics,
     labels: Labels,
     start: Instant,
 }
 
-impl Underway<'_> {
+impl InFlightRequest<'_> {
     /// There is an answer.
     pub fn answered(mut self, status: u16) {
         self.labels.status = status;
     }
 }
 
-impl Drop for Underway<'_> {
+impl Drop for InFlightRequest<'_> {
     fn drop(&mut self) {
         self.requests.in_flight.dec();
         self.requests.finished.get_or_create(&self.labels).inc();
@@ -123,7 +123,7 @@ mod tests {
 
     #[test]
     fn odd_methods_and_paths_make_no_labels_of_their_own() {
-        let requests = Requests::new(&mut Registry::default());
+        let requests = RequestMetrics::new(&mut Registry::default());
         requests.begin("BREW", None).answered(405);
         drop(requests.begin("GET", Some("/v1/scenes")));
         let of = |method, route: &str, status| {

@@ -6,7 +6,7 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::{Registry, Unit};
 
 /// Gauges of the data folder and of readiness.
-pub struct Stored {
+pub struct StoredMetrics {
     pub scenes: Gauge,
     pub parses: Gauge,
     pub instances: Gauge,
@@ -19,7 +19,7 @@ pub struct Stored {
     components: Family<Labels<1>, Gauge>,
 }
 
-impl Stored {
+impl StoredMetrics {
     pub(super) fn new(registry: &mut Registry) -> Self {
         let stored = Self {
             scenes: Gauge::default(),

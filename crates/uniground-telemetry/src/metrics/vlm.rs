@@ -13,7 +13,7 @@ use std::time::Duration;
 const MALFORMED: [&str; 3] = ["unreadable", "out_of_set", "inconsistent"];
 
 /// What the model is asked, and what it takes.
-pub struct Vlm {
+pub struct VlmMetrics {
     calls: Family<Labels<1>, Counter>,
     attempts: Counter,
     tokens: Family<Labels<1>, Counter>,
@@ -28,7 +28,7 @@ pub struct Vlm {
     pub daily_limit: FloatGauge,
 }
 
-impl Vlm {
+impl VlmMetrics {
     pub(super) fn new(registry: &mut Registry) -> Self {
         let vlm = Self {
             calls: Family::default(),

@@ -1,6 +1,6 @@
 //! Folders as objects: files first, then the seal; away the other way round.
 
-use super::super::checksums::Damage;
+use super::super::checksums::DamagedFile;
 use super::{Objects, briefly, edition_of, if_there, sums_of_seal, told};
 use camino::{Utf8Path, Utf8PathBuf};
 use futures::{StreamExt, TryStreamExt, stream};
@@ -35,7 +35,7 @@ pub struct Seal {
 
 /// Whose edition of a folder counts.
 #[derive(Debug)]
-pub enum Sealed {
+pub enum SealOutcome {
     Ours,
     Theirs(Seal),
 }
@@ -43,7 +43,7 @@ pub enum Sealed {
 /// Objects that nobody refers to: they go, in the background, when this does. What a process that
 /// ends leaves of them the sweep finds.
 #[derive(Debug)]
-pub struct Unclaimed {
+pub struct UnsealedObjects {
     objects: Objects,
     below: Path,
     /// The folder they were, and its seal, where it was taken away.
@@ -51,7 +51,7 @@ pub struct Unclaimed {
     is_kept: bool,
 }
 
-impl Unclaimed {
+impl UnsealedObjects {
     fn of(objects: &Objects, below: Path) -> Self {
         Self { objects: objects.clone(), below, was: None, is_kept: false }
     }
@@ -59,7 +59,7 @@ impl Unclaimed {
     /// Removes them, and waits for that.
     ///
     /// # Errors
-    /// [`Away`](super::Away).
+    /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn remove(mut self) -> io::Result<()> {
         self.is_kept = true;
         self.objects.remove_below(&self.below).await
@@ -73,17 +73,17 @@ impl Unclaimed {
     /// They are the folder again that was taken away, unless somebody has published it anew since.
     ///
     /// # Errors
-    /// [`Away`](super::Away).
+    /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn put_back(mut self) -> io::Result<()> {
         let Some((folder, seal)) = self.was.take() else { return Ok(()) };
         // Where nobody can tell, the sweep finds them.
         self.is_kept = true;
-        self.is_kept = matches!(self.objects.put_seal(&folder, &seal).await?, Sealed::Ours);
+        self.is_kept = matches!(self.objects.put_seal(&folder, &seal).await?, SealOutcome::Ours);
         Ok(())
     }
 }
 
-impl Drop for Unclaimed {
+impl Drop for UnsealedObjects {
     fn drop(&mut self) {
         if self.is_kept {
             return;
@@ -123,7 +123,7 @@ impl Objects {
     /// The seal of a folder; nothing where there is no folder.
     ///
     /// # Errors
-    /// [`Away`](super::Away).
+    /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn seal(&self, folder: &FolderName) -> io::Result<Option<Seal>> {
         let place = self.folder(folder).join(SEAL);
         let got = briefly(async {
@@ -141,14 +141,14 @@ impl Objects {
     /// nobody's.
     ///
     /// # Errors
-    /// Those of the file system; [`Away`](super::Away).
+    /// Those of the file system; [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn put_edition(
         &self,
         local: &Utf8Path,
         folder: &FolderName,
         edition: &str,
         files: Vec<Utf8PathBuf>,
-    ) -> io::Result<Unclaimed> {
+    ) -> io::Result<UnsealedObjects> {
         let put = self.nobodys(folder, edition);
         let files = files.into_iter().map(|file| {
             let (from, to) = (local.join(&file), self.file(folder, edition, &file));
@@ -161,25 +161,25 @@ impl Objects {
     /// Seals a folder, if nobody has.
     ///
     /// # Errors
-    /// [`Away`](super::Away).
-    pub async fn put_seal(&self, folder: &FolderName, text: &str) -> io::Result<Sealed> {
+    /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
+    pub async fn put_seal(&self, folder: &FolderName, text: &str) -> io::Result<SealOutcome> {
         match self.create(&self.folder(folder).join(SEAL), text.into()).await {
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
                 match self.seal(folder).await? {
                     // Put the second time, where the first one's answer was lost.
-                    Some(seal) if seal.text == text => Ok(Sealed::Ours),
-                    Some(theirs) => Ok(Sealed::Theirs(theirs)),
+                    Some(seal) if seal.text == text => Ok(SealOutcome::Ours),
+                    Some(theirs) => Ok(SealOutcome::Theirs(theirs)),
                     None => Err(error),
                 }
             }
-            put => put.map(|()| Sealed::Ours),
+            put => put.map(|()| SealOutcome::Ours),
         }
     }
 
     /// Seals a folder whoever has.
     ///
     /// # Errors
-    /// [`Away`](super::Away).
+    /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn replace_seal(&self, folder: &FolderName, text: &str) -> io::Result<()> {
         briefly(self.store.put(&self.folder(folder).join(SEAL), text.to_owned().into()))
             .await
@@ -189,8 +189,8 @@ impl Objects {
     /// Takes a folder away: from here on it is not there. Its files go when what is returned does.
     ///
     /// # Errors
-    /// [`Away`](super::Away).
-    pub async fn unseal(&self, folder: &FolderName) -> io::Result<Option<Unclaimed>> {
+    /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
+    pub async fn unseal(&self, folder: &FolderName) -> io::Result<Option<UnsealedObjects>> {
         let Some(seal) = self.seal(folder).await? else { return Ok(None) };
         let removed = briefly(self.store.delete(&self.folder(folder).join(SEAL))).await;
         if_there(removed)?;
@@ -202,19 +202,19 @@ impl Objects {
     }
 
     /// An edition that is nobody's.
-    pub fn nobodys(&self, folder: &FolderName, edition: &str) -> Unclaimed {
-        Unclaimed::of(self, self.edition(folder, edition))
+    pub fn nobodys(&self, folder: &FolderName, edition: &str) -> UnsealedObjects {
+        UnsealedObjects::of(self, self.edition(folder, edition))
     }
 
     /// Finished stages of a content, to go.
-    pub fn loose_stages(&self, hash: &str) -> Unclaimed {
-        Unclaimed::of(self, self.checkpoints(hash))
+    pub fn loose_stages(&self, hash: &str) -> UnsealedObjects {
+        UnsealedObjects::of(self, self.checkpoints(hash))
     }
 
     /// Brings files of a sealed folder into a local one, numbered in their order; how many bytes.
     ///
     /// # Errors
-    /// Not found where one is missing; [`Away`](super::Away); those of the file system.
+    /// Not found where one is missing; [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable); those of the file system.
     pub async fn get_files(
         &self,
         folder: &FolderName,
@@ -239,7 +239,7 @@ impl Objects {
     /// An address of a file that anybody may read for a while; nothing where none are given out.
     ///
     /// # Errors
-    /// [`Away`](super::Away).
+    /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn link(
         &self,
         folder: &FolderName,
@@ -255,9 +255,9 @@ impl Objects {
     /// What of a folder is missing; what its objects hold is the store's care.
     ///
     /// # Errors
-    /// [`Away`](super::Away).
-    pub async fn look(&self, folder: &FolderName) -> io::Result<Vec<Damage>> {
-        let missing = |file: Utf8PathBuf| Damage { file, what: "missing".into() };
+    /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
+    pub async fn look(&self, folder: &FolderName) -> io::Result<Vec<DamagedFile>> {
+        let missing = |file: Utf8PathBuf| DamagedFile { file, what: "missing".into() };
         let seal = self.seal(folder).await?;
         let Some((seal, edition)) =
             seal.as_ref().and_then(|seal| Some((seal, edition_of(&seal.text)?)))

@@ -12,7 +12,7 @@ use std::time::SystemTime;
 
 /// A folder as it is found.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Found {
+pub struct FoundFolder {
     /// When it was sealed, if it is.
     pub sealed: Option<SystemTime>,
     /// When the last file of each edition was put.
@@ -20,7 +20,7 @@ pub struct Found {
     pub bytes: u64,
 }
 
-impl Found {
+impl FoundFolder {
     /// When anything of it was put last.
     pub fn newest(&self) -> SystemTime {
         let all = self.editions.values().chain(&self.sealed);
@@ -40,16 +40,16 @@ impl Objects {
     /// All folders of a kind.
     ///
     /// # Errors
-    /// [`Away`](super::Away).
-    pub async fn folders(&self, kind: &'static str) -> io::Result<BTreeMap<String, Found>> {
+    /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
+    pub async fn folders(&self, kind: &'static str) -> io::Result<BTreeMap<String, FoundFolder>> {
         let above = self.prefix.clone().join(kind);
-        let mut found: BTreeMap<String, Found> = BTreeMap::new();
+        let mut found: BTreeMap<String, FoundFolder> = BTreeMap::new();
         let mut listed = self.store.list(Some(&above));
         while let Some(object) = listed.try_next().await.map_err(told)? {
             let Some(mut parts) = object.location.prefix_match(&above) else { continue };
             let (Some(name), Some(within)) = (parts.next(), parts.next()) else { continue };
             let put = SystemTime::from(object.last_modified);
-            let folder = found.entry(name.as_ref().to_owned()).or_insert_with(|| Found {
+            let folder = found.entry(name.as_ref().to_owned()).or_insert_with(|| FoundFolder {
                 sealed: None,
                 editions: BTreeMap::new(),
                 bytes: 0,
@@ -68,7 +68,7 @@ impl Objects {
     /// Whether there is a folder of a kind.
     ///
     /// # Errors
-    /// [`Away`](super::Away).
+    /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn has_any(&self, kind: &'static str) -> io::Result<bool> {
         let mut listed = self.store.list(Some(&self.prefix.clone().join(kind)));
         briefly(async { listed.try_next().await }).await.map(|first| first.is_some())
@@ -85,7 +85,7 @@ impl Objects {
     /// The logs of finished stages of a content.
     ///
     /// # Errors
-    /// [`Away`](super::Away).
+    /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn logs(&self, hash: &str) -> io::Result<Vec<StoredLog>> {
         let listed = self.store.list(Some(&self.checkpoints(hash)));
         let log = |object: object_store::ObjectMeta| {
@@ -98,7 +98,7 @@ impl Objects {
     /// Puts a log as it is now.
     ///
     /// # Errors
-    /// Those of the file system; [`Away`](super::Away).
+    /// Those of the file system; [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn put_log(&self, hash: &str, name: &str, file: &Utf8Path) -> io::Result<()> {
         self.put_file(file, &self.log(hash, name)).await
     }
@@ -106,7 +106,7 @@ impl Objects {
     /// Brings a log into a file.
     ///
     /// # Errors
-    /// Those of the file system; [`Away`](super::Away).
+    /// Those of the file system; [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn get_log(&self, hash: &str, name: &str, file: &Utf8Path) -> io::Result<u64> {
         self.get_file(&self.log(hash, name), file).await
     }
@@ -114,7 +114,7 @@ impl Objects {
     /// Removes a log.
     ///
     /// # Errors
-    /// [`Away`](super::Away).
+    /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn remove_log(&self, hash: &str, name: &str) -> io::Result<()> {
         briefly(self.store.delete(&self.log(hash, name))).await
     }

@@ -17,8 +17,8 @@ mod found;
 mod transfer;
 
 pub use client::{AccessKeys, Bucket, Links};
-pub use folders::{FolderName, Seal, Sealed, Unclaimed, new_edition};
-pub use found::{Found, StoredLog};
+pub use folders::{FolderName, Seal, SealOutcome, UnsealedObjects, new_edition};
+pub use found::{FoundFolder, StoredLog};
 
 use super::checksums::Sums;
 use camino::Utf8PathBuf;
@@ -57,9 +57,9 @@ pub struct Objects {
 /// The object store can not be reached, or refuses: that may pass.
 #[derive(Debug, thiserror::Error)]
 #[error("the object store can not be used")]
-pub struct Away(#[source] Box<dyn std::error::Error + Send + Sync>);
+pub struct ObjectStoreUnavailable(#[source] Box<dyn std::error::Error + Send + Sync>);
 
-impl Away {
+impl ObjectStoreUnavailable {
     pub(super) fn because(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> io::Error {
         io::Error::other(Self(error.into()))
     }
@@ -79,14 +79,14 @@ fn told(error: object_store::Error) -> io::Error {
         // gone, says 404 too.
         Error::NotFound { ref source, .. } => match source.to_string() {
             text if text.contains("status code") && !text.contains("NoSuchKey") => {
-                Away::because(error)
+                ObjectStoreUnavailable::because(error)
             }
             _ => io::Error::new(io::ErrorKind::NotFound, error),
         },
         Error::AlreadyExists { .. } | Error::Precondition { .. } => {
             io::Error::new(io::ErrorKind::AlreadyExists, error)
         }
-        _ => Away::because(error),
+        _ => ObjectStoreUnavailable::because(error),
     }
 }
 
@@ -138,7 +138,7 @@ impl Objects {
     /// The id these objects go by, which is given to them where nobody has done so.
     ///
     /// # Errors
-    /// [`Away`].
+    /// [`ObjectStoreUnavailable`].
     pub async fn id(&self) -> io::Result<String> {
         let place = self.prefix.clone().join(MARKER);
         if let Some(known) = if_there(self.read(&place).await)? {
@@ -157,7 +157,7 @@ impl Objects {
     /// Whether it answers.
     ///
     /// # Errors
-    /// [`Away`].
+    /// [`ObjectStoreUnavailable`].
     pub async fn reach(&self) -> io::Result<()> {
         self.read(&self.prefix.clone().join(MARKER)).await.map(drop)
     }
@@ -201,7 +201,10 @@ impl Objects {
 async fn briefly<T>(work: impl Future<Output = object_store::Result<T>>) -> io::Result<T> {
     match timeout(BRIEFLY, work).await {
         Ok(done) => done.map_err(told),
-        Err(_) => Err(Away::because(format!("it took longer than {} s", BRIEFLY.as_secs()))),
+        Err(_) => Err(ObjectStoreUnavailable::because(format!(
+            "it took longer than {} s",
+            BRIEFLY.as_secs()
+        ))),
     }
 }
 
