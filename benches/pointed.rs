@@ -18,7 +18,7 @@ use uniground_core::models::neural::Segmenter;
 use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::parsing::masks::rgbd::RgbdMasks;
 use uniground_core::parsing::masks::{IdImage, MaskSource};
-use uniground_core::parsing::pointed::{Place, Pointing, known_as};
+use uniground_core::parsing::pointed::{PhotographPoint, PointedObjectFinder, known_as};
 use uniground_core::parsing::{self, ParsingSettings, Perception, frame_appearance};
 use uniground_core::progress::Progress;
 use uniground_core::scene::{FrameIndex, Instance};
@@ -98,7 +98,7 @@ fn main() {
             missed += 1;
             let start = Instant::now();
             let find = |segmenter: Option<&Segmenter>| {
-                let pointing = Pointing {
+                let pointing = PointedObjectFinder {
                     cloud: &parsed.cloud,
                     frames: &room.bundle.frames,
                     segmenter,
@@ -146,7 +146,7 @@ fn main() {
 /// Where objects are in photographs.
 struct Shown {
     /// For each object the middle of it in the photograph that shows most of it.
-    best: Vec<Option<Place>>,
+    best: Vec<Option<PhotographPoint>>,
     /// For each object the share of photographs that show it.
     share: Vec<f64>,
 }
@@ -159,7 +159,7 @@ impl Shown {
         /// Frames that are looked into, spread over all: looking pixels up in the annotations takes
         /// its time.
         const FRAMES: usize = 15;
-        let mut best: Vec<(usize, Option<Place>)> = vec![(0, None); ids.len()];
+        let mut best: Vec<(usize, Option<PhotographPoint>)> = vec![(0, None); ids.len()];
         let (mut showing, mut looked) = (vec![0_u32; ids.len()], 0_u32);
         for frame in room.bundle.frames.iter().step_by(room.bundle.frames.len().div_ceil(FRAMES)) {
             let decoded = frame.decode().unwrap();
@@ -172,7 +172,7 @@ impl Shown {
                     let (u, v) = innermost(&image, *id as u16);
                     *best = (
                         pixels,
-                        Some(Place {
+                        Some(PhotographPoint {
                             frame: frame.index,
                             at: decoded.colour_position(u as f32, v as f32),
                         }),

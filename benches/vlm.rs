@@ -17,13 +17,13 @@ use uniground::config::{
     ModelsConfig, Role, RuntimeConfig, ServeConfig, VlmConfig, WebhookConfig,
 };
 use uniground_client::Client;
-use uniground_core::grounding::album::{Album, AlbumScene};
+use uniground_core::grounding::album::{MemoryScene, SceneAlbum};
 use uniground_core::grounding::vlm::{
     Conversation, EvidenceMode, Options, PictureSettings, PromptContext, REMAINING, VisualEvidence,
     collect, contact_sheets, naming, narrowing,
 };
 use uniground_core::grounding::{NameIndex, Question, SceneView, ground_with_context};
-use uniground_core::ingest::Unpacked;
+use uniground_core::ingest::ScanFolder;
 use uniground_core::language;
 use uniground_core::models::chat::Tokens;
 use uniground_core::models::neural::Models;
@@ -65,12 +65,12 @@ fn main() {
 /// The sample scene, and the folder its photographs lie in.
 struct Sample {
     parsed: ParsedScan,
-    _folder: Unpacked,
+    _folder: ScanFolder,
 }
 
 impl Sample {
     fn parse(scan: &Utf8Path) -> Self {
-        let folder = Unpacked::of(scan).unwrap();
+        let folder = ScanFolder::of(scan).unwrap();
         let settings = ParseSettings::default();
         let parsed = parse_scan(
             &folder.path,
@@ -101,7 +101,7 @@ impl Sample {
     }
 
     /// The scene with nothing drawn yet, over `points` of its cloud.
-    fn fresh(&self, points: usize) -> Arc<AlbumScene> {
+    fn fresh(&self, points: usize) -> Arc<MemoryScene> {
         let (scene, all) = (&self.parsed.scene, &self.parsed.scene.cloud);
         let every = all.len() as f64 / points as f64;
         let kept = (0..points).map(|i| (i as f64 * every) as usize);
@@ -111,7 +111,7 @@ impl Sample {
         };
         let frames = self.parsed.frames.clone();
         let render_scene = RenderScene::of_parsed(cloud, &scene.instances);
-        Arc::new(Album::new(scene.extent, render_scene, None, String::new(), frames))
+        Arc::new(SceneAlbum::new(scene.extent, render_scene, None, String::new(), frames))
             .scene(scene.instances.clone().into())
     }
 

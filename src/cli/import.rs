@@ -12,7 +12,7 @@ use std::fs;
 use std::io::{self, Write};
 use std::time::Instant;
 use uniground_core::geometry::boxes::Aabb;
-use uniground_core::ingest::{self, Inspected, Neighbours, Unpacked};
+use uniground_core::ingest::{self, InspectedScan, NeighborAgreement, ScanFolder};
 use uniground_core::progress::Progress;
 use uniground_core::render::{Orbit, ROOM_VIEW, RenderScene, jpeg, scene_picture};
 use uniground_core::scene::{FrameRef, ImportReport, PointCloud};
@@ -54,7 +54,7 @@ struct ImportedScanInfo {
     /// `None`: only looked at, and it has no cloud of its own.
     cloud: Option<PointCloud>,
     /// How well frames agree with the next; `None` where they do not overlap.
-    neighbours: Option<Neighbours>,
+    neighbours: Option<NeighborAgreement>,
     seconds: f32,
 }
 
@@ -63,7 +63,7 @@ struct ImportedScanInfo {
 struct ImportOutput<'a> {
     #[serde(flatten)]
     report: &'a ImportReport,
-    neighbours: Option<Neighbours>,
+    neighbours: Option<NeighborAgreement>,
     /// Full extent of the cloud, metres.
     extent_m: Option<[f32; 3]>,
 }
@@ -88,13 +88,13 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
         ..ImportSettings::default()
     };
     let begun = Instant::now();
-    let folder = Unpacked::of(&args.scan)?;
+    let folder = ScanFolder::of(&args.scan)?;
     let scan = ingest::open(&folder.path)?;
-    let Inspected { frames, cloud, report } = if args.check {
+    let InspectedScan { frames, cloud, report } = if args.check {
         ingest::inspect(&scan, &settings, &Progress::silent())?
     } else {
         let bundle = ingest::load(&scan, &settings, &Progress::silent())?;
-        Inspected { frames: bundle.frames, cloud: Some(bundle.cloud), report: bundle.report }
+        InspectedScan { frames: bundle.frames, cloud: Some(bundle.cloud), report: bundle.report }
     };
     let neighbours = ingest::neighbours(&frames);
     let imported = ImportedScanInfo {
@@ -142,7 +142,9 @@ fn summary(
             format!("{agreement} (poses {:?}, cameras {})", report.pose, report.camera_axes),
         ));
     }
-    if let Some(Neighbours { depth_error_m, drift_m, worst_drift_m, worst_after }) = neighbours {
+    if let Some(NeighborAgreement { depth_error_m, drift_m, worst_drift_m, worst_after }) =
+        neighbours
+    {
         let [error, drift, worst] = [depth_error_m, drift_m, worst_drift_m].map(|m| m * 1000.0);
         lines.push((
             "neighbours",

@@ -9,7 +9,7 @@ use serde::Serialize;
 use std::fs::{self, File};
 use std::io::{self, IsTerminal, Write};
 use uniground_core::geometry::up_axis::UpAxis;
-use uniground_core::ingest::Unpacked;
+use uniground_core::ingest::ScanFolder;
 use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::parsing::report_pictures;
 use uniground_core::progress::Progress;
@@ -72,7 +72,7 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
     }
     ensure!(args.scan.exists(), "{}: there is no such file or folder", args.scan);
     let folder =
-        Unpacked::of(&args.scan).map_err(|error| hints::of_scan(error.into(), &args.scan))?;
+        ScanFolder::of(&args.scan).map_err(|error| hints::of_scan(error.into(), &args.scan))?;
     let ChosenModels { models, told, warnings } = args.models.load()?;
     warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
     eprintln!("{told}");

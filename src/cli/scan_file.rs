@@ -8,7 +8,7 @@ use sha2::{Digest, Sha256};
 use std::fs::File;
 use std::io::{self, Read, Seek, Write};
 use uniground_core::ingest::archive::ArchiveKind;
-use uniground_core::ingest::{Packed, Unpacked};
+use uniground_core::ingest::{ArchiveFormat, ScanFolder};
 use uniground_service::packing::{Links, pack};
 
 pub struct ScanFile {
@@ -21,7 +21,7 @@ enum Source {
     /// An archive or a `.sens` file.
     File(Utf8PathBuf),
     /// Everything else, as a folder: clouds too, whose names tell what their bytes do not.
-    Folder(Unpacked),
+    Folder(ScanFolder),
 }
 
 impl ScanFile {
@@ -33,7 +33,7 @@ impl ScanFile {
         let source = match is_known_by_its_bytes(scan).with_context(|| scan.to_string())? {
             true => Source::File(scan.to_owned()),
             false => Source::Folder(
-                Unpacked::of(scan).map_err(|error| hints::of_scan(error.into(), scan))?,
+                ScanFolder::of(scan).map_err(|error| hints::of_scan(error.into(), scan))?,
             ),
         };
         Ok(Self { name, source })
@@ -84,10 +84,10 @@ fn is_known_by_its_bytes(scan: &Utf8Path) -> io::Result<bool> {
         return Ok(false);
     }
     let mut head = Vec::new();
-    File::open(scan)?.take(Packed::HEAD_BYTES as u64).read_to_end(&mut head)?;
-    let packed = Packed::of_head(&head, scan.as_str());
+    File::open(scan)?.take(ArchiveFormat::HEAD_BYTES as u64).read_to_end(&mut head)?;
+    let packed = ArchiveFormat::of_head(&head, scan.as_str());
     // What is called an archive and is none is for the service to tell.
-    Ok(matches!(packed, Some(Packed::Archive(_) | Packed::Sens))
+    Ok(matches!(packed, Some(ArchiveFormat::Archive(_) | ArchiveFormat::Sens))
         || ArchiveKind::of_file_name(scan.as_str()).is_some())
 }
 

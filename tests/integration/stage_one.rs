@@ -12,7 +12,7 @@ use uniground_core::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
 use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::parsing::masks::rgbd::RgbdMasks;
 use uniground_core::parsing::masks::{IdImage, MaskSource};
-use uniground_core::parsing::pointed::{Place, Pointing};
+use uniground_core::parsing::pointed::{PhotographPoint, PointedObjectFinder};
 use uniground_core::parsing::{self, ParseError, ParsingSettings, Perception, superpoints};
 use uniground_core::progress::Progress;
 use uniground_core::scene::{
@@ -409,7 +409,7 @@ fn what_somebody_points_at_is_cut_out() {
     .unwrap();
     let settings = ParsingSettings::default();
     let parsed = parse(bundle.clone(), &RgbdMasks { settings: settings.rgbd_masks });
-    let pointing = Pointing {
+    let pointing = PointedObjectFinder {
         cloud: &parsed.cloud,
         frames: &bundle.frames,
         segmenter: None,
@@ -424,7 +424,7 @@ fn what_somebody_points_at_is_cut_out() {
     let (mut asked, mut found) = (0, 0);
     for thing in parsed.instances.iter().filter(shown).take(20) {
         let [left, top, right, bottom] = thing.views[0].box_px;
-        let place = Place {
+        let place = PhotographPoint {
             frame: thing.views[0].frame,
             at: ((left + right) as f32 / 2.0, (top + bottom) as f32 / 2.0),
         };
@@ -444,6 +444,6 @@ fn what_somebody_points_at_is_cut_out() {
     println!("pointed at: {found} of {asked} cut out again");
     assert!(asked >= 10 && found * 2 >= asked, "{found} of {asked}");
     // Beside the room nothing is cut out.
-    let nowhere = Place { frame: FrameIndex(4711), at: (10.0, 10.0) };
+    let nowhere = PhotographPoint { frame: FrameIndex(4711), at: (10.0, 10.0) };
     assert_eq!(pointing.find(nowhere, &parsed.instances, &[]).unwrap(), None);
 }

@@ -6,10 +6,10 @@
 
 use camino::Utf8PathBuf;
 use futures::executor::block_on;
-use uniground_core::grounding::album::AlbumScene;
+use uniground_core::grounding::album::MemoryScene;
 use uniground_core::grounding::pipeline::{Ask, answer};
 use uniground_core::grounding::{Question, Status};
-use uniground_core::ingest::Unpacked;
+use uniground_core::ingest::ScanFolder;
 use uniground_core::models::neural::Models;
 use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::progress::Progress;
@@ -23,7 +23,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     );
 
     // Stage 1: the scan, cut into instances.
-    let folder = Unpacked::of(&scan)?;
+    let folder = ScanFolder::of(&scan)?;
     let (settings, models) = (ParseSettings::default(), Models::default());
     let progress =
         Progress::new(|stage, done| eprint!("\r{:3.0} % {stage:<24}", done * 100.0), || false);
@@ -36,7 +36,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     );
 
     // Stage 2: questions. The pipeline is a future; without a chat model it never waits.
-    let scene = AlbumScene::of(parsed, &models);
+    let scene = MemoryScene::of(parsed, &models);
     for query in arguments {
         let grounding = block_on(answer(&scene, Ask::of(Question::of(&query))))?.grounding;
         match (grounding.status, grounding.oriented_box) {

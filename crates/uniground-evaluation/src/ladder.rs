@@ -12,11 +12,11 @@ use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{Frame, FrameIndex, InstanceId};
 use uniground_parsing::checkpoints::Checkpoints;
 use uniground_parsing::labels::Labels;
-use uniground_parsing::lifting::{FrameVisibility, Lifted, Lifting};
+use uniground_parsing::lifting::{FrameVisibility, Lifted, LiftingInput};
 use uniground_parsing::masks::{IdImage, MaskSource};
-use uniground_parsing::relief::Flats;
+use uniground_parsing::relief::FlatCandidates;
 use uniground_parsing::superpoints::{self, Superpoints};
-use uniground_parsing::views::{Labelled, Sighted};
+use uniground_parsing::views::{InstanceViews, LabelledPoints};
 use uniground_parsing::visibility::Visibility;
 use uniground_parsing::{
     ParseError, ParsingSettings, frame_sampling, hierarchy, instances, merging, part_merging,
@@ -24,7 +24,7 @@ use uniground_parsing::{
 };
 
 /// What one step leaves of each object.
-pub struct Rung {
+pub struct StageLoss {
     pub step: String,
     /// Superpoints, masks, regions or instances there are.
     pub pieces: usize,
@@ -34,7 +34,7 @@ pub struct Rung {
     pub point_iou: Vec<f32>,
 }
 
-impl Rung {
+impl StageLoss {
     /// Share of objects recoverable at each of
     /// [`IOU_THRESHOLDS`](super::segmentation::IOU_THRESHOLDS), by boxes and by points.
     #[must_use]
@@ -52,7 +52,7 @@ pub fn climb(
     masks: &dyn MaskSource,
     settings: &ParsingSettings,
     min_points: u32,
-) -> Result<Vec<Rung>, ParseError> {
+) -> Result<Vec<StageLoss>, ParseError> {
     let quiet = Progress::silent();
     let cloud = &room.bundle.cloud;
     let objects = room.objects(min_points);
@@ -69,7 +69,7 @@ pub fn climb(
             &superpoints,
             &planes,
             labels,
-            Sighted::default(),
+            InstanceViews::default(),
             &settings.instances,
             &quiet,
         )?;
@@ -78,7 +78,7 @@ pub fn climb(
     let score = |region_of: &[u32]| score_points(&superpoints.spread(region_of));
     let mut rungs = Vec::new();
     let mut push = |step: &str, pieces: usize, score: InstanceScore| {
-        rungs.push(Rung {
+        rungs.push(StageLoss {
             step: step.to_owned(),
             pieces,
             box_iou: score.box_iou,
@@ -89,9 +89,9 @@ pub fn climb(
     push("cloud", cloud.len(), score_points(&room.truth)?);
     push("superpoints", superpoints.patches.len(), score(&majorities(&superpoints, &room.truth))?);
 
-    let judged = Judged { masks, truth: room.masks(), best: Mutex::default() };
+    let judged = ScoredMaskSource { masks, truth: room.masks(), best: Mutex::default() };
     let visibility = Visibility::new(cloud, &superpoints.of_point, settings.depth_tolerance);
-    let lifting = Lifting {
+    let lifting = LiftingInput {
         visibility: &visibility,
         superpoint_of_point: &superpoints.of_point,
         masks: &judged,
@@ -163,8 +163,9 @@ pub fn climb(
     let proposals =
         hierarchy::propose(&superpoints, &planes, &merged, &joined, &tables, settings, &quiet)?;
     let labels = Labels::of_regions(&refined, &superpoints, proposals);
-    let labelled = Labelled { labels: &labels, visibility: &visibility };
-    let flats = Flats::of(cloud, &superpoints, &planes, &labels, &cameras, &settings.instances);
+    let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
+    let flats =
+        FlatCandidates::of(cloud, &superpoints, &planes, &labels, &cameras, &settings.instances);
     let sighted = views::all_sighted(labelled, Some(&flats), &frames, &masks_of, &quiet)?;
     let built = instances::build(
         cloud,
@@ -226,7 +227,7 @@ fn most(votes: &BTreeMap<u32, u32>) -> Option<(u32, u32)> {
 
 /// The mask that shows an object best in one frame.
 #[derive(Clone, Copy)]
-struct Best {
+struct BestMask {
     layer: u32,
     mask: u16,
     iou: f32,
@@ -235,16 +236,16 @@ struct Best {
 }
 
 /// By frame and object.
-type BestMasks = BTreeMap<(FrameIndex, u32), Best>;
+type BestMasks = BTreeMap<(FrameIndex, u32), BestMask>;
 
 /// A source of masks that is compared with the annotations as it goes.
-struct Judged<'a> {
+struct ScoredMaskSource<'a> {
     masks: &'a dyn MaskSource,
     truth: AnnotatedMasks,
     best: Mutex<BestMasks>,
 }
 
-impl MaskSource for Judged<'_> {
+impl MaskSource for ScoredMaskSource<'_> {
     fn name(&self) -> &str {
         self.masks.name()
     }
@@ -259,7 +260,7 @@ impl MaskSource for Judged<'_> {
     }
 }
 
-impl Judged<'_> {
+impl ScoredMaskSource<'_> {
     fn judge(&self, frame: FrameIndex, (layer, found): (u32, &IdImage), truth: &IdImage) {
         let (mut shared, mut of_mask, mut of_object) =
             (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
@@ -273,14 +274,14 @@ impl Judged<'_> {
             shared.iter().filter(|((object, mask), _)| *object != 0 && *mask != 0)
         {
             let iou = both as f32 / (of_mask[&mask] + of_object[&object] - both) as f32;
-            let so_far = best.entry((frame, u32::from(object))).or_insert(Best {
+            let so_far = best.entry((frame, u32::from(object))).or_insert(BestMask {
                 layer,
                 mask,
                 iou,
                 pixels: of_object[&object],
             });
             if iou > so_far.iou {
-                *so_far = Best { layer, mask, iou, ..*so_far };
+                *so_far = BestMask { layer, mask, iou, ..*so_far };
             }
         }
     }
@@ -289,7 +290,7 @@ impl Judged<'_> {
 /// Mean over the three views that show most of it; 0 where no mask ever touches it.
 fn in_best_views(best: &BestMasks, object: u32) -> f32 {
     const VIEWS: usize = 3;
-    let mut views: Vec<&Best> =
+    let mut views: Vec<&BestMask> =
         best.iter().filter(|((_, id), _)| *id == object).map(|(_, best)| best).collect();
     views.sort_by_key(|best| std::cmp::Reverse(best.pixels));
     views.truncate(VIEWS);

@@ -62,7 +62,7 @@ struct Header {
 }
 
 #[derive(Serialize, Deserialize)]
-struct Kept {
+struct StoredScene {
     boxes: Vec<Aabb>,
     /// By which the system knows the scene again.
     token: String,
@@ -111,7 +111,7 @@ pub fn run(
         // of them.
         let mut order: Vec<usize> = (0..results.len()).collect();
         order.sort_by_key(|&i| setup(&results[i].configuration));
-        let mut open: Option<Entered> = None;
+        let mut open: Option<OpenedScene> = None;
         for i in order {
             if open
                 .as_ref()
@@ -140,7 +140,7 @@ fn setup(configuration: &Configuration) -> (Source, String) {
 }
 
 /// A scene somebody brought in, or why not.
-struct Entered {
+struct OpenedScene {
     setup: (Source, String),
     scene: Result<Box<dyn OpenScene>, String>,
 }
@@ -154,7 +154,7 @@ struct CellOfScene<'a> {
 }
 
 impl CellOfScene<'_> {
-    fn answer(&self, cell: &mut CellResult, open: &mut Option<Entered>) -> anyhow::Result<()> {
+    fn answer(&self, cell: &mut CellResult, open: &mut Option<OpenedScene>) -> anyhow::Result<()> {
         let key =
             digest::of(&serde_json::to_vec(&(self.system.fingerprint(), &cell.configuration))?);
         let file =
@@ -225,9 +225,9 @@ impl CellOfScene<'_> {
     fn enter<'o>(
         &self,
         cell: &CellResult,
-        open: &'o mut Option<Entered>,
+        open: &'o mut Option<OpenedScene>,
     ) -> Result<&'o dyn OpenScene, String> {
-        let entered = open.get_or_insert_with(|| Entered {
+        let entered = open.get_or_insert_with(|| OpenedScene {
             setup: setup(&cell.configuration),
             scene: self
                 .system
@@ -242,7 +242,7 @@ impl CellOfScene<'_> {
         &self,
         key: &str,
         cell: &CellResult,
-        open: &mut Option<Entered>,
+        open: &mut Option<OpenedScene>,
         outcome: &ScoredExpression,
     ) -> anyhow::Result<Option<String>> {
         let drawn = pictures::boxes(outcome);
@@ -290,7 +290,7 @@ impl ReplyLog {
             for line in lines {
                 if let Ok(KeptReply { id, query, reply }) = serde_json::from_slice(line) {
                     replies.insert(id, (query, reply));
-                } else if let Ok(kept) = serde_json::from_slice::<Kept>(line) {
+                } else if let Ok(kept) = serde_json::from_slice::<StoredScene>(line) {
                     (boxes, token) = (kept.boxes, Some(kept.token));
                 } else {
                     break;
@@ -322,7 +322,7 @@ impl ReplyLog {
 
     fn write_boxes(&mut self, boxes: &[Aabb], token: &str) -> anyhow::Result<()> {
         if self.boxes != boxes || self.token.as_deref() != Some(token) {
-            self.append(&Kept { boxes: boxes.to_vec(), token: token.to_owned() })?;
+            self.append(&StoredScene { boxes: boxes.to_vec(), token: token.to_owned() })?;
             (self.boxes, self.token) = (boxes.to_vec(), Some(token.to_owned()));
         }
         Ok(())

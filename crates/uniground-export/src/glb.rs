@@ -12,7 +12,7 @@
 //! dark, and readers get shorts wrong. Materials are unlit: points have no normals, and their
 //! colours hold the light of the room already.
 
-use super::{Described, EDGES, Export, REST, light, unit_corners};
+use super::{EDGES, Export, ObjectDescription, REST, light, unit_corners};
 use serde::Serialize;
 use std::io::{self, BufWriter, Write};
 use uniground_geometry::Point3;
@@ -125,14 +125,14 @@ struct Node<'a> {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     children: Vec<usize>,
     #[serde(flatten)]
-    place: Option<Place>,
+    place: Option<NodePlacement>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    extras: Option<Described<'a>>,
+    extras: Option<ObjectDescription<'a>>,
 }
 
 #[derive(Serialize)]
 #[serde(untagged)]
-enum Place {
+enum NodePlacement {
     Turned { matrix: [f32; 16] },
     Box { translation: Point3<f32>, rotation: [f32; 4], scale: [f32; 3] },
 }
@@ -164,13 +164,13 @@ struct Attributes {
 #[serde(rename_all = "camelCase")]
 struct Material {
     name: String,
-    pbr_metallic_roughness: Surface,
+    pbr_metallic_roughness: PbrSurface,
     extensions: Unlit,
 }
 
 /// For who does not know the extension.
 #[derive(Serialize)]
-struct Surface {
+struct PbrSurface {
     #[serde(rename = "baseColorFactor")]
     colour: [f32; 4],
     #[serde(rename = "metallicFactor")]
@@ -182,11 +182,11 @@ struct Surface {
 #[derive(Serialize)]
 struct Unlit {
     #[serde(rename = "KHR_materials_unlit")]
-    unlit: Nothing,
+    unlit: EmptyExtension,
 }
 
 #[derive(Serialize)]
-struct Nothing {}
+struct EmptyExtension {}
 
 #[derive(Serialize)]
 #[serde(rename_all = "camelCase")]
@@ -232,7 +232,7 @@ impl<'a> Document<'a> {
                 name: export.title.to_owned(),
                 mesh: None,
                 children: Vec::new(),
-                place: Some(Place::Turned { matrix: Z_UP_TO_Y_UP }),
+                place: Some(NodePlacement::Turned { matrix: Z_UP_TO_Y_UP }),
                 extras: None,
             }],
             meshes: Vec::new(),
@@ -316,7 +316,7 @@ impl<'a> Document<'a> {
         let lines = Primitive { attributes, indices: Some(EDGE_INDICES), material, mode: LINES };
         self.meshes.push(Mesh { name: "box", primitives: [lines] });
         let (half_sin, half_cos) = (thing.oriented_box.yaw_rad / 2.0).sin_cos();
-        let place = Place::Box {
+        let place = NodePlacement::Box {
             translation: thing.oriented_box.center,
             rotation: [0.0, 0.0, half_sin, half_cos],
             scale: thing.oriented_box.size.map(|side| side.max(THINNEST_M)).into(),
@@ -329,7 +329,7 @@ impl<'a> Document<'a> {
             place: Some(place),
             extras: None,
         });
-        let extras = Some(Described::of(thing));
+        let extras = Some(ObjectDescription::of(thing));
         let added = self.add(Node {
             name: name.to_owned(),
             mesh,
@@ -349,8 +349,12 @@ impl<'a> Document<'a> {
 impl Material {
     fn of(name: String, colour: [u8; 3]) -> Self {
         let [red, green, blue] = colour.map(light);
-        let surface = Surface { colour: [red, green, blue, 1.0], metallic: 0.0, rough: 1.0 };
-        Self { name, pbr_metallic_roughness: surface, extensions: Unlit { unlit: Nothing {} } }
+        let surface = PbrSurface { colour: [red, green, blue, 1.0], metallic: 0.0, rough: 1.0 };
+        Self {
+            name,
+            pbr_metallic_roughness: surface,
+            extensions: Unlit { unlit: EmptyExtension {} },
+        }
     }
 }
 

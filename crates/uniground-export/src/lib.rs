@@ -88,7 +88,7 @@ impl<'a> Export<'a> {
 
 /// What is told of a thing beside its points. Metres, frame of the scene (Z up).
 #[derive(Debug, Serialize)]
-struct Described<'a> {
+struct ObjectDescription<'a> {
     id: InstanceId,
     /// What it is called: by people, by a model that has seen it, else by its label.
     name: &'a str,
@@ -106,7 +106,7 @@ struct Described<'a> {
     support: Support,
 }
 
-impl<'a> Described<'a> {
+impl<'a> ObjectDescription<'a> {
     fn of(instance: &'a Instance) -> Self {
         let guess = instance.names.first().filter(|_| instance.structure.is_none());
         let label = match instance.structure {

@@ -11,7 +11,7 @@
 //! ```
 //! Positions are rounded to a tenth of a millimetre.
 
-use super::{Described, EDGES, Export, REST, corners, light};
+use super::{EDGES, Export, ObjectDescription, REST, corners, light};
 use std::fmt::{self, Display, Formatter};
 use std::io::{self, BufWriter, Seek, Write};
 use uniground_geometry::Point3;
@@ -52,7 +52,7 @@ fn write_layer(export: &Export, out: &mut impl Write) -> io::Result<()> {
         out,
         "#usda 1.0\n(\n    defaultPrim = \"Scene\"\n    metersPerUnit = 1\n    upAxis = \"Z\"\n)\n"
     )?;
-    writeln!(out, "def Xform \"Scene\" (\n    displayName = {}\n)\n{{", Quoted(export.title))?;
+    writeln!(out, "def Xform \"Scene\" (\n    displayName = {}\n)\n{{", QuotedText(export.title))?;
     for (thing, points) in &things {
         let name = thing.label();
         writeln!(
@@ -60,9 +60,9 @@ fn write_layer(export: &Export, out: &mut impl Write) -> io::Result<()> {
             "    def Xform \"{}_{}\" (\n        displayName = {}\n    )\n    {{",
             identifier(name),
             thing.id,
-            Quoted(name)
+            QuotedText(name)
         )?;
-        write_attributes(&Described::of(thing), out)?;
+        write_attributes(&ObjectDescription::of(thing), out)?;
         write_points(export, "points", points, &light, out)?;
         write_outline(thing, &light, out)?;
         writeln!(out, "    }}")?;
@@ -71,26 +71,35 @@ fn write_layer(export: &Export, out: &mut impl Write) -> io::Result<()> {
     writeln!(out, "}}")
 }
 
-fn write_attributes(of: &Described, out: &mut impl Write) -> io::Result<()> {
-    let Described { id, name, label, confidence, level, structure, aabb, oriented_box, support } =
-        of;
+fn write_attributes(of: &ObjectDescription, out: &mut impl Write) -> io::Result<()> {
+    let ObjectDescription {
+        id,
+        name,
+        label,
+        confidence,
+        level,
+        structure,
+        aabb,
+        oriented_box,
+        support,
+    } = of;
     let mut attribute = |kind: &str, name: &str, value: &dyn Display| {
         writeln!(out, "        custom {kind} uniground:{name} = {value}")
     };
     attribute("int", "id", id)?;
-    attribute("string", "name", &Quoted(name))?;
-    attribute("string", "label", &Quoted(label))?;
+    attribute("string", "name", &QuotedText(name))?;
+    attribute("string", "label", &QuotedText(label))?;
     if let Some(confidence) = confidence {
         attribute("float", "confidence", confidence)?;
     }
-    attribute("string", "level", &Quoted(level.word()))?;
+    attribute("string", "level", &QuotedText(level.word()))?;
     if let Some(structure) = structure {
-        attribute("string", "structure", &Quoted(structure.word()))?;
+        attribute("string", "structure", &QuotedText(structure.word()))?;
     }
-    attribute("float3", "box:center", &Triple(aabb.center.into()))?;
-    attribute("float3", "box:size", &Triple(aabb.size.into()))?;
-    attribute("float3", "oriented_box:center", &Triple(oriented_box.center.into()))?;
-    attribute("float3", "oriented_box:size", &Triple(oriented_box.size.into()))?;
+    attribute("float3", "box:center", &Vec3Text(aabb.center.into()))?;
+    attribute("float3", "box:size", &Vec3Text(aabb.size.into()))?;
+    attribute("float3", "oriented_box:center", &Vec3Text(oriented_box.center.into()))?;
+    attribute("float3", "oriented_box:size", &Vec3Text(oriented_box.size.into()))?;
     attribute("float", "oriented_box:yaw_rad", &oriented_box.yaw_rad)?;
     let (on, id) = match support {
         Support::Floor => ("floor", None),
@@ -98,7 +107,7 @@ fn write_attributes(of: &Described, out: &mut impl Write) -> io::Result<()> {
         Support::Wall { id } => ("wall", Some(id)),
         Support::Nothing => ("nothing", None),
     };
-    attribute("string", "support:on", &Quoted(on))?;
+    attribute("string", "support:on", &QuotedText(on))?;
     id.map_or(Ok(()), |id| attribute("int", "support:id", id))
 }
 
@@ -114,8 +123,8 @@ fn write_points(
     let Some(extent) = Aabb::around(&positions) else { return Ok(()) };
     writeln!(out, "        def Points \"{name}\"\n        {{")?;
     write_extent(&extent, POINT_WIDTH_M, out)?;
-    write_list("point3f[] points", positions.iter().map(|p| Triple((*p).into())), out)?;
-    let colour = |point: &u32| Light(export.cloud.colours[*point as usize], light);
+    write_list("point3f[] points", positions.iter().map(|p| Vec3Text((*p).into())), out)?;
+    let colour = |point: &u32| PointColor(export.cloud.colours[*point as usize], light);
     write_spread("color3f[] primvars:displayColor", points.iter().map(colour), "vertex", out)?;
     write_spread("float[] widths", [POINT_WIDTH_M], "constant", out)?;
     writeln!(out, "        }}")
@@ -133,12 +142,12 @@ fn write_outline(thing: &Instance, light: &[String], out: &mut impl Write) -> io
     write_list("int[] curveVertexCounts", EDGES.iter().map(|edge| edge.len()), out)?;
     write_list(
         "point3f[] points",
-        EDGES.as_flattened().iter().map(|corner| Triple(corners[usize::from(*corner)].into())),
+        EDGES.as_flattened().iter().map(|corner| Vec3Text(corners[usize::from(*corner)].into())),
         out,
     )?;
     write_spread(
         "color3f[] primvars:displayColor",
-        [Light(id_colour(thing.id.0), light)],
+        [PointColor(id_colour(thing.id.0), light)],
         "constant",
         out,
     )?;
@@ -148,8 +157,9 @@ fn write_outline(thing: &Instance, light: &[String], out: &mut impl Write) -> io
 
 /// Of what is drawn: points and lines have a width.
 fn write_extent(around: &Aabb, width_m: f32, out: &mut impl Write) -> io::Result<()> {
-    let corner =
-        |corner: Point3<f32>, sign: f32| Triple(corner.map(|at| at + sign * width_m / 2.0).into());
+    let corner = |corner: Point3<f32>, sign: f32| {
+        Vec3Text(corner.map(|at| at + sign * width_m / 2.0).into())
+    };
     write_list("float3[] extent", [corner(around.min(), -1.0), corner(around.max(), 1.0)], out)
 }
 
@@ -201,9 +211,9 @@ fn identifier(name: &str) -> String {
 }
 
 /// Text between quotation marks.
-struct Quoted<'a>(&'a str);
+struct QuotedText<'a>(&'a str);
 
-impl Display for Quoted<'_> {
+impl Display for QuotedText<'_> {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         f.write_str("\"")?;
         for c in self.0.chars() {
@@ -218,9 +228,9 @@ impl Display for Quoted<'_> {
     }
 }
 
-struct Triple([f32; 3]);
+struct Vec3Text([f32; 3]);
 
-impl Display for Triple {
+impl Display for Vec3Text {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         let [x, y, z] = self.0;
         write!(f, "({x:.4}, {y:.4}, {z:.4})")
@@ -228,9 +238,9 @@ impl Display for Triple {
 }
 
 /// A colour, and the light of each channel as text.
-struct Light<'a>([u8; 3], &'a [String]);
+struct PointColor<'a>([u8; 3], &'a [String]);
 
-impl Display for Light<'_> {
+impl Display for PointColor<'_> {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         let [red, green, blue] = self.0.map(|channel| &self.1[usize::from(channel)]);
         write!(f, "({red}, {green}, {blue})")

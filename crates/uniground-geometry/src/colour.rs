@@ -52,7 +52,7 @@ pub enum ColourName {
     /// Lightness from 72, chroma below 9.
     White,
     /// Lightness 28 to 72, chroma below 9; a dull yellow or a faint blue as well.
-    Grey,
+    SingleChannelImage,
     /// Hue 345° to 46°, but for pale and dull shades.
     Red,
     /// Hue 46° to 72°, chroma from 30; dark ones from 55.
@@ -78,7 +78,7 @@ impl ColourName {
     pub const ALL: [Self; 12] = [
         Self::Black,
         Self::White,
-        Self::Grey,
+        Self::SingleChannelImage,
         Self::Red,
         Self::Orange,
         Self::Yellow,
@@ -96,7 +96,7 @@ impl ColourName {
         match self {
             Self::Black => "black",
             Self::White => "white",
-            Self::Grey => "grey",
+            Self::SingleChannelImage => "grey",
             Self::Red => "red",
             Self::Orange => "orange",
             Self::Yellow => "yellow",
@@ -126,7 +126,7 @@ impl ColourName {
         if chroma < 9.0 {
             return match lightness {
                 l if l < 28.0 => Self::Black,
-                l if l < 72.0 => Self::Grey,
+                l if l < 72.0 => Self::SingleChannelImage,
                 _ => Self::White,
             };
         }
@@ -164,7 +164,7 @@ impl ColourName {
             h if h < 105.0 => match (lightness, chroma) {
                 (l, c) if c < 16.0 => match l {
                     l if l > 62.0 => Self::Beige,
-                    l if l > 35.0 => Self::Grey,
+                    l if l > 35.0 => Self::SingleChannelImage,
                     _ => Self::Brown,
                 },
                 (l, c) if c < 36.0 => {
@@ -180,7 +180,7 @@ impl ColourName {
             h if h < 190.0 => Self::Green,
             h if h < 308.0 => {
                 if chroma < 11.0 {
-                    Self::Grey
+                    Self::SingleChannelImage
                 } else {
                     Self::Blue
                 }
@@ -200,16 +200,16 @@ impl ColourName {
     #[must_use]
     pub fn kinship(self, other: Self) -> f32 {
         use ColourName::{
-            Beige, Black, Blue, Brown, Grey, Orange, Pink, Purple, Red, White, Yellow,
+            Beige, Black, Blue, Brown, Orange, Pink, Purple, Red, SingleChannelImage, White, Yellow,
         };
         if self == other {
             return 1.0;
         }
         let pair = if self < other { (self, other) } else { (other, self) };
         match pair {
-            (Grey | Brown, Beige)
-            | (White, Beige | Grey)
-            | (Black, Grey)
+            (SingleChannelImage | Brown, Beige)
+            | (White, Beige | SingleChannelImage)
+            | (Black, SingleChannelImage)
             | (Orange, Brown)
             | (Red, Orange) => 0.5,
             (Red, Pink | Brown)
@@ -217,7 +217,7 @@ impl ColourName {
             | (Purple, Pink)
             | (Orange, Yellow)
             | (Black, Brown) => 0.4,
-            (Yellow | Pink, Beige) | (Grey, Blue) => 0.25,
+            (Yellow | Pink, Beige) | (SingleChannelImage, Blue) => 0.25,
             _ => 0.0,
         }
     }
@@ -302,7 +302,7 @@ mod tests {
         for (rgb, name) in [
             ([10, 10, 10], Black),
             ([240, 240, 240], White),
-            ([128, 128, 128], Grey),
+            ([128, 128, 128], SingleChannelImage),
             ([200, 30, 30], Red),
             ([230, 120, 20], Orange),
             ([230, 210, 40], Yellow),

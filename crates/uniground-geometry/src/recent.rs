@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 
 /// The most recently used values, as many as their weights allow, and always the latest. What is
 /// kept never changes, so nothing is ever stale.
-pub struct Recent<V> {
+pub struct LruCache<V> {
     /// Latest last: key, value, weight.
     entries: Mutex<Vec<(String, V, usize)>>,
     capacity: usize,
@@ -13,7 +13,7 @@ pub struct Recent<V> {
     misses: AtomicU64,
 }
 
-impl<V: Clone> Recent<V> {
+impl<V: Clone> LruCache<V> {
     /// Keeps values whose weights add up to at most `capacity`.
     #[must_use]
     pub fn new(capacity: usize) -> Self {
@@ -71,7 +71,7 @@ mod tests {
 
     #[test]
     fn the_least_recently_used_leaves_first() {
-        let cache = Recent::new(64);
+        let cache = LruCache::new(64);
         (0..64).for_each(|i| cache.put(i.to_string(), i, 1));
         assert!(cache.get("0").is_some());
         cache.put("new".into(), 64, 1);
@@ -81,7 +81,7 @@ mod tests {
 
     #[test]
     fn heavy_values_push_out_many() {
-        let cache = Recent::new(10);
+        let cache = LruCache::new(10);
         (0..5).for_each(|i| cache.put(i.to_string(), i, 2));
         cache.put("heavy".into(), 9, 7);
         assert!(

@@ -126,7 +126,7 @@ impl VoxelGrid {
 
     /// The occupied ones among the 26 neighbours of every voxel, ascending.
     #[must_use]
-    pub fn neighbours(&self) -> Neighbours {
+    pub fn neighbours(&self) -> VoxelNeighbors {
         const CHUNK: usize = 4096;
         let chunks: Vec<(Vec<u32>, Vec<u32>)> = (0..self.len())
             .step_by(CHUNK)
@@ -143,7 +143,7 @@ impl VoxelGrid {
                 starts.push(total);
             }
         }
-        Neighbours { starts, list: chunks.into_iter().flat_map(|(_, list)| list).collect() }
+        VoxelNeighbors { starts, list: chunks.into_iter().flat_map(|(_, list)| list).collect() }
     }
 
     /// Count per voxel and the neighbours in one list.
@@ -178,12 +178,12 @@ impl VoxelGrid {
 
 /// Neighbours of every voxel, one list after the other.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Neighbours {
+pub struct VoxelNeighbors {
     starts: Vec<u32>,
     list: Vec<u32>,
 }
 
-impl Neighbours {
+impl VoxelNeighbors {
     /// Numbers of the occupied voxels around this one, ascending, at most 26.
     #[must_use]
     pub fn of(&self, voxel: u32) -> &[u32] {

@@ -12,13 +12,13 @@ use uniground_geometry::scene::{
     Embeddings, FrameEmbeddings, FrameIndex, FrameRef, Instance, InstanceId, View,
 };
 use uniground_models::neural::{DualEncoder, Models, Segmenter};
-use uniground_parsing::pointed::{Place, Pointing};
+use uniground_parsing::pointed::{PhotographPoint, PointedObjectFinder};
 use uniground_parsing::scan::ParsedScan;
 use uniground_render::{RenderScene, Shot};
 use uniground_types::settings::ParsingSettings;
 
 /// What all questions about a scene share.
-pub struct Album {
+pub struct SceneAlbum {
     /// Box of all points, metres, world frame (Z up).
     pub extent: Aabb,
     /// The cloud, ready to be drawn.
@@ -41,13 +41,13 @@ pub struct Album {
 }
 
 /// An album with the instances that a question is about.
-pub struct AlbumScene {
-    album: Arc<Album>,
+pub struct MemoryScene {
+    album: Arc<SceneAlbum>,
     instances: Arc<[Instance]>,
     name_index: NameIndex,
 }
 
-impl Album {
+impl SceneAlbum {
     /// An album without pictures and names yet: questions add them. Arguments are the fields of the
     /// same names.
     #[must_use]
@@ -87,8 +87,8 @@ impl Album {
 
     /// These instances in this album.
     #[must_use]
-    pub fn scene(self: &Arc<Self>, instances: Arc<[Instance]>) -> Arc<AlbumScene> {
-        Arc::new(AlbumScene {
+    pub fn scene(self: &Arc<Self>, instances: Arc<[Instance]>) -> Arc<MemoryScene> {
+        Arc::new(MemoryScene {
             album: self.clone(),
             name_index: NameIndex::of(&instances),
             instances,
@@ -96,21 +96,21 @@ impl Album {
     }
 }
 
-impl AlbumScene {
+impl MemoryScene {
     /// A scan as it was parsed, with these models.
     #[must_use]
     pub fn of(scan: ParsedScan, models: &Models) -> Arc<Self> {
         let ParsedScan { scene, frames, models: used, .. } = scan;
         let seen = models.encoder.clone().zip(scene.embeddings);
         let render_scene = RenderScene::of_parsed(scene.cloud, &scene.instances);
-        let album = Album::new(scene.extent, render_scene, seen, used.encoder, frames)
+        let album = SceneAlbum::new(scene.extent, render_scene, seen, used.encoder, frames)
             .with_frame_embeddings(scene.frame_embeddings);
         Arc::new(album.with_segmenter(models.segmenters.first().cloned()))
             .scene(scene.instances.into())
     }
 }
 
-impl SceneSource for AlbumScene {
+impl SceneSource for MemoryScene {
     type Error = QuestionError;
 
     fn instances(&self) -> &[Instance] {
@@ -165,12 +165,12 @@ impl SceneSource for AlbumScene {
 
     fn cut_out(
         &self,
-        place: Place,
+        place: PhotographPoint,
         is_not: &[InstanceId],
     ) -> Result<Option<Instance>, QuestionError> {
-        let Album { render_scene, frames, segmenter, .. } = &*self.album;
+        let SceneAlbum { render_scene, frames, segmenter, .. } = &*self.album;
         let settings = ParsingSettings::default();
-        let pointing = Pointing {
+        let pointing = PointedObjectFinder {
             cloud: &render_scene.cloud,
             frames,
             segmenter: segmenter.as_deref(),

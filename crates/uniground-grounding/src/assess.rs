@@ -55,12 +55,12 @@ const AT_THE_WALL: f32 = 0.3;
 
 /// An anchor chosen for one relation, with the score of the pair.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Bond {
+pub struct RelationMatch {
     pub score: f32,
     pub anchor: Option<InstanceId>,
 }
 
-const NO_BOND: Bond = Bond { score: 0.0, anchor: None };
+const NO_BOND: RelationMatch = RelationMatch { score: 0.0, anchor: None };
 
 /// A phrase against every instance; vectors are by index, scores in `0..=1`.
 #[derive(Debug, Clone, PartialEq)]
@@ -70,7 +70,7 @@ pub struct Assessment {
     /// Names and attributes, with what the thing carries.
     pub own: Vec<f32>,
     /// For each relation of the phrase, the best anchors of every instance.
-    pub bonds: Vec<Vec<Bond>>,
+    pub bonds: Vec<Vec<RelationMatch>>,
     /// Whose left and right the place among its like was told by; empty where none is asked for.
     pub place_seen_by: Vec<SeenBy>,
     pub total: Vec<f32>,
@@ -128,7 +128,7 @@ impl<'a> Assessor<'a> {
     pub fn assess(&self, phrase: &Phrase) -> Assessment {
         let (nouns, own) = self.own_fits(phrase);
         let mut total = own.clone();
-        let mut bonds: Vec<Vec<Bond>> = vec![Vec::new(); phrase.relations.len()];
+        let mut bonds: Vec<Vec<RelationMatch>> = vec![Vec::new(); phrase.relations.len()];
         // Comparisons come last: "the closest of those on the table".
         let comparing = |r: &Relation| r.kind.is_comparison();
         let order = (0..phrase.relations.len()).filter(|&i| !comparing(&phrase.relations[i]));
@@ -244,7 +244,7 @@ impl<'a> Assessor<'a> {
     }
 
     /// For every instance as target: its best anchors and how well the relation holds.
-    fn bonds(&self, relation: &Relation, fits: &[f32]) -> Vec<Bond> {
+    fn bonds(&self, relation: &Relation, fits: &[f32]) -> Vec<RelationMatch> {
         let most = if relation.kind == RelationKind::Between {
             MAX_ANCHORS_OF_A_PAIR
         } else {
@@ -259,7 +259,7 @@ impl<'a> Assessor<'a> {
             && anchor.head == ME
         {
             // Nobody knows where the one who asks stands, unless the request says so.
-            let unknown = || vec![Bond { score: 1.0, anchor: None }; fits.len()];
+            let unknown = || vec![RelationMatch { score: 1.0, anchor: None }; fits.len()];
             return self
                 .observer
                 .as_ref()
@@ -272,24 +272,24 @@ impl<'a> Assessor<'a> {
         }
         let anchors: Vec<Vec<(usize, f32)>> =
             assessed.iter().map(|found| most_plausible(&found.total, most)).collect();
-        let each = |of: &dyn Fn(usize) -> Bond| {
+        let each = |of: &dyn Fn(usize) -> RelationMatch| {
             (0..fits.len()).map(|t| if fits[t] < IMPOSSIBLE { NO_BOND } else { of(t) }).collect()
         };
-        let bonds: Vec<Bond> = match (relation.kind, &anchors[..]) {
+        let bonds: Vec<RelationMatch> = match (relation.kind, &anchors[..]) {
             (kind, _) if kind.is_of_the_room() => {
-                each(&|t| Bond { score: self.geometry(kind, t, &[]), anchor: None })
+                each(&|t| RelationMatch { score: self.geometry(kind, t, &[]), anchor: None })
             }
             // "near" without an anchor: the parsed query tells of it, the decision leaves it out.
-            (_, []) => vec![Bond { score: 1.0, anchor: None }; fits.len()],
+            (_, []) => vec![RelationMatch { score: 1.0, anchor: None }; fits.len()],
             (kind, all) if kind.is_comparison() => self.by_distance(relation, fits, all),
             (RelationKind::Between, [a, b, ..]) => each(&|t| self.between_pair(t, a, b)),
             (RelationKind::Between, [only]) => each(&|t| self.between_pair(t, only, only)),
             // Several anchors ("next to the sofa and the lamp") must all hold.
             (_, all) => each(&|t| {
-                let mut joint = Bond { score: 1.0, anchor: None };
+                let mut joint = RelationMatch { score: 1.0, anchor: None };
                 for candidates in all {
                     let bond = self.best_bond(relation, t, candidates);
-                    joint = Bond {
+                    joint = RelationMatch {
                         score: joint.score * bond.score,
                         anchor: joint.anchor.or(bond.anchor),
                     };
@@ -301,21 +301,23 @@ impl<'a> Assessor<'a> {
         let found =
             bonds.iter().zip(fits).any(|(bond, fit)| bond.score >= CARRIED && *fit >= IMPOSSIBLE);
         if !found && relation.anchors.iter().any(|anchor| anchor.indefinite) && !relation.negated {
-            return vec![Bond { score: NOT_FOUND, anchor: None }; fits.len()];
+            return vec![RelationMatch { score: NOT_FOUND, anchor: None }; fits.len()];
         }
         match relation.negated {
-            true => bonds.into_iter().map(|b| Bond { score: 1.0 - b.score, ..b }).collect(),
+            true => {
+                bonds.into_iter().map(|b| RelationMatch { score: 1.0 - b.score, ..b }).collect()
+            }
             false => bonds,
         }
     }
 
     /// A relation to a thing that is not known or was not found. "Right of the mantel": of its
     /// like, the one on the right.
-    fn at_a_side(&self, relation: &Relation, fits: &[f32], share: f32) -> Vec<Bond> {
+    fn at_a_side(&self, relation: &Relation, fits: &[f32], share: f32) -> Vec<RelationMatch> {
         let side = match relation.kind {
             RelationKind::LeftOf => -self.directions.right,
             RelationKind::RightOf => self.directions.right,
-            _ => return vec![Bond { score: share, anchor: None }; fits.len()],
+            _ => return vec![RelationMatch { score: share, anchor: None }; fits.len()],
         };
         let along = |t: usize| -self.solids[t].center.coords.dot(&side);
         let mut order: Vec<(f32, usize)> =
@@ -329,7 +331,7 @@ impl<'a> Assessor<'a> {
 
     /// How far each instance lies within the zone that things of these nouns make: near one of
     /// them. Where there are none, anything may.
-    fn within(&self, nouns: &[&str], fits: &[f32], negated: bool) -> Vec<Bond> {
+    fn within(&self, nouns: &[&str], fits: &[f32], negated: bool) -> Vec<RelationMatch> {
         const REACH_M: f32 = 1.5;
         let named = |noun: &&str| {
             noun_fits(self.scene, &Phrase { head: (*noun).to_owned(), ..Phrase::default() })
@@ -340,7 +342,7 @@ impl<'a> Assessor<'a> {
         }
         let things = most_plausible(&made, MAX_ANCHORS);
         if things.iter().all(|(_, fit)| *fit < FOUND) {
-            return vec![Bond { score: 1.0, anchor: None }; fits.len()];
+            return vec![RelationMatch { score: 1.0, anchor: None }; fits.len()];
         }
         let within = |t: usize| {
             let to = |&(i, fit): &(usize, f32)| {
@@ -358,17 +360,22 @@ impl<'a> Assessor<'a> {
         (0..fits.len())
             .map(|t| {
                 let score = if fits[t] < IMPOSSIBLE { 0.0 } else { within(t) };
-                Bond { score: if negated { 1.0 - score } else { score }, anchor: None }
+                RelationMatch { score: if negated { 1.0 - score } else { score }, anchor: None }
             })
             .collect()
     }
 
-    fn best_bond(&self, relation: &Relation, target: usize, anchors: &[(usize, f32)]) -> Bond {
+    fn best_bond(
+        &self,
+        relation: &Relation,
+        target: usize,
+        anchors: &[(usize, f32)],
+    ) -> RelationMatch {
         let score = |a: usize| {
             self.geometry(relation.kind, target, &[a]).max(self.on_its_side(relation, target, a))
                 * self.hangs(relation.kind, target, a)
         };
-        let bond = |&(a, fit): &(usize, f32)| Bond {
+        let bond = |&(a, fit): &(usize, f32)| RelationMatch {
             score: fit.sqrt() * score(a),
             anchor: Some(self.id(a)),
         };
@@ -402,11 +409,11 @@ impl<'a> Assessor<'a> {
         }
     }
 
-    fn between_pair(&self, target: usize, a: &[(usize, f32)], b: &[(usize, f32)]) -> Bond {
+    fn between_pair(&self, target: usize, a: &[(usize, f32)], b: &[(usize, f32)]) -> RelationMatch {
         let pairs = a.iter().flat_map(|x| b.iter().map(move |y| (x, y)));
         pairs
             .filter(|(x, y)| x.0 != y.0 && x.0 != target && y.0 != target)
-            .map(|(&(i, fit_i), &(j, fit_j))| Bond {
+            .map(|(&(i, fit_i), &(j, fit_j))| RelationMatch {
                 score: (fit_i * fit_j).sqrt()
                     * self.geometry(RelationKind::Between, target, &[i, j]),
                 anchor: Some(self.id(i)),
@@ -421,7 +428,7 @@ impl<'a> Assessor<'a> {
         relation: &Relation,
         fits: &[f32],
         anchors: &[Vec<(usize, f32)>],
-    ) -> Vec<Bond> {
+    ) -> Vec<RelationMatch> {
         let [first, others @ ..] = anchors else { return vec![NO_BOND; fits.len()] };
         let rivals = most_plausible(fits, usize::MAX);
         let likeliest: Vec<usize> = others
@@ -457,7 +464,7 @@ impl<'a> Assessor<'a> {
             for (t, factor) in ranked(relation, &mut order, fits) {
                 bonds[t] = better(
                     bonds[t],
-                    Bond { score: anchor_fit.sqrt() * factor, anchor: Some(self.id(a)) },
+                    RelationMatch { score: anchor_fit.sqrt() * factor, anchor: Some(self.id(a)) },
                 );
             }
         }
@@ -465,7 +472,12 @@ impl<'a> Assessor<'a> {
     }
 
     /// "closest to me", "in front of me".
-    fn to_observer(&self, relation: &Relation, observer: &Solid, fits: &[f32]) -> Vec<Bond> {
+    fn to_observer(
+        &self,
+        relation: &Relation,
+        observer: &Solid,
+        fits: &[f32],
+    ) -> Vec<RelationMatch> {
         let mut scores = vec![0.0; fits.len()];
         if relation.kind.is_comparison() {
             let apart = |t: usize| relations::apart(&self.solids[t], observer, false, self.room());
@@ -491,7 +503,7 @@ impl<'a> Assessor<'a> {
                 .for_each(|(t, s)| *s = score(t));
         }
         let told = |score: f32| if relation.negated { 1.0 - score } else { score };
-        scores.into_iter().map(|score| Bond { score: told(score), anchor: None }).collect()
+        scores.into_iter().map(|score| RelationMatch { score: told(score), anchor: None }).collect()
     }
 }
 
@@ -523,6 +535,6 @@ fn contradicted(kind: RelationKind) -> f32 {
     if kind.depends_on_who_looks() { LOOSELY_CONTRADICTED } else { CONTRADICTED }
 }
 
-fn better(best: Bond, other: Bond) -> Bond {
+fn better(best: RelationMatch, other: RelationMatch) -> RelationMatch {
     if other.score > best.score { other } else { best }
 }

@@ -1,7 +1,7 @@
 //! Poses against what is drawn from there: in annotated rooms a robot is asked for things, stands
 //! where it is told to, and looks.
 
-use super::album::{Album, AlbumScene};
+use super::album::{MemoryScene, SceneAlbum};
 use super::pipeline::{Ask, answer};
 use super::{Question, Status};
 use crate::approach::{Occupancy, Wish, approach};
@@ -13,7 +13,7 @@ use uniground_geometry::boxes::Aabb;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::InstanceId;
 use uniground_geometry::{Point2, Point3};
-use uniground_ingest::Unpacked;
+use uniground_ingest::ScanFolder;
 use uniground_models::neural::Models;
 use uniground_parsing::checkpoints::Checkpoints;
 use uniground_parsing::scan::{ParsedScan, parse_scan};
@@ -37,7 +37,7 @@ const IN_SIGHT: f32 = 0.1;
 const PATH_SLACK_M: f32 = 0.036;
 
 /// A parsed room, and what is asked in it.
-struct Asked {
+struct DrivingScene {
     scan: ParsedScan,
     occupancy: Occupancy,
     questions: Vec<(String, Aabb)>,
@@ -74,8 +74,8 @@ fn robot(radius_m: f32) -> Robot {
     Robot { radius_m, height_m: HEIGHT_M, eye_height_m: EYE_HEIGHT_M, reach_m: None }
 }
 
-fn room(folder: &Utf8Path, name: &str) -> Asked {
-    let unpacked = Unpacked::of(&folder.join(format!("{name}.zip"))).unwrap();
+fn room(folder: &Utf8Path, name: &str) -> DrivingScene {
+    let unpacked = ScanFolder::of(&folder.join(format!("{name}.zip"))).unwrap();
     let (settings, progress) = (ParseSettings::default(), Progress::silent());
     let scan =
         parse_scan(&unpacked.path, &settings, &Models::default(), &Checkpoints::none(), &progress)
@@ -102,10 +102,10 @@ fn room(folder: &Utf8Path, name: &str) -> Asked {
     let scene = &scan.scene;
     let occupancy =
         Occupancy::of(&scene.cloud.positions, &scene.instance_of_point, &scene.instances);
-    Asked { scan, occupancy, questions }
+    DrivingScene { scan, occupancy, questions }
 }
 
-impl Asked {
+impl DrivingScene {
     /// Where a robot sets out. Who held the camera stood in corners that it does not get out of:
     /// where most of the room can be reached.
     fn start(&self, radius_m: f32) -> Option<FloorPoint> {
@@ -157,7 +157,7 @@ fn share_in_picture(
 }
 
 /// How near the cloud comes to the robot's middle, metres: where it stands, and on its way there.
-fn room_around(asked: &Asked, pose: &StandingPose) -> [f32; 2] {
+fn room_around(asked: &DrivingScene, pose: &StandingPose) -> [f32; 2] {
     let from_floor = |p: &&Point3<f32>| {
         let height = p.z - asked.occupancy.floor_z_m();
         (0.055..HEIGHT_M - 0.005).contains(&height)
@@ -186,7 +186,7 @@ fn drive(folder: &Utf8Path, name: &str) -> [Tally; 2] {
     let asked = room(folder, name);
     let parsed = &asked.scan.scene;
     let render_scene = RenderScene::of_parsed(parsed.cloud.clone(), &parsed.instances);
-    let album = Arc::new(Album::new(
+    let album = Arc::new(SceneAlbum::new(
         parsed.extent,
         render_scene,
         None,
@@ -225,7 +225,7 @@ fn drive(folder: &Utf8Path, name: &str) -> [Tally; 2] {
     })
 }
 
-fn right_answer(scene: &Arc<AlbumScene>, query: &str, truth: &Aabb) -> Option<InstanceId> {
+fn right_answer(scene: &Arc<MemoryScene>, query: &str, truth: &Aabb) -> Option<InstanceId> {
     let grounding = block_on(answer(scene, Ask::of(Question::of(query)))).unwrap().grounding;
     let is_right = grounding.status == Status::Grounded
         && grounding.aabb.is_some_and(|found| found.iou(truth) >= RIGHT_IOU);

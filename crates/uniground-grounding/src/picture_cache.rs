@@ -1,14 +1,14 @@
 //! Pictures that stay in memory, so that a question does not wait for the renderer.
 
-use uniground_geometry::recent::Recent;
+use uniground_geometry::recent::LruCache;
 use uniground_models::chat::Picture;
 
 /// Pictures drawn before, shared by all questions about all scenes.
 pub struct PictureCache {
     /// By scene and what is drawn.
-    pub(super) globals: Recent<Picture>,
+    pub(super) globals: LruCache<Picture>,
     /// By scene and instance.
-    pub(super) collages: Recent<Picture>,
+    pub(super) collages: LruCache<Picture>,
 }
 
 /// Bytes of pictures that stay in memory, of each kind.
@@ -26,6 +26,6 @@ impl PictureCache {
 
 impl Default for PictureCache {
     fn default() -> Self {
-        Self { globals: Recent::new(PICTURE_BYTES), collages: Recent::new(PICTURE_BYTES) }
+        Self { globals: LruCache::new(PICTURE_BYTES), collages: LruCache::new(PICTURE_BYTES) }
     }
 }

@@ -11,7 +11,7 @@ use uniground_geometry::scene::{Embeddings, FrameEmbeddings, FrameIndex, Instanc
 use uniground_models::chat::AskError;
 use uniground_models::neural::{DualEncoder, ModelError};
 use uniground_parsing::ParseError;
-use uniground_parsing::pointed::Place;
+use uniground_parsing::pointed::PhotographPoint;
 use uniground_render::{RenderScene, Shot, close_ups};
 
 /// Where a question finds its scene: a stored parse of the service, the album of an evaluation, a
@@ -75,8 +75,11 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
     ///
     /// # Errors
     /// A photograph can not be read, or a segmenter fails.
-    fn cut_out(&self, place: Place, is_not: &[InstanceId])
-    -> Result<Option<Instance>, Self::Error>;
+    fn cut_out(
+        &self,
+        place: PhotographPoint,
+        is_not: &[InstanceId],
+    ) -> Result<Option<Instance>, Self::Error>;
 
     /// Keeps an instance that was found for a question: the scene with it, in which it is the last,
     /// or the one that was kept for the same thing meanwhile; and its id.

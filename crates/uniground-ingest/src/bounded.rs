@@ -10,9 +10,9 @@ use std::rc::Rc;
 
 /// How many bytes may still be read. Clones share it.
 #[derive(Debug, Clone)]
-pub(super) struct Allowance(Rc<Cell<u64>>);
+pub(super) struct ReadLimit(Rc<Cell<u64>>);
 
-impl Allowance {
+impl ReadLimit {
     pub fn of(bytes: u64) -> Self {
         Self(Rc::new(Cell::new(bytes)))
     }
@@ -29,18 +29,18 @@ impl Allowance {
 }
 
 /// A reader that ends in an error where its allowance does.
-pub(super) struct Bounded<R> {
+pub(super) struct LimitedReader<R> {
     inner: R,
-    allowance: Allowance,
+    allowance: ReadLimit,
 }
 
-impl<R> Bounded<R> {
-    pub fn new(inner: R, allowance: &Allowance) -> Self {
+impl<R> LimitedReader<R> {
+    pub fn new(inner: R, allowance: &ReadLimit) -> Self {
         Self { inner, allowance: allowance.clone() }
     }
 }
 
-impl<R: Read> Read for Bounded<R> {
+impl<R: Read> Read for LimitedReader<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let n = self.inner.read(buffer)?;
         let left = self.allowance.0.get();
@@ -54,7 +54,7 @@ impl<R: Read> Read for Bounded<R> {
     }
 }
 
-impl<R: Seek> Seek for Bounded<R> {
+impl<R: Seek> Seek for LimitedReader<R> {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         self.inner.seek(to)
     }
@@ -102,14 +102,14 @@ mod tests {
 
     #[test]
     fn what_goes_on_ends_in_an_error() {
-        let allowance = Allowance::of(101);
+        let allowance = ReadLimit::of(101);
         let mut all = Vec::new();
         assert!(
-            Bounded::new(&[7_u8; 100][..], &allowance).read_to_end(&mut all).is_ok()
+            LimitedReader::new(&[7_u8; 100][..], &allowance).read_to_end(&mut all).is_ok()
                 && !allowance.is_spent()
         );
         assert!(
-            Bounded::new(&[7_u8; 100][..], &allowance).read_to_end(&mut all).is_err()
+            LimitedReader::new(&[7_u8; 100][..], &allowance).read_to_end(&mut all).is_err()
                 && allowance.is_spent()
         );
         let mut line = Vec::new();

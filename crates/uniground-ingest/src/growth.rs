@@ -7,13 +7,13 @@
 use super::IngestError;
 use super::fusion;
 use super::load::frame_refs;
-use super::reprojection::{self, Checked, Reading};
+use super::reprojection::{self, CheckedConvention, SourceConvention};
 use super::scan::Scan;
 use nalgebra::{Rotation3, Translation3, UnitQuaternion};
 use rayon::prelude::*;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{
-    Addition, FrameIndex, FrameRef, Looks, PointCloud, SourceToScene, look_at,
+    Addition, FrameIndex, FrameRef, FreeSpaceVotes, PointCloud, SourceToScene, count_free_space,
 };
 use uniground_geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap};
 use uniground_geometry::{Isometry3, Matrix3, Point3, Vector3};
@@ -32,7 +32,7 @@ const COMPARED_POINTS: usize = 50_000;
 
 /// Frames that were found to lie in a scene.
 #[derive(Debug)]
-pub struct Fits {
+pub struct FitReport {
     /// In the scene's world.
     pub frames: Vec<FrameRef>,
     /// Share of the scene's points in view that fit their depth.
@@ -51,15 +51,15 @@ pub fn fits(
     to_scene: &SourceToScene,
     known: &PointCloud,
     first: u32,
-) -> Result<Fits, IngestError> {
+) -> Result<FitReport, IngestError> {
     if scan.frames.is_empty() {
         let reason = "a scene grows by frames, pictures with depth and poses: a cloud alone can not be added".to_owned();
         return Err(IngestError::NoUsableFrames { reason });
     }
-    let world = World::of(to_scene);
+    let world = SourceFrame::of(to_scene);
     scan.origin = world.origin;
     let mut warnings = std::mem::take(&mut scan.warnings);
-    let declared = Reading {
+    let declared = SourceConvention {
         pose: scan.pose,
         axes: scan.camera_axes,
         depth_scale_m: scan.depth_scale_m,
@@ -70,7 +70,7 @@ pub fn fits(
     let sample = known.positions.iter().step_by(known.len().div_ceil(COMPARED_POINTS).max(1));
     let positions: Vec<Point3<f32>> = sample.map(|p| back * p).collect();
     let sample = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
-    let Checked { reading, agreement } =
+    let CheckedConvention { reading, agreement } =
         reprojection::check(&scan, declared, Some(&sample), &frames, &mut warnings).map_err(
             |error| match error {
                 IngestError::NothingFits { agreement, .. } => {
@@ -90,7 +90,7 @@ pub fn fits(
         camera_to_world: world.turn * frame.camera_to_world,
         ..frame
     };
-    Ok(Fits { frames: frames.into_iter().map(placed).collect(), agreement, warnings })
+    Ok(FitReport { frames: frames.into_iter().map(placed).collect(), agreement, warnings })
 }
 
 /// Lays the frames of a scan into a scene whose cloud is `known`.
@@ -107,11 +107,11 @@ pub fn add(
     progress: &Progress,
 ) -> Result<Addition, IngestError> {
     let (skipped, all) = (scan.frames_skipped, scan.frames.len());
-    let Fits { mut frames, mut warnings, .. } = fits(scan, to_scene, known, first)?;
+    let FitReport { mut frames, mut warnings, .. } = fits(scan, to_scene, known, first)?;
     let fused =
         fusion::fuse(&mut frames, &settings.fusion, &mut warnings, &progress.part(0.2, 0.7))?;
     let looking = progress.part(0.7, 1.0);
-    let looks = look_at::<IngestError>(&known.positions, &frames, |i| {
+    let looks = count_free_space::<IngestError>(&known.positions, &frames, |i| {
         Ok(looking.report("look_through", i as f32 / all as f32)?)
     })?;
     let enough = ENOUGH_LOOKS.min(frames.len()) as u32;
@@ -129,7 +129,12 @@ const ON_SURFACE_M: f32 = 0.027;
 /// The points that are still there. Of a thing that is gone frames do not look through what is low
 /// over the floor: the floor is measured hardly behind it. So around what is gone, what was
 /// measured counts as well only where the fused surface is.
-fn still_there(known: &PointCloud, looks: &[Looks], fused: &PointCloud, enough: u32) -> Vec<u32> {
+fn still_there(
+    known: &PointCloud,
+    looks: &[FreeSpaceVotes],
+    fused: &PointCloud,
+    enough: u32,
+) -> Vec<u32> {
     let gone: Vec<Point3<f32>> = known
         .positions
         .iter()
@@ -137,9 +142,11 @@ fn still_there(known: &PointCloud, looks: &[Looks], fused: &PointCloud, enough: 
         .filter(|(_, looks)| looks.is_gone(enough))
         .map(|(p, _)| *p)
         .collect();
-    let (gone, fused_far) =
-        (Near::new(&gone, AROUND_GONE_M), Near::new(&fused.positions, AROUND_GONE_M));
-    let fused_near = Near::new(&fused.positions, ON_SURFACE_M);
+    let (gone, fused_far) = (
+        NearbyPoints::new(&gone, AROUND_GONE_M),
+        NearbyPoints::new(&fused.positions, AROUND_GONE_M),
+    );
+    let fused_near = NearbyPoints::new(&fused.positions, ON_SURFACE_M);
     let replaced = |p: &Point3<f32>| gone.any(p) && fused_far.any(p) && !fused_near.any(p);
     let goes = |point: usize| {
         looks[point].is_gone(enough) || looks[point].hits > 0 && replaced(&known.positions[point])
@@ -152,13 +159,13 @@ fn still_there(known: &PointCloud, looks: &[Looks], fused: &PointCloud, enough: 
 }
 
 /// Whether points are near.
-struct Near<'a> {
+struct NearbyPoints<'a> {
     points: &'a [Point3<f32>],
     within_m: f32,
     by_voxel: VoxelMap<Vec<u32>>,
 }
 
-impl<'a> Near<'a> {
+impl<'a> NearbyPoints<'a> {
     fn new(points: &'a [Point3<f32>], within_m: f32) -> Self {
         let mut by_voxel: VoxelMap<Vec<u32>> = VoxelMap::default();
         for (p, i) in points.iter().zip(0..) {
@@ -182,7 +189,7 @@ impl<'a> Near<'a> {
 fn unknown_surfaces(fused: &PointCloud, known: &PointCloud, kept: &[u32]) -> PointCloud {
     let kept: Vec<Point3<f32>> =
         kept.iter().map(|&point| known.positions[point as usize]).collect();
-    let near = Near::new(&kept, SAME_SURFACE_M);
+    let near = NearbyPoints::new(&kept, SAME_SURFACE_M);
     let is_known = |p: &Point3<f32>| near.any(p);
     let new: Vec<usize> =
         (0..fused.len()).into_par_iter().filter(|&i| !is_known(&fused.positions[i])).collect();
@@ -193,14 +200,14 @@ fn unknown_surfaces(fused: &PointCloud, known: &PointCloud, kept: &[u32]) -> Poi
 }
 
 /// A world that poses are told in.
-struct World {
+struct SourceFrame {
     /// The point of it that becomes the scene's origin, in its units.
     origin: [f64; 3],
     /// From metres around there to the scene.
     turn: Isometry3<f32>,
 }
 
-impl World {
+impl SourceFrame {
     fn of(to_scene: &SourceToScene) -> Self {
         let rotation = Matrix3::from_fn(|row, column| to_scene.rotation[row][column] as f32);
         let rotation =
@@ -239,14 +246,14 @@ mod tests {
                 .map(|i| [0.0, 0.0, i as f32 * 0.01])
                 .chain((1..50).map(|i| [i as f32 * 0.01, 0.0, 0.0])),
         );
-        let looks: Vec<Looks> = known
+        let looks: Vec<FreeSpaceVotes> = known
             .positions
             .iter()
             .map(|p| {
                 if p.z > 0.08 {
-                    Looks { hits: 0, through: 3 }
+                    FreeSpaceVotes { hits: 0, through: 3 }
                 } else {
-                    Looks { hits: 3, through: 0 }
+                    FreeSpaceVotes { hits: 3, through: 0 }
                 }
             })
             .collect();
@@ -257,9 +264,9 @@ mod tests {
             .collect();
         assert!(kept.iter().all(|p| p.z < 0.03) && kept.len() >= 50, "{kept:?}");
         // What no frame has looked at stays, however near.
-        let hidden: Vec<Looks> = looks
+        let hidden: Vec<FreeSpaceVotes> = looks
             .iter()
-            .map(|looks| if looks.hits > 0 { Looks::default() } else { *looks })
+            .map(|looks| if looks.hits > 0 { FreeSpaceVotes::default() } else { *looks })
             .collect();
         assert_eq!(still_there(&known, &hidden, &fused, 2).len(), 58);
     }
@@ -272,7 +279,7 @@ mod tests {
             translation_m: [4_000.0, -5_000_000.0, 1.5],
             metres_per_unit: 0.01,
         };
-        let World { origin, turn } = World::of(&to_scene);
+        let SourceFrame { origin, turn } = SourceFrame::of(&to_scene);
         let source = [500_000_012.0, 399_950.0, -140.0];
         let near = Point3::from(std::array::from_fn::<f32, 3, _>(|i| {
             ((source[i] - origin[i]) * 0.01) as f32

@@ -26,12 +26,12 @@ mod unpacked;
 mod validate;
 
 pub use error::{IngestError, IngestErrorKind};
-pub use growth::{Fits, add, fits};
-pub use load::{Inspected, inspect, load, read_cloud};
-pub use neighbours::{Neighbours, neighbours};
-pub use parts::{GROWN, Grown, Part, is_reserved, part_folder};
+pub use growth::{FitReport, add, fits};
+pub use load::{InspectedScan, inspect, load, read_cloud};
+pub use neighbours::{NeighborAgreement, neighbours};
+pub use parts::{GROWN, GrownScan, ScanPart, is_reserved, part_folder};
 pub use scan::Scan;
-pub use unpacked::{Packed, Unpacked, head_of, what_it_is};
+pub use unpacked::{ArchiveFormat, ScanFolder, head_of, what_it_is};
 
 use camino::Utf8Path;
 
@@ -39,7 +39,8 @@ use camino::Utf8Path;
 /// of more, every so manieth is kept.
 pub const MAX_POINTS: usize = 8_000_000;
 /// Bounds on clouds of uploads.
-const UPLOADED: clouds::Bounds = clouds::Bounds { announced: 200_000_000, kept: MAX_POINTS };
+const UPLOADED: clouds::CloudBounds =
+    clouds::CloudBounds { announced: 200_000_000, kept: MAX_POINTS };
 /// Most frames of an upload: half an hour of video at 30 frames a second.
 pub const MAX_FRAMES: usize = 54_000;
 

@@ -1,11 +1,11 @@
 //! A checked [`Scan`] to a canonical [`SceneBundle`].
 
-use super::levelling::{self, Said, Upright};
-use super::reprojection::{self, Checked, Reading};
+use super::levelling::{self, UpDirection, UpHint};
+use super::reprojection::{self, CheckedConvention, SourceConvention};
 use super::scan::{CameraAxes, RawFrame, Scan, Units};
 use super::{IngestError, UPLOADED, clouds, fusion, lengths};
 use camino::Utf8Path;
-use clouds::{Bounds, Loaded, Origin};
+use clouds::{CloudBounds, CoordinateOrigin, LoadedCloud};
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{FrameRef, ImportReport, PointCloud, SceneBundle, SourceToScene};
@@ -14,7 +14,7 @@ use uniground_types::settings::ImportSettings;
 
 /// A scan brought into canonical form, but for a cloud that is still to be fused.
 #[derive(Debug)]
-pub struct Inspected {
+pub struct InspectedScan {
     /// In the scan's order, Z up, metres.
     pub frames: Vec<FrameRef>,
     /// The scan's own cloud.
@@ -33,7 +33,7 @@ pub fn load(
     settings: &ImportSettings,
     progress: &Progress,
 ) -> Result<SceneBundle, IngestError> {
-    let Inspected { mut frames, cloud, mut report } =
+    let InspectedScan { mut frames, cloud, mut report } =
         inspect(scan, settings, &progress.part(0.0, 0.2))?;
     let cloud = if let Some(cloud) = cloud {
         cloud
@@ -63,12 +63,12 @@ pub fn inspect(
     scan: &Scan,
     settings: &ImportSettings,
     progress: &Progress,
-) -> Result<Inspected, IngestError> {
+) -> Result<InspectedScan, IngestError> {
     progress.report("import", 0.0)?;
     let mut warnings = scan.warnings.clone();
     let mut own_cloud =
         scan.cloud.as_ref().map(|file| read_own_cloud(scan, file, &mut warnings)).transpose()?;
-    let declared = Reading {
+    let declared = SourceConvention {
         pose: scan.pose,
         axes: scan.camera_axes,
         depth_scale_m: scan.depth_scale_m,
@@ -79,7 +79,7 @@ pub fn inspect(
     }
     progress.report("check_reprojection", 0.5)?;
     let frames = frame_refs(scan, &declared)?;
-    let Checked { reading, agreement } = reprojection::check(
+    let CheckedConvention { reading, agreement } = reprojection::check(
         scan,
         declared,
         own_cloud.as_ref().map(|own| &own.cloud),
@@ -91,7 +91,7 @@ pub fn inspect(
         rescale(&mut own.cloud, reading.metres_per_unit / declared.metres_per_unit);
     }
 
-    let said = Said {
+    let said = UpHint {
         up: settings
             .up
             .or(scan.up)
@@ -128,7 +128,7 @@ pub fn inspect(
         reprojection_agreement: agreement,
         warnings,
     };
-    Ok(Inspected { frames, cloud, report })
+    Ok(InspectedScan { frames, cloud, report })
 }
 
 /// Reads a cloud this service wrote: canonical already.
@@ -138,7 +138,7 @@ pub fn inspect(
 pub fn read_cloud(file: &Utf8Path) -> Result<PointCloud, IngestError> {
     let (root, name) =
         (file.parent().unwrap_or(file), Utf8Path::new(file.file_name().unwrap_or_default()));
-    Ok(clouds::read(root, name, &Bounds::OWN, Origin::At([0.0; 3]))?.cloud)
+    Ok(clouds::read(root, name, &CloudBounds::OWN, CoordinateOrigin::At([0.0; 3]))?.cloud)
 }
 
 /// The scan's own cloud, in the files' units less the scan's origin.
@@ -146,10 +146,14 @@ fn read_own_cloud(
     scan: &Scan,
     file: &Utf8Path,
     warnings: &mut Vec<String>,
-) -> Result<Loaded, IngestError> {
-    let origin = if scan.frames.is_empty() { Origin::Free } else { Origin::At(scan.origin) };
+) -> Result<LoadedCloud, IngestError> {
+    let origin = if scan.frames.is_empty() {
+        CoordinateOrigin::Free
+    } else {
+        CoordinateOrigin::At(scan.origin)
+    };
     let loaded = clouds::read(&scan.root, file, &UPLOADED, origin)?;
-    let Loaded { dropped, without_colour, has_colour, thinned, .. } = loaded;
+    let LoadedCloud { dropped, without_colour, has_colour, thinned, .. } = loaded;
     if without_colour > 0 {
         warnings.push(format!(
             "{file}: the colours of {without_colour} points are not numbers: taken as grey"
@@ -178,7 +182,7 @@ fn read_own_cloud(
 fn metres_per_unit(
     scan: &Scan,
     settings: &ImportSettings,
-    own: Option<&Loaded>,
+    own: Option<&LoadedCloud>,
     warnings: &mut Vec<String>,
 ) -> Result<f64, IngestError> {
     if let Some(asked) = settings.metres_per_unit {
@@ -209,7 +213,10 @@ fn rescale(cloud: &mut PointCloud, by: f64) {
     }
 }
 
-pub(super) fn frame_refs(scan: &Scan, reading: &Reading) -> Result<Vec<FrameRef>, IngestError> {
+pub(super) fn frame_refs(
+    scan: &Scan,
+    reading: &SourceConvention,
+) -> Result<Vec<FrameRef>, IngestError> {
     let units = Units { origin: scan.origin, metres_per_unit: reading.metres_per_unit };
     scan.frames.iter().map(|frame| frame_ref(scan, frame, reading, &units)).collect()
 }
@@ -218,7 +225,7 @@ pub(super) fn frame_refs(scan: &Scan, reading: &Reading) -> Result<Vec<FrameRef>
 fn frame_ref(
     scan: &Scan,
     raw: &RawFrame,
-    reading: &Reading,
+    reading: &SourceConvention,
     units: &Units,
 ) -> Result<FrameRef, IngestError> {
     let camera_to_world =
@@ -252,8 +259,8 @@ struct ToScene {
 impl ToScene {
     fn new(
         scan: &Scan,
-        upright: &Upright,
-        own: Option<&Loaded>,
+        upright: &UpDirection,
+        own: Option<&LoadedCloud>,
         metres_per_unit: f64,
     ) -> Result<Self, IngestError> {
         let mut turn = upright.turn;

@@ -14,7 +14,7 @@ const FEWEST: usize = 50;
 
 /// What the depth of neighbouring frames says of the scan: each seen from the next.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
-pub struct Neighbours {
+pub struct NeighborAgreement {
     /// Median difference between measured depths of one place, metres: noise and drift together.
     pub depth_error_m: f32,
     /// By how much a typical frame lies before or behind its neighbour as a whole, metres: drift
@@ -28,7 +28,7 @@ pub struct Neighbours {
 
 /// Looks at a sample of neighbouring frames; `None` where they do not overlap, or can not be read.
 #[must_use]
-pub fn neighbours(frames: &[FrameRef]) -> Option<Neighbours> {
+pub fn neighbours(frames: &[FrameRef]) -> Option<NeighborAgreement> {
     let pairs: Vec<&[FrameRef]> = frames.windows(2).collect();
     let sample: Vec<&[FrameRef]> =
         pairs.iter().step_by(pairs.len().div_ceil(PAIRS).max(1)).copied().collect();
@@ -45,7 +45,7 @@ pub fn neighbours(frames: &[FrameRef]) -> Option<Neighbours> {
         })
         .collect();
     let worst = told.iter().max_by(|a, b| a.1.total_cmp(&b.1).then(b.2.cmp(&a.2)))?;
-    Some(Neighbours {
+    Some(NeighborAgreement {
         depth_error_m: median(&mut told.iter().map(|told| told.0).collect::<Vec<_>>())?,
         drift_m: median(&mut told.iter().map(|told| told.1).collect::<Vec<_>>())?,
         worst_drift_m: worst.1,

@@ -20,16 +20,16 @@ const FORMAT: &str = "uniground-grown/1";
 /// What a scan is made of, in order of time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Grown {
+pub struct GrownScan {
     format: String,
     /// At least one: the scan it began with.
-    pub parts: Vec<Part>,
+    pub parts: Vec<ScanPart>,
 }
 
 /// One upload.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Part {
+pub struct ScanPart {
     /// SHA-256 of its bytes, hex.
     pub hash: String,
     /// From its poses to the scene; `None`: told in the same world as the files the scan began
@@ -38,11 +38,14 @@ pub struct Part {
     pub to_scene: Option<SourceToScene>,
 }
 
-impl Grown {
+impl GrownScan {
     /// A scan that has not grown yet.
     #[must_use]
     pub fn from_upload(hash: &str) -> Self {
-        Self { format: FORMAT.into(), parts: vec![Part { hash: hash.to_owned(), to_scene: None }] }
+        Self {
+            format: FORMAT.into(),
+            parts: vec![ScanPart { hash: hash.to_owned(), to_scene: None }],
+        }
     }
 
     /// What a scan's folder says; `None` for one that has not grown.
@@ -117,11 +120,11 @@ mod tests {
     fn what_is_written_is_read_and_an_upload_has_not_grown() {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
-        assert_eq!(Grown::read(folder).unwrap(), None);
-        let mut grown = Grown::from_upload("aa");
-        grown.parts.push(Part { hash: "bb".into(), to_scene: Some(SourceToScene::IDENTITY) });
+        assert_eq!(GrownScan::read(folder).unwrap(), None);
+        let mut grown = GrownScan::from_upload("aa");
+        grown.parts.push(ScanPart { hash: "bb".into(), to_scene: Some(SourceToScene::IDENTITY) });
         grown.write(folder).unwrap();
-        assert_eq!(Grown::read(folder).unwrap(), Some(grown));
+        assert_eq!(GrownScan::read(folder).unwrap(), Some(grown));
         for damaged in [
             "",
             "{}",
@@ -129,7 +132,10 @@ mod tests {
             r#"{"format": "uniground-grown/1", "parts": []}"#,
         ] {
             fs::write(folder.join(GROWN), damaged).unwrap();
-            assert!(matches!(Grown::read(folder), Err(IngestError::Malformed { .. })), "{damaged}");
+            assert!(
+                matches!(GrownScan::read(folder), Err(IngestError::Malformed { .. })),
+                "{damaged}"
+            );
         }
     }
 

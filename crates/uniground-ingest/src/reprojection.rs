@@ -36,7 +36,7 @@ const LENGTHS_M: [f64; 2] = [0.001, 0.01];
 
 /// How the poses and the depth of a scan are read.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Reading {
+pub(super) struct SourceConvention {
     pub pose: PoseConvention,
     pub axes: CameraAxes,
     pub depth_scale_m: f32,
@@ -44,8 +44,8 @@ pub(super) struct Reading {
 }
 
 /// The reading that fits, and how well.
-pub(super) struct Checked {
-    pub reading: Reading,
+pub(super) struct CheckedConvention {
+    pub reading: SourceConvention,
     /// Share of points in view that agree with the depth there; `None` when there is nothing to
     /// compare.
     pub agreement: Option<f32>,
@@ -61,12 +61,12 @@ pub(super) struct Checked {
 /// [`IngestError::NothingFits`] when hardly anything agrees under any reading.
 pub(super) fn check(
     scan: &Scan,
-    declared: Reading,
+    declared: SourceConvention,
     own_cloud: Option<&PointCloud>,
     frames: &[FrameRef],
     warnings: &mut Vec<String>,
-) -> Result<Checked, IngestError> {
-    let as_declared = |agreement| Ok(Checked { reading: declared, agreement });
+) -> Result<CheckedConvention, IngestError> {
+    let as_declared = |agreement| Ok(CheckedConvention { reading: declared, agreement });
     if frames.is_empty() || (own_cloud.is_none() && frames.len() < 2) {
         return as_declared(None);
     }
@@ -80,7 +80,7 @@ pub(super) fn check(
     if sampled.is_empty() {
         return as_declared(None);
     }
-    let sample = Sample {
+    let sample = ReprojectionSample {
         scan,
         declared,
         frames: sampled,
@@ -93,19 +93,20 @@ pub(super) fn check(
         return as_declared(agreement);
     }
     let fits = agreement.unwrap_or(0.0);
-    let best_of = |readings: Vec<Reading>| {
-        let measured: Vec<(f32, Reading)> =
+    let best_of = |readings: Vec<SourceConvention>| {
+        let measured: Vec<(f32, SourceConvention)> =
             readings.into_iter().filter_map(|r| Some((sample.agreement(&r)?, r))).collect();
         measured.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))
     };
-    let mut best =
-        best_of(Reading::all(declared.metres_per_unit).filter(|r| *r != declared).collect());
+    let mut best = best_of(
+        SourceConvention::all(declared.metres_per_unit).filter(|r| *r != declared).collect(),
+    );
     let mut wanted = CLEARLY_BETTER.max(fits * TIMES_BETTER);
     if best.is_none_or(|(other, _)| other < wanted) && fits < CLEARLY_BETTER {
         let other_units = best_of(
             LENGTHS_M
                 .into_iter()
-                .flat_map(|m| Reading::all(declared.metres_per_unit * m))
+                .flat_map(|m| SourceConvention::all(declared.metres_per_unit * m))
                 .collect(),
         );
         if other_units
@@ -123,7 +124,7 @@ pub(super) fn check(
             other * 100.0,
             reading.describe(&declared),
         ));
-        return Ok(Checked { reading, agreement: Some(other) });
+        return Ok(CheckedConvention { reading, agreement: Some(other) });
     }
     match agreement {
         None => warnings
@@ -141,7 +142,7 @@ pub(super) fn check(
     as_declared(agreement)
 }
 
-impl Reading {
+impl SourceConvention {
     fn all(metres_per_unit: f64) -> impl Iterator<Item = Self> {
         [PoseConvention::CameraToWorld, PoseConvention::WorldToCamera].into_iter().flat_map(
             move |pose| {
@@ -176,18 +177,18 @@ impl Reading {
 
 /// What the check looks at: a few frames' depth, and the points of a cloud where the archive has
 /// one.
-struct Sample<'a> {
+struct ReprojectionSample<'a> {
     scan: &'a Scan,
     /// How the depth was decoded and the cloud scaled.
-    declared: Reading,
+    declared: SourceConvention,
     frames: Vec<(&'a RawFrame, &'a FrameRef, DepthImage)>,
     cloud: Option<Vec<Point3<f32>>>,
 }
 
-impl Sample<'_> {
+impl ReprojectionSample<'_> {
     /// Agreement in `0..=1` under one reading; `None` when too few points fall on measured depth to
     /// tell.
-    fn agreement(&self, reading: &Reading) -> Option<f32> {
+    fn agreement(&self, reading: &SourceConvention) -> Option<f32> {
         let cameras: Vec<(Camera, Isometry3<f32>)> = self
             .frames
             .iter()
@@ -259,7 +260,7 @@ impl Sample<'_> {
         &self,
         raw: &RawFrame,
         frame: &FrameRef,
-        reading: &Reading,
+        reading: &SourceConvention,
     ) -> Option<(Camera, Isometry3<f32>)> {
         let units = Units { origin: self.scan.origin, metres_per_unit: reading.metres_per_unit };
         let camera_to_world = raw.camera_to_world(reading.pose, reading.axes, &units).ok()?;

@@ -47,14 +47,14 @@ pub struct Scan {
     /// Frames left out: pose marked as lost, or damaged.
     pub frames_skipped: u32,
     /// Frames that could not be used, found so far.
-    pub damage: Damage,
+    pub damage: SkippedFrames,
     /// What is odd but was accepted, each with its file or frame.
     pub warnings: Vec<String>,
 }
 
 /// Frames that could not be used.
 #[derive(Debug, Default)]
-pub struct Damage {
+pub struct SkippedFrames {
     /// How many.
     pub count: usize,
     /// What was wrong with the first few.
@@ -64,7 +64,7 @@ pub struct Damage {
 /// Damaged frames that are named.
 const MAX_NAMED: usize = 5;
 
-impl Damage {
+impl SkippedFrames {
     /// Notes a frame that can not be used. What is not the fault of one frame comes back.
     ///
     /// # Errors
@@ -129,7 +129,7 @@ impl Scan {
             alignment: None,
             origin: [0.0; 3],
             frames_skipped: 0,
-            damage: Damage::default(),
+            damage: SkippedFrames::default(),
             warnings: Vec::new(),
         }
     }

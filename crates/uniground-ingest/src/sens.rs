@@ -100,7 +100,7 @@ pub(super) fn unpack(
             header.frames
         )));
     }
-    let mut out = Unpacking { target, written: 0, max_bytes };
+    let mut out = SensUnpacker { target, written: 0, max_bytes };
     for folder in ["color", "depth", "pose"] {
         fs::create_dir_all(target.join(folder))
             .map_err(|source| IngestError::reading(folder, source))?;
@@ -141,13 +141,13 @@ pub(super) fn unpack(
     Ok(header.frames)
 }
 
-struct Unpacking<'a> {
+struct SensUnpacker<'a> {
     target: &'a Utf8Path,
     written: u64,
     max_bytes: u64,
 }
 
-impl Unpacking<'_> {
+impl SensUnpacker<'_> {
     fn write(&mut self, name: &str, bytes: &[u8]) -> Result<(), IngestError> {
         self.written += bytes.len() as u64;
         if self.written > self.max_bytes {

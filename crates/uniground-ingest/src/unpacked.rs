@@ -11,13 +11,13 @@ use tempfile::TempDir;
 
 /// A scan's folder. That of an archive or a bare cloud is temporary and goes with this.
 #[derive(Debug)]
-pub struct Unpacked {
+pub struct ScanFolder {
     /// Folder with the scan's files; a temporary one is removed when this is dropped.
     pub path: Utf8PathBuf,
     _temporary: Option<TempDir>,
 }
 
-impl Unpacked {
+impl ScanFolder {
     /// A folder as it is; an archive (`.zip`, `.tar`, `.tar.zst`, `.r3d`) or a `.sens` file
     /// unpacked; a cloud or a mesh as a scan without frames.
     ///
@@ -35,15 +35,15 @@ impl Unpacked {
         let path = Utf8Path::from_path(temporary.path())
             .ok_or_else(|| reading(std::io::ErrorKind::InvalidFilename.into()))?
             .to_owned();
-        match Packed::of(scan)
+        match ArchiveFormat::of(scan)
             .ok_or_else(|| IngestError::malformed(scan, what_it_is(&head_of(scan))))?
         {
             // What a mesh names lies beside it.
-            Packed::Cloud("obj" | "gltf") => {
+            ArchiveFormat::Cloud("obj" | "gltf") => {
                 copy_beside(scan, scan.parent().unwrap_or(Utf8Path::new(".")), &path)
                     .map_err(reading)?;
             }
-            Packed::Cloud(ending) => {
+            ArchiveFormat::Cloud(ending) => {
                 put(scan, &path.join("cloud").with_extension(ending)).map_err(reading)?
             }
             packed => packed.unpack(scan, &path, &UnpackLimits::default())?,
@@ -54,7 +54,7 @@ impl Unpacked {
 
 /// How a scan is packed into one file, as its bytes say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Packed {
+pub enum ArchiveFormat {
     /// Its files in an archive.
     Archive(ArchiveKind),
     /// `ScanNet`'s stream of frames.
@@ -63,7 +63,7 @@ pub enum Packed {
     Cloud(&'static str),
 }
 
-impl Packed {
+impl ArchiveFormat {
     /// Bytes of a file that are enough to tell.
     pub const HEAD_BYTES: usize = 4096;
 
@@ -111,8 +111,8 @@ impl Packed {
 pub fn head_of(file: &Utf8Path) -> Vec<u8> {
     let mut head = Vec::new();
     // What can not be read is told by who reads on.
-    let _ =
-        fs::File::open(file).and_then(|f| f.take(Packed::HEAD_BYTES as u64).read_to_end(&mut head));
+    let _ = fs::File::open(file)
+        .and_then(|f| f.take(ArchiveFormat::HEAD_BYTES as u64).read_to_end(&mut head));
     head
 }
 

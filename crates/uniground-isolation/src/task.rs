@@ -6,7 +6,7 @@ use std::time::Duration;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::SourceToScene;
 use uniground_ingest::archive::UnpackLimits;
-use uniground_ingest::{IngestError, Packed, head_of, what_it_is};
+use uniground_ingest::{ArchiveFormat, IngestError, head_of, what_it_is};
 use uniground_parsing::checkpoints::Checkpoints;
 use uniground_parsing::scan::{ScanError, import_scan};
 use uniground_types::scene::StageReport;
@@ -61,7 +61,7 @@ impl Task {
         match self {
             Self::Unpack { archive, file_name, folder, limits } => {
                 let head = head_of(archive);
-                let packed = Packed::of_head(&head, file_name)
+                let packed = ArchiveFormat::of_head(&head, file_name)
                     .ok_or_else(|| unreadable(file_name, what_it_is(&head)))?;
                 packed.unpack(archive, folder, limits)?;
                 Ok(named(uniground_ingest::open(folder)?.name))

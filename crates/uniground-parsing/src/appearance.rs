@@ -5,7 +5,7 @@ use super::ParseError;
 use super::correction::{Corrector, KnownMasks, Projection};
 use super::lifting::MasksOfFrames;
 use super::outline::Outline;
-use super::views::{Labelled, Sighting, all_sightings, visible_pixels};
+use super::views::{LabelledPoints, Sighting, all_sightings, visible_pixels};
 use image::{RgbImage, imageops};
 use std::collections::BTreeMap;
 use uniground_geometry::progress::Progress;
@@ -14,7 +14,7 @@ use uniground_models::neural::DualEncoder;
 use uniground_types::settings::AppearanceSettings;
 
 /// Tight boxes in colour pictures, by frame and instance: left, top, right, bottom, pixels.
-pub type Boxes = BTreeMap<FrameIndex, BTreeMap<InstanceId, [u32; 4]>>;
+pub type FrameBoxes = BTreeMap<FrameIndex, BTreeMap<InstanceId, [u32; 4]>>;
 
 /// The frames each instance is looked at in, with its projected box there: parts and wholes in half
 /// as many as things, which they overlap.
@@ -23,12 +23,12 @@ pub fn choose(
     instances: &[Instance],
     sightings: &[Sighting],
     settings: &AppearanceSettings,
-) -> Boxes {
+) -> FrameBoxes {
     let mut of_instance: Vec<Vec<&Sighting>> = vec![Vec::new(); instances.len()];
     for sighting in sightings {
         of_instance[sighting.instance.0 as usize - 1].push(sighting);
     }
-    let mut boxes = Boxes::new();
+    let mut boxes = FrameBoxes::new();
     for (instance, mut seen) in instances.iter().zip(of_instance) {
         seen.sort_by_key(|s| (std::cmp::Reverse(s.view.visible_points), s.view.frame));
         let least = settings.min_visible * instance.point_count as f32;
@@ -66,8 +66,8 @@ pub type Outlines = BTreeMap<FrameIndex, BTreeMap<InstanceId, Outline>>;
 pub fn look(
     frames: &[FrameRef],
     instances: &[Instance],
-    boxes: &Boxes,
-    labelled: Labelled,
+    boxes: &FrameBoxes,
+    labelled: LabelledPoints,
     (correction, encoder): (Option<Correction>, Option<&DualEncoder>),
     settings: &AppearanceSettings,
     progress: &Progress,
@@ -116,7 +116,7 @@ pub fn look(
 pub fn of_known(
     frames: &[FrameRef],
     instances: &[Instance],
-    labelled: Labelled,
+    labelled: LabelledPoints,
     encoder: &DualEncoder,
     settings: &AppearanceSettings,
 ) -> Result<Vec<f32>, ParseError> {
@@ -130,7 +130,7 @@ pub fn of_known(
 fn correct(
     frame: &FrameRef,
     picture: &RgbImage,
-    labelled: Labelled,
+    labelled: LabelledPoints,
     Correction { corrector, known }: Correction,
     boxes: &BTreeMap<InstanceId, [u32; 4]>,
     progress: &Progress,
@@ -258,7 +258,7 @@ mod tests {
             sighting(2, 2, 5),
         ];
         let settings = AppearanceSettings { views: 2, ..AppearanceSettings::default() };
-        let frames_of = |boxes: &Boxes, id| {
+        let frames_of = |boxes: &FrameBoxes, id| {
             boxes
                 .iter()
                 .filter(|(_, b)| b.contains_key(&InstanceId(id)))

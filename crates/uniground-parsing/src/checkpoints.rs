@@ -16,11 +16,11 @@ use std::marker::PhantomData;
 /// Where the logs of one scan lie, if anywhere.
 #[derive(Debug, Clone, Default)]
 pub struct Checkpoints {
-    location: Option<Location>,
+    location: Option<CheckpointLocation>,
 }
 
 #[derive(Debug, Clone)]
-struct Location {
+struct CheckpointLocation {
     folder: Utf8PathBuf,
     /// What every stage depends on: the scan, how it was imported, the version of the code.
     origin: String,
@@ -37,7 +37,12 @@ impl Checkpoints {
     /// nothing more is kept.
     #[must_use]
     pub fn kept_in(folder: &Utf8Path, origin: &str) -> Self {
-        Self { location: Some(Location { folder: folder.to_owned(), origin: origin.to_owned() }) }
+        Self {
+            location: Some(CheckpointLocation {
+                folder: folder.to_owned(),
+                origin: origin.to_owned(),
+            }),
+        }
     }
 
     /// Where logs are kept, if anywhere: on the disk that has room for what a parse needs.
@@ -51,7 +56,7 @@ impl Checkpoints {
     pub fn depending_on(&self, more: &str) -> Self {
         let location = self.location.as_ref();
         Self {
-            location: location.map(|at| Location {
+            location: location.map(|at| CheckpointLocation {
                 folder: at.folder.clone(),
                 origin: format!("{}{more}", at.origin),
             }),
@@ -64,12 +69,14 @@ impl Checkpoints {
         &self,
         stage: &str,
         depends_on: &impl Serialize,
-    ) -> Log<T> {
-        let Some(Location { folder, origin }) = &self.location else { return Log::nowhere() };
-        let opened = key(origin, depends_on).and_then(|key| Log::open(folder, stage, &key));
+    ) -> StageLog<T> {
+        let Some(CheckpointLocation { folder, origin }) = &self.location else {
+            return StageLog::nowhere();
+        };
+        let opened = key(origin, depends_on).and_then(|key| StageLog::open(folder, stage, &key));
         opened.unwrap_or_else(|error| {
             tracing::warn!(%folder, stage, %error, "this stage is not kept");
-            Log::nowhere()
+            StageLog::nowhere()
         })
     }
 
@@ -102,7 +109,7 @@ fn key(origin: &str, depends_on: &impl Serialize) -> io::Result<String> {
 }
 
 /// Records of one stage in the order they were made.
-pub struct Log<T> {
+pub struct StageLog<T> {
     file: Option<File>,
     kept: Vec<T>,
     /// Where each kept record ends in the file.
@@ -110,7 +117,7 @@ pub struct Log<T> {
     records: PhantomData<T>,
 }
 
-impl<T: Serialize + DeserializeOwned> Log<T> {
+impl<T: Serialize + DeserializeOwned> StageLog<T> {
     fn nowhere() -> Self {
         Self { file: None, kept: Vec::new(), ends: Vec::new(), records: PhantomData }
     }

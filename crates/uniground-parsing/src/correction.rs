@@ -45,7 +45,7 @@ impl Corrector<'_> {
         let least = self.settings.known_agreement.filter(|_| !projection.pixels.is_empty())?;
         let scale =
             (KnownMasks::SIZE as f32 / width as f32, KnownMasks::SIZE as f32 / height as f32);
-        let covered = Covered::by(projection.pixels, scale, KnownMasks::SIZE);
+        let covered = MaskCoverage::by(projection.pixels, scale, KnownMasks::SIZE);
         let id = known.commonest(&covered.hit)?;
         let inside = |cell: usize| known.ids[cell] == id;
         (covered.agreement(inside) >= least)
@@ -69,13 +69,13 @@ impl Corrector<'_> {
         if pixels.is_empty() || self.settings.rounds == 0 {
             return Ok(None);
         }
-        let mut draw = Draw::of(projection);
+        let mut draw = SeededRandom::of(projection);
         let prompts: Vec<Prompt> = (0..self.settings.rounds)
             .map(|_| {
                 Prompt::inside((0..self.settings.points).map(|_| pixels[draw.below(pixels.len())]))
             })
             .collect();
-        let covered = Covered::by(pixels, scale, size);
+        let covered = MaskCoverage::by(pixels, scale, size);
         let masks = segmenter.decode(encoded, &prompts)?;
         let judged = masks.into_iter().flatten().map(|mask| {
             let agreement = covered.agreement(|cell| mask.logits[cell] > segmenter.threshold());
@@ -138,14 +138,14 @@ impl KnownMasks {
 }
 
 /// The cells of a mask that the projection covers.
-struct Covered {
+struct MaskCoverage {
     /// Cells of the points looked at, at most [`MAX_PIXELS`].
     hit: Vec<usize>,
     /// Cells near a point.
     near: Vec<bool>,
 }
 
-impl Covered {
+impl MaskCoverage {
     fn by(pixels: &[(f32, f32)], scale: (f32, f32), size: usize) -> Self {
         let cell = |v: f32, scale: f32| (((v + 0.5) * scale) as usize).min(size - 1);
         let mut near = vec![false; size * size];
@@ -228,9 +228,9 @@ fn bounds(
 
 /// Random numbers that depend on instance and frame alone (splitmix64): the same whatever else is
 /// looked at.
-struct Draw(u64);
+struct SeededRandom(u64);
 
-impl Draw {
+impl SeededRandom {
     fn of(projection: &Projection) -> Self {
         Self((u64::from(projection.instance.0) << 32) | u64::from(projection.frame.0))
     }
@@ -265,7 +265,7 @@ mod tests {
         let pixels: Vec<(f32, f32)> = (20..40)
             .flat_map(|x| (10..30).map(move |y| (x as f32 * 10.0, y as f32 * 10.0)))
             .collect();
-        let covered = Covered::by(&pixels, (0.1, 0.1), SIZE);
+        let covered = MaskCoverage::by(&pixels, (0.1, 0.1), SIZE);
         let same = covered.agreement(mask(|u, v| (20..40).contains(&u) && (10..30).contains(&v)));
         let half = covered.agreement(mask(|u, v| (20..30).contains(&u) && (10..30).contains(&v)));
         let all = covered.agreement(mask(|_, _| true));

@@ -5,7 +5,7 @@
 
 use image::{Rgb, RgbImage};
 use uniground_geometry::scene::{CellMask, View};
-use uniground_render::{Around, crop_area, cut, draw_outline, jpeg, outline_reach, shares};
+use uniground_render::{Surroundings, crop_area, cut, draw_outline, jpeg, outline_reach, shares};
 
 /// Which of the two pictures of a view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,8 +23,8 @@ const RED: Rgb<u8> = Rgb([230, 20, 20]);
 pub fn picture(colour: &RgbImage, seen: &View, picture: Picture) -> Vec<u8> {
     let mask = seen.mask.as_ref().and_then(CellMask::unpacked);
     let (area, around) = match picture {
-        Picture::Crop => (crop_area(seen.box_px, colour.dimensions()), Around::Dimmed),
-        Picture::Frame => ([0, 0, colour.width(), colour.height()], Around::Kept),
+        Picture::Crop => (crop_area(seen.box_px, colour.dimensions()), Surroundings::Dimmed),
+        Picture::Frame => ([0, 0, colour.width(), colour.height()], Surroundings::Kept),
     };
     let mut drawn = cut(colour, area);
     let whole = (0, 0, drawn.width(), drawn.height());

@@ -18,7 +18,7 @@ use uniground_geometry::{Point3, Vector3};
 const BEHIND_M: f32 = 0.05;
 
 /// Two neighbours that do not touch.
-struct Gap {
+struct DepthGap {
     pair: (u32, u32),
     /// Where they come nearest to each other, metres, world frame.
     middle: Point3<f32>,
@@ -81,7 +81,7 @@ fn vote(point: &Point3<f32>, camera: &Camera, depth: &DepthImage, tolerance: f32
 }
 
 /// Neighbours of which no voxels meet.
-fn gaps(cloud: &PointCloud, superpoints: &Superpoints, voxel_m: f32) -> Vec<Gap> {
+fn gaps(cloud: &PointCloud, superpoints: &Superpoints, voxel_m: f32) -> Vec<DepthGap> {
     let grid = VoxelGrid::new(&cloud.positions, voxel_m);
     // A voxel is of one superpoint; where a scene has grown, of that of its last point.
     let mut superpoint_of = vec![0; grid.len()];
@@ -114,7 +114,7 @@ fn gaps(cloud: &PointCloud, superpoints: &Superpoints, voxel_m: f32) -> Vec<Gap>
     let reach_m = (WIDEST_RING + 1) as f32 * voxel_m;
     let gap = |&pair: &(u32, u32)| {
         let middle = middle_between(&places[pair.0 as usize], &places[pair.1 as usize], reach_m)?;
-        Some(Gap { pair, middle })
+        Some(DepthGap { pair, middle })
     };
     superpoints
         .adjacent

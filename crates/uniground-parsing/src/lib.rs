@@ -47,13 +47,13 @@ use appearance::Correction;
 use checkpoints::Checkpoints;
 use correction::Corrector;
 use hierarchy::Proposal;
-use instances::Built;
+use instances::BuiltInstances;
 use labels::Labels;
 use lifting::{FrameVisibility, Lifted, MasksOfFrames};
 use masks::MaskSource;
-use perceived::Perceived;
+use perceived::LiftedFrames;
 use planes::Planes;
-use relief::Flats;
+use relief::FlatCandidates;
 pub use stopwatch::{StageOutcome, Stopwatch};
 use superpoints::Superpoints;
 use uniground_geometry::Point3;
@@ -65,7 +65,7 @@ use uniground_geometry::scene::{
 use uniground_models::neural::{DualEncoder, ModelError};
 use uniground_models::{attributes, calibration};
 pub use uniground_types::settings::ParsingSettings;
-use views::Labelled;
+use views::LabelledPoints;
 use visibility::Visibility;
 
 /// Why a scene could not be cut into instances.
@@ -144,7 +144,7 @@ pub fn parse(
     let ends = perception.ends();
 
     let perceiving = progress.part(0.0, ends[1]);
-    let Perceived { cloud, frames, mut superpoints, lifted, checkpoints } =
+    let LiftedFrames { cloud, frames, mut superpoints, lifted, checkpoints } =
         perceived::perceive(bundle, perception, settings, checkpoints, &perceiving, &mut watch)?;
     let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
     let visibility = Visibility::new(&cloud, &superpoints.of_point, settings.depth_tolerance);
@@ -169,7 +169,7 @@ pub fn parse(
             Ok::<_, ParseError>(kept)
         })?;
     }
-    let seen = Seen {
+    let seen = ScanObservations {
         cloud: &cloud,
         frames: &frames,
         superpoints: &superpoints,
@@ -177,13 +177,13 @@ pub fn parse(
         tables: &tables,
         masks_of: &masks_of,
     };
-    let Grouped { planes, region_of, proposals } =
+    let RegionGrouping { planes, region_of, proposals } =
         group(seen, perception, settings, &checkpoints, progress, &mut watch)?;
     let labels = Labels::of_regions(&region_of, &superpoints, proposals);
     let sighted = watch.time("views", |outcome| {
         let viewing = progress.part(ends[5], ends[6]);
-        let labelled = Labelled { labels: &labels, visibility: &visibility };
-        let flats = Flats::of(
+        let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
+        let flats = FlatCandidates::of(
             &cloud,
             &superpoints,
             &planes,
@@ -209,13 +209,13 @@ pub fn parse(
         outcome.produced = built.instances.len();
         Ok::<_, ParseError>(built)
     })?;
-    let Built { mut instances, labels, sightings, dropped, specks } = built;
+    let BuiltInstances { mut instances, labels, sightings, dropped, specks } = built;
     let looked_at = appearance::choose(&instances, &sightings, &settings.appearance);
     views::choose(&mut instances, sightings, &frames, &sharpness_of, &settings.views);
     let rows = match perception.is_neural() {
         false => Vec::new(),
         true => watch.time("appearance", |outcome| {
-            let labelled = Labelled { labels: &labels, visibility: &visibility };
+            let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
             let looking = progress.part(ends[7], FRAMES_LOOKED_AT);
             let (rows, outlines) = appearance::look(
                 &frames,
@@ -285,7 +285,7 @@ pub fn parse(
 
 /// A scan in superpoints, and what its frames show of them.
 #[derive(Clone, Copy)]
-struct Seen<'a> {
+struct ScanObservations<'a> {
     cloud: &'a PointCloud,
     frames: &'a [FrameRef],
     superpoints: &'a Superpoints,
@@ -295,7 +295,7 @@ struct Seen<'a> {
 }
 
 /// The points of a scan in regions, each a candidate for an instance.
-struct Grouped {
+struct RegionGrouping {
     planes: Planes,
     /// One region per point of the cloud.
     region_of: Vec<u32>,
@@ -305,14 +305,14 @@ struct Grouped {
 
 /// Planes, and the merging that turns superpoints into regions.
 fn group(
-    seen: Seen,
+    seen: ScanObservations,
     perception: &Perception,
     settings: &ParsingSettings,
     checkpoints: &Checkpoints,
     progress: &Progress,
     watch: &mut Stopwatch,
-) -> Result<Grouped, ParseError> {
-    let Seen { cloud, frames, superpoints, visibility, tables, masks_of } = seen;
+) -> Result<RegionGrouping, ParseError> {
+    let ScanObservations { cloud, frames, superpoints, visibility, tables, masks_of } = seen;
     let ends = perception.ends();
     let planes = watch.time("planes", |outcome| {
         let planes =
@@ -384,7 +384,7 @@ fn group(
             Ok::<_, ParseError>(refined)
         })?,
     };
-    Ok(Grouped { planes, region_of, proposals })
+    Ok(RegionGrouping { planes, region_of, proposals })
 }
 
 /// Where the cameras stood, metres, world frame.

@@ -4,7 +4,7 @@
 //! (masks they touch) per frame, never points x frames.
 
 use super::ParseError;
-use super::checkpoints::Log;
+use super::checkpoints::StageLog;
 use super::masks::{IdImage, IdRuns, MaskSource};
 use super::sharpness::{Sharpness, SharpnessOfFrames};
 use super::visibility::Visibility;
@@ -38,7 +38,7 @@ pub struct VisibleSuperpoint {
 }
 
 /// A labelled cloud, and how a frame sees it.
-pub struct Lifting<'a> {
+pub struct LiftingInput<'a> {
     /// The points, by superpoint.
     pub visibility: &'a Visibility,
     /// One superpoint, numbered from 0, per point of the cloud.
@@ -87,7 +87,7 @@ impl Lifted {
     }
 }
 
-impl Lifting<'_> {
+impl LiftingInput<'_> {
     /// All frames, in order. Frames kept in `log` are not looked at again; the flag tells whether
     /// that was all.
     ///
@@ -96,7 +96,7 @@ impl Lifting<'_> {
     pub fn all(
         &self,
         frames: &[FrameRef],
-        mut log: Log<Lifted>,
+        mut log: StageLog<Lifted>,
         progress: &Progress,
     ) -> Result<(Vec<Lifted>, bool), ParseError> {
         let mut lifted = log.kept();

@@ -42,7 +42,7 @@ pub fn merge(
     let mut region_of: Vec<u32> = (0..superpoints.patches.len() as u32).collect();
     let mut levels = Vec::new();
     let plane_of = planes.of_superpoint.clone();
-    let mut graph = Graph {
+    let mut graph = SuperpointGraph {
         patches: superpoints.patches.clone(),
         adjacent: superpoints.adjacent.clone(),
         plane_of,
@@ -80,14 +80,14 @@ fn relation(fine: &[u32], coarse: &[u32]) -> Vec<u32> {
 }
 
 /// The primitives of one stage.
-struct Graph {
+struct SuperpointGraph {
     patches: Vec<Patch>,
     adjacent: Vec<(u32, u32)>,
     plane_of: Vec<Option<u32>>,
     tables: Vec<FrameVisibility>,
 }
 
-impl Graph {
+impl SuperpointGraph {
     fn edges(&self, settings: &MergeSettings, progress: &Progress) -> Result<Vec<Edge>, Cancelled> {
         let pairs =
             affinity::pairs_within(&self.adjacent, self.patches.len(), settings.max_hop, progress)?;

@@ -25,7 +25,7 @@ use uniground_types::settings::PartMergingSettings;
 
 /// What is known of a region: a part, or a whole so far.
 #[derive(Debug, Clone)]
-struct Part {
+struct RegionFacts {
     points: f32,
     aabb: Aabb,
     footprint: OrientedBox,
@@ -56,11 +56,12 @@ pub fn join(
         return Ok(region_of);
     }
     progress.report("join_parts", 0.0)?;
-    let joining = Joining { cloud, superpoints, planes, settings, progress };
-    let is_leg = |part: &Part, whole: &Part| is_leg(settings, part) && carries(part, whole);
-    let is_back = |part: &Part, whole: &Part| is_back(settings, part, whole);
-    let is_storey = |part: &Part, whole: &Part| is_storey(settings, part, whole);
-    let rules: [&Rule; 4] = [&is_storey, &is_leg, &is_back, &is_foot];
+    let joining = PartMerger { cloud, superpoints, planes, settings, progress };
+    let is_leg =
+        |part: &RegionFacts, whole: &RegionFacts| is_leg(settings, part) && carries(part, whole);
+    let is_back = |part: &RegionFacts, whole: &RegionFacts| is_back(settings, part, whole);
+    let is_storey = |part: &RegionFacts, whole: &RegionFacts| is_storey(settings, part, whole);
+    let rules: [&PartRule; 4] = [&is_storey, &is_leg, &is_back, &is_foot];
     let count = region_of.iter().max().map_or(0, |&region| region as usize + 1);
     let (mut region_of, mut known) = (region_of, vec![None; count]);
     let parts = joining.parts(&region_of, known)?;
@@ -73,9 +74,9 @@ pub fn join(
 }
 
 /// Whether a region is a part of another.
-type Rule<'a> = dyn Fn(&Part, &Part) -> bool + 'a;
+type PartRule<'a> = dyn Fn(&RegionFacts, &RegionFacts) -> bool + 'a;
 
-struct Joining<'a> {
+struct PartMerger<'a> {
     cloud: &'a PointCloud,
     superpoints: &'a Superpoints,
     planes: &'a Planes,
@@ -83,16 +84,16 @@ struct Joining<'a> {
     progress: &'a Progress,
 }
 
-impl Joining<'_> {
+impl PartMerger<'_> {
     /// `rule(part, whole)` says which neighbours a region is a part of; it joins the one of them
     /// with which it shares most border. Answers the new regions, and what is known of those
     /// that are as they were.
     fn join_by(
         &self,
         region_of: Vec<u32>,
-        parts: &[Part],
-        rule: &Rule,
-    ) -> (Vec<u32>, Vec<Option<Part>>) {
+        parts: &[RegionFacts],
+        rule: &PartRule,
+    ) -> (Vec<u32>, Vec<Option<RegionFacts>>) {
         let mut contacts: BTreeMap<(u32, u32), u32> = BTreeMap::new();
         for &(a, b) in &self.superpoints.adjacent {
             let (a, b) = (region_of[a as usize], region_of[b as usize]);
@@ -101,7 +102,7 @@ impl Joining<'_> {
                 *contacts.entry((b, a)).or_default() += 1;
             }
         }
-        let furniture = |part: &Part| part.footprint.size.max() <= self.settings.longest_m;
+        let furniture = |part: &RegionFacts| part.footprint.size.max() <= self.settings.longest_m;
         let mut best: BTreeMap<u32, (u32, std::cmp::Reverse<u32>)> = BTreeMap::new();
         for (&(a, b), &n) in &contacts {
             let (part, whole) = (&parts[a as usize], &parts[b as usize]);
@@ -119,7 +120,11 @@ impl Joining<'_> {
     }
 
     /// What every region is like, given what is known of some.
-    fn parts(&self, region_of: &[u32], known: Vec<Option<Part>>) -> Result<Vec<Part>, Cancelled> {
+    fn parts(
+        &self,
+        region_of: &[u32],
+        known: Vec<Option<RegionFacts>>,
+    ) -> Result<Vec<RegionFacts>, Cancelled> {
         let mut members: Vec<Vec<Point3<f32>>> = vec![Vec::new(); known.len()];
         let mut structural = vec![false; known.len()];
         for (&region, plane) in region_of.iter().zip(&self.planes.of_superpoint) {
@@ -131,17 +136,23 @@ impl Joining<'_> {
                 members[region].push(*p);
             }
         }
-        let part =
-            |(known, (positions, &is_structural)): (Option<Part>, (&Vec<Point3<f32>>, &bool))| {
-                self.progress.check()?;
-                Ok(known.unwrap_or_else(|| Part { is_structural, ..Part::of(positions) }))
-            };
+        let part = |(known, (positions, &is_structural)): (
+            Option<RegionFacts>,
+            (&Vec<Point3<f32>>, &bool),
+        )| {
+            self.progress.check()?;
+            Ok(known.unwrap_or_else(|| RegionFacts { is_structural, ..RegionFacts::of(positions) }))
+        };
         known.into_par_iter().zip(members.par_iter().zip(&structural)).map(part).collect()
     }
 }
 
 /// The regions that sets of them make, and what is known of those that are as they were.
-fn united(sets: UnionFind, region_of: Vec<u32>, parts: &[Part]) -> (Vec<u32>, Vec<Option<Part>>) {
+fn united(
+    sets: UnionFind,
+    region_of: Vec<u32>,
+    parts: &[RegionFacts],
+) -> (Vec<u32>, Vec<Option<RegionFacts>>) {
     let (labels, count) = sets.into_labels();
     let mut joined = vec![0; count];
     labels.iter().for_each(|&label| joined[label as usize] += 1);
@@ -157,7 +168,7 @@ fn united(sets: UnionFind, region_of: Vec<u32>, parts: &[Part]) -> (Vec<u32>, Ve
 /// Above or below the other, of the same outline, and neither is far from it nor reaches far into
 /// it. The smaller joins the larger. What leaves a rim free all around stands there as a thing of
 /// its own.
-fn is_storey(settings: &PartMergingSettings, part: &Part, whole: &Part) -> bool {
+fn is_storey(settings: &PartMergingSettings, part: &RegionFacts, whole: &RegionFacts) -> bool {
     /// Share of both outlines together that both have, along each axis of the larger.
     const SAME_OUTLINE: f32 = 0.75;
     /// Gap or overlap in height, as a share of both together.
@@ -184,14 +195,14 @@ fn is_storey(settings: &PartMergingSettings, part: &Part, whole: &Part) -> bool 
     is_same && !leaves_rim
 }
 
-fn is_leg(settings: &PartMergingSettings, part: &Part) -> bool {
+fn is_leg(settings: &PartMergingSettings, part: &RegionFacts) -> bool {
     const SLENDER: f32 = 3.0;
     let [long, wide, _] = part.extents;
     wide <= settings.leg_thickness_m && long >= SLENDER * wide
 }
 
 /// Upright, thin, no taller than furniture, as wide as the other, and at its rim.
-fn is_back(settings: &PartMergingSettings, part: &Part, seat: &Part) -> bool {
+fn is_back(settings: &PartMergingSettings, part: &RegionFacts, seat: &RegionFacts) -> bool {
     const TALLEST_M: f32 = 1.0;
     /// How far from upright a plate may lean: 35 degrees.
     const UPRIGHT: f32 = 0.57;
@@ -212,13 +223,13 @@ fn is_back(settings: &PartMergingSettings, part: &Part, seat: &Part) -> bool {
 }
 
 /// The other begins where this one ends.
-fn carries(part: &Part, other: &Part) -> bool {
+fn carries(part: &RegionFacts, other: &RegionFacts) -> bool {
     other.aabb.center.z > part.aabb.center.z
         && (other.aabb.min().z - part.aabb.max().z).abs() <= 1.5 * CONTACT_M
 }
 
 /// Smaller, below, and not sticking out.
-fn is_foot(part: &Part, other: &Part) -> bool {
+fn is_foot(part: &RegionFacts, other: &RegionFacts) -> bool {
     const UNDER: f32 = 0.8;
     part.points < 0.5 * other.points
         && part.aabb.size.z >= CONTACT_M
@@ -227,7 +238,7 @@ fn is_foot(part: &Part, other: &Part) -> bool {
         && part.aabb.footprint_overlap(&other.aabb) >= UNDER
 }
 
-impl Part {
+impl RegionFacts {
     fn of(positions: &[Point3<f32>]) -> Self {
         /// Share of the points left out at either end: strays must not make a leg thick.
         const TRIM: f32 = 0.02;
@@ -383,7 +394,7 @@ mod tests {
                 .flat_map(|i| (0..16).flat_map(move |j| (0..20).map(move |k| (i, j, k))))
                 .map(|(i, j, k)| at(i, j, k))
                 .collect();
-            Part::of(&points)
+            RegionFacts::of(&points)
         };
         let settings = PartMergingSettings::default();
         assert!(is_storey(&settings, &block(0.0, 0.6), &block(0.4, 0.6)));
@@ -391,7 +402,7 @@ mod tests {
         assert!(!is_storey(
             &settings,
             &block(0.0, 0.6),
-            &Part { is_structural: true, ..block(0.4, 0.6) }
+            &RegionFacts { is_structural: true, ..block(0.4, 0.6) }
         ));
     }
 

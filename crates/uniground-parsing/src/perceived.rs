@@ -4,7 +4,7 @@
 
 use super::checkpoints::Checkpoints;
 use super::frame_sampling;
-use super::lifting::{Lifted, Lifting};
+use super::lifting::{Lifted, LiftingInput};
 use super::masks::MaskSource;
 use super::superpoints::{self, Superpoints};
 use super::visibility::Visibility;
@@ -16,7 +16,7 @@ use uniground_types::settings::{
 };
 
 /// A scan in superpoints, and what its frames show of them.
-pub(super) struct Perceived {
+pub(super) struct LiftedFrames {
     /// With everything that was added.
     pub cloud: PointCloud,
     /// Those that were looked at.
@@ -55,7 +55,7 @@ pub(super) fn perceive(
     checkpoints: &Checkpoints,
     progress: &Progress,
     watch: &mut Stopwatch,
-) -> Result<Perceived, ParseError> {
+) -> Result<LiftedFrames, ParseError> {
     let SceneBundle { mut cloud, frames, additions, report: _ } = bundle;
     let superpoints_end = perception.superpoints_end();
     let mut superpoints = watch.time("superpoints", |outcome| {
@@ -78,7 +78,7 @@ pub(super) fn perceive(
                       frames: &[FrameRef],
                       progress: &Progress| {
         let visibility = Visibility::new(cloud, &superpoints.of_point, settings.depth_tolerance);
-        let lifting = Lifting {
+        let lifting = LiftingInput {
             visibility: &visibility,
             superpoint_of_point: &superpoints.of_point,
             masks: perception.masks,
@@ -133,7 +133,7 @@ pub(super) fn perceive(
             Ok::<_, ParseError>(())
         })?;
     }
-    Ok(Perceived { cloud, frames, superpoints, lifted, checkpoints })
+    Ok(LiftedFrames { cloud, frames, superpoints, lifted, checkpoints })
 }
 
 fn masks_in(lifted: &[Lifted]) -> usize {

@@ -22,7 +22,7 @@ use uniground_models::neural::{Encoded, LowMask, Prompt, Segmenter};
 use uniground_types::settings::ParsingSettings;
 
 /// A scan, and who cuts its photographs.
-pub struct Pointing<'a> {
+pub struct PointedObjectFinder<'a> {
     /// The points of the scan.
     pub cloud: &'a PointCloud,
     /// Its frames, with their picture files in place.
@@ -35,7 +35,7 @@ pub struct Pointing<'a> {
 
 /// A place in a photograph.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Place {
+pub struct PhotographPoint {
     /// The frame it is taken with.
     pub frame: FrameIndex,
     /// Column and row in its colour picture, pixels.
@@ -75,7 +75,7 @@ pub fn known_as<'a>(known: &'a [Instance], found: &Instance) -> Option<&'a Insta
     best.filter(|i| overlap(i) >= SAME_THING)
 }
 
-impl Pointing<'_> {
+impl PointedObjectFinder<'_> {
     /// The thing at a place: one of the instances that are known, where a mask shows just that,
     /// else as the next of them; not one of those it is known not to be, and no part of the
     /// building. `None` where nothing else can be cut out there.
@@ -84,7 +84,7 @@ impl Pointing<'_> {
     /// [`ParseError`]: an unreadable frame, or a segmenter that fails.
     pub fn find(
         &self,
-        place: Place,
+        place: PhotographPoint,
         known: &[Instance],
         is_not: &[InstanceId],
     ) -> Result<Option<Instance>, ParseError> {
@@ -104,7 +104,7 @@ impl Pointing<'_> {
             }
             let quick = instances::of_points(self.cloud, &seed, known, &self.settings.instances);
             if !known_as(known, &quick).is_some_and(is_other) {
-                options.push(Meant { mask, quality, seed });
+                options.push(MaskHypothesis { mask, quality, seed });
             }
         }
         if let Some(shown) = self.shown(&first, &options, known.iter().filter(|i| !is_other(i))) {
@@ -117,10 +117,10 @@ impl Pointing<'_> {
         // As many as stage 1 looked at: somebody waits.
         let frames = frame_sampling::sample(self.frames, &self.settings.frame_sampling);
         let further = self.further(&frames, least, place.frame, &visibility)?;
-        let mut best: Option<(f32, Votes, &Meant)> = None;
+        let mut best: Option<(f32, MaskVotes, &MaskHypothesis)> = None;
         for option in &options {
             let mut votes =
-                Votes { seen: vec![0; self.cloud.len()], inside: vec![0; self.cloud.len()] };
+                MaskVotes { seen: vec![0; self.cloud.len()], inside: vec![0; self.cloud.len()] };
             votes.count(&first, &option.mask);
             let worth = option.quality * self.agreement(&option.seed, &further, &mut votes)?;
             if best.as_ref().is_none_or(|(so_far, ..)| worth > *so_far) {
@@ -146,8 +146,8 @@ impl Pointing<'_> {
     /// sees under the mask.
     fn shown<'i>(
         &self,
-        looked: &Looked,
-        options: &[Meant],
+        looked: &FrameLookup,
+        options: &[MaskHypothesis],
         known: impl Iterator<Item = &'i Instance>,
     ) -> Option<&'i Instance> {
         let under: Vec<Vec<bool>> = options
@@ -177,23 +177,27 @@ impl Pointing<'_> {
             .map(|(_, instance)| instance)
     }
 
-    fn look(&self, frame: &FrameRef, visibility: &Visibility) -> Result<Looked, ParseError> {
+    fn look(&self, frame: &FrameRef, visibility: &Visibility) -> Result<FrameLookup, ParseError> {
         let frame = frame.decode()?;
         let seen = visibility.in_frame(&frame.depth_camera, &frame.depth);
         let cut = match self.segmenter {
-            Some(segmenter) => Cut::Encoded(segmenter.encode(&frame.colour)?),
-            None => Cut::Images(
+            Some(segmenter) => FrameSegmentation::Encoded(segmenter.encode(&frame.colour)?),
+            None => FrameSegmentation::Images(
                 RgbdMasks { settings: self.settings.rgbd_masks }.levels(&frame, &UNEVEN),
             ),
         };
-        Ok(Looked { frame, seen, cut })
+        Ok(FrameLookup { frame, seen, cut })
     }
 
     /// The masks that a place of a frame's colour picture may mean, each with what its maker thinks
     /// of it, `0..=1`.
-    fn masks_at(&self, looked: &Looked, at: (f32, f32)) -> Result<Vec<(Mask, f32)>, ParseError> {
+    fn masks_at(
+        &self,
+        looked: &FrameLookup,
+        at: (f32, f32),
+    ) -> Result<Vec<(Mask, f32)>, ParseError> {
         match (&looked.cut, self.segmenter) {
-            (Cut::Encoded(encoded), Some(segmenter)) => {
+            (FrameSegmentation::Encoded(encoded), Some(segmenter)) => {
                 let (scale, threshold) = (segmenter.low_scale(encoded), segmenter.threshold());
                 let masks =
                     segmenter.decode(encoded, &[Prompt::inside([at])])?.into_iter().flatten();
@@ -202,13 +206,13 @@ impl Pointing<'_> {
                     .map(|(q, mask)| (Mask::Decoded { mask, scale, threshold }, q))
                     .collect())
             }
-            (Cut::Images(images), _) => {
+            (FrameSegmentation::Images(images), _) => {
                 let masks = images.iter().enumerate().filter_map(|(level, ids)| {
                     Some(Mask::Cut { level, id: nearest_mask(ids, &looked.frame, at)? })
                 });
                 Ok(masks.map(|mask| (mask, 1.0)).collect())
             }
-            (Cut::Encoded(_), None) => Ok(Vec::new()),
+            (FrameSegmentation::Encoded(_), None) => Ok(Vec::new()),
         }
     }
 
@@ -219,8 +223,8 @@ impl Pointing<'_> {
         seed: &[u32],
         but: FrameIndex,
         visibility: &Visibility,
-    ) -> Result<Vec<Looked>, ParseError> {
-        let of_seed = Subset::of(self.cloud, seed);
+    ) -> Result<Vec<FrameLookup>, ParseError> {
+        let of_seed = CloudSubset::of(self.cloud, seed);
         let others: Vec<FrameRef> = frames
             .iter()
             .filter(|frame| frame.index != but && of_seed.may_be_in(frame))
@@ -259,8 +263,8 @@ impl Pointing<'_> {
     fn agreement(
         &self,
         seed: &[u32],
-        further: &[Looked],
-        votes: &mut Votes,
+        further: &[FrameLookup],
+        votes: &mut MaskVotes,
     ) -> Result<f32, ParseError> {
         let of_seed: HashSet<u32> = seed.iter().copied().collect();
         // What the first frame sees outside of its mask is something else, and so is what lies far
@@ -333,7 +337,7 @@ impl Pointing<'_> {
 
     /// The frames that show most of these points.
     fn views_of(&self, frames: &[FrameRef], points: &[u32]) -> Result<Vec<View>, ParseError> {
-        let of_thing = Subset::of(self.cloud, points);
+        let of_thing = CloudSubset::of(self.cloud, points);
         let frames: Vec<FrameRef> =
             frames.iter().filter(|frame| of_thing.may_be_in(frame)).cloned().collect();
         let mut views = Vec::new();
@@ -360,20 +364,20 @@ impl Pointing<'_> {
 }
 
 /// A frame, what it shows of the cloud, and what masks are made from.
-struct Looked {
+struct FrameLookup {
     frame: Frame,
     seen: Vec<FramePoint>,
-    cut: Cut,
+    cut: FrameSegmentation,
 }
 
-enum Cut {
+enum FrameSegmentation {
     /// For a segmenter's decoder.
     Encoded(Encoded),
     /// Built-in masks, coarse to fine.
     Images(Vec<IdImage>),
 }
 
-impl Looked {
+impl FrameLookup {
     /// The points of the cloud under a mask.
     fn under(&self, mask: &Mask) -> Vec<u32> {
         self.seen.iter().filter(|point| mask.holds(self, point)).map(|point| point.point).collect()
@@ -381,7 +385,7 @@ impl Looked {
 }
 
 /// What a place may mean.
-struct Meant {
+struct MaskHypothesis {
     mask: Mask,
     quality: f32,
     /// The points under the mask.
@@ -398,10 +402,12 @@ enum Mask {
 
 impl Mask {
     /// Whether it covers a point that its frame shows.
-    fn holds(&self, looked: &Looked, point: &FramePoint) -> bool {
+    fn holds(&self, looked: &FrameLookup, point: &FramePoint) -> bool {
         match (self, &looked.cut) {
-            (Self::Cut { level, id }, Cut::Images(images)) => images[*level].at(point.cell) == *id,
-            (Self::Cut { .. }, Cut::Encoded(_)) => false,
+            (Self::Cut { level, id }, FrameSegmentation::Images(images)) => {
+                images[*level].at(point.cell) == *id
+            }
+            (Self::Cut { .. }, FrameSegmentation::Encoded(_)) => false,
             (Self::Decoded { mask, scale, threshold }, _) => colour_pixel(&looked.frame, point)
                 .is_some_and(|at| mask.at(at, *scale) > *threshold),
         }
@@ -409,13 +415,13 @@ impl Mask {
 }
 
 /// By point of the cloud: frames that show it, and frames that have it in their masks.
-struct Votes {
+struct MaskVotes {
     seen: Vec<u8>,
     inside: Vec<u8>,
 }
 
-impl Votes {
-    fn count(&mut self, looked: &Looked, mask: &Mask) {
+impl MaskVotes {
+    fn count(&mut self, looked: &FrameLookup, mask: &Mask) {
         for point in &looked.seen {
             self.seen[point.point as usize] += 1;
             self.inside[point.point as usize] += u8::from(mask.holds(looked, point));
@@ -433,13 +439,13 @@ impl Votes {
 }
 
 /// Some points of a cloud, ready to be looked up in frames.
-struct Subset {
+struct CloudSubset {
     points: PointCloud,
     middle: Point3<f32>,
     radius_m: f32,
 }
 
-impl Subset {
+impl CloudSubset {
     fn of(cloud: &PointCloud, points: &[u32]) -> Self {
         let positions: Vec<Point3<f32>> =
             points.iter().map(|&point| cloud.positions[point as usize]).collect();

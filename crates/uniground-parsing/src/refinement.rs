@@ -19,14 +19,14 @@ const REACH_M: f32 = 0.05;
 
 /// What the frames say of one point.
 #[derive(Clone, Copy, Default)]
-struct Votes {
+struct PointVotes {
     own: u16,
     /// The region that leads among the others (majority vote of Boyer and Moore), and by how much.
     other: u32,
     lead: u16,
 }
 
-impl Votes {
+impl PointVotes {
     fn cast(&mut self, own: u32, region: u32) {
         if region == own {
             self.own = self.own.saturating_add(1);
@@ -51,7 +51,7 @@ pub fn refine(
     masks: &MasksOfFrames,
     progress: &Progress,
 ) -> Result<Vec<u32>, ParseError> {
-    let mut votes = vec![Votes::default(); cloud.len()];
+    let mut votes = vec![PointVotes::default(); cloud.len()];
     stream_frames(
         frames,
         |frame| {
@@ -157,7 +157,7 @@ mod tests {
                 .collect::<Vec<_>>(),
             [0, 1, 2, 3]
         );
-        let mut votes = Votes::default();
+        let mut votes = PointVotes::default();
         told.iter().filter(|(point, _)| *point == 4).for_each(|&(_, region)| votes.cast(0, region));
         assert_eq!((votes.own, votes.other, votes.lead), (0, 1, 1));
     }
@@ -172,7 +172,7 @@ mod tests {
 
     #[test]
     fn votes_find_the_leader_among_the_others() {
-        let mut votes = Votes::default();
+        let mut votes = PointVotes::default();
         [7, 3, 7, 0, 7, 5, 7].into_iter().for_each(|region| votes.cast(0, region));
         assert_eq!((votes.own, votes.other), (1, 7));
         assert!(votes.lead > votes.own);

@@ -10,7 +10,7 @@
 use super::labels::Labels;
 use super::planes::Planes;
 use super::superpoints::Superpoints;
-use super::visibility::{FramePoint, Sight, is_sampled};
+use super::visibility::{FramePoint, PointVisibility, is_sampled};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use uniground_geometry::scene::{Camera, DepthImage, InstanceId, PointCloud, Structure};
@@ -20,7 +20,7 @@ use uniground_types::settings::InstanceSettings;
 
 /// Where a flat thing begins and ends over its plane.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Relief {
+pub struct FlatRelief {
     /// Unit length, from the plane towards the cameras.
     pub normal: Vector3<f32>,
     /// A point of the plane, as the cloud has it around the thing, metres, world frame.
@@ -29,7 +29,7 @@ pub struct Relief {
     pub span_m: (f32, f32),
 }
 
-impl Relief {
+impl FlatRelief {
     /// These points without what noise and drift did to them along the normal: each as a pair,
     /// where the thing begins and where it ends.
     #[must_use]
@@ -68,7 +68,7 @@ const LEAST_M: f32 = 0.003;
 const HANGS_M: f32 = 0.065;
 
 /// A thing that may lie flat on a plane.
-struct Flat {
+struct FlatCandidate {
     id: InstanceId,
     plane: u32,
     /// Unit length, towards the cameras; two directions along the plane.
@@ -80,7 +80,7 @@ struct Flat {
     high: [f32; 2],
 }
 
-impl Flat {
+impl FlatCandidate {
     /// Height over the plane and place along it, metres.
     fn place(&self, p: &Point3<f32>) -> (f32, [f32; 2]) {
         let [height, a, b] = self.axes.map(|axis| (p - self.base).dot(&axis));
@@ -93,19 +93,19 @@ impl Flat {
 }
 
 /// The things of a scan that may lie flat on planes of the building.
-pub struct Flats<'a> {
+pub struct FlatCandidates<'a> {
     superpoints: &'a Superpoints,
     planes: &'a Planes,
     labels: &'a Labels<'a>,
-    things: Vec<Flat>,
+    things: Vec<FlatCandidate>,
     /// Place in `things`, by id.
     of_id: Vec<Option<u32>>,
 }
 
 /// Sum and number of the heights in a cell of a flat thing: its place among them, the cell.
-type Cells = BTreeMap<(u32, [i32; 2]), (f32, u32)>;
+type HeightCells = BTreeMap<(u32, [i32; 2]), (f32, u32)>;
 
-impl<'a> Flats<'a> {
+impl<'a> FlatCandidates<'a> {
     /// What has its points close to a plane, and points of the plane around them; nothing where the
     /// settings have nothing thin. `cameras` are centres of cameras, metres.
     #[must_use]
@@ -166,7 +166,7 @@ impl<'a> Flats<'a> {
             if (share as f32) < FLAT * points.len() as f32 || whose[plane] == Some(id) {
                 return None;
             }
-            let mut flat = Flat {
+            let mut flat = FlatCandidate {
                 id,
                 plane: plane as u32,
                 axes: axes[plane],
@@ -190,7 +190,7 @@ impl<'a> Flats<'a> {
             flat.base += flat.axes[0] * median(&mut around)?;
             Some(flat)
         };
-        let things: Vec<Flat> = members
+        let things: Vec<FlatCandidate> = members
             .par_iter()
             .enumerate()
             .filter_map(|(i, points)| flat((points, InstanceId(i as u32 + 1))))
@@ -201,20 +201,26 @@ impl<'a> Flats<'a> {
 
     /// What one frame tells, given its depth, the camera of that, and the points it shows.
     #[must_use]
-    pub fn heights(&self, camera: &Camera, depth: &DepthImage, points: &[FramePoint]) -> Heights {
+    pub fn heights(
+        &self,
+        camera: &Camera,
+        depth: &DepthImage,
+        points: &[FramePoint],
+    ) -> FlatHeights {
         if self.things.is_empty() {
-            return Heights::default();
+            return FlatHeights::default();
         }
         let to_world = camera.world_to_camera().inverse();
         // By flat thing: heights of the plane around; place along the plane and height of its own
         // points.
         let mut around: Vec<Vec<f32>> = vec![Vec::new(); self.things.len()];
         let mut own: Vec<Vec<([i32; 2], f32)>> = vec![Vec::new(); self.things.len()];
-        for seen in points.iter().filter(|seen| seen.sight == Sight::Visible) {
+        for seen in points.iter().filter(|seen| seen.sight == PointVisibility::Visible) {
             let (u, v) = seen.cell;
             let measured =
                 || to_world * camera.intrinsics.unproject(u as f32, v as f32, depth.at(seen.cell));
-            let is_of = |flat: &Flat| self.labels.of(seen.point as usize).any(|id| id == flat.id);
+            let is_of =
+                |flat: &FlatCandidate| self.labels.of(seen.point as usize).any(|id| id == flat.id);
             for flat in
                 self.labels.of(seen.point as usize).filter_map(|id| self.of_id[id.0 as usize])
             {
@@ -235,7 +241,7 @@ impl<'a> Flats<'a> {
                 }
             }
         }
-        let mut cells = Cells::new();
+        let mut cells = HeightCells::new();
         for (i, (mut around, own)) in (0..).zip(around.into_iter().zip(own)) {
             if around.len() < MIN_POINTS || own.len() < MIN_POINTS {
                 continue;
@@ -245,19 +251,19 @@ impl<'a> Flats<'a> {
                 add(&mut cells, (i, cell), (height - base_m, 1));
             }
         }
-        Heights(cells)
+        FlatHeights(cells)
     }
 
     /// What lies flat, given what all frames tell.
     #[must_use]
-    pub fn reliefs(&self, heights: Heights) -> BTreeMap<InstanceId, Relief> {
+    pub fn reliefs(&self, heights: FlatHeights) -> BTreeMap<InstanceId, FlatRelief> {
         let mut of_flat: Vec<Vec<f32>> = vec![Vec::new(); self.things.len()];
         for ((flat, _), (sum, count)) in
             heights.0.into_iter().filter(|(_, (_, count))| *count >= MIN_HEIGHTS)
         {
             of_flat[flat as usize].push(sum / count as f32);
         }
-        let relief = |(flat, mut heights): (&Flat, Vec<f32>)| {
+        let relief = |(flat, mut heights): (&FlatCandidate, Vec<f32>)| {
             if heights.len() < MIN_CELLS || median(&mut heights)? <= LEAST_M {
                 return None;
             }
@@ -268,7 +274,7 @@ impl<'a> Flats<'a> {
                 && self.planes.planes[flat.plane as usize].structure != Structure::Floor;
             let span_m = (if hangs { from } else { 0.0 }, to);
             (span_m.1 - span_m.0 < THIN * extent)
-                .then(|| (flat.id, Relief { normal: flat.axes[0], base: flat.base, span_m }))
+                .then(|| (flat.id, FlatRelief { normal: flat.axes[0], base: flat.base, span_m }))
         };
         self.things.iter().zip(of_flat).filter_map(relief).collect()
     }
@@ -276,16 +282,16 @@ impl<'a> Flats<'a> {
 
 /// Heights of flat things over their planes.
 #[derive(Debug, Default)]
-pub struct Heights(Cells);
+pub struct FlatHeights(HeightCells);
 
-impl Heights {
+impl FlatHeights {
     /// Takes those of another frame in.
     pub fn gather(&mut self, other: Self) {
         other.0.into_iter().for_each(|(cell, heights)| add(&mut self.0, cell, heights));
     }
 }
 
-fn add(cells: &mut Cells, cell: (u32, [i32; 2]), (sum, count): (f32, u32)) {
+fn add(cells: &mut HeightCells, cell: (u32, [i32; 2]), (sum, count): (f32, u32)) {
     let heights = cells.entry(cell).or_default();
     *heights = (heights.0 + sum, heights.1 + count);
 }
@@ -311,7 +317,7 @@ mod tests {
         width_m: f32,
         structure: Structure,
         drift_m: f32,
-    ) -> (Option<Relief>, Aabb) {
+    ) -> (Option<FlatRelief>, Aabb) {
         let camera = Camera::new(CAMERA, &Isometry3::identity());
         let (mut cloud, mut region_of, mut depths) =
             (PointCloud::default(), Vec::new(), Vec::new());
@@ -349,7 +355,7 @@ mod tests {
         let planes = Planes { planes: vec![plane], of_superpoint: vec![Some(0), None] };
         let labels = Labels::of_regions(&region_of, &superpoints, Vec::new());
         let visibility = Visibility::new(&cloud, &region_of, 0.1);
-        let flats = Flats::of(
+        let flats = FlatCandidates::of(
             &cloud,
             &superpoints,
             &planes,
@@ -357,7 +363,7 @@ mod tests {
             &[Point3::origin()],
             &InstanceSettings::default(),
         );
-        let mut heights = Heights::default();
+        let mut heights = FlatHeights::default();
         depths.iter().for_each(|depth| {
             heights.gather(flats.heights(&camera, depth, &visibility.around_frame(&camera, depth)))
         });

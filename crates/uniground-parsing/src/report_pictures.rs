@@ -46,11 +46,11 @@ pub fn render(
     let count = FRAMES.min(frames.len());
     let shown = (0..count).map(|k| &frames[frames.len() * (2 * k + 1) / (2 * count)]);
     let structural = scene.report.structural;
-    let mut jobs: Vec<(String, String, Subject)> = vec![
+    let mut jobs: Vec<(String, String, PictureSubject)> = vec![
         (
             "superpoints".into(),
             format!("The cloud by superpoint ({})", scene.report.superpoints),
-            Subject::Cloud(&by_superpoint),
+            PictureSubject::Cloud(&by_superpoint),
         ),
         (
             "instances".into(),
@@ -58,19 +58,21 @@ pub fn render(
                 "The cloud by instance ({}, {structural} of them structural and grey)",
                 scene.report.instances
             ),
-            Subject::Cloud(&by_instance),
+            PictureSubject::Cloud(&by_instance),
         ),
     ];
     jobs.extend(shown.enumerate().map(|(k, frame)| {
         let title = format!("Instances over frame {}", frame.index);
-        (format!("frame-{}", k + 1), title, Subject::Frame(frame))
+        (format!("frame-{}", k + 1), title, PictureSubject::Frame(frame))
     }));
     jobs.into_par_iter()
         .map(|(name, title, subject)| {
             progress.check()?;
             let picture = match subject {
-                Subject::Cloud(cloud) => scene_picture(cloud, &scene.extent, &ROOM_VIEW, &[]),
-                Subject::Frame(frame) => {
+                PictureSubject::Cloud(cloud) => {
+                    scene_picture(cloud, &scene.extent, &ROOM_VIEW, &[])
+                }
+                PictureSubject::Frame(frame) => {
                     frame_overlay(&frame.decode_colour()?, &frame.colour_camera(), &by_instance)
                 }
             };
@@ -105,7 +107,7 @@ pub fn photograph_with_instances(
     Ok(jpeg(&frame_overlay(&frame.decode_colour()?, &frame.colour_camera(), &coloured)))
 }
 
-enum Subject<'a> {
+enum PictureSubject<'a> {
     Cloud(&'a RenderScene),
     Frame(&'a FrameRef),
 }

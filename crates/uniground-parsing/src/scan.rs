@@ -5,14 +5,14 @@ use crate::checkpoints::Checkpoints;
 use crate::correction::Corrector;
 use crate::masks::rgbd::RgbdMasks;
 use crate::masks::sam::{EncodedFrames, SamMasks};
-use crate::masks::{MaskSource, Together};
+use crate::masks::{CombinedMasks, MaskSource};
 use crate::{ParseError, Perception, StageOutcome, Stopwatch};
 use camino::Utf8Path;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::{
     FrameRef, ImportReport, ParsedScene, SceneBundle, SourceToScene, stream_frames,
 };
-use uniground_ingest::{Grown, IngestError, part_folder};
+use uniground_ingest::{GrownScan, IngestError, part_folder};
 use uniground_models::attributes;
 use uniground_models::neural::{Models, Role};
 use uniground_types::scene::StageReport;
@@ -168,7 +168,7 @@ pub fn import_scan(
     checkpoints: &Checkpoints,
     progress: &Progress,
 ) -> Result<ImportedScan, ScanError> {
-    timed_import(content, settings, checkpoints, progress, Missing::Made)
+    timed_import(content, settings, checkpoints, progress, MissingStage::Made)
 }
 
 /// The import of a scan as it is stored in its checkpoints; `None` where it is not. Nothing of the
@@ -181,7 +181,7 @@ pub fn stored_import(
     settings: &ImportSettings,
     checkpoints: &Checkpoints,
 ) -> Result<Option<ImportedScan>, ScanError> {
-    match timed_import(content, settings, checkpoints, &Progress::silent(), Missing::Refused) {
+    match timed_import(content, settings, checkpoints, &Progress::silent(), MissingStage::Refused) {
         Ok(scan) => Ok(Some(scan)),
         Err(ScanError::NotImported) => Ok(None),
         Err(error) => Err(error),
@@ -190,7 +190,7 @@ pub fn stored_import(
 
 /// What happens to a part of an import that no checkpoint holds.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Missing {
+enum MissingStage {
     Made,
     Refused,
 }
@@ -200,7 +200,7 @@ fn timed_import(
     settings: &ImportSettings,
     checkpoints: &Checkpoints,
     progress: &Progress,
-    missing: Missing,
+    missing: MissingStage,
 ) -> Result<ImportedScan, ScanError> {
     let mut watch = Stopwatch::default();
     let bundle = watch.time("import", |outcome| {
@@ -250,10 +250,11 @@ fn import(
     settings: &ImportSettings,
     checkpoints: &Checkpoints,
     progress: &Progress,
-    missing: Missing,
+    missing: MissingStage,
 ) -> Result<(SceneBundle, bool), ScanError> {
-    let may_load = || if missing == Missing::Made { Ok(()) } else { Err(ScanError::NotImported) };
-    let added = Grown::read(content)?
+    let may_load =
+        || if missing == MissingStage::Made { Ok(()) } else { Err(ScanError::NotImported) };
+    let added = GrownScan::read(content)?
         .map_or_else(Vec::new, |grown| grown.parts.into_iter().skip(1).collect());
     let first = if added.is_empty() { content.to_owned() } else { part_folder(content, 0) };
     let share = |parts: usize| parts as f32 / (added.len() + 1) as f32;
@@ -337,7 +338,7 @@ fn cut_with(
             name: names.masks.clone(),
         })
         .collect();
-    let together = Together {
+    let together = CombinedMasks {
         sources: sam.iter().map(|sam| sam as &dyn MaskSource).collect(),
         name: names.masks.clone(),
     };

@@ -53,10 +53,10 @@ pub fn set_free(
     for (p, &superpoint) in cloud.positions.iter().zip(&superpoints.of_point) {
         points[superpoint as usize].push(*p);
     }
-    let pieces: Vec<Piece> = points
+    let pieces: Vec<SuperpointFacts> = points
         .par_iter()
         .zip(&superpoints.patches)
-        .map(|(points, patch)| Piece::of(points, patch))
+        .map(|(points, patch)| SuperpointFacts::of(points, patch))
         .collect();
     let mut neighbours = vec![Vec::new(); pieces.len()];
     for &(a, b) in &superpoints.adjacent {
@@ -101,7 +101,7 @@ pub fn set_free(
 }
 
 /// What is known of a superpoint.
-struct Piece {
+struct SuperpointFacts {
     points: u32,
     /// Heights below which a twentieth, half, and all but a twentieth of its points lie, metres.
     low_z: f32,
@@ -111,7 +111,7 @@ struct Piece {
     footprint: BTreeSet<(i32, i32)>,
 }
 
-impl Piece {
+impl SuperpointFacts {
     fn of(points: &[Point3<f32>], patch: &Patch) -> Self {
         let mut heights: Vec<f32> = points.iter().map(|p| p.z).collect();
         let mut height = |share| quantile(&mut heights, share).unwrap_or(0.0);
@@ -131,9 +131,9 @@ impl Piece {
 
 /// Cells from a least column and row to the last ones.
 #[derive(Clone, Copy)]
-struct Rectangle([i32; 4]);
+struct CellRect([i32; 4]);
 
-impl Rectangle {
+impl CellRect {
     fn around(cells: &BTreeSet<(i32, i32)>) -> Self {
         let grown = |[left, near, right, far]: [i32; 4], &(x, y): &(i32, i32)| {
             [left.min(x), near.min(y), right.max(x), far.max(y)]
@@ -154,16 +154,16 @@ impl Rectangle {
 }
 
 /// A level part of a region.
-struct Top {
+struct SupportSurface {
     z: f32,
     members: BTreeSet<u32>,
     area_m2: f32,
-    around: Rectangle,
+    around: CellRect,
 }
 
-impl Top {
+impl SupportSurface {
     /// Whether these superpoints stand on it as one thing.
-    fn carries(&self, thing: &[u32], pieces: &[Piece]) -> bool {
+    fn carries(&self, thing: &[u32], pieces: &[SuperpointFacts]) -> bool {
         let piece = |&s: &u32| &pieces[s as usize];
         let low_z = thing.iter().map(|s| piece(s).low_z).fold(f32::INFINITY, f32::min);
         let high_z = thing.iter().map(|s| piece(s).high_z).fold(f32::NEG_INFINITY, f32::max);
@@ -172,20 +172,20 @@ impl Top {
         low_z < self.z + CONTACT_M
             && high_z >= self.z + MIN_RISE_M
             && over as f32 >= OVER_TOP * cells.len() as f32
-            && Rectangle::around(&cells).cells() <= MAX_COVERED * self.around.cells()
+            && CellRect::around(&cells).cells() <= MAX_COVERED * self.around.cells()
     }
 }
 
-fn points_of(members: &[u32], pieces: &[Piece]) -> u32 {
+fn points_of(members: &[u32], pieces: &[SuperpointFacts]) -> u32 {
     members.iter().map(|&s| pieces[s as usize].points).sum()
 }
 
-fn footprint(members: &[u32], pieces: &[Piece]) -> BTreeSet<(i32, i32)> {
+fn footprint(members: &[u32], pieces: &[SuperpointFacts]) -> BTreeSet<(i32, i32)> {
     members.iter().flat_map(|&s| pieces[s as usize].footprint.iter().copied()).collect()
 }
 
 /// The tops of a region, largest first.
-fn tops(pieces: &[Piece], members: &[u32]) -> Vec<Top> {
+fn tops(pieces: &[SuperpointFacts], members: &[u32]) -> Vec<SupportSurface> {
     let height = |&s: &u32| pieces[s as usize].middle_z;
     let mut level: Vec<u32> =
         members.iter().copied().filter(|&s| pieces[s as usize].is_level).collect();
@@ -195,14 +195,14 @@ fn tops(pieces: &[Piece], members: &[u32]) -> Vec<Top> {
         let area_m2 = cells.len() as f32 * CELL_M * CELL_M;
         let mut heights: Vec<f32> = members.iter().map(height).collect();
         let z = quantile(&mut heights, 0.5).unwrap_or(0.0);
-        Top {
+        SupportSurface {
             z,
             members: members.iter().copied().collect(),
             area_m2,
-            around: Rectangle::around(&cells),
+            around: CellRect::around(&cells),
         }
     };
-    let mut tops: Vec<Top> =
+    let mut tops: Vec<SupportSurface> =
         level.chunk_by(|a, b| height(b) - height(a) <= TOP_STEP_M).map(top).collect();
     tops.retain(|top| top.area_m2 >= MIN_TOP_M2);
     tops.sort_by(|a, b| b.area_m2.total_cmp(&a.area_m2));

@@ -6,9 +6,9 @@ use super::labels::Labels;
 use super::lifting::MasksOfFrames;
 use super::masks::IdRuns;
 use super::outline::{Outline, unoccluded};
-use super::relief::{Flats, Heights, Relief};
+use super::relief::{FlatCandidates, FlatHeights, FlatRelief};
 use super::sharpness::SharpnessOfFrames;
-use super::visibility::{FramePoint, SAMPLED, Sight, Visibility, is_sampled};
+use super::visibility::{FramePoint, PointVisibility, SAMPLED, Visibility, is_sampled};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use uniground_geometry::Point3;
@@ -21,7 +21,7 @@ use uniground_types::settings::ViewSettings;
 
 /// The points of a scene by instance, ready to be looked up in frames.
 #[derive(Clone, Copy)]
-pub struct Labelled<'a> {
+pub struct LabelledPoints<'a> {
     /// The instances of each point.
     pub labels: &'a Labels<'a>,
     /// The points.
@@ -45,11 +45,11 @@ pub struct Sighting {
 
 /// What the frames show of the instances-to-be.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Sighted {
+pub struct InstanceViews {
     /// In order of frames.
     pub sightings: Vec<Sighting>,
     /// Of what lies flat on a plane.
-    pub reliefs: BTreeMap<InstanceId, Relief>,
+    pub reliefs: BTreeMap<InstanceId, FlatRelief>,
 }
 
 /// A point of an instance in the pictures of a frame.
@@ -66,7 +66,7 @@ pub struct InstancePixel {
 /// The visible points of every instance this frame shows, sorted by instance.
 #[must_use]
 pub fn visible_pixels(
-    labelled: Labelled,
+    labelled: LabelledPoints,
     frame: &FrameRef,
     depth: &DepthImage,
 ) -> Vec<InstancePixel> {
@@ -76,7 +76,7 @@ pub fn visible_pixels(
 
 /// Points of instances that lie in a picture unseen.
 #[derive(Default)]
-struct Unseen {
+struct UnseenPoints {
     /// Those behind something, with their column and row in the colour picture, sorted by
     /// instance.
     hidden: Vec<(InstanceId, (f32, f32))>,
@@ -84,7 +84,7 @@ struct Unseen {
     unknown: Vec<u32>,
 }
 
-impl Unseen {
+impl UnseenPoints {
     fn hidden(&self, instance: InstanceId) -> &[(InstanceId, (f32, f32))] {
         let first = self.hidden.partition_point(|(of, _)| *of < instance);
         let after = self.hidden.partition_point(|(of, _)| *of <= instance);
@@ -98,21 +98,23 @@ fn by_instance(
     labels: &Labels,
     frame: &FrameRef,
     points: &[FramePoint],
-) -> (Vec<InstancePixel>, Unseen) {
+) -> (Vec<InstancePixel>, UnseenPoints) {
     let colour_camera = frame.colour_camera();
     let (mut pixels, mut unseen) = (
         Vec::with_capacity(points.len()),
-        Unseen { unknown: vec![0; labels.len()], ..Unseen::default() },
+        UnseenPoints { unknown: vec![0; labels.len()], ..UnseenPoints::default() },
     );
     for &FramePoint { point, position, cell, sight } in points {
         let Some(pixel) = colour_camera.project(&position) else { continue };
         let (instances, at) = (labels.of(point as usize), (pixel.u, pixel.v));
         match sight {
-            Sight::Visible => {
+            PointVisibility::Visible => {
                 pixels.extend(instances.map(|instance| InstancePixel { instance, at, cell }))
             }
-            Sight::Hidden => unseen.hidden.extend(instances.map(|instance| (instance, at))),
-            Sight::Unknown => {
+            PointVisibility::Hidden => {
+                unseen.hidden.extend(instances.map(|instance| (instance, at)))
+            }
+            PointVisibility::Unknown => {
                 instances.for_each(|instance| unseen.unknown[instance.0 as usize - 1] += 1)
             }
         }
@@ -129,7 +131,7 @@ fn by_instance(
 /// The box in the picture is robust: the outermost 1 % of the visible points at each side are left
 /// out.
 fn sightings(
-    labelled: Labelled,
+    labelled: LabelledPoints,
     sampled: &[u32],
     frame: &FrameRef,
     points: &[FramePoint],
@@ -189,7 +191,7 @@ fn whole(
 }
 
 /// What a frame shows of one instance.
-struct Held {
+struct InstanceInFrame {
     instance: InstanceId,
     visible: u32,
     /// Visible points per mask, sorted by mask; 0: under none.
@@ -202,7 +204,7 @@ fn agreements(hits: &[InstancePixel], things: u32, masks: &[IdRuns]) -> BTreeMap
     let mut best: BTreeMap<InstanceId, f32> = BTreeMap::new();
     for ids in masks.iter().map(IdRuns::unpacked) {
         let mut of_mask: BTreeMap<u16, u32> = BTreeMap::new();
-        let mut held: Vec<Held> = Vec::new();
+        let mut held: Vec<InstanceInFrame> = Vec::new();
         for same in hits.chunk_by(|a, b| a.instance == b.instance) {
             let mut own: Vec<u16> = same.iter().map(|hit| ids.at(hit.cell)).collect();
             own.sort_unstable();
@@ -212,9 +214,9 @@ fn agreements(hits: &[InstancePixel], things: u32, masks: &[IdRuns]) -> BTreeMap
             if instance.0 <= things {
                 masks.iter().for_each(|&(mask, n)| *of_mask.entry(mask).or_insert(0) += n);
             }
-            held.push(Held { instance, visible: same.len() as u32, masks });
+            held.push(InstanceInFrame { instance, visible: same.len() as u32, masks });
         }
-        for Held { instance, visible, masks } in held {
+        for InstanceInFrame { instance, visible, masks } in held {
             let iou =
                 |&(mask, both): &(u16, u32)| both as f32 / (visible + of_mask[&mask] - both) as f32;
             if let Some(iou) = masks.iter().filter(|(mask, _)| *mask != 0).map(iou).reduce(f32::max)
@@ -235,7 +237,7 @@ const TRIM: f32 = 0.01;
 /// # Errors
 /// [`ParseError`]: an unreadable frame, or cancellation.
 pub fn all_sightings(
-    labelled: Labelled,
+    labelled: LabelledPoints,
     frames: &[FrameRef],
     masks: &MasksOfFrames,
     progress: &Progress,
@@ -248,13 +250,13 @@ pub fn all_sightings(
 /// # Errors
 /// [`ParseError`]: an unreadable frame, or cancellation.
 pub fn all_sighted(
-    labelled: Labelled,
-    flats: Option<&Flats>,
+    labelled: LabelledPoints,
+    flats: Option<&FlatCandidates>,
     frames: &[FrameRef],
     masks: &MasksOfFrames,
     progress: &Progress,
-) -> Result<Sighted, ParseError> {
-    let (mut all, mut heights) = (Vec::new(), Heights::default());
+) -> Result<InstanceViews, ParseError> {
+    let (mut all, mut heights) = (Vec::new(), FlatHeights::default());
     let sampled = labelled.labels.counts(is_sampled);
     stream_frames(
         frames,
@@ -274,7 +276,7 @@ pub fn all_sighted(
             Ok(progress.report("views", (i + 1) as f32 / frames.len() as f32)?)
         },
     )?;
-    Ok(Sighted {
+    Ok(InstanceViews {
         sightings: all,
         reliefs: flats.map(|flats| flats.reliefs(heights)).unwrap_or_default(),
     })

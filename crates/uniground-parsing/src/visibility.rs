@@ -19,11 +19,11 @@ pub struct Visibility {
     depth_tolerance: f32,
     /// Points with their numbers in the cloud, by cluster.
     points: Vec<(Point3<f32>, u32)>,
-    clusters: Vec<Cluster>,
+    clusters: Vec<PointCluster>,
 }
 
 /// Consecutive points within a ball.
-struct Cluster {
+struct PointCluster {
     center: Point3<f32>,
     radius_m: f32,
     points: std::ops::Range<usize>,
@@ -31,7 +31,7 @@ struct Cluster {
 
 /// What a frame tells about a point that projects into it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Sight {
+pub enum PointVisibility {
     /// It fits the measured depth.
     Visible,
     /// Something was measured in front of it.
@@ -50,7 +50,7 @@ pub struct FramePoint {
     /// Column and row of the depth image.
     pub cell: (u32, u32),
     /// Whether the frame shows it.
-    pub sight: Sight,
+    pub sight: PointVisibility,
 }
 
 /// Of points that are not visible, one in so many is looked up: they only tell how much of a thing
@@ -88,7 +88,7 @@ impl Visibility {
                 let range = start..start + of_cluster.len();
                 start = range.end;
                 let around = Aabb::around(points[range.clone()].iter().map(|(p, _)| p))?;
-                Some(Cluster {
+                Some(PointCluster {
                     center: around.center,
                     radius_m: around.size.norm() / 2.0,
                     points: range,
@@ -102,21 +102,23 @@ impl Visibility {
     /// the same order.
     #[must_use]
     pub fn in_frame(&self, camera: &Camera, depth: &DepthImage) -> Vec<FramePoint> {
-        self.look(camera, depth, |_, sight| sight == Sight::Visible)
+        self.look(camera, depth, |_, sight| sight == PointVisibility::Visible)
     }
 
     /// As [`in_frame`](Self::in_frame), and with them a sample of those that lie within the picture
     /// unseen; see [`is_sampled`].
     #[must_use]
     pub fn around_frame(&self, camera: &Camera, depth: &DepthImage) -> Vec<FramePoint> {
-        self.look(camera, depth, |point, sight| sight == Sight::Visible || is_sampled(point))
+        self.look(camera, depth, |point, sight| {
+            sight == PointVisibility::Visible || is_sampled(point)
+        })
     }
 
     fn look(
         &self,
         camera: &Camera,
         depth: &DepthImage,
-        keep: impl Fn(u32, Sight) -> bool + Sync,
+        keep: impl Fn(u32, PointVisibility) -> bool + Sync,
     ) -> Vec<FramePoint> {
         self.clusters
             .par_iter()
@@ -129,9 +131,9 @@ impl Visibility {
                 let depth_m = depth.at(cell);
                 let (behind_m, tolerance_m) = (pixel.z_m - depth_m, self.depth_tolerance * depth_m);
                 let sight = match depth_m > 0.0 {
-                    true if behind_m.abs() <= tolerance_m => Sight::Visible,
-                    true if behind_m > tolerance_m => Sight::Hidden,
-                    _ => Sight::Unknown,
+                    true if behind_m.abs() <= tolerance_m => PointVisibility::Visible,
+                    true if behind_m > tolerance_m => PointVisibility::Hidden,
+                    _ => PointVisibility::Unknown,
                 };
                 keep(point, sight).then_some(FramePoint { point, position, cell, sight })
             })
@@ -196,9 +198,9 @@ mod tests {
         };
         assert_eq!(
             (
-                count(Sight::Visible, 0..8),
-                count(Sight::Hidden, 8..16),
-                count(Sight::Unknown, 16..32)
+                count(PointVisibility::Visible, 0..8),
+                count(PointVisibility::Hidden, 8..16),
+                count(PointVisibility::Unknown, 16..32)
             ),
             (8, 2, 4)
         );

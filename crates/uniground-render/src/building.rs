@@ -83,7 +83,7 @@ const DRAWN_IN: f32 = 0.2;
 /// The planes of a scene and what belongs to each.
 #[derive(Debug, Clone)]
 pub(super) struct Building {
-    sheets: Vec<Sheet>,
+    sheets: Vec<PlaneRect>,
     /// Numbers of each point's planes, from 1: two where they meet; 0 for none.
     of_point: Vec<[u8; 2]>,
     /// Both boxes of every instance: those of things that lie at a turned wall are thin in one of
@@ -95,11 +95,11 @@ pub(super) struct Building {
 pub(super) struct Opening {
     /// By plane.
     open: Vec<bool>,
-    shown: Vec<Shown>,
+    shown: Vec<VisibleSubject>,
 }
 
 /// A subject.
-struct Shown {
+struct VisibleSubject {
     within: OrientedBox,
     /// By plane: whether it lies in it or at it, as doors and pictures do.
     flat: Vec<bool>,
@@ -107,7 +107,7 @@ struct Shown {
 
 /// A rectangle of a wall or ceiling.
 #[derive(Debug, Clone, PartialEq)]
-struct Sheet {
+struct PlaneRect {
     structure: Structure,
     /// The instance it was fitted to, and that one's box.
     instance: InstanceId,
@@ -124,12 +124,12 @@ struct Sheet {
     slack_m: f32,
     /// How far behind the plane things still belong to it, metres.
     behind_m: f32,
-    faces: Faces,
+    faces: WallSides,
 }
 
 /// What is on the two sides of a plane.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Faces {
+enum WallSides {
     /// A room where the normal points to, nothing or the wall's other side behind.
     Room,
     /// A room on both sides and one layer of points between them.
@@ -144,11 +144,11 @@ impl Building {
             .filter_map(|i| Some((i, i.structure.filter(|s| *s != Structure::Floor)?)))
             .take(MAX_SHEETS)
             .collect();
-        let fitted: Vec<Vec<Sheet>> = parts
+        let fitted: Vec<Vec<PlaneRect>> = parts
             .par_iter()
             .map(|(instance, structure)| sheets_of(positions, instance, *structure))
             .collect();
-        let mut sheets: Vec<Sheet> = fitted.into_iter().flatten().take(MAX_SHEETS).collect();
+        let mut sheets: Vec<PlaneRect> = fitted.into_iter().flatten().take(MAX_SHEETS).collect();
         if sheets.is_empty() {
             return None;
         }
@@ -195,7 +195,7 @@ impl Building {
     /// of the building are no subjects: drawn, they would hide the room.
     pub fn opening(&self, eye: &Point3<f32>, subjects: &[Aabb]) -> Opening {
         let things = subjects.iter().filter(|s| !self.sheets.iter().any(|sheet| sheet.aabb == **s));
-        let shown: Vec<Shown> = things
+        let shown: Vec<VisibleSubject> = things
             .map(|aabb| {
                 let known =
                     self.boxes.iter().find(|(own, _)| own == aabb).map(|(_, turned)| *turned);
@@ -204,13 +204,13 @@ impl Building {
                     size: aabb.size,
                     yaw_rad: 0.0,
                 });
-                Shown {
+                VisibleSubject {
                     flat: self.sheets.iter().map(|sheet| sheet.is_flat(&within, FLAT_M)).collect(),
                     within,
                 }
             })
             .collect();
-        let open = |sheet: &Sheet| {
+        let open = |sheet: &PlaneRect| {
             sheet.turns_away(eye) || shown.iter().any(|s| sheet.hides(&s.within, eye))
         };
         Opening { open: self.sheets.iter().map(open).collect(), shown }
@@ -234,10 +234,10 @@ impl Building {
             .iter()
             .zip(&opening.open)
             .filter(|(sheet, open)| **open && sheet.structure == Structure::Wall);
-        let mut drawn: Vec<&Sheet> = Vec::new();
+        let mut drawn: Vec<&PlaneRect> = Vec::new();
         // Stretches of one wall that were recognised apart have one line.
         for (sheet, _) in walls {
-            let on = |other: &&Sheet| {
+            let on = |other: &&PlaneRect| {
                 sheet
                     .footing()
                     .iter()
@@ -247,7 +247,7 @@ impl Building {
                 drawn.push(sheet);
             }
         }
-        drawn.into_iter().map(Sheet::footing).collect()
+        drawn.into_iter().map(PlaneRect::footing).collect()
     }
 }
 
@@ -258,7 +258,7 @@ impl Opening {
     }
 }
 
-impl Sheet {
+impl PlaneRect {
     /// Of the points on a plane.
     fn fitted(on: &[Point3<f32>], instance: &Instance, structure: Structure) -> Self {
         let Moments { mean: middle, covariance } = Moments::of(on);
@@ -285,7 +285,7 @@ impl Sheet {
             } else {
                 BEHIND_WALL_M
             },
-            faces: Faces::Room,
+            faces: WallSides::Room,
         }
     }
 
@@ -332,7 +332,7 @@ impl Sheet {
     }
 
     fn turns_away(&self, eye: &Point3<f32>) -> bool {
-        self.faces == Faces::Room && self.distance(eye) < 0.0
+        self.faces == WallSides::Room && self.distance(eye) < 0.0
     }
 
     /// Whether it stands between the eye and much of a box.
@@ -351,7 +351,11 @@ impl Sheet {
 }
 
 /// The planes in the box of a wall or a ceiling, the largest first.
-fn sheets_of(positions: &[Point3<f32>], instance: &Instance, structure: Structure) -> Vec<Sheet> {
+fn sheets_of(
+    positions: &[Point3<f32>],
+    instance: &Instance,
+    structure: Structure,
+) -> Vec<PlaneRect> {
     let inside = |p: &&Point3<f32>| holds(&instance.oriented_box, BOX_GROWTH_M, p);
     let mut left: Vec<Point3<f32>> = positions.iter().filter(inside).copied().collect();
     let enough = MIN_POINTS.max((left.len() as f32 * MIN_SHARE) as usize);
@@ -363,7 +367,7 @@ fn sheets_of(positions: &[Point3<f32>], instance: &Instance, structure: Structur
         if on.len() < enough {
             break;
         }
-        let sheet = Sheet::fitted(&on, instance, structure);
+        let sheet = PlaneRect::fitted(&on, instance, structure);
         left.retain(|p| sheet.distance(p).abs() > 2.0 * sheet.slack_m);
         sheets.push(sheet);
     }
@@ -403,8 +407,8 @@ fn best_plane(points: &[Point3<f32>], structure: Structure) -> Option<(Vector3<f
 
 /// Ceilings face down. Walls face the side with the room on it; of a wall between two rooms that
 /// was scanned from both, each side faces away from the other.
-fn turn_to_rooms(sheets: &mut [Sheet], sample: &[&Point3<f32>]) {
-    let flipped = |sheet: &mut Sheet| sheet.normal = -sheet.normal;
+fn turn_to_rooms(sheets: &mut [PlaneRect], sample: &[&Point3<f32>]) {
+    let flipped = |sheet: &mut PlaneRect| sheet.normal = -sheet.normal;
     for sheet in sheets
         .iter_mut()
         .filter(|sheet| sheet.structure == Structure::Ceiling && sheet.normal.z > 0.0)
@@ -439,7 +443,7 @@ fn turn_to_rooms(sheets: &mut [Sheet], sample: &[&Point3<f32>]) {
                 }
                 sheet.behind_m = distance.abs() / 2.0;
             } else {
-                (sheet.faces, sheet.behind_m) = (Faces::Both, sheet.slack_m);
+                (sheet.faces, sheet.behind_m) = (WallSides::Both, sheet.slack_m);
             }
         }
     }
@@ -447,12 +451,13 @@ fn turn_to_rooms(sheets: &mut [Sheet], sample: &[&Point3<f32>]) {
 
 /// Walls go from floor to ceiling, and on along the room where stage 1 recognised a stretch of them
 /// only.
-fn extend(sheets: &mut [Sheet], sample: &[&Point3<f32>]) {
+fn extend(sheets: &mut [PlaneRect], sample: &[&Point3<f32>]) {
     let mut heights: Vec<f32> = sample.iter().map(|p| p.z).collect();
     let [low_z, high_z] =
         [STRAY_SHARE, 1.0 - STRAY_SHARE].map(|q| quantile(&mut heights, q).unwrap_or(0.0));
-    let outer =
-        |sheet: &&mut Sheet| sheet.structure == Structure::Wall && sheet.faces == Faces::Room;
+    let outer = |sheet: &&mut PlaneRect| {
+        sheet.structure == Structure::Wall && sheet.faces == WallSides::Room
+    };
     sheets.par_iter_mut().filter(outer).for_each(|sheet| {
         let rises = sheet.up.z.max(1e-3);
         let [low, high] = &mut sheet.rect[1];
@@ -489,7 +494,7 @@ fn extend(sheets: &mut [Sheet], sample: &[&Point3<f32>]) {
     });
 }
 
-impl Sheet {
+impl PlaneRect {
     /// Where the other side of the same wall is, metres along the normal.
     fn other_side(&self, other: &Self) -> Option<f32> {
         let distance = self.distance(&other.middle);
@@ -502,9 +507,9 @@ impl Sheet {
 
 /// The plane of the wall that a thing goes with, and its box: the wall it hangs on, and for
 /// windows, doors and curtains, which reach high and lie flat, the one they are in.
-fn hung(sheets: &[Sheet], instance: &Instance) -> Option<(usize, OrientedBox)> {
+fn hung(sheets: &[PlaneRect], instance: &Instance) -> Option<(usize, OrientedBox)> {
     let of = instance.oriented_box;
-    let hangs = |sheet: &Sheet| match instance.support {
+    let hangs = |sheet: &PlaneRect| match instance.support {
         Support::Wall { id } => sheet.instance == id && sheet.is_flat(&of, HANGS_M),
         _ => {
             sheet.is_flat(&of, FLAT_M)
@@ -512,7 +517,8 @@ fn hung(sheets: &[Sheet], instance: &Instance) -> Option<(usize, OrientedBox)> {
                 && of.center.z + of.size.z / 2.0 > sheet.foot_z() + HIGH_M
         }
     };
-    let is_wall = |sheet: &Sheet| sheet.structure == Structure::Wall && sheet.faces == Faces::Room;
+    let is_wall =
+        |sheet: &PlaneRect| sheet.structure == Structure::Wall && sheet.faces == WallSides::Room;
     let wall = sheets
         .iter()
         .position(|sheet| instance.structure.is_none() && is_wall(sheet) && hangs(sheet))?;

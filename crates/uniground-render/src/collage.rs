@@ -2,7 +2,7 @@
 //! tag with its id (paper: candidate visual evidence). Outlines are drawn after shrinking: lines of
 //! a large photograph would be thinner than a pixel.
 
-use super::outline::{Around, draw_outline, outline_reach};
+use super::outline::{Surroundings, draw_outline, outline_reach};
 use super::shot::Shot;
 use super::text;
 use fast_image_resize::images::Image;
@@ -133,7 +133,7 @@ impl Collage {
             // The box leaves room for the outline.
             let mut room = 0.0;
             if let Some((mask, _)) = &shot.mask {
-                draw_outline(&mut sheet, area, mask, shot.place, Around::Kept);
+                draw_outline(&mut sheet, area, mask, shot.place, Surroundings::Kept);
                 room = outline_reach(width, height) as f32;
             }
             let corner = |x: f32, y: f32, room: f32| {
@@ -203,7 +203,7 @@ fn tag(sheet: &mut RgbImage, (x, y): (u32, u32), height: u32, words: &str) {
 fn put_crop(sheet: &mut RgbImage, shot: &Shot, area: Area) {
     put(sheet, &shot.crop, area);
     if let Some((mask, place)) = &shot.mask {
-        draw_outline(sheet, area, mask, *place, Around::Dimmed);
+        draw_outline(sheet, area, mask, *place, Surroundings::Dimmed);
     }
 }
 

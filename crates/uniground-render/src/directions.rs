@@ -18,7 +18,7 @@ pub struct DirectionWord {
 
 /// A word at the rim of a picture.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Mark {
+pub(super) struct DirectionMark {
     pub word: String,
     pub rect: Rect,
     /// Where it points to, unit length, picture axes (y down).
@@ -34,7 +34,11 @@ const TRIAD_PX: f32 = 42.0;
 
 /// Where each word stands: at the rim of the picture, in the direction it means as seen from
 /// `target`.
-pub(super) fn marks(camera: &Camera, target: &Point3<f32>, words: &[DirectionWord]) -> Vec<Mark> {
+pub(super) fn marks(
+    camera: &Camera,
+    target: &Point3<f32>,
+    words: &[DirectionWord],
+) -> Vec<DirectionMark> {
     let (width, height) = (camera.intrinsics.width as f32, camera.intrinsics.height as f32);
     words
         .iter()
@@ -50,7 +54,7 @@ pub(super) fn marks(camera: &Camera, target: &Point3<f32>, words: &[DirectionWor
             let reach =
                 (room.x / towards.x.abs().max(1e-6)).min(room.y / towards.y.abs().max(1e-6));
             let at = Vector2::new(width, height) / 2.0 + towards * reach - size / 2.0;
-            Some(Mark {
+            Some(DirectionMark {
                 word: word.clone(),
                 rect: Rect::from_xywh(at.x, at.y, size.x, size.y)?,
                 towards,
@@ -85,7 +89,7 @@ pub(super) fn draw(
     let mut pale = Paint::default();
     pale.set_color_rgba8(255, 255, 255, 225);
     ink.set_color_rgba8(INK[0], INK[1], INK[2], 255);
-    for Mark { rect, towards, .. } in &marks {
+    for DirectionMark { rect, towards, .. } in &marks {
         layer.fill_rect(*rect, &pale, Transform::identity(), None);
         if let Some(arrow) = arrow(rect, *towards) {
             // A pale rim, for dark ground.
@@ -108,7 +112,7 @@ pub(super) fn draw(
     let axes = corner.map(|corner| triad(&mut layer, camera, target, &corner)).unwrap_or_default();
     taken.extend(corner);
     blend(picture, &layer);
-    for Mark { word, rect, .. } in &marks {
+    for DirectionMark { word, rect, .. } in &marks {
         text::draw(
             picture,
             word,

@@ -23,7 +23,7 @@ pub use collage::{Collage, Tile, mosaic, mosaic_tiles};
 pub use directions::DirectionWord;
 use image::{Pixel as _, Rgb, RgbImage};
 pub use jpeg::jpeg;
-pub use outline::{Around, draw_outline, outline_reach};
+pub use outline::{Surroundings, draw_outline, outline_reach};
 pub use overlay::{BoxStyle, LabelledBox};
 use render_scene::Splats;
 pub use render_scene::{Cutaway, RenderScene};

@@ -26,7 +26,7 @@ fn unit(width: u32, height: u32) -> f32 {
 
 /// What is done to the surroundings of an object.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Around {
+pub enum Surroundings {
     /// They stay as they are.
     Kept,
     /// They are darker.
@@ -41,7 +41,7 @@ pub fn draw_outline(
     (left, top, width, height): (u32, u32, u32, u32),
     mask: &CellMask,
     place: [f32; 4],
-    around: Around,
+    around: Surroundings,
 ) {
     let [l, t, r, b] = place;
     let share = |at: u32, length: u32, low: f32, high: f32| {
@@ -56,7 +56,7 @@ pub fn draw_outline(
             && (0..i64::from(height)).contains(&y)
             && inside[(y * i64::from(width) + x) as usize]
     };
-    if around == Around::Dimmed {
+    if around == Surroundings::Dimmed {
         for y in 0..height {
             for x in (0..width).filter(|x| !is_inside(i64::from(*x), i64::from(y))) {
                 let pixel = picture.get_pixel_mut(left + x, top + y);
@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     /// A mask over the middle half of a picture of one colour.
-    fn drawn(ground: [u8; 3], around: Around) -> RgbImage {
+    fn drawn(ground: [u8; 3], around: Surroundings) -> RgbImage {
         let mut picture = RgbImage::from_pixel(120, 100, Rgb(ground));
         draw_outline(
             &mut picture,
@@ -115,7 +115,7 @@ mod tests {
     #[test]
     fn a_line_runs_around_the_mask_on_any_ground() {
         for ground in [[0; 3], [255; 3], [255, 240, 40], [128; 3]] {
-            let picture = drawn(ground, Around::Kept);
+            let picture = drawn(ground, Surroundings::Kept);
             let differs = |x: u32, y: u32| {
                 picture.get_pixel(x, y).0.iter().zip(ground).any(|(a, b)| a.abs_diff(b) > 100)
             };
@@ -140,7 +140,7 @@ mod tests {
 
     #[test]
     fn surroundings_are_dimmed_within_the_area_alone() {
-        let picture = drawn([200; 3], Around::Dimmed);
+        let picture = drawn([200; 3], Surroundings::Dimmed);
         assert_eq!(
             [(60, 50), (12, 3), (5, 50), (115, 50)].map(|(x, y)| picture.get_pixel(x, y).0[0]),
             [200, 132, 200, 200]
@@ -155,7 +155,7 @@ mod tests {
             (20, 20, 20, 20),
             &CellMask::of(4, 4, |_, _| true),
             [0.5, 0.5, 1.5, 1.5],
-            Around::Kept,
+            Surroundings::Kept,
         );
         let touched: Vec<_> = picture
             .enumerate_pixels()

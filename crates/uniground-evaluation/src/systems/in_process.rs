@@ -23,11 +23,11 @@ use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{
     Embeddings, FrameEmbeddings, FrameRef, Instance, InstanceId, ParsedScene, PointCloud,
 };
-use uniground_grounding::album::{Album, AlbumScene};
+use uniground_grounding::album::{MemoryScene, SceneAlbum};
 use uniground_grounding::pipeline::{self, Answered, Ask, Review, WithoutModel, shortlist_of};
 use uniground_grounding::vlm::Options;
 use uniground_grounding::{Question, ShortlistScoring};
-use uniground_ingest::Unpacked;
+use uniground_ingest::ScanFolder;
 use uniground_language::{AutoParser, BuiltinParser, QueryParser, VlmParser};
 use uniground_models::attributes;
 use uniground_models::chat::{Budget, ChatModel, usage_of};
@@ -69,9 +69,9 @@ struct LocalScene {
     boxes: Vec<Aabb>,
     /// Where the instances come from.
     masks: String,
-    album: Arc<Album>,
+    album: Arc<SceneAlbum>,
     /// Where the photographs lie; a temporary folder goes with it.
-    _folder: Option<Unpacked>,
+    _folder: Option<ScanFolder>,
     vlm: Option<Arc<Reviewer>>,
 }
 
@@ -183,7 +183,7 @@ impl System for InProcess {
         let known = |annotations: &Annotations, names| {
             boxed(annotations, scene, names, &models, &settings, with_views)
         };
-        let Entered {
+        let OpenedScene {
             mut instances,
             cloud,
             extent,
@@ -195,7 +195,7 @@ impl System for InProcess {
         } = match configuration.source {
             Source::Parsed => {
                 let scan = scene.scan.as_deref().with_context(|| missing("scan"))?;
-                let folder = Unpacked::of(scan)?;
+                let folder = ScanFolder::of(scan)?;
                 let ParsedScan { scene, models, frames, .. } = parse_scan(
                     &folder.path,
                     &settings,
@@ -205,7 +205,7 @@ impl System for InProcess {
                 )?;
                 let ParsedScene { instances, cloud, extent, embeddings, frame_embeddings, .. } =
                     scene;
-                Entered {
+                OpenedScene {
                     instances,
                     cloud,
                     extent,
@@ -239,7 +239,7 @@ impl System for InProcess {
             .label(Role::Encoder)
             .filter(|_| embeddings.is_some())
             .unwrap_or_else(|| attributes::NAME.into());
-        let album = Album::new(
+        let album = SceneAlbum::new(
             extent,
             RenderScene::of_parsed(cloud, &instances),
             models.encoder.zip(embeddings),
@@ -260,7 +260,7 @@ impl System for InProcess {
 }
 
 /// A scene as it comes in, whatever its instances come from.
-struct Entered {
+struct OpenedScene {
     instances: Vec<Instance>,
     cloud: PointCloud,
     extent: Aabb,
@@ -270,7 +270,7 @@ struct Entered {
     frame_embeddings: Option<FrameEmbeddings>,
     frames: Vec<FrameRef>,
     /// Where the frames lie.
-    folder: Option<Unpacked>,
+    folder: Option<ScanFolder>,
 }
 
 /// Instances from known boxes, with the scan's cloud where there is one, and what an encoder sees
@@ -282,8 +282,8 @@ fn boxed(
     models: &NeuralModels,
     settings: &ParseSettings,
     with_views: bool,
-) -> anyhow::Result<Entered> {
-    let folder = scene.scan.as_deref().map(Unpacked::of).transpose()?;
+) -> anyhow::Result<OpenedScene> {
+    let folder = scene.scan.as_deref().map(ScanFolder::of).transpose()?;
     let bundle = match &folder {
         Some(folder) => Some(uniground_ingest::load(
             &uniground_ingest::open(&folder.path)?,
@@ -307,7 +307,7 @@ fn boxed(
     if with_views {
         view(known, &mut instances, &cloud, &frames, &settings.parsing)?;
     }
-    Ok(Entered {
+    Ok(OpenedScene {
         instances,
         cloud,
         extent,
@@ -403,7 +403,7 @@ impl LocalScene {
 /// The question pipeline, as a configuration wants it. A call of a model that failed is no answer
 /// of the configuration: it is told, counted as wrong, and asked again next time.
 fn answer(
-    source: &Arc<AlbumScene>,
+    source: &Arc<MemoryScene>,
     vlm: Option<&Reviewer>,
     question: Question,
     configuration: &Configuration,

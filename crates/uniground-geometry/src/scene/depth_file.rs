@@ -1,7 +1,7 @@
 //! Depth pictures as files: grey pictures (PNG, PGM, TIFF) of 16 bits, or of 8 with a unit that
 //! reaches across a room, and floats (EXR, TIFF; compressed with LZFSE: Record3D).
 
-use super::float_pictures::{Grey, Numbers, read_grey};
+use super::float_pictures::{PixelValues, SingleChannelImage, read_grey};
 use super::{DepthImage, FrameError, FrameRef};
 use crate::MAX_COORDINATE_M;
 use camino::Utf8Path;
@@ -28,21 +28,23 @@ pub fn is_compressed_floats(file: &Utf8Path) -> io::Result<bool> {
 /// The picture as the file holds it, metres; 0 where the file holds nothing that is a distance.
 /// `size` is that of floats without one.
 pub(super) fn read(frame: &FrameRef, size: (u32, u32)) -> Result<DepthImage, FrameError> {
-    let Grey { size: (width, height), numbers } = numbers_of(frame, size)?;
+    let SingleChannelImage { size: (width, height), numbers } = numbers_of(frame, size)?;
     let scale_m = frame.depth_scale_m;
     // The largest integer is what sensors write where they measured nothing, or too far (7-Scenes,
     // 3RScan).
     let depth_m = match numbers {
-        Numbers::Floats(floats) => floats.into_iter().map(|z| distance_m(z * scale_m)).collect(),
-        Numbers::Words(words) => words
+        PixelValues::Floats(floats) => {
+            floats.into_iter().map(|z| distance_m(z * scale_m)).collect()
+        }
+        PixelValues::Words(words) => words
             .into_iter()
             .map(|unit| if unit == u16::MAX { 0.0 } else { f32::from(unit) * scale_m })
             .collect(),
-        Numbers::Bytes(bytes) if scale_m >= LEAST_UNIT_OF_BYTES_M => bytes
+        PixelValues::Bytes(bytes) if scale_m >= LEAST_UNIT_OF_BYTES_M => bytes
             .into_iter()
             .map(|unit| if unit == u8::MAX { 0.0 } else { f32::from(unit) * scale_m })
             .collect(),
-        Numbers::Bytes(_) => {
+        PixelValues::Bytes(_) => {
             return Err(not_depth(frame, "8-bit grey in units that do not reach a metre".into()));
         }
     };
@@ -54,7 +56,7 @@ fn distance_m(z: f32) -> f32 {
     if z > 0.0 && z <= MAX_COORDINATE_M { z } else { 0.0 }
 }
 
-fn numbers_of(frame: &FrameRef, size: (u32, u32)) -> Result<Grey, FrameError> {
+fn numbers_of(frame: &FrameRef, size: (u32, u32)) -> Result<SingleChannelImage, FrameError> {
     let unreadable = |source| FrameError::Unreadable {
         frame: frame.index,
         file: super::frame::in_scene(&frame.depth),
@@ -62,18 +64,20 @@ fn numbers_of(frame: &FrameRef, size: (u32, u32)) -> Result<Grey, FrameError> {
     };
     if is_compressed_floats(&frame.depth).map_err(unreadable)? {
         let floats = read_floats(&frame.depth, size.0, size.1).map_err(unreadable)?;
-        return Ok(Grey { size, numbers: Numbers::Floats(floats) });
+        return Ok(SingleChannelImage { size, numbers: PixelValues::Floats(floats) });
     }
     if let Some(grey) = read_grey(&frame.depth).map_err(unreadable)? {
         return Ok(grey);
     }
     match frame.read_picture(&frame.depth)? {
-        DynamicImage::ImageLuma16(image) => {
-            Ok(Grey { size: image.dimensions(), numbers: Numbers::Words(image.into_raw()) })
-        }
-        DynamicImage::ImageLuma8(image) => {
-            Ok(Grey { size: image.dimensions(), numbers: Numbers::Bytes(image.into_raw()) })
-        }
+        DynamicImage::ImageLuma16(image) => Ok(SingleChannelImage {
+            size: image.dimensions(),
+            numbers: PixelValues::Words(image.into_raw()),
+        }),
+        DynamicImage::ImageLuma8(image) => Ok(SingleChannelImage {
+            size: image.dimensions(),
+            numbers: PixelValues::Bytes(image.into_raw()),
+        }),
         // Colours mixed of distances are none.
         other => Err(not_depth(frame, format!("{:?}", other.color()))),
     }

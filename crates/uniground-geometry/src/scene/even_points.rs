@@ -34,8 +34,8 @@ pub fn write_even_points(
     instance_of_point: &[InstanceId],
     out: impl Write,
 ) -> io::Result<()> {
-    let steps = Steps::over(&cloud.positions);
-    let Steps { origin, step } = steps;
+    let steps = GridStep::over(&cloud.positions);
+    let GridStep { origin, step } = steps;
     let mut out = io::BufWriter::new(out);
     out.write_all(b"UGP1")?;
     for word in [cloud.len() as u32, BYTES_PER_POINT, 0] {
@@ -57,7 +57,7 @@ pub fn write_even_points(
 /// All points by index, in an order of which every beginning is an even sample of the whole; always
 /// the same.
 pub fn evenly(positions: &[Point3<f32>]) -> impl Iterator<Item = usize> {
-    let steps = Steps::over(positions);
+    let steps = GridStep::over(positions);
     let mut along_curve: Vec<(u64, u32)> =
         positions.par_iter().map(|p| morton(steps.to(p))).zip(0..positions.len() as u32).collect();
     along_curve.par_sort_unstable();
@@ -66,12 +66,12 @@ pub fn evenly(positions: &[Point3<f32>]) -> impl Iterator<Item = usize> {
 
 /// Steps from the least corner of a cloud's box.
 #[derive(Clone, Copy)]
-struct Steps {
+struct GridStep {
     origin: Point3<f32>,
     step: f32,
 }
 
-impl Steps {
+impl GridStep {
     fn over(positions: &[Point3<f32>]) -> Self {
         let extent = Aabb::around(positions)
             .unwrap_or(Aabb { center: Point3::origin(), size: crate::Vector3::zeros() });

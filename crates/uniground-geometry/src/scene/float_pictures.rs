@@ -22,20 +22,20 @@ const MAX_BYTES: u64 = 256 << 20;
 const IEEE_FLOATS: u16 = 3;
 
 /// Numbers of a picture, row-major.
-pub(super) enum Numbers {
+pub(super) enum PixelValues {
     Floats(Vec<f32>),
     Words(Vec<u16>),
     Bytes(Vec<u8>),
 }
 
 /// A picture of one channel.
-pub(super) struct Grey {
+pub(super) struct SingleChannelImage {
     pub size: (u32, u32),
-    pub numbers: Numbers,
+    pub numbers: PixelValues,
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum Kind {
+enum FloatImageFormat {
     Exr,
     Tiff,
 }
@@ -47,10 +47,10 @@ enum Kind {
 pub fn float_picture_size(file: &Utf8Path) -> io::Result<Option<(u32, u32)>> {
     Ok(match kind(file)? {
         None => None,
-        Some(Kind::Exr) => Some(exr_size(
+        Some(FloatImageFormat::Exr) => Some(exr_size(
             &MetaData::read_from_buffered(buffered(file)?, false).map_err(damaged)?.headers,
         )?),
-        Some(Kind::Tiff) => Some(tiff(file)?.dimensions().map_err(damaged)?),
+        Some(FloatImageFormat::Tiff) => Some(tiff(file)?.dimensions().map_err(damaged)?),
     })
 }
 
@@ -62,8 +62,8 @@ pub fn float_picture_size(file: &Utf8Path) -> io::Result<Option<(u32, u32)>> {
 pub fn is_float_picture(file: &Utf8Path) -> io::Result<bool> {
     Ok(match kind(file)? {
         None => false,
-        Some(Kind::Exr) => true,
-        Some(Kind::Tiff) => {
+        Some(FloatImageFormat::Exr) => true,
+        Some(FloatImageFormat::Tiff) => {
             let formats =
                 tiff(file)?.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).map_err(damaged)?;
             formats.is_some_and(|formats| formats.first() == Some(&IEEE_FLOATS))
@@ -72,20 +72,20 @@ pub fn is_float_picture(file: &Utf8Path) -> io::Result<bool> {
 }
 
 /// The picture; `None`: the file is neither EXR nor TIFF.
-pub(super) fn read_grey(file: &Utf8Path) -> io::Result<Option<Grey>> {
+pub(super) fn read_grey(file: &Utf8Path) -> io::Result<Option<SingleChannelImage>> {
     kind(file)?
-        .map(|kind| if kind == Kind::Exr { read_exr(file) } else { read_tiff(file) })
+        .map(|kind| if kind == FloatImageFormat::Exr { read_exr(file) } else { read_tiff(file) })
         .transpose()
 }
 
-fn kind(file: &Utf8Path) -> io::Result<Option<Kind>> {
+fn kind(file: &Utf8Path) -> io::Result<Option<FloatImageFormat>> {
     let mut magic = [0; 4];
     if File::open(file)?.read_exact(&mut magic).is_err() {
         return Ok(None);
     }
     Ok(match &magic {
-        EXR_MAGIC => Some(Kind::Exr),
-        magic if TIFF_MAGICS.contains(&magic) => Some(Kind::Tiff),
+        EXR_MAGIC => Some(FloatImageFormat::Exr),
+        magic if TIFF_MAGICS.contains(&magic) => Some(FloatImageFormat::Tiff),
         _ => None,
     })
 }
@@ -107,7 +107,7 @@ fn exr_size(headers: &[Header]) -> io::Result<(u32, u32)> {
     Ok((side(first.layer_size.width())?, side(first.layer_size.height())?))
 }
 
-fn read_exr(file: &Utf8Path) -> io::Result<Grey> {
+fn read_exr(file: &Utf8Path) -> io::Result<SingleChannelImage> {
     let reader = Reader::read_from_buffered(buffered(file)?, false).map_err(damaged)?;
     let bytes = |header: &Header| {
         let pixels = header.layer_size.width() as u64 * header.layer_size.height() as u64;
@@ -143,7 +143,7 @@ fn read_exr(file: &Utf8Path) -> io::Result<Grey> {
         FlatSamples::U32(units) => units.into_iter().map(|unit| unit as f32).collect(),
     };
     whole(size, floats.len())?;
-    Ok(Grey { size, numbers: Numbers::Floats(floats) })
+    Ok(SingleChannelImage { size, numbers: PixelValues::Floats(floats) })
 }
 
 fn tiff(file: &Utf8Path) -> io::Result<Decoder<BufReader<File>>> {
@@ -153,7 +153,7 @@ fn tiff(file: &Utf8Path) -> io::Result<Decoder<BufReader<File>>> {
     Ok(Decoder::new(buffered(file)?).map_err(damaged)?.with_limits(limits))
 }
 
-fn read_tiff(file: &Utf8Path) -> io::Result<Grey> {
+fn read_tiff(file: &Utf8Path) -> io::Result<SingleChannelImage> {
     let mut tiff = tiff(file)?;
     let (size, colours) = (tiff.dimensions().map_err(damaged)?, tiff.colortype().map_err(damaged)?);
     let not_depth = || {
@@ -165,19 +165,19 @@ fn read_tiff(file: &Utf8Path) -> io::Result<Grey> {
         return Err(not_depth());
     }
     let (count, numbers) = match tiff.read_image().map_err(damaged)? {
-        DecodingResult::F32(floats) => (floats.len(), Numbers::Floats(floats)),
+        DecodingResult::F32(floats) => (floats.len(), PixelValues::Floats(floats)),
         DecodingResult::F64(floats) => {
-            (floats.len(), Numbers::Floats(floats.into_iter().map(|z| z as f32).collect()))
+            (floats.len(), PixelValues::Floats(floats.into_iter().map(|z| z as f32).collect()))
         }
         DecodingResult::F16(halves) => {
-            (halves.len(), Numbers::Floats(halves.into_iter().map(half::f16::to_f32).collect()))
+            (halves.len(), PixelValues::Floats(halves.into_iter().map(half::f16::to_f32).collect()))
         }
-        DecodingResult::U16(words) => (words.len(), Numbers::Words(words)),
-        DecodingResult::U8(bytes) => (bytes.len(), Numbers::Bytes(bytes)),
+        DecodingResult::U16(words) => (words.len(), PixelValues::Words(words)),
+        DecodingResult::U8(bytes) => (bytes.len(), PixelValues::Bytes(bytes)),
         _ => return Err(not_depth()),
     };
     whole(size, count)?;
-    Ok(Grey { size, numbers })
+    Ok(SingleChannelImage { size, numbers })
 }
 
 fn whole((width, height): (u32, u32), count: usize) -> io::Result<()> {

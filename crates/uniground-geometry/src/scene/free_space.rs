@@ -18,14 +18,14 @@ const MEASURED: f32 = 0.75;
 
 /// How many frames measured something at a point, and how many looked through it.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Looks {
+pub struct FreeSpaceVotes {
     /// Frames that measured a surface there.
     pub hits: u32,
     /// Frames that measured only what lies well behind it.
     pub through: u32,
 }
 
-impl Looks {
+impl FreeSpaceVotes {
     /// Whether nothing is there any more: `enough` frames looked through, and many more than found
     /// something.
     #[must_use]
@@ -46,12 +46,12 @@ impl Looks {
 /// # Errors
 /// [`FrameError`] for a depth picture that can not be read, and those of `check`, which is called
 /// once a frame.
-pub fn look_at<E: From<FrameError> + Send>(
+pub fn count_free_space<E: From<FrameError> + Send>(
     positions: &[Point3<f32>],
     frames: &[FrameRef],
     mut check: impl FnMut(usize) -> Result<(), E>,
-) -> Result<Vec<Looks>, E> {
-    let mut looks = vec![Looks::default(); positions.len()];
+) -> Result<Vec<FreeSpaceVotes>, E> {
+    let mut looks = vec![FreeSpaceVotes::default(); positions.len()];
     stream_frames(
         frames,
         |frame| Ok::<_, E>(frame.decode_depth()?),
@@ -134,7 +134,7 @@ mod tests {
 
     #[test]
     fn gone_is_what_frames_agree_on() {
-        let looks = |hits, through| Looks { hits, through };
+        let looks = |hits, through| FreeSpaceVotes { hits, through };
         assert!(looks(0, 2).is_gone(2) && looks(1, 3).is_gone(2));
         assert!(!looks(0, 1).is_gone(2) && !looks(1, 2).is_gone(2) && !looks(0, 0).is_gone(1));
     }

@@ -37,7 +37,7 @@ pub use export::{id_colour, read_instance_of_point, write_cloud_ply, write_insta
 pub use float_pictures::{float_picture_size, is_float_picture};
 pub use frame::{DepthImage, Frame, FrameError, FrameRef, stream_frames};
 pub use frame_embeddings::FrameEmbeddings;
-pub use free_space::{Looks, look_at};
+pub use free_space::{FreeSpaceVotes, count_free_space};
 pub use instance::Instance;
 pub use optics::{Confidence, DepthSensor, Lens, Optics};
 pub use owners::Owners;

@@ -3,7 +3,7 @@
 
 use super::*;
 use crate::Status;
-use crate::album::{Album, AlbumScene};
+use crate::album::{MemoryScene, SceneAlbum};
 use camino::Utf8Path;
 use futures::FutureExt;
 use futures::executor::block_on;
@@ -85,9 +85,9 @@ impl ChatModel for Scripted {
 }
 
 /// Two red chairs of which one stands by the table.
-fn room() -> Arc<AlbumScene> {
+fn room() -> Arc<MemoryScene> {
     let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
-    Arc::new(Album::new(
+    Arc::new(SceneAlbum::new(
         extent,
         RenderScene::of(PointCloud::default()),
         None,
@@ -239,7 +239,7 @@ fn a_model_reads_what_the_grammar_is_in_doubt_about() {
 }
 
 /// The room with a photograph that an encoder has seen, without having seen the things.
-fn photographed(folder: &Utf8Path) -> Arc<AlbumScene> {
+fn photographed(folder: &Utf8Path) -> Arc<MemoryScene> {
     let colour = folder.join("0.png");
     RgbImage::from_pixel(1600, 1200, image::Rgb([10, 200, 30])).save(&colour).unwrap();
     let intrinsics =
@@ -261,7 +261,7 @@ fn photographed(folder: &Utf8Path) -> Arc<AlbumScene> {
     of_frame[0] = 1.0;
     let seen = Some((encoder, unseen));
     let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
-    let album = Album::new(
+    let album = SceneAlbum::new(
         extent,
         RenderScene::of(PointCloud::default()),
         seen,

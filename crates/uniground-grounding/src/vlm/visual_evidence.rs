@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{FrameIndex, InstanceId};
 use uniground_models::chat::Picture;
-use uniground_parsing::pointed::Place;
+use uniground_parsing::pointed::PhotographPoint;
 use uniground_render::{Collage, GlobalView, ROOM_VIEW, RenderScene, Shot, jpeg, scene_picture};
 
 /// Pictures for one question. Any may be missing: a scene without points has no render.
@@ -162,13 +162,13 @@ impl VisualEvidence {
         source: &S,
         seen: &Seen,
         settings: &PictureSettings,
-    ) -> Result<Option<Place>, S::Error> {
+    ) -> Result<Option<PhotographPoint>, S::Error> {
         let share =
             |(width, height): (u32, u32)| (seen.at[0] * width as f32, seen.at[1] * height as f32);
         if let Some(Photograph { frame, taken_px, .. }) =
             self.photographs.iter().find(|offered| offered.picture.name == seen.picture)
         {
-            return Ok(Some(Place { frame: *frame, at: share(*taken_px) }));
+            return Ok(Some(PhotographPoint { frame: *frame, at: share(*taken_px) }));
         }
         let of_candidate = self.collages.iter().find(|(_, picture)| picture.name == seen.picture);
         let of_sheet = self.sheets.iter().find(|(picture, _)| picture.name == seen.picture);
@@ -185,7 +185,9 @@ impl VisualEvidence {
             _ => return Ok(None),
         };
         let at = share((picture.width, picture.height));
-        Ok(tiles.iter().find_map(|tile| Some(Place { frame: tile.frame, at: tile.place(at)? })))
+        Ok(tiles
+            .iter()
+            .find_map(|tile| Some(PhotographPoint { frame: tile.frame, at: tile.place(at)? })))
     }
 }
 

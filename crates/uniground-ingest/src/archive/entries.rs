@@ -3,7 +3,7 @@
 
 use super::{ArchiveKind, UnpackLimits};
 use crate::IngestError;
-use crate::bounded::{Allowance, Bounded};
+use crate::bounded::{LimitedReader, ReadLimit};
 use camino::Utf8Path;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
@@ -16,7 +16,7 @@ pub(super) enum EntryKind {
 }
 
 /// Is shown every entry: its name, its kind, and its content.
-pub(super) trait Visit {
+pub(super) trait EntryVisitor {
     fn entry(
         &mut self,
         name: &str,
@@ -41,7 +41,7 @@ pub(super) fn walk(
     kind: ArchiveKind,
     limits: &UnpackLimits,
     with_content: bool,
-    visitor: &mut dyn Visit,
+    visitor: &mut dyn EntryVisitor,
 ) -> Result<(), IngestError> {
     let file =
         File::open(archive).map_err(|source| IngestError::Io { file: "upload".into(), source })?;
@@ -70,7 +70,7 @@ fn walk_zip(
     mut file: File,
     limits: &UnpackLimits,
     with_content: bool,
-    visitor: &mut dyn Visit,
+    visitor: &mut dyn EntryVisitor,
 ) -> Result<(), IngestError> {
     let unreadable = |reason: &dyn ToString| ArchiveKind::Zip.unreadable(reason.to_string());
     let packed_bytes = file.metadata().map_or(0, |m| m.len());
@@ -81,19 +81,17 @@ fn walk_zip(
         return Err(limits.too_many_entries());
     }
     // What is read here is kept: the directory as a whole.
-    let allowance = Allowance::of(MAX_ZIP_DIRECTORY_BYTES);
-    let mut zip =
-        zip::ZipArchive::new(BufReader::new(Bounded::new(file, &allowance))).map_err(|e| {
-            match allowance.is_spent() {
-                true => limits.too_many_entries(),
-                false => unreadable(&e),
-            }
+    let allowance = ReadLimit::of(MAX_ZIP_DIRECTORY_BYTES);
+    let mut zip = zip::ZipArchive::new(BufReader::new(LimitedReader::new(file, &allowance)))
+        .map_err(|e| match allowance.is_spent() {
+            true => limits.too_many_entries(),
+            false => unreadable(&e),
         })?;
     if zip.len() > limits.max_entries {
         return Err(limits.too_many_entries());
     }
     allowance.renew(u64::MAX);
-    let unpacked = Allowance::of(limits.unpacked(packed_bytes));
+    let unpacked = ReadLimit::of(limits.unpacked(packed_bytes));
     for i in 0..zip.len() {
         let entry = if with_content { zip.by_index(i) } else { zip.by_index_raw(i) };
         let mut entry = entry.map_err(|e| unreadable(&e))?;
@@ -105,7 +103,7 @@ fn walk_zip(
             ));
         }
         let kind = if entry.is_dir() { EntryKind::Folder } else { EntryKind::File };
-        let visited = visitor.entry(&name, kind, &mut Bounded::new(&mut entry, &unpacked));
+        let visited = visitor.entry(&name, kind, &mut LimitedReader::new(&mut entry, &unpacked));
         if unpacked.is_spent() {
             return Err(limits.too_many_bytes());
         }
@@ -155,12 +153,12 @@ fn walk_tar(
     kind: ArchiveKind,
     bytes: u64,
     limits: &UnpackLimits,
-    visitor: &mut dyn Visit,
+    visitor: &mut dyn EntryVisitor,
 ) -> Result<(), IngestError> {
     // Headers count too: a tar of nothing but headers is as large as one says.
     let allowance =
-        Allowance::of(bytes.saturating_add(limits.max_entries as u64 * TAR_HEADER_BYTES));
-    let mut tar = tar::Archive::new(Bounded::new(source, &allowance));
+        ReadLimit::of(bytes.saturating_add(limits.max_entries as u64 * TAR_HEADER_BYTES));
+    let mut tar = tar::Archive::new(LimitedReader::new(source, &allowance));
     let walked = tar
         .entries()
         .map_err(|e| kind.unreadable(e))
@@ -173,7 +171,7 @@ fn walk_tar(
 fn walk_tar_entries(
     entries: tar::Entries<'_, impl Read>,
     kind: ArchiveKind,
-    visitor: &mut dyn Visit,
+    visitor: &mut dyn EntryVisitor,
 ) -> Result<(), IngestError> {
     use tar::EntryType::{
         Continuous, Directory, GNULongLink, GNULongName, Regular, XGlobalHeader, XHeader,

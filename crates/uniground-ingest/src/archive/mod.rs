@@ -7,7 +7,7 @@ use super::{IngestError, sens};
 use camino::Utf8Path;
 use entries::walk;
 use serde::{Deserialize, Serialize};
-use sink::{Sink, Survey};
+use sink::{ArchiveCheck, ArchiveExtractor};
 
 /// Container of a scan's files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -131,8 +131,8 @@ pub fn unpack(
     target: &Utf8Path,
     limits: &UnpackLimits,
 ) -> Result<(), IngestError> {
-    walk(archive, kind, limits, false, &mut Survey::new(limits))?;
-    walk(archive, kind, limits, true, &mut Sink::new(target))?;
+    walk(archive, kind, limits, false, &mut ArchiveCheck::new(limits))?;
+    walk(archive, kind, limits, true, &mut ArchiveExtractor::new(target))?;
     // ScanNet's own container: its frames become files beside it, within the same bounds.
     match sens::lone(target)? {
         Some(file) => {

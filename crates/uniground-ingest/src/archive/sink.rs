@@ -1,7 +1,7 @@
 //! Two looks at an archive: all names before anything is written, then the files.
 
 use super::UnpackLimits;
-use super::entries::{EntryKind, Visit};
+use super::entries::{EntryKind, EntryVisitor};
 use crate::{IngestError, is_reserved};
 use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
 use std::collections::BTreeSet;
@@ -9,19 +9,19 @@ use std::fs::{self, File};
 use std::io::{self, Read, Write};
 
 /// Counts and looks at names; reads no content.
-pub(super) struct Survey<'a> {
+pub(super) struct ArchiveCheck<'a> {
     limits: &'a UnpackLimits,
     entries: usize,
     folders: BTreeSet<Utf8PathBuf>,
 }
 
-impl<'a> Survey<'a> {
+impl<'a> ArchiveCheck<'a> {
     pub fn new(limits: &'a UnpackLimits) -> Self {
         Self { limits, entries: 0, folders: BTreeSet::new() }
     }
 }
 
-impl Visit for Survey<'_> {
+impl EntryVisitor for ArchiveCheck<'_> {
     fn entry(&mut self, name: &str, kind: EntryKind, _: &mut dyn Read) -> Result<(), IngestError> {
         self.entries += 1;
         if self.entries > self.limits.max_entries {
@@ -57,19 +57,19 @@ impl Visit for Survey<'_> {
 }
 
 /// Writes files below one folder. Folders without files are not made.
-pub(super) struct Sink<'a> {
+pub(super) struct ArchiveExtractor<'a> {
     target: &'a Utf8Path,
     folders: BTreeSet<Utf8PathBuf>,
     buffer: Vec<u8>,
 }
 
-impl<'a> Sink<'a> {
+impl<'a> ArchiveExtractor<'a> {
     pub fn new(target: &'a Utf8Path) -> Self {
         Self { target, folders: BTreeSet::new(), buffer: vec![0; 64 << 10] }
     }
 }
 
-impl Visit for Sink<'_> {
+impl EntryVisitor for ArchiveExtractor<'_> {
     fn entry(
         &mut self,
         name: &str,

@@ -1,8 +1,8 @@
 //! E57 (ASTM E2807), by the `e57` crate: terrestrial scanners' clouds. All scans of a file, each
 //! brought into the file's own frame.
 
-use super::gathered::{Bounds, GREY};
-use super::{Gathered, guarded};
+use super::gathered::{CloudBounds, GREY};
+use super::{CloudBuilder, guarded};
 use crate::IngestError;
 use ::e57::{CartesianCoordinate, E57Reader};
 use camino::Utf8Path;
@@ -18,18 +18,22 @@ const MAX_XML_BYTES: u64 = 8 << 20;
 /// Where the header tells its length (ASTM E2807, table 1).
 const XML_LENGTH_AT: usize = 32;
 
-pub(super) fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(), IngestError> {
+pub(super) fn check(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    bounds: &CloudBounds,
+) -> Result<(), IngestError> {
     guarded(file, AssertUnwindSafe(|| open(root, file, bounds).map(drop)))
 }
 
 pub(super) fn read(
     root: &Utf8Path,
     file: &Utf8Path,
-    mut gathered: Gathered,
-) -> Result<Gathered, IngestError> {
+    mut gathered: CloudBuilder,
+) -> Result<CloudBuilder, IngestError> {
     let read = AssertUnwindSafe(move || {
         let malformed = |e: ::e57::Error| IngestError::malformed(file, e);
-        let (mut reader, points) = open(root, file, &Bounds::OWN)?;
+        let (mut reader, points) = open(root, file, &CloudBounds::OWN)?;
         gathered.expect(file, usize::try_from(points).unwrap_or(usize::MAX))?;
         let clouds = reader.pointclouds();
         gathered.coloured(clouds.iter().any(::e57::PointCloud::has_color));
@@ -56,7 +60,7 @@ pub(super) fn read(
 fn open(
     root: &Utf8Path,
     file: &Utf8Path,
-    bounds: &Bounds,
+    bounds: &CloudBounds,
 ) -> Result<(E57Reader<BufReader<File>>, u64), IngestError> {
     let mut source =
         File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;

@@ -8,7 +8,7 @@ use uniground_geometry::{MAX_COORDINATE_M, Point3};
 
 /// A cloud in the file's own axes and units, less its offset.
 #[derive(Debug)]
-pub struct Loaded {
+pub struct LoadedCloud {
     pub kind: CloudKind,
     pub cloud: PointCloud,
     /// What was taken off all coordinates, in the file's units.
@@ -24,7 +24,7 @@ pub struct Loaded {
 
 /// Bounds on what a file may announce and what is kept of it.
 #[derive(Debug, Clone, Copy)]
-pub struct Bounds {
+pub struct CloudBounds {
     /// A file that announces more points is refused.
     pub announced: usize,
     /// Of more points than this, every so manieth is kept.
@@ -33,7 +33,7 @@ pub struct Bounds {
 
 /// Where coordinates are counted from.
 #[derive(Debug, Clone, Copy)]
-pub enum Origin {
+pub enum CoordinateOrigin {
     /// Where the first point is, where that is far away (map coordinates) and written in double
     /// precision.
     Free,
@@ -45,16 +45,16 @@ pub enum Origin {
 pub const GREY: [u8; 3] = [128; 3];
 
 /// What readers hand points to.
-pub(super) struct Gathered {
-    loaded: Loaded,
-    bounds: Bounds,
+pub(super) struct CloudBuilder {
+    loaded: LoadedCloud,
+    bounds: CloudBounds,
     origin: Option<[f64; 3]>,
     seen: usize,
 }
 
-impl Gathered {
-    pub fn new(kind: CloudKind, bounds: &Bounds, origin: Origin) -> Self {
-        let loaded = Loaded {
+impl CloudBuilder {
+    pub fn new(kind: CloudKind, bounds: &CloudBounds, origin: CoordinateOrigin) -> Self {
+        let loaded = LoadedCloud {
             kind,
             cloud: PointCloud::default(),
             offset: [0.0; 3],
@@ -64,8 +64,8 @@ impl Gathered {
             thinned: 1,
         };
         let origin = match origin {
-            Origin::Free => None,
-            Origin::At(at) => Some(at),
+            CoordinateOrigin::Free => None,
+            CoordinateOrigin::At(at) => Some(at),
         };
         Self { loaded, bounds: *bounds, origin, seen: 0 }
     }
@@ -173,7 +173,7 @@ impl Gathered {
     }
 
     /// The cloud, when it is one.
-    pub fn finish(mut self, file: &Utf8Path) -> Result<Loaded, IngestError> {
+    pub fn finish(mut self, file: &Utf8Path) -> Result<LoadedCloud, IngestError> {
         self.loaded.offset = self.origin.unwrap_or_default();
         let cloud = &self.loaded.cloud;
         let far = |p: &&Point3<f32>| p.iter().any(|c| c.abs() > MAX_COORDINATE_M);
@@ -193,7 +193,7 @@ impl Gathered {
     }
 }
 
-impl Bounds {
+impl CloudBounds {
     /// What this service wrote itself.
     pub const OWN: Self = Self { announced: usize::MAX, kept: usize::MAX };
 

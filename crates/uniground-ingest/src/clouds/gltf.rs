@@ -6,13 +6,13 @@
 
 mod document;
 
-use super::Gathered;
-use super::mesh::{Corner, MAX_ELEMENTS, Mesh, Triangle};
+use super::CloudBuilder;
+use super::mesh::{MAX_ELEMENTS, Mesh, MeshVertex, Triangle};
 use super::texture::Texture;
 use crate::IngestError;
 use crate::bounded::read_text;
 use camino::Utf8Path;
-use document::{Buffers, Document, Primitive, Rows};
+use document::{AccessorRows, Buffers, Document, Primitive};
 use nalgebra::{Matrix4, Quaternion, UnitQuaternion};
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -42,8 +42,8 @@ pub(super) fn check(root: &Utf8Path, file: &Utf8Path) -> Result<(), IngestError>
 pub(super) fn read(
     root: &Utf8Path,
     file: &Utf8Path,
-    mut gathered: Gathered,
-) -> Result<Gathered, IngestError> {
+    mut gathered: CloudBuilder,
+) -> Result<CloudBuilder, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let (document, binary) = open(root, file)?;
     let blob = binary.map(|part| part_of(root, file, part)).transpose()?;
@@ -219,7 +219,7 @@ fn add(
         .and_then(|m| m.pbr.base_colour_factor);
     mesh.has_colour |= colours.is_some() || texture.is_some() || factor.is_some();
     let factor = factor.map_or([1.0; 3], |f| [f[0], f[1], f[2]]);
-    let corner = |i: usize| -> Result<Corner, String> {
+    let corner = |i: usize| -> Result<MeshVertex, String> {
         let p = positions.get(i).ok_or_else(|| format!("vertex {i} is not there"))?;
         let p = to_world.transform_point(&nalgebra::Point3::new(p[0], p[1], p[2]));
         let own = colours
@@ -230,11 +230,11 @@ fn add(
         let tint = std::array::from_fn(|k| srgb(own[k] * factor[k]));
         let uv =
             places.as_ref().and_then(|places| places.get(i)).map(|uv| [uv[0] as f32, uv[1] as f32]);
-        Ok(Corner { at: [p.x, p.y, p.z], tint, uv })
+        Ok(MeshVertex { at: [p.x, p.y, p.z], tint, uv })
     };
     let indices =
         primitive.indices.map(|indices| buffers.accessor(document, indices, 1)).transpose()?;
-    let count = indices.as_ref().map_or(positions.len(), Rows::len);
+    let count = indices.as_ref().map_or(positions.len(), AccessorRows::len);
     let vertex = |i: usize| match &indices {
         Some(indices) => indices.get(i).map_or(usize::MAX, |index| index[0] as usize),
         None => i,
@@ -285,7 +285,7 @@ fn srgb(linear: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::clouds::{self, Bounds, Loaded, Origin};
+    use crate::clouds::{self, CloudBounds, CoordinateOrigin, LoadedCloud};
     use proptest::prelude::*;
 
     fn glb(json: &str, blob: &[u8]) -> Vec<u8> {
@@ -301,15 +301,15 @@ mod tests {
         bytes
     }
 
-    fn read_bytes(bytes: &[u8]) -> Result<Loaded, IngestError> {
+    fn read_bytes(bytes: &[u8]) -> Result<LoadedCloud, IngestError> {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         std::fs::write(root.join("a.glb"), bytes).unwrap();
         clouds::read(
             root,
             Utf8Path::new("a.glb"),
-            &Bounds { announced: 1 << 30, kept: 1 << 30 },
-            Origin::Free,
+            &CloudBounds { announced: 1 << 30, kept: 1 << 30 },
+            CoordinateOrigin::Free,
         )
     }
 

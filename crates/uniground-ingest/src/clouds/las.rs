@@ -4,8 +4,8 @@
 mod lengths;
 mod records;
 
-use super::gathered::{Bounds, GREY};
-use super::{Gathered, guarded};
+use super::gathered::{CloudBounds, GREY};
+use super::{CloudBuilder, guarded};
 use crate::IngestError;
 use camino::Utf8Path;
 use std::fs::File;
@@ -15,8 +15,12 @@ use std::panic::AssertUnwindSafe;
 /// LAZ stores a point in a byte or two at best; a count far beyond that is a lie.
 const LEAST_BYTES_PER_100_POINTS: u64 = 20;
 
-pub(super) fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(), IngestError> {
-    match records::Records::open(root, file)? {
+pub(super) fn check(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    bounds: &CloudBounds,
+) -> Result<(), IngestError> {
+    match records::LasRecords::open(root, file)? {
         Some(records) => records.check(file, bounds),
         None => guarded(file, AssertUnwindSafe(|| open(root, file, bounds).map(drop))),
     }
@@ -25,9 +29,9 @@ pub(super) fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result
 pub(super) fn read(
     root: &Utf8Path,
     file: &Utf8Path,
-    gathered: Gathered,
-) -> Result<Gathered, IngestError> {
-    match records::Records::open(root, file)? {
+    gathered: CloudBuilder,
+) -> Result<CloudBuilder, IngestError> {
+    match records::LasRecords::open(root, file)? {
         Some(records) => records.read(file, gathered),
         None => read_compressed(root, file, gathered),
     }
@@ -36,10 +40,10 @@ pub(super) fn read(
 fn read_compressed(
     root: &Utf8Path,
     file: &Utf8Path,
-    mut gathered: Gathered,
-) -> Result<Gathered, IngestError> {
+    mut gathered: CloudBuilder,
+) -> Result<CloudBuilder, IngestError> {
     let read = AssertUnwindSafe(move || {
-        let mut reader = open(root, file, &Bounds::OWN)?;
+        let mut reader = open(root, file, &CloudBounds::OWN)?;
         let header = reader.header();
         let (points, coloured) = (header.number_of_points(), header.point_format().has_color);
         gathered.expect(file, usize::try_from(points).unwrap_or(usize::MAX))?;
@@ -71,12 +75,16 @@ fn read_compressed(
 
 /// Sixteen bits by the standard; many writers leave eight bits as they are. Which of them shows in
 /// the largest value.
-fn recolour(gathered: &mut Gathered, wide: &[[u16; 3]]) {
+fn recolour(gathered: &mut CloudBuilder, wide: &[[u16; 3]]) {
     let shift = if wide.iter().flatten().any(|c| *c > 255) { 8 } else { 0 };
     gathered.recolour(wide.iter().map(|c| c.map(|c| (c >> shift) as u8)));
 }
 
-fn open(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<las::Reader, IngestError> {
+fn open(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    bounds: &CloudBounds,
+) -> Result<las::Reader, IngestError> {
     let reading = |source| IngestError::reading(file, source);
     let mut source = File::open(root.join(file)).map_err(reading)?;
     let bytes = source.metadata().map_or(0, |m| m.len());

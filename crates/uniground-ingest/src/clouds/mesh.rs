@@ -1,7 +1,7 @@
 //! Triangles to points: evenly spread over the surface, at places that depend on nothing but the
 //! mesh.
 
-use super::Gathered;
+use super::CloudBuilder;
 use super::gathered::GREY;
 use super::texture::Texture;
 use crate::IngestError;
@@ -15,7 +15,7 @@ pub(super) const MAX_ELEMENTS: usize = 20_000_000;
 
 /// A corner of a triangle.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Corner {
+pub(super) struct MeshVertex {
     pub at: [f64; 3],
     /// Colour of the vertex, `0..=1`; white where there is none.
     pub tint: [f32; 3],
@@ -26,7 +26,7 @@ pub(super) struct Corner {
 
 #[derive(Debug, Clone)]
 pub(super) struct Triangle {
-    pub corners: [Corner; 3],
+    pub corners: [MeshVertex; 3],
     /// Of [`Mesh::textures`].
     pub texture: Option<u32>,
 }
@@ -51,7 +51,7 @@ impl Triangle {
 
     /// The point with these weights of its corners.
     fn at(&self, weights: [f64; 3], textures: &[Texture]) -> ([f64; 3], [u8; 3]) {
-        let mix = |of: &dyn Fn(&Corner) -> f64| {
+        let mix = |of: &dyn Fn(&MeshVertex) -> f64| {
             self.corners.iter().zip(weights).map(|(corner, w)| of(corner) * w).sum::<f64>()
         };
         let position = std::array::from_fn(|i| mix(&|c| c.at[i]));
@@ -75,7 +75,7 @@ impl Mesh {
         &self,
         file: &Utf8Path,
         metres_per_unit: f64,
-        gathered: &mut Gathered,
+        gathered: &mut CloudBuilder,
     ) -> Result<(), IngestError> {
         gathered.coloured(self.has_colour);
         for (position, colour) in &self.points {
@@ -85,7 +85,7 @@ impl Mesh {
             return Ok(());
         }
         let area = self.triangles.iter().map(Triangle::area).sum();
-        let mut sampling = Sampling::of(area, metres_per_unit)
+        let mut sampling = MeshSampler::of(area, metres_per_unit)
             .ok_or_else(|| IngestError::malformed(file, "the faces of the mesh have no area"))?;
         for triangle in &self.triangles {
             sampling.points(triangle, &self.textures, |position, colour| {
@@ -97,14 +97,14 @@ impl Mesh {
 }
 
 /// Spreads points over triangles that come one after the other.
-pub(super) struct Sampling {
+pub(super) struct MeshSampler {
     per_area: f64,
     /// Points of the area so far that are still to come.
     owed: f64,
     drawn: u32,
 }
 
-impl Sampling {
+impl MeshSampler {
     /// For triangles of so much area together; `None`: there is none.
     pub fn of(area: f64, metres_per_unit: f64) -> Option<Self> {
         let most = area * (metres_per_unit / SPACING_M).powi(2);

@@ -1,5 +1,5 @@
 //! Point clouds and meshes as files, recognised by what they begin with. Each file of this folder
-//! reads one format; all of them hand points to a [`Gathered`], which drops what is no point, thins
+//! reads one format; all of them hand points to a [`CloudBuilder`], which drops what is no point, thins
 //! out what is too much, and takes off an offset of map coordinates.
 
 mod e57;
@@ -15,8 +15,8 @@ mod texture;
 
 use super::IngestError;
 use camino::Utf8Path;
-use gathered::Gathered;
-pub(super) use gathered::{Bounds, Loaded, Origin};
+use gathered::CloudBuilder;
+pub(super) use gathered::{CloudBounds, CoordinateOrigin, LoadedCloud};
 use std::fs::File;
 use std::io::Read;
 use uniground_geometry::up_axis::UpAxis;
@@ -117,7 +117,11 @@ impl CloudKind {
 ///
 /// # Errors
 /// [`IngestError`] naming `file` (a path below `root`).
-pub(super) fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(), IngestError> {
+pub(super) fn check(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    bounds: &CloudBounds,
+) -> Result<(), IngestError> {
     match kind_of(root, file)? {
         CloudKind::Ply => ply::check(root, file, bounds),
         CloudKind::Pcd => pcd::check(root, file, bounds),
@@ -137,11 +141,11 @@ pub(super) fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result
 pub(super) fn read(
     root: &Utf8Path,
     file: &Utf8Path,
-    bounds: &Bounds,
-    origin: Origin,
-) -> Result<Loaded, IngestError> {
+    bounds: &CloudBounds,
+    origin: CoordinateOrigin,
+) -> Result<LoadedCloud, IngestError> {
     let kind = kind_of(root, file)?;
-    let gathered = Gathered::new(kind, bounds, origin);
+    let gathered = CloudBuilder::new(kind, bounds, origin);
     let gathered = match kind {
         CloudKind::Ply => ply::read(root, file, gathered),
         CloudKind::Pcd => pcd::read(root, file, gathered),

@@ -1,8 +1,8 @@
 //! Wavefront OBJ: vertices with or without colour, faces, and the textures of its materials.
 //! Without faces the vertices are the cloud.
 
-use super::Gathered;
-use super::mesh::{Corner, MAX_ELEMENTS, Mesh, Triangle};
+use super::CloudBuilder;
+use super::mesh::{MAX_ELEMENTS, Mesh, MeshVertex, Triangle};
 use super::texture::Texture;
 use crate::IngestError;
 use crate::bounded::{read_line, read_text};
@@ -17,7 +17,7 @@ const MAX_TEXTURES: usize = 64;
 const MAX_TEXTURE_BYTES: u64 = 128 << 20;
 
 #[derive(Default)]
-struct Reading {
+struct ObjReader {
     positions: Vec<[f64; 3]>,
     tints: Vec<[f32; 3]>,
     uvs: Vec<[f32; 2]>,
@@ -30,12 +30,12 @@ struct Reading {
 pub(super) fn read(
     root: &Utf8Path,
     file: &Utf8Path,
-    mut gathered: Gathered,
-) -> Result<Gathered, IngestError> {
+    mut gathered: CloudBuilder,
+) -> Result<CloudBuilder, IngestError> {
     let source =
         File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
     let mut source = BufReader::with_capacity(1 << 20, source);
-    let mut reading = Reading::default();
+    let mut reading = ObjReader::default();
     let (mut line, mut number) = (Vec::new(), 0_usize);
     loop {
         number += 1;
@@ -67,7 +67,7 @@ pub(super) fn read(
             ));
         }
     }
-    let Reading { positions, tints, mut mesh, .. } = reading;
+    let ObjReader { positions, tints, mut mesh, .. } = reading;
     mesh.has_colour |= !tints.is_empty();
     if mesh.triangles.is_empty() {
         let colour = |i: usize| tints.get(i).map(|t| t.map(|c| (c * 255.0).round() as u8));
@@ -77,7 +77,7 @@ pub(super) fn read(
     Ok(gathered)
 }
 
-impl Reading {
+impl ObjReader {
     fn vertex<'a>(&mut self, words: impl Iterator<Item = &'a str>) -> Result<(), String> {
         let values: Vec<f64> = words
             .take(8)
@@ -129,7 +129,7 @@ impl Reading {
             let at = index(parts.next(), self.positions.len())?
                 .ok_or_else(|| format!("{word:?} is no corner"))?;
             let uv = index(parts.next(), self.uvs.len())?;
-            corners.push(Corner {
+            corners.push(MeshVertex {
                 at: self.positions[at],
                 tint: self.tints.get(at).copied().unwrap_or([1.0; 3]),
                 uv: uv.map(|uv| self.uvs[uv]),
@@ -204,18 +204,18 @@ pub(super) fn beside(file: &Utf8Path, name: &str) -> Option<Utf8PathBuf> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::clouds::{self, Bounds, Loaded, Origin};
+    use crate::clouds::{self, CloudBounds, CoordinateOrigin, LoadedCloud};
     use proptest::prelude::*;
 
-    fn read_files(files: &[(&str, &[u8])]) -> Result<Loaded, IngestError> {
+    fn read_files(files: &[(&str, &[u8])]) -> Result<LoadedCloud, IngestError> {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         files.iter().for_each(|(name, bytes)| std::fs::write(root.join(name), bytes).unwrap());
         clouds::read(
             root,
             Utf8Path::new("a.obj"),
-            &Bounds { announced: 1 << 30, kept: 1 << 30 },
-            Origin::Free,
+            &CloudBounds { announced: 1 << 30, kept: 1 << 30 },
+            CoordinateOrigin::Free,
         )
     }
 

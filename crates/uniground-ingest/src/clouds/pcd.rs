@@ -4,8 +4,8 @@
 //! Colour is `rgb` or `rgba`, packed into the four bytes of a float or an integer. The viewpoint is
 //! where the sensor stood; it moves nothing.
 
-use super::Gathered;
-use super::gathered::{Bounds, GREY};
+use super::CloudBuilder;
+use super::gathered::{CloudBounds, GREY};
 use crate::IngestError;
 use crate::bounded::read_line;
 use camino::Utf8Path;
@@ -22,7 +22,7 @@ const BLOCK_BYTES: usize = 256 << 10;
 const BEST_RATIO: u64 = 100;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Kind {
+enum PcdFieldType {
     Float,
     Signed,
     Unsigned,
@@ -33,7 +33,7 @@ enum Kind {
 struct Field {
     name: String,
     size: usize,
-    kind: Kind,
+    kind: PcdFieldType,
     count: usize,
     /// Where it begins in a row.
     offset: usize,
@@ -49,22 +49,22 @@ impl Field {
             std::array::from_fn(|i| bytes[i])
         }
         match (self.kind, self.size) {
-            (Kind::Float, 4) => f64::from(f32::from_le_bytes(first(bytes))),
-            (Kind::Float, _) => f64::from_le_bytes(first(bytes)),
-            (Kind::Signed, 1) => f64::from(bytes[0].cast_signed()),
-            (Kind::Signed, 2) => f64::from(i16::from_le_bytes(first(bytes))),
-            (Kind::Signed, 4) => f64::from(i32::from_le_bytes(first(bytes))),
-            (Kind::Signed, _) => i64::from_le_bytes(first(bytes)) as f64,
-            (Kind::Unsigned, 1) => f64::from(bytes[0]),
-            (Kind::Unsigned, 2) => f64::from(u16::from_le_bytes(first(bytes))),
-            (Kind::Unsigned, 4) => f64::from(u32::from_le_bytes(first(bytes))),
-            (Kind::Unsigned, _) => u64::from_le_bytes(first(bytes)) as f64,
+            (PcdFieldType::Float, 4) => f64::from(f32::from_le_bytes(first(bytes))),
+            (PcdFieldType::Float, _) => f64::from_le_bytes(first(bytes)),
+            (PcdFieldType::Signed, 1) => f64::from(bytes[0].cast_signed()),
+            (PcdFieldType::Signed, 2) => f64::from(i16::from_le_bytes(first(bytes))),
+            (PcdFieldType::Signed, 4) => f64::from(i32::from_le_bytes(first(bytes))),
+            (PcdFieldType::Signed, _) => i64::from_le_bytes(first(bytes)) as f64,
+            (PcdFieldType::Unsigned, 1) => f64::from(bytes[0]),
+            (PcdFieldType::Unsigned, 2) => f64::from(u16::from_le_bytes(first(bytes))),
+            (PcdFieldType::Unsigned, 4) => f64::from(u32::from_le_bytes(first(bytes))),
+            (PcdFieldType::Unsigned, _) => u64::from_le_bytes(first(bytes)) as f64,
         }
     }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Data {
+enum PcdEncoding {
     Ascii,
     Binary,
     Compressed,
@@ -73,7 +73,7 @@ enum Data {
 struct Header {
     fields: Vec<Field>,
     points: usize,
-    data: Data,
+    data: PcdEncoding,
     row_bytes: usize,
 }
 
@@ -92,7 +92,11 @@ impl Header {
 }
 
 /// Whether the header can be read, and how many points it announces.
-pub(super) fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(), IngestError> {
+pub(super) fn check(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    bounds: &CloudBounds,
+) -> Result<(), IngestError> {
     let (header, _) = open(root, file)?;
     bounds.check(file, header.points as u64)
 }
@@ -100,21 +104,21 @@ pub(super) fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result
 pub(super) fn read(
     root: &Utf8Path,
     file: &Utf8Path,
-    mut gathered: Gathered,
-) -> Result<Gathered, IngestError> {
+    mut gathered: CloudBuilder,
+) -> Result<CloudBuilder, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let (header, mut source) = open(root, file)?;
     let (xyz, packed) =
         header.wanted().ok_or_else(|| malformed("its points have no fields x, y and z".into()))?;
     gathered.coloured(packed.is_some());
-    if header.data != Data::Ascii && xyz.iter().all(|field| field.size < 8) {
+    if header.data != PcdEncoding::Ascii && xyz.iter().all(|field| field.size < 8) {
         gathered.single_precision();
     }
     gathered.expect(file, header.points)?;
     match header.data {
-        Data::Ascii => read_ascii(&header, &mut source, &mut gathered),
-        Data::Binary => read_binary(&header, &mut source, &mut gathered),
-        Data::Compressed => read_compressed(&header, &mut source, &mut gathered),
+        PcdEncoding::Ascii => read_ascii(&header, &mut source, &mut gathered),
+        PcdEncoding::Binary => read_binary(&header, &mut source, &mut gathered),
+        PcdEncoding::Compressed => read_compressed(&header, &mut source, &mut gathered),
     }
     .map_err(malformed)?;
     Ok(gathered)
@@ -128,9 +132,9 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Header, BufReader<File>), I
     let header = read_header(&mut source)
         .map_err(|reason| IngestError::malformed(file, format!("not a PCD file: {reason}")))?;
     let least = match header.data {
-        Data::Ascii => header.points as u64 * 6,
-        Data::Binary => header.points as u64 * header.row_bytes as u64,
-        Data::Compressed => header.points as u64 * header.row_bytes as u64 / BEST_RATIO,
+        PcdEncoding::Ascii => header.points as u64 * 6,
+        PcdEncoding::Binary => header.points as u64 * header.row_bytes as u64,
+        PcdEncoding::Compressed => header.points as u64 * header.row_bytes as u64 / BEST_RATIO,
     };
     // A count that can not be there is a lie, not a reason to allocate. The last line may lack its
     // end.
@@ -172,9 +176,9 @@ fn read_header(source: &mut impl BufRead) -> Result<Header, String> {
             "POINTS" => points = Some(number(words.first())?),
             "DATA" => {
                 let data = match words.first() {
-                    Some(&"ascii") => Data::Ascii,
-                    Some(&"binary") => Data::Binary,
-                    Some(&"binary_compressed") => Data::Compressed,
+                    Some(&"ascii") => PcdEncoding::Ascii,
+                    Some(&"binary") => PcdEncoding::Binary,
+                    Some(&"binary_compressed") => PcdEncoding::Compressed,
                     other => return Err(format!("DATA is {other:?}")),
                 };
                 let fields = fields(names, &sizes, &kinds, &counts)?;
@@ -212,9 +216,9 @@ fn fields(
     let mut fields = Vec::new();
     for (i, name) in names.into_iter().enumerate() {
         let (kind, size) = match (kinds[i].as_str(), sizes[i]) {
-            ("F", 4 | 8) => (Kind::Float, sizes[i] as usize),
-            ("I", 1 | 2 | 4 | 8) => (Kind::Signed, sizes[i] as usize),
-            ("U", 1 | 2 | 4 | 8) => (Kind::Unsigned, sizes[i] as usize),
+            ("F", 4 | 8) => (PcdFieldType::Float, sizes[i] as usize),
+            ("I", 1 | 2 | 4 | 8) => (PcdFieldType::Signed, sizes[i] as usize),
+            ("U", 1 | 2 | 4 | 8) => (PcdFieldType::Unsigned, sizes[i] as usize),
             (kind, size) => return Err(format!("{name} is of type {kind} with {size} bytes")),
         };
         let count = counts.get(i).copied().unwrap_or(1);
@@ -236,7 +240,7 @@ fn unpacked([b, g, r, _]: [u8; 4]) -> [u8; 3] {
 fn read_ascii(
     header: &Header,
     source: &mut impl BufRead,
-    gathered: &mut Gathered,
+    gathered: &mut CloudBuilder,
 ) -> Result<(), String> {
     let Some((xyz, packed)) = header.wanted() else { return Ok(()) };
     // Columns, where fields of several numbers stand before them.
@@ -262,8 +266,8 @@ fn read_ascii(
             } else if let Some((_, kind)) = packed.filter(|(column, _)| *column == i) {
                 // As an integer, or as the float that has these bytes.
                 let bits = match (kind, word.parse::<u32>()) {
-                    (Kind::Float, Ok(bits)) if bits > 0xff => bits,
-                    (Kind::Float, _) => (number()? as f32).to_bits(),
+                    (PcdFieldType::Float, Ok(bits)) if bits > 0xff => bits,
+                    (PcdFieldType::Float, _) => (number()? as f32).to_bits(),
                     (_, Ok(bits)) => bits,
                     (_, Err(_)) => number()? as u32,
                 };
@@ -281,7 +285,7 @@ fn read_ascii(
 fn read_binary(
     header: &Header,
     source: &mut impl Read,
-    gathered: &mut Gathered,
+    gathered: &mut CloudBuilder,
 ) -> Result<(), String> {
     let Some((xyz, packed)) = header.wanted() else { return Ok(()) };
     let per_block = (BLOCK_BYTES / header.row_bytes).max(1);
@@ -307,7 +311,7 @@ fn read_binary(
 fn read_compressed(
     header: &Header,
     source: &mut impl Read,
-    gathered: &mut Gathered,
+    gathered: &mut CloudBuilder,
 ) -> Result<(), String> {
     let Some((xyz, packed)) = header.wanted() else { return Ok(()) };
     let mut sizes = [0; 8];
@@ -376,19 +380,19 @@ fn lzf(source: &[u8], expected: usize) -> Result<Vec<u8>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::clouds::{self, Loaded, Origin};
+    use crate::clouds::{self, CoordinateOrigin, LoadedCloud};
     use proptest::prelude::*;
     use uniground_geometry::Point3;
 
-    fn read_bytes(bytes: &[u8]) -> Result<Loaded, IngestError> {
+    fn read_bytes(bytes: &[u8]) -> Result<LoadedCloud, IngestError> {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         std::fs::write(root.join("cloud.pcd"), bytes).unwrap();
         clouds::read(
             root,
             Utf8Path::new("cloud.pcd"),
-            &Bounds { announced: 1 << 30, kept: 1 << 30 },
-            Origin::Free,
+            &CloudBounds { announced: 1 << 30, kept: 1 << 30 },
+            CoordinateOrigin::Free,
         )
     }
 

@@ -7,13 +7,13 @@
 mod faces;
 mod rows;
 
-use super::Gathered;
-use super::gathered::{Bounds, GREY};
+use super::CloudBuilder;
+use super::gathered::{CloudBounds, GREY};
 use crate::IngestError;
 use camino::Utf8Path;
 use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{DefaultElement, ElementDef, Header, PropertyType, ScalarType};
-use rows::Rows;
+use rows::PlyRows;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 
@@ -25,7 +25,7 @@ const MAX_PROPERTIES: usize = 256;
 ///
 /// # Errors
 /// [`IngestError`] naming `file` (a path below `root`).
-pub fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(), IngestError> {
+pub fn check(root: &Utf8Path, file: &Utf8Path, bounds: &CloudBounds) -> Result<(), IngestError> {
     let (header, _) = open(root, file)?;
     bounds.check(file, header.elements.get("vertex").map_or(0, |vertex| vertex.count as u64))
 }
@@ -38,13 +38,13 @@ pub fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(), In
 pub fn read(
     root: &Utf8Path,
     file: &Utf8Path,
-    mut gathered: Gathered,
-) -> Result<Gathered, IngestError> {
+    mut gathered: CloudBuilder,
+) -> Result<CloudBuilder, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let (header, mut source) = open(root, file)?;
     let mut has_vertices = false;
     for element in header.elements.values() {
-        let rows = Rows::of(element, &header.encoding);
+        let rows = PlyRows::of(element, &header.encoding);
         let named = |e: String| malformed(format!("{}: {e}", element.name));
         if has_vertices && rows.has_corners() && element.count > 0 {
             faces::sample_if_sparse(&rows, &mut source, element.count, &mut gathered)
@@ -67,7 +67,7 @@ pub fn read(
         if !header
             .elements
             .values()
-            .any(|element| Rows::of(element, &header.encoding).has_corners())
+            .any(|element| PlyRows::of(element, &header.encoding).has_corners())
         {
             break;
         }
@@ -142,7 +142,7 @@ fn header_text(source: &mut impl BufRead) -> io::Result<Vec<u8>> {
 }
 
 impl Vertex {
-    fn hand_to(&self, gathered: &mut Gathered) {
+    fn hand_to(&self, gathered: &mut CloudBuilder) {
         match self.nan_colour {
             false => gathered.push(self.position, self.colour),
             true => gathered.push_discoloured(self.position, self.colour),
@@ -202,19 +202,19 @@ impl Vertex {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::clouds::{self, Loaded, Origin};
+    use crate::clouds::{self, CoordinateOrigin, LoadedCloud};
     use proptest::prelude::*;
     use uniground_geometry::Point3;
 
-    fn read_bytes(bytes: &[u8]) -> Result<Loaded, IngestError> {
+    fn read_bytes(bytes: &[u8]) -> Result<LoadedCloud, IngestError> {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         std::fs::write(root.join("cloud.ply"), bytes).unwrap();
         clouds::read(
             root,
             Utf8Path::new("cloud.ply"),
-            &Bounds { announced: 1 << 30, kept: 1 << 30 },
-            Origin::Free,
+            &CloudBounds { announced: 1 << 30, kept: 1 << 30 },
+            CoordinateOrigin::Free,
         )
     }
 
@@ -340,9 +340,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         std::fs::write(root.join("cloud.ply"), header("binary_little_endian", 9, XYZ_RGB)).unwrap();
-        let message = check(root, Utf8Path::new("cloud.ply"), &Bounds { announced: 8, kept: 8 })
-            .unwrap_err()
-            .to_string();
+        let message =
+            check(root, Utf8Path::new("cloud.ply"), &CloudBounds { announced: 8, kept: 8 })
+                .unwrap_err()
+                .to_string();
         assert!(message.contains("announces 9 points"), "{message}");
     }
 

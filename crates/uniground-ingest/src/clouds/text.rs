@@ -1,7 +1,7 @@
 //! Lines of numbers: XYZ, PTS, TXT, CSV. Which column is what is told by a heading, or by how many
 //! there are and what they look like.
 
-use super::Gathered;
+use super::CloudBuilder;
 use super::gathered::GREY;
 use crate::IngestError;
 use crate::bounded::read_line;
@@ -17,7 +17,7 @@ const MAX_COLUMNS: usize = 32;
 
 /// How colours are written.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Scale {
+enum ColorScale {
     /// `0..=255`.
     Bytes,
     /// `0..=1`.
@@ -28,7 +28,7 @@ enum Scale {
 struct Columns {
     /// The first of x, y, z.
     position: [usize; 3],
-    colour: Option<([usize; 3], Scale)>,
+    colour: Option<([usize; 3], ColorScale)>,
 }
 
 /// Whether lines of at least three numbers stand at the beginning of a file, after a heading or a
@@ -64,8 +64,8 @@ fn numbers(line: &str) -> Option<Vec<f64>> {
 pub(super) fn read(
     root: &Utf8Path,
     file: &Utf8Path,
-    mut gathered: Gathered,
-) -> Result<Gathered, IngestError> {
+    mut gathered: CloudBuilder,
+) -> Result<CloudBuilder, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let columns = columns(root, file)?;
     gathered.coloured(columns.colour.is_some());
@@ -99,8 +99,8 @@ pub(super) fn read(
         }
         let colour = columns.colour.map_or(GREY, |(at, scale)| {
             at.map(|i| match scale {
-                Scale::Bytes => values[i].round() as u8,
-                Scale::Shares => (values[i] * 255.0).round() as u8,
+                ColorScale::Bytes => values[i].round() as u8,
+                ColorScale::Shares => (values[i] * 255.0).round() as u8,
             })
         });
         gathered.push(columns.position.map(|i| values[i]), colour);
@@ -139,7 +139,7 @@ fn columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestError> {
         let shares = rows
             .iter()
             .all(|row| at.iter().all(|i| row.get(*i).is_none_or(|v| (0.0..=1.0).contains(v))));
-        if shares { Scale::Shares } else { Scale::Bytes }
+        if shares { ColorScale::Shares } else { ColorScale::Bytes }
     };
     if let Some((position, colour)) = heading {
         return Ok(Columns { position, colour: colour.map(|at| (at, scale(at))) });
@@ -182,22 +182,22 @@ fn by_heading(line: &str) -> Option<([usize; 3], Option<[usize; 3]>)> {
 }
 
 /// Lines as text, bounded.
-struct Lines<R> {
+struct BoundedLines<R> {
     source: R,
     line: Vec<u8>,
 }
 
 trait TakeLines: Sized {
-    fn take_lines(self) -> Lines<Self>;
+    fn take_lines(self) -> BoundedLines<Self>;
 }
 
 impl<R: BufRead> TakeLines for R {
-    fn take_lines(self) -> Lines<Self> {
-        Lines { source: self, line: Vec::new() }
+    fn take_lines(self) -> BoundedLines<Self> {
+        BoundedLines { source: self, line: Vec::new() }
     }
 }
 
-impl<R: BufRead> Lines<R> {
+impl<R: BufRead> BoundedLines<R> {
     fn next_line(&mut self, file: &Utf8Path) -> Result<Option<String>, IngestError> {
         match read_line(&mut self.source, &mut self.line, MAX_LINE_BYTES) {
             Ok(true) => Ok(Some(String::from_utf8_lossy(&self.line).into_owned())),
@@ -210,19 +210,19 @@ impl<R: BufRead> Lines<R> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::clouds::{self, Bounds, Loaded, Origin};
+    use crate::clouds::{self, CloudBounds, CoordinateOrigin, LoadedCloud};
     use proptest::prelude::*;
     use uniground_geometry::Point3;
 
-    fn read_text(name: &str, text: &[u8]) -> Result<Loaded, IngestError> {
+    fn read_text(name: &str, text: &[u8]) -> Result<LoadedCloud, IngestError> {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         std::fs::write(root.join(name), text).unwrap();
         clouds::read(
             root,
             Utf8Path::new(name),
-            &Bounds { announced: 1 << 30, kept: 1 << 30 },
-            Origin::Free,
+            &CloudBounds { announced: 1 << 30, kept: 1 << 30 },
+            CoordinateOrigin::Free,
         )
     }
 

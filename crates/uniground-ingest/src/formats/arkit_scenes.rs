@@ -3,7 +3,7 @@
 //! level, Z up. The mesh `*_3dod_mesh.ply` lies one folder up.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
-use super::files::{DEPTHS, Folder, PICTURES};
+use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::parse;
 use super::{entry, incomplete, intrinsics, pairing};
 use crate::bounded::read_text;
@@ -26,7 +26,7 @@ const POSE_WITHIN_S: f64 = 0.005;
 const NAME_WITHIN_S: f64 = 0.0015;
 
 /// The folder of the frames: here, or the only one called `*_frames`.
-fn frames_in(folder: &Folder) -> Option<String> {
+fn frames_in(folder: &FolderListing) -> Option<String> {
     let has = |inner: &str| {
         [TRAJECTORY, COLOUR].iter().any(|name| folder.root.join(inner).join(name).exists())
     };
@@ -36,11 +36,11 @@ fn frames_in(folder: &Folder) -> Option<String> {
     folder.folders().find(|name| name.ends_with("_frames") && has(name)).map(str::to_owned)
 }
 
-pub(super) fn recognises(folder: &Folder) -> bool {
+pub(super) fn recognises(folder: &FolderListing) -> bool {
     frames_in(folder).is_some()
 }
 
-pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let inner = Utf8PathBuf::from(frames_in(folder).unwrap_or_default());
     let root = &folder.root;
     for (name, what) in [

@@ -1,7 +1,7 @@
 //! COLMAP: poses of pictures without depth, in no unit of length and with no up. Its dense cloud
 //! can be read, once somebody says how long its unit is.
 
-use super::files::Folder;
+use super::files::FolderListing;
 use super::incomplete;
 use crate::IngestError;
 use crate::scan::Scan;
@@ -9,13 +9,13 @@ use crate::scan::Scan;
 const LOOKS_LIKE: &str = "a COLMAP reconstruction";
 const CLOUDS: &[&str] = &["fused.ply", "dense/fused.ply", "dense/0/fused.ply"];
 
-pub(super) fn recognises(folder: &Folder) -> bool {
+pub(super) fn recognises(folder: &FolderListing) -> bool {
     ["", "sparse/", "sparse/0/"].iter().any(|at| {
         ["cameras.bin", "cameras.txt"].iter().any(|name| folder.has_file(&format!("{at}{name}")))
     })
 }
 
-pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let Some(cloud) = folder.first_file(CLOUDS) else {
         return Err(incomplete(
             LOOKS_LIKE,

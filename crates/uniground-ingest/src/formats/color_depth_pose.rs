@@ -2,7 +2,7 @@
 //! their usual names; files belong together by name, number or time; poses may stand in one file.
 //! Order is by number, so `10` follows `9`.
 
-use super::files::{DEPTHS, Folder, PICTURES};
+use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::read_pose;
 use super::trajectory::{self, Trajectory};
 use super::{entry, intrinsics, pairing};
@@ -21,33 +21,33 @@ const TRAJECTORIES: &[&str] =
 pub(super) const CLOUD: &[&str] =
     &["cloud.", "pointcloud.", "point_cloud.", "points.", "mesh.", "scene."];
 
-pub(super) fn recognises_posed(folder: &Folder) -> bool {
+pub(super) fn recognises_posed(folder: &FolderListing) -> bool {
     folder.first_folder(COLOUR).is_some()
         && folder.first_folder(DEPTH).is_some()
         && (folder.first_folder(POSE).is_some() || folder.first_file(TRAJECTORIES).is_some())
 }
 
-pub(super) fn recognises(folder: &Folder) -> bool {
+pub(super) fn recognises(folder: &FolderListing) -> bool {
     ["color", "depth", "pose"].iter().any(|name| folder.has_folder(name))
 }
 
-pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let mut scan = Scan::new(&folder.root, "color-depth-pose");
     scan.cloud = own_cloud(folder);
     let list = |names: &[&'static str], endings: &[&str]| {
         folder.first_folder(names).map_or(Ok(Vec::new()), |name| folder.files(name, endings))
     };
-    let pictures = Pictures {
+    let pictures = ScanImages {
         colour: list(COLOUR, PICTURES)?,
         depth: list(DEPTH, DEPTHS)?,
         confidence: list(CONFIDENCE, &["png"])?,
     };
     scan.depth_scale_m = usual_depth_scale_m(&folder.root, &pictures.depth);
     let poses = match folder.first_folder(POSE) {
-        Some(name) => Poses::Files(folder.files(name, &["txt"])?),
+        Some(name) => PoseFiles::Files(folder.files(name, &["txt"])?),
         None => match folder.first_file(TRAJECTORIES) {
-            Some(file) => Poses::List(trajectory::read(&folder.root, &file)?, file),
-            None => Poses::Files(Vec::new()),
+            Some(file) => PoseFiles::List(trajectory::read(&folder.root, &file)?, file),
+            None => PoseFiles::Files(Vec::new()),
         },
     };
     let Some(first) = pictures.colour.first() else {
@@ -57,12 +57,18 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
         };
     };
     let colour = intrinsics::of_colour(folder, first)?;
-    add_frames(&mut scan, &pictures, &poses, &Cameras { colour, depth: None }, Unmatched::Damaged)?;
+    add_frames(
+        &mut scan,
+        &pictures,
+        &poses,
+        &FrameCameras { colour, depth: None },
+        UnmatchedImages::Damaged,
+    )?;
     Ok(scan)
 }
 
 /// A cloud beside posed pictures, by its name.
-pub(super) fn own_cloud(folder: &Folder) -> Option<Utf8PathBuf> {
+pub(super) fn own_cloud(folder: &FolderListing) -> Option<Utf8PathBuf> {
     folder
         .clouds(CLOUD)
         .into_iter()
@@ -70,7 +76,7 @@ pub(super) fn own_cloud(folder: &Folder) -> Option<Utf8PathBuf> {
 }
 
 /// Pictures of a scan, each list in natural order.
-pub(super) struct Pictures {
+pub(super) struct ScanImages {
     pub colour: Vec<Utf8PathBuf>,
     pub depth: Vec<Utf8PathBuf>,
     /// Of the depth; frames without are fine.
@@ -78,7 +84,7 @@ pub(super) struct Pictures {
 }
 
 /// Where poses stand.
-pub(super) enum Poses {
+pub(super) enum PoseFiles {
     /// A file for each.
     Files(Vec<Utf8PathBuf>),
     /// All in this file.
@@ -86,14 +92,14 @@ pub(super) enum Poses {
 }
 
 /// Cameras of all frames; without one of its own the depth camera is the colour camera.
-pub(super) struct Cameras {
+pub(super) struct FrameCameras {
     pub colour: Intrinsics,
     pub depth: Option<Intrinsics>,
 }
 
 /// What pictures without partners are.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Unmatched {
+pub(super) enum UnmatchedImages {
     /// Damage: every picture should have one.
     Damaged,
     /// As usual: cameras that run at their own pace.
@@ -103,12 +109,12 @@ pub(super) enum Unmatched {
 /// Confidence below this is no measurement: of three levels the lowest.
 pub(super) const LEAST_CONFIDENCE: u8 = 1;
 
-impl Pictures {
-    fn mismatch(&self, poses: &Poses, first: Utf8PathBuf) -> IngestError {
+impl ScanImages {
+    fn mismatch(&self, poses: &PoseFiles, first: Utf8PathBuf) -> IngestError {
         let pose = match poses {
-            Poses::Files(files) => files.len(),
-            Poses::List(Trajectory::Ordered(poses), _) => poses.len(),
-            Poses::List(Trajectory::Timed(poses), _) => poses.len(),
+            PoseFiles::Files(files) => files.len(),
+            PoseFiles::List(Trajectory::Ordered(poses), _) => poses.len(),
+            PoseFiles::List(Trajectory::Timed(poses), _) => poses.len(),
         };
         IngestError::FrameCountMismatch {
             colour: self.colour.len(),
@@ -123,12 +129,12 @@ impl Pictures {
 /// where it is there.
 pub(super) fn add_frames(
     scan: &mut Scan,
-    pictures: &Pictures,
-    poses: &Poses,
-    cameras: &Cameras,
-    unmatched: Unmatched,
+    pictures: &ScanImages,
+    poses: &PoseFiles,
+    cameras: &FrameCameras,
+    unmatched: UnmatchedImages,
 ) -> Result<(), IngestError> {
-    let Pictures { colour, depth, confidence } = pictures;
+    let ScanImages { colour, depth, confidence } = pictures;
     let depth_of = pairing::partners(colour, depth);
     let pose_of = pose_of_each(colour, poses)?;
     let confidence_of = pairing::partners(colour, confidence);
@@ -141,8 +147,8 @@ pub(super) fn add_frames(
         let root = scan.root.clone();
         let frame = || {
             let (pose, pose_file) = match pose {
-                Pose::File(file) => (read_pose(&root, file)?, file.clone()),
-                Pose::At(pose, name) => (*pose, name.clone()),
+                PoseSource::File(file) => (read_pose(&root, file)?, file.clone()),
+                PoseSource::At(pose, name) => (*pose, name.clone()),
             };
             let confidence = confidence_of[i]
                 .map(|at| Confidence { file: confidence[at].clone(), at_least: LEAST_CONFIDENCE });
@@ -162,18 +168,18 @@ pub(super) fn add_frames(
     let mut seen = vec![false; depth.len()];
     depth_of.iter().flatten().for_each(|at| seen[*at] = true);
     alone.extend(depth.iter().zip(&seen).filter(|(_, seen)| !**seen).map(|(file, _)| file.clone()));
-    if let Poses::Files(files) = poses
-        && unmatched == Unmatched::Damaged
+    if let PoseFiles::Files(files) = poses
+        && unmatched == UnmatchedImages::Damaged
     {
         let used: std::collections::BTreeSet<&Utf8PathBuf> = pose_of
             .iter()
             .flatten()
-            .filter_map(|p| if let Pose::File(file) = p { Some(file) } else { None })
+            .filter_map(|p| if let PoseSource::File(file) = p { Some(file) } else { None })
             .collect();
         alone.extend(files.iter().filter(|file| !used.contains(file)).cloned());
     }
     match unmatched {
-        Unmatched::Damaged => {
+        UnmatchedImages::Damaged => {
             // A moment counts once, however many of its files are there.
             let mut moments: Vec<_> =
                 alone.into_iter().map(|file| (pairing::natural(&file), file)).collect();
@@ -182,35 +188,38 @@ pub(super) fn add_frames(
                 scan.damage.note(pictures.mismatch(poses, file))?;
             }
         }
-        Unmatched::LeftOut if scan.frames.is_empty() => {
+        UnmatchedImages::LeftOut if scan.frames.is_empty() => {
             let first = alone.into_iter().next().unwrap_or_default();
             return Err(pictures.mismatch(poses, first));
         }
-        Unmatched::LeftOut if !alone.is_empty() => {
+        UnmatchedImages::LeftOut if !alone.is_empty() => {
             scan.warnings.push(format!(
                 "{} pictures left out, nothing else was taken at their moment: {} and so on",
                 alone.len(),
                 alone[0]
             ));
         }
-        Unmatched::LeftOut => {}
+        UnmatchedImages::LeftOut => {}
     }
     Ok(())
 }
 
 /// Where the pose of a picture stands.
-enum Pose {
+enum PoseSource {
     File(Utf8PathBuf),
     At(nalgebra::Matrix4<f64>, Utf8PathBuf),
 }
 
-fn pose_of_each(colour: &[Utf8PathBuf], poses: &Poses) -> Result<Vec<Option<Pose>>, IngestError> {
+fn pose_of_each(
+    colour: &[Utf8PathBuf],
+    poses: &PoseFiles,
+) -> Result<Vec<Option<PoseSource>>, IngestError> {
     Ok(match poses {
-        Poses::Files(files) => {
+        PoseFiles::Files(files) => {
             let at = pairing::partners(colour, files);
-            at.into_iter().map(|at| at.map(|at| Pose::File(files[at].clone()))).collect()
+            at.into_iter().map(|at| at.map(|at| PoseSource::File(files[at].clone()))).collect()
         }
-        Poses::List(Trajectory::Ordered(poses), file) => {
+        PoseFiles::List(Trajectory::Ordered(poses), file) => {
             if poses.len() != colour.len() {
                 return Err(IngestError::malformed(
                     file,
@@ -220,16 +229,16 @@ fn pose_of_each(colour: &[Utf8PathBuf], poses: &Poses) -> Result<Vec<Option<Pose
             poses
                 .iter()
                 .enumerate()
-                .map(|(i, pose)| Some(Pose::At(*pose, entry(file, format_args!("pose {i}")))))
+                .map(|(i, pose)| Some(PoseSource::At(*pose, entry(file, format_args!("pose {i}")))))
                 .collect()
         }
-        Poses::List(Trajectory::Timed(poses), file) => {
+        PoseFiles::List(Trajectory::Timed(poses), file) => {
             let mut poses = poses.clone();
             poses.sort_by(|a, b| a.0.total_cmp(&b.0));
             let at = |picture: &Utf8PathBuf| {
                 let time = pairing::seconds(picture)?;
                 let pose = trajectory::at(&poses, time, pairing::SAME_MOMENT_S)?;
-                Some(Pose::At(pose, entry(file, format_args!("time {time}"))))
+                Some(PoseSource::At(pose, entry(file, format_args!("time {time}"))))
             };
             colour.iter().map(at).collect()
         }

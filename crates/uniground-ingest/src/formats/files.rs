@@ -8,7 +8,7 @@ use std::fs;
 
 /// A folder of a scan: what lies in it, without hidden files and what operating systems leave
 /// behind.
-pub(super) struct Folder {
+pub(super) struct FolderListing {
     pub root: Utf8PathBuf,
     /// Sorted.
     names: Vec<String>,
@@ -24,7 +24,7 @@ const CLOUDS: &[&str] = &[
     "csv", "asc",
 ];
 
-impl Folder {
+impl FolderListing {
     pub fn open(root: &Utf8Path) -> Result<Self, IngestError> {
         Ok(Self { root: root.to_owned(), names: names(root)? })
     }

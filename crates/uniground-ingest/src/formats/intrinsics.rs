@@ -1,6 +1,6 @@
 //! Camera matrices in files of their own.
 
-use super::files::Folder;
+use super::files::FolderListing;
 use super::numbers::{parse, read_numbers};
 use crate::IngestError;
 use crate::bounded::read_text;
@@ -35,13 +35,13 @@ struct Open3d {
 }
 
 /// The file with the colour camera's matrix.
-pub(super) fn colour_file(folder: &Folder) -> Option<Utf8PathBuf> {
+pub(super) fn colour_file(folder: &FolderListing) -> Option<Utf8PathBuf> {
     folder.first_file(&NAMES)
 }
 
 /// The colour camera; matrices that do not say their size are for the first colour picture's.
 pub(super) fn of_colour(
-    folder: &Folder,
+    folder: &FolderListing,
     first_colour: &Utf8Path,
 ) -> Result<Intrinsics, IngestError> {
     match colour_file(folder) {

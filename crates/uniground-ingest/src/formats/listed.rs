@@ -10,12 +10,12 @@ use std::marker::PhantomData;
 pub(super) fn frames<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
     deserializer: D,
 ) -> Result<Vec<T>, D::Error> {
-    deserializer.deserialize_seq(Frames(PhantomData))
+    deserializer.deserialize_seq(BoundedFrameList(PhantomData))
 }
 
-struct Frames<T>(PhantomData<T>);
+struct BoundedFrameList<T>(PhantomData<T>);
 
-impl<'de, T: Deserialize<'de>> Visitor<'de> for Frames<T> {
+impl<'de, T: Deserialize<'de>> Visitor<'de> for BoundedFrameList<T> {
     type Value = Vec<T>;
 
     fn expecting(&self, formatter: &mut fmt::Formatter) -> fmt::Result {

@@ -1,18 +1,18 @@
 //! A cloud or a mesh and nothing else.
 
 use super::color_depth_pose::CLOUD;
-use super::files::Folder;
+use super::files::FolderListing;
 use crate::IngestError;
 use crate::clouds::CloudKind;
 use crate::scan::Scan;
 
-pub(super) fn recognises(folder: &Folder) -> bool {
+pub(super) fn recognises(folder: &FolderListing) -> bool {
     let posed = ["color", "depth", "pose"].iter().any(|name| folder.has_folder(name));
     !posed && !folder.clouds(&[]).is_empty()
 }
 
 /// The cloud called so, or the largest file.
-pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let clouds = folder.clouds(CLOUD);
     let Some(cloud) = clouds.first() else { return Err(IngestError::EmptyScene) };
     let mut scan = Scan::new(

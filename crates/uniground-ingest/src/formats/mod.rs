@@ -29,12 +29,12 @@ mod tum;
 use super::scan::Scan;
 use super::{IngestError, MAX_FRAMES};
 use camino::{Utf8Path, Utf8PathBuf};
-use files::Folder;
+use files::FolderListing;
 
 /// One way to lay out a scan.
 struct Layout {
-    recognises: fn(&Folder) -> bool,
-    read: fn(&Folder) -> Result<Scan, IngestError>,
+    recognises: fn(&FolderListing) -> bool,
+    read: fn(&FolderListing) -> Result<Scan, IngestError>,
 }
 
 /// In the order they are tried.
@@ -67,7 +67,7 @@ const MAX_STEPS: usize = 6;
 /// # Errors
 /// [`IngestError`] naming the file, or what the folder holds instead of a scan.
 pub(super) fn read(folder: &Utf8Path) -> Result<Scan, IngestError> {
-    let mut folder = Folder::open(folder)?;
+    let mut folder = FolderListing::open(folder)?;
     for _ in 0..MAX_STEPS {
         if let Some(layout) = LAYOUTS.iter().find(|layout| (layout.recognises)(&folder)) {
             let scan = (layout.read)(&folder)?;
@@ -76,7 +76,7 @@ pub(super) fn read(folder: &Utf8Path) -> Result<Scan, IngestError> {
         }
         // Archives are often made of one folder: step into it.
         match folder.only_folder() {
-            Some(inner) => folder = Folder::open(&folder.root.join(inner))?,
+            Some(inner) => folder = FolderListing::open(&folder.root.join(inner))?,
             None => break,
         }
     }

@@ -2,7 +2,7 @@
 //! frame, with a lens. Depth is optional there and needed here; without it the cloud that the file
 //! names is read alone.
 
-use super::files::{Folder, inside};
+use super::files::{FolderListing, inside};
 use super::numbers::matrix;
 use super::{entry, incomplete};
 use crate::IngestError;
@@ -104,11 +104,11 @@ impl Camera {
     }
 }
 
-pub(super) fn recognises(folder: &Folder) -> bool {
+pub(super) fn recognises(folder: &FolderListing) -> bool {
     folder.has_file(FILE)
 }
 
-pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let root = &folder.root;
     let text = read_text(root, Utf8Path::new(FILE), MAX_BYTES)?;
     let transforms: Transforms =

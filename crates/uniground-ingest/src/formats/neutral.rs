@@ -1,7 +1,7 @@
 //! The neutral layout: `scene.json` names every file and convention (`uniground-scene/1`).
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
-use super::files::{Folder, inside};
+use super::files::{FolderListing, inside};
 use super::numbers::read_pose;
 use crate::IngestError;
 use crate::bounded::read_text;
@@ -69,11 +69,11 @@ fn camera_to_world() -> PoseConvention {
     PoseConvention::CameraToWorld
 }
 
-pub(super) fn recognises(folder: &Folder) -> bool {
+pub(super) fn recognises(folder: &FolderListing) -> bool {
     folder.has_file(FILE)
 }
 
-pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let (root, file) = (&folder.root, Utf8Path::new(FILE));
     let text = read_text(root, file, MAX_MANIFEST_BYTES)?;
     let manifest: Manifest = serde_json::from_str(text.trim_start_matches('\u{feff}'))

@@ -2,8 +2,10 @@
 //! a pose (`trajectory.log`, `scene/integrated.log`), and the camera as JSON. Without one it is a
 //! PrimeSense sensor's, as in Open3D's own examples.
 
-use super::color_depth_pose::{Cameras, Pictures, Poses, Unmatched, add_frames, own_cloud};
-use super::files::{DEPTHS, Folder, PICTURES};
+use super::color_depth_pose::{
+    FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames, own_cloud,
+};
+use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::{incomplete, intrinsics, trajectory};
 use crate::IngestError;
 use crate::scan::Scan;
@@ -17,7 +19,7 @@ const LOGS: &[&str] =
 const PRIMESENSE: Intrinsics =
     Intrinsics { width: 640, height: 480, fx: 525.0, fy: 525.0, cx: 319.5, cy: 239.5 };
 
-fn log(folder: &Folder) -> Option<Utf8PathBuf> {
+fn log(folder: &FolderListing) -> Option<Utf8PathBuf> {
     let other = || {
         folder
             .names()
@@ -28,17 +30,17 @@ fn log(folder: &Folder) -> Option<Utf8PathBuf> {
     folder.first_file(LOGS).or_else(other)
 }
 
-pub(super) fn recognises(folder: &Folder) -> bool {
+pub(super) fn recognises(folder: &FolderListing) -> bool {
     folder.has_folder("depth")
         && folder.first_folder(COLOUR).is_some()
         && !folder.has_folder("pose")
         && log(folder).is_some()
 }
 
-pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let colour = folder.files(folder.first_folder(COLOUR).unwrap_or("color"), PICTURES)?;
     let pictures =
-        Pictures { colour, depth: folder.files("depth", DEPTHS)?, confidence: Vec::new() };
+        ScanImages { colour, depth: folder.files("depth", DEPTHS)?, confidence: Vec::new() };
     let Some(first) = pictures.colour.first() else {
         return Err(incomplete(LOOKS_LIKE, "its colour pictures are missing"));
     };
@@ -53,8 +55,14 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
         PRIMESENSE
     };
     let file = log(folder).unwrap_or_else(|| LOGS[0].into());
-    let poses = Poses::List(trajectory::read(&folder.root, &file)?, file);
-    add_frames(&mut scan, &pictures, &poses, &Cameras { colour, depth: None }, Unmatched::Damaged)?;
+    let poses = PoseFiles::List(trajectory::read(&folder.root, &file)?, file);
+    add_frames(
+        &mut scan,
+        &pictures,
+        &poses,
+        &FrameCameras { colour, depth: None },
+        UnmatchedImages::Damaged,
+    )?;
     scan.cloud = own_cloud(folder);
     Ok(scan)
 }

@@ -3,7 +3,7 @@
 //! made level, Y up.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
-use super::files::{DEPTHS, Folder, PICTURES};
+use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::{incomplete, pairing};
 use crate::IngestError;
 use crate::bounded::read_text;
@@ -53,12 +53,12 @@ impl Camera {
     }
 }
 
-pub(super) fn recognises(folder: &Folder) -> bool {
+pub(super) fn recognises(folder: &FolderListing) -> bool {
     folder.has_folder("keyframes")
 }
 
-pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
-    let keyframes = Folder::open(&folder.root.join("keyframes"))?;
+pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
+    let keyframes = FolderListing::open(&folder.root.join("keyframes"))?;
     let corrected =
         keyframes.has_folder("corrected_cameras") && keyframes.has_folder("corrected_images");
     let (images, cameras) =

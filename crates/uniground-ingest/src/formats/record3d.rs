@@ -2,7 +2,7 @@
 //! metres; OpenGL cameras; the first pose is the world, so nothing is level by itself.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
-use super::files::Folder;
+use super::files::FolderListing;
 use super::numbers::pose_of;
 use super::{entry, incomplete};
 use crate::IngestError;
@@ -39,13 +39,13 @@ struct Metadata {
     each: Vec<Vec<f32>>,
 }
 
-pub(super) fn recognises(folder: &Folder) -> bool {
+pub(super) fn recognises(folder: &FolderListing) -> bool {
     folder.has_folder("rgbd")
         && (folder.has_file(FILE)
             || folder.files("rgbd", &["depth"]).is_ok_and(|files| !files.is_empty()))
 }
 
-pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let file = Utf8Path::new(FILE);
     if !folder.has_file(FILE) {
         return Err(incomplete(LOOKS_LIKE, "the file metadata is missing"));

@@ -1,8 +1,8 @@
 //! Replica as NICE-SLAM renders it: `results/frame*.jpg` and `depth*.png`, `traj.txt` with a pose a
 //! line, and `cam_params.json` here or one folder up.
 
-use super::color_depth_pose::{Cameras, Pictures, Poses, Unmatched, add_frames};
-use super::files::{DEPTHS, Folder, PICTURES};
+use super::color_depth_pose::{FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames};
+use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::{incomplete, trajectory};
 use crate::IngestError;
 use crate::bounded::read_text;
@@ -36,7 +36,7 @@ const USUAL: Camera =
     Camera { w: 1200, h: 680, fx: 600.0, fy: 600.0, cx: 599.5, cy: 339.5, scale: 6553.5 };
 
 /// The folder of the room: here, or the only one beside the camera's parameters.
-fn room(folder: &Folder) -> Option<String> {
+fn room(folder: &FolderListing) -> Option<String> {
     if folder.has_folder("results") {
         return Some(String::new());
     }
@@ -45,11 +45,11 @@ fn room(folder: &Folder) -> Option<String> {
     room.filter(|_| folder.has_file(CAMERA) && rooms.next().is_none())
 }
 
-pub(super) fn recognises(folder: &Folder) -> bool {
+pub(super) fn recognises(folder: &FolderListing) -> bool {
     room(folder).is_some()
 }
 
-pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let room = Utf8PathBuf::from(room(folder).unwrap_or_default());
     let traj = room.join("traj.txt");
     if !folder.root.join(&traj).is_file() {
@@ -63,7 +63,7 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
             .filter(|file| file.file_name().is_some_and(|name| name.starts_with(start)))
             .collect())
     };
-    let pictures = Pictures {
+    let pictures = ScanImages {
         colour: named("frame", PICTURES)?,
         depth: named("depth", DEPTHS)?,
         confidence: Vec::new(),
@@ -91,9 +91,10 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
         ));
     }
     scan.depth_scale_m = 1.0 / scale;
-    let cameras = Cameras { colour: Intrinsics { width, height, fx, fy, cx, cy }, depth: None };
-    let poses = Poses::List(trajectory::read(&folder.root, &traj)?, traj);
-    add_frames(&mut scan, &pictures, &poses, &cameras, Unmatched::Damaged)?;
+    let cameras =
+        FrameCameras { colour: Intrinsics { width, height, fx, fy, cx, cy }, depth: None };
+    let poses = PoseFiles::List(trajectory::read(&folder.root, &traj)?, traj);
+    add_frames(&mut scan, &pictures, &poses, &cameras, UnmatchedImages::Damaged)?;
     Ok(scan)
 }
 

@@ -1,8 +1,8 @@
 //! RTAB-Map's export: `rgb/ depth/ calib/` (or `<name>_rgb/` and so on) and camera poses with
 //! times, in a world with Z up.
 
-use super::color_depth_pose::{Cameras, Pictures, Poses, Unmatched, add_frames};
-use super::files::{DEPTHS, Folder, PICTURES};
+use super::color_depth_pose::{FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames};
+use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::{incomplete, trajectory};
 use crate::IngestError;
 use crate::bounded::read_text;
@@ -14,24 +14,24 @@ const LOOKS_LIKE: &str = "an RTAB-Map export";
 const MAX_CALIBRATION_BYTES: u64 = 64 << 10;
 
 /// The folder called so, alone or after the database's name.
-fn part(folder: &Folder, name: &str) -> Option<String> {
+fn part(folder: &FolderListing, name: &str) -> Option<String> {
     let is = |other: &&str| *other == name || other.ends_with(&format!("_{name}"));
     folder.folders().find(is).map(str::to_owned)
 }
 
 /// Poses of the camera where they are there: those of the robot's base stand elsewhere.
-fn poses_file(folder: &Folder) -> Option<Utf8PathBuf> {
+fn poses_file(folder: &FolderListing) -> Option<Utf8PathBuf> {
     let ends = |ending: &str| {
         folder.names().iter().find(|name| name.ends_with(ending)).map(Utf8PathBuf::from)
     };
     ends("camera_poses.txt").or_else(|| ends("poses.txt"))
 }
 
-pub(super) fn recognises(folder: &Folder) -> bool {
+pub(super) fn recognises(folder: &FolderListing) -> bool {
     part(folder, "calib").is_some() && part(folder, "rgb").is_some()
 }
 
-pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let missing = |what: &str| incomplete(LOOKS_LIKE, format!("{what} is missing"));
     let [rgb, depth, calibration] =
         ["rgb", "depth", "calib"].map(|name| part(folder, name).ok_or_else(|| missing(name)));
@@ -39,7 +39,7 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let file = poses_file(folder).ok_or_else(|| {
         missing("the file of the camera's poses (rtabmap-export --poses_camera --poses_format 1)")
     })?;
-    let pictures = Pictures {
+    let pictures = ScanImages {
         colour: folder.files(&rgb, PICTURES)?,
         depth: folder.files(&depth, DEPTHS)?,
         confidence: Vec::new(),
@@ -52,9 +52,9 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
         scan.warnings
             .push(format!("{file} is taken for the camera's poses; those of a robot's base would need its mounting taken off"));
     }
-    let cameras = Cameras { colour: camera(&folder.root, first)?, depth: None };
-    let poses = Poses::List(trajectory::read(&folder.root, &file)?, file);
-    add_frames(&mut scan, &pictures, &poses, &cameras, Unmatched::LeftOut)?;
+    let cameras = FrameCameras { colour: camera(&folder.root, first)?, depth: None };
+    let poses = PoseFiles::List(trajectory::read(&folder.root, &file)?, file);
+    add_frames(&mut scan, &pictures, &poses, &cameras, UnmatchedImages::LeftOut)?;
     scan.cloud = folder
         .clouds(&["_cloud.ply", "cloud.ply", "_mesh.ply"])
         .into_iter()

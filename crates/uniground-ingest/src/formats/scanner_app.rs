@@ -2,7 +2,7 @@
 //! `conf_00000.png` in one folder. OpenGL cameras in a world that ARKit made level, Y up.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
-use super::files::{DEPTHS, Folder, PICTURES};
+use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::matrix;
 use super::{incomplete, intrinsics, pairing};
 use crate::IngestError;
@@ -18,13 +18,17 @@ const MAX_BYTES: u64 = 256 << 10;
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
-struct Taken {
+struct ScannerAppFrame {
     #[serde(rename = "cameraPoseARFrame")]
     pose: Vec<f64>,
     intrinsics: Vec<f64>,
 }
 
-fn files(folder: &Folder, start: &str, endings: &[&str]) -> Result<Vec<Utf8PathBuf>, IngestError> {
+fn files(
+    folder: &FolderListing,
+    start: &str,
+    endings: &[&str],
+) -> Result<Vec<Utf8PathBuf>, IngestError> {
     Ok(folder
         .files("", endings)?
         .into_iter()
@@ -32,14 +36,14 @@ fn files(folder: &Folder, start: &str, endings: &[&str]) -> Result<Vec<Utf8PathB
         .collect())
 }
 
-pub(super) fn recognises(folder: &Folder) -> bool {
+pub(super) fn recognises(folder: &FolderListing) -> bool {
     let some = |start: &str, ending: &str| {
         files(folder, start, &[ending]).is_ok_and(|files| !files.is_empty())
     };
     some("frame_", "json") || (some("frame_", "jpg") && some("depth_", "png"))
 }
 
-pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let root = &folder.root;
     let (colour, depth) = (files(folder, "frame_", PICTURES)?, files(folder, "depth_", DEPTHS)?);
     let (taken, confidence) =
@@ -73,7 +77,7 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
                 });
             };
             let file: &Utf8Path = &taken[taken_at];
-            let taken: Taken = serde_json::from_str(&read_text(root, file, MAX_BYTES)?)
+            let taken: ScannerAppFrame = serde_json::from_str(&read_text(root, file, MAX_BYTES)?)
                 .map_err(|e| IngestError::malformed(file, e))?;
             let pose = matrix(&taken.pose).ok_or_else(|| {
                 IngestError::malformed(file, "cameraPoseARFrame has not 16 numbers")

@@ -2,8 +2,8 @@
 //! its own, beside the scan's mesh and `<scene>.txt`, whose axis alignment applies to poses and
 //! mesh. And the flat `posed_images/` of later toolboxes.
 
-use super::color_depth_pose::{Cameras, Pictures, Poses, Unmatched, add_frames};
-use super::files::{DEPTHS, Folder, PICTURES};
+use super::color_depth_pose::{FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames};
+use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::{matrix, parse, values_of};
 use super::{incomplete, intrinsics};
 use crate::IngestError;
@@ -18,13 +18,13 @@ const COLOUR_CAMERA: &str = "intrinsic/intrinsic_color.txt";
 const DEPTH_CAMERA: &str = "intrinsic/intrinsic_depth.txt";
 const MESHES: &[&str] = &["_vh_clean_2.ply", "_vh_clean.ply", ".aligned.ply"];
 
-pub(super) fn recognises(folder: &Folder) -> bool {
+pub(super) fn recognises(folder: &FolderListing) -> bool {
     folder.has_folder("intrinsic") && (folder.has_folder("color") || folder.has_folder("pose"))
         || is_flat(folder)
 }
 
 /// `00000.jpg`, `00000.png` and `00000.txt` in one folder.
-fn is_flat(folder: &Folder) -> bool {
+fn is_flat(folder: &FolderListing) -> bool {
     let has = |ending: &str| {
         folder
             .names()
@@ -34,7 +34,7 @@ fn is_flat(folder: &Folder) -> bool {
     has(".jpg") && has(".png") && has(".txt") && intrinsics::colour_file(folder).is_some()
 }
 
-pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let root = &folder.root;
     let mut scan = Scan::new(root, "scannet-export");
     let flat = is_flat(folder);
@@ -48,7 +48,7 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
         (false, false) => Err(incomplete(LOOKS_LIKE, format!("{name}/ is missing"))),
     };
     let colour_endings = if flat { &["jpg", "jpeg"] } else { PICTURES };
-    let pictures = Pictures {
+    let pictures = ScanImages {
         colour: list("color", colour_endings)?,
         depth: list("depth", DEPTHS)?,
         confidence: Vec::new(),
@@ -58,18 +58,18 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
         return Err(incomplete(LOOKS_LIKE, "its pictures are missing"));
     };
     let cameras = if flat || !folder.has_file(COLOUR_CAMERA) {
-        Cameras { colour: intrinsics::of_colour(folder, colour)?, depth: None }
+        FrameCameras { colour: intrinsics::of_colour(folder, colour)?, depth: None }
     } else {
         let depth_camera = folder
             .has_file(DEPTH_CAMERA)
             .then(|| intrinsics::of_file(root, Utf8Path::new(DEPTH_CAMERA), depth))
             .transpose()?;
-        Cameras {
+        FrameCameras {
             colour: intrinsics::of_file(root, Utf8Path::new(COLOUR_CAMERA), colour)?,
             depth: depth_camera,
         }
     };
-    add_frames(&mut scan, &pictures, &Poses::Files(poses), &cameras, Unmatched::Damaged)?;
+    add_frames(&mut scan, &pictures, &PoseFiles::Files(poses), &cameras, UnmatchedImages::Damaged)?;
     let is_mesh = |file: &Utf8PathBuf| MESHES.iter().any(|ending| file.as_str().ends_with(ending));
     scan.cloud = folder
         .clouds(MESHES)
@@ -84,7 +84,7 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
 }
 
 /// `axisAlignment` of the scene's own text file, unless it says nothing.
-fn alignment(folder: &Folder) -> Result<Option<(Matrix4<f64>, Utf8PathBuf)>, IngestError> {
+fn alignment(folder: &FolderListing) -> Result<Option<(Matrix4<f64>, Utf8PathBuf)>, IngestError> {
     for name in folder
         .names()
         .iter()

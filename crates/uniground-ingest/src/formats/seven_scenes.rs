@@ -2,8 +2,8 @@
 //! says its cameras in `_info.txt`; 7-Scenes were taken with a Kinect whose depth stands beside its
 //! colour.
 
-use super::color_depth_pose::{Cameras, Pictures, Poses, Unmatched, add_frames};
-use super::files::{DEPTHS, Folder, PICTURES};
+use super::color_depth_pose::{FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames};
+use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::{parse, values_of};
 use super::{incomplete, intrinsics};
 use crate::IngestError;
@@ -22,7 +22,7 @@ const CLOUDS: &[&str] =
     &["labels.instances.annotated.v2.ply", "mesh.refined.v2.obj", "mesh.refined.obj", "cloud.ply"];
 
 /// The folder of the frames, below the one that was opened.
-fn frames_in(folder: &Folder) -> Option<&'static str> {
+fn frames_in(folder: &FolderListing) -> Option<&'static str> {
     let has = |names: &[String]| {
         names.iter().any(|name| {
             name.starts_with("frame-") && name.ends_with(".pose.txt") || name.contains(".color.")
@@ -31,16 +31,16 @@ fn frames_in(folder: &Folder) -> Option<&'static str> {
     if has(folder.names()) {
         return Some("");
     }
-    ["sequence", "seq-01"]
-        .into_iter()
-        .find(|name| Folder::open(&folder.root.join(name)).is_ok_and(|inner| has(inner.names())))
+    ["sequence", "seq-01"].into_iter().find(|name| {
+        FolderListing::open(&folder.root.join(name)).is_ok_and(|inner| has(inner.names()))
+    })
 }
 
-pub(super) fn recognises(folder: &Folder) -> bool {
+pub(super) fn recognises(folder: &FolderListing) -> bool {
     frames_in(folder).is_some()
 }
 
-pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let inner = frames_in(folder).unwrap_or_default();
     let root = &folder.root;
     let named = |part: &str, endings: &[&str]| -> Result<Vec<Utf8PathBuf>, IngestError> {
@@ -50,7 +50,7 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
             .filter(|file| file.as_str().contains(part))
             .collect())
     };
-    let pictures = Pictures {
+    let pictures = ScanImages {
         colour: named(".color.", PICTURES)?,
         depth: named(".depth.", DEPTHS)?,
         confidence: Vec::new(),
@@ -80,18 +80,18 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
                 scan.depth_scale_m = 1.0 / shift;
             }
             let colour = camera(&info, &text, "Color")?;
-            Cameras { colour, depth: camera(&info, &text, "Depth").ok() }
+            FrameCameras { colour, depth: camera(&info, &text, "Depth").ok() }
         }
         None if intrinsics::colour_file(folder).is_some() => {
-            Cameras { colour: intrinsics::of_colour(folder, first)?, depth: None }
+            FrameCameras { colour: intrinsics::of_colour(folder, first)?, depth: None }
         }
         None => {
             scan.warnings
                 .push("cameras are taken as the Kinect of 7-Scenes (585 585 320 240); intrinsic.txt says better".into());
-            Cameras { colour: KINECT, depth: None }
+            FrameCameras { colour: KINECT, depth: None }
         }
     };
-    add_frames(&mut scan, &pictures, &Poses::Files(poses), &cameras, Unmatched::Damaged)?;
+    add_frames(&mut scan, &pictures, &PoseFiles::Files(poses), &cameras, UnmatchedImages::Damaged)?;
     scan.cloud = CLOUDS.iter().find(|name| folder.has_file(name)).map(Utf8PathBuf::from);
     Ok(scan)
 }

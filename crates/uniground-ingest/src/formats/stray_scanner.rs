@@ -2,7 +2,7 @@
 //! decoded here: their frames are made with one command, which the refusal names.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
-use super::files::{DEPTHS, Folder, PICTURES};
+use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::{parse, pose_of};
 use super::{entry, incomplete, intrinsics, pairing};
 use crate::bounded::read_text;
@@ -18,11 +18,11 @@ const ODOMETRY: &str = "odometry.csv";
 const CAMERA: &str = "camera_matrix.csv";
 const MAX_BYTES: u64 = 64 << 20;
 
-pub(super) fn recognises(folder: &Folder) -> bool {
+pub(super) fn recognises(folder: &FolderListing) -> bool {
     folder.has_file(ODOMETRY) && (folder.has_file(CAMERA) || folder.has_folder("depth"))
 }
 
-pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let root = &folder.root;
     if !folder.has_file(CAMERA) {
         return Err(incomplete(LOOKS_LIKE, format!("{CAMERA} is missing")));

@@ -1,6 +1,6 @@
 //! Task folders of the UniGround benchmark: `task.json` beside `full_pcd.ply`, whose height is z.
 
-use super::files::Folder;
+use super::files::FolderListing;
 use super::incomplete;
 use crate::IngestError;
 use crate::scan::Scan;
@@ -8,12 +8,12 @@ use uniground_geometry::up_axis::UpAxis;
 
 const CLOUD: &str = "full_pcd.ply";
 
-pub(super) fn recognises(folder: &Folder) -> bool {
+pub(super) fn recognises(folder: &FolderListing) -> bool {
     folder.has_file("task.json")
         && (folder.has_file("ref.json") || folder.has_file("gt.json") || folder.has_file(CLOUD))
 }
 
-pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     if !folder.has_file(CLOUD) {
         return Err(incomplete(
             "a task folder of the UniGround benchmark",

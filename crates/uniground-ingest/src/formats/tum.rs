@@ -2,7 +2,7 @@
 //! is in 1/5000 m and lies on the colour picture. The cameras are known by the number of the
 //! Kinect, which stands in the sequence's name.
 
-use super::files::Folder;
+use super::files::FolderListing;
 use super::trajectory::{self, Trajectory};
 use super::{entry, incomplete, intrinsics, pairing};
 use crate::bounded::read_text;
@@ -17,7 +17,7 @@ const POSES: &[&str] =
     &["groundtruth.txt", "CameraTrajectory.txt", "KeyFrameTrajectory.txt", "trajectory.txt"];
 const SIZE: (u32, u32) = (640, 480);
 
-pub(super) fn recognises(folder: &Folder) -> bool {
+pub(super) fn recognises(folder: &FolderListing) -> bool {
     let lists = ["rgb.txt", "depth.txt", "groundtruth.txt"]
         .iter()
         .filter(|name| folder.has_file(name))
@@ -29,7 +29,7 @@ pub(super) fn recognises(folder: &Folder) -> bool {
         || lists == 3
 }
 
-pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
+pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let root = &folder.root;
     let [colour, depth] = ["rgb.txt", "depth.txt"].map(|name| match folder.has_file(name) {
         true => pictures(root, name),
@@ -120,7 +120,7 @@ fn pictures(root: &Utf8Path, name: &str) -> Result<(Vec<(f64, Utf8PathBuf)>, Str
 
 /// A camera matrix beside the lists; else that of the benchmark's Kinect, by name.
 fn camera(
-    folder: &Folder,
+    folder: &FolderListing,
     heading: &str,
     first: &Utf8Path,
     scan: &mut Scan,

@@ -9,12 +9,12 @@ use uniground_types::settings::FusionSettings;
 
 /// One frame, ready to be folded in: depth without its smeared rims, and how much each pixel
 /// counts.
-pub(super) struct Look {
+pub(super) struct FusionFrame {
     pub camera: Camera,
     width: u32,
     height: u32,
     /// Row-major, one per pixel of the depth picture.
-    pixels: Vec<Seen>,
+    pixels: Vec<PixelSample>,
     /// Largest depth of each tile of [`TILE`] by [`TILE`] pixels, row-major; unknown depth counts
     /// as 0.
     farthest_m: Vec<f32>,
@@ -25,7 +25,7 @@ pub(super) struct Look {
 
 /// What one pixel measured.
 #[derive(Clone, Copy)]
-pub(super) struct Seen {
+pub(super) struct PixelSample {
     /// Along the optical axis, metres; 0 = nothing.
     pub depth_m: f32,
     /// How much it counts: near and frontal looks most.
@@ -37,7 +37,7 @@ pub(super) struct Seen {
 
 const TILE: u32 = 16;
 
-impl Look {
+impl FusionFrame {
     pub fn of(frame: &Frame, settings: &FusionSettings) -> Self {
         let (width, height) = (frame.depth.width, frame.depth.height);
         let colours = frame.colour_on_depth_grid();
@@ -52,7 +52,7 @@ impl Look {
                 let weight =
                     if usable { facing(frame, u, v, z_m) / (z_m * z_m).max(0.01) } else { 0.0 };
                 let colour = colours[(v * width + u) as usize];
-                pixels.push(Seen {
+                pixels.push(PixelSample {
                     depth_m: if usable { z_m } else { 0.0 },
                     weight,
                     colour_weight: weight * weight * sharpness,
@@ -81,7 +81,7 @@ impl Look {
     }
 
     /// What the pixel that holds this position measured; `None` outside the picture.
-    pub fn at(&self, u: f32, v: f32) -> Option<&Seen> {
+    pub fn at(&self, u: f32, v: f32) -> Option<&PixelSample> {
         let (column, row) = ((u + 0.5) as i64, (v + 0.5) as i64);
         let inside =
             u > -0.5 && v > -0.5 && column < i64::from(self.width) && row < i64::from(self.height);

@@ -7,11 +7,11 @@ mod look;
 mod volume;
 
 use super::IngestError;
-use look::Look;
+use look::FusionFrame;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{FrameError, FrameIndex, FrameRef, PointCloud, stream_frames};
 use uniground_types::settings::FusionSettings;
-use volume::{Full, Volume};
+use volume::{Volume, VolumeFull};
 
 /// Where the scan is too large for its voxels they grow by this factor, until it fits.
 const COARSER: f32 = 1.5;
@@ -60,11 +60,11 @@ fn fused(
     let mut full = false;
     stream_frames(
         frames,
-        |frame| Ok::<_, IngestError>(frame.decode().map(|frame| Look::of(&frame, settings))),
+        |frame| Ok::<_, IngestError>(frame.decode().map(|frame| FusionFrame::of(&frame, settings))),
         |i, look| {
             progress.report("fuse_cloud", i as f32 / frames.len() as f32)?;
             match look {
-                Ok(look) if !full => full = volume.integrate(&look) == Err(Full),
+                Ok(look) if !full => full = volume.integrate(&look) == Err(VolumeFull),
                 Ok(_) => {}
                 Err(error) => damaged.push((frames[i].index, error)),
             }

@@ -1,6 +1,6 @@
 //! A truncated signed distance volume in sparse blocks.
 
-use super::look::{Look, Seen};
+use super::look::{FusionFrame, PixelSample};
 use rayon::prelude::*;
 use uniground_geometry::scene::PointCloud;
 use uniground_geometry::voxels::{VoxelKey, VoxelMap};
@@ -34,7 +34,7 @@ struct Block {
 
 /// There are as many blocks as fit into memory.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct Full;
+pub(super) struct VolumeFull;
 
 pub(super) struct Volume {
     settings: FusionSettings,
@@ -55,11 +55,11 @@ impl Volume {
 
     /// Adds blocks where the frame measured something and folds the frame into all blocks it looks
     /// at or through.
-    pub fn integrate(&mut self, look: &Look) -> Result<(), Full> {
+    pub fn integrate(&mut self, look: &FusionFrame) -> Result<(), VolumeFull> {
         for &key in &look.blocks {
             if !self.number_of.contains_key(&key) {
                 if self.blocks.len() == self.most_blocks {
-                    return Err(Full);
+                    return Err(VolumeFull);
                 }
                 self.number_of.insert(key, self.blocks.len() as u32);
                 self.blocks.push(Block { key, voxels: Box::new([Voxel::default(); CELLS]) });
@@ -157,7 +157,7 @@ impl Block {
         self.key.center(block_m) - Vector3::repeat(block_m / 2.0)
     }
 
-    fn integrate(&mut self, look: &Look, settings: &FusionSettings) {
+    fn integrate(&mut self, look: &FusionFrame, settings: &FusionSettings) {
         let (voxel_m, truncation_m) = (settings.voxel_m, settings.truncation_m());
         let to_camera = look.camera.world_to_camera();
         let rotation = to_camera.rotation.to_rotation_matrix();
@@ -186,7 +186,7 @@ impl Block {
 
 impl Voxel {
     /// `distance` in truncation distances, `-1` or more; `step` is one voxel in the same unit.
-    fn fold(&mut self, seen: &Seen, distance: f32, step: f32) {
+    fn fold(&mut self, seen: &PixelSample, distance: f32, step: f32) {
         // Behind a surface nothing was measured: what is said there fades out, or the back of a
         // thin thing would push its front away.
         let weight =

@@ -4,13 +4,13 @@
 //! From a first guess, surfaces that are nearly level and nearly upright with it are told apart;
 //! the direction that is best for both is the next guess. A wide cone first, a narrow one then.
 
-use super::surfaces::Surface;
+use super::surfaces::SurfacePatch;
 use nalgebra::SymmetricEigen;
 use uniground_geometry::{Matrix3, Vector3};
 
 /// What surfaces say of a direction.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Fit {
+pub(super) struct UpFit {
     /// Unit vector.
     pub up: Vector3<f32>,
     /// Share of the surfaces within [`CLOSE_DEG`] of level, by area.
@@ -22,7 +22,7 @@ pub(super) struct Fit {
     pub clearness: f32,
 }
 
-impl Fit {
+impl UpFit {
     /// Share of the surfaces that the direction explains.
     pub fn explained(&self) -> f32 {
         self.level + self.upright
@@ -37,7 +37,7 @@ const ROUNDS: usize = 6;
 
 /// The direction nearest to a guess that the surfaces agree on; keeps the guess's sign.
 /// `widest_deg`: how far off the guess may be.
-pub(super) fn refine(surfaces: &[Surface], guess: &Vector3<f32>, widest_deg: f32) -> Fit {
+pub(super) fn refine(surfaces: &[SurfacePatch], guess: &Vector3<f32>, widest_deg: f32) -> UpFit {
     let mut up = *guess;
     for cone_deg in CONES_DEG.into_iter().filter(|cone| *cone <= widest_deg) {
         for _ in 0..ROUNDS {
@@ -49,7 +49,7 @@ pub(super) fn refine(surfaces: &[Surface], guess: &Vector3<f32>, widest_deg: f32
 }
 
 /// One step; `None` where no surface lies within the cone.
-fn improved(surfaces: &[Surface], up: &Vector3<f32>, cone_deg: f32) -> Option<Vector3<f32>> {
+fn improved(surfaces: &[SurfacePatch], up: &Vector3<f32>, cone_deg: f32) -> Option<Vector3<f32>> {
     let (matrix, weight) = scatter(surfaces, up, cone_deg);
     if weight <= 0.0 {
         return None;
@@ -61,7 +61,7 @@ fn improved(surfaces: &[Surface], up: &Vector3<f32>, cone_deg: f32) -> Option<Ve
 
 /// Upright normals spread away from the direction sought, level ones along it: it is the least axis
 /// of the first less the second.
-fn scatter(surfaces: &[Surface], up: &Vector3<f32>, cone_deg: f32) -> (Matrix3<f32>, f32) {
+fn scatter(surfaces: &[SurfacePatch], up: &Vector3<f32>, cone_deg: f32) -> (Matrix3<f32>, f32) {
     let (level, upright) = (cone_deg.to_radians().cos(), cone_deg.to_radians().sin());
     let mut matrix = nalgebra::Matrix3::<f64>::zeros();
     let mut weight = 0.0;
@@ -82,7 +82,7 @@ fn scatter(surfaces: &[Surface], up: &Vector3<f32>, cone_deg: f32) -> (Matrix3<f
 }
 
 /// How well a direction explains the surfaces.
-pub(super) fn measure(surfaces: &[Surface], up: &Vector3<f32>) -> Fit {
+pub(super) fn measure(surfaces: &[SurfacePatch], up: &Vector3<f32>) -> UpFit {
     let (at_least, at_most) = (CLOSE_DEG.to_radians().cos(), CLOSE_DEG.to_radians().sin());
     let total = surfaces.iter().map(|s| s.weight).sum::<f32>().max(f32::MIN_POSITIVE);
     let share = |counts: &dyn Fn(f32) -> bool| {
@@ -94,7 +94,7 @@ pub(super) fn measure(surfaces: &[Surface], up: &Vector3<f32>) -> Fit {
         SymmetricEigen::new(matrix).eigenvalues.iter().copied().collect();
     eigenvalues.sort_by(f32::total_cmp);
     let clearness = if weight > 0.0 { (eigenvalues[1] - eigenvalues[0]) / weight } else { 0.0 };
-    Fit {
+    UpFit {
         up: *up,
         level: share(&|along| along > at_least),
         upright: share(&|along| along < at_most),
@@ -109,10 +109,10 @@ mod tests {
     use uniground_geometry::Point3;
 
     /// A floor, two walls, and things that face anywhere.
-    fn room(turn: &nalgebra::UnitQuaternion<f32>) -> Vec<Surface> {
+    fn room(turn: &nalgebra::UnitQuaternion<f32>) -> Vec<SurfacePatch> {
         let mut surfaces = Vec::new();
         let mut push = |normal: Vector3<f32>, weight| {
-            surfaces.push(Surface { normal: turn * normal, at: Point3::origin(), weight })
+            surfaces.push(SurfacePatch { normal: turn * normal, at: Point3::origin(), weight })
         };
         for i in 0..200 {
             let shake = |k: i32| ((i * 37 + k * 101) % 21 - 10) as f32 * 0.004;
@@ -140,8 +140,8 @@ mod tests {
 
     #[test]
     fn a_lone_wall_does_not_say_what_is_up() {
-        let wall: Vec<Surface> = (0..100)
-            .map(|_| Surface { normal: Vector3::x(), at: Point3::origin(), weight: 1.0 })
+        let wall: Vec<SurfacePatch> = (0..100)
+            .map(|_| SurfacePatch { normal: Vector3::x(), at: Point3::origin(), weight: 1.0 })
             .collect();
         assert!(refine(&wall, &Vector3::z(), 40.0).clearness < 0.01);
     }

@@ -4,8 +4,8 @@
 //! floors are wide and rooms are low; things stand on the floor and not on the ceiling; chairs and
 //! open doors are turned about up and about nothing else.
 
-use super::gravity::{Fit, measure, refine};
-use super::surfaces::Surface;
+use super::gravity::{UpFit, measure, refine};
+use super::surfaces::SurfacePatch;
 use std::collections::BTreeSet;
 use uniground_geometry::scene::PointCloud;
 use uniground_geometry::statistics::quantile;
@@ -15,9 +15,9 @@ use uniground_geometry::{Point3, Vector3};
 
 /// What speaks for a direction being up.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Candidate {
+pub(super) struct UpCandidate {
     /// What the surfaces come to with it.
-    pub fit: Fit,
+    pub fit: UpFit,
     /// Sum of what speaks for it; only differences mean anything.
     pub score: f32,
     /// From the lowest to the highest point, metres.
@@ -36,7 +36,7 @@ const AHEAD: f32 = 0.25;
 const FAR_AHEAD: f32 = 0.6;
 
 /// The direction that is up, if it is clear; else the names of those it may be.
-pub(super) fn choose(candidates: &[Candidate]) -> Result<&Candidate, String> {
+pub(super) fn choose(candidates: &[UpCandidate]) -> Result<&UpCandidate, String> {
     let Some(best) = candidates.first() else {
         return Err("the cloud has no flat surfaces to tell it by".into());
     };
@@ -68,11 +68,11 @@ const END_M: f32 = 0.25;
 const STANDING_M: std::ops::Range<f32> = 0.15..1.1;
 
 /// Directions that may be up, the best first.
-pub(super) fn candidates(cloud: &PointCloud, surfaces: &[Surface]) -> Vec<Candidate> {
+pub(super) fn candidates(cloud: &PointCloud, surfaces: &[SurfacePatch]) -> Vec<UpCandidate> {
     let points: Vec<Point3<f32>> =
         cloud.positions.iter().step_by(cloud.len().div_ceil(MAX_POINTS).max(1)).copied().collect();
     let axes = directions(surfaces);
-    let shape = Shape { points: &points, surfaces };
+    let shape = CloudShape { points: &points, surfaces };
     let extents: Vec<f32> = axes.iter().map(|axis| shape.extent(axis)).collect();
     let mut all = Vec::new();
     for (i, axis) in axes.iter().enumerate() {
@@ -95,7 +95,7 @@ pub(super) fn candidates(cloud: &PointCloud, surfaces: &[Surface]) -> Vec<Candid
             let fit = measure(surfaces, &up);
             let habit = if is_usual(&up) { 0.2 } else { 0.0 };
             let score = shape.floor(&up) + 0.8 * low + 2.0 * turned + shape.standing(&up) + habit;
-            all.push(Candidate { fit, score, height_m: extents[i], width_m: shape.width(&up) });
+            all.push(UpCandidate { fit, score, height_m: extents[i], width_m: shape.width(&up) });
         }
     }
     all.sort_by(|a, b| b.score.total_cmp(&a.score));
@@ -108,7 +108,7 @@ fn is_usual(up: &Vector3<f32>) -> bool {
 }
 
 /// Unsigned directions that many surfaces face, each refined to what is level and upright with it.
-fn directions(surfaces: &[Surface]) -> Vec<Vector3<f32>> {
+fn directions(surfaces: &[SurfacePatch]) -> Vec<Vector3<f32>> {
     let close = SAME_DEG.to_radians().cos();
     let step = surfaces.len().div_ceil(400).max(1);
     let guesses = [Vector3::x(), Vector3::y(), Vector3::z()]
@@ -133,12 +133,12 @@ fn directions(surfaces: &[Surface]) -> Vec<Vector3<f32>> {
     found
 }
 
-struct Shape<'a> {
+struct CloudShape<'a> {
     points: &'a [Point3<f32>],
-    surfaces: &'a [Surface],
+    surfaces: &'a [SurfacePatch],
 }
 
-impl Shape<'_> {
+impl CloudShape<'_> {
     fn heights(&self, up: &Vector3<f32>) -> Vec<f32> {
         self.points.iter().map(|p| p.coords.dot(up)).collect()
     }

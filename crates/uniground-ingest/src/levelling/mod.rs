@@ -11,7 +11,7 @@ mod lone_cloud;
 mod surfaces;
 
 use super::IngestError;
-use gravity::Fit;
+use gravity::UpFit;
 use nalgebra::UnitQuaternion;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{FrameRef, Levelling, PointCloud};
@@ -21,7 +21,7 @@ use uniground_types::settings::LevellingChoice;
 
 /// Up, as found.
 #[derive(Debug, Clone)]
-pub(super) struct Upright {
+pub(super) struct UpDirection {
     /// The axis of the files next to up.
     pub axis: UpAxis,
     /// From the world of the files (metres) to a level one with Z up; a turn about the origin.
@@ -32,7 +32,7 @@ pub(super) struct Upright {
 
 /// What is known of up before anything is looked at.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Said {
+pub(super) struct UpHint {
     /// By the request or the files.
     pub up: Option<UpAxis>,
     /// Whether an inertial sensor made the world level: then surfaces are not asked.
@@ -54,10 +54,10 @@ const AGREEING_DEG: f32 = 25.0;
 /// Up of posed frames, whose poses are in the world of the files.
 pub(super) fn of_frames(
     frames: &[FrameRef],
-    said: Said,
+    said: UpHint,
     warnings: &mut Vec<String>,
     progress: &Progress,
-) -> Result<Upright, IngestError> {
+) -> Result<UpDirection, IngestError> {
     let poses: Vec<_> = frames.iter().map(|frame| frame.camera_to_world).collect();
     let cameras = cameras::up(&poses);
     let held = UpAxis::from_cameras(&poses);
@@ -104,9 +104,9 @@ pub(super) fn of_frames(
 /// [`IngestError::UpUnknown`] when nothing says it and the cloud does not show it.
 pub(super) fn of_cloud(
     cloud: &PointCloud,
-    said: Said,
+    said: UpHint,
     warnings: &mut Vec<String>,
-) -> Result<Upright, IngestError> {
+) -> Result<UpDirection, IngestError> {
     if said.choice == LevellingChoice::Off || (said.by_gravity && said.up.is_some()) {
         // Who wants files as they are gets them so.
         return Ok(along(told(said.up, said, warnings), None));
@@ -130,11 +130,11 @@ pub(super) fn of_cloud(
     Ok(levelled(axis, &best.fit.up, LEVEL_DEG, best.fit.explained(), describe(&best.fit), warnings))
 }
 
-fn is_clear(fit: &Fit) -> bool {
+fn is_clear(fit: &UpFit) -> bool {
     fit.explained() >= EXPLAINED && fit.clearness >= CLEARNESS && fit.level >= LEVEL_SHARE
 }
 
-fn describe(fit: &Fit) -> String {
+fn describe(fit: &UpFit) -> String {
     format!(
         "{:.0}% of the surfaces are level with it and {:.0}% upright",
         fit.level * 100.0,
@@ -143,7 +143,7 @@ fn describe(fit: &Fit) -> String {
 }
 
 /// The axis that was said or that the cameras hold up, without a closer look.
-fn told(axis: Option<UpAxis>, said: Said, warnings: &mut Vec<String>) -> UpAxis {
+fn told(axis: Option<UpAxis>, said: UpHint, warnings: &mut Vec<String>) -> UpAxis {
     let Some(axis) = axis else {
         warnings.push(
             "the files do not say which axis is up and the cameras do not agree on one: taken as z"
@@ -160,8 +160,8 @@ fn told(axis: Option<UpAxis>, said: Said, warnings: &mut Vec<String>) -> UpAxis 
     axis
 }
 
-fn along(axis: UpAxis, report: Option<Levelling>) -> Upright {
-    Upright { axis, turn: axis.to_z_up(), report }
+fn along(axis: UpAxis, report: Option<Levelling>) -> UpDirection {
+    UpDirection { axis, turn: axis.to_z_up(), report }
 }
 
 /// Turned so that `up` is Z, unless the axis is as good.
@@ -172,7 +172,7 @@ fn levelled(
     confidence: f32,
     evidence: String,
     warnings: &mut Vec<String>,
-) -> Upright {
+) -> UpDirection {
     let tilt_deg = angle_deg(up, &axis.direction());
     let turned = tilt_deg > least_deg;
     let mut upright = along(

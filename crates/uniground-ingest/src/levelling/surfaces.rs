@@ -11,7 +11,7 @@ use uniground_geometry::{Point3, Vector3};
 
 /// A flat piece of surface; metres, in the world of whoever asked.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Surface {
+pub(super) struct SurfacePatch {
     /// Unit length. Its sign says nothing.
     pub normal: Vector3<f32>,
     pub at: Point3<f32>,
@@ -33,7 +33,7 @@ const MIN_POINTS: usize = 8;
 
 /// Patches of a sample of depth pictures, in the frames' world. Pictures that can not be read are
 /// left out: others say so.
-pub(super) fn of_frames(frames: &[FrameRef], progress: &Progress) -> Vec<Surface> {
+pub(super) fn of_frames(frames: &[FrameRef], progress: &Progress) -> Vec<SurfacePatch> {
     let sample: Vec<FrameRef> =
         frames.iter().step_by(frames.len().div_ceil(MAX_FRAMES).max(1)).cloned().collect();
     let mut all = Vec::new();
@@ -52,7 +52,7 @@ pub(super) fn of_frames(frames: &[FrameRef], progress: &Progress) -> Vec<Surface
     all
 }
 
-fn of_frame(frame: &FrameRef) -> Result<Vec<Surface>, FrameError> {
+fn of_frame(frame: &FrameRef) -> Result<Vec<SurfacePatch>, FrameError> {
     let depth = frame.decode_depth()?;
     let camera = frame.depth_intrinsics;
     // To both sides of a pixel: far enough that noise does not decide, near enough to stay on one
@@ -99,7 +99,7 @@ fn of_frame(frame: &FrameRef) -> Result<Vec<Surface>, FrameError> {
             if facing > 0.15 {
                 let area = p.z * p.z / facing.max(0.3) / (camera.fx * camera.fy);
                 let pixels = (depth.width * depth.height) as f32 / (GRID * GRID) as f32;
-                surfaces.push(Surface {
+                surfaces.push(SurfacePatch {
                     normal: frame.camera_to_world * normal,
                     at: frame.camera_to_world * p,
                     weight: area * pixels,
@@ -111,7 +111,7 @@ fn of_frame(frame: &FrameRef) -> Result<Vec<Surface>, FrameError> {
 }
 
 /// Flat cells of a cloud.
-pub(super) fn of_cloud(cloud: &PointCloud) -> Vec<Surface> {
+pub(super) fn of_cloud(cloud: &PointCloud) -> Vec<SurfacePatch> {
     let points: Vec<Point3<f32>> =
         cloud.positions.iter().step_by(cloud.len().div_ceil(MAX_POINTS).max(1)).copied().collect();
     let cell_m = (4.0 * typical_spacing_m(&points)).clamp(0.05, 1.0);
@@ -132,7 +132,7 @@ pub(super) fn of_cloud(cloud: &PointCloud) -> Vec<Surface> {
             let product = (covariance.norm_squared() - least * least - rest * rest) / -2.0;
             let middle = (rest - (rest * rest - 4.0 * product).max(0.0).sqrt()) / 2.0;
             let flat = least.max(0.0).sqrt() < FLAT * rest.max(0.0).sqrt() && middle > 0.1 * rest;
-            flat.then_some(Surface { normal, at: mean, weight: cell_m * cell_m })
+            flat.then_some(SurfacePatch { normal, at: mean, weight: cell_m * cell_m })
         })
         .collect()
 }

@@ -5,7 +5,7 @@ use crate::writers::Out;
 use nalgebra::{Matrix4, Point3};
 use std::fmt::Write;
 use uniground_geometry::boxes::Aabb;
-use uniground_ingest::Inspected;
+use uniground_ingest::InspectedScan;
 
 fn xyz(points: &Points) -> Vec<u8> {
     let mut text = String::new();
@@ -110,7 +110,7 @@ fn moved(points: &Points, by: impl Fn(&Point3<f64>) -> Point3<f64>) -> Points {
     points.iter().map(|(p, c)| (by(p), *c)).collect()
 }
 
-fn read(name: &str, bytes: &[u8]) -> Inspected {
+fn read(name: &str, bytes: &[u8]) -> InspectedScan {
     crate::imported(
         |out: &Out| out.put(name, bytes),
         |found| found.unwrap_or_else(|e| panic!("{name}: {e}")),
@@ -118,7 +118,7 @@ fn read(name: &str, bytes: &[u8]) -> Inspected {
 }
 
 /// The room's box, to a centimetre: sampling and rounding aside it is the same cloud.
-fn check(what: &str, found: &Inspected) {
+fn check(what: &str, found: &InspectedScan) {
     let cloud = found.cloud.as_ref().unwrap();
     let extent = Aabb::around(&cloud.positions).unwrap();
     for (side, expected) in [(extent.size.x, 5.2), (extent.size.y, 4.2), (extent.size.z, 2.5)] {
@@ -188,7 +188,7 @@ fn meshes_of_few_corners_are_the_same_cloud() {
         in_ply.push(4);
         square.iter().for_each(|i| in_ply.extend((*i as u32).to_le_bytes()));
     }
-    let sampled: Vec<Inspected> = [("room.obj", in_obj), ("room.ply", in_ply)]
+    let sampled: Vec<InspectedScan> = [("room.obj", in_obj), ("room.ply", in_ply)]
         .into_iter()
         .map(|(name, bytes)| {
             let found = read(name, &bytes);

@@ -14,12 +14,15 @@ use serde_json::json;
 use std::fs;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::FrameRef;
-use uniground_ingest::{IngestError, Inspected};
+use uniground_ingest::{IngestError, InspectedScan};
 use uniground_types::settings::ImportSettings;
 use writers::Out;
 
 /// Writes, and looks before the folder goes.
-fn imported<T>(write: impl Fn(&Out), look: impl FnOnce(Result<Inspected, IngestError>) -> T) -> T {
+fn imported<T>(
+    write: impl Fn(&Out),
+    look: impl FnOnce(Result<InspectedScan, IngestError>) -> T,
+) -> T {
     let folder = tempfile::tempdir().unwrap();
     let root = Utf8Path::from_path(folder.path()).unwrap();
     write(&Out(root));
@@ -80,7 +83,8 @@ const LAYOUTS: [(&str, Write, &str); 18] = [
 fn every_layout_is_the_same_scene() {
     for (what, write, format) in LAYOUTS {
         imported(write, |found| {
-            let Inspected { frames, report, .. } = found.unwrap_or_else(|e| panic!("{what}: {e}"));
+            let InspectedScan { frames, report, .. } =
+                found.unwrap_or_else(|e| panic!("{what}: {e}"));
             assert_eq!(
                 (report.format.as_str(), frames.len()),
                 (format, FRAMES),
@@ -128,7 +132,7 @@ fn depth_of_eight_bits_wants_a_unit() {
         }
     };
     imported(write(Some(0.02)), |found| {
-        let Inspected { frames, report, .. } = found.unwrap();
+        let InspectedScan { frames, report, .. } = found.unwrap();
         assert!(report.reprojection_agreement.unwrap() > 0.8, "{report:?}");
         let (found, there) = (frames[0].decode_depth().unwrap(), room::depth_m(&CAMERA, &pose(0)));
         assert!(
@@ -175,7 +179,7 @@ fn floats_that_lie_are_refused_by_their_headers() {
 #[test]
 fn a_recording_without_gravity_is_levelled() {
     imported(writers::record3d, |found| {
-        let Inspected { frames, report, .. } = found.unwrap();
+        let InspectedScan { frames, report, .. } = found.unwrap();
         assert_eq!((report.format.as_str(), frames.len()), ("record3d", FRAMES));
         let level = report.levelling.clone().unwrap();
         assert!(level.turned && level.tilt_deg > 10.0, "{report:?}");
@@ -225,7 +229,8 @@ fn the_reading_that_fits_is_taken() {
     ];
     for (what, rewrite, words) in cases {
         imported(with_poses(rewrite), |found| {
-            let Inspected { frames, report, .. } = found.unwrap_or_else(|e| panic!("{what}: {e}"));
+            let InspectedScan { frames, report, .. } =
+                found.unwrap_or_else(|e| panic!("{what}: {e}"));
             assert!(report.warnings.iter().any(|w| w.contains(words)), "{what}: {report:?}");
             for (i, frame) in frames.iter().enumerate() {
                 let (metres, degrees) = apart(&camera_to_world(frame), &pose(i));
@@ -242,7 +247,7 @@ fn the_reading_that_fits_is_taken() {
 fn a_tilted_world_is_levelled_and_a_level_one_is_not_touched() {
     let tilt = Isometry3::rotation(Vector3::new(0.3, 0.35, 0.0)).to_homogeneous();
     imported(with_poses(move |m| tilt * m), |found| {
-        let Inspected { frames, report, .. } = found.unwrap();
+        let InspectedScan { frames, report, .. } = found.unwrap();
         let turn = pose(0) * camera_to_world(&frames[0]).inverse();
         let left = (turn.rotation * Vector3::z()).angle(&Vector3::z()).to_degrees();
         assert!(left < 1.0, "{left} degrees left: {report:?}");
@@ -250,7 +255,7 @@ fn a_tilted_world_is_levelled_and_a_level_one_is_not_touched() {
         assert!(level.turned && (level.tilt_deg - 26.4).abs() < 1.0, "{level:?}");
     });
     imported(writers::plain, |found| {
-        let Inspected { frames, report, .. } = found.unwrap();
+        let InspectedScan { frames, report, .. } = found.unwrap();
         assert!(!report.levelling.unwrap().turned);
         assert_eq!(
             report.source_to_scene.unwrap(),
@@ -288,7 +293,7 @@ fn a_damaged_frame_in_ten_is_left_out_and_named() {
         out.put("pose/9.txt", "nan ".repeat(16));
     };
     imported(one, |found| {
-        let Inspected { report, frames, .. } = found.unwrap();
+        let InspectedScan { report, frames, .. } = found.unwrap();
         assert_eq!((frames.len(), report.frames_skipped), (22, 2));
         let named = |what: &str| report.warnings.iter().any(|w| w.contains(what));
         assert!(named("color/5.jpg") && named("pose/9.txt"), "{report:?}");

@@ -1,7 +1,7 @@
 //! Laying one scan over another: iterative closest points, from a first guess (Chen and Medioni
 //! 1992, point to plane).
 
-use super::overlap::Nearest;
+use super::overlap::NearestPoints;
 use nalgebra::{Matrix6, Translation3, UnitQuaternion, Vector6};
 use rayon::prelude::*;
 use uniground_geometry::least_axis::least_axis;
@@ -24,7 +24,7 @@ pub const SAME_PLACE_M: f32 = 0.05;
 
 /// How one scan lies over another.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Aligned {
+pub struct Alignment {
     /// From the first scan's coordinates to the second's.
     pub place: Isometry3<f32>,
     /// Share of the first scan's points that have one of the second's within 5 cm.
@@ -43,12 +43,12 @@ pub fn align(
     guess: &Isometry3<f32>,
     refine: bool,
     progress: &Progress,
-) -> Result<Aligned, Cancelled> {
+) -> Result<Alignment, Cancelled> {
     let (from, to) = (sampled(from), sampled(to));
-    let surfaces = Surfaces::of(&to);
+    let surfaces = OrientedPoints::of(&to);
     let mut place = *guess;
     for reach_m in REACHES_M.into_iter().filter(|_| refine) {
-        let nearest = Nearest::new(&to, reach_m);
+        let nearest = NearestPoints::new(&to, reach_m);
         for _ in 0..ROUNDS {
             progress.check()?;
             let Some(step) = surfaces.step(&from, &nearest, &place) else { break };
@@ -58,14 +58,14 @@ pub fn align(
             }
         }
     }
-    let nearest = Nearest::new(&to, SAME_PLACE_M);
+    let nearest = NearestPoints::new(&to, SAME_PLACE_M);
     let off: Vec<f32> = from
         .par_iter()
         .filter_map(|p| surfaces.off(&(place * p), &nearest))
         .map(|(off_m, _)| off_m)
         .collect();
     let rms_m = (off.iter().map(|m| m * m).sum::<f32>() / off.len().max(1) as f32).sqrt();
-    Ok(Aligned { place, overlap: off.len() as f32 / from.len().max(1) as f32, rms_m })
+    Ok(Alignment { place, overlap: off.len() as f32 / from.len().max(1) as f32, rms_m })
 }
 
 fn sampled(cloud: &PointCloud) -> Vec<Point3<f32>> {
@@ -73,12 +73,12 @@ fn sampled(cloud: &PointCloud) -> Vec<Point3<f32>> {
 }
 
 /// Points with the normals of the surfaces they lie on.
-struct Surfaces<'a> {
+struct OrientedPoints<'a> {
     points: &'a [Point3<f32>],
     normals: Vec<Vector3<f32>>,
 }
 
-impl<'a> Surfaces<'a> {
+impl<'a> OrientedPoints<'a> {
     fn of(points: &'a [Point3<f32>]) -> Self {
         let by_voxel = VoxelGrid::new(points, SURFACE_M);
         let mut sums = vec![(0.0_f32, Vector3::zeros()); by_voxel.len()];
@@ -102,7 +102,7 @@ impl<'a> Surfaces<'a> {
     }
 
     /// How far a point lies off the surface at its nearest point, signed, and the normal there.
-    fn off(&self, p: &Point3<f32>, nearest: &Nearest) -> Option<(f32, Vector3<f32>)> {
+    fn off(&self, p: &Point3<f32>, nearest: &NearestPoints) -> Option<(f32, Vector3<f32>)> {
         let at = nearest.to(p)? as usize;
         Some(((p - self.points[at]).dot(&self.normals[at]), self.normals[at]))
     }
@@ -112,7 +112,7 @@ impl<'a> Surfaces<'a> {
     fn step(
         &self,
         from: &[Point3<f32>],
-        nearest: &Nearest,
+        nearest: &NearestPoints,
         place: &Isometry3<f32>,
     ) -> Option<Isometry3<f32>> {
         const FEWEST: usize = 100;

@@ -10,7 +10,7 @@ mod carried;
 mod identity;
 mod overlap;
 
-pub use align::{Aligned, SAME_PLACE_M, align};
+pub use align::{Alignment, SAME_PLACE_M, align};
 pub use carried::carried;
 pub use identity::continued;
 pub use overlap::{Counterparts, pairs};
@@ -18,14 +18,14 @@ pub use overlap::{Counterparts, pairs};
 use std::collections::BTreeSet;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::{
-    FrameError, FrameRef, Instance, InstanceId, Looks, PointCloud, look_at,
+    FrameError, FrameRef, FreeSpaceVotes, Instance, InstanceId, PointCloud, count_free_space,
 };
 use uniground_geometry::{Isometry3, Point3};
 use uniground_types::changes::{ChangedThing, Changes, MovedThing};
 
 /// One look at a room.
 #[derive(Clone, Copy)]
-pub struct Look<'a> {
+pub struct RoomState<'a> {
     /// Its points, metres, Z up.
     pub cloud: &'a PointCloud,
     /// Whose each point is; 0: nobody's.
@@ -64,8 +64,8 @@ const LOOKED_AT: f32 = 0.25;
 /// # Errors
 /// [`ChangesError`].
 pub fn compare(
-    before: &Look,
-    after: &Look,
+    before: &RoomState,
+    after: &RoomState,
     same: &[(InstanceId, InstanceId)],
     counterparts: &Counterparts,
     place: &Isometry3<f32>,
@@ -78,25 +78,27 @@ pub fn compare(
     let unmatched =
         before.instances.iter().filter(is_thing).filter(|thing| !stayed.contains(&thing.id));
     let lost =
-        Places::of(before, unmatched, |point| counterparts.of_before(point).is_some(), place);
+        ObjectPlaces::of(before, unmatched, |point| counterparts.of_before(point).is_some(), place);
     for (thing, fate) in lost.seen_by(after.frames, progress)? {
         let list = match fate {
-            Fate::Known | Fate::SurfaceThere => &mut changes.regrouped,
-            Fate::Empty => &mut changes.gone,
-            Fate::NotLookedAt => &mut changes.not_seen,
+            ObjectFate::Known | ObjectFate::SurfaceThere => &mut changes.regrouped,
+            ObjectFate::Empty => &mut changes.gone,
+            ObjectFate::NotLookedAt => &mut changes.not_seen,
         };
         list.push(told(thing));
     }
     let unmatched =
         after.instances.iter().filter(is_thing).filter(|thing| !known.contains(&thing.id));
     let found =
-        Places::of(after, unmatched, |point| counterparts.of_after(point), &place.inverse());
+        ObjectPlaces::of(after, unmatched, |point| counterparts.of_after(point), &place.inverse());
     for (thing, fate) in found.seen_by(before.frames, progress)? {
         match fate {
             // A piece of what was one thing before.
-            Fate::Known => {}
-            Fate::Empty => changes.appeared.push(told(thing)),
-            Fate::SurfaceThere | Fate::NotLookedAt => changes.first_seen.push(told(thing)),
+            ObjectFate::Known => {}
+            ObjectFate::Empty => changes.appeared.push(told(thing)),
+            ObjectFate::SurfaceThere | ObjectFate::NotLookedAt => {
+                changes.first_seen.push(told(thing))
+            }
         }
     }
     pair_moved(&mut changes, before, after);
@@ -112,7 +114,7 @@ fn told(thing: &Instance) -> ChangedThing {
 
 /// What became of a thing, or what was in its place before.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Fate {
+enum ObjectFate {
     /// The other look has its points.
     Known,
     /// It has not, but its frames have measured a surface there.
@@ -122,14 +124,14 @@ enum Fate {
 }
 
 /// Things of one look, and where their points lie in the other.
-struct Places<'a> {
+struct ObjectPlaces<'a> {
     things: Vec<(&'a Instance, f32, std::ops::Range<usize>)>,
     positions: Vec<Point3<f32>>,
 }
 
-impl<'a> Places<'a> {
+impl<'a> ObjectPlaces<'a> {
     fn of(
-        look: &Look,
+        look: &RoomState,
         things: impl Iterator<Item = &'a Instance>,
         has_counterpart: impl Fn(usize) -> bool,
         place: &Isometry3<f32>,
@@ -159,22 +161,23 @@ impl<'a> Places<'a> {
         self,
         frames: &[FrameRef],
         progress: &Progress,
-    ) -> Result<Vec<(&'a Instance, Fate)>, ChangesError> {
+    ) -> Result<Vec<(&'a Instance, ObjectFate)>, ChangesError> {
         let frames: Vec<FrameRef> =
             frames.iter().step_by(frames.len().div_ceil(MOST_FRAMES).max(1)).cloned().collect();
-        let looks = look_at::<ChangesError>(&self.positions, &frames, |_| Ok(progress.check()?))?;
+        let looks =
+            count_free_space::<ChangesError>(&self.positions, &frames, |_| Ok(progress.check()?))?;
         let fate = |there: f32, points: std::ops::Range<usize>| {
             let looks = &looks[points];
-            let count = |which: fn(&Looks) -> bool| {
+            let count = |which: fn(&FreeSpaceVotes) -> bool| {
                 looks.iter().filter(|looks| which(looks)).count() as f32
             };
             let (looked_at, empty) =
-                (count(Looks::is_known), count(|looks| looks.through > looks.hits));
+                (count(FreeSpaceVotes::is_known), count(|looks| looks.through > looks.hits));
             match there >= STILL_THERE {
-                true => Fate::Known,
-                false if looked_at < LOOKED_AT * looks.len() as f32 => Fate::NotLookedAt,
-                false if 2.0 * empty > looked_at => Fate::Empty,
-                false => Fate::SurfaceThere,
+                true => ObjectFate::Known,
+                false if looked_at < LOOKED_AT * looks.len() as f32 => ObjectFate::NotLookedAt,
+                false if 2.0 * empty > looked_at => ObjectFate::Empty,
+                false => ObjectFate::SurfaceThere,
             }
         };
         Ok(self
@@ -192,10 +195,10 @@ const SIZE_SLACK_M: f32 = 0.04;
 const SAME_COLOUR: f32 = 0.5;
 
 /// What is gone here and came there, alike, has moved: the most alike pairs first.
-fn pair_moved(changes: &mut Changes, before: &Look, after: &Look) {
+fn pair_moved(changes: &mut Changes, before: &RoomState, after: &RoomState) {
     let came: Vec<ChangedThing> =
         changes.appeared.iter().chain(&changes.first_seen).cloned().collect();
-    let thing = |look: &Look<'_>, id: InstanceId| look.instances[id.0 as usize - 1].clone();
+    let thing = |look: &RoomState<'_>, id: InstanceId| look.instances[id.0 as usize - 1].clone();
     let mut pairs: Vec<(f32, &ChangedThing, &ChangedThing)> = Vec::new();
     for gone in &changes.gone {
         for came in &came {

@@ -41,10 +41,12 @@ impl Counterparts {
         progress: &Progress,
     ) -> Result<Self, Cancelled> {
         // Where a cloud is very dense, a single point has thousands near.
-        let nearest = |index: &Nearest, p: &Point3<f32>| progress.check().map(|()| index.to(p));
+        let nearest =
+            |index: &NearestPoints, p: &Point3<f32>| progress.check().map(|()| index.to(p));
         // A point may be nearest to none and still have one near.
         let placed: Vec<Point3<f32>> = before.iter().map(|p| place * p).collect();
-        let (index, back) = (Nearest::new(after, within_m), Nearest::new(&placed, within_m));
+        let (index, back) =
+            (NearestPoints::new(after, within_m), NearestPoints::new(&placed, within_m));
         let of_before = placed.par_iter().map(|p| nearest(&index, p)).collect::<Result<_, _>>()?;
         let of_after = after
             .par_iter()
@@ -79,13 +81,13 @@ impl Counterparts {
 }
 
 /// The nearest of some points.
-pub(super) struct Nearest<'a> {
+pub(super) struct NearestPoints<'a> {
     points: &'a [Point3<f32>],
     pub within_m: f32,
     by_voxel: VoxelMap<Vec<u32>>,
 }
 
-impl<'a> Nearest<'a> {
+impl<'a> NearestPoints<'a> {
     pub fn new(points: &'a [Point3<f32>], within_m: f32) -> Self {
         let mut by_voxel: VoxelMap<Vec<u32>> = VoxelMap::default();
         for (p, i) in points.iter().zip(0..) {

@@ -1,7 +1,7 @@
 //! Boxes that a few stray points can not stretch.
 
 use super::InstanceSettings;
-use crate::relief::Relief;
+use crate::relief::FlatRelief;
 use uniground_geometry::boxes::{Aabb, OrientedBox};
 use uniground_geometry::statistics::quantile;
 use uniground_geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap};
@@ -13,7 +13,7 @@ use uniground_geometry::{Point2, Point3};
 pub(super) fn robust(
     positions: &[Point3<f32>],
     noise_m: f32,
-    relief: Option<&Relief>,
+    relief: Option<&FlatRelief>,
     settings: &InstanceSettings,
 ) -> (Aabb, OrientedBox) {
     let mut kept = in_company(positions, settings);

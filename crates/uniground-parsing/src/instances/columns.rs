@@ -21,14 +21,14 @@ type Cell = (i32, i32);
 pub struct Columns {
     /// From the world's axes to its own.
     turn: Rotation2<f32>,
-    filled: Filled,
+    filled: FilledColumns,
     lowest_z: f32,
 }
 
 /// Which columns are filled, and at which levels: one bit for each, from the lowest point of all.
 /// What is over the last one counts as in it.
 #[derive(Debug, Clone)]
-enum Filled {
+enum FilledColumns {
     Seen {
         columns: BTreeMap<Cell, u128>,
         /// From where to where each row of columns reaches along the thing's X axis, and each file
@@ -59,7 +59,7 @@ impl Columns {
             reach(&mut rows, y, x);
             reach(&mut files, x, y);
         }
-        Self { turn, filled: Filled::Seen { columns, rows, files }, lowest_z }
+        Self { turn, filled: FilledColumns::Seen { columns, rows, files }, lowest_z }
     }
 
     /// Of a box that is filled throughout.
@@ -70,7 +70,7 @@ impl Columns {
         let levels = u128::MAX >> (127 - level(filled.size.z));
         Self {
             turn,
-            filled: Filled::Throughout { first, last, levels },
+            filled: FilledColumns::Throughout { first, last, levels },
             lowest_z: filled.center.z - half.z,
         }
     }
@@ -129,7 +129,7 @@ impl Columns {
     }
 }
 
-impl Filled {
+impl FilledColumns {
     fn cells(&self) -> Box<dyn Iterator<Item = Cell> + '_> {
         match self {
             Self::Seen { columns, .. } => Box::new(columns.keys().copied()),

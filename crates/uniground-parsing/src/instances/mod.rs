@@ -9,9 +9,9 @@ mod support;
 
 use crate::labels::{Compound, Labels};
 use crate::planes::Planes;
-use crate::relief::Relief;
+use crate::relief::FlatRelief;
 use crate::superpoints::Superpoints;
-use crate::views::{Sighted, Sighting};
+use crate::views::{InstanceViews, Sighting};
 use columns::Columns;
 use rayon::prelude::*;
 pub use single::{merged, of_points};
@@ -30,7 +30,7 @@ use uniground_geometry::{Point3, Vector3};
 use uniground_types::settings::InstanceSettings;
 
 /// What stage 1 takes for things and for parts of the building.
-pub struct Built<'a> {
+pub struct BuiltInstances<'a> {
     /// In order of id.
     pub instances: Vec<Instance>,
     /// Which of them each point belongs to.
@@ -61,23 +61,23 @@ pub fn build<'a>(
     superpoints: &Superpoints,
     planes: &Planes,
     labels: Labels<'a>,
-    sighted: Sighted,
+    sighted: InstanceViews,
     settings: &InstanceSettings,
     progress: &Progress,
-) -> Result<Built<'a>, Cancelled> {
+) -> Result<BuiltInstances<'a>, Cancelled> {
     progress.report("instances", 0.0)?;
-    let Sighted { sightings, reliefs } = sighted;
+    let InstanceViews { sightings, reliefs } = sighted;
     let mut members: Vec<Vec<u32>> = vec![Vec::new(); labels.len()];
     for point in 0..cloud.len() {
         labels.of(point).for_each(|id| members[id.0 as usize - 1].push(point as u32));
     }
-    let noise = Noise::of(superpoints);
-    let mut shapes: Vec<Shape> = members
+    let noise = SurfaceNoise::of(superpoints);
+    let mut shapes: Vec<RegionShape> = members
         .par_iter()
         .map(|points| {
             progress
                 .check()
-                .map(|()| Shape::of(cloud, points, noise.around(points), None, settings))
+                .map(|()| RegionShape::of(cloud, points, noise.around(points), None, settings))
         })
         .collect::<Result<_, Cancelled>>()?;
     let lowest_z = || quantile(&mut cloud.positions.iter().map(|p| p.z).collect::<Vec<_>>(), 0.01);
@@ -87,7 +87,7 @@ pub fn build<'a>(
     let flat = reliefs.iter().map(|(id, relief)| (id.0 as usize - 1, relief));
     for (i, relief) in flat.filter(|(i, _)| structures.get(*i).is_none_or(Option::is_none)) {
         shapes[i] =
-            Shape::of(cloud, &members[i], noise.around(&members[i]), Some(relief), settings);
+            RegionShape::of(cloud, &members[i], noise.around(&members[i]), Some(relief), settings);
     }
     let specks = specks(&shapes[..things], &structures, &sightings, settings);
     let new_id =
@@ -155,7 +155,7 @@ pub fn build<'a>(
     };
     let sightings =
         sightings.into_iter().map(renumbered).filter(|sighting| sighting.instance.0 != 0).collect();
-    Ok(Built { instances, labels, sightings, dropped, specks })
+    Ok(BuiltInstances { instances, labels, sightings, dropped, specks })
 }
 
 /// Fewer pixels than this show nothing, however good the camera.
@@ -163,7 +163,7 @@ const MIN_PICTURE_PX: u32 = 16 * 16;
 
 /// Which regions are specks. A scan without frames has none: nothing tells them.
 fn specks(
-    shapes: &[Shape],
+    shapes: &[RegionShape],
     structures: &[Option<Structure>],
     sightings: &[Sighting],
     settings: &InstanceSettings,
@@ -176,7 +176,7 @@ fn specks(
             *largest = (right - left).saturating_mul(bottom - top).max(*largest);
         }
     }
-    let few = |(i, shape): (usize, &Shape)| {
+    let few = |(i, shape): (usize, &RegionShape)| {
         shape.point_count < settings.min_points
             && largest_px[i] < MIN_PICTURE_PX
             && structures[i].is_none()
@@ -220,10 +220,10 @@ fn kept(
 fn support_of(
     compound: &Compound,
     i: usize,
-    shapes: &mut [Shape],
+    shapes: &mut [RegionShape],
     supports: &[Support],
 ) -> Support {
-    let reach = |i: usize, shapes: &[Shape]| (shapes[i].aabb.min().z, shapes[i].aabb.max().z);
+    let reach = |i: usize, shapes: &[RegionShape]| (shapes[i].aabb.min().z, shapes[i].aabb.max().z);
     let things = compound.things.iter().map(|thing| thing.0 as usize - 1);
     let Some(lowest) =
         things.clone().min_by(|&a, &b| reach(a, shapes).0.total_cmp(&reach(b, shapes).0))
@@ -247,7 +247,7 @@ fn support_of(
 
 /// Which part of the building each region is, if any.
 fn structures(
-    shapes: &[Shape],
+    shapes: &[RegionShape],
     members: &[Vec<u32>],
     superpoints: &Superpoints,
     planes: &Planes,
@@ -279,12 +279,12 @@ fn agreement(count: usize, sightings: &[Sighting]) -> Vec<Option<f32>> {
 }
 
 /// How far points lie from the surfaces they were measured on.
-struct Noise<'a> {
+struct SurfaceNoise<'a> {
     superpoints: &'a Superpoints,
     scene_m: f32,
 }
 
-impl<'a> Noise<'a> {
+impl<'a> SurfaceNoise<'a> {
     fn of(superpoints: &'a Superpoints) -> Self {
         // Most of a room is even: what is rough at the median is rough by noise.
         let mut all: Vec<f32> =
@@ -306,7 +306,7 @@ impl<'a> Noise<'a> {
 }
 
 /// What the points of one region look like, before they are compared with the others.
-struct Shape {
+struct RegionShape {
     point_count: u32,
     aabb: Aabb,
     raw_box: Aabb,
@@ -316,12 +316,12 @@ struct Shape {
     planarity: f32,
 }
 
-impl Shape {
+impl RegionShape {
     fn of(
         cloud: &PointCloud,
         members: &[u32],
         noise_m: f32,
-        relief: Option<&Relief>,
+        relief: Option<&FlatRelief>,
         settings: &InstanceSettings,
     ) -> Self {
         let positions: Vec<Point3<f32>> =
@@ -346,7 +346,7 @@ impl Shape {
     }
 }
 
-impl Shape {
+impl RegionShape {
     fn body(&self, cloud: &PointCloud, members: &[u32]) -> Body {
         // Without strays, but with what noise adds to thin things.
         let around =
@@ -447,7 +447,7 @@ mod tests {
         let sightings = vec![seen(1, 0.9), seen(2, 0.1), seen(3, 0.5), seen(4, 0.9)];
         let settings = InstanceSettings::default();
         let labels = Labels::of_regions(&region_of, &superpoints, Vec::new());
-        let sighted = Sighted { sightings, reliefs: BTreeMap::new() };
+        let sighted = InstanceViews { sightings, reliefs: BTreeMap::new() };
         let built =
             build(&cloud, &superpoints, &planes, labels, sighted, &settings, &Progress::silent())
                 .unwrap();

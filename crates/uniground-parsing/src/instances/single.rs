@@ -1,6 +1,6 @@
 //! One more instance beside those that are known: of points, or of what several of them have.
 
-use super::{Body, Shape, support};
+use super::{Body, RegionShape, support};
 use uniground_geometry::scene::{
     Instance, InstanceId, Level, PointCloud, Structure, Support, views_of_all,
 };
@@ -51,7 +51,7 @@ pub fn of_points(
 ) -> Instance {
     // How rough surfaces are was measured with the superpoints, which are not kept.
     const NOISE_M: f32 = 0.0;
-    let mut shape = Shape::of(cloud, points, NOISE_M, None, settings);
+    let mut shape = RegionShape::of(cloud, points, NOISE_M, None, settings);
     let bottom_z = |i: &Instance| i.aabb.min().z;
     let floor_z =
         known.first().map_or(shape.aabb.min().z, |i| bottom_z(i) - i.height_above_floor_m);

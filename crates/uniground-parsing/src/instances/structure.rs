@@ -1,7 +1,7 @@
 //! Which instances are floor, ceiling and walls: those that lie on a plane of the building and are
 //! as large as one.
 
-use super::Shape;
+use super::RegionShape;
 use crate::planes::Planes;
 use uniground_geometry::scene::Structure;
 
@@ -20,7 +20,7 @@ const WALL_WIDTH_M: f32 = 1.8;
 
 /// `on_plane`: points per plane of the building, of the instance.
 pub(super) fn of(
-    shape: &Shape,
+    shape: &RegionShape,
     on_plane: &[(u32, u32)],
     planes: &Planes,
     floor_z: f32,

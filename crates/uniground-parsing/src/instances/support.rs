@@ -114,7 +114,7 @@ pub(super) fn of(
 
 /// What holds a thing, and from where to where it then reaches.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Held {
+pub(super) struct SupportSpan {
     /// Metres, world frame (Z up).
     pub from_z: f32,
     pub to_z: f32,
@@ -131,23 +131,24 @@ pub(super) fn held(
     bodies: &[Body],
     structures: &[Option<Structure>],
     floor_z: f32,
-) -> Held {
+) -> SupportSpan {
     let own = &bodies[i];
     let (bottom, top) = (own.bottom_z(), own.top_z());
-    let as_seen = Held { from_z: bottom, to_z: top, support };
+    let as_seen = SupportSpan { from_z: bottom, to_z: top, support };
     let on_legs = |width_m| {
-        on_legs(i, width_m, bodies, structures, floor_z).map(|(from_z, support)| Held {
+        on_legs(i, width_m, bodies, structures, floor_z).map(|(from_z, support)| SupportSpan {
             from_z,
             support,
             ..as_seen
         })
     };
-    let hanging = || hanging(i, bodies, structures, floor_z).map(|to_z| Held { to_z, ..as_seen });
+    let hanging =
+        || hanging(i, bodies, structures, floor_z).map(|to_z| SupportSpan { to_z, ..as_seen });
     let [width_m, depth_m] = own.columns.extents();
     let held = match support {
         // Less is noise.
         Support::Floor if bottom > floor_z + CONTACT_M / 3.0 => {
-            Some(Held { from_z: floor_z, ..as_seen })
+            Some(SupportSpan { from_z: floor_z, ..as_seen })
         }
         Support::Nothing if width_m >= MIN_LEGGED_WIDTH_M => on_legs(width_m).or_else(hanging),
         Support::Nothing => hanging(),
@@ -233,7 +234,7 @@ mod tests {
     }
 
     fn held_by(bodies: &[Body], structures: &[Option<Structure>]) -> (f32, f32, Support) {
-        let Held { from_z, to_z, support } =
+        let SupportSpan { from_z, to_z, support } =
             held(0, of(0, bodies, structures, 0.0), bodies, structures, 0.0);
         (from_z, to_z, support)
     }

@@ -80,14 +80,14 @@ pub trait MaskSource: Send + Sync {
 }
 
 /// Several sources that all have a vote (paper: Semantic-SAM and SAM).
-pub struct Together<'a> {
+pub struct CombinedMasks<'a> {
     /// In the order of their id images.
     pub sources: Vec<&'a dyn MaskSource>,
     /// Theirs, joined.
     pub name: String,
 }
 
-impl MaskSource for Together<'_> {
+impl MaskSource for CombinedMasks<'_> {
     fn name(&self) -> &str {
         &self.name
     }

@@ -3,7 +3,7 @@
 //! Green pieces that hang together are one plant. What stands under it, no wider than its leaves,
 //! is its pot.
 
-use super::{Part, united};
+use super::{RegionFacts, united};
 use crate::superpoints::Superpoints;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::colour::ColourName;
@@ -29,8 +29,8 @@ const STEM_M: f32 = 0.25;
 pub(super) fn gather(
     superpoints: &Superpoints,
     region_of: Vec<u32>,
-    parts: &[Part],
-) -> (Vec<u32>, Vec<Option<Part>>) {
+    parts: &[RegionFacts],
+) -> (Vec<u32>, Vec<Option<RegionFacts>>) {
     let mut points = vec![[0.0_f32; 2]; parts.len()];
     for (patch, &region) in superpoints.patches.iter().zip(&region_of) {
         let [all, green] = &mut points[region as usize];
@@ -58,7 +58,7 @@ pub(super) fn gather(
 }
 
 /// Leaves that hang together: the box around them, and which they are.
-fn plants(leaves: &[usize], parts: &[Part]) -> Vec<(Aabb, Vec<usize>)> {
+fn plants(leaves: &[usize], parts: &[RegionFacts]) -> Vec<(Aabb, Vec<usize>)> {
     let mut plants: Vec<(Aabb, Vec<usize>)> =
         leaves.iter().map(|&i| (parts[i].aabb, vec![i])).collect();
     let mut plant_of: Vec<usize> = (0..leaves.len()).collect();
@@ -89,7 +89,7 @@ fn around(a: &Aabb, b: &Aabb) -> Aabb {
 }
 
 /// Under the leaves' middle, not wider than they are, and ending where they begin.
-fn is_pot(part: &Part, leaves: &Aabb) -> bool {
+fn is_pot(part: &RegionFacts, leaves: &Aabb) -> bool {
     let (size, above) = (part.aabb.size, leaves.min().z - part.aabb.max().z);
     let aside = (part.aabb.center - leaves.center).xy();
     !part.is_structural
@@ -116,7 +116,7 @@ mod tests {
         let part = |(low, high, _): &([f32; 3], [f32; 3], [u8; 3])| {
             let at = |axis: usize, k: u32| low[axis] + (high[axis] - low[axis]) * k as f32 / 9.0;
             let cells = (0..1000_u32).map(|i| (i % 10, i / 10 % 10, i / 100));
-            Part::of(
+            RegionFacts::of(
                 &cells
                     .map(|(x, y, z)| Point3::new(at(0, x), at(1, y), at(2, z)))
                     .collect::<Vec<_>>(),

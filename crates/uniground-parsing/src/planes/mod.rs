@@ -16,7 +16,7 @@ mod sheet;
 use super::superpoints::{Patch, Superpoints};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use sheet::{Flat, Sheet, fit, parts};
+use sheet::{PlanePart, SuperpointPlane, fit, parts};
 use std::collections::{BTreeMap, BTreeSet};
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::{PointCloud, Structure};
@@ -143,7 +143,7 @@ pub fn find(
     progress: &Progress,
 ) -> Result<Planes, Cancelled> {
     progress.report("planes", 0.0)?;
-    let scan = Scan::of(cloud, superpoints);
+    let scan = CloudBySuperpoint::of(cloud, superpoints);
     let mut left: BTreeSet<u32> = (0..scan.patches.len() as u32)
         .filter(|&s| scan.patches[s as usize].area_m2 >= MIN_SEED_M2)
         .collect();
@@ -170,7 +170,7 @@ pub fn find(
         .filter(|sheet| sheet.is_level() && scan.is_floor(sheet, cameras, f32::INFINITY));
     let floor_z =
         floors.map(|sheet| sheet.middle.z).min_by(f32::total_cmp).unwrap_or(scan.lowest_z);
-    let mut planes: Vec<(Sheet, Structure)> = candidates
+    let mut planes: Vec<(PlanePart, Structure)> = candidates
         .into_iter()
         .filter_map(|sheet| scan.structure_of(&sheet, cameras, floor_z).map(|s| (sheet, s)))
         .collect();
@@ -188,7 +188,7 @@ pub fn find(
         .filter(|p| p.1 == Structure::Floor)
         .map(|(s, _)| (s.middle.z, s.area_m2()))
         .collect();
-    let on_floor = |sheet: &Sheet| {
+    let on_floor = |sheet: &PlanePart| {
         floors.iter().any(|(z, area_m2)| {
             *area_m2 > sheet.area_m2() && (0.005..THICKEST_RUG_M).contains(&(sheet.middle.z - z))
         })
@@ -211,11 +211,11 @@ pub fn find(
 }
 
 /// The cloud by superpoint.
-struct Scan<'a> {
+struct CloudBySuperpoint<'a> {
     cloud: &'a PointCloud,
     /// Points of each superpoint.
     members: Vec<Vec<u32>>,
-    patches: Vec<Flat>,
+    patches: Vec<SuperpointPlane>,
     slack_m: f32,
     lowest_z: f32,
     highest_z: f32,
@@ -223,13 +223,13 @@ struct Scan<'a> {
     columns: BTreeMap<(i32, i32), Vec<i32>>,
 }
 
-impl<'a> Scan<'a> {
+impl<'a> CloudBySuperpoint<'a> {
     fn of(cloud: &'a PointCloud, superpoints: &Superpoints) -> Self {
         let mut members: Vec<Vec<u32>> = vec![Vec::new(); superpoints.patches.len()];
         for (i, &superpoint) in superpoints.of_point.iter().enumerate() {
             members[superpoint as usize].push(i as u32);
         }
-        let patches = members.par_iter().map(|points| Flat::of(cloud, points)).collect();
+        let patches = members.par_iter().map(|points| SuperpointPlane::of(cloud, points)).collect();
         let mut roughness: Vec<f32> =
             superpoints.of_point.iter().map(|&s| superpoints.roughness_m[s as usize]).collect();
         let slack_m = (3.0 * median(&mut roughness).unwrap_or(0.0)).clamp(MIN_SLACK_M, MAX_SLACK_M);
@@ -262,7 +262,7 @@ impl<'a> Scan<'a> {
 
     /// Those of `left` on one plane with `seed`, whose plane is fitted twice.
     fn coplanar(&self, seed: u32, left: &BTreeSet<u32>) -> BTreeSet<u32> {
-        let Flat { mut normal, mut middle, .. } = self.patches[seed as usize];
+        let SuperpointPlane { mut normal, mut middle, .. } = self.patches[seed as usize];
         let mut found = BTreeSet::from([seed]);
         for _ in 0..2 {
             found = left
@@ -281,7 +281,7 @@ impl<'a> Scan<'a> {
     }
 
     /// The connected parts of a plane, those large enough.
-    fn sheets(&self, members: &BTreeSet<u32>) -> Vec<Sheet> {
+    fn sheets(&self, members: &BTreeSet<u32>) -> Vec<PlanePart> {
         let (normal, middle) = fit(members.iter().map(|&s| &self.patches[s as usize]));
         let level = normal.z.abs() > SAME_NORMAL;
         let along =
@@ -289,18 +289,18 @@ impl<'a> Scan<'a> {
         let (along, up) =
             if level { (along, Vector3::y()) } else { (along, along.cross(&normal).normalize()) };
         let up = if up.z < 0.0 { -up } else { up };
-        let mut whole = Sheet { normal, middle, along, up, cells: BTreeSet::new() };
+        let mut whole = PlanePart { normal, middle, along, up, cells: BTreeSet::new() };
         whole.cells = members.iter().flat_map(|&s| self.points(s)).map(|p| whole.cell(p)).collect();
         parts(&whole.cells, (GAP_M / CELL_M) as i32)
             .into_iter()
             .filter(|cells| cells.len() as f32 * CELL_M * CELL_M >= MIN_AREA_M2)
-            .map(|cells| Sheet { normal, middle, along, up, cells })
+            .map(|cells| PlanePart { normal, middle, along, up, cells })
             .collect()
     }
 
     fn structure_of(
         &self,
-        sheet: &Sheet,
+        sheet: &PlanePart,
         cameras: &[Point3<f32>],
         floor_z: f32,
     ) -> Option<Structure> {
@@ -315,7 +315,7 @@ impl<'a> Scan<'a> {
 
     /// Cameras were above it, and under it there is nothing. A second floor over the lowest is
     /// larger than a bed and was walked on.
-    fn is_floor(&self, sheet: &Sheet, cameras: &[Point3<f32>], lowest_z: f32) -> bool {
+    fn is_floor(&self, sheet: &PlanePart, cameras: &[Point3<f32>], lowest_z: f32) -> bool {
         let over = cameras.iter().filter(|c| sheet.covers(c) && c.z > sheet.middle.z + 0.2).count();
         let walked = match sheet.middle.z > lowest_z + 0.25 {
             true => sheet.area_m2() > 4.0 && over as f32 > 0.05 * cameras.len() as f32,
@@ -325,7 +325,7 @@ impl<'a> Scan<'a> {
     }
 
     /// Cameras were below it, and over it there is nothing.
-    fn is_ceiling(&self, sheet: &Sheet, cameras: &[Point3<f32>], floor_z: f32) -> bool {
+    fn is_ceiling(&self, sheet: &PlanePart, cameras: &[Point3<f32>], floor_z: f32) -> bool {
         let under = cameras
             .iter()
             .all(|c| !sheet.covers(c) || sheet.distance(c) * sheet.normal.z.signum() < 0.0);
@@ -335,7 +335,7 @@ impl<'a> Scan<'a> {
 
     /// Share of the sheet's places with something in their column for which `far(height, the
     /// sheet's own)`.
-    fn share_of_columns(&self, sheet: &Sheet, far: impl Fn(f32, f32) -> bool) -> f32 {
+    fn share_of_columns(&self, sheet: &PlanePart, far: impl Fn(f32, f32) -> bool) -> f32 {
         let mut seen = BTreeSet::new();
         let mut hit = 0_u32;
         for &(a, b) in &sheet.cells {
@@ -354,7 +354,7 @@ impl<'a> Scan<'a> {
     }
 
     /// Wide, high, and over its top nothing can be seen behind it.
-    fn is_wall(&self, sheet: &Sheet, cameras: &[Point3<f32>], floor_z: f32) -> bool {
+    fn is_wall(&self, sheet: &PlanePart, cameras: &[Point3<f32>], floor_z: f32) -> bool {
         let mut tops: BTreeMap<i32, i32> = BTreeMap::new();
         for &(a, b) in &sheet.cells {
             let top = tops.entry(a).or_insert(b);
@@ -389,7 +389,7 @@ impl<'a> Scan<'a> {
     /// A curtain or a wardrobe as high as the room: a larger wall goes on behind it.
     fn stands_before_a_wall(
         &self,
-        sheet: &Sheet,
+        sheet: &PlanePart,
         walls: &[(Point3<f32>, Vector3<f32>, f32)],
         cameras: &[Point3<f32>],
     ) -> bool {
@@ -408,7 +408,7 @@ impl<'a> Scan<'a> {
     }
 
     /// The plane of each superpoint: the largest that holds it.
-    fn assigned(&self, planes: &[(Sheet, Structure)]) -> Vec<Option<u32>> {
+    fn assigned(&self, planes: &[(PlanePart, Structure)]) -> Vec<Option<u32>> {
         (0..self.patches.len() as u32)
             .into_par_iter()
             .map(|s| {

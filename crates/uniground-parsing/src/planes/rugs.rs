@@ -4,7 +4,7 @@
 //! And a rug was seen: in a cloud that was drawn rather than scanned, the underside of a box lies
 //! on the floor too.
 
-use super::{ASSIGNED_SLACKS, CELL_M, Plane, Scan};
+use super::{ASSIGNED_SLACKS, CELL_M, CloudBySuperpoint, Plane};
 use crate::superpoints::{Patch, Superpoints};
 use std::cell::LazyCell;
 use std::collections::{BTreeMap, BTreeSet, HashSet};
@@ -45,7 +45,7 @@ const MOST_TRIED: usize = 200;
 /// of each superpoint. `cameras` are centres of cameras, metres; without any, all of a cloud counts
 /// as seen.
 pub(super) fn take_off(
-    scan: &Scan,
+    scan: &CloudBySuperpoint,
     superpoints: &Superpoints,
     planes: &[Plane],
     cameras: &[Point3<f32>],
@@ -88,7 +88,7 @@ pub(super) fn take_off(
 }
 
 /// Cells of the ground, [`CELL_M`] wide, that superpoints lie on.
-fn cells(scan: &Scan, superpoints: impl Iterator<Item = u32>) -> BTreeSet<(i32, i32)> {
+fn cells(scan: &CloudBySuperpoint, superpoints: impl Iterator<Item = u32>) -> BTreeSet<(i32, i32)> {
     let at = |v: f32| (v / CELL_M).floor() as i32;
     superpoints.flat_map(|s| scan.points(s)).map(|p| (at(p.x), at(p.y))).collect()
 }
@@ -109,7 +109,7 @@ fn share_beside(cells: &BTreeSet<(i32, i32)>, floor: &BTreeSet<(i32, i32)>) -> f
 
 /// Whether cameras could see most of what lies on a floor: nothing that rises from it stands in the
 /// way.
-fn was_seen(scan: &Scan, group: &[u32], cameras: &[Point3<f32>]) -> bool {
+fn was_seen(scan: &CloudBySuperpoint, group: &[u32], cameras: &[Point3<f32>]) -> bool {
     let points: Vec<Point3<f32>> = group.iter().flat_map(|&s| scan.points(s)).copied().collect();
     let Some(around) = Aabb::around(&points) else { return false };
     let rises = ASSIGNED_SLACKS * scan.slack_m;
@@ -237,7 +237,13 @@ mod tests {
         let before: Vec<Option<u32>> =
             (0..16).map(|s| (!absent.contains(&s)).then_some(0)).collect();
         let mut after = before.clone();
-        take_off(&Scan::of(&cloud, &superpoints), &superpoints, &[floor], cameras, &mut after);
+        take_off(
+            &CloudBySuperpoint::of(&cloud, &superpoints),
+            &superpoints,
+            &[floor],
+            cameras,
+            &mut after,
+        );
         (0..16).filter(|&s| before[s as usize] != after[s as usize]).collect()
     }
 

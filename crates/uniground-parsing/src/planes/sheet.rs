@@ -8,14 +8,14 @@ use uniground_geometry::scene::PointCloud;
 use uniground_geometry::{Matrix3, Point3, Vector3};
 
 /// The plane of one superpoint.
-pub(super) struct Flat {
+pub(super) struct SuperpointPlane {
     pub(super) area_m2: f32,
     pub(super) middle: Point3<f32>,
     pub(super) normal: Vector3<f32>,
 }
 
 /// A connected part of a plane.
-pub(super) struct Sheet {
+pub(super) struct PlanePart {
     pub(super) normal: Vector3<f32>,
     pub(super) middle: Point3<f32>,
     /// Two directions in the plane: level and the steepest; for a level plane, X and Y.
@@ -25,7 +25,7 @@ pub(super) struct Sheet {
     pub(super) cells: BTreeSet<(i32, i32)>,
 }
 
-impl Sheet {
+impl PlanePart {
     pub(super) fn area_m2(&self) -> f32 {
         self.cells.len() as f32 * CELL_M * CELL_M
     }
@@ -54,13 +54,13 @@ impl Sheet {
     }
 }
 
-impl Flat {
+impl SuperpointPlane {
     pub(super) fn of(cloud: &PointCloud, points: &[u32]) -> Self {
         let positions: Vec<_> = points.iter().map(|&i| cloud.positions[i as usize]).collect();
         let Moments { mean, covariance } = Moments::of(&positions);
         let (_, normal) = least_axis(&covariance);
         let cells: BTreeSet<(i32, i32)> = {
-            let sheet = Sheet {
+            let sheet = PlanePart {
                 normal,
                 middle: mean,
                 along: any_across(&normal),
@@ -81,7 +81,9 @@ fn any_across(normal: &Vector3<f32>) -> Vector3<f32> {
 }
 
 /// Plane through patches, by their areas: middles and normals both count.
-pub(super) fn fit<'a>(patches: impl Iterator<Item = &'a Flat>) -> (Vector3<f32>, Point3<f32>) {
+pub(super) fn fit<'a>(
+    patches: impl Iterator<Item = &'a SuperpointPlane>,
+) -> (Vector3<f32>, Point3<f32>) {
     let (mut spread, mut middle, mut area) =
         (Matrix3::zeros(), nalgebra::Vector3::<f64>::zeros(), 0.0_f64);
     for patch in patches {

@@ -6,7 +6,7 @@ use uniground_geometry::colour::{Lab, lab_of_srgb};
 use uniground_geometry::least_axis::least_axis;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::PointCloud;
-use uniground_geometry::voxels::{Neighbours, VoxelGrid, VoxelKey};
+use uniground_geometry::voxels::{VoxelGrid, VoxelKey, VoxelNeighbors};
 use uniground_geometry::{Matrix3, Point3, Vector3};
 
 /// Occupied voxels as a graph. Vectors are indexed by voxel number.
@@ -18,18 +18,18 @@ pub(super) struct VoxelCloud {
     pub curvatures: Vec<f32>,
     /// Root mean square distance of the points around to their plane, metres.
     pub roughness_m: Vec<f32>,
-    neighbours: Neighbours,
+    neighbours: VoxelNeighbors,
 }
 
 /// Number, mean and scatter (sum of outer products about the mean) of a set of points.
 #[derive(Clone, Copy, Default)]
-struct Moments {
+struct ScatterMoments {
     count: f32,
     mean: Vector3<f32>,
     scatter: Matrix3<f32>,
 }
 
-impl Moments {
+impl ScatterMoments {
     fn add(&mut self, p: &Point3<f32>) {
         self.count += 1.0;
         let before = p.coords - self.mean;
@@ -62,7 +62,7 @@ impl VoxelCloud {
         progress.check()?;
         let neighbours = grid.neighbours();
         progress.check()?;
-        let surfaces: Vec<Surface> = (0..grid.len())
+        let surfaces: Vec<VoxelSurface> = (0..grid.len())
             .into_par_iter()
             .map(|v| {
                 let around = neighbours.of(v as u32);
@@ -192,10 +192,10 @@ fn ring(ring: i64) -> Vec<i64> {
 }
 
 /// Moments and mean colour of the points of each voxel, each voxel's points in their order.
-fn accumulate(cloud: &PointCloud, grid: &VoxelGrid) -> (Vec<Moments>, Vec<Lab>) {
+fn accumulate(cloud: &PointCloud, grid: &VoxelGrid) -> (Vec<ScatterMoments>, Vec<Lab>) {
     // Voxels a worker fills at a time: it looks through all points for them, so there are few.
     let share = grid.len().div_ceil(2 * rayon::current_num_threads()).max(1);
-    let mut moments = vec![Moments::default(); grid.len()];
+    let mut moments = vec![ScatterMoments::default(); grid.len()];
     let mut labs = vec![Lab::zeros(); grid.len()];
     let parts = moments.par_chunks_mut(share).zip(labs.par_chunks_mut(share));
     parts.enumerate().for_each(|(part, (moments, labs))| {
@@ -215,18 +215,18 @@ fn accumulate(cloud: &PointCloud, grid: &VoxelGrid) -> (Vec<Moments>, Vec<Lab>) 
 }
 
 /// The plane through the points of a voxel and its neighbours.
-struct Surface {
+struct VoxelSurface {
     normal: Vector3<f32>,
     curvature: f32,
     roughness_m: f32,
 }
 
-fn surface(moments: &Moments) -> Surface {
+fn surface(moments: &ScatterMoments) -> VoxelSurface {
     let covariance = moments.scatter / moments.count.max(1.0);
     let total = covariance.trace();
     if total <= f32::EPSILON * f32::EPSILON {
-        return Surface { normal: Vector3::z(), curvature: 0.0, roughness_m: 0.0 };
+        return VoxelSurface { normal: Vector3::z(), curvature: 0.0, roughness_m: 0.0 };
     }
     let (least, normal) = least_axis(&covariance);
-    Surface { normal, curvature: least / total, roughness_m: least.sqrt() }
+    VoxelSurface { normal, curvature: least / total, roughness_m: least.sqrt() }
 }

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::sync::Arc;
 use uniground_geometry::boxes::Aabb;
-use uniground_geometry::recent::Recent;
+use uniground_geometry::recent::LruCache;
 use uniground_geometry::scene::{
     Embeddings, FrameEmbeddings, FrameIndex, Instance, InstanceId, View,
 };
@@ -21,7 +21,7 @@ use uniground_models::neural::{DualEncoder, Role};
 use uniground_models::{attributes, with_causes};
 use uniground_parsing::ParseError;
 use uniground_parsing::evidence::Picture;
-use uniground_parsing::pointed::{Place, Pointing};
+use uniground_parsing::pointed::{PhotographPoint, PointedObjectFinder};
 use uniground_render::{RenderScene, Shot};
 use uniground_storage::{Blobs, PinnedPath, Scratch};
 use uniground_types::settings::ParsingSettings;
@@ -51,7 +51,7 @@ impl StoredScene {
     }
 
     /// What of the room is occupied, of parses asked about lately.
-    pub fn known_occupancies(&self) -> &Recent<Arc<Occupancy>> {
+    pub fn known_occupancies(&self) -> &LruCache<Arc<Occupancy>> {
         &self.scenes.parse_cache.occupancies
     }
 
@@ -160,7 +160,11 @@ impl SceneSource for StoredScene {
         Ok(())
     }
 
-    fn cut_out(&self, place: Place, is_not: &[InstanceId]) -> Result<Option<Instance>, Error> {
+    fn cut_out(
+        &self,
+        place: PhotographPoint,
+        is_not: &[InstanceId],
+    ) -> Result<Option<Instance>, Error> {
         let blobs = &self.scenes.blobs;
         let Some(frames) = read_frames(blobs, &self.folder(), &self.parse.content)? else {
             return Ok(None);
@@ -174,7 +178,7 @@ impl SceneSource for StoredScene {
             .segmenters
             .first()
             .filter(|_| models.label(Role::Masks).as_deref() == Some(&*self.parse.masks));
-        let pointing = Pointing {
+        let pointing = PointedObjectFinder {
             cloud: &render_scene.cloud,
             frames: &frames,
             segmenter: segmenter.map(|s| &**s),

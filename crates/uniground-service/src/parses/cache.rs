@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::SystemTime;
 use uniground_geometry::boxes::Aabb;
-use uniground_geometry::recent::Recent;
+use uniground_geometry::recent::LruCache;
 use uniground_geometry::scene::{Embeddings, FrameEmbeddings, Instance, SourceToScene};
 use uniground_grounding::NameIndex;
 use uniground_grounding::approach::Occupancy;
@@ -55,28 +55,28 @@ const FILES: usize = 4096;
 /// What is known of parses without looking at the disk, by their ids.
 pub struct ParseCache {
     /// Each with how often what is known of it had changed by then.
-    loaded: Recent<(i64, Arc<LoadedParse>)>,
-    pub render_scenes: Recent<Arc<RenderScene>>,
+    loaded: LruCache<(i64, Arc<LoadedParse>)>,
+    pub render_scenes: LruCache<Arc<RenderScene>>,
     /// What of the room is occupied. Corrections change nothing of it: it is of the points as they
     /// were cut.
-    pub occupancies: Recent<Arc<Occupancy>>,
+    pub occupancies: LruCache<Arc<Occupancy>>,
     /// Files that were found to be what was written, by path: their size and time then.
-    pub sound: Recent<(u64, SystemTime)>,
+    pub sound: LruCache<(u64, SystemTime)>,
     /// Points of parses from before they were kept.
-    pub points: Recent<Arc<Scratch>>,
+    pub points: LruCache<Arc<Scratch>>,
     /// Pictures of instances, by the file a parse could have kept.
-    pub drawn: Recent<Bytes>,
+    pub drawn: LruCache<Bytes>,
 }
 
 impl Default for ParseCache {
     fn default() -> Self {
         Self {
-            loaded: Recent::new(PARSES),
-            render_scenes: Recent::new(POINTS),
-            occupancies: Recent::new(OCCUPANCY_BYTES),
-            sound: Recent::new(FILES),
-            points: Recent::new(MADE),
-            drawn: Recent::new(DRAWN_BYTES),
+            loaded: LruCache::new(PARSES),
+            render_scenes: LruCache::new(POINTS),
+            occupancies: LruCache::new(OCCUPANCY_BYTES),
+            sound: LruCache::new(FILES),
+            points: LruCache::new(MADE),
+            drawn: LruCache::new(DRAWN_BYTES),
         }
     }
 }

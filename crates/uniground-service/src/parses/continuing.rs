@@ -12,7 +12,7 @@ use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{
     FrameRef, Instance, InstanceId, Owners, PointCloud, correct, read_instance_of_point,
 };
-use uniground_parsing::changes::{Counterparts, Look, carried, compare, continued, pairs};
+use uniground_parsing::changes::{Counterparts, RoomState, carried, compare, continued, pairs};
 use uniground_parsing::scan::ParsedScan;
 use uniground_storage::{Blobs, PinnedPath};
 use uniground_types::changes::Changes;
@@ -103,13 +103,13 @@ impl PreviousParse {
         let stayed: Vec<(InstanceId, InstanceId)> =
             stayed.map(|(before, now)| (before.id, now.id)).collect();
         let changes = compare(
-            &Look {
+            &RoomState {
                 cloud: &cloud,
                 owner_of_point: &owner_before,
                 instances: &self.shown,
                 frames: &frames_before,
             },
-            &Look {
+            &RoomState {
                 cloud: &scan.scene.cloud,
                 owner_of_point: &owner_now,
                 instances: &now,

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use tokio::task::spawn_blocking;
 use tokio::time::{sleep, timeout};
 use uniground_geometry::progress::Progress;
-use uniground_ingest::Grown;
+use uniground_ingest::GrownScan;
 use uniground_isolation::{ScanReader, Task, TaskOutcome};
 use uniground_jobs::{JobContext, JobFailure, JobKind, Retry};
 use uniground_models::neural::Models;
@@ -331,7 +331,7 @@ impl ParseRunner {
 /// The upload a scan began with, where it has grown since.
 async fn first_upload(content: &Utf8Path) -> Result<Option<String>, Error> {
     let content = content.to_owned();
-    let grown = spawn_blocking(move || Grown::read(&content)).await??;
+    let grown = spawn_blocking(move || GrownScan::read(&content)).await??;
     Ok(grown.and_then(|grown| grown.parts.into_iter().next()).map(|part| part.hash))
 }
 

@@ -15,7 +15,7 @@ use uniground_geometry::{Isometry3, Vector3};
 use uniground_grounding::pipeline::SceneSource;
 use uniground_parsing::ParseError;
 use uniground_parsing::changes::{
-    Aligned, Counterparts, Look, SAME_PLACE_M, align, compare, pairs,
+    Alignment, Counterparts, RoomState, SAME_PLACE_M, align, compare, pairs,
 };
 use uniground_render::RenderScene;
 use uniground_storage::{PinnedPath, SceneRepository, SceneRow};
@@ -175,7 +175,7 @@ fn compared(
 ) -> Result<(ScanAlignment, Changes), Error> {
     let (before, after) = (ComparedParse::of(from)?, ComparedParse::of(to)?);
     let aligned = align(&before.scene.cloud, &after.scene.cloud, guess, refine, progress);
-    let Aligned { place, overlap, rms_m } = aligned.map_err(ParseError::from)?;
+    let Alignment { place, overlap, rms_m } = aligned.map_err(ParseError::from)?;
     if overlap < LEAST_OVERLAP {
         return Err(Error::ScansApart { overlap });
     }
@@ -222,8 +222,8 @@ impl ComparedParse {
         Ok(Self { scene: render_scene, owner_of_point, frames, _scan: scan })
     }
 
-    fn look<'a>(&'a self, scene: &'a StoredScene) -> Look<'a> {
-        Look {
+    fn look<'a>(&'a self, scene: &'a StoredScene) -> RoomState<'a> {
+        RoomState {
             cloud: &self.scene.cloud,
             owner_of_point: &self.owner_of_point,
             instances: scene.instances(),

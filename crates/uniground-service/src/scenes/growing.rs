@@ -17,7 +17,7 @@ use std::sync::Arc;
 use tokio::sync::{Mutex, Semaphore};
 use tokio::task::spawn_blocking;
 use uniground_geometry::scene::SourceToScene;
-use uniground_ingest::{Grown, Part, part_folder};
+use uniground_ingest::{GrownScan, ScanPart, part_folder};
 use uniground_isolation::{ScanReader, Task};
 use uniground_jobs::{Job, Jobs};
 use uniground_storage::{
@@ -91,7 +91,7 @@ impl GrowthService {
             self.import_service.receive(body, file_name.as_deref().unwrap_or_default()).await?;
         drop(place);
         let key = idempotency_key.map(|key| caller.own(key));
-        let part = Part { hash: received.hash.clone(), to_scene };
+        let part = ScanPart { hash: received.hash.clone(), to_scene };
         let request = hash_of(&("frames", scene_id, &part))?;
         // One after the other: each grows from what the last has left.
         let _turn = self.growth_lock.lock().await;
@@ -160,14 +160,14 @@ impl GrowthService {
         &self,
         scene: SceneRow,
         received: ReceivedArchive,
-        part: Part,
+        part: ScanPart,
         fits: impl FnOnce(Utf8PathBuf) -> Task,
     ) -> Result<String, Error> {
         let blobs = self.blobs.clone();
         let content_hash = scene.content_hash.clone();
         let prepared = spawn_blocking(move || {
             let content = blobs.whole(&blobs.content(&content_hash))?;
-            let so_far = Grown::read(&content)?;
+            let so_far = GrownScan::read(&content)?;
             let parts = so_far.as_ref().map_or(1, |grown| grown.parts.len());
             if parts > MOST_PARTS {
                 return Err(Error::GrownTooOften { most: MOST_PARTS });
@@ -183,7 +183,7 @@ impl GrowthService {
         let blobs = self.blobs.clone();
         let publish = move || {
             let mut grown =
-                so_far.clone().unwrap_or_else(|| Grown::from_upload(&scene.content_hash));
+                so_far.clone().unwrap_or_else(|| GrownScan::from_upload(&scene.content_hash));
             // A scan that has grown before has its parts already.
             let below = if so_far.is_some() {
                 Utf8PathBuf::new()

@@ -17,7 +17,7 @@ use tempfile::NamedTempFile;
 use tokio::sync::Semaphore;
 use tokio::task::spawn_blocking;
 use uniground_ingest::archive::UnpackLimits;
-use uniground_ingest::{Packed, what_it_is};
+use uniground_ingest::{ArchiveFormat, what_it_is};
 use uniground_isolation::{ScanReader, Task, TaskOutcome};
 use uniground_jobs::{Job, Jobs};
 use uniground_storage::{
@@ -85,7 +85,7 @@ struct ArchiveReceiver {
 
 impl ArchiveReceiver {
     fn take(&mut self, chunk: &[u8]) {
-        let missing = Packed::HEAD_BYTES.saturating_sub(self.head.len()).min(chunk.len());
+        let missing = ArchiveFormat::HEAD_BYTES.saturating_sub(self.head.len()).min(chunk.len());
         self.head.extend_from_slice(&chunk[..missing]);
         self.bytes += chunk.len() as u64;
         self.hasher.update(chunk);
@@ -104,8 +104,8 @@ impl ArchiveReceiver {
 }
 
 /// What is coming, by its first bytes.
-pub fn what_comes(head: &[u8], file_name: &str) -> Result<Packed, Error> {
-    Packed::of_head(head, file_name).ok_or(Error::NoScan { what: what_it_is(head) })
+pub fn what_comes(head: &[u8], file_name: &str) -> Result<ArchiveFormat, Error> {
+    ArchiveFormat::of_head(head, file_name).ok_or(Error::NoScan { what: what_it_is(head) })
 }
 
 impl ReceivedArchive {
@@ -338,7 +338,7 @@ impl ImportService {
             });
             (file, receiving) = written.await??;
             // Nobody sends a whole video to hear that it is none.
-            if receiving.head.len() == Packed::HEAD_BYTES {
+            if receiving.head.len() == ArchiveFormat::HEAD_BYTES {
                 what_comes(&receiving.head, file_name)?;
             }
         }

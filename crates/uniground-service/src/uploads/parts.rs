@@ -8,7 +8,7 @@ use bytes::Bytes;
 use futures::Stream;
 use tokio::task::spawn_blocking;
 use tracing::Instrument;
-use uniground_ingest::Packed;
+use uniground_ingest::ArchiveFormat;
 use uniground_storage::{GrowingFile, UploadRow};
 use uniground_types::uploads::Upload;
 
@@ -138,7 +138,7 @@ impl UploadService {
     ) -> Result<(UploadRow, GrowingFile), Error> {
         let (file, head) = spawn_blocking(move || {
             file.save()?;
-            file.head(Packed::HEAD_BYTES).map(|head| (file, head))
+            file.head(ArchiveFormat::HEAD_BYTES).map(|head| (file, head))
         })
         .await??;
         let noted = self.upload_repository.note_received(&row.id, file.bytes()).await?;
@@ -150,7 +150,7 @@ impl UploadService {
     }
 }
 
-const HEAD_BYTES: u64 = Packed::HEAD_BYTES as u64;
+const HEAD_BYTES: u64 = ArchiveFormat::HEAD_BYTES as u64;
 
 /// What an upload's file was called; endings tell what bytes do not.
 pub(super) fn file_name(row: &UploadRow) -> &str {

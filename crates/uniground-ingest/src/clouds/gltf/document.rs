@@ -18,12 +18,12 @@ pub(super) struct Document {
     scene: Option<usize>,
     scenes: Vec<Scene>,
     pub nodes: Vec<Node>,
-    pub meshes: Vec<Parts>,
+    pub meshes: Vec<GltfMesh>,
     pub materials: Vec<Material>,
     pub textures: Vec<TextureSource>,
     images: Vec<Image>,
     accessors: Vec<Accessor>,
-    buffer_views: Vec<View>,
+    buffer_views: Vec<BufferView>,
     buffers: Vec<Buffer>,
     pub extensions_required: Vec<String>,
 }
@@ -47,7 +47,7 @@ pub(super) struct Node {
 
 #[derive(Deserialize, Default)]
 #[serde(default)]
-pub(super) struct Parts {
+pub(super) struct GltfMesh {
     pub primitives: Vec<Primitive>,
 }
 
@@ -64,12 +64,12 @@ pub(super) struct Primitive {
 #[serde(default)]
 pub(super) struct Material {
     #[serde(rename = "pbrMetallicRoughness")]
-    pub pbr: Pbr,
+    pub pbr: PbrMaterial,
 }
 
 #[derive(Deserialize, Default)]
 #[serde(default)]
-pub(super) struct Pbr {
+pub(super) struct PbrMaterial {
     #[serde(rename = "baseColorTexture")]
     pub base_colour_texture: Option<TextureReference>,
     #[serde(rename = "baseColorFactor")]
@@ -111,7 +111,7 @@ struct Accessor {
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
-struct View {
+struct BufferView {
     buffer: usize,
     #[serde(default)]
     byte_offset: usize,
@@ -144,7 +144,7 @@ pub(super) struct Buffers<'a> {
 }
 
 /// Rows of numbers within a buffer.
-pub(super) struct Rows<'a> {
+pub(super) struct AccessorRows<'a> {
     bytes: &'a [u8],
     stride: usize,
     count: usize,
@@ -226,7 +226,7 @@ impl<'a> Buffers<'a> {
         document: &Document,
         number: usize,
         columns: usize,
-    ) -> Result<Rows<'_>, String> {
+    ) -> Result<AccessorRows<'_>, String> {
         let accessor = document
             .accessors
             .get(number)
@@ -266,11 +266,11 @@ impl<'a> Buffers<'a> {
             return Err(format!("accessor {number} is more than its buffer holds"));
         }
         let Accessor { count, component_type: component, normalized, .. } = *accessor;
-        Ok(Rows { bytes, stride, count, columns, component, normalized })
+        Ok(AccessorRows { bytes, stride, count, columns, component, normalized })
     }
 }
 
-impl Rows<'_> {
+impl AccessorRows<'_> {
     pub fn len(&self) -> usize {
         self.count
     }

@@ -1,8 +1,8 @@
 //! Point records of an uncompressed LAS file (ASPRS, 1.0 to 1.4).
 
 use crate::IngestError;
-use crate::clouds::Gathered;
-use crate::clouds::gathered::{Bounds, GREY};
+use crate::clouds::CloudBuilder;
+use crate::clouds::gathered::{CloudBounds, GREY};
 use camino::Utf8Path;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -13,7 +13,7 @@ const LONG_HEADER: usize = 375;
 const BLOCK_BYTES: usize = 256 << 10;
 
 /// An opened file, at its first record.
-pub(super) struct Records {
+pub(super) struct LasRecords {
     source: BufReader<File>,
     points: u64,
     bytes: usize,
@@ -25,7 +25,7 @@ pub(super) struct Records {
     offset: [f64; 3],
 }
 
-impl Records {
+impl LasRecords {
     /// `None` for a compressed file.
     pub fn open(root: &Utf8Path, file: &Utf8Path) -> Result<Option<Self>, IngestError> {
         let io = |source| IngestError::reading(file, source);
@@ -76,7 +76,7 @@ impl Records {
     }
 
     /// Whether as many points as are announced may be read, and can be there.
-    pub fn check(&self, file: &Utf8Path, bounds: &Bounds) -> Result<(), IngestError> {
+    pub fn check(&self, file: &Utf8Path, bounds: &CloudBounds) -> Result<(), IngestError> {
         bounds.check(file, self.points)?;
         match self.points.saturating_mul(self.bytes as u64) > self.file_bytes {
             true => {
@@ -93,8 +93,8 @@ impl Records {
     pub fn read(
         mut self,
         file: &Utf8Path,
-        mut gathered: Gathered,
-    ) -> Result<Gathered, IngestError> {
+        mut gathered: CloudBuilder,
+    ) -> Result<CloudBuilder, IngestError> {
         gathered.expect(file, usize::try_from(self.points).unwrap_or(usize::MAX))?;
         gathered.coloured(self.colour.is_some());
         let per_block = (BLOCK_BYTES / self.bytes).max(1);
@@ -139,7 +139,7 @@ impl Records {
 
 #[cfg(test)]
 mod tests {
-    use crate::clouds::{self, Bounds, Origin};
+    use crate::clouds::{self, CloudBounds, CoordinateOrigin};
     use camino::Utf8Path;
     use proptest::prelude::*;
 
@@ -163,13 +163,13 @@ mod tests {
         bytes
     }
 
-    fn read(bytes: &[u8]) -> Result<clouds::Loaded, crate::IngestError> {
+    fn read(bytes: &[u8]) -> Result<clouds::LoadedCloud, crate::IngestError> {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         std::fs::write(root.join("a.las"), bytes).unwrap();
-        let (file, bounds) = (Utf8Path::new("a.las"), Bounds { announced: 1000, kept: 1000 });
+        let (file, bounds) = (Utf8Path::new("a.las"), CloudBounds { announced: 1000, kept: 1000 });
         clouds::check(root, file, &bounds)?;
-        clouds::read(root, file, &bounds, Origin::Free)
+        clouds::read(root, file, &bounds, CoordinateOrigin::Free)
     }
 
     #[test]

@@ -2,9 +2,9 @@
 //! the scan: those are the cloud. A mesh that somebody modelled or simplified has corners only:
 //! most of its surface lies in large triangles, and the cloud is sampled from them.
 
-use super::rows::Rows;
-use crate::clouds::Gathered;
-use crate::clouds::mesh::{Corner, Sampling, Triangle};
+use super::rows::PlyRows;
+use crate::clouds::CloudBuilder;
+use crate::clouds::mesh::{MeshSampler, MeshVertex, Triangle};
 use crate::lengths;
 use std::io::{BufRead, Seek, SeekFrom};
 use uniground_geometry::scene::PointCloud;
@@ -16,10 +16,10 @@ const LARGE_M: f64 = 0.1;
 /// in large triangles. Faces are read twice and never held. Vertices that are thinned out, or lack
 /// some, stay as they are.
 pub(super) fn sample_if_sparse(
-    rows: &Rows,
+    rows: &PlyRows,
     source: &mut (impl BufRead + Seek),
     count: usize,
-    gathered: &mut Gathered,
+    gathered: &mut CloudBuilder,
 ) -> Result<(), String> {
     let Some(vertices) = gathered.complete() else { return Ok(()) };
     let metres_per_unit = lengths::guess(&vertices.positions, &mut Vec::new());
@@ -33,7 +33,7 @@ pub(super) fn sample_if_sparse(
         }
     })?;
     let Some(mut sampling) =
-        Sampling::of(area, metres_per_unit).filter(|_| large_area > area / 2.0)
+        MeshSampler::of(area, metres_per_unit).filter(|_| large_area > area / 2.0)
     else {
         return Ok(());
     };
@@ -51,7 +51,7 @@ pub(super) fn sample_if_sparse(
 
 /// Shows every triangle; polygons become fans.
 fn triangles(
-    rows: &Rows,
+    rows: &PlyRows,
     source: &mut impl BufRead,
     count: usize,
     vertices: &PointCloud,
@@ -64,7 +64,7 @@ fn triangles(
         let position =
             position.ok_or_else(|| format!("{index} names a vertex that is not there"))?;
         let tint = vertices.colours[at].map(|c| f32::from(c) / 255.0);
-        Ok::<_, String>(Corner {
+        Ok::<_, String>(MeshVertex {
             at: [position.x, position.y, position.z].map(f64::from),
             tint,
             uv: None,
@@ -88,18 +88,18 @@ fn longest_side(triangle: &Triangle) -> f64 {
 #[cfg(test)]
 mod tests {
     use crate::IngestError;
-    use crate::clouds::{self, Bounds, Loaded, Origin};
+    use crate::clouds::{self, CloudBounds, CoordinateOrigin, LoadedCloud};
     use camino::Utf8Path;
 
-    fn read_bytes(bytes: &[u8]) -> Result<Loaded, IngestError> {
+    fn read_bytes(bytes: &[u8]) -> Result<LoadedCloud, IngestError> {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         std::fs::write(root.join("mesh.ply"), bytes).unwrap();
         clouds::read(
             root,
             Utf8Path::new("mesh.ply"),
-            &Bounds { announced: 1 << 30, kept: 1 << 30 },
-            Origin::Free,
+            &CloudBounds { announced: 1 << 30, kept: 1 << 30 },
+            CoordinateOrigin::Free,
         )
     }
 

@@ -2,7 +2,7 @@
 
 use super::{Field, Vertex};
 use crate::bounded::read_line;
-use crate::clouds::Gathered;
+use crate::clouds::CloudBuilder;
 use ply_rs_bw::ply::{ElementDef, Encoding, PropertyType, ScalarType};
 use std::io::{self, BufRead, Read};
 
@@ -12,7 +12,7 @@ const MAX_LINE_BYTES: u64 = 64 << 10;
 const BLOCK_BYTES: usize = 64 << 10;
 
 /// A property of a row.
-enum Column {
+enum PlyColumn {
     Scalar(ScalarType, Option<Field>),
     /// Type of the count and of what follows; the list of a face's vertices is of interest.
     List(ScalarType, ScalarType, ListOf),
@@ -29,50 +29,50 @@ enum ListOf {
 const MAX_CORNERS: usize = 256;
 
 #[derive(Clone, Copy, PartialEq)]
-enum Order {
+enum ByteOrder {
     Little,
     Big,
 }
 
 /// How the rows of an element are written.
-pub(super) struct Rows {
-    columns: Vec<Column>,
+pub(super) struct PlyRows {
+    columns: Vec<PlyColumn>,
     /// Bytes of a row, where all have as many.
     bytes: Option<usize>,
     /// Of the bytes of a number; `None`: the file is ascii.
-    order: Option<Order>,
+    order: Option<ByteOrder>,
 }
 
-impl Rows {
+impl PlyRows {
     pub fn of(element: &ElementDef, encoding: &Encoding) -> Self {
         let column = |name: &str, data_type: &PropertyType| match data_type {
-            PropertyType::Scalar(scalar) => Column::Scalar(scalar.clone(), Field::of(name)),
+            PropertyType::Scalar(scalar) => PlyColumn::Scalar(scalar.clone(), Field::of(name)),
             PropertyType::List(count, item)
                 if ["vertex_indices", "vertex_index"].contains(&name) =>
             {
-                Column::List(count.clone(), item.clone(), ListOf::Corners)
+                PlyColumn::List(count.clone(), item.clone(), ListOf::Corners)
             }
             PropertyType::List(count, item) => {
-                Column::List(count.clone(), item.clone(), ListOf::Other)
+                PlyColumn::List(count.clone(), item.clone(), ListOf::Other)
             }
         };
         let columns: Vec<_> =
             element.properties.values().map(|p| column(&p.name, &p.data_type)).collect();
-        let width = |column: &Column| match column {
-            Column::Scalar(scalar, _) => Some(size_of_scalar(scalar)),
-            Column::List(..) => None,
+        let width = |column: &PlyColumn| match column {
+            PlyColumn::Scalar(scalar, _) => Some(size_of_scalar(scalar)),
+            PlyColumn::List(..) => None,
         };
         let order = match encoding {
             Encoding::Ascii => None,
-            Encoding::BinaryLittleEndian => Some(Order::Little),
-            Encoding::BinaryBigEndian => Some(Order::Big),
+            Encoding::BinaryLittleEndian => Some(ByteOrder::Little),
+            Encoding::BinaryBigEndian => Some(ByteOrder::Big),
         };
         Self { bytes: columns.iter().map(width).sum(), columns, order }
     }
 
     /// Whether its rows are faces.
     pub fn has_corners(&self) -> bool {
-        self.columns.iter().any(|column| matches!(column, Column::List(_, _, ListOf::Corners)))
+        self.columns.iter().any(|column| matches!(column, PlyColumn::List(_, _, ListOf::Corners)))
     }
 
     pub fn skip(&self, source: &mut impl BufRead, count: usize) -> Result<(), String> {
@@ -90,7 +90,7 @@ impl Rows {
         &self,
         source: &mut impl BufRead,
         count: usize,
-        gathered: &mut Gathered,
+        gathered: &mut CloudBuilder,
     ) -> Result<(), String> {
         if let (Some(order), Some(bytes)) = (self.order, self.bytes) {
             return self.read_even(source, count, bytes, order, gathered);
@@ -150,11 +150,11 @@ impl Rows {
             let word = words.next().ok_or_else(too_few)?;
             let not_a_number = |word: &str| format!("row {row}: {word:?} is not a number");
             match column {
-                Column::Scalar(scalar, Some(field)) => {
+                PlyColumn::Scalar(scalar, Some(field)) => {
                     vertex.set(*field, word.parse().map_err(|_| not_a_number(word))?, scalar)
                 }
-                Column::Scalar(_, None) => {}
-                Column::List(_, _, of) => {
+                PlyColumn::Scalar(_, None) => {}
+                PlyColumn::List(_, _, of) => {
                     let items: usize = word.parse().map_err(|_| not_a_number(word))?;
                     for i in 0..items {
                         let word = words.next().ok_or_else(too_few)?;
@@ -175,13 +175,13 @@ impl Rows {
         source: &mut impl BufRead,
         count: usize,
         bytes: usize,
-        order: Order,
-        gathered: &mut Gathered,
+        order: ByteOrder,
+        gathered: &mut CloudBuilder,
     ) -> Result<(), String> {
         let mut fields = Vec::new();
         let mut offset = 0;
         for column in &self.columns {
-            if let Column::Scalar(scalar, field) = column {
+            if let PlyColumn::Scalar(scalar, field) = column {
                 fields.extend(field.map(|field| (field, offset, scalar)));
                 offset += size_of_scalar(scalar);
             }
@@ -211,19 +211,19 @@ impl Rows {
     fn read_uneven(
         &self,
         source: &mut impl BufRead,
-        order: Order,
+        order: ByteOrder,
         vertex: &mut Vertex,
         corners: &mut Vec<f64>,
     ) -> Result<(), String> {
         for column in &self.columns {
             match column {
-                Column::Scalar(scalar, field) => {
+                PlyColumn::Scalar(scalar, field) => {
                     let value = next_number(source, scalar, order)?;
                     if let Some(field) = field {
                         vertex.set(*field, value, scalar);
                     }
                 }
-                Column::List(count, item, of) => {
+                PlyColumn::List(count, item, of) => {
                     let items = next_number(source, count, order)?;
                     if items < 0.0 || items.fract() != 0.0 {
                         return Err(format!("a list of {items} values"));
@@ -276,7 +276,7 @@ fn size_of_scalar(scalar: &ScalarType) -> usize {
 fn next_number(
     source: &mut impl BufRead,
     scalar: &ScalarType,
-    order: Order,
+    order: ByteOrder,
 ) -> Result<f64, String> {
     let mut bytes = [0; 8];
     source
@@ -292,7 +292,7 @@ fn next_number(
 fn numbers<'a, P>(
     bytes: impl IntoIterator<Item = &'a [u8]>,
     scalar: &ScalarType,
-    order: Order,
+    order: ByteOrder,
     places: impl IntoIterator<Item = P>,
     mut put: impl FnMut(P, f64),
 ) {
@@ -300,7 +300,7 @@ fn numbers<'a, P>(
         ($number:ty) => {
             for (place, bytes) in places.into_iter().zip(bytes) {
                 let bytes = bytes.first_chunk().copied().unwrap_or_default();
-                let number = if order == Order::Little {
+                let number = if order == ByteOrder::Little {
                     <$number>::from_le_bytes(bytes)
                 } else {
                     <$number>::from_be_bytes(bytes)

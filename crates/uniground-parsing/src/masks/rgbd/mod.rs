@@ -11,7 +11,7 @@ mod things;
 
 use super::{IdImage, MaskSource};
 use crate::ParseError;
-use surfaces::Surfaces;
+use surfaces::SurfaceGrid;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::Frame;
 use uniground_types::settings::RgbdSettings;
@@ -37,7 +37,7 @@ impl RgbdMasks {
     /// The masks of one frame.
     #[must_use]
     pub fn id_image(&self, frame: &Frame) -> IdImage {
-        let surfaces = Surfaces::of(frame, self.settings.stride);
+        let surfaces = SurfaceGrid::of(frame, self.settings.stride);
         let patches = patches::cut(&surfaces, &self.settings);
         let things = things::join(&surfaces, &patches, &self.settings);
         spread(&surfaces, &things, frame)
@@ -49,7 +49,7 @@ impl RgbdMasks {
     /// with these times the settings' unevenness.
     #[must_use]
     pub fn levels(&self, frame: &Frame, unevenness: &[f32]) -> Vec<IdImage> {
-        let surfaces = Surfaces::of(frame, self.settings.stride);
+        let surfaces = SurfaceGrid::of(frame, self.settings.stride);
         let things =
             things::join(&surfaces, &patches::cut(&surfaces, &self.settings), &self.settings);
         let finer = unevenness.iter().map(|times| {
@@ -66,7 +66,7 @@ impl RgbdMasks {
 
 /// Grid labels to an id image at full depth resolution. Pixels without depth get no mask; ids past
 /// `u16` neither.
-fn spread(surfaces: &Surfaces, things: &[u32], frame: &Frame) -> IdImage {
+fn spread(surfaces: &SurfaceGrid, things: &[u32], frame: &Frame) -> IdImage {
     let (width, height) = (frame.depth.width, frame.depth.height);
     let mut ids = vec![0; (width * height) as usize];
     for v in 0..height {

@@ -2,12 +2,12 @@
 //! edges that never crosses a depth step.
 
 use super::RgbdSettings;
-use super::surfaces::Surfaces;
+use super::surfaces::SurfaceGrid;
 use uniground_geometry::Vector3;
 
 /// Signed bend between two neighbouring elements, radians: positive where the surface is concave (a
 /// valley).
-pub(super) fn bend(surfaces: &Surfaces, a: usize, b: usize) -> f32 {
+pub(super) fn bend(surfaces: &SurfaceGrid, a: usize, b: usize) -> f32 {
     let (na, nb): (Vector3<f32>, Vector3<f32>) = (surfaces.normals[a], surfaces.normals[b]);
     let angle = na.dot(&nb).clamp(-1.0, 1.0).acos();
     let across = surfaces.points[b] - surfaces.points[a];
@@ -16,7 +16,7 @@ pub(super) fn bend(surfaces: &Surfaces, a: usize, b: usize) -> f32 {
 }
 
 /// Patch label `0..n` of each element.
-pub(super) fn cut(surfaces: &Surfaces, settings: &RgbdSettings) -> Vec<u32> {
+pub(super) fn cut(surfaces: &SurfaceGrid, settings: &RgbdSettings) -> Vec<u32> {
     let mut edges: Vec<(f32, u32, u32)> = surfaces
         .links()
         .filter(|&(a, b)| surfaces.continuous(a, b))
@@ -32,7 +32,7 @@ pub(super) fn cut(surfaces: &Surfaces, settings: &RgbdSettings) -> Vec<u32> {
         })
         .collect();
     edges.sort_unstable_by(|x, y| x.0.total_cmp(&y.0).then((x.1, x.2).cmp(&(y.1, y.2))));
-    let mut forest = Forest::new(surfaces.depth_m.len());
+    let mut forest = PatchForest::new(surfaces.depth_m.len());
     for &(weight, a, b) in &edges {
         let (a, b) = (forest.sets.find(a), forest.sets.find(b));
         if a != b
@@ -55,14 +55,14 @@ pub(super) fn cut(surfaces: &Surfaces, settings: &RgbdSettings) -> Vec<u32> {
     forest.sets.into_labels().0
 }
 
-struct Forest {
+struct PatchForest {
     sets: uniground_geometry::union_find::UnionFind,
     size: Vec<u32>,
     /// Largest edge inside each tree.
     inner: Vec<f32>,
 }
 
-impl Forest {
+impl PatchForest {
     fn new(len: usize) -> Self {
         Self {
             sets: uniground_geometry::union_find::UnionFind::new(len),

@@ -5,7 +5,7 @@ use uniground_geometry::scene::{DepthImage, Frame};
 use uniground_geometry::{Point3, Vector3};
 
 /// Surface elements on a grid of every `stride`-th pixel; row-major vectors of `width * height`.
-pub(super) struct Surfaces {
+pub(super) struct SurfaceGrid {
     pub width: usize,
     pub height: usize,
     stride: u32,
@@ -20,7 +20,7 @@ pub(super) struct Surfaces {
     pub spacing_per_m: f32,
 }
 
-impl Surfaces {
+impl SurfaceGrid {
     pub fn of(frame: &Frame, stride: u32) -> Self {
         let stride = stride.max(1);
         let intrinsics = frame.depth_camera.intrinsics;

@@ -3,7 +3,7 @@
 
 use super::RgbdSettings;
 use super::patches::bend;
-use super::surfaces::Surfaces;
+use super::surfaces::SurfaceGrid;
 use nalgebra::SymmetricEigen;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -13,7 +13,7 @@ use uniground_geometry::{Matrix3, Vector3};
 
 /// What is known of a patch or a union of patches.
 #[derive(Clone, Copy)]
-struct Region {
+struct PatchRegion {
     pixels: f32,
     area_m2: f32,
     lab: Lab,
@@ -27,7 +27,7 @@ struct Region {
 
 /// What is known of the border between two regions.
 #[derive(Clone, Copy, Default)]
-struct Border {
+struct RegionBorder {
     /// Links across the border, and how many of them the surface runs on across.
     links: f32,
     continuous: f32,
@@ -37,16 +37,20 @@ struct Border {
 
 /// A join on offer: cost (as bits, cheapest first), the two regions, and their generations when it
 /// was made.
-type Offer = (Reverse<u32>, Reverse<(u32, u32)>, u32, u32);
+type MergeOffer = (Reverse<u32>, Reverse<(u32, u32)>, u32, u32);
 
 /// Thing label `0..n` of each element.
-pub(super) fn join(surfaces: &Surfaces, patches: &[u32], settings: &RgbdSettings) -> Vec<u32> {
+pub(super) fn join(surfaces: &SurfaceGrid, patches: &[u32], settings: &RgbdSettings) -> Vec<u32> {
     let count = patches.iter().max().map_or(0, |&p| p as usize + 1);
     let mut regions = regions(surfaces, patches, count);
     let mut borders = borders(surfaces, patches, count);
     let mut sets = UnionFind::new(count);
-    let mut queue: BinaryHeap<Offer> = BinaryHeap::new();
-    let push = |queue: &mut BinaryHeap<_>, regions: &[Region], a: u32, b: u32, border: &Border| {
+    let mut queue: BinaryHeap<MergeOffer> = BinaryHeap::new();
+    let push = |queue: &mut BinaryHeap<_>,
+                regions: &[PatchRegion],
+                a: u32,
+                b: u32,
+                border: &RegionBorder| {
         let cost = cost(&regions[a as usize], &regions[b as usize], border, settings);
         if cost < settings.join_cost {
             // Costs are not negative: their bits sort like the numbers.
@@ -80,7 +84,7 @@ pub(super) fn join(surfaces: &Surfaces, patches: &[u32], settings: &RgbdSettings
             }
             for (from, to) in [(root, other), (other, root)] {
                 let sum = borders[from as usize].entry(to).or_default();
-                *sum = Border {
+                *sum = RegionBorder {
                     links: sum.links + border.links,
                     continuous: sum.continuous + border.continuous,
                     bend: sum.bend + border.bend,
@@ -96,7 +100,7 @@ pub(super) fn join(surfaces: &Surfaces, patches: &[u32], settings: &RgbdSettings
 }
 
 /// Cost of joining: colour difference and concavity along the border, each in its own unit.
-fn cost(a: &Region, b: &Region, border: &Border, settings: &RgbdSettings) -> f32 {
+fn cost(a: &PatchRegion, b: &PatchRegion, border: &RegionBorder, settings: &RgbdSettings) -> f32 {
     // Mostly a depth step: one hides the other.
     if border.continuous < 0.5 * border.links {
         return f32::INFINITY;
@@ -119,7 +123,7 @@ fn cost(a: &Region, b: &Region, border: &Border, settings: &RgbdSettings) -> f32
 /// Concave bend above which a plane ends.
 const SAME_PLANE_DEG: f32 = 8.0;
 
-impl Region {
+impl PatchRegion {
     /// Points stay as close to their plane as sensor noise, which grows with distance squared, lets
     /// them.
     fn is_flat(&self) -> bool {
@@ -130,9 +134,9 @@ impl Region {
     }
 }
 
-fn merged(a: &Region, b: &Region) -> Region {
+fn merged(a: &PatchRegion, b: &PatchRegion) -> PatchRegion {
     let pixels = a.pixels + b.pixels;
-    Region {
+    PatchRegion {
         pixels,
         area_m2: a.area_m2 + b.area_m2,
         lab: (a.lab * a.pixels + b.lab * b.pixels) / pixels,
@@ -142,8 +146,8 @@ fn merged(a: &Region, b: &Region) -> Region {
     }
 }
 
-fn regions(surfaces: &Surfaces, patches: &[u32], count: usize) -> Vec<Region> {
-    let empty = Region {
+fn regions(surfaces: &SurfaceGrid, patches: &[u32], count: usize) -> Vec<PatchRegion> {
+    let empty = PatchRegion {
         pixels: 0.0,
         area_m2: 0.0,
         lab: Lab::zeros(),
@@ -170,8 +174,12 @@ fn regions(surfaces: &Surfaces, patches: &[u32], count: usize) -> Vec<Region> {
     regions
 }
 
-fn borders(surfaces: &Surfaces, patches: &[u32], count: usize) -> Vec<BTreeMap<u32, Border>> {
-    let mut borders = vec![BTreeMap::<u32, Border>::new(); count];
+fn borders(
+    surfaces: &SurfaceGrid,
+    patches: &[u32],
+    count: usize,
+) -> Vec<BTreeMap<u32, RegionBorder>> {
+    let mut borders = vec![BTreeMap::<u32, RegionBorder>::new(); count];
     for (i, j) in surfaces.links() {
         let (a, b) = (patches[i], patches[j]);
         if a == b {
@@ -193,7 +201,7 @@ fn borders(surfaces: &Surfaces, patches: &[u32], count: usize) -> Vec<BTreeMap<u
 }
 
 /// The link `(i, j)` stretched up to [`STRETCH`] elements into both patches.
-fn beyond(surfaces: &Surfaces, patches: &[u32], i: usize, j: usize) -> (usize, usize) {
+fn beyond(surfaces: &SurfaceGrid, patches: &[u32], i: usize, j: usize) -> (usize, usize) {
     let step = j - i;
     let row_bound = step == 1;
     let (mut back, mut ahead) = (i, j);

@@ -14,7 +14,7 @@ use crate::ParseError;
 use half::f16;
 use half::slice::HalfFloatSliceExt;
 use image::imageops;
-use spots::Spot;
+use spots::PromptPoint;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::Frame;
 use uniground_models::neural::{Encoded, LowMask, Prompt};
@@ -38,27 +38,27 @@ const GRID: usize = 256;
 const QUARTER_OVERLAP: f32 = 0.1;
 
 /// A mask that may stay.
-struct Candidate {
+struct MaskCandidate {
     /// Predicted IoU times the square root of the stability.
     quality: f32,
     /// Bit per cell of the grid over the whole picture.
     cells: Vec<u64>,
     area: u32,
-    patch: Patch,
-    window: Window,
+    patch: MaskPatch,
+    window: CropWindow,
 }
 
 /// The part of a low-resolution mask around its inside, to be painted: half floats, as there are
 /// hundreds of masks.
 #[derive(Debug, Clone, Default)]
-struct Patch {
+struct MaskPatch {
     left: usize,
     top: usize,
     width: usize,
     logits: Vec<f16>,
 }
 
-impl Patch {
+impl MaskPatch {
     /// What is inside, and one cell around it: between these the border runs.
     fn around_inside(logits: &[f32], threshold: f32) -> Self {
         let size = logits.len().isqrt();
@@ -94,7 +94,7 @@ impl Patch {
 
 /// Where in the picture a mask was made.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Window {
+struct CropWindow {
     left: u32,
     top: u32,
     width: u32,
@@ -123,7 +123,7 @@ impl MaskSource for SamMasks<'_> {
             }
         };
         let encoded = self.frames.of(frame.index, &frame.colour)?;
-        let whole = Window {
+        let whole = CropWindow {
             left: 0,
             top: 0,
             width,
@@ -139,7 +139,7 @@ impl MaskSource for SamMasks<'_> {
             for (left, top) in [(0, 0), (width - w, 0), (0, height - h), (width - w, height - h)] {
                 let quarter = imageops::crop_imm(&frame.colour, left, top, w, h).to_image();
                 let encoded = self.frames.segmenter.encode(&quarter)?;
-                let window = Window {
+                let window = CropWindow {
                     left,
                     top,
                     width: w,
@@ -160,10 +160,10 @@ impl SamMasks<'_> {
     fn ask(
         &self,
         encoded: &Encoded,
-        window: Window,
-        wanted: Vec<Spot>,
+        window: CropWindow,
+        wanted: Vec<PromptPoint>,
         picture: (u32, u32),
-        candidates: &mut Vec<Candidate>,
+        candidates: &mut Vec<MaskCandidate>,
         progress: &Progress,
     ) -> Result<(), ParseError> {
         let segmenter = &self.frames.segmenter;
@@ -171,7 +171,7 @@ impl SamMasks<'_> {
         let mut wanted = wanted.into_iter();
         loop {
             progress.check()?;
-            let open = |spot: &Spot| !spot.is_answered(picture, candidates);
+            let open = |spot: &PromptPoint| !spot.is_answered(picture, candidates);
             let batch: Vec<Prompt> = wanted
                 .by_ref()
                 .filter(open)
@@ -189,7 +189,12 @@ impl SamMasks<'_> {
     }
 
     /// A mask that is sure, stable, and neither a speck nor the whole picture.
-    fn candidate(&self, mask: &LowMask, window: Window, lookup: &[u32]) -> Option<Candidate> {
+    fn candidate(
+        &self,
+        mask: &LowMask,
+        window: CropWindow,
+        lookup: &[u32],
+    ) -> Option<MaskCandidate> {
         let settings = &self.settings;
         if mask.predicted_iou < settings.min_predicted_iou {
             return None;
@@ -215,8 +220,8 @@ impl SamMasks<'_> {
         if !(settings.min_area..=settings.max_area).contains(&share) || area == 0 {
             return None;
         }
-        let patch = Patch::around_inside(&mask.logits, threshold);
-        Some(Candidate {
+        let patch = MaskPatch::around_inside(&mask.logits, threshold);
+        Some(MaskCandidate {
             quality: mask.predicted_iou * stability.sqrt(),
             cells,
             area,
@@ -226,9 +231,9 @@ impl SamMasks<'_> {
     }
 
     /// Best first; masks that overlap a better one too much are left out.
-    fn select(&self, mut candidates: Vec<Candidate>) -> Vec<Candidate> {
+    fn select(&self, mut candidates: Vec<MaskCandidate>) -> Vec<MaskCandidate> {
         candidates.sort_by(|a, b| b.quality.total_cmp(&a.quality));
-        let mut kept: Vec<Candidate> = Vec::new();
+        let mut kept: Vec<MaskCandidate> = Vec::new();
         for candidate in candidates {
             if kept.len() >= self.settings.max_masks as usize {
                 break;
@@ -241,7 +246,7 @@ impl SamMasks<'_> {
     }
 }
 
-impl Candidate {
+impl MaskCandidate {
     /// Whether it holds a pixel of a picture of this size.
     fn holds(&self, (x, y): (f32, f32), (width, height): (u32, u32)) -> bool {
         let cell = |at: f32, length: u32| {
@@ -253,14 +258,14 @@ impl Candidate {
 }
 
 /// IoU on the grid.
-fn overlap(a: &Candidate, b: &Candidate) -> f32 {
+fn overlap(a: &MaskCandidate, b: &MaskCandidate) -> f32 {
     let both: u32 = a.cells.iter().zip(&b.cells).map(|(x, y)| (x & y).count_ones()).sum();
     both as f32 / (a.area + b.area - both) as f32
 }
 
 /// For each cell of the grid over the picture the cell of a window's low-resolution mask; past its
 /// end where the window does not reach.
-fn cell_lookup(window: Window, (width, height): (u32, u32), mask_size: usize) -> Vec<u32> {
+fn cell_lookup(window: CropWindow, (width, height): (u32, u32), mask_size: usize) -> Vec<u32> {
     const OUTSIDE: u32 = u32::MAX;
     let low = |i: usize, length: u32, start: u32, reach: u32, scale: f32| {
         let pixel = (i as f32 + 0.5) * length as f32 / GRID as f32 - start as f32;
@@ -357,7 +362,7 @@ pub(super) mod tests {
     fn the_order_decides_what_stays_visible() {
         let segmenter = tiny_segmenter("tiny-segmenter");
         let size = segmenter.mask_size();
-        let window = Window {
+        let window = CropWindow {
             left: 0,
             top: 0,
             width: 96,
@@ -377,11 +382,11 @@ pub(super) mod tests {
                 bits.iter().enumerate().fold(0, |word, (bit, on)| word | u64::from(*on) << bit)
             };
             let area = bits.iter().filter(|on| **on).count() as u32;
-            Candidate {
+            MaskCandidate {
                 quality,
                 cells: bits.chunks(64).map(word).collect(),
                 area,
-                patch: Patch::around_inside(&logits, 0.0),
+                patch: MaskPatch::around_inside(&logits, 0.0),
                 window,
             }
         };
@@ -426,17 +431,17 @@ pub(super) mod tests {
                 }
             })
             .collect();
-        let patch = Patch::around_inside(&logits, 0.0);
+        let patch = MaskPatch::around_inside(&logits, 0.0);
         assert_eq!((patch.left, patch.top, patch.width, patch.logits.len()), (1, 2, 5, 20));
         let mut spread = vec![0.0; 64];
         patch.spread(-99.0, &mut spread);
         assert_eq!((spread[3 * 8 + 2], spread[3 * 8 + 1], spread[3 * 8]), (4.0, -25.0, -99.0));
-        assert!(Patch::around_inside(&[-1.0; 16], 0.0).logits.is_empty());
+        assert!(MaskPatch::around_inside(&[-1.0; 16], 0.0).logits.is_empty());
     }
 
     #[test]
     fn a_window_lies_where_it_was_cut() {
-        let window = Window { left: 50, top: 0, width: 50, height: 100, scale: (0.64, 0.32) };
+        let window = CropWindow { left: 50, top: 0, width: 50, height: 100, scale: (0.64, 0.32) };
         let lookup = cell_lookup(window, (100, 100), 32);
         assert_eq!(lookup[0], u32::MAX, "left of the window");
         // The window's first column, the picture's middle.
@@ -453,12 +458,12 @@ pub(super) mod tests {
             segments: RgbdSettings::default(),
             name: "tiny".into(),
         };
-        let window = Window { left: 0, top: 0, width: 96, height: 64, scale: (1.0, 1.0) };
-        let candidate = |quality: f32, cells: u64| Candidate {
+        let window = CropWindow { left: 0, top: 0, width: 96, height: 64, scale: (1.0, 1.0) };
+        let candidate = |quality: f32, cells: u64| MaskCandidate {
             quality,
             cells: vec![cells],
             area: cells.count_ones(),
-            patch: Patch::default(),
+            patch: MaskPatch::default(),
             window,
         };
         let kept =

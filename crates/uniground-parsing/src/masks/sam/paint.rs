@@ -1,7 +1,7 @@
 //! Masks to one id image on the depth grid.
 
 use super::super::IdImage;
-use super::{Candidate, GRID, MaskOrder, SamSettings};
+use super::{GRID, MaskCandidate, MaskOrder, SamSettings};
 use uniground_geometry::scene::Frame;
 use uniground_models::neural::{LowMask, Segmenter};
 
@@ -12,12 +12,12 @@ const LARGEST_WHOLE: f32 = 0.25;
 /// Paints masks, best first, over each other: in the order of the settings, and where wanted once
 /// more with wholes over their parts.
 pub(super) fn paint(
-    masks: &[Candidate],
+    masks: &[MaskCandidate],
     segmenter: &Segmenter,
     settings: &SamSettings,
     frame: &Frame,
 ) -> Vec<IdImage> {
-    let mut ordered: Vec<&Candidate> = masks.iter().rev().collect();
+    let mut ordered: Vec<&MaskCandidate> = masks.iter().rev().collect();
     if settings.order == MaskOrder::LargerFirst {
         ordered = masks.iter().collect();
         ordered.sort_by_key(|mask| std::cmp::Reverse(mask.area));
@@ -33,7 +33,7 @@ pub(super) fn paint(
 }
 
 /// Paints masks over each other in this order, ids counting from 1.
-fn one_image(masks: &[&Candidate], segmenter: &Segmenter, frame: &Frame) -> IdImage {
+fn one_image(masks: &[&MaskCandidate], segmenter: &Segmenter, frame: &Frame) -> IdImage {
     // So far below the threshold that the border stays where it is.
     const OUTSIDE: f32 = -1e3;
     let threshold = segmenter.threshold();
@@ -65,7 +65,7 @@ fn one_image(masks: &[&Candidate], segmenter: &Segmenter, frame: &Frame) -> IdIm
 
 /// Left, top, right and bottom of a mask in picture pixels, two cells wider than it is on every
 /// side, within its window.
-fn bounds(mask: &Candidate, width: u32, height: u32) -> [f32; 4] {
+fn bounds(mask: &MaskCandidate, width: u32, height: u32) -> [f32; 4] {
     let (mut low, mut high) = ([GRID; 2], [0; 2]);
     for (i, word) in mask.cells.iter().enumerate().filter(|(_, word)| **word != 0) {
         for bit in (0..64).filter(|bit| word >> bit & 1 == 1) {

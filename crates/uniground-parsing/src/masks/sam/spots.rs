@@ -1,20 +1,20 @@
 //! Where a segmenter is asked.
 
 use super::super::IdImage;
-use super::{Candidate, GRID};
+use super::{GRID, MaskCandidate};
 use uniground_geometry::scene::Frame;
 
 /// A point to be asked, and what would make the question idle.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Spot {
+pub(super) struct PromptPoint {
     /// Column and row in the picture.
     pub(super) at: (f32, f32),
-    unless: Unless,
+    unless: SkipCondition,
 }
 
 /// The mask that, found before at a spot, answers its question.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Unless {
+enum SkipCondition {
     /// None does.
     Never,
     /// Any.
@@ -26,14 +26,14 @@ enum Unless {
 /// A mask up to this many times larger or smaller than a segment shows the same thing.
 const SAME_SIZE: f32 = 2.0;
 
-impl Spot {
+impl PromptPoint {
     /// Whether the masks found so far answer the question: its window is the whole picture, or it
     /// is always asked.
-    pub(super) fn is_answered(&self, picture: (u32, u32), found: &[Candidate]) -> bool {
-        let fits = |mask: &Candidate| match self.unless {
-            Unless::Never => false,
-            Unless::Any => true,
-            Unless::OfSize(share) => {
+    pub(super) fn is_answered(&self, picture: (u32, u32), found: &[MaskCandidate]) -> bool {
+        let fits = |mask: &MaskCandidate| match self.unless {
+            SkipCondition::Never => false,
+            SkipCondition::Any => true,
+            SkipCondition::OfSize(share) => {
                 let ratio = mask.area as f32 / (GRID * GRID) as f32 / share;
                 (1.0 / SAME_SIZE..=SAME_SIZE).contains(&ratio)
             }
@@ -43,23 +43,23 @@ impl Spot {
 }
 
 /// A grid of spots over a picture, row by row: all of them, or those that no mask holds.
-pub(super) fn grid((width, height): (u32, u32), per_side: u32, always: bool) -> Vec<Spot> {
+pub(super) fn grid((width, height): (u32, u32), per_side: u32, always: bool) -> Vec<PromptPoint> {
     let at = |i: u32, length: u32| (i as f32 + 0.5) * length as f32 / per_side as f32 - 0.5;
-    let unless = if always { Unless::Never } else { Unless::Any };
+    let unless = if always { SkipCondition::Never } else { SkipCondition::Any };
     (0..per_side * per_side)
-        .map(|i| Spot { at: (at(i % per_side, width), at(i / per_side, height)), unless })
+        .map(|i| PromptPoint { at: (at(i % per_side, width), at(i / per_side, height)), unless })
         .collect()
 }
 
 /// The middles of segments that are no specks, the largest segment first: of each the pixel
 /// farthest from its border.
-pub(super) fn middles(segments: &IdImage, frame: &Frame, min_share: f32) -> Vec<Spot> {
-    struct Segment {
+pub(super) fn middles(segments: &IdImage, frame: &Frame, min_share: f32) -> Vec<PromptPoint> {
+    struct SegmentInfo {
         pixels: u32,
         middle: (u32, usize),
     }
     let inward = distance_to_border(segments);
-    let mut found: Vec<Option<Segment>> = Vec::new();
+    let mut found: Vec<Option<SegmentInfo>> = Vec::new();
     for (i, (&id, &distance)) in
         segments.ids.iter().zip(&inward).enumerate().filter(|(_, (id, _))| **id != 0)
     {
@@ -67,14 +67,14 @@ pub(super) fn middles(segments: &IdImage, frame: &Frame, min_share: f32) -> Vec<
         if found.len() <= id {
             found.resize_with(id + 1, || None);
         }
-        let segment = found[id].get_or_insert(Segment { pixels: 0, middle: (0, i) });
+        let segment = found[id].get_or_insert(SegmentInfo { pixels: 0, middle: (0, i) });
         segment.pixels += 1;
         if distance > segment.middle.0 {
             segment.middle = (distance, i);
         }
     }
     let total = segments.ids.len() as f32;
-    let mut segments_found: Vec<Segment> =
+    let mut segments_found: Vec<SegmentInfo> =
         found.into_iter().flatten().filter(|s| s.pixels as f32 >= min_share * total).collect();
     segments_found.sort_by_key(|s| (std::cmp::Reverse(s.pixels), s.middle.1));
     let width = segments.width as usize;
@@ -83,7 +83,7 @@ pub(super) fn middles(segments: &IdImage, frame: &Frame, min_share: f32) -> Vec<
         .map(|s| {
             let at =
                 frame.colour_position((s.middle.1 % width) as f32, (s.middle.1 / width) as f32);
-            Spot { at, unless: Unless::OfSize(s.pixels as f32 / total) }
+            PromptPoint { at, unless: SkipCondition::OfSize(s.pixels as f32 / total) }
         })
         .filter(|spot| {
             let inside = |at: f32, length: u32| at > -0.5 && at < length as f32 - 0.5;
@@ -123,7 +123,7 @@ fn distance_to_border(segments: &IdImage) -> Vec<u32> {
 #[cfg(test)]
 mod tests {
     use super::super::tests::frame;
-    use super::super::{Patch, Window};
+    use super::super::{CropWindow, MaskPatch};
     use super::*;
 
     /// A picture of one segment with a smaller one in it, and a speck.
@@ -160,13 +160,13 @@ mod tests {
                     bits.iter().enumerate().fold(0, |word, (bit, on)| word | u64::from(*on) << bit)
                 })
                 .collect();
-            let window = Window { left: 0, top: 0, width: 96, height: 64, scale: (1.0, 1.0) };
+            let window = CropWindow { left: 0, top: 0, width: 96, height: 64, scale: (1.0, 1.0) };
             let area = bits.iter().filter(|on| **on).count() as u32;
-            Candidate { quality: 0.9, cells, area, patch: Patch::default(), window }
+            MaskCandidate { quality: 0.9, cells, area, patch: MaskPatch::default(), window }
         };
         // The inner segment is 20 x 20 of 96 x 64 pixels, 53 x 80 of 256 x 256 cells.
         let (wide, close) = (mask(250), mask(60));
-        let answered = |found: &[Candidate]| {
+        let answered = |found: &[MaskCandidate]| {
             spots.iter().map(|s| s.is_answered((96, 64), found)).collect::<Vec<_>>()
         };
         assert_eq!(answered(&[]), [false, false]);
@@ -176,13 +176,13 @@ mod tests {
 
     #[test]
     fn of_a_grid_what_masks_hold_is_left_out_unless_all_of_it_is_wanted() {
-        let window = Window { left: 0, top: 0, width: 96, height: 64, scale: (1.0, 1.0) };
+        let window = CropWindow { left: 0, top: 0, width: 96, height: 64, scale: (1.0, 1.0) };
         let left_half = [u64::MAX, u64::MAX, 0, 0].repeat(GRID);
-        let mask = Candidate {
+        let mask = MaskCandidate {
             quality: 0.9,
             cells: left_half,
             area: (GRID * GRID / 2) as u32,
-            patch: Patch::default(),
+            patch: MaskPatch::default(),
             window,
         };
         let open = |always| {
