@@ -22,10 +22,10 @@ use uniground_core::progress::Progress;
 use uniground_core::scene::{Instance, ParsedScene};
 use uniground_evaluation::annotated::AnnotatedRoom;
 use uniground_evaluation::annotations::{Annotations, SceneObject};
-use uniground_evaluation::ladder;
 use uniground_evaluation::segmentation::{
     InstanceScore, score_instances, score_structure, score_superpoints,
 };
+use uniground_evaluation::stage_losses;
 use uniground_evaluation::systems::{NamedBy, instances_of};
 
 /// Objects with fewer points are left out, as in the table of issue and peers.
@@ -156,7 +156,7 @@ fn in_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options)
         let (score, seconds) = measure(&room, &annotated, settings, *misses);
         instance_table.add_row(row(name, annotated.name(), "as is", &score, seconds));
         for masks in [&rgbd as &dyn MaskSource, &annotated] {
-            for rung in ladder::climb(&room, masks, settings, MIN_POINTS).unwrap() {
+            for rung in stage_losses::climb(&room, masks, settings, MIN_POINTS).unwrap() {
                 let (boxes, points) = rung.recall();
                 let figures = boxes.iter().chain(&points).map(|share| format!("{share:.3}"));
                 let head =

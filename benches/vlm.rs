@@ -17,7 +17,7 @@ use uniground::config::{
     ModelsConfig, Role, RuntimeConfig, ServeConfig, VlmConfig, WebhookConfig,
 };
 use uniground_client::Client;
-use uniground_core::grounding::album::{MemoryScene, SceneAlbum};
+use uniground_core::grounding::memory_scene::{MemoryScene, SceneAlbum};
 use uniground_core::grounding::vlm::{
     Conversation, EvidenceMode, Options, PictureSettings, PromptContext, REMAINING, VisualEvidence,
     collect, contact_sheets, naming, narrowing,

@@ -4,7 +4,7 @@ mod blobs;
 mod choice;
 mod database;
 mod models;
-mod part;
+mod process_role;
 mod registries;
 mod retention;
 
@@ -12,7 +12,7 @@ pub use blobs::BlobsConfig;
 pub use choice::ChosenModels;
 pub use database::{DatabaseConfig, Vectors};
 pub use models::{BundlesConfig, LIBRARY_FOLDER, ModelsConfig, RuntimeConfig};
-pub use part::{JobType, ProcessRole, Role, WorkerConfig};
+pub use process_role::{JobType, ProcessRole, Role, WorkerConfig};
 pub use registries::registries;
 pub use retention::RetentionConfig;
 pub use uniground_core::models::choice::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS};

@@ -1,7 +1,7 @@
 //! `uniground batch`: lists of questions to a running server.
 
-use super::choosing;
 use super::output::print_json;
+use super::resolve_scene;
 use super::server::ServerArgs;
 use crate::words;
 use anyhow::{Context, bail};
@@ -60,7 +60,7 @@ pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyho
     let lines = lines_of(&fs::read_to_string(&args.file).with_context(|| args.file.to_string())?);
     let mut out = ResultWriter::open(args.out.as_deref())?;
     let scene = match &args.scene {
-        Some(scene) => Some(choosing::id_of(&client, scene).await?),
+        Some(scene) => Some(resolve_scene::id_of(&client, scene).await?),
         None => None,
     };
     let mut batch = submit(&client, args, scene, lines).await?;

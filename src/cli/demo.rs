@@ -2,7 +2,7 @@
 //! port.
 
 use super::private::PrivateServer;
-use super::{following, table};
+use super::{job_progress, table};
 use crate::config::{BUILTIN, BundlesConfig, ModelsConfig};
 use crate::telemetry;
 use anyhow::Context;
@@ -118,7 +118,7 @@ async fn upload(client: &Client, archive: Option<&Utf8Path>) -> anyhow::Result<S
     let start = Instant::now();
     let created = client.create_scene(None, kind.media_type(), bytes).await?;
     let job = created.job.context("the server did not start to parse")?;
-    let told = following::outcome(&following::follow(client, &job.id).await?)?;
+    let told = job_progress::outcome(&job_progress::follow(client, &job.id).await?)?;
     println!("Parsed in {:.1} s: {told}\n", start.elapsed().as_secs_f32());
     Ok(client.scene(&created.scene.id).await?)
 }

@@ -2,7 +2,7 @@
 
 use super::output::print_json;
 use super::server::ServerArgs;
-use super::{choosing, table};
+use super::{resolve_scene, table};
 use crate::words;
 use std::io::{self, Write};
 use uniground_types::labels::{Labels, read_labels};
@@ -49,7 +49,7 @@ pub async fn run(args: &FindArgs) -> anyhow::Result<()> {
     let client = args.server.client()?;
     let mut scenes = Vec::new();
     for scene in &args.scene {
-        scenes.push(choosing::id_of(&client, scene).await?);
+        scenes.push(resolve_scene::id_of(&client, scene).await?);
     }
     let request = ManyGroundRequest {
         scenes: Some(scenes).filter(|scenes| !scenes.is_empty()),

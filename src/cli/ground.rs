@@ -3,7 +3,7 @@
 use super::local::{self, LocalArgs};
 use super::output::{alarming, print_json};
 use super::server::ServerArgs;
-use super::{choosing, following, hints, table, wrong_usage};
+use super::{hints, job_progress, resolve_scene, table, wrong_usage};
 use crate::words;
 use camino::{Utf8Path, Utf8PathBuf};
 use clap::error::ErrorKind;
@@ -145,7 +145,7 @@ pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
 
 async fn ask(args: &GroundArgs, scene: &str, request: &GroundRequest) -> anyhow::Result<Answer> {
     let client = args.server.client()?;
-    let id = choosing::id_of(&client, scene).await?;
+    let id = resolve_scene::id_of(&client, scene).await?;
     let asked = match client.ground(&id, request).await {
         Err(ClientError::Problem(problem)) if problem.code == "scene_not_ready" => {
             match (args.wait, &problem.job_id) {
@@ -160,7 +160,7 @@ async fn ask(args: &GroundArgs, scene: &str, request: &GroundRequest) -> anyhow:
     };
     match asked {
         Ok(answer) => Ok(answer),
-        Err(error) => Err(choosing::known_or(&client, scene, error).await),
+        Err(error) => Err(resolve_scene::known_or(&client, scene, error).await),
     }
 }
 
@@ -178,7 +178,7 @@ async fn not_ready(client: &Client, id: &str, error: ClientError) -> anyhow::Err
 
 async fn wait(client: &Client, job_id: &str) -> anyhow::Result<()> {
     eprintln!("waiting for the parse");
-    following::outcome(&following::follow(client, job_id).await?).map(drop)
+    job_progress::outcome(&job_progress::follow(client, job_id).await?).map(drop)
 }
 
 fn print(answer: &Answer) -> anyhow::Result<()> {

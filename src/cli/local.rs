@@ -6,7 +6,7 @@
 
 use super::private::PrivateServer;
 use super::scan_file::ScanFile;
-use super::{choosing, following, hints};
+use super::{hints, job_progress, resolve_scene};
 use crate::config::{BUILTIN, BundlesConfig, ModelsConfig};
 use crate::telemetry;
 use anyhow::Context;
@@ -136,7 +136,7 @@ async fn parsed(
     let scene = match known(client, hash).await? {
         Some(scene) => scene,
         None => {
-            following::send(client, file, &[("name", file.name.as_str()), ("parse", "false")])
+            job_progress::send(client, file, &[("name", file.name.as_str()), ("parse", "false")])
                 .await?
                 .scene
         }
@@ -145,11 +145,11 @@ async fn parsed(
         args.up.map_or_else(|| json!({}), |up| json!({"settings": {"import": {"up": up}}}));
     let job = client.parse(&scene.id, &settings).await?;
     if job.state.is_final() {
-        following::outcome(&job)?;
+        job_progress::outcome(&job)?;
         return Ok(scene.id);
     }
     eprintln!("parsing {scan}");
-    let told = following::outcome(&following::follow(client, &job.id).await?)?;
+    let told = job_progress::outcome(&job_progress::follow(client, &job.id).await?)?;
     eprintln!(
         "parsed in {:.1} s: {told}; kept in {cache}, so that the next question needs no parse",
         begun.elapsed().as_secs_f32()
@@ -162,7 +162,7 @@ async fn parsed(
 
 /// The scene that was made of the same bytes.
 async fn known(client: &Client, hash: &str) -> Result<Option<Scene>, ClientError> {
-    Ok(choosing::all(client).await?.into_iter().find(|scene| scene.content_hash == *hash))
+    Ok(resolve_scene::all(client).await?.into_iter().find(|scene| scene.content_hash == *hash))
 }
 
 /// What was interrupted earlier goes on where it stopped when it is asked for again, and keeps

@@ -2,18 +2,17 @@
 
 mod backup;
 mod batch;
-mod choosing;
 mod completions;
 mod demo;
 mod doctor;
 mod eval;
 mod fetching;
 mod find;
-mod following;
 mod gc;
 mod ground;
 mod hints;
 mod import;
+mod job_progress;
 mod key;
 mod local;
 mod man;
@@ -25,6 +24,7 @@ mod output;
 mod parse;
 mod private;
 mod report_page;
+mod resolve_scene;
 mod restore;
 mod scan_file;
 mod scenes;

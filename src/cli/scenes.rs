@@ -2,7 +2,7 @@
 
 use super::output::print_json;
 use super::server::ServerArgs;
-use super::{choosing, table};
+use super::{resolve_scene, table};
 use std::io::{self, Write};
 use uniground_client::{Client, ClientError};
 use uniground_types::job::JobState;
@@ -19,7 +19,7 @@ pub struct ScenesArgs {
 
 pub async fn run(args: &ScenesArgs) -> anyhow::Result<()> {
     let client = args.server.client()?;
-    let scenes = choosing::all(&client).await?;
+    let scenes = resolve_scene::all(&client).await?;
     if args.json {
         return print_json(&scenes);
     }

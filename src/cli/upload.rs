@@ -3,7 +3,7 @@
 use super::output::print_json;
 use super::scan_file::ScanFile;
 use super::server::ServerArgs;
-use super::{choosing, following, hints, table};
+use super::{hints, job_progress, resolve_scene, table};
 use crate::words;
 use camino::Utf8PathBuf;
 use std::io::{self, Write};
@@ -58,16 +58,16 @@ pub async fn run(args: &UploadArgs) -> anyhow::Result<()> {
 
 /// More frames for a scene that is there.
 async fn add(client: &Client, scene: &str, args: &UploadArgs) -> anyhow::Result<()> {
-    let id = choosing::id_of(client, scene).await?;
+    let id = resolve_scene::id_of(client, scene).await?;
     let before = client.scene(&id).await?;
     let file = ScanFile::open(&args.scan)?;
-    let sent = following::add(client, &file, &id, args.world).await;
+    let sent = job_progress::add(client, &file, &id, args.world).await;
     let Created { scene, job } =
         sent.map_err(|error| error.context(format!("nothing was added to {}", before.name)))?;
     let Some(job) = job.filter(|_| !args.no_wait) else {
         return if args.json { print_json(&scene) } else { Ok(writeln!(io::stdout(), "{id}")?) };
     };
-    let told = following::outcome(&following::follow(client, &job.id).await?)?;
+    let told = job_progress::outcome(&job_progress::follow(client, &job.id).await?)?;
     eprintln!("parsed: {told}");
     let changes = client.changes_since(&id, before.parse_version).await?;
     match (args.json, changes.changes.is_empty()) {
@@ -92,12 +92,12 @@ async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
     let levelling = args.no_levelling.then_some(("levelling", "off"));
     let query: Vec<(&str, &str)> =
         [("name", name)].into_iter().chain(up).chain(metres_per_unit).chain(levelling).collect();
-    let Created { scene, job } = following::send(client, &file, &query).await?;
+    let Created { scene, job } = job_progress::send(client, &file, &query).await?;
     let begun = Instant::now();
     let (is_awaited, job) = (!args.no_wait, job.filter(|job| !job.state.is_final()));
     if let (true, Some(job)) = (is_awaited, &job) {
         eprintln!("uploaded as {}; parsing", scene.id);
-        let told = following::outcome(&following::follow(client, &job.id).await?)?;
+        let told = job_progress::outcome(&job_progress::follow(client, &job.id).await?)?;
         eprintln!("parsed in {:.1} s: {told}", begun.elapsed().as_secs_f32());
     }
     let scene = client.scene(&scene.id).await?;
@@ -106,8 +106,8 @@ async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
         false => writeln!(io::stdout(), "{}", scene.id)?,
     }
     // Only a key that may not list has no names.
-    let known = choosing::all(client).await.unwrap_or_default();
-    let (named, flag) = (choosing::shortest(&known, &scene), args.server.flag());
+    let known = resolve_scene::all(client).await.unwrap_or_default();
+    let (named, flag) = (resolve_scene::shortest(&known, &scene), args.server.flag());
     match is_awaited || job.is_none() {
         true => {
             eprintln!("ask: uniground ground --scene {named}{flag} \"the chair next to the door\"")

@@ -3,8 +3,8 @@
 use super::App;
 use super::Binary;
 use super::extract::{Path, Query};
-use super::looks::send_picture;
 use super::problem::ProblemResponse;
+use super::scene_media::send_picture;
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};

@@ -20,13 +20,13 @@ mod instances;
 mod jobs;
 mod keys;
 mod links;
-mod looks;
 mod mcp;
 mod origins;
 mod page;
 mod paging;
 mod problem;
 mod reports;
+mod scene_media;
 mod scenes;
 mod scopes;
 mod stats;
@@ -142,10 +142,10 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(scenes::cloud))
         .routes(routes!(scenes::instances_cloud))
         .routes(routes!(scenes::embeddings))
-        .routes(routes!(looks::points))
-        .routes(routes!(looks::thumbnail))
-        .routes(routes!(looks::frames, growth::add_frames))
-        .routes(routes!(looks::photograph))
+        .routes(routes!(scene_media::points))
+        .routes(routes!(scene_media::thumbnail))
+        .routes(routes!(scene_media::frames, growth::add_frames))
+        .routes(routes!(scene_media::photograph))
         .routes(routes!(export::export))
         .routes(routes!(reports::get))
         .routes(routes!(reports::picture))

@@ -1,7 +1,7 @@
 //! Lists of questions, asked in the background.
 
 use crate::archives::Scan;
-use crate::script::{Script, says};
+use crate::scripted_model::{Script, says};
 use crate::server::{Process, TestServer, ask, parsed, post_raw, problem};
 use camino::Utf8Path;
 use serde_json::{Value, json};

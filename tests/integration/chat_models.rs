@@ -1,7 +1,7 @@
 //! A chat model reads the questions: a scripted OpenAI-compatible server on loopback plays the
 //! model.
 
-use crate::script::{Script, Scripted, fails, says};
+use crate::scripted_model::{Script, Scripted, fails, says};
 use crate::server::{TestServer, ask};
 use crate::vlm::six_lines;
 use camino::{Utf8Path, Utf8PathBuf};

@@ -1,7 +1,7 @@
 //! Keys of callers: what they allow, how often, for how much, and what is remembered of it.
 
 use crate::archives::Scan;
-use crate::script::{Script, says};
+use crate::scripted_model::{Script, says};
 use crate::server::{Process, TestServer, ask, command, finished, in_places, location, problem};
 use crate::vlm::{config, six_lines};
 use camino::Utf8Path;
@@ -283,7 +283,7 @@ async fn a_key_has_money_of_its_own() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_batch_ends_with_its_key() {
     let script = Script::default();
-    let model = config(&script.serve(vec![crate::script::Scripted::Stall]).await);
+    let model = config(&script.serve(vec![crate::scripted_model::Scripted::Stall]).await);
     let server = TestServer::start_configured(LimitsConfig::default(), model).await;
     let url = server.url();
     let scene = server.parsed(Scan::neutral().zip()).await.id;

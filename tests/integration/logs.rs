@@ -2,7 +2,7 @@
 //! the ids to look it up by.
 
 use crate::archives::Scan;
-use crate::script::{Script, fails};
+use crate::scripted_model::{Script, fails};
 use crate::server::{Process, ask, command, finished};
 use reqwest::Method;
 use serde_json::Value;

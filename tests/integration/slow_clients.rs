@@ -1,7 +1,7 @@
 //! Clients that send slowly do not keep others out.
 
 use crate::archives::Scan;
-use crate::script::{Script, Scripted};
+use crate::scripted_model::{Script, Scripted};
 use crate::server::TestServer;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};

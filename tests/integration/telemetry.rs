@@ -2,7 +2,7 @@
 //! against the files that use them.
 
 use crate::archives::Scan;
-use crate::script::{Script, fails, says};
+use crate::scripted_model::{Script, fails, says};
 use crate::server::{Process, TestServer, ask, command, finished, parsed};
 use axum::Json;
 use axum::extract::{DefaultBodyLimit, State};

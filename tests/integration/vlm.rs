@@ -1,7 +1,7 @@
 //! A vision-language model decides: a scripted OpenAI-compatible server on loopback plays it, well
 //! and badly.
 
-use crate::script::{Script, Scripted, fails, says};
+use crate::scripted_model::{Script, Scripted, fails, says};
 use crate::server::{TestServer, ask, finished, problem};
 use serde_json::{Value, json};
 use std::fs;

@@ -6,7 +6,7 @@
 
 use camino::Utf8PathBuf;
 use futures::executor::block_on;
-use uniground_core::grounding::album::MemoryScene;
+use uniground_core::grounding::memory_scene::MemoryScene;
 use uniground_core::grounding::pipeline::{Ask, answer};
 use uniground_core::grounding::{Question, Status};
 use uniground_core::ingest::ScanFolder;

@@ -14,7 +14,7 @@
 
 pub use uniground_export as export;
 pub use uniground_geometry as geometry;
-pub use uniground_geometry::{background, progress, recent, scene};
+pub use uniground_geometry::{background, lru_cache, progress, scene};
 pub use uniground_grounding as grounding;
 pub use uniground_grounding::approach;
 pub use uniground_ingest as ingest;

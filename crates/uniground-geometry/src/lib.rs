@@ -8,10 +8,10 @@
 pub mod background;
 pub mod colour;
 pub mod least_axis;
+pub mod lru_cache;
 pub mod moments;
 pub mod pose;
 pub mod progress;
-pub mod recent;
 pub mod rotated_box;
 pub mod scene;
 pub mod statistics;

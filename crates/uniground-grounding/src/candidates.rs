@@ -8,7 +8,7 @@
 
 use super::answer::candidate;
 use super::assess::{Assessment, Assessor};
-use super::place::one_per_place;
+use super::choose_level::one_per_place;
 use super::readings::Readings;
 use super::{Appearance, Candidate, CandidateSource};
 use uniground_geometry::statistics::largest;

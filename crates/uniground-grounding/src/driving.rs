@@ -1,7 +1,7 @@
 //! Poses against what is drawn from there: in annotated rooms a robot is asked for things, stands
 //! where it is told to, and looks.
 
-use super::album::{MemoryScene, SceneAlbum};
+use super::memory_scene::{MemoryScene, SceneAlbum};
 use super::pipeline::{Ask, answer};
 use super::{Question, Status};
 use crate::approach::{Occupancy, Wish, approach};

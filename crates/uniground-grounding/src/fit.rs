@@ -2,9 +2,9 @@
 //! Relations are [`assess`](super::assess)'s.
 
 use super::SceneView;
+use super::choose_level::one_per_place;
 use super::kinds::breadth;
 use super::names::GivenName;
-use super::place::one_per_place;
 use super::readings::{Reading, Readings};
 use super::solid::Solid;
 use std::collections::HashSet;

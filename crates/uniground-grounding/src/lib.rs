@@ -7,39 +7,39 @@
 
 #![warn(missing_docs)]
 
-pub mod album;
 mod answer;
 mod appearance;
 pub mod approach;
 mod assess;
 mod candidates;
+mod choose_level;
+mod choose_reading;
 pub mod direction;
 mod fit;
 pub mod graph;
 mod kinds;
+pub mod memory_scene;
 mod names;
 mod picture_cache;
 pub mod pipeline;
-mod place;
 mod readings;
 pub mod reasoner;
+mod recover_unlisted;
 pub mod relations;
 pub mod room;
 pub mod room_index;
 mod scene_source;
-mod settled;
 mod shortlist;
 pub mod solid;
-mod unlisted;
 pub mod vlm;
 
 pub use answer::Grounding;
 pub use appearance::{Appearance, ShortlistScoring};
 use assess::Assessor;
+pub use choose_reading::choose_reading;
 use direction::{DirectionConvention, Directions, Observer};
 pub use names::{GivenName, NameIndex};
 pub use picture_cache::PictureCache;
-pub use settled::settled;
 use std::time::{Duration, Instant};
 pub use uniground_types::answer::{
     Alternative, Candidate, NoMatchReason, ParsedQuerySummary, Seen, SixFields, Status, Target,
@@ -137,7 +137,7 @@ pub fn ground_read(
     parsed: uniground_language::ParsedQuery,
     reading: Duration,
 ) -> Grounding {
-    decided(scene, question, settled(scene, parsed), reading).1
+    decided(scene, question, choose_reading(scene, parsed), reading).1
 }
 
 /// Answers a question, and gathers what a vision-language model is told so that it can decide

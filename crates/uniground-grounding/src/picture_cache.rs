@@ -1,6 +1,6 @@
 //! Pictures that stay in memory, so that a question does not wait for the renderer.
 
-use uniground_geometry::recent::LruCache;
+use uniground_geometry::lru_cache::LruCache;
 use uniground_models::chat::Picture;
 
 /// Pictures drawn before, shared by all questions about all scenes.

@@ -11,15 +11,15 @@
 
 use super::appearance::{Appearance, ShortlistScoring};
 use super::reasoner::builtin;
+use super::recover_unlisted::{Found, look_up};
 pub use super::scene_source::{QuestionError, SceneSource};
-use super::unlisted::{Found, look_up};
 use super::vlm::{
     self, Conversation, Decision, EvidenceMode, MAX_CALLS, Options, Outcome, PictureSettings,
     PromptVersion, Undecided, naming,
 };
 use super::{
-    Candidate, Grounding, Question, SceneView, decided, ground_with_context, rank_candidates,
-    settled,
+    Candidate, Grounding, Question, SceneView, choose_reading, decided, ground_with_context,
+    rank_candidates,
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -125,7 +125,7 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
     let with_review = review.is_some();
     let (grounding, context, parsed, used) = source
         .compute(move |source| {
-            let parsed = settled(scene_view(source, None), parsed);
+            let parsed = choose_reading(scene_view(source, None), parsed);
             let scoring =
                 ShortlistScoring { query_text: question.query_text, ..ShortlistScoring::default() };
             let (appearance, used) =
@@ -415,7 +415,7 @@ pub async fn shortlist<S: SceneSource>(
 ) -> Result<Shortlist, S::Error> {
     source
         .compute(move |source| {
-            let parsed = settled(scene_view(source, None), parse(&query));
+            let parsed = choose_reading(scene_view(source, None), parse(&query));
             shortlist_of(source, &query, &parsed, scoring, allow_builtin_encoder, top_k)
         })
         .await

@@ -8,14 +8,14 @@
 #![warn(missing_docs)]
 
 pub mod archive;
-mod bounded;
 mod clouds;
 mod error;
 mod formats;
 mod fusion;
 mod growth;
-mod lengths;
+mod guess_units;
 mod levelling;
+mod limited_reader;
 mod load;
 mod neighbours;
 mod parts;

@@ -3,7 +3,7 @@
 use super::levelling::{self, UpDirection, UpHint};
 use super::reprojection::{self, CheckedConvention, SourceConvention};
 use super::scan::{CameraAxes, RawFrame, Scan, Units};
-use super::{IngestError, UPLOADED, clouds, fusion, lengths};
+use super::{IngestError, UPLOADED, clouds, fusion, guess_units};
 use camino::Utf8Path;
 use clouds::{CloudBounds, CoordinateOrigin, LoadedCloud};
 use uniground_geometry::boxes::Aabb;
@@ -202,7 +202,7 @@ fn metres_per_unit(
         });
     }
     Ok(match own.filter(|own| scan.frames.is_empty() && !own.kind.is_metric()) {
-        Some(own) => lengths::guess(&own.cloud.positions, warnings),
+        Some(own) => guess_units::guess(&own.cloud.positions, warnings),
         None => 1.0,
     })
 }

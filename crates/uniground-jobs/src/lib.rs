@@ -5,10 +5,10 @@
 //! A running job's progress is read from memory; its row is updated twice a second, so that other
 //! processes, and the next one, know roughly where it is.
 
-mod followed;
 mod kind;
-mod lane;
 mod queue;
+mod watchers;
+mod worker;
 
 pub use kind::{JobContext, JobFailure, JobKind, Retry};
 pub use queue::{Jobs, JobsError};

@@ -1,6 +1,6 @@
 //! Submitting, watching and cancelling jobs.
 
-use super::followed::JobWatchers;
+use super::watchers::JobWatchers;
 use super::{Job, JobKind, JobList, job_of};
 use jiff::Timestamp;
 use std::collections::{BTreeMap, HashMap};

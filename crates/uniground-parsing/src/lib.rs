@@ -29,7 +29,7 @@ pub mod merging;
 pub mod outline;
 pub mod part_merging;
 
-mod perceived;
+mod lift_frames;
 pub mod planes;
 pub mod pointed;
 pub mod refinement;
@@ -37,7 +37,7 @@ pub mod relief;
 pub mod report_pictures;
 pub mod scan;
 pub mod sharpness;
-pub mod standing;
+pub mod split_supported;
 mod stopwatch;
 pub mod superpoints;
 pub mod views;
@@ -49,9 +49,9 @@ use correction::Corrector;
 use hierarchy::Proposal;
 use instances::BuiltInstances;
 use labels::Labels;
+use lift_frames::LiftedFrames;
 use lifting::{FrameVisibility, Lifted, MasksOfFrames};
 use masks::MaskSource;
-use perceived::LiftedFrames;
 use planes::Planes;
 use relief::FlatCandidates;
 pub use stopwatch::{StageOutcome, Stopwatch};
@@ -145,7 +145,7 @@ pub fn parse(
 
     let perceiving = progress.part(0.0, ends[1]);
     let LiftedFrames { cloud, frames, mut superpoints, lifted, checkpoints } =
-        perceived::perceive(bundle, perception, settings, checkpoints, &perceiving, &mut watch)?;
+        lift_frames::perceive(bundle, perception, settings, checkpoints, &perceiving, &mut watch)?;
     let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
     let visibility = Visibility::new(&cloud, &superpoints.of_point, settings.depth_tolerance);
     let (tables, masks_of, sharpness_of) = Lifted::apart(lifted);
@@ -320,7 +320,7 @@ fn group(
         outcome.produced = planes.planes.len();
         Ok::<_, ParseError>(planes)
     })?;
-    let lifted_with = perceived::lifted_with(perception.masks, settings);
+    let lifted_with = lift_frames::lifted_with(perception.masks, settings);
     let regions = watch.time("merging", |outcome| {
         let compute = || {
             merging::merge(
@@ -339,7 +339,7 @@ fn group(
     let region_of = watch.time("part_merging", |outcome| {
         let freed = match settings.part_merging.enabled {
             false => regions.last().to_vec(),
-            true => standing::set_free(
+            true => split_supported::set_free(
                 cloud,
                 superpoints,
                 &planes,

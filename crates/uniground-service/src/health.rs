@@ -1,7 +1,7 @@
 //! Whether everything a request or a job may need is there.
 
 use crate::Vlm;
-use crate::lately::SingleFlightCache;
+use crate::single_flight_cache::SingleFlightCache;
 use std::sync::Arc;
 use std::time::Duration;
 use uniground_endpoints::inference::Probe;

@@ -4,7 +4,6 @@
 //! What happens to a question or a scan is the pipelines' business (`uniground-core`); here
 //! stands who may ask, where things are kept, what it costs and what is remembered.
 
-mod announcing;
 mod answers;
 mod approach;
 mod batches;
@@ -13,10 +12,9 @@ mod corrections;
 mod doctor;
 pub mod error;
 mod health;
-mod housekeeping;
 mod instances;
 mod keys;
-mod lately;
+mod maintenance;
 mod names;
 pub mod packing;
 mod parses;
@@ -25,14 +23,15 @@ mod retention;
 mod room_index;
 pub mod sample;
 mod scenes;
+mod service_locks;
 mod services;
+mod single_flight_cache;
 mod stats;
-mod turns;
 mod uploads;
 mod vlm;
 pub mod webhook;
+mod webhook_deliveries;
 
-pub use announcing::WebhookService;
 pub use answers::LineFormat;
 pub use answers::{AnswerService, GroundingService, Transcripts};
 pub use approach::ApproachService;
@@ -45,12 +44,12 @@ pub use doctor::DoctorService;
 pub use doctor::{Finding, FindingKind};
 pub use health::Health;
 pub use health::HealthService;
-pub use housekeeping::MaintenanceService;
 pub use instances::InstanceService;
 pub use instances::{EvidenceFile, written};
 pub use keys::{
     AuditedRequest, Caller, KeyRejection, Keyring, LINK_PARAMETER, LinkSecret, RateLimitStatus,
 };
+pub use maintenance::MaintenanceService;
 pub use names::NamingJob;
 pub use names::NamingService;
 pub use parses::{FileDownload, ParseFile, ParseJob};
@@ -62,13 +61,14 @@ pub use scenes::{
     ChangeService, ExportService, GrowthService, ImportService, SceneLookup, SceneService,
 };
 pub use scenes::{ExportFile, NewFrames, NewScene};
+pub use service_locks::ServiceLocks;
 pub use services::{Dependencies, Services};
 pub use stats::StatsService;
-pub use turns::ServiceLocks;
 pub use uploads::Explain;
 pub use uploads::UploadService;
 pub use uploads::{Checksum, ChecksumAlgorithm, NewUpload, UploadPart};
 pub use vlm::{Vlm, VlmSettings, WhenNamed};
+pub use webhook_deliveries::WebhookService;
 
 use crate::error::Error;
 use std::time::Duration;

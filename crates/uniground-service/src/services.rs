@@ -1,9 +1,9 @@
 //! The composition of the use cases: every service with what it needs.
 
 use crate::error::Error;
-use crate::lately::SingleFlightCache;
 use crate::parses::ParseCache;
 use crate::room_index::RoomNames;
+use crate::single_flight_cache::SingleFlightCache;
 use crate::stats::FigureCache;
 use crate::uploads::{Explain, unexplained};
 use crate::{

@@ -4,7 +4,7 @@
 //! for all who ask together, and a scrape does not wait for a disk that is slow: it tells what was
 //! seen before.
 
-use super::lately::SingleFlightCache;
+use super::single_flight_cache::SingleFlightCache;
 use super::vlm::today;
 use super::{BatchJob, MAX_UPLOADS, NamingJob, ParseJob};
 use crate::error::Error;

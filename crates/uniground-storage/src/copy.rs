@@ -2,9 +2,9 @@
 //! only read.
 
 use super::blobs::Blobs;
+use super::cluster::{ClusterMembership, LEASE, StoreAccess};
 use super::data_folder::DataFolder;
 use super::database::{Connections, Location};
-use super::members::{ClusterMembership, LEASE, StoreAccess};
 use super::{Store, StoreError};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::sync::Arc;

@@ -3,8 +3,8 @@
 //! `migrations/`.
 
 use super::StoreError;
+use super::cluster::ClusterMembership;
 use super::ids::IdGenerator;
-use super::members::ClusterMembership;
 use super::writer::Writer;
 use camino::Utf8Path;
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};

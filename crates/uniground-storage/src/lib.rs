@@ -5,44 +5,43 @@
 //! and at a finished parse of them (`parses`); both are shared by scenes with the same content and
 //! settings.
 
-mod announcements;
 mod answers;
 mod backup;
 mod batches;
 mod blobs;
+mod cluster;
 mod contents;
 mod copy;
 mod corrections;
 mod data_folder;
+mod data_migration;
 mod database;
-mod figures;
 mod growth;
 mod health;
 mod ids;
+mod integrity;
 mod jobs;
 mod keys;
-mod locks;
-mod members;
+mod local_locks;
+mod lock_table;
 mod migrations;
-mod moving;
-mod news;
-mod orphans;
+mod notifications;
+mod orphan_folders;
+mod orphan_objects;
 mod parses;
 mod records;
 mod recovery;
-mod references;
 mod reserve;
 mod retention;
 mod room_index;
 mod scenes;
-mod sweep;
-mod turns;
+mod statistics;
 mod uploads;
 mod vectors;
 mod vlm;
+mod webhook_deliveries;
 mod writer;
 
-pub use announcements::WebhookRepository;
 pub use answers::{AnswerFilter, AnswerRepository, AnswerRow, NewAnswer};
 pub use backup::{
     BackupError, BackupReport, BackupSource, BackupTarget, RestoreReport, back_up, check, restore,
@@ -56,47 +55,48 @@ pub use blobs::{
     GrowingFile, Links, ObjectStoreUnavailable, PinnedPath, Prepared, Scratch, StoredCheckpoints,
     size_of,
 };
+pub use cluster::{LEASE, NamedLock, StoreAccess};
 pub use contents::ContentRepository;
 pub use corrections::{CorrectionRepository, NewCorrection};
+pub use data_migration::{
+    MigratedFiles, MigrationError, MigrationProgress, MigrationReport, MigrationStep,
+    StoreLocation, migrate_data,
+};
 pub use database::{Location, PostgresUrl};
-pub use figures::{Figures, JobFigures, StatisticsRepository};
 pub use growth::{ContinuedParse, GrowthOutcome, SceneGrowth};
 pub use health::{HealthProbe, StoreHealth};
+pub use integrity::{BrokenReference, IntegrityRepository};
 pub use jobs::{
     JobFilter, JobLease, JobRecovery, JobRepository, JobRow, JobState, NewJob, QueueLengths,
 };
 pub use keys::{AuditWriter, KeyRepository, KeyRow};
-pub use locks::LockTable;
-pub use members::{LEASE, NamedLock, StoreAccess};
-pub use moving::{
-    MigratedFiles, MigrationError, MigrationProgress, MigrationReport, MigrationStep,
-    StoreLocation, migrate_data,
-};
-pub use news::{DbNotification, NotificationListener, Notifications};
-pub use orphans::OrphanObject;
+pub use lock_table::LockTable;
+pub use notifications::{DbNotification, NotificationListener, Notifications};
+pub use orphan_folders::{KEEP_QUARANTINE_DAYS, OrphanFolders, OrphanRepository};
+pub use orphan_objects::OrphanObject;
 pub use parses::{NewParse, ParseRepository, ParseRow};
 pub use records::ParseRecord;
 pub use recovery::Recovery;
-pub use references::{BrokenReference, IntegrityRepository};
 pub use reserve::Reserve;
 pub use retention::{Cutoff, ExpiredRow, RetentionKind, RetentionRepository};
 pub use room_index::{ParseToIndex, RoomEntry, RoomIndexRepository, RoomMatch};
 pub use scenes::{
     InsertOutcome, NewSceneRow, SceneFilter, SceneRepository, SceneRow, SceneRowChange,
 };
-pub use sweep::{KEEP_QUARANTINE_DAYS, OrphanFolders, OrphanRepository};
+pub use statistics::{Figures, JobFigures, StatisticsRepository};
 pub use uploads::{SceneRequest, UnfinishedUploads, UploadRepository, UploadResult, UploadRow};
 pub use vectors::RoomVectors;
 pub use vlm::{BudgetExceeded, BudgetOwner, NameRepository, SpendRequest, SpendingRepository};
+pub use webhook_deliveries::WebhookRepository;
 
 use answers::AnswerQueue;
 use blobs::FileAccess;
 use camino::{Utf8Path, Utf8PathBuf};
+use cluster::ClusterMembership;
 use data_folder::DataFolder;
 use database::{Connections, Database, Engine};
 pub use ids::{IdGenerator, first_id_at};
 use jiff::Timestamp;
-use members::ClusterMembership;
 use migrations::migrations;
 use sqlx::migrate::MigrateError;
 use std::io;

@@ -2,7 +2,7 @@
 
 use super::leaving::time_out_during_a_call;
 use super::{QUERY, builtin, by, config, corrections, six_lines, start};
-use crate::script::{Script, Scripted, fails, says};
+use crate::scripted_model::{Script, Scripted, fails, says};
 use crate::server::{TestServer, ask, problem, rows};
 use camino::Utf8Path;
 use jiff::Timestamp;

@@ -1,7 +1,7 @@
 //! Callers that hang up while the model is being called.
 
 use super::{by, config, six_lines, start};
-use crate::script::{Script, Scripted};
+use crate::scripted_model::{Script, Scripted};
 use crate::server::{TestServer, problem, rows};
 use std::time::Duration;
 use tokio::io::AsyncWriteExt;

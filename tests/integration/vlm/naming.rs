@@ -2,7 +2,7 @@
 //! day all are there.
 
 use super::{QUERY, builtin, by, config, pictures_of, purposes, six_lines, start, text_of};
-use crate::script::{Script, Scripted, says};
+use crate::scripted_model::{Script, Scripted, says};
 use crate::server::{ask, finished};
 use std::time::Duration;
 use uniground::config::NamingChoice;

@@ -1,7 +1,7 @@
 //! A question that is sent again under its idempotency key.
 
 use super::{builtin, by, config, six_lines, start};
-use crate::script::{Script, Scripted, says};
+use crate::scripted_model::{Script, Scripted, says};
 use reqwest::{Method, Response};
 use std::time::Duration;
 use tokio::time::sleep;
@@ -82,7 +82,7 @@ async fn a_lost_connection_is_no_second_call() {
     assert_eq!((&one, script.calls()), (&two, 1));
     assert!(one.1 && one.0.usage.cost_usd > 0.0, "both are told what the first got");
     // A question that failed may be asked again.
-    script.next(vec![crate::script::fails(400, "no")]);
+    script.next(vec![crate::scripted_model::fails(400, "no")]);
     assert_eq!(send(client, &scene, "f", &asked).await.status(), 502);
     script.next(vec![six_lines(id, "", true, 1)]);
     sleep(Duration::from_millis(50)).await;

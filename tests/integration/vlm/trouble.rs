@@ -1,7 +1,7 @@
 //! A model that can not be asked, is down, or takes longer than anybody waits.
 
 use super::{QUERY, builtin, by, config, corrections, six_lines, start};
-use crate::script::{Script, Scripted, fails, says};
+use crate::scripted_model::{Script, Scripted, fails, says};
 use crate::server::{TestServer, ask, problem};
 use serde_json::json;
 use std::time::Duration;

@@ -5,7 +5,7 @@ use super::{
     Script, config, corrections, pictures_of, purposes, sample, six_lines, start, text_of,
 };
 use crate::neural::tiny;
-use crate::script::{Scripted, says};
+use crate::scripted_model::{Scripted, says};
 use crate::server::{TestServer, ask};
 use uniground::config::{LimitsConfig, ModelsConfig};
 use uniground_core::grounding::{NoMatchReason, Status};

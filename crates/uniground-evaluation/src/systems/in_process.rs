@@ -23,7 +23,7 @@ use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{
     Embeddings, FrameEmbeddings, FrameRef, Instance, InstanceId, ParsedScene, PointCloud,
 };
-use uniground_grounding::album::{MemoryScene, SceneAlbum};
+use uniground_grounding::memory_scene::{MemoryScene, SceneAlbum};
 use uniground_grounding::pipeline::{self, Answered, Ask, Review, WithoutModel, shortlist_of};
 use uniground_grounding::vlm::Options;
 use uniground_grounding::{Question, ShortlistScoring};

@@ -3,7 +3,7 @@
 
 use super::*;
 use crate::Status;
-use crate::album::{MemoryScene, SceneAlbum};
+use crate::memory_scene::{MemoryScene, SceneAlbum};
 use camino::Utf8Path;
 use futures::FutureExt;
 use futures::executor::block_on;

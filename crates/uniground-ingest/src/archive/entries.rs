@@ -3,7 +3,7 @@
 
 use super::{ArchiveKind, UnpackLimits};
 use crate::IngestError;
-use crate::bounded::{LimitedReader, ReadLimit};
+use crate::limited_reader::{LimitedReader, ReadLimit};
 use camino::Utf8Path;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};

@@ -10,7 +10,7 @@ use super::CloudBuilder;
 use super::mesh::{MAX_ELEMENTS, Mesh, MeshVertex, Triangle};
 use super::texture::Texture;
 use crate::IngestError;
-use crate::bounded::read_text;
+use crate::limited_reader::read_text;
 use camino::Utf8Path;
 use document::{AccessorRows, Buffers, Document, Primitive};
 use nalgebra::{Matrix4, Quaternion, UnitQuaternion};

@@ -5,7 +5,7 @@ use super::CloudBuilder;
 use super::mesh::{MAX_ELEMENTS, Mesh, MeshVertex, Triangle};
 use super::texture::Texture;
 use crate::IngestError;
-use crate::bounded::{read_line, read_text};
+use crate::limited_reader::{read_line, read_text};
 use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
 use std::collections::BTreeMap;
 use std::fs::File;

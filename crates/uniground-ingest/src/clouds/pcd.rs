@@ -7,7 +7,7 @@
 use super::CloudBuilder;
 use super::gathered::{CloudBounds, GREY};
 use crate::IngestError;
-use crate::bounded::read_line;
+use crate::limited_reader::read_line;
 use camino::Utf8Path;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};

@@ -3,7 +3,7 @@
 use super::files::FolderListing;
 use super::numbers::{parse, read_numbers};
 use crate::IngestError;
-use crate::bounded::read_text;
+use crate::limited_reader::read_text;
 use crate::scan::picture_size;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;

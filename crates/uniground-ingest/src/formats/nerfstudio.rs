@@ -6,7 +6,7 @@ use super::files::{FolderListing, inside};
 use super::numbers::matrix;
 use super::{entry, incomplete};
 use crate::IngestError;
-use crate::bounded::read_text;
+use crate::limited_reader::read_text;
 use crate::scan::{CameraAxes, RawFrame, Scan, picture_size, usual_depth_scale_m};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;

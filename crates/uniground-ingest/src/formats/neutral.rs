@@ -4,7 +4,7 @@ use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::{FolderListing, inside};
 use super::numbers::read_pose;
 use crate::IngestError;
-use crate::bounded::read_text;
+use crate::limited_reader::read_text;
 use crate::scan::{CameraAxes, RawFrame, Scan, usual_depth_scale_m};
 use camino::{Utf8Path, Utf8PathBuf};
 use nalgebra::Matrix4;

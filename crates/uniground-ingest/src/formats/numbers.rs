@@ -1,7 +1,7 @@
 //! Numbers, matrices and quaternions in text files.
 
 use crate::IngestError;
-use crate::bounded::read_text;
+use crate::limited_reader::read_text;
 use camino::Utf8Path;
 use nalgebra::{Matrix4, Quaternion, UnitQuaternion};
 

@@ -6,7 +6,7 @@ use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::{incomplete, pairing};
 use crate::IngestError;
-use crate::bounded::read_text;
+use crate::limited_reader::read_text;
 use crate::scan::{CameraAxes, RawFrame, Scan};
 use camino::Utf8Path;
 use nalgebra::Matrix4;

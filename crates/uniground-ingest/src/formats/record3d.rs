@@ -6,7 +6,7 @@ use super::files::FolderListing;
 use super::numbers::pose_of;
 use super::{entry, incomplete};
 use crate::IngestError;
-use crate::bounded::read_text;
+use crate::limited_reader::read_text;
 use crate::scan::{CameraAxes, RawFrame, Scan};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;

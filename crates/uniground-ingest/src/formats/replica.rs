@@ -5,7 +5,7 @@ use super::color_depth_pose::{FrameCameras, PoseFiles, ScanImages, UnmatchedImag
 use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::{incomplete, trajectory};
 use crate::IngestError;
-use crate::bounded::read_text;
+use crate::limited_reader::read_text;
 use crate::scan::Scan;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;

@@ -6,7 +6,7 @@ use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::matrix;
 use super::{incomplete, intrinsics, pairing};
 use crate::IngestError;
-use crate::bounded::read_text;
+use crate::limited_reader::read_text;
 use crate::scan::{CameraAxes, RawFrame, Scan};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;

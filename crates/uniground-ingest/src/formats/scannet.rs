@@ -7,7 +7,7 @@ use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::{matrix, parse, values_of};
 use super::{incomplete, intrinsics};
 use crate::IngestError;
-use crate::bounded::read_text;
+use crate::limited_reader::read_text;
 use crate::scan::Scan;
 use camino::{Utf8Path, Utf8PathBuf};
 use nalgebra::Matrix4;

@@ -5,7 +5,7 @@ use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::{parse, pose_of};
 use super::{entry, incomplete, intrinsics, pairing};
-use crate::bounded::read_text;
+use crate::limited_reader::read_text;
 use crate::scan::{RawFrame, Scan};
 use crate::{IngestError, MAX_FRAMES};
 use camino::Utf8Path;

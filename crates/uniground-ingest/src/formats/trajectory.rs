@@ -2,7 +2,7 @@
 //! quaternion), or Open3D's log of five lines each.
 
 use super::numbers::{matrix, parse, pose_of};
-use crate::bounded::read_text;
+use crate::limited_reader::read_text;
 use crate::{IngestError, MAX_FRAMES};
 use camino::Utf8Path;
 use nalgebra::Matrix4;

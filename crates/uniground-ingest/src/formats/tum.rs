@@ -5,7 +5,7 @@
 use super::files::FolderListing;
 use super::trajectory::{self, Trajectory};
 use super::{entry, incomplete, intrinsics, pairing};
-use crate::bounded::read_text;
+use crate::limited_reader::read_text;
 use crate::scan::{RawFrame, Scan};
 use crate::{IngestError, MAX_FRAMES};
 use camino::{Utf8Path, Utf8PathBuf};

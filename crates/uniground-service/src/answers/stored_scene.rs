@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::sync::Arc;
 use uniground_geometry::boxes::Aabb;
-use uniground_geometry::recent::LruCache;
+use uniground_geometry::lru_cache::LruCache;
 use uniground_geometry::scene::{
     Embeddings, FrameEmbeddings, FrameIndex, Instance, InstanceId, View,
 };

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::SystemTime;
 use uniground_geometry::boxes::Aabb;
-use uniground_geometry::recent::LruCache;
+use uniground_geometry::lru_cache::LruCache;
 use uniground_geometry::scene::{Embeddings, FrameEmbeddings, Instance, SourceToScene};
 use uniground_grounding::NameIndex;
 use uniground_grounding::approach::Occupancy;

@@ -1,20 +1,20 @@
 //! Parses: the same content with the same settings is parsed once.
 
 mod cache;
-mod continuing;
 mod files;
 mod job;
-mod looks;
 mod parsed_scenes;
+mod previous_parse;
 mod report_files;
 mod reports;
+mod scene_media;
 
 pub use cache::{LoadedParse, ParseCache};
 pub use files::{ParseFile, photograph, read, read_frames, read_photograph, view};
 pub use job::ParseJob;
 pub use job::ParseRunner;
-pub use looks::MediaService;
 pub use parsed_scenes::ParsedScenes;
+pub use scene_media::MediaService;
 
 use super::Caller;
 use crate::error::Error;

@@ -5,7 +5,7 @@
 use super::rows::PlyRows;
 use crate::clouds::CloudBuilder;
 use crate::clouds::mesh::{MeshSampler, MeshVertex, Triangle};
-use crate::lengths;
+use crate::guess_units;
 use std::io::{BufRead, Seek, SeekFrom};
 use uniground_geometry::scene::PointCloud;
 
@@ -22,7 +22,7 @@ pub(super) fn sample_if_sparse(
     gathered: &mut CloudBuilder,
 ) -> Result<(), String> {
     let Some(vertices) = gathered.complete() else { return Ok(()) };
-    let metres_per_unit = lengths::guess(&vertices.positions, &mut Vec::new());
+    let metres_per_unit = guess_units::guess(&vertices.positions, &mut Vec::new());
     let start = source.stream_position().map_err(|e| e.to_string())?;
     let (mut area, mut large_area) = (0.0, 0.0);
     triangles(rows, source, count, vertices, |triangle| {

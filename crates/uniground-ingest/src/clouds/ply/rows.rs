@@ -1,8 +1,8 @@
 //! Rows of an element: of one size or with lists, in binary or ascii, one block or line at a time.
 
 use super::{Field, Vertex};
-use crate::bounded::read_line;
 use crate::clouds::CloudBuilder;
+use crate::limited_reader::read_line;
 use ply_rs_bw::ply::{ElementDef, Encoding, PropertyType, ScalarType};
 use std::io::{self, BufRead, Read};
 

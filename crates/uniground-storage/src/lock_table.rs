@@ -1,7 +1,7 @@
 //! Locks by name.
 
 use super::StoreError;
-use super::members::{ClusterMembership, NamedLock};
+use super::cluster::{ClusterMembership, NamedLock};
 
 /// Locks by name, shared by all processes that use a database. Cheap to clone.
 #[derive(Clone)]

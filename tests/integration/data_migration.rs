@@ -1,7 +1,7 @@
 //! A store that moves to another folder and another database, and back: whoever asks can not tell.
 
 use crate::archives::Scan;
-use crate::script::Script;
+use crate::scripted_model::Script;
 use crate::server::{Process, command, finished, location, rows};
 use crate::vlm::six_lines;
 use camino::{Utf8Path, Utf8PathBuf};

@@ -5,7 +5,7 @@
 
 use super::blobs::KINDS;
 use super::blobs::objects::{FolderName, FoundFolder, Seal, edition_of};
-use super::sweep::OrphanRule;
+use super::orphan_folders::OrphanRule;
 use super::{OrphanRepository, StoreError};
 use std::time::SystemTime;
 

@@ -2,7 +2,7 @@
 //! errors that end with what helps.
 
 use crate::archives::Scan;
-use crate::script::{Script, fails};
+use crate::scripted_model::{Script, fails};
 use crate::server::TestServer;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde_json::Value;

@@ -20,7 +20,7 @@ use uniground_parsing::views::{InstanceViews, LabelledPoints};
 use uniground_parsing::visibility::Visibility;
 use uniground_parsing::{
     ParseError, ParsingSettings, frame_sampling, hierarchy, instances, merging, part_merging,
-    planes, refinement, standing, views,
+    planes, refinement, split_supported, views,
 };
 
 /// What one step leaves of each object.
@@ -118,7 +118,7 @@ pub fn climb(
     let merged = merging::merge(&superpoints, &planes, &tables, &settings.merging, &quiet)?;
     let mut any: Option<InstanceScore> = None;
     let labels = |region_of: &[u32]| region_of.iter().max().map_or(0, |&r| r as usize + 1);
-    let freed = standing::set_free(
+    let freed = split_supported::set_free(
         cloud,
         &superpoints,
         &planes,

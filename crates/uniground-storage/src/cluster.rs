@@ -10,7 +10,7 @@
 
 use super::StoreError;
 use super::database::{Database, Engine, KEEPALIVES, Location};
-use super::turns::{LocalLock, LocalLocks};
+use super::local_locks::{LocalLock, LocalLocks};
 use super::writer::Writer;
 use sha2::{Digest, Sha256};
 use sqlx::any::{AnyConnectOptions, install_default_drivers};

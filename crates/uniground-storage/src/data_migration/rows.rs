@@ -2,8 +2,8 @@
 
 use super::target::TargetFolder;
 use super::{MigrationError, MigrationProgress, MigrationStep, OnProgress};
+use crate::cluster::ClusterMembership;
 use crate::database::{Connections, Engine, Location, number, without_nul};
-use crate::members::ClusterMembership;
 use crate::writer::Writer;
 use crate::{LEASE, Store, StoreAccess, StoreError, migrations};
 use futures::TryStreamExt;

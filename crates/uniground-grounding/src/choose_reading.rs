@@ -17,7 +17,7 @@ const BORNE_OUT: f32 = 0.2;
 /// The reading to answer, of a question's likeliest one and its [later](ParsedQuery::later) ones;
 /// the likeliest where none is borne out.
 #[must_use]
-pub fn settled(scene: SceneView, parsed: ParsedQuery) -> ParsedQuery {
+pub fn choose_reading(scene: SceneView, parsed: ParsedQuery) -> ParsedQuery {
     if parsed.later.is_empty() || parsed.foreign {
         return parsed;
     }
@@ -63,7 +63,7 @@ mod tests {
             let instances: Vec<Instance> = (1..).zip(names.iter().copied()).map(named).collect();
             let extent = Aabb { center: Point3::origin(), size: Vector3::repeat(9.0) };
             let names = NameIndex::of(&instances);
-            settled(
+            choose_reading(
                 SceneView { instances: &instances, extent, names: &names, appearance: None },
                 parse(query),
             )
