@@ -24,6 +24,13 @@ COPY crates/uniground-grounding/Cargo.toml crates/uniground-grounding/
 COPY crates/uniground-export/Cargo.toml crates/uniground-export/
 COPY crates/uniground-core/Cargo.toml crates/uniground-core/
 COPY crates/uniground-client/Cargo.toml crates/uniground-client/
+COPY crates/uniground-telemetry/Cargo.toml crates/uniground-telemetry/
+COPY crates/uniground-storage/Cargo.toml crates/uniground-storage/
+COPY crates/uniground-jobs/Cargo.toml crates/uniground-jobs/
+COPY crates/uniground-isolation/Cargo.toml crates/uniground-isolation/
+COPY crates/uniground-endpoints/Cargo.toml crates/uniground-endpoints/
+COPY crates/uniground-service/Cargo.toml crates/uniground-service/
+COPY crates/uniground-evaluation/Cargo.toml crates/uniground-evaluation/
 COPY crates/uniground-testing/Cargo.toml crates/uniground-testing/
 # Cargo wants every target that a manifest names to be there, built or not.
 RUN for package in . crates/*; do \

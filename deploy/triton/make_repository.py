@@ -93,7 +93,7 @@ def add(repository, bundle, kind, instances):
             missing = set(wanted) - {value.name for value in there}
             if missing:
                 raise Wrong(f"{file}: model.json names {', '.join(sorted(missing))}, which the network does not have")
-        # As uniground calls it: src/inference/kserve.rs.
+        # As uniground calls it: crates/uniground-endpoints/src/inference/kserve.rs.
         name = f"{manifest['name']}-{file.name.split('.')[0]}"
         version = repository / name / "1"
         version.mkdir(parents=True, exist_ok=True)
