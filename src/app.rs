@@ -96,7 +96,7 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
             name = model.name,
             fingerprint = model.fingerprint,
             runs_on = model.runs_on,
-            "loaded a model"
+            "model loaded"
         );
     }
     let vlm_settings = VlmSettings {
@@ -234,7 +234,7 @@ async fn handle_notifications(
         {
             tracing::warn!(
                 error = &error as &dyn std::error::Error,
-                "keys that others made or revoked can not be read"
+                "API keys could not be reloaded"
             );
         }
         let next = timeout(SILENCE, Box::pin(listen.next()));
@@ -244,7 +244,7 @@ async fn handle_notifications(
             Some(Ok(Err(error))) => {
                 tracing::warn!(
                     error = &error as &dyn std::error::Error,
-                    "news of other processes do not come in"
+                    "notification listener disconnected; polling instead"
                 );
                 let _ = shutdown.run_until_cancelled(sleep(TROUBLE)).await;
                 DbNotification::Missed
@@ -261,15 +261,12 @@ async fn look_for_model(chat: Arc<ChatClient>, services: Services) {
     if let Err(error) = chat.reach().await {
         tracing::warn!(
             error = &error as &dyn std::error::Error,
-            "the vision-language model's server can not be reached: built-in parts answer until it can"
+            "vision-language model server unreachable; the built-in reasoner answers until it returns"
         );
         return vlm.found_gone();
     }
     for limit in chat.limits().await {
-        tracing::warn!(
-            limit,
-            "the vision-language model's server has a limit that questions will meet"
-        );
+        tracing::warn!(limit, "vision-language model server has a limit that requests will exceed");
     }
 }
 
@@ -282,10 +279,7 @@ async fn run_maintenance(services: Services, shutdown: CancellationToken) {
         if let Some(Err(error)) =
             shutdown.run_until_cancelled(services.maintenance.run_maintenance()).await
         {
-            tracing::warn!(
-                error = &error as &dyn std::error::Error,
-                "the daily look at what is stored could not be finished"
-            );
+            tracing::warn!(error = &error as &dyn std::error::Error, "daily maintenance failed");
         }
         wait = DAY;
     }
@@ -297,7 +291,10 @@ async fn keep_index(services: Services, shutdown: CancellationToken) {
     const EVERY: Duration = Duration::from_secs(3);
     while shutdown.run_until_cancelled(sleep(EVERY)).await.is_some() {
         if let Some(Err(error)) = shutdown.run_until_cancelled(services.rooms.index_rooms()).await {
-            tracing::warn!(error = &error as &dyn std::error::Error, "rooms could not be indexed");
+            tracing::warn!(
+                error = &error as &dyn std::error::Error,
+                "scene index could not be updated"
+            );
         }
     }
 }
@@ -319,7 +316,7 @@ async fn make_left_uploads(services: Services, shutdown: CancellationToken) {
         if let Err(error) = made {
             tracing::warn!(
                 error = &error as &dyn std::error::Error,
-                "uploads that wait could not be looked up"
+                "waiting uploads could not be listed"
             );
         }
         if shutdown.run_until_cancelled(sleep(EVERY)).await.is_none() {
@@ -335,7 +332,7 @@ fn most_connections(wanted: u32) -> usize {
     let mut limit = getrlimit(Resource::Nofile);
     limit.current = limit.maximum;
     if let Err(error) = setrlimit(Resource::Nofile, limit) {
-        tracing::debug!(%error, "the limit of open files stays where it is");
+        tracing::debug!(%error, "open file limit could not be raised");
     }
     let files = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
     usize::try_from(u64::from(wanted).min(files / 2)).unwrap_or(usize::MAX).max(8)
@@ -364,7 +361,7 @@ impl RunningService {
         // A caller that stalls in the middle of its request must not keep the process alive.
         let abort = self.server.abort_handle();
         let served = timeout(GRACE, self.server).await.unwrap_or_else(|_| {
-            tracing::warn!("some requests did not finish in time and are cut off");
+            tracing::warn!("shutdown timeout reached; aborting unfinished requests");
             abort.abort();
             Ok(())
         });

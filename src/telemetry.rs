@@ -32,7 +32,7 @@ fn start_at(levels: &str) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(levels));
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(|| Scrubbed);
     if let Err(error) = log.try_init() {
-        tracing::debug!(%error, "logging runs already");
+        tracing::debug!(%error, "logger is already initialized");
     }
 }
 
@@ -54,7 +54,7 @@ pub fn start(config: &LogConfig) -> anyhow::Result<Option<Traces>> {
     };
     let (layer, traces) = config.otlp_endpoint.as_deref().map(traces::sent_to).transpose()?.unzip();
     if let Err(error) = tracing_subscriber::registry().with(log).with(layer).try_init() {
-        tracing::debug!(%error, "logging runs already");
+        tracing::debug!(%error, "logger is already initialized");
     }
     Ok(traces)
 }

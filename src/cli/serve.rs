@@ -43,7 +43,7 @@ pub async fn until_stopped(
         _ = terminate.recv() => tracing::info!("SIGTERM: stopping"),
         Some(()) = async { hangup.as_mut()?.recv().await } => tracing::info!("SIGHUP: stopping"),
         _ = interrupt.recv() => tracing::info!("interrupted: stopping"),
-        () = running.ended() => tracing::error!("the server ended by itself"),
+        () = running.ended() => tracing::error!("server stopped unexpectedly"),
     }
     running.stop().await
 }

@@ -102,8 +102,8 @@ fn unauthorized(denied: KeyRejection) -> Response {
         }
         KeyRejection::Expired => "this key has expired",
         KeyRejection::Revoked => "this key was revoked",
-        KeyRejection::BadLink => "this link is none of this server's, or not to this path",
-        KeyRejection::LinkOver => "the time of this link is over: POST /v1/links makes another",
+        KeyRejection::BadLink => "this link was not signed by this server, or is for another path",
+        KeyRejection::LinkOver => "this link has expired: POST /v1/links makes another",
     };
     let mut refused =
         ProblemResponse::new(StatusCode::UNAUTHORIZED, "unauthorized", detail).into_response();

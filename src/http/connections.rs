@@ -66,7 +66,7 @@ pub async fn serve(
             },
             // Out of file descriptors, say: those in use come back.
             Err(error) => {
-                tracing::warn!(%error, "a connection could not be accepted");
+                tracing::warn!(%error, "connection could not be accepted");
                 sleep(Duration::from_millis(100)).await;
             }
         }
@@ -103,7 +103,7 @@ async fn connection(
         .serve_connection(TokioIo::new(Box::pin(stream)), service);
     tokio::select! {
         served = watcher.watch(served) => if let Err(error) = served {
-            tracing::debug!(%error, "a connection ended early");
+            tracing::debug!(%error, "connection closed early");
         },
         () = close.cancelled() => tracing::debug!("connection closed to make room for a new one"),
     }

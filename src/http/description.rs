@@ -125,7 +125,7 @@ fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static
         "460" => problem(
             "The checksum is of other bytes",
             "checksum_mismatch",
-            "what has come is not what the checksum is of: send this part again",
+            "the checksum does not match the bytes received: send this part again",
         ),
         "502" => problem(
             "A model failed",

@@ -303,6 +303,6 @@ fn span_of(request: &Request) -> Span {
 
 /// The panic itself is on stderr, with its place; here it gets the request's ids.
 fn panicked(_: Box<dyn std::any::Any + Send>) -> Response {
-    tracing::error!(code = "internal", "a handler panicked");
+    tracing::error!(code = "internal", "request handler panicked");
     ProblemResponse::internal().into_response()
 }

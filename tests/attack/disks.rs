@@ -74,7 +74,7 @@ fn strangers_folder(report: &mut Report) {
     let output = command(folder, "127.0.0.1:0").output().unwrap();
     let told = String::from_utf8_lossy(&output.stderr);
     let held = !output.status.success()
-        && told.contains("no data folder")
+        && told.contains("not a data folder")
         && folder.join("tmp/thesis.txt").exists();
     report.row(
         "3 --data-dir over somebody's folder",

@@ -201,7 +201,7 @@ async fn a_parse_that_wants_too_much_memory_is_not_begun() {
     assert_eq!((job.state, job.attempts), (JobState::Failed, 2));
     let error = job.error.unwrap();
     assert_eq!(error.code, "memory_short");
-    assert!(error.detail.contains("and it may have 1 MB"), "{}", error.detail);
+    assert!(error.detail.contains("of its 1 MB"), "{}", error.detail);
     server.stop().await;
 }
 

@@ -331,7 +331,7 @@ async fn gc_wants_a_stopped_servers_folder() {
         let refused = gc(&nothing, more);
         assert!(
             !refused.status.success()
-                && String::from_utf8_lossy(&refused.stderr).contains("no data folder"),
+                && String::from_utf8_lossy(&refused.stderr).contains("not a data folder"),
             "{refused:?}"
         );
         assert!(!nothing.exists());

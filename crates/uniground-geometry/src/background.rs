@@ -38,7 +38,7 @@ pub fn on_low_thread<T: Send>(work: impl FnOnce() -> T + Send) -> T {
 fn give_way() {
     #[cfg(target_os = "linux")]
     if let Err(error) = rustix::process::nice(NICENESS) {
-        tracing::debug!(%error, "a background thread keeps its priority");
+        tracing::debug!(%error, "priority of a background thread could not be lowered");
     }
 }
 

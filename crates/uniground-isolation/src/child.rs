@@ -218,10 +218,7 @@ fn outcome(
     match last {
         Some(told) if status.success() => {
             if !stderr.trim().is_empty() {
-                tracing::warn!(
-                    stderr = stderr.trim(),
-                    "the process that read a scan reports problems"
-                );
+                tracing::warn!(stderr = stderr.trim(), "decoder process wrote to its error output");
             }
             return told;
         }
@@ -239,7 +236,7 @@ fn outcome(
         }
         _ => {}
     }
-    tracing::warn!(%status, stderr = stderr.trim_end(), "the process that read a scan has crashed");
+    tracing::warn!(%status, stderr = stderr.trim_end(), "decoder process crashed");
     if stderr.contains("memory allocation of") || stderr.contains("capacity overflow") {
         return too_costly(format!("{} MB of memory (--reader-memory-mb)", memory_bytes >> 20));
     }

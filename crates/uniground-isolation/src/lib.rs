@@ -39,7 +39,9 @@ pub enum ReadError {
     #[error(transparent)]
     Ingest(#[from] IngestError),
     /// The system killed the child process.
-    #[error("the process that read the scan was killed by the system, which may be out of memory")]
+    #[error(
+        "the process that decoded the scan was killed by the system, which may be out of memory"
+    )]
     Killed,
     /// The child process could not be started or talked to.
     #[error("the process that reads scans could not be run")]

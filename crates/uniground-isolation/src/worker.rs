@@ -55,7 +55,7 @@ fn limit_memory(bytes: u64) {
 fn offer_to_oom_killer() {
     #[cfg(target_os = "linux")]
     if let Err(error) = std::fs::write("/proc/self/oom_score_adj", "1000") {
-        tracing::debug!(%error, "the kernel's out-of-memory score could not be raised");
+        tracing::debug!(%error, "out-of-memory score could not be raised");
     }
 }
 

@@ -17,7 +17,7 @@ use uniground_telemetry::metrics::Metrics;
 pub enum JobsError {
     #[error("there is no job {id}")]
     NotFound { id: String },
-    #[error("{queued} jobs are waiting already; try again in about {again_in_s} s")]
+    #[error("the queue is full ({queued} jobs are waiting): try again in about {again_in_s} s")]
     QueueFull { queued: u32, again_in_s: u32 },
     #[error(transparent)]
     Store(#[from] StoreError),

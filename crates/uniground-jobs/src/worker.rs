@@ -59,7 +59,7 @@ impl Jobs {
             tracing::error!(
                 kind = K::NAME,
                 error = &error as &dyn std::error::Error,
-                "jobs left behind can not be taken up yet"
+                "interrupted jobs could not be recovered yet; retrying"
             );
             if shutdown.run_until_cancelled(time::sleep(LOOK_EVERY)).await.is_none() {
                 return;
@@ -99,7 +99,7 @@ impl Jobs {
                         if let Err(error) = self.run(kind, job, shutdown).await {
                             tracing::error!(
                                 error = &error as &dyn std::error::Error,
-                                "a job's end could not be recorded"
+                                "job result could not be recorded"
                             );
                         }
                     };
@@ -116,7 +116,7 @@ impl Jobs {
                     tracing::error!(
                         kind = K::NAME,
                         error = &error as &dyn std::error::Error,
-                        "the job queue can not be read"
+                        "job queue could not be read"
                     );
                     time::sleep(LOOK_EVERY).await;
                 }
@@ -136,7 +136,7 @@ impl Jobs {
             Ok(payload) => payload,
             Err(error) => {
                 let detail = format!("what this job was asked to do can not be read: {error}");
-                tracing::error!(%error, "a job's payload can not be read");
+                tracing::error!(%error, "job payload could not be read");
                 self.metrics.jobs.finished(K::NAME, JobState::Failed.word(), None);
                 return self
                     .record(
@@ -158,7 +158,7 @@ impl Jobs {
             Err(error) => {
                 tracing::error!(
                     error = &error as &dyn std::error::Error,
-                    "a job can not be begun yet"
+                    "job could not be started yet; retrying"
                 );
                 self.running().remove(&id);
                 return self.record(&hold, &JobOutcome::PutBack, shutdown).await;
@@ -194,7 +194,7 @@ impl Jobs {
                             lost.cancel();
                             running.cancel.cancel();
                         }
-                        Err(error) => tracing::warn!(error = &error as &dyn std::error::Error, "progress not saved"),
+                        Err(error) => tracing::warn!(error = &error as &dyn std::error::Error, "job progress could not be saved"),
                     }
                 }
             }
@@ -263,14 +263,14 @@ impl Jobs {
             match self.try_to_record(hold, end).await {
                 Err(StoreError::NotHeld) => {
                     tracing::warn!(
-                        "the job is in other hands by now: how it ended here counts for nothing"
+                        "lease lost: another worker has this job, its result here is discarded"
                     );
                     return Ok(());
                 }
                 Err(error) if !shutdown.is_cancelled() => {
                     tracing::error!(
                         error = &error as &dyn std::error::Error,
-                        "a job's end can not be recorded yet"
+                        "job result could not be recorded yet; retrying"
                     );
                     let _ = shutdown.run_until_cancelled(time::sleep(LOOK_EVERY)).await;
                 }
@@ -282,7 +282,7 @@ impl Jobs {
     async fn try_to_record(&self, hold: &JobLease, end: &JobOutcome) -> Result<(), StoreError> {
         match end {
             JobOutcome::Done(message) => {
-                tracing::info!(result = message, "job done");
+                tracing::info!(result = message, "job succeeded");
                 self.repository.finish_job(hold, JobState::Succeeded, Some(message), None).await
             }
             JobOutcome::PutBack => self.repository.requeue_job(hold).await,

@@ -75,7 +75,7 @@ impl Checkpoints {
         };
         let opened = key(origin, depends_on).and_then(|key| StageLog::open(folder, stage, &key));
         opened.unwrap_or_else(|error| {
-            tracing::warn!(%folder, stage, %error, "this stage is not kept");
+            tracing::warn!(%folder, stage, %error, "checkpoint could not be opened; this stage is not saved");
             StageLog::nowhere()
         })
     }
@@ -150,7 +150,7 @@ impl<T: Serialize + DeserializeOwned> StageLog<T> {
             let end = count.checked_sub(1).map_or(0, |last| self.ends[last]);
             self.ends.truncate(count);
             if let Err(error) = file.set_len(end) {
-                tracing::warn!(%error, "a stage can not be kept any longer");
+                tracing::warn!(%error, "checkpoint could not be written; stage is no longer saved");
                 self.file = None;
             }
         }
@@ -168,7 +168,7 @@ impl<T: Serialize + DeserializeOwned> StageLog<T> {
             file.write_all(&framed)
         });
         if let Err(error) = written {
-            tracing::warn!(%error, "a finished stage could not be kept");
+            tracing::warn!(%error, "checkpoint could not be saved");
             self.file = None;
         }
     }

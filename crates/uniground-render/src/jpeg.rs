@@ -14,14 +14,14 @@ pub fn jpeg(image: &RgbImage) -> Vec<u8> {
         tracing::warn!(
             width = image.width(),
             height = image.height(),
-            "a picture is too large for JPEG"
+            "image is too large for JPEG"
         );
         return bytes;
     };
     if let Err(error) =
         Encoder::new(&mut bytes, QUALITY).encode(image.as_raw(), width, height, ColorType::Rgb)
     {
-        tracing::warn!(%error, width, height, "a picture could not be encoded");
+        tracing::warn!(%error, width, height, "image could not be encoded");
         bytes.clear();
     }
     bytes

@@ -48,37 +48,37 @@ pub enum Error {
     AnswerNotFound { id: String },
     #[error("there is no key {id}")]
     KeyNotFound { id: String },
-    #[error("the key this was asked for with is refused by now")]
+    #[error("the API key of this request has expired or was revoked")]
     KeyRefused,
     #[error(
-        "this key may have {most} scenes, unfinished uploads counted, and has them: delete one, or ask for more"
+        "this API key has reached its limit of {most} scenes (unfinished uploads count): delete a scene or ask an administrator to raise the limit"
     )]
     TooManyScenes { most: u32 },
     #[error("there is no correction {id} of this scene's current parse")]
     CorrectionNotFound { id: String },
-    #[error("correction {by} is about what this one has made: take that one back first")]
+    #[error("correction {by} builds on this one: undo that one first")]
     CorrectionInUse { by: String },
     #[error(
-        "instance {id} is no thing whose points are known, but a part, a whole, found for a question, or gone: it can not be merged"
+        "instance {id} cannot be merged: it is a part, a whole, found for a question, or gone, and its points are not known"
     )]
     NotAThing { id: InstanceId },
     #[error(
-        "no parts of instance {id} are known, so that nothing would take its place: dismiss it, or parse the scene with finer settings"
+        "instance {id} cannot be split, because none of its parts are known: dismiss it, or parse the scene with finer settings"
     )]
     NoParts { id: InstanceId },
-    #[error("instance {id} was made of others: take back the correction that merged them")]
+    #[error("instance {id} was made by a merge: undo the correction that merged it")]
     WasMerged { id: InstanceId },
     #[error("a parse has at most {most} corrections")]
     TooManyCorrections { most: u32 },
     #[error("there is no batch {id}")]
     BatchNotFound { id: String },
-    #[error("batch {id} is {state} and stays so")]
+    #[error("batch {id} has already finished ({state}) and cannot be changed")]
     BatchOver { id: String, state: String },
     #[error("a batch has at most {most} questions")]
     TooManyItems { most: u32 },
-    #[error("a batch holds at most {} MB: send it in parts", most_bytes >> 20)]
+    #[error("a batch holds at most {} MB: split it into several", most_bytes >> 20)]
     BatchTooLarge { most_bytes: u64 },
-    #[error("an answer could not be kept: it is asked for again")]
+    #[error("an answer could not be stored; the question is asked again")]
     AnswerNotKept,
     #[error("scene {id} has not been parsed yet")]
     SceneNotReady { id: String, job_id: Option<String> },
@@ -88,22 +88,20 @@ pub enum Error {
         "no vision-language model is configured; use reasoner \"auto\" or \"builtin\", and parser \"builtin\""
     )]
     VlmNotConfigured,
-    #[error("the vision-language model's server is down: it is tried again in {again_in_s} s")]
+    #[error("the vision-language model's server is down: the next attempt is in {again_in_s} s")]
     VlmDown { again_in_s: u64 },
-    #[error("the vision-language model could not be asked, in {attempts} attempts: {why}")]
+    #[error("the vision-language model could not be reached in {attempts} attempts: {why}")]
     VlmFailed { why: String, attempts: u32 },
     #[error(transparent)]
     OverBudget(OverBudget),
-    #[error(
-        "answer {id} has no prompt and no replies: no model was asked, or they are no longer kept"
-    )]
+    #[error("answer {id} has no prompt and no replies: no model was asked, or they have expired")]
     NoTranscript { id: String },
     #[error("answer {id} has no picture {name:?}")]
     AnswerPictureNotFound { id: String, name: String },
     #[error(transparent)]
     Model(#[from] ModelError),
     #[error(
-        "the scene was parsed with the encoder {parsed_with}, this server has {here}: parse it again, or say \"allow_builtin\""
+        "the scene was parsed with the encoder {parsed_with}, but this server has {here}: parse it again, or set \"allow_builtin\""
     )]
     EncoderChanged { parsed_with: String, here: String },
     #[error("the question took longer than {seconds} s")]
@@ -111,68 +109,70 @@ pub enum Error {
     #[error("too many questions at once")]
     Overloaded,
     #[error(
-        "the stored parse is damaged ({what}); it is being made anew from the scan: ask again when the scene's job is done"
+        "the stored parse is damaged ({what}) and the scan is being parsed again: retry when the scene's job is done"
     )]
     ParseDamaged { parse_id: String, what: String },
-    #[error("this Idempotency-Key came with another request before: use a new key for a new one")]
+    #[error("this Idempotency-Key was used with another request: use a new key for a new request")]
     IdempotencyKeyReused,
     #[error(
-        "this server imports nothing from its own disk: its operator names a folder with --import-root"
+        "importing from the server's disk is disabled: its operator can enable it with --import-root"
     )]
     ImportNotAllowed,
-    #[error("there is no {path:?} below the folder that is imported from")]
+    #[error("{path:?} does not exist below the import folder")]
     ImportNotFound { path: String },
-    #[error("a scene grows at most {most} times: upload the scan anew, with all of its frames")]
+    #[error("a scene can grow at most {most} times: upload the scan again, with all of its frames")]
     GrownTooOften { most: usize },
-    #[error("somebody else has added frames to scene {id} meanwhile: try again")]
+    #[error("another request has added frames to scene {id} meanwhile: try again")]
     GrowthOvertaken { id: String },
     #[error(
-        "what happened since version {since} is not known: version {renumbered} was parsed anew, with ids of its own. Ask for what happened since then"
+        "changes since version {since} are not known, because version {renumbered} was parsed again with new ids: ask for changes since {renumbered}"
     )]
     VersionsApart { since: u32, renumbered: u32 },
-    #[error("scene {id} has no version {asked}: it has {version}")]
+    #[error("scene {id} has no version {asked}: its current version is {version}")]
     NoVersion { id: String, asked: u32, version: u32 },
     #[error(
-        "the two scans do not lie over each other: {:.0}% of the points of the first have one of the second's within 5 cm. Give both a scene_to_map with the same map_frame_id, or scan them in one world",
+        "the two scans do not overlap: {:.0}% of the points of the first have a point of the second within 5 cm. Give both scenes a scene_to_map with the same map_frame_id, or scan them in one coordinate frame",
         overlap * 100.0
     )]
     ScansApart { overlap: f32 },
     #[error("comparing the two scans took longer than {seconds} s")]
     ComparisonTimedOut { seconds: u64 },
-    #[error("too many {what} at once: {most} are served")]
+    #[error("too many {what} at once: the limit is {most}")]
     TooMany { what: &'static str, most: usize },
     #[error("{what}")]
     NoScan { what: &'static str },
     #[error(
-        "the upload is too slow: at least {bytes_per_s} bytes a second, and never {silence_s} s of silence"
+        "the upload is too slow: send at least {bytes_per_s} bytes per second, with no pause of {silence_s} s"
     )]
     UploadTooSlow { bytes_per_s: u64, silence_s: u64 },
     #[error("the upload holds more than {max_bytes} bytes")]
     UploadTooLarge { max_bytes: u64 },
     #[error("there is no upload {id}")]
     UploadNotFound { id: String },
-    #[error("upload {id} was not gone on with for too long: begin a new one")]
+    #[error("upload {id} has expired: begin a new one")]
     UploadExpired { id: String },
     #[error(
-        "somebody is sending to upload {id}, or it is being made a scene: ask for its offset when that is over"
+        "upload {id} is in use: another request sends to it, or a scene is being made of it. Ask for its offset later"
     )]
     UploadBusy { id: String },
-    #[error("{offset} bytes of this upload are there: go on at this offset")]
+    #[error("the upload's current offset is {offset}: resume from there")]
     WrongOffset { offset: u64 },
-    #[error("what has come is not what the checksum is of: send this part again")]
+    #[error("the checksum does not match the bytes received: send this part again")]
     ChecksumMismatch,
-    #[error("{most} uploads may be unfinished at once: finish one, or delete it")]
+    #[error("at most {most} uploads may be unfinished at once: finish or delete one")]
     TooManyUploads { most: u32 },
-    #[error("the upload broke off after {received} bytes")]
+    #[error("the upload was interrupted after {received} bytes")]
     UploadInterrupted { received: u64 },
     #[error("only {} MB are free on the server's disk", free >> 20)]
     DiskNearlyFull { free: u64 },
     #[error(
-        "this parse wants about {} MB beside the {} MB that the server holds, and it may have {} MB: thin the cloud, or give the server more",
+        "this parse needs about {} MB, and the server already uses {} of its {} MB: thin the cloud, or give the server more memory",
         wanted >> 20, resident >> 20, most >> 20
     )]
     MemoryShort { wanted: u64, resident: u64, most: u64 },
-    #[error("the process that read the scan was killed by the system, which may be out of memory")]
+    #[error(
+        "the process that decoded the scan was killed by the system, which may be out of memory"
+    )]
     ReaderKilled,
     #[error("a file could not be read or written")]
     Io(#[from] io::Error),

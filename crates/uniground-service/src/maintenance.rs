@@ -56,7 +56,7 @@ impl MaintenanceService {
             if let Some(DamagedFile { file, what }) =
                 wrong.iter().find(|damage| damage.what != "stray")
             {
-                tracing::error!(parse_id = parse.id, file = %file, what, "a stored parse is damaged");
+                tracing::error!(parse_id = parse.id, file = %file, what, "stored parse is damaged");
                 self.parsed_scenes.retire_parse(&parse.id).await?;
             }
             sleep(PAUSE).await;

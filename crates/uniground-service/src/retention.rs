@@ -142,7 +142,7 @@ impl MaintenanceService {
         for RetentionReport { kind, entries, bytes, why } in
             removed.iter().filter(|removed| removed.entries > 0)
         {
-            tracing::info!(kind, entries, bytes, why, "removed what was kept long enough");
+            tracing::info!(kind, entries, bytes, why, "retention applied");
         }
         Ok(removed)
     }

@@ -86,7 +86,7 @@ impl RoomSearch {
                         tracing::warn!(
                             room.parse_id,
                             error = &error as &dyn std::error::Error,
-                            "a room can not be found among many"
+                            "scene could not be indexed for search"
                         );
                         self.room_index_repository.index_room(room, &[]).await?;
                     }
@@ -251,7 +251,7 @@ impl RoomSearch {
             Err(error) => {
                 tracing::warn!(
                     error = &error as &dyn std::error::Error,
-                    "names alone tell which rooms are looked into"
+                    "vector search failed; choosing scenes by names only"
                 );
                 None
             }

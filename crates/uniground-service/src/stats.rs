@@ -195,9 +195,8 @@ impl StatsService {
         let look = async move {
             let mut measured = measured.lock().await;
             let sizes = blobs.sizes(&mut measured).await;
-            let sizes = sizes.inspect_err(
-                |error| tracing::warn!(%error, "the sizes of files could not be measured"),
-            );
+            let sizes = sizes
+                .inspect_err(|error| tracing::warn!(%error, "file sizes could not be measured"));
             sizes.ok().map(Arc::new).or(before)
         };
         self.figures.sizes.get_soon(SIZES_AGE, PATIENCE, look).await.flatten()

@@ -68,7 +68,7 @@ impl WebhookService {
                 Some(Ok(false)) | None => {}
                 Some(Err(error)) => tracing::warn!(
                     error = &error as &dyn std::error::Error,
-                    "what is to be told can not be read"
+                    "webhook event could not be read"
                 ),
             }
             let _ = shutdown.run_until_cancelled(sleep(LOOK_EVERY)).await;
@@ -121,7 +121,7 @@ impl WebhookService {
             tracing::warn!(
                 job_id,
                 error = &error as &dyn std::error::Error,
-                "a job's end could not be told"
+                "webhook delivery failed; retrying later"
             );
             sleep(LOOK_EVERY).await;
         }
@@ -147,7 +147,7 @@ impl WebhookService {
                     job_id,
                     tries = TRIES,
                     error = &error as &dyn std::error::Error,
-                    "a webhook was never taken"
+                    "webhook delivery abandoned after the last attempt"
                 );
                 self.webhook_repository.forget_announcement(job_id).await?;
             }
@@ -158,7 +158,7 @@ impl WebhookService {
                     job_id,
                     again_in_s,
                     error = &error as &dyn std::error::Error,
-                    "a webhook was not taken"
+                    "webhook delivery failed; retrying"
                 );
                 self.webhook_repository.put_off_announcement(job_id, wait).await?;
             }

@@ -294,7 +294,7 @@ impl BatchRepository {
         if let Err(error) = self.database.truncate_log().await {
             tracing::debug!(
                 error = &error as &dyn std::error::Error,
-                "the write-ahead log could not be truncated; its file keeps its size for now"
+                "write-ahead log could not be truncated; it keeps its size"
             );
         }
         self.reserve.restore_reserve().await;

@@ -300,7 +300,7 @@ impl ProcessLease {
                 Ok(Err(_)) => "it refuses or is gone",
                 Err(_) => "it does not answer",
             };
-            tracing::warn!(trouble, "the database is away");
+            tracing::warn!(trouble, "database connection lost; reconnecting");
             *held = None;
             number.fetch_add(1, Relaxed);
             steady_since = Instant::now();
@@ -322,7 +322,7 @@ impl ProcessLease {
         if seen.rows_affected() == 0 {
             let again = new_id();
             tracing::error!(
-                "this process was not seen for longer than its lease: what it was at work on is others' now"
+                "lease lost: this process missed its heartbeats and its jobs went to other workers"
             );
             let sql = format!(
                 "INSERT INTO members (id, seen_at, session) VALUES ($1, {clock}, pg_backend_pid())"
@@ -350,7 +350,7 @@ impl ProcessLease {
         for (id, session) in gone {
             tracing::warn!(
                 member = id,
-                "a process that uses this database is gone: others go on with its work"
+                "process lease expired; another worker takes over its jobs"
             );
             // Its locks, which others may wait for, go with its session.
             let end = "SELECT count(pg_terminate_backend(pid)) FROM pg_stat_activity WHERE pid = $1 AND datname = current_database()";

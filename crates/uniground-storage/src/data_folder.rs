@@ -128,7 +128,7 @@ impl DataFolder {
                 "disk nearly full: no room for the reserve file, which deleting needs on a full disk"
             ),
             Err(error) => {
-                tracing::warn!(%error, "the reserve file, which deleting needs on a full disk, could not be written")
+                tracing::warn!(%error, "reserve file could not be written; deleting on a full disk may fail")
             }
         }
         Ok(folder)

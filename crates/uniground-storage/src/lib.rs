@@ -133,35 +133,33 @@ pub enum StoreError {
     )]
     OnlyOfFolder { kept_in: String },
     #[error(
-        "this data folder holds scans and parses of its own: an object store (--blobs) needs a folder without any, for its copies"
+        "this data folder holds scans and parses of its own: with an object store (--blobs) use an empty folder, which caches copies"
     )]
     BlobsHere,
     #[error(
-        "this data folder, this database and this object store do not belong together: one of them is another server's (--data-dir, --database, --blobs)"
+        "this data folder, database and object store do not belong together: one of them is another server's (--data-dir, --database, --blobs)"
     )]
     NotTogether,
     #[error(
-        "not everything that is being moved to it is there: run the same `uniground migrate` again, or choose another folder"
+        "a migration to this folder is unfinished: run the same `uniground migrate` again, or choose another folder"
     )]
     HalfMoved,
-    #[error(
-        "another server uses this database: it can not be had for oneself, or somebody has it for himself"
-    )]
+    #[error("this database is in use by another server and cannot be opened exclusively")]
     DatabaseInUse,
     /// The job was given to somebody else.
-    #[error("this process was not seen for so long that its job was given to another")]
+    #[error("the lease of this job was lost, and another worker has it")]
     NotHeld,
-    #[error("vectors can not be kept (--vectors pgvector): {why}")]
+    #[error("vectors cannot be stored (--vectors pgvector): {why}")]
     NoVectors { why: String },
     #[error("another server uses this data folder")]
     InUse,
     #[error(
-        "it holds other things ({found}) and is no data folder of uniground's: choose an empty one"
+        "it holds other files ({found}) and is not a data folder of uniground: choose an empty folder"
     )]
     NotOurs { found: String },
-    #[error("{folder} is no data folder of uniground's")]
+    #[error("{folder} is not a data folder of uniground")]
     NoDataFolder { folder: Utf8PathBuf },
-    #[error("a stored record can not be read")]
+    #[error("a stored record could not be read")]
     Record(#[from] serde_json::Error),
     /// What several writes failed of that were made as one.
     #[error(transparent)]

@@ -141,7 +141,7 @@ impl OrphanRepository {
             tracing::warn!(
                 folders = unclaimed.len(),
                 days = QUARANTINE_DAYS,
-                "folders no record speaks of go to the quarantine"
+                "moving orphan folders to the quarantine"
             );
             self.quarantine(unclaimed).await?;
         }
@@ -168,7 +168,7 @@ impl OrphanRepository {
                         tracing::warn!(
                             hash,
                             is_known = claimed.is_ok(),
-                            "a content may have been uploaded again while its last scene was removed: it stays"
+                            "scan may have been uploaded again while its last scene was deleted; keeping it"
                         );
                         self.blobs.put_back(taken, content.clone()).await?;
                     }
@@ -197,7 +197,7 @@ impl OrphanRepository {
             } else {
                 fs::rename(&from, &to)?;
                 if self.unknown(kind, vec![name.clone()]).await?.is_empty() {
-                    tracing::warn!(kind, name, "a folder is spoken of by now: it stays");
+                    tracing::warn!(kind, name, "folder is referenced again; keeping it");
                     fs::rename(&to, &from)
                         .or_else(|error| if from.exists() { Ok(()) } else { Err(error) })?;
                 }

@@ -290,7 +290,7 @@ async fn inherit(
         tracing::warn!(
             parse_id = new.id,
             retired,
-            "a parse made anew has other instances: corrections and names stay behind"
+            "new parse has other instances; corrections and names were not carried over"
         );
         return Ok(());
     }

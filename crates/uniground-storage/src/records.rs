@@ -61,7 +61,7 @@ fn value(text: &str) -> Value {
 pub(super) fn read_or_none<T: DeserializeOwned>(what: &str, text: &str) -> Option<T> {
     serde_json::from_str(text)
         .inspect_err(
-            |error| tracing::warn!(what, %error, "a stored record of another version is left out"),
+            |error| tracing::warn!(what, %error, "stored record has an unknown version; skipped"),
         )
         .ok()
 }

@@ -50,8 +50,8 @@ impl Reserve {
             .await
             .unwrap_or_else(|error| Err(io::Error::other(error)));
         match written {
-            Ok(is_there) => tracing::trace!(is_there, "looked at the reserve file"),
-            Err(error) => tracing::debug!(%error, "the reserve file could not be written"),
+            Ok(is_there) => tracing::trace!(is_there, "reserve file checked"),
+            Err(error) => tracing::debug!(%error, "reserve file could not be written"),
         }
     }
 }

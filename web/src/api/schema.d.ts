@@ -14148,7 +14148,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "checksum_mismatch",
-                     *       "detail": "what has come is not what the checksum is of: send this part again",
+                     *       "detail": "the checksum does not match the bytes received: send this part again",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 460,
@@ -14762,7 +14762,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "checksum_mismatch",
-                     *       "detail": "what has come is not what the checksum is of: send this part again",
+                     *       "detail": "the checksum does not match the bytes received: send this part again",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 460,
@@ -15409,7 +15409,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "checksum_mismatch",
-                     *       "detail": "what has come is not what the checksum is of: send this part again",
+                     *       "detail": "the checksum does not match the bytes received: send this part again",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 460,

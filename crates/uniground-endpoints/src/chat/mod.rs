@@ -165,7 +165,7 @@ fn believed(counted: Option<u64>, reckoned: u64, most_times: u64) -> u64 {
             tracing::warn!(
                 counted,
                 reckoned,
-                "the model's server told a number of tokens that can not be: what was reckoned is taken"
+                "model server reported an impossible token count; using the estimate"
             );
             reckoned
         }

@@ -239,7 +239,7 @@ fn told(row: &SceneRow, error: &Error) -> NotAsked {
         tracing::warn!(
             scene_id = row.id,
             error = error as &dyn std::error::Error,
-            "one of many scenes could not be asked"
+            "scene could not be searched"
         );
     }
     NotAsked { scene_id: row.id.clone(), code: error.code().to_owned(), detail: error.to_string() }

@@ -146,7 +146,7 @@ impl GroundingService {
             if let Err(error) = named {
                 tracing::warn!(
                     error = &error as &dyn std::error::Error,
-                    "a question goes without names"
+                    "naming failed; answering without names"
                 );
             }
         }
@@ -204,7 +204,7 @@ impl GroundingService {
             Err(error) => {
                 tracing::error!(
                     error = &error as &dyn std::error::Error,
-                    "an answer is given but can not be kept"
+                    "answer could not be stored; returning it unstored"
                 );
                 (answer.stored, answer.evidence) = (false, Some(Vec::new()));
             }
@@ -246,7 +246,7 @@ impl GroundingService {
                 Err(error) if error.is_transient() && start.elapsed() < patience => {
                     tracing::warn!(
                         error = &error as &dyn std::error::Error,
-                        "an answer can not be kept yet"
+                        "answer could not be stored yet; retrying"
                     );
                     sleep(LOOK_AGAIN).await;
                 }

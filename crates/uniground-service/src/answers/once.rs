@@ -50,7 +50,7 @@ impl GroundingService {
                 Err(error) if !self.may_pay(&request) => {
                     tracing::warn!(
                         error = &error as &dyn std::error::Error,
-                        "a question is answered without its key, which can not be kept"
+                        "idempotency key could not be stored; answering without it"
                     );
                     (asked.clone(), self.ids.new_id())
                 }

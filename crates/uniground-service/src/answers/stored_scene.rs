@@ -154,7 +154,7 @@ impl SceneSource for StoredScene {
             tracing::warn!(
                 parse_id = self.parse.id,
                 error = &error as &dyn std::error::Error,
-                "names that a model gave are not kept"
+                "names given by the model could not be stored"
             );
         }
         Ok(())
@@ -191,7 +191,7 @@ impl SceneSource for StoredScene {
                 tracing::warn!(
                     parse_id = self.parse.id,
                     error = &error as &dyn std::error::Error,
-                    "a photograph can not be looked into"
+                    "photograph could not be segmented"
                 );
                 Ok(None)
             }
@@ -243,9 +243,7 @@ fn shot(blobs: &Blobs, parse: &Utf8Path, id: InstanceId, at: usize, of: &View) -
             .and_then(|bytes| image::load_from_memory(&bytes).map_err(|e| e.to_string()));
         decoded
             .map(image::DynamicImage::into_rgb8)
-            .inspect_err(
-                |error| tracing::warn!(%file, error, "an evidence picture can not be read"),
-            )
+            .inspect_err(|error| tracing::warn!(%file, error, "evidence picture could not be read"))
             .ok()
     };
     if of.mask.is_some() {

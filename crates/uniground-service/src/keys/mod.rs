@@ -294,7 +294,7 @@ impl Keyring {
             Err(error) => {
                 tracing::warn!(
                     error = &error as &dyn std::error::Error,
-                    "requests to other processes are not counted now"
+                    "shared rate limit unavailable; limiting by this process only"
                 );
                 Ok(Some(here))
             }
@@ -313,7 +313,7 @@ impl Keyring {
             if let Err(error) = keys.note_key_use(&id, &now()).await {
                 tracing::debug!(
                     error = &error as &dyn std::error::Error,
-                    "when a key was last used could not be written down"
+                    "last use of a key could not be recorded"
                 );
             }
         });

@@ -91,7 +91,7 @@ impl NamingService {
             tracing::warn!(
                 scene_id,
                 error = &error as &dyn std::error::Error,
-                "a parsed scene is not named"
+                "scene could not be queued for naming"
             );
         }
     }

@@ -92,7 +92,7 @@ pub fn read_photograph(
         }
         Err(error) => Err(error.to_string()),
     };
-    picture.inspect_err(|error| tracing::warn!(%kept, error, "a photograph can not be read")).ok()
+    picture.inspect_err(|error| tracing::warn!(%kept, error, "photograph could not be read")).ok()
 }
 
 /// The frames of a parse, with their picture files in the content's folder; `None` in parses that

@@ -101,7 +101,7 @@ impl JobKind for ParseJob {
                 {
                     tracing::warn!(
                         error = &error as &dyn std::error::Error,
-                        "the object store was away: the parse goes on"
+                        "object store was unavailable; parse continues"
                     );
                 }
                 done => break done.map_err(job_failure)?,

@@ -65,7 +65,7 @@ impl ParsedScenes {
         if wrong.is_empty() {
             return Ok(Some(parse.id));
         }
-        tracing::warn!(parse_id = parse.id, files = wrong.len(), "a stored parse is not whole");
+        tracing::warn!(parse_id = parse.id, files = wrong.len(), "stored parse is incomplete");
         self.retire_parse(&parse.id).await?;
         Ok(None)
     }
@@ -90,7 +90,7 @@ impl ParsedScenes {
                     parse_id,
                     scene_id = scene.id,
                     job_id = row.id,
-                    "a parse is made anew"
+                    "parsing a scene again"
                 );
                 self.jobs.notify_worker::<ParseJob>(row);
             }

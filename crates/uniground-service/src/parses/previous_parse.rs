@@ -74,7 +74,7 @@ impl PreviousParse {
         let Some((cloud, of_point)) = self.points() else {
             tracing::warn!(
                 parse_id = self.parse_id,
-                "the files of the parse before can not be read: things are known again by their boxes"
+                "files of the previous parse could not be read; matching instances by their boxes"
             );
             let same = identical(&self.found, &scan.scene.instances);
             scan.scene = continued(&self.found, scan.scene.clone(), &same);

@@ -311,7 +311,7 @@ impl ImportService {
             tracing::warn!(
                 hash,
                 files = wrong.len(),
-                "a stored scan is not whole: it is stored again"
+                "stored scan is incomplete; storing it again"
             );
         }
         Ok(wrong.is_empty())

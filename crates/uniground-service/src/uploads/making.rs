@@ -42,7 +42,7 @@ impl UploadService {
                 tracing::debug!(
                     upload_id = id,
                     error = &error as &dyn std::error::Error,
-                    "an upload waits to be made a scene"
+                    "upload is waiting to become a scene"
                 );
             }
         }

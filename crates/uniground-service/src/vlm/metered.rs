@@ -266,7 +266,7 @@ async fn settle(spending: &SpendingRepository, id: &str, usd: f64) {
         tracing::warn!(
             usd,
             error = &error as &dyn std::error::Error,
-            "what a call has cost could not be written down: it stays reserved"
+            "cost of a model call could not be recorded; it stays reserved"
         );
     }
 }

@@ -191,7 +191,7 @@ impl RestoreTarget {
 impl Drop for RestoreTarget {
     fn drop(&mut self) {
         if let Err(error) = self.clear() {
-            tracing::warn!(folder = %self.staging(), %error, "a folder that was being restored stays behind");
+            tracing::warn!(folder = %self.staging(), %error, "partially restored folder could not be removed");
         }
         if !self.was_there && !self.data_dir.join(DATABASE).exists() {
             let _ = fs::remove_file(self.data_dir.join(LOCK));

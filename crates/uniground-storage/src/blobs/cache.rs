@@ -213,7 +213,7 @@ impl FolderCache {
             match self.move_away(&place) {
                 Ok(gone) => aside.extend(gone),
                 Err(error) => {
-                    tracing::warn!(folder = %place, %error, "a folder can not be let go of")
+                    tracing::warn!(folder = %place, %error, "cached folder could not be evicted")
                 }
             }
         }
@@ -223,7 +223,7 @@ impl FolderCache {
             self.runtime.spawn_blocking(move || {
                 for gone in aside {
                     if let Err(error) = remove_tree(&gone, &tmp) {
-                        tracing::warn!(folder = %gone, %error, "a folder stays behind");
+                        tracing::warn!(folder = %gone, %error, "folder could not be removed");
                     }
                 }
             });

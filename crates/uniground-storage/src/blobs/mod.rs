@@ -89,7 +89,7 @@ impl Drop for Scratch {
         // Published folders have moved away; what can not be removed now goes when the server
         // starts next.
         if let Err(error) = remove_tree(&self.path, &self.tmp) {
-            tracing::warn!(folder = %self.path, %error, "a temporary folder stays behind");
+            tracing::warn!(folder = %self.path, %error, "temporary folder could not be removed");
         }
     }
 }
@@ -284,7 +284,7 @@ impl Blobs {
             if checksums::look(&place, CheckDepth::Bytes)?.is_empty() {
                 return Ok(());
             }
-            tracing::warn!(blob = %place, "a damaged folder is replaced");
+            tracing::warn!(blob = %place, "replacing a damaged folder");
             drop(self.take_away(&place)?);
         }
         fs::rename(&scratch.path, &place)?;
@@ -377,7 +377,7 @@ impl Blobs {
         let unsealed = named.map(async |(folder, name)| match objects.unseal(&name).await {
             Ok(unsealed) => unsealed.map(|unclaimed| (folder, unclaimed)),
             Err(error) => {
-                tracing::warn!(%folder, error = &error as &dyn std::error::Error, "its objects stay until they are swept");
+                tracing::warn!(%folder, error = &error as &dyn std::error::Error, "objects could not be removed; garbage collection removes them later");
                 None
             }
         });

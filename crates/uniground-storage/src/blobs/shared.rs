@@ -155,7 +155,7 @@ impl Blobs {
         if damage.is_none() || self.shared.is_none() {
             return Ok(damage);
         }
-        tracing::warn!(folder = %place, %file, "a copy is damaged, and brought anew");
+        tracing::warn!(folder = %place, %file, "local copy is damaged; downloading it again");
         fs::remove_file(place.join(file))?;
         let _brought = self.file(place, file)?;
         checksums::look_at(place, file)

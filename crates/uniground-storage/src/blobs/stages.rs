@@ -38,7 +38,7 @@ impl CheckpointUpload {
         if timeout(PATIENCE, following.put_rest()).await.is_err() {
             tracing::warn!(
                 hash = following.hash,
-                "finished stages could not be put into the object store in time"
+                "checkpoints could not be uploaded to the object store in time"
             );
         }
     }
@@ -67,7 +67,7 @@ impl Blobs {
             tracing::warn!(
                 hash,
                 error = &error as &dyn std::error::Error,
-                "finished stages can not be brought: they are computed again"
+                "checkpoints could not be downloaded; recomputing the stages"
             );
         }
         File::open(&folder)?.set_modified(SystemTime::now())?;
@@ -182,7 +182,10 @@ impl CheckpointSync {
     async fn put_rest(&self) {
         let (Ok(here), Ok(there)) = (self.logs_here().await, self.objects.logs(&self.hash).await)
         else {
-            tracing::warn!(hash = self.hash, "finished stages stay on this machine");
+            tracing::warn!(
+                hash = self.hash,
+                "checkpoints could not be uploaded; they stay on this machine"
+            );
             return;
         };
         let stored: HashMap<&str, u64> =
@@ -194,7 +197,7 @@ impl CheckpointSync {
                 hash = self.hash,
                 name,
                 bytes,
-                "a finished stage goes into the object store"
+                "uploading a checkpoint to the object store"
             );
             self.put(name).await;
         }
@@ -202,7 +205,7 @@ impl CheckpointSync {
             if let Err(error) = self.objects.remove_log(&self.hash, &log.name).await {
                 tracing::debug!(
                     error = &error as &dyn std::error::Error,
-                    "a stage of other settings stays"
+                    "checkpoint of other settings kept"
                 );
             }
         }
@@ -213,7 +216,12 @@ impl CheckpointSync {
         let put = self.objects.put_log(&self.hash, name, &self.folder.join(name)).await;
         let told = |error: &io::Error| {
             let error = error as &dyn std::error::Error;
-            tracing::warn!(hash = self.hash, name, error, "a finished stage stays on this machine");
+            tracing::warn!(
+                hash = self.hash,
+                name,
+                error,
+                "checkpoint could not be uploaded; it stays on this machine"
+            );
         };
         put.inspect_err(told).is_ok()
     }

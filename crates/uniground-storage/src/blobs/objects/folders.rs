@@ -92,7 +92,7 @@ impl Drop for UnsealedObjects {
         self.objects.runtime.spawn(async move {
             if let Err(error) = objects.remove_below(&below).await {
                 let error = &error as &dyn std::error::Error;
-                tracing::warn!(error, %below, "objects that nobody refers to stay for the sweep");
+                tracing::warn!(error, %below, "unreferenced objects could not be removed; garbage collection removes them later");
             }
         });
     }

@@ -36,7 +36,7 @@ impl Objects {
                 if let Err(left) = upload.abort().await {
                     tracing::debug!(
                         error = &left as &dyn std::error::Error,
-                        "an upload that failed is left in the object store"
+                        "failed multipart upload could not be aborted in the object store"
                     );
                 }
                 Err(error)
