@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: web web-check web-test demo serve test models test-postgres test-vectors test-objects test-deploy test-cluster test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-programs bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers bench-isolation
+.PHONY: check web web-check web-test demo serve test models test-postgres test-vectors test-objects test-deploy test-cluster test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-programs bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers bench-isolation
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -42,6 +42,11 @@ test-objects: ## The service with its scans in an object store (s3s-fs, a real S
 
 test-models: ## Real weights against golden outputs and an annotated room, FULL=1 more, a real inference server (installs into .venv-models; minutes)
 	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/test-models.sh
+
+check: ## Formatting, lints and unit tests in a debug build: what to run while you work
+	$(CARGO) fmt --all --check
+	$(CARGO) clippy --locked --workspace --lib --bins --quiet -- -D warnings
+	$(CARGO) test --locked --workspace --lib --quiet
 
 lint: ## Formatting, lints (warnings are errors) and the walls between the packages
 	$(CARGO) fmt --all --check
