@@ -1,4 +1,4 @@
-//! Annotated rooms: an archive `<room>.zip`, its objects in `<room>.scene.json` and, where given,
+//! Annotated rooms: an archive `<room>.zip`, its objects in `<room>.scene.json` and, optionally,
 //! the object of each point of its cloud in `<room>.cloud_instance.npy`.
 
 use super::annotations::{Annotations, SceneObject};
@@ -26,16 +26,16 @@ pub struct AnnotatedRoom {
     /// Annotated id of each point of the bundle's cloud; 0 = none.
     pub truth: Vec<u32>,
     annotations: Arc<Annotations>,
-    /// How the world was turned about Z since the annotations were made, degrees.
+    /// Rotation of the world about Z relative to the annotations, degrees.
     turned_deg: f32,
 }
 
 impl AnnotatedRoom {
-    /// Loads `<name>.zip` and its annotations from `folder`; the archive is unpacked into
+    /// Loads `<name>.zip` and its annotations from `folder`. The archive is unpacked into
     /// `scratch`, which must outlive the room.
     ///
     /// # Errors
-    /// Unreadable or malformed files, named.
+    /// Returns an error that names the unreadable or malformed file.
     pub fn load(folder: &Utf8Path, name: &str, scratch: &Utf8Path) -> anyhow::Result<Self> {
         let file = Annotations::file_of(folder, name)
             .with_context(|| format!("{folder}: no annotations of {name}"))?;
@@ -61,8 +61,8 @@ impl AnnotatedRoom {
         Ok(Self { bundle, truth, annotations: Arc::new(annotations), turned_deg: 0.0 })
     }
 
-    /// Movable things with at least `min_points` annotated points. In a turned world their boxes
-    /// are those of their points.
+    /// Returns movable things with at least `min_points` annotated points. In a rotated world,
+    /// their boxes are the bounds of their points.
     #[must_use]
     pub fn objects(&self, min_points: u32) -> Vec<AnnotatedObject> {
         let objects = self.annotations.objects(min_points);
@@ -86,20 +86,20 @@ impl AnnotatedRoom {
             .collect()
     }
 
-    /// Annotated ids that are floor, wall or ceiling.
+    /// Returns the annotated ids of floors, walls and ceilings.
     #[must_use]
     pub fn structures(&self) -> BTreeMap<u32, Structure> {
         self.annotations.objects.iter().filter_map(|o| Some((o.id, o.structure()?))).collect()
     }
 
-    /// The annotations as a source of 2D masks, for the world as it was annotated: not after
-    /// [`turned`](Self::turned).
+    /// Returns the annotations as a source of 2D masks. Only valid for the world as annotated, not
+    /// after [`turned`](Self::turned).
     #[must_use]
     pub fn masks(&self) -> AnnotatedMasks {
         self.annotations.masks(&self.bundle.cloud)
     }
 
-    /// The same room in a world turned about Z.
+    /// Returns the same room in a world rotated about Z.
     #[must_use]
     pub fn turned(&self, deg: f32) -> Self {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), deg.to_radians());
@@ -110,11 +110,11 @@ impl AnnotatedRoom {
         room
     }
 
-    /// The same room with the points of its cloud in another order.
+    /// Returns the same room with the points of its cloud in another order.
     #[must_use]
     pub fn shuffled(&self) -> Self {
         let mut order: Vec<usize> = (0..self.truth.len()).collect();
-        // Any fixed order will do: by a hash of the index.
+        // Any fixed order works: by a hash of the index.
         order.sort_by_key(|&i| (i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
         let mut room = self.clone();
         let cloud = &self.bundle.cloud;
@@ -139,8 +139,9 @@ impl Annotations {
             .collect()
     }
 
-    /// The annotated id of each point of a cloud, where it has one: as annotated when it is the
-    /// room's own, else by the annotated boxes. Data sets have objects of number 0.
+    /// Returns the annotated id of each point of a cloud, if any: from the point annotations if it
+    /// is the room's own cloud, otherwise from the annotated boxes. `None` instead of 0, because
+    /// data sets have objects with number 0.
     pub(super) fn label(&self, cloud: &PointCloud) -> Vec<Option<u32>> {
         match &self.of_point {
             Some(of_point) if of_point.len() == cloud.len() => {
@@ -150,12 +151,12 @@ impl Annotations {
         }
     }
 
-    /// The object at a place that was measured with an error of about `noise_m`; `None` when no box
-    /// is near.
+    /// Returns the object at a position that was measured with an error of about `noise_m`. `None`
+    /// when no box is near.
     ///
-    /// Of all boxes that hold the place the smallest wins: a cup in a shelf is no shelf. What lies
-    /// on a floor or wall belongs to it, unless the box is a flat one that lies there too
-    /// (rugs, pictures) or is let into it (windows, doors).
+    /// The smallest box that contains the position wins: a cup in a shelf is not the shelf. A
+    /// position on a floor or wall belongs to the floor or wall, unless the box is a flat one on it
+    /// (rugs, pictures) or is embedded in it (windows, doors).
     fn at(&self, p: &Point3<f32>, noise_m: f32) -> Option<u32> {
         let holding = |slack: f32| self.objects.iter().filter(move |o| o.distance(p) <= slack);
         let smallest = holding(noise_m).min_by(|a, b| a.volume().total_cmp(&b.volume()));
@@ -189,7 +190,7 @@ impl SceneObject {
         self.size().product()
     }
 
-    /// Whether this lies flat on a slab of the building, or is let into it.
+    /// Returns whether this lies flat on a slab of the building, or is embedded in it.
     fn is_part_of(&self, slab: &Self) -> bool {
         const FLAT_M: f32 = 0.1;
         const LET_IN_M: f32 = 0.02;
@@ -197,7 +198,7 @@ impl SceneObject {
         self.aabb.size[normal] < FLAT_M || -self.aabb.gap_per_axis(&slab.aabb)[normal] >= LET_IN_M
     }
 
-    /// Distance of a point to the (oriented) box, metres; 0 inside.
+    /// Returns the distance of a point to the (oriented) box, meters; 0 inside.
     fn distance(&self, p: &Point3<f32>) -> f32 {
         let own = self.rotated_box();
         let turned = own.rotation.inverse() * (p - own.center);
@@ -208,11 +209,11 @@ impl SceneObject {
 /// A point and the object it belongs to.
 type LabelledPoint = (Point3<f32>, u32);
 
-/// Points this near lend their annotation to a pixel, metres.
+/// Maximum distance of a pixel from the annotated point whose object it takes, meters.
 const NEAR_M: f32 = 0.03;
 
-/// Annotated 2D masks: each depth pixel takes the object of the nearest annotated point, or of the
-/// boxes where only those are known. Isolates grouping and boxes from masks.
+/// Annotated 2D masks. Each depth pixel takes the object of the nearest annotated point, or of the
+/// boxes if there are only those. Isolates the errors of grouping and boxes from those of masks.
 #[derive(Clone)]
 pub struct AnnotatedMasks {
     annotations: Arc<Annotations>,
@@ -265,7 +266,7 @@ impl MaskSource for AnnotatedMasks {
 mod tests {
     use super::*;
 
-    /// `ScanNet` counts from 0: what belongs to nothing is not its object 0.
+    /// `ScanNet` counts from 0: unlabeled points do not belong to its object 0.
     #[test]
     fn a_point_of_no_object_is_not_of_object_zero() {
         let boxes = [-1.0, 1.0].map(|x| {

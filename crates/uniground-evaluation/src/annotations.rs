@@ -1,8 +1,8 @@
-//! What is known of a scene: its objects, their names and boxes.
+//! Annotations of a scene: its objects, their names and boxes.
 //!
 //! Read from `<scene>.scene.json` (`{"objects": [{"id", "name", "min", "max", "obb"?, …}]}`) or
-//! `<scene>.json` (a list of `{"bbox_id", "target", "bbox_3d"}` with six or nine numbers: centre,
-//! full extent and, for nine, the `ZXY` Euler angles of `EmbodiedScan` in radians). Metres, world
+//! `<scene>.json` (a list of `{"bbox_id", "target", "bbox_3d"}` with six or nine numbers: center,
+//! full extent and, for nine, the `ZXY` Euler angles of `EmbodiedScan` in radians). Meters, world
 //! frame of the scan as imported (Z up).
 
 use super::records::{Omission, Record};
@@ -24,14 +24,14 @@ pub struct SceneObject {
     pub id: u32,
     pub name: String,
     pub aabb: Aabb,
-    /// Where the annotation says how the object stands.
+    /// The oriented box, if the annotation has one.
     pub rotated: Option<RotatedBox>,
-    /// Points of the scan's cloud that belong to it, as annotated.
+    /// Number of points of the scan's cloud that belong to it, as annotated.
     pub cloud_points: u32,
     pub mean_rgb: Option<[f32; 3]>,
-    /// Colour names, as annotated.
+    /// Color names, as annotated.
     pub colours: Vec<ColourName>,
-    /// What somebody called it who had only seen a picture of it (`<scene>.names.json`).
+    /// Name given by an annotator who had only seen a picture of it (`<scene>.names.json`).
     pub seen_as: Option<String>,
 }
 
@@ -59,7 +59,7 @@ struct ObjectRecord {
     #[serde(default)]
     cloud_points: u32,
     mean_rgb: Option<[f32; 3]>,
-    /// "light brown and white"
+    /// For example "light brown and white".
     colour: Option<String>,
 }
 
@@ -81,7 +81,7 @@ struct LookupRecord {
 }
 
 impl Annotations {
-    /// The file that describes a scene, if there is one in `folder`.
+    /// Returns the file that describes a scene, if `folder` contains one.
     #[must_use]
     pub fn file_of(folder: &Utf8Path, scene: &str) -> Option<Utf8PathBuf> {
         [format!("{scene}.scene.json"), format!("{scene}.json")]
@@ -90,7 +90,7 @@ impl Annotations {
             .find(|file| file.is_file())
     }
 
-    /// Reads a file; objects that make no sense are left out and told.
+    /// Reads a file. Invalid objects are left out and reported.
     #[must_use]
     pub fn read(file: &Utf8Path) -> (Self, Vec<Omission>) {
         let text = match fs::read_to_string(file) {
@@ -120,7 +120,7 @@ impl Annotations {
         if text.trim_start().starts_with('[') {
             match Record::all(&text) {
                 Ok(records) => records.iter().for_each(|r| {
-                    take(r.line, r.decode(file).and_then(|o| of_lookup(o, file, r.line)))
+                    take(r.line, r.decode(file).and_then(|o| of_lookup(o, file, r.line)));
                 }),
                 Err(error) => return (Self::default(), broken(error)),
             }
@@ -129,7 +129,7 @@ impl Annotations {
                 Ok(scene) => {
                     let records = Record::located(&text, &scene.objects);
                     records.iter().for_each(|r| {
-                        take(r.line, r.decode(file).and_then(|o| of_object(o, file, r.line)))
+                        take(r.line, r.decode(file).and_then(|o| of_object(o, file, r.line)));
                     });
                 }
                 Err(error) => return (Self::default(), broken(error)),
@@ -147,7 +147,7 @@ impl Annotations {
         (Self { objects, of_point }, omissions)
     }
 
-    /// Boxes and their names, numbered from 1.
+    /// Returns boxes and their names, numbered from 1.
     #[must_use]
     pub fn named(boxes: &[(String, Aabb)]) -> Self {
         let object = |(i, (name, aabb)): (usize, &(String, Aabb))| SceneObject {
@@ -168,8 +168,8 @@ impl Annotations {
         self.objects.binary_search_by_key(&id, |o| o.id).ok().map(|i| &self.objects[i])
     }
 
-    /// The same objects in a world turned about Z. Axis-aligned boxes are those around the turned
-    /// ones.
+    /// Returns the same objects in a world rotated about Z. Axis-aligned boxes become the bounds of
+    /// the rotated ones.
     #[must_use]
     pub fn turned(&self, deg: f32) -> Self {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), deg.to_radians());
@@ -185,7 +185,7 @@ impl Annotations {
         Self { objects: self.objects.iter().map(turned).collect(), of_point: self.of_point.clone() }
     }
 
-    /// Whether an object is the only one of its name.
+    /// Returns whether an object is the only one with its name.
     #[must_use]
     pub fn is_unique(&self, name: &str) -> bool {
         self.objects.iter().filter(|o| o.name == name).count() == 1
@@ -193,7 +193,7 @@ impl Annotations {
 }
 
 impl SceneObject {
-    /// The part of the building its name says it is.
+    /// Returns the part of the building that its name stands for.
     #[must_use]
     pub fn structure(&self) -> Option<Structure> {
         [Structure::Floor, Structure::Ceiling, Structure::Wall]
@@ -245,7 +245,7 @@ fn of_lookup(
         .map_err(|what| Omission::new(file, line, format!("object {id}: {what}")))
 }
 
-/// Centre, full extent and, with nine numbers, `ZXY` Euler angles in radians.
+/// Parses center, full extent and, with nine numbers, `ZXY` Euler angles in radians.
 fn box_of_numbers(numbers: &[f32]) -> Result<RotatedBox, String> {
     let (center, size, turn) = match *numbers {
         [x, y, z, dx, dy, dz] => ([x, y, z], [dx, dy, dz], [0.0; 3]),
@@ -268,8 +268,8 @@ fn sound(object: SceneObject) -> Result<SceneObject, String> {
     Ok(object)
 }
 
-/// Why a box can not be scored against, if so. Flat ones can not: their overlap with anything is
-/// nothing.
+/// Checks that a box can be scored against. Returns the reason if not. Flat boxes cannot: their
+/// overlap with any box is 0.
 pub(super) fn check_box(aabb: &Aabb) -> Result<(), String> {
     let within = |v: &f32| v.is_finite() && v.abs() <= MAX_COORDINATE_M;
     if !aabb.center.iter().chain(aabb.size.iter()).all(within) {
@@ -289,7 +289,7 @@ struct SeenNames {
     names: BTreeMap<u32, String>,
 }
 
-/// Takes the names of `<scene>.names.json` over, where it lies beside the annotations.
+/// Adds the names of `<scene>.names.json`, if it exists next to the annotations.
 fn read_seen_names(file: &Utf8Path, objects: &mut [SceneObject]) -> Result<(), Omission> {
     let Some(stem) = file.as_str().strip_suffix(".scene.json") else { return Ok(()) };
     let file = Utf8PathBuf::from(format!("{stem}.names.json"));
@@ -315,8 +315,8 @@ fn read_of_point(file: &Utf8Path) -> Result<Option<Vec<u32>>, Omission> {
     read_npy(&bytes).map(Some).map_err(|reason| told(reason.into()))
 }
 
-/// A one-dimensional array of little-endian `u16` in numpy's format, which is all the annotations
-/// use.
+/// Reads a one-dimensional array of little-endian `u16` in numpy's format. The annotations use no
+/// other arrays.
 fn read_npy(bytes: &[u8]) -> Result<Vec<u32>, &'static str> {
     if !bytes.starts_with(b"\x93NUMPY\x01") || bytes.len() < 10 {
         return Err("not an .npy file of version 1");

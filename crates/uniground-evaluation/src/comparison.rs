@@ -1,4 +1,5 @@
-//! Two runs of the same expressions: what flipped, and whether a drop is more than luck.
+//! Compares two runs of the same expressions: which answers changed, and whether a drop is
+//! significant.
 
 use super::digest;
 use super::measures::interval;
@@ -14,32 +15,31 @@ use std::fs;
 
 const FORMAT: &str = "uniground-baseline/1";
 
-/// What a later run is held against: which expressions were right, and the accuracy's interval
-/// then.
+/// The reference for later runs: which expressions were right, and the interval of the accuracy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Baseline {
     pub format: String,
     pub suite: String,
     pub label: Option<String>,
-    /// By name of the cell.
+    /// Cells by name.
     pub cells: BTreeMap<String, BaselineCell>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BaselineCell {
-    /// Lower ends of the 95 % intervals of the share right at an IoU of 0.25 and 0.5, all
-    /// expressions counted.
+    /// Lower ends of the 95 % intervals of the share right at an IoU of 0.25 and 0.5, over all
+    /// expressions.
     pub low: [f32; 2],
     /// By expression: right at 0.25, right at 0.5.
     pub right: BTreeMap<String, [bool; 2]>,
 }
 
-/// One cell before and after, over the expressions both have.
+/// One cell before and after, over the expressions that both runs have.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CellChange {
     pub cell: String,
     pub expressions: usize,
-    /// Expressions only one of the two has.
+    /// Number of expressions that only one of the runs has.
     pub unpaired: usize,
     /// At an IoU of 0.25 and 0.5.
     pub thresholds: [Change; 2],
@@ -51,23 +51,23 @@ pub struct Change {
     pub after: f32,
     /// 95 % interval of the paired difference.
     pub interval: (f32, f32),
-    /// Lower end of the interval the first run gave itself.
+    /// Lower end of the first run's own interval.
     pub low_before: f32,
     pub gained: Vec<String>,
     pub lost: Vec<String>,
 }
 
 impl Change {
-    /// Worse by more than luck: below the interval of before, or the paired difference is surely
-    /// negative.
+    /// Returns whether the drop is significant: below the first run's interval, or with a paired
+    /// difference that is negative over its whole interval.
     #[must_use]
     pub fn is_drop(&self) -> bool {
         self.after < self.low_before || self.interval.1 < 0.0
     }
 }
 
-/// An expression by id and words: where ids are places in a list, the words tell whether it is
-/// still the same one.
+/// Returns a key of an expression from its id and its text. Where ids are positions in a list, the
+/// text shows whether it is still the same expression.
 #[must_use]
 pub fn key(outcome: &ScoredExpression) -> String {
     format!("{}~{:.6}", outcome.id, digest::of(outcome.query.as_bytes()))
@@ -89,10 +89,10 @@ impl Baseline {
         }
     }
 
-    /// Reads a baseline, or a report as one.
+    /// Reads a baseline, or a report as a baseline.
     ///
     /// # Errors
-    /// A file that is neither.
+    /// Returns an error for a file that is neither.
     pub fn read(path: &Utf8Path) -> anyhow::Result<Self> {
         if path.is_dir() {
             return Ok(Self::of(&Report::read(path)?));
@@ -111,14 +111,14 @@ impl Baseline {
     }
 
     /// # Errors
-    /// When the file can not be written.
+    /// Returns an error when the file cannot be written.
     pub fn write(&self, file: &Utf8Path) -> anyhow::Result<()> {
         let mut text = serde_json::to_string_pretty(self)?;
         text.push('\n');
         fs::write(file, text).with_context(|| file.to_string())
     }
 
-    /// What changed since, cell by cell; cells that only one side has are named in the second list.
+    /// Returns the changes, cell by cell. The second list names cells that only one side has.
     #[must_use]
     pub fn against(&self, after: &Self) -> (Vec<CellChange>, Vec<String>) {
         let changes = self
@@ -161,7 +161,7 @@ impl BaselineCell {
             let named = |sign: f32| {
                 pairs.iter().filter(|p| difference(p) == sign).map(|p| p.0.clone()).collect()
             };
-            // Ids carry no scene here: expressions are drawn one by one.
+            // Ids carry no scene here, so expressions are resampled individually.
             let differences: Vec<(&str, f32)> = pairs.iter().map(|p| ("", difference(p))).collect();
             Change {
                 before: pairs.iter().filter(|p| p.1[i]).count() as f32 / n,
@@ -181,7 +181,7 @@ impl BaselineCell {
     }
 }
 
-/// Changes as a table and lists; `name` says what an expression asks.
+/// Formats changes as a table and lists. `name` returns the text of an expression.
 #[must_use]
 pub fn describe(changes: &[CellChange], name: impl Fn(&str) -> Option<String>) -> String {
     let mut text = String::from(
@@ -250,7 +250,7 @@ mod tests {
         let mut many = [true; 40];
         many[..7].fill(false);
         assert!(change(&all, &cell(0.8, &many)).is_drop());
-        // Below the old interval, though the paired difference alone could be luck.
+        // Below the old interval, although the paired difference alone could be chance.
         assert!(change(&cell(0.99, &[true; 40]), &cell(0.8, &one)).is_drop());
         assert!(!change(&all, &all).is_drop());
     }

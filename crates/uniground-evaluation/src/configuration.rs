@@ -1,4 +1,4 @@
-//! What is varied in a run: one [`Configuration`] per cell of the table, from
+//! The varied settings of a run: one [`Configuration`] per cell of the table, parsed from
 //! `axis=value,value;axis=…`.
 
 use anyhow::{Context, bail, ensure};
@@ -12,47 +12,47 @@ use uniground_types::question::{
 };
 use uniground_types::settings::{ParsePreset, ParseSettings};
 
-/// Where instances come from: each bottleneck by itself.
+/// The source of instances. Each source isolates one bottleneck.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Source {
     /// Stage 1 on the scan: the whole system.
     #[default]
     Parsed,
-    /// Annotated boxes and names: language and space alone.
+    /// Annotated boxes and names: measures only language and spatial reasoning.
     Oracle,
-    /// Annotated boxes, the encoder's names: what names cost.
+    /// Annotated boxes with the encoder's names: measures the loss from names.
     OracleBoxes,
-    /// The candidates a task folder brings along (`ref.json`).
+    /// The candidates stored in a task folder (`ref.json`).
     Recorded,
 }
 
-/// Where names come from, beside the encoder's.
+/// An additional source of names, besides the encoder.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Names {
-    /// From nobody.
+    /// No additional names.
     #[default]
     Own,
-    /// What somebody called the annotated objects from pictures alone (`<scene>.names.json`),
-    /// handed to the instances that cover them: names as a good model gives them, without its
+    /// Names that an annotator gave to objects from pictures alone (`<scene>.names.json`), assigned
+    /// to the instances that cover them. They resemble the names of a good model, without its
     /// mistakes about what a tile shows.
     Seen,
 }
 
-/// One cell: everything a reply depends on, beside the scene and the expression.
+/// One cell: all settings that a reply depends on, besides the scene and the expression.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Configuration {
     pub source: Source,
     #[serde(default)]
     pub names: Names,
     pub preset: ParsePreset,
-    /// Settings of a parse that replace those of the preset, as in a request for one.
+    /// Settings of a parse that override the preset, as in a parse request.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub settings: Option<Value>,
-    /// `rgbd`, or a segmenter's bundle.
+    /// `rgbd`, or the name of a segmenter's bundle.
     pub masks: String,
-    /// `attributes`, or a dual encoder's bundle.
+    /// `attributes`, or the name of a dual encoder's bundle.
     pub encoder: String,
     pub parser: ParserChoice,
     pub reasoner: ReasonerChoice,
@@ -79,7 +79,7 @@ impl Default for Configuration {
             masks: BUILTIN_MASKS.into(),
             encoder: BUILTIN_ENCODER.into(),
             parser: ParserChoice::Builtin,
-            // A table costs nothing unless somebody says so.
+            // By default, a run makes no paid calls.
             reasoner: ReasonerChoice::Builtin,
             candidates: CandidateSource::Fused,
             query_text: QueryText::Mean,
@@ -94,15 +94,15 @@ impl Default for Configuration {
 }
 
 const MAX_TOP_K: u32 = 100;
-/// More cells than this are a mistake rather than a table.
+/// Maximum number of cells. More are assumed to be a mistake.
 const MAX_CELLS: usize = 1000;
 
-/// Every combination of the values in `matrix` over `base`, in the order written; the last axis
-/// turns fastest.
+/// Returns all combinations of the values in `matrix` over `base`, in the order written. The last
+/// axis varies fastest.
 ///
 /// # Errors
-/// An unknown axis or value, with what there is; an axis given twice; too many cells; a reader that
-/// would read like another.
+/// Returns an error for an unknown axis or value (with the known ones), an axis given twice, too
+/// many cells, or a parser that is equivalent to another one.
 pub fn cells(matrix: &str, base: &Configuration) -> anyhow::Result<Vec<(String, Configuration)>> {
     let mut cells = vec![(String::new(), base.clone())];
     let mut seen: Vec<&str> = Vec::new();
@@ -146,7 +146,7 @@ pub fn cells(matrix: &str, base: &Configuration) -> anyhow::Result<Vec<(String, 
     Ok(cells)
 }
 
-/// Values between commas; those within brackets belong to a list.
+/// Splits values at commas. Commas within brackets belong to a list.
 fn values_of(values: &str) -> Vec<&str> {
     let mut depth = 0;
     let between = |c: char| {
@@ -156,8 +156,8 @@ fn values_of(values: &str) -> Vec<&str> {
     values.split(between).map(str::trim).filter(|value| !value.is_empty()).collect()
 }
 
-/// Replaces one setting of the parse: `parsing.merging.max_hop` and the like; the value as in JSON,
-/// words without quotes.
+/// Overrides one setting of the parse, such as `parsing.merging.max_hop`. The value is JSON; words
+/// need no quotes.
 fn set_parse(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Result<()> {
     let leaf = serde_json::from_str(value).unwrap_or_else(|_| Value::from(value));
     let mut place =
@@ -177,10 +177,10 @@ fn set_parse(configuration: &mut Configuration, axis: &str, value: &str) -> anyh
 fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Result<()> {
     match axis {
         _ if axis.starts_with("import.") || axis.starts_with("parsing.") => {
-            set_parse(configuration, axis, value)?
+            set_parse(configuration, axis, value)?;
         }
         "source" => {
-            configuration.source = word(axis, value, "parsed, oracle, oracle-boxes, recorded")?
+            configuration.source = word(axis, value, "parsed, oracle, oracle-boxes, recorded")?;
         }
         "names" => configuration.names = word(axis, value, "own, seen")?,
         "candidates" => configuration.candidates = word(axis, value, "fused, encoder, reasoner")?,
@@ -191,10 +191,10 @@ fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Re
         "reasoner" => configuration.reasoner = word(axis, value, "auto, builtin, vlm")?,
         "ablation" => {
             configuration.ablation =
-                word(axis, value, "full, no_global, no_candidate, simple_prompt")?
+                word(axis, value, "full, no_global, no_candidate, simple_prompt")?;
         }
         "evidence" => {
-            configuration.evidence = word(axis, value, "full, cached_names, sheet, two_step")?
+            configuration.evidence = word(axis, value, "full, cached_names, sheet, two_step")?;
         }
         "convention" => configuration.convention = word(axis, value, "paper, viewer")?,
         "masks" => configuration.masks = bundle(axis, value, BUILTIN_MASKS)?,
@@ -210,7 +210,8 @@ fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Re
     Ok(())
 }
 
-/// A bundle's name, or the built-in part's own: a figure says what it was measured with.
+/// Returns a bundle's name, or the name of the built-in implementation, so that a figure states
+/// what it was measured with.
 fn bundle(axis: &str, value: &str, builtin: &str) -> anyhow::Result<String> {
     ensure!(
         value != AUTO,
@@ -219,7 +220,7 @@ fn bundle(axis: &str, value: &str, builtin: &str) -> anyhow::Result<String> {
     Ok(if value == BUILTIN { builtin } else { value }.to_owned())
 }
 
-/// A value in the words the HTTP contract uses.
+/// Parses a value in the spelling of the HTTP API.
 fn word<T: DeserializeOwned>(axis: &str, value: &str, known: &str) -> anyhow::Result<T> {
     serde_json::from_value(value.into())
         .map_err(|_| anyhow::anyhow!("{axis}={value}: there is only {known}"))

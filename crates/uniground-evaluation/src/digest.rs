@@ -1,17 +1,17 @@
-//! Short names for contents: the first sixteen hexadecimal digits of a SHA-256.
+//! Short digests of contents: the first 16 hexadecimal digits of a SHA-256.
 
 use camino::{Utf8DirEntry, Utf8Path};
 use sha2::{Digest, Sha256};
 use std::fs::File;
 use std::io::{self, Read};
 
-/// Sixteen digits.
+/// Returns the first 16 digits of the digest of `bytes`.
 #[must_use]
 pub fn of(bytes: &[u8]) -> String {
     hex(&Sha256::digest(bytes))
 }
 
-/// Sixteen digits of what was hashed.
+/// Returns the first 16 digits of a hasher's digest.
 #[must_use]
 pub fn finish(hasher: Sha256) -> String {
     hex(&hasher.finalize())
@@ -21,11 +21,11 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().take(8).map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Adds a file, or a folder with all that is below it.
+/// Adds a file, or a folder with everything below it, to a hash.
 ///
 /// # Errors
-/// What can not be read. Pipes and devices are passed over: they are no part of a scan, and may
-/// never end.
+/// Returns an error for unreadable files. Pipes and devices are skipped: they are not part of a
+/// scan, and reading them may never end.
 pub fn add_path(path: &Utf8Path, hasher: &mut Sha256) -> io::Result<()> {
     if path.is_dir() {
         let listed = path.read_dir_utf8()?.map(|entry| entry.map(Utf8DirEntry::into_path));

@@ -1,8 +1,8 @@
-//! How good is it? Suites of expressions with ground truth, systems that answer them, measures of
-//! both stages, reports.
+//! Evaluation: suites of expressions with ground truth, systems that answer them, measures of both
+//! stages, reports.
 //!
-//! `suite -> run (systems) -> scoring -> measures -> report`. Ground truth is read here and nowhere
-//! below, and here only after ranking: see [`sealed`].
+//! `suite -> run (systems) -> scoring -> measures -> report`. Ground truth is read only in this
+//! crate, and only after ranking: see [`sealed`].
 
 pub mod annotated;
 pub mod annotations;

@@ -1,4 +1,4 @@
-//! The paper's figures over a set of outcomes, with 95 % bootstrap intervals.
+//! Computes the paper's figures over a set of outcomes, with 95 % bootstrap intervals.
 
 use super::reliability::Reliability;
 use super::scoring::{ScoredExpression, TargetOutcome};
@@ -20,15 +20,15 @@ pub struct Share {
 /// `no_match` as a prediction of "not in this room".
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Abstention {
-    /// Expressions about things that are not there.
+    /// Number of expressions about absent things.
     pub absent: usize,
-    /// How often `no_match` was said.
+    /// Number of `no_match` answers.
     pub said: usize,
-    /// Of those that were said, how many were right; `None` when it was never said.
+    /// Share of `no_match` answers that are right. `None` when there are none.
     pub precision: Option<f32>,
-    /// Of those that are absent, how many were found so; `None` when nothing is absent.
+    /// Share of absent things answered with `no_match`. `None` when nothing is absent.
     pub recall: Option<f32>,
-    /// Of those that are there, how many were denied.
+    /// Share of present things answered with `no_match`.
     pub denied: Option<f32>,
 }
 
@@ -39,39 +39,40 @@ pub struct Percentiles {
     pub p99: f64,
 }
 
-/// What one cell, or one split of it, comes to. Pairs are at an IoU of 0.25 and 0.5.
+/// The figures of one cell, or of one split of it. Pairs are at an IoU of 0.25 and 0.5.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
     pub expressions: usize,
     /// Acc@0.25 and Acc@0.5 over all expressions with a target.
     pub complete: [Share; 2],
-    /// The same without those whose target no candidate covers with an IoU of 0.25: stage 2 alone.
+    /// The same without expressions whose target no candidate covers with an IoU of 0.25: stage 2
+    /// alone.
     pub filtered: [Share; 2],
     pub mean_iou: f32,
-    /// Over targets annotated with an oriented box: how many, mean IoU, and accuracies.
+    /// Over targets annotated with an oriented box: their number, mean IoU, and accuracies.
     pub oriented: Option<Oriented>,
     /// Candidate recall at k = 1, 2, ... `top_k`.
     pub recall_at: Vec<[f32; 2]>,
     /// Recall of the shortlist, at k = 1, 2, ...
     pub shortlist_recall_at: Vec<[f32; 2]>,
-    /// Whether any instance covers the target: stage 1's ceiling.
+    /// Share of targets that any instance covers: the upper bound set by stage 1.
     pub any_instance: [f32; 2],
     pub abstention: Abstention,
-    /// How far confidences can be trusted; `None` where nothing was answered with a box.
+    /// Reliability of the confidences. `None` if no answer has a box.
     #[serde(default)]
     pub reliability: Option<Reliability>,
-    /// Answered `ambiguous`.
+    /// Number of `ambiguous` answers.
     pub ambiguous: usize,
-    /// Questions that failed; they count as wrong.
+    /// Number of failed questions. They count as wrong.
     pub failed: usize,
-    /// Per question.
+    /// Mean per question.
     pub vlm_calls: f32,
     pub prompt_tokens: f32,
     pub completion_tokens: f32,
-    /// Of all questions.
+    /// Total of all questions.
     pub cost_usd: f64,
     pub latency_ms: Option<Percentiles>,
-    /// Targets by IoU of the answer, in steps of 0.05; no answer counts as 0.
+    /// Number of targets by IoU of the answer, in steps of 0.05. No answer counts as 0.
     pub iou_histogram: [usize; 20],
 }
 
@@ -82,9 +83,9 @@ pub struct Oriented {
     pub accuracy: [f32; 2],
 }
 
-/// Resamples behind an interval.
+/// Number of bootstrap resamples of an interval.
 const RESAMPLES: usize = 1000;
-/// From this many scenes on, whole scenes are drawn: expressions of one scene share its parse.
+/// Minimum number of scenes for resampling whole scenes. Expressions of one scene share its parse.
 const CLUSTERED_FROM: usize = 10;
 
 impl Figures {
@@ -98,7 +99,7 @@ impl Figures {
             .map(|(o, _)| *o)
             .collect();
         let with_target: Vec<&ScoredExpression> = targets.iter().map(|(o, _)| *o).collect();
-        // An empty sum of floats is minus zero: folding from zero is not.
+        // An empty sum of floats is -0. Folding from zero avoids that.
         let mean = |values: &mut dyn Iterator<Item = f32>| {
             values.fold(0.0, |sum, v| sum + v) / targets.len().max(1) as f32
         };
@@ -152,7 +153,7 @@ impl Share {
         Self { of: values.len(), value, low, high }
     }
 
-    /// How many, of [`of`](Self::of).
+    /// Returns the number of hits, out of [`of`](Self::of).
     #[must_use]
     pub fn count(&self) -> usize {
         (self.value * self.of as f32).round() as usize
@@ -201,8 +202,8 @@ fn best(ious: &[f32]) -> f32 {
     ious.iter().copied().fold(0.0, f32::max)
 }
 
-/// The 95 % percentile interval of a mean, by resampling. Each value has its scene: with many
-/// scenes, whole scenes are drawn.
+/// Returns the 95 % percentile interval of a mean, by resampling. Each value has its scene. With
+/// many scenes, whole scenes are resampled.
 #[must_use]
 pub fn interval(values: &[(&str, f32)], seed: u64) -> (f32, f32) {
     if values.is_empty() {
@@ -231,7 +232,7 @@ pub fn interval(values: &[(&str, f32)], seed: u64) -> (f32, f32) {
     (low, high)
 }
 
-/// `SplitMix64`.
+/// Returns the next number of `SplitMix64`.
 fn next(state: &mut u64) -> u64 {
     *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let mut z = *state;
@@ -278,7 +279,7 @@ mod tests {
             outcome(1, Some((0.6, &[0.6, 0.1])), Status::Grounded),
             outcome(2, Some((0.3, &[0.3])), Status::Grounded),
             outcome(3, Some((0.0, &[0.1, 0.7])), Status::Grounded),
-            // Stage 1 missed it: out of the filtered figure.
+            // Stage 1 missed it, so it does not count in the filtered figure.
             outcome(4, Some((0.0, &[0.1])), Status::NoMatch),
             outcome(5, None, Status::NoMatch),
             outcome(6, None, Status::Grounded),
@@ -319,7 +320,7 @@ mod tests {
 
     #[test]
     fn scenes_are_drawn_whole_where_there_are_many() {
-        // Twelve scenes, each right or wrong throughout: 1,200 expressions carry the news of
+        // Twelve scenes, each entirely right or wrong: 1,200 expressions carry the information of
         // twelve.
         let names: Vec<String> = (0..12).map(|i| format!("s{i}")).collect();
         let values: Vec<(&str, f32)> =

@@ -1,19 +1,19 @@
-//! Pictures of wrong answers: the room with the truth in green, the answer in red, the other
+//! Draws pictures of wrong answers: the room with the truth in green, the answer in red, the other
 //! candidates in blue.
 
 use super::scoring::ScoredExpression;
 use uniground_geometry::boxes::Aabb;
 use uniground_render::{BoxStyle, LabelledBox, Orbit, ROOM_VIEW, RenderScene, jpeg, scene_picture};
 
-/// Where pictures lie below the output folder.
+/// Folder of the pictures below the output folder.
 pub const FOLDER: &str = "pictures";
 
-/// The room a little smaller than in answers: there are many of these.
+/// A smaller view of the room than in answers, because there are many of these pictures.
 const VIEW: Orbit = Orbit { width: 800, height: 600, ..ROOM_VIEW };
-/// More candidates than this only hide the room.
+/// Maximum number of drawn candidates. More would hide the room.
 const MAX_CANDIDATES: usize = 5;
 
-/// What to draw; later boxes lie on top.
+/// Returns the boxes to draw. Later boxes are drawn on top.
 #[must_use]
 pub fn boxes(outcome: &ScoredExpression) -> Vec<LabelledBox> {
     let mut boxes = Vec::new();
@@ -45,7 +45,7 @@ pub fn boxes(outcome: &ScoredExpression) -> Vec<LabelledBox> {
     boxes
 }
 
-/// Draws a room; `None` for one without points and boxes.
+/// Draws a room. Returns `None` for one without points and boxes.
 #[must_use]
 pub fn draw(render_scene: &RenderScene, boxes: &[LabelledBox]) -> Option<Vec<u8>> {
     let corners: Vec<_> = boxes.iter().flat_map(|b| b.aabb.corners()).collect();

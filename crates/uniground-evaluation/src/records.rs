@@ -1,16 +1,16 @@
-//! Records of annotation files, one by one and with their lines: one broken record must not take
-//! the others along.
+//! Reads records of annotation files one by one, with their lines. An invalid record does not
+//! affect the others.
 
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 
-/// Something of a suite that could not be used: the rest is scored without it.
+/// A part of a suite that could not be used. The rest is scored without it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Omission {
     pub file: Utf8PathBuf,
-    /// From 1; `None` when the whole file is meant.
+    /// Line number from 1. `None`: the whole file.
     pub line: Option<u64>,
     pub reason: String,
 }
@@ -30,7 +30,7 @@ impl std::fmt::Display for Omission {
     }
 }
 
-/// One element of a JSON list, and the line it starts at.
+/// One element of a JSON list, with the line where it starts.
 #[derive(Debug, Clone, Copy)]
 pub struct Record<'a> {
     pub line: u64,
@@ -38,21 +38,21 @@ pub struct Record<'a> {
 }
 
 impl<'a> Record<'a> {
-    /// The elements of a JSON list.
+    /// Returns the elements of a JSON list.
     ///
     /// # Errors
-    /// When `text` is no JSON list.
+    /// Returns an error when `text` is not a JSON list.
     pub fn all(text: &'a str) -> serde_json::Result<Vec<Self>> {
         let raw: Vec<&RawValue> = serde_json::from_str(text)?;
         Ok(Self::located(text, &raw))
     }
 
-    /// Elements borrowed from `text`, in its order.
+    /// Returns elements borrowed from `text`, in its order.
     #[must_use]
     pub fn located(text: &'a str, raw: &[&'a RawValue]) -> Vec<Self> {
         let (mut line, mut counted_to) = (1, 0);
         let locate = |value: &&'a RawValue| {
-            // The value is a slice of the text: its distance from the start is its place.
+            // The value is a slice of the text, so its distance from the start is its position.
             let at = (value.get().as_ptr() as usize)
                 .saturating_sub(text.as_ptr() as usize)
                 .min(text.len());
@@ -65,10 +65,10 @@ impl<'a> Record<'a> {
         raw.iter().map(locate).collect()
     }
 
-    /// Decodes this record; the error names the field and the line within the file.
+    /// Decodes this record. The error names the field and the line within the file.
     ///
     /// # Errors
-    /// An [`Omission`].
+    /// Returns an [`Omission`].
     pub fn decode<T: DeserializeOwned>(&self, file: &Utf8Path) -> Result<T, Omission> {
         serde_path_to_error::deserialize(&mut serde_json::Deserializer::from_str(self.raw)).map_err(
             |error| {

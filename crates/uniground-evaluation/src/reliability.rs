@@ -1,38 +1,38 @@
-//! How far the confidence of answers can be trusted.
+//! Measures how reliable the confidence of answers is.
 
 use super::scoring::ScoredExpression;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use uniground_grounding::Status;
 
-/// Answers with a box against what they were worth.
+/// Confidence of answers with a box, compared with their correctness.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Reliability {
-    /// Answers with a box.
+    /// Number of answers with a box.
     pub grounded: usize,
-    /// Of those, right at an IoU of 0.25.
+    /// Share of those that are right at an IoU of 0.25.
     pub right: f32,
-    /// Expected calibration error: over tenths of confidence, how far the share of right answers
-    /// is from the mean confidence, weighed by how many there are.
+    /// Expected calibration error: the difference between the share of right answers and the mean
+    /// confidence, in tenths of confidence, weighted by the number of answers.
     pub calibration_error: f32,
-    /// What is left for somebody who acts on answers of at least this confidence only.
+    /// Coverage and correctness for callers that only accept answers of at least this confidence.
     pub at_least: Vec<Risk>,
 }
 
-/// A point of the curve of risk against coverage.
+/// A point of the risk-coverage curve.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Risk {
     pub confidence: f32,
-    /// Share of the grounded answers that are this sure.
+    /// Share of the grounded answers with at least this confidence.
     pub coverage: f32,
-    /// Share of those that are right; `None` when there are none.
+    /// Share of those that are right. `None` when there are none.
     pub right: Option<f32>,
 }
 
 const STEPS: [f32; 5] = [0.1, 0.3, 0.5, 0.7, 0.9];
 
 impl Reliability {
-    /// `None` when nothing was answered with a box.
+    /// Computes the reliability. Returns `None` if no answer has a box.
     #[must_use]
     pub fn of(outcomes: &[&ScoredExpression]) -> Option<Self> {
         let grounded: Vec<(f32, bool)> = outcomes
@@ -101,7 +101,7 @@ mod tests {
     use crate::reply::Reply;
 
     fn answer(confidence: f32, right: bool) -> ScoredExpression {
-        // Without a target every answer with a box is wrong; with one it is right by its IoU.
+        // Without a target every answer with a box is wrong. With one, its IoU decides.
         let target = right.then(|| crate::scoring::TargetOutcome {
             name: None,
             aabb: uniground_geometry::boxes::Aabb {

@@ -1,11 +1,11 @@
-//! What a system says to one expression.
+//! The reply of a system to one expression.
 
 use serde::{Deserialize, Serialize};
 use uniground_geometry::boxes::{Aabb, OrientedBox};
 use uniground_grounding::{Candidate, SixFields, Status};
 use uniground_types::answer::{Models, Usage};
 
-/// A finished answer, as far as measures need it. Boxes in metres, world frame (Z up).
+/// The parts of a finished answer that measures need. Boxes in meters, world frame (Z up).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Reply {
     pub status: Status,
@@ -14,22 +14,21 @@ pub struct Reply {
     pub aabb: Option<Aabb>,
     pub oriented_box: Option<OrientedBox>,
     pub confidence: f32,
-    /// What the reasoner chose from, best first: the asked `top_k`.
+    /// The candidates of the reasoner, best first. Their number is the requested `top_k`.
     pub candidates: Vec<Candidate>,
-    /// Boxes as the shortlist has them, best first, up to [`SHORTLIST_DEPTH`] whatever `top_k`
-    /// was.
+    /// Boxes of the shortlist, best first, up to [`SHORTLIST_DEPTH`] independent of `top_k`.
     pub shortlist: Vec<Aabb>,
     pub models: Models,
     pub usage: Usage,
-    /// Wall-clock of the question, with the way to the server and back where there is one.
+    /// Wall-clock time of the question, including the round trip to a server if there is one.
     pub latency_ms: f64,
 }
 
-/// How deep the recall-at-k curve goes.
+/// Maximum k of the recall-at-k curve.
 pub const SHORTLIST_DEPTH: u32 = 24;
 
 impl Reply {
-    /// No answer at all.
+    /// Returns an empty reply.
     pub(super) fn nothing() -> Self {
         let answer = SixFields {
             predicted_id: None,

@@ -1,9 +1,10 @@
-//! A suite through a system, cell by cell: resumable, every reply kept as soon as it is there.
+//! Runs a suite through a system, cell by cell. Runs are resumable: every reply is stored
+//! immediately.
 //!
-//! Replies lie in `<out>/cells/<key>/<scene>.jsonl`; the key covers the system's fingerprint and
-//! the configuration, the file's first line the scene's content. A run that was cut off, or is
-//! repeated with more cells or expressions, asks only what is missing. Scores are never kept: they
-//! follow from replies and the truth as it is now.
+//! Replies are stored in `<out>/cells/<key>/<scene>.jsonl`. The key covers the system's fingerprint
+//! and the configuration, the file's first line the scene's content. A run that was interrupted, or
+//! is repeated with more cells or expressions, only asks what is missing. Scores are never stored:
+//! they are computed from replies and the current truth.
 
 use super::configuration::{Configuration, Names, Source};
 use super::digest;
@@ -24,18 +25,18 @@ use std::io::Write;
 use std::sync::Mutex;
 use uniground_geometry::boxes::Aabb;
 
-/// What is run, and how.
+/// The inputs and options of a run.
 pub struct RunOptions<'a> {
-    /// Where replies and pictures go.
+    /// Output folder of replies and pictures.
     pub out: &'a Utf8Path,
     pub cells: &'a [(String, Configuration)],
-    /// Questions asked at once.
+    /// Number of concurrent questions.
     pub concurrency: usize,
-    /// Hears of every finished scene of every cell.
+    /// Called for every finished scene of every cell.
     pub progress: &'a (dyn Fn(&Step) + Sync),
 }
 
-/// A scene of a cell is done.
+/// Progress: a scene of a cell is finished.
 #[derive(Debug, Clone, Copy)]
 pub struct Step<'a> {
     pub cell: &'a str,
@@ -44,14 +45,14 @@ pub struct Step<'a> {
     pub of: usize,
 }
 
-/// One cell, answered.
+/// The result of one cell.
 #[derive(Debug, Clone)]
 pub struct CellResult {
     pub name: String,
     pub configuration: Configuration,
-    /// In the order of the suite.
+    /// Outcomes in the order of the suite.
     pub outcomes: Vec<ScoredExpression>,
-    /// Expressions that could not even be asked, and why.
+    /// Expressions that could not be asked, with the reason.
     pub left_out: Vec<(String, String)>,
 }
 
@@ -64,7 +65,7 @@ struct Header {
 #[derive(Serialize, Deserialize)]
 struct StoredScene {
     boxes: Vec<Aabb>,
-    /// By which the system knows the scene again.
+    /// Token by which the system recognizes the scene.
     token: String,
 }
 
@@ -78,8 +79,8 @@ struct KeptReply {
 /// Runs every cell over every scene.
 ///
 /// # Errors
-/// A configuration the system can not run, or an output folder that can not be written. Scenes and
-/// questions that fail are outcomes.
+/// Returns an error for a configuration that the system does not support, or an output folder that
+/// cannot be written. Failed scenes and questions are outcomes, not errors.
 pub fn run(
     suite: &Suite,
     system: &dyn System,
@@ -107,8 +108,8 @@ pub fn run(
     let of = suite.scenes.len() * options.cells.len();
     let mut done = 0;
     for (scene, tasks) in suite.scenes.iter().zip(&tasks_of) {
-        // Cells that see the same instances follow each other: the scene is brought in once for all
-        // of them.
+        // Cells with the same instances are run one after another, so that the scene is prepared
+        // once for all of them.
         let mut order: Vec<usize> = (0..results.len()).collect();
         order.sort_by_key(|&i| setup(&results[i].configuration));
         let mut open: Option<OpenedScene> = None;
@@ -133,13 +134,13 @@ pub fn run(
     Ok(results)
 }
 
-/// What decides which instances a cell sees.
+/// Returns the settings that determine which instances a cell sees.
 fn setup(configuration: &Configuration) -> (Source, String) {
     let Configuration { source, names, preset, settings, masks, encoder, .. } = configuration;
     (*source, format!("{names:?} {preset:?} {settings:?} {masks} {encoder}"))
 }
 
-/// A scene somebody brought in, or why not.
+/// A prepared scene, or the reason why it could not be prepared.
 struct OpenedScene {
     setup: (Source, String),
     scene: Result<Box<dyn OpenScene>, String>,
@@ -221,7 +222,7 @@ impl CellOfScene<'_> {
         Ok(())
     }
 
-    /// The scene as this cell sees it, brought in unless it is.
+    /// Returns the scene for this cell, and prepares it if necessary.
     fn enter<'o>(
         &self,
         cell: &CellResult,
@@ -237,7 +238,7 @@ impl CellOfScene<'_> {
         entered.scene.as_ref().map(AsRef::as_ref).map_err(Clone::clone)
     }
 
-    /// Draws a wrong answer, unless it was drawn before. The name covers what is drawn.
+    /// Draws a wrong answer unless its picture exists. The file name covers the drawn content.
     fn picture(
         &self,
         key: &str,
@@ -273,8 +274,8 @@ struct ReplyLog {
 }
 
 impl ReplyLog {
-    /// Opens what is there, or starts anew when it is of other content. A line that was cut off
-    /// ends what counts.
+    /// Opens the existing log, or starts a new one if its content differs. Reading stops at a
+    /// truncated line.
     fn open(path: &Utf8Path, header: &Header) -> anyhow::Result<Self> {
         let told = || path.to_string();
         fs::create_dir_all(path.parent().unwrap_or(Utf8Path::new("."))).with_context(told)?;
@@ -313,7 +314,7 @@ impl ReplyLog {
         Ok(self.file.write_all(&text)?)
     }
 
-    /// Forgets everything: the system no longer has what was asked about.
+    /// Discards all replies, because the system no longer has the scene.
     fn restart(&mut self, header: &Header) -> anyhow::Result<()> {
         self.file.set_len(0)?;
         (self.boxes, self.token, self.replies) = (Vec::new(), None, BTreeMap::new());
@@ -343,8 +344,8 @@ impl ReplyLog {
     }
 }
 
-/// What replies are made from: the scan, the annotations where those are the source, the hints
-/// where they are handed over.
+/// Returns the data that replies depend on: the scan, the annotations if they are the source, and
+/// the hints if they are passed on.
 fn content(
     scene: &SuiteScene,
     tasks: &[&Task],
@@ -364,7 +365,7 @@ fn content(
     Ok(digest::finish(hasher))
 }
 
-/// A scene's id as a file name: readable, short, and of this id alone.
+/// Returns a scene's id as a file name: readable, short, and unique to this id.
 fn file_safe(id: &str) -> String {
     const READABLE_CHARS: usize = 60;
     let readable: String = id

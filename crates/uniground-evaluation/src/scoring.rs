@@ -1,4 +1,4 @@
-//! One reply against one truth.
+//! Scores one reply against its truth.
 
 use super::reply::Reply;
 use super::sealed::Ranked;
@@ -8,43 +8,43 @@ use serde::{Deserialize, Serialize};
 use uniground_geometry::boxes::Aabb;
 use uniground_grounding::Status;
 
-/// What became of one expression. Boxes in metres, world frame (Z up).
+/// The outcome of one expression. Boxes in meters, world frame (Z up).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ScoredExpression {
     pub id: String,
     pub scene: String,
     pub query: String,
-    /// `unique`, `multiple`, `unknown` or `absent`, then whatever else the suite tells apart.
+    /// `unique`, `multiple`, `unknown` or `absent`, then further splits of the suite.
     pub splits: Vec<String>,
     pub target: Option<TargetOutcome>,
     /// `None` when the question failed.
     pub reply: Option<Reply>,
-    /// Why it failed.
+    /// The reason of the failure.
     pub error: Option<String>,
     /// File name of the picture of a wrong answer.
     pub picture: Option<String>,
 }
 
-/// Judged against the target's box; expressions about things that are not there have none.
+/// The score against the target's box. Expressions about absent things have none.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TargetOutcome {
     pub name: Option<String>,
     #[serde(rename = "box")]
     pub aabb: Aabb,
-    /// Axis-aligned IoU of the answer; 0 without one.
+    /// Axis-aligned IoU of the answer. 0 without an answer.
     pub iou: f32,
-    /// IoU of the answer's oriented box with the annotated one, where there is one.
+    /// IoU of the answer's oriented box with the annotated one, if there is one.
     pub iou_9dof: Option<f32>,
     /// Axis-aligned IoU of each candidate, by rank.
     pub candidate_ious: Vec<f32>,
-    /// The same of the shortlist.
+    /// Axis-aligned IoU of each box of the shortlist.
     pub shortlist_ious: Vec<f32>,
-    /// The best of all instances: stage 1's ceiling.
+    /// The best IoU of all instances: the upper bound set by stage 1.
     pub best_instance_iou: f32,
 }
 
 impl ScoredExpression {
-    /// Judges a finished reply. `instances` are the boxes of all instances.
+    /// Scores a finished reply. `instances` are the boxes of all instances.
     #[must_use]
     pub fn of(
         task: &Task,
@@ -98,7 +98,8 @@ impl ScoredExpression {
         self.reply.as_ref().map(|r| r.status)
     }
 
-    /// Right at an IoU: the target was boxed well enough, or the absence was told.
+    /// Returns whether it is right at an IoU: the box overlaps enough, or an absent target was
+    /// reported as absent.
     #[must_use]
     pub fn right_at(&self, threshold: f32) -> bool {
         match &self.target {

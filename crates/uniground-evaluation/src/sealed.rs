@@ -1,17 +1,16 @@
-//! Ground truth is read after ranking only: the type makes anything else impossible.
+//! Ensures by types that ground truth is read only after ranking.
 //!
-//! Readers put what is known of a target into a [`Sealed`]; it opens against a [`Ranked`], and the
-//! only way to a `Ranked` is a finished reply. Two doors beside that one are named for what they
-//! are: annotations that are themselves the source of instances, and hints of a paper-compatible
-//! run. Both are marked in the report.
+//! Readers put the known data of a target into a [`Sealed`]. It opens with a [`Ranked`], and only a
+//! finished reply becomes a `Ranked`. There are two named exceptions: annotations as the source of
+//! instances, and hints of a paper-compatible run. The report marks both.
 
 use super::reply::Reply;
 
-/// Something a system must not see before it has answered.
+/// Data that a system must not see before it has answered.
 #[derive(Debug, Clone)]
 pub struct Sealed<T>(T);
 
-/// A reply that can not be changed any more.
+/// A final reply.
 #[derive(Debug, Clone)]
 pub struct Ranked(Reply);
 
@@ -19,7 +18,7 @@ pub struct Ranked(Reply);
 #[derive(Debug, Clone, Copy)]
 pub struct OracleRun(pub(super) ());
 
-/// Permission to hand over target class and annotated anchors: `--paper-compatible`.
+/// Permission to pass on target class and annotated anchors: `--paper-compatible`.
 #[derive(Debug, Clone, Copy)]
 pub struct PaperCompatibleRun(pub(super) ());
 
@@ -45,8 +44,8 @@ impl<T> Sealed<T> {
         &self.0
     }
 
-    /// The truth within the suite that carries it: readers resolve targets among annotations, and
-    /// kept replies are known by its hash.
+    /// Returns the truth for the suite that holds it: readers resolve targets among annotations,
+    /// and stored replies are identified by its hash.
     pub(super) fn for_reader(&self) -> &T {
         &self.0
     }
@@ -58,7 +57,7 @@ impl Ranked {
         Self(reply)
     }
 
-    /// A question that failed is finished as well: as an answer of nothing.
+    /// A failed question counts as finished, with an empty answer.
     pub(super) fn failed() -> Self {
         Self(Reply::nothing())
     }

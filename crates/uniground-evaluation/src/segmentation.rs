@@ -5,23 +5,23 @@ use std::collections::BTreeMap;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{Instance, InstanceId, Level, Structure};
 
-/// The two IoU thresholds the field quotes.
+/// The two IoU thresholds that are commonly reported.
 pub const IOU_THRESHOLDS: [f32; 2] = [0.25, 0.5];
 
-/// How well superpoints respect annotated instances.
+/// How well superpoints respect the borders of annotated instances.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SuperpointScore {
     pub superpoints: usize,
-    /// Share of the annotated points whose superpoint's majority instance is their own.
+    /// Share of the annotated points whose instance is the majority instance of their superpoint.
     pub purity: f32,
     /// Mean over instances of the IoU when every superpoint takes its majority instance.
     pub achievable_iou: f32,
 }
 
-/// Scores labels against annotated instance ids, point by point; id 0 = not annotated.
+/// Scores labels against annotated instance ids, point by point. Id 0 = not annotated.
 ///
 /// # Panics
-/// When the two slices differ in length.
+/// Panics when the two slices differ in length.
 #[must_use]
 pub fn score_superpoints(labels: &[u32], truth: &[u32]) -> SuperpointScore {
     assert_eq!(labels.len(), truth.len(), "one label and one annotation per point");
@@ -29,7 +29,7 @@ pub fn score_superpoints(labels: &[u32], truth: &[u32]) -> SuperpointScore {
     for (&label, &id) in labels.iter().zip(truth) {
         *shared.entry((label, id)).or_default() += 1;
     }
-    // Majority of each superpoint: ties go to the lower id, as in numpy's argmax.
+    // Majority of each superpoint. Ties go to the lower id, as in numpy's argmax.
     let mut majority: BTreeMap<u32, (u64, u32)> = BTreeMap::new();
     for (&(label, id), &n) in &shared {
         let best = majority.entry(label).or_insert((0, 0));
@@ -37,7 +37,7 @@ pub fn score_superpoints(labels: &[u32], truth: &[u32]) -> SuperpointScore {
             *best = (n, id);
         }
     }
-    // Per instance: its own points, points of superpoints that went to it, and both.
+    // Per instance: its own points, points of superpoints assigned to it, and the overlap.
     let mut tally: BTreeMap<u32, [u64; 3]> = BTreeMap::new();
     for (&(label, id), &n) in &shared {
         let winner = majority[&label].1;
@@ -71,15 +71,15 @@ pub struct AnnotatedObject {
 pub struct InstanceScore {
     pub objects: usize,
     pub instances: usize,
-    /// Best axis-aligned box IoU of a thing per object, in the order given.
+    /// Best IoU of axis-aligned boxes between each object and any thing, in the order given.
     pub box_iou: Vec<f32>,
-    /// The same with parts and wholes among the instances.
+    /// The same, with parts and wholes counted as instances.
     pub reachable_box_iou: Vec<f32>,
     /// Best IoU of point sets per object.
     pub point_iou: Vec<f32>,
-    /// Average precision at a point-set IoU of 0.5. Instances rank by points; those that lie
-    /// mostly on something that is not among the objects (structure, small things) neither
-    /// count nor harm.
+    /// Average precision at a point-set IoU of 0.5. Instances are ranked by their number of points.
+    /// Those that lie mostly on something that is not among the objects (structure, small things)
+    /// are ignored.
     pub ap50: f32,
 }
 
@@ -89,7 +89,7 @@ impl InstanceScore {
         recall(&self.box_iou)
     }
 
-    /// Of objects covered by something a question can reach.
+    /// Returns the share of objects that are covered by an instance which a question can refer to.
     #[must_use]
     pub fn reachable_recall(&self) -> [f32; 2] {
         recall(&self.reachable_box_iou)
@@ -101,7 +101,7 @@ impl InstanceScore {
     }
 }
 
-/// How well the building is told from the things in it, by points.
+/// How well structure is distinguished from things, by points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StructureScore {
     /// Share of the points annotated as floor, wall or ceiling that lie in an instance of that
@@ -111,8 +111,8 @@ pub struct StructureScore {
     pub precision: f32,
 }
 
-/// Scores structural flags. `kinds` has the annotated ids that are structure, `truth` the annotated
-/// id of each point.
+/// Scores structural flags. `kinds` holds the annotated ids of structure, `truth` the annotated id
+/// of each point.
 #[must_use]
 pub fn score_structure(
     instances: &[Instance],
@@ -135,17 +135,17 @@ pub fn score_structure(
     }
 }
 
-/// Share of `ious` at or above each threshold.
+/// Returns the share of `ious` at or above each threshold.
 pub(super) fn recall(ious: &[f32]) -> [f32; 2] {
     IOU_THRESHOLDS
         .map(|at| ious.iter().filter(|iou| **iou >= at).count() as f32 / ious.len().max(1) as f32)
 }
 
-/// Scores instances, given in order of id with the thing each point belongs to. `truth` has the
+/// Scores instances, given in order of id with the thing each point belongs to. `truth` holds the
 /// annotated id of each point, 0 = none.
 ///
 /// # Panics
-/// When `truth` does not have one id per point.
+/// Panics when `truth` does not have one id per point.
 #[must_use]
 pub fn score_instances(
     instances: &[Instance],
@@ -176,7 +176,7 @@ pub fn score_instances(
     let point_iou =
         objects.iter().map(|o| things().map(|i| iou(i.id, o.id)).fold(0.0, f32::max)).collect();
 
-    // Instances are numbered by falling points: that is their rank.
+    // Instances are numbered by descending number of points. That is their rank.
     let wanted: BTreeMap<u32, usize> = objects.iter().enumerate().map(|(i, o)| (o.id, i)).collect();
     let mut found = vec![false; objects.len()];
     let mut hits = Vec::new();
@@ -202,8 +202,8 @@ pub fn score_instances(
     }
 }
 
-/// Area under the precision-recall curve, precision made monotone from the right (Pascal VOC 2010
-/// and later).
+/// Returns the area under the precision-recall curve, with precision made monotone from the right
+/// (Pascal VOC 2010 and later).
 fn average_precision(hits: &[bool], objects: usize) -> f32 {
     let mut precisions = Vec::new();
     let mut right = 0;

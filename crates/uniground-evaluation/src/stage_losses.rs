@@ -1,8 +1,8 @@
-//! A ladder of losses: what of each annotated object is still recoverable after each step of stage
-//! 1. The largest step down is where work pays first.
+//! Loss analysis of stage 1: how much of each annotated object is still recoverable after each
+//! step. Improving the step with the largest loss pays off most.
 //!
-//! The rungs down to the lifted masks look at the annotations to choose the best that the step
-//! before has left: they are ceilings, not figures of the service.
+//! The steps down to the lifted masks use the annotations to choose the best of what the previous
+//! step has left. They are upper bounds, not figures of the service.
 
 use super::annotated::{AnnotatedMasks, AnnotatedRoom};
 use super::segmentation::{AnnotatedObject, InstanceScore, recall, score_instances};
@@ -23,19 +23,19 @@ use uniground_parsing::{
     planes, refinement, split_supported, views,
 };
 
-/// What one step leaves of each object.
+/// The result of one step for all objects.
 pub struct StageLoss {
     pub step: String,
-    /// Superpoints, masks, regions or instances there are.
+    /// Number of superpoints, masks, regions or instances.
     pub pieces: usize,
-    /// Best IoU of boxes per object; empty where pieces have none.
+    /// Best IoU of boxes per object. Empty if the pieces have no boxes.
     pub box_iou: Vec<f32>,
     /// Best IoU of point sets, or of pixels, per object.
     pub point_iou: Vec<f32>,
 }
 
 impl StageLoss {
-    /// Share of objects recoverable at each of
+    /// Returns the share of objects recoverable at each of
     /// [`IOU_THRESHOLDS`](super::segmentation::IOU_THRESHOLDS), by boxes and by points.
     #[must_use]
     pub fn recall(&self) -> ([f32; 2], [f32; 2]) {
@@ -43,10 +43,10 @@ impl StageLoss {
     }
 }
 
-/// Climbs down from the cloud to the boxes, with one source of masks.
+/// Computes all steps from the cloud to the boxes, with one source of masks.
 ///
 /// # Errors
-/// [`ParseError`] when a frame can not be read or a model fails.
+/// Returns [`ParseError`] when a frame cannot be read or a model fails.
 pub fn climb(
     room: &AnnotatedRoom,
     masks: &dyn MaskSource,
@@ -61,7 +61,7 @@ pub fn climb(
     let cameras: Vec<_> =
         frames.iter().map(|f| f.camera_to_world.translation.vector.into()).collect();
     let planes = planes::find(cloud, &superpoints, &cameras, &quiet)?;
-    // Without sightings nothing is dropped.
+    // Without sightings no instance is dropped.
     let score_points = |region_of: &[u32]| -> Result<InstanceScore, ParseError> {
         let labels = Labels::of_regions(region_of, &superpoints, Vec::new());
         let built = instances::build(
@@ -145,7 +145,7 @@ pub fn climb(
         let pieces = labels(region_of);
         let sum = any.get_or_insert_with(|| here.clone());
         let better = |so_far: &mut Vec<f32>, now: &[f32]| {
-            so_far.iter_mut().zip(now).for_each(|(a, b)| *a = a.max(*b))
+            so_far.iter_mut().zip(now).for_each(|(a, b)| *a = a.max(*b));
         };
         better(&mut sum.box_iou, &here.box_iou);
         better(&mut sum.point_iou, &here.point_iou);
@@ -189,7 +189,7 @@ pub fn climb(
     Ok(rungs)
 }
 
-/// Best IoU of point sets per object, parts and wholes among the instances.
+/// Returns the best IoU of point sets per object. Parts and wholes count as instances too.
 fn reached(labels: &Labels, objects: &[AnnotatedObject], truth: &[u32]) -> Vec<f32> {
     let (mut shared, mut of_instance, mut of_object) =
         (BTreeMap::new(), vec![0_u32; labels.len() + 1], BTreeMap::new());
@@ -212,7 +212,7 @@ fn reached(labels: &Labels, objects: &[AnnotatedObject], truth: &[u32]) -> Vec<f
     objects.iter().map(best).collect()
 }
 
-/// The annotated object most points of each superpoint belong to, 0 = none.
+/// Returns the object of the majority of each superpoint's annotated points, 0 = none.
 fn majorities(superpoints: &Superpoints, truth: &[u32]) -> Vec<u32> {
     let mut votes: Vec<BTreeMap<u32, u32>> = vec![BTreeMap::new(); superpoints.patches.len()];
     for (&superpoint, &id) in superpoints.of_point.iter().zip(truth) {
@@ -231,14 +231,14 @@ struct BestMask {
     layer: u32,
     mask: u16,
     iou: f32,
-    /// Pixels of the object in the frame.
+    /// Number of pixels of the object in the frame.
     pixels: u32,
 }
 
-/// By frame and object.
+/// Best masks by frame and object.
 type BestMasks = BTreeMap<(FrameIndex, u32), BestMask>;
 
-/// A source of masks that is compared with the annotations as it goes.
+/// A mask source that compares its masks with the annotations.
 struct ScoredMaskSource<'a> {
     masks: &'a dyn MaskSource,
     truth: AnnotatedMasks,
@@ -287,7 +287,8 @@ impl ScoredMaskSource<'_> {
     }
 }
 
-/// Mean over the three views that show most of it; 0 where no mask ever touches it.
+/// Returns the mean IoU over the three views with the most pixels of the object. 0 if no mask
+/// touches it.
 fn in_best_views(best: &BestMasks, object: u32) -> f32 {
     const VIEWS: usize = 3;
     let mut views: Vec<&BestMask> =
@@ -297,8 +298,8 @@ fn in_best_views(best: &BestMasks, object: u32) -> f32 {
     views.iter().map(|best| best.iou).sum::<f32>() / views.len().max(1) as f32
 }
 
-/// The object of each superpoint when every frame uses the best mask of every object: that whose
-/// masks hold more than half of what is seen of the superpoint, 0 = none.
+/// Returns the object of each superpoint when every frame uses the best mask of every object: the
+/// object whose masks cover more than half of the superpoint's sightings, 0 = none.
 fn voted(superpoints: &Superpoints, tables: &[FrameVisibility], best: &BestMasks) -> Vec<u32> {
     let mut votes: Vec<(u32, BTreeMap<u32, u32>)> =
         vec![Default::default(); superpoints.patches.len()];

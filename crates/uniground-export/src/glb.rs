@@ -1,16 +1,16 @@
-//! glTF 2.0 in one binary file: a node for each thing, with its points, what is known of it as
+//! Writes glTF 2.0 as one binary file: a node for each thing, with its points, its properties as
 //! `extras`, and its box as lines.
 //!
 //! ```text
-//! title                turns Z up into glTF's Y up; everything below is in the frame of the scene
+//! title                rotates Z up into glTF's Y up; all below is in the frame of the scene
 //!   mug                extras: id, name, box, …; its points
-//!     box of mug       a cube of lines, moved, turned and sized
+//!     box of mug       a cube of lines, moved, rotated and scaled
 //!   …
-//!   rest of the scan   points that belong to nothing
+//!   rest of the scan   points that belong to no thing
 //! ```
-//! Positions are as they were measured. Colours are light as floats: bytes are too few for what is
-//! dark, and readers get shorts wrong. Materials are unlit: points have no normals, and their
-//! colours hold the light of the room already.
+//! Positions are as measured. Colors are linear floats: bytes have too little precision for dark
+//! colors, and readers misread 16-bit integers. Materials are unlit: points have no normals, and
+//! their colors already include the light of the room.
 
 use super::{EDGES, Export, ObjectDescription, REST, light, unit_corners};
 use serde::Serialize;
@@ -18,14 +18,14 @@ use std::io::{self, BufWriter, Write};
 use uniground_geometry::Point3;
 use uniground_geometry::scene::{Instance, id_colour};
 
-/// Columns of what takes `(x, y, z)` to `(x, z, -y)`.
+/// Column-major matrix that maps `(x, y, z)` to `(x, z, -y)`.
 const Z_UP_TO_Y_UP: [f32; 16] =
     [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
-/// Of a box that is drawn, metres: what has no extent can not be turned back.
+/// Minimum extent of a drawn box, meters. A matrix with zero scale cannot be inverted.
 const THINNEST_M: f32 = 0.001;
 const UNLIT: &str = "KHR_materials_unlit";
 
-// Numbers of the standard.
+// Constants of the glTF standard.
 const FLOAT: u32 = 5126;
 const UNSIGNED_SHORT: u32 = 5123;
 const VERTICES: u32 = 34962;
@@ -33,7 +33,7 @@ const INDICES: u32 = 34963;
 const POINTS: u32 = 0;
 const LINES: u32 = 1;
 
-// What stands first in every file, by its place there.
+// Indices of the items that come first in every file.
 const CORNERS_VIEW: usize = 0;
 const EDGES_VIEW: usize = 1;
 const POSITIONS_VIEW: usize = 2;
@@ -50,7 +50,7 @@ const COLOUR_BYTES: usize = 12;
 /// Writes a scene as GLB.
 ///
 /// # Errors
-/// Those of `out`; more than 4 GB.
+/// Returns errors of `out`, and an error for more than 4 GB.
 pub fn write_glb(export: &Export, out: impl Write) -> io::Result<()> {
     let (things, rest) = export.groups();
     let document = Document::of(export, &things, &rest);
@@ -89,7 +89,7 @@ pub fn write_glb(export: &Export, out: impl Write) -> io::Result<()> {
     out.flush()
 }
 
-/// The part of a file that says what its bytes are.
+/// The JSON part of a file, which describes its binary part.
 #[derive(Serialize)]
 #[serde(rename_all = "camelCase")]
 struct Document<'a> {
@@ -168,7 +168,7 @@ struct Material {
     extensions: Unlit,
 }
 
-/// For who does not know the extension.
+/// Fallback for readers without support for the extension.
 #[derive(Serialize)]
 struct PbrSurface {
     #[serde(rename = "baseColorFactor")]
@@ -263,7 +263,8 @@ impl<'a> Document<'a> {
         document
     }
 
-    /// The mesh of points that come after so many others; `None` of none.
+    /// Returns the mesh of points that are stored after `before` other points. `None` if there are
+    /// none.
     fn points(
         &mut self,
         export: &Export,
@@ -307,7 +308,7 @@ impl<'a> Document<'a> {
         Some(self.meshes.len() - 1)
     }
 
-    /// A thing with its box, below the root.
+    /// Adds a thing with its box, below the root.
     fn thing(&mut self, thing: &'a Instance, mesh: Option<usize>) {
         let name = thing.label();
         let material = self.materials.len();
@@ -386,7 +387,7 @@ fn buffer_views(count: usize) -> Vec<BufferView> {
         view(0, CORNERS_BYTES, Some(POSITION_BYTES), VERTICES),
         view(CORNERS_BYTES, EDGES_BYTES, None, INDICES),
     ];
-    // A view holds at least a byte.
+    // A buffer view must hold at least one byte.
     if count > 0 {
         let positions = CORNERS_BYTES + EDGES_BYTES;
         views.push(view(positions, count * POSITION_BYTES, Some(POSITION_BYTES), VERTICES));
@@ -477,7 +478,7 @@ mod tests {
         );
     }
 
-    /// Read by the reader of uploads: up is up, nothing is mirrored, colours are what they were.
+    /// Read with the importer of uploads: up stays up, nothing is mirrored, colors are unchanged.
     #[test]
     fn what_is_written_can_be_uploaded() {
         let room = room();

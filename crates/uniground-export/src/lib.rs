@@ -1,11 +1,11 @@
-//! A scene and what was found in it, as files that other programs open.
+//! Exports a scene with its instances as files for other programs.
 //!
-//! [`Export`] chooses the points and says whose each one is, after what people have corrected
-//! ([`Owners`]); the other files write one format each: [`write_glb`] (glTF 2.0, binary),
-//! [`write_usdz`], [`write_ply`]. The same scene makes the same bytes.
+//! [`Export`] selects the points and assigns each to its thing, including manual corrections
+//! ([`Owners`]). The other files write one format each: [`write_glb`] (glTF 2.0, binary),
+//! [`write_usdz`], [`write_ply`]. The same scene gives the same bytes.
 //!
-//! Coordinates are the scene's own, metres with Z up, where a format can say so. glTF has Y up:
-//! there a node at the root turns, and what is below it, boxes included, stays as it is.
+//! Coordinates are the scene's own, meters with Z up, if the format supports that. glTF has Y up:
+//! there, a root node rotates the scene, and everything below it, including boxes, stays unchanged.
 
 #![warn(missing_docs)]
 
@@ -26,24 +26,24 @@ use uniground_geometry::scene::{
     Instance, InstanceId, Level, Owners, PointCloud, Structure, Support, evenly,
 };
 
-/// What the points are called that belong to nothing.
+/// Name of the points that belong to no thing.
 const REST: &str = "rest of the scan";
 
-/// A scene to be written.
+/// A scene to export.
 #[derive(Debug)]
 pub struct Export<'a> {
     title: &'a str,
     cloud: &'a PointCloud,
-    /// Those that are written, by index, with the thing each belongs to (0: none); in the order of
-    /// the cloud.
+    /// The exported points by index, with the thing each belongs to (0: none), in the order of the
+    /// cloud.
     points: Vec<(u32, InstanceId)>,
-    /// Things that nobody has dismissed, parts of the building among them, in order of id.
+    /// Things that are not dismissed, including parts of the building, in order of id.
     things: Vec<&'a Instance>,
 }
 
 impl<'a> Export<'a> {
-    /// A scene with at most so many points, thinned evenly. `instance_of_point` is as stage 1 has
-    /// found it, `instances` are those of the parse as corrected, in order of id.
+    /// Selects at most `most` points of a scene, thinned out evenly. `instance_of_point` is the
+    /// result of stage 1. `instances` are the corrected instances of the parse, in order of id.
     #[must_use]
     pub fn new(
         title: &'a str,
@@ -71,7 +71,8 @@ impl<'a> Export<'a> {
         }
     }
 
-    /// The points of each thing, in order of id, and at last those that belong to nothing.
+    /// Returns the points of each thing, in order of id, followed by the points that belong to no
+    /// thing.
     fn groups(&self) -> (Vec<(&'a Instance, Vec<u32>)>, Vec<u32>) {
         let mut by_owner: BTreeMap<InstanceId, Vec<u32>> = BTreeMap::new();
         self.points
@@ -86,15 +87,15 @@ impl<'a> Export<'a> {
     }
 }
 
-/// What is told of a thing beside its points. Metres, frame of the scene (Z up).
+/// Properties of a thing, besides its points. Meters, frame of the scene (Z up).
 #[derive(Debug, Serialize)]
 struct ObjectDescription<'a> {
     id: InstanceId,
-    /// What it is called: by people, by a model that has seen it, else by its label.
+    /// The name: given by people, else by a model that has seen it, else its label.
     name: &'a str,
-    /// What the encoder would call it.
+    /// The encoder's name for it.
     label: &'a str,
-    /// How well that fits, `0..=1`.
+    /// How well the label fits, `0..=1`.
     #[serde(skip_serializing_if = "Option::is_none")]
     confidence: Option<f32>,
     level: Level,
@@ -127,13 +128,13 @@ impl<'a> ObjectDescription<'a> {
     }
 }
 
-/// Corners of a cube of one metre around the origin; bit 0 of the index selects greatest X, bit 1
-/// Y, bit 2 Z.
+/// Returns the corners of a cube with edges of one meter around the origin. Bit 0 of the index
+/// selects the largest X, bit 1 Y, bit 2 Z.
 fn unit_corners() -> [Vector3<f32>; 8] {
     std::array::from_fn(|i| Vector3::from_fn(|axis, _| if i >> axis & 1 == 1 { 0.5 } else { -0.5 }))
 }
 
-/// The twelve edges of a box, by corners.
+/// The twelve edges of a box, as pairs of corners.
 const EDGES: [[u8; 2]; 12] = [
     [0, 1],
     [2, 3],
@@ -149,14 +150,14 @@ const EDGES: [[u8; 2]; 12] = [
     [3, 7],
 ];
 
-/// The corners of a thing's box, in the order of [`unit_corners`].
+/// Returns the corners of a thing's box, in the order of [`unit_corners`].
 fn corners(of: &OrientedBox) -> [nalgebra::Point3<f32>; 8] {
     let to_world =
         Translation3::from(of.center) * Rotation3::from_axis_angle(&Vector3::z_axis(), of.yaw_rad);
     unit_corners().map(|corner| to_world * nalgebra::Point3::from(corner.component_mul(&of.size)))
 }
 
-/// Light of an 8-bit sRGB channel, `0..=1`: files of glTF and USD hold colours so.
+/// Converts an 8-bit sRGB channel to linear light, `0..=1`. glTF and USD store linear colors.
 fn light(channel: u8) -> f32 {
     let c = f32::from(channel) / 255.0;
     if c <= 0.040_45 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
@@ -178,7 +179,7 @@ mod tests {
     }
 
     /// A floor (1) with a coffee table (2), a mug on it (3), the table's top (4, a part), and two
-    /// points that belong to nothing.
+    /// points that belong to no thing.
     pub(super) fn room() -> Room {
         let named = |instance: Instance, name: &str| Instance {
             names: vec![NameGuess { name: name.into(), score: 0.75 }],
@@ -224,8 +225,8 @@ mod tests {
         Room { cloud, of_point: points.iter().map(|(id, ..)| InstanceId(*id)).collect(), instances }
     }
 
-    /// Ids of what is shown with the number of their points, those of nothing last, after people
-    /// have said so.
+    /// Returns ids of exported things with their number of points after corrections. Points of no
+    /// thing come last.
     fn counted(changes: &[(Change, Option<u32>, bool)]) -> Vec<(u32, usize)> {
         let Room { cloud, of_point, mut instances } = room();
         let corrections: Vec<Correction> = changes

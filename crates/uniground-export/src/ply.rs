@@ -1,21 +1,21 @@
-//! PLY, binary little endian: points in their own colours with the id of their thing, and the
+//! Writes PLY, binary little endian: points in their own colors with the id of their thing, and the
 //! things' names in the header.
 
 use super::Export;
 use std::io::{self, Write};
 use uniground_geometry::scene::{self, Instance, InstanceId};
 
-/// Longest name in a header, bytes.
+/// Maximum length of a name in a header, bytes.
 const LONGEST_NAME: usize = 120;
-/// Headers of 64 KiB are read, by this project's own reader too: the names of things that do not
-/// fit are left out.
+/// Maximum length of all comments, bytes. Readers, including this project's own, accept headers of
+/// 64 KiB. Names that do not fit are left out.
 const MOST_COMMENT_BYTES: usize = 48 << 10;
 
 /// Writes a scene as PLY: `x y z` (float), `red green blue` (uchar), `instance` (int, 0: none);
 /// comments `instance <id> <name>`, in order of id.
 ///
 /// # Errors
-/// Those of `out`.
+/// Returns errors of `out`.
 pub fn write_ply(export: &Export, out: impl Write) -> io::Result<()> {
     let Export { title, cloud, points, things } = export;
     let positions: Vec<_> =
@@ -42,7 +42,8 @@ fn comments(title: &str, things: &[&Instance]) -> Vec<String> {
     comments
 }
 
-/// A name as a header may have it: ASCII without ends of lines. What is none stands as `\u{e9}`.
+/// Converts a name for a header: ASCII without line breaks. Other characters are written as
+/// `\u{e9}`.
 fn one_line(name: &str) -> String {
     let mut line = String::new();
     for c in name.chars() {

@@ -1,15 +1,15 @@
-//! USDZ: one layer of text, `scene.usda`, stored in a zip as the format wants it: uncompressed, its
-//! data at a multiple of 64 bytes.
+//! Writes USDZ: one text layer, `scene.usda`, stored in a zip as the format requires: uncompressed,
+//! with its data at a multiple of 64 bytes.
 //!
 //! ```text
-//! /Scene                 Z up, metres
+//! /Scene                 Z up, meters
 //!   /mug_31              displayName "mug"; attributes uniground:id, uniground:name, …
 //!     /points            Points
 //!     /outline           BasisCurves: the twelve edges of its box
 //!   …
-//!   /rest_of_the_scan    Points that belong to nothing
+//!   /rest_of_the_scan    Points that belong to no thing
 //! ```
-//! Positions are rounded to a tenth of a millimetre.
+//! Positions are rounded to a tenth of a millimeter.
 
 use super::{EDGES, Export, ObjectDescription, REST, corners, light};
 use std::fmt::{self, Display, Formatter};
@@ -22,19 +22,19 @@ use zip::{CompressionMethod, DateTime, ZipWriter};
 
 const LAYER: &str = "scene.usda";
 const ALIGNMENT: u16 = 64;
-/// How large points and lines are drawn, metres.
+/// Drawn width of points and lines, meters.
 const POINT_WIDTH_M: f32 = 0.01;
 const LINE_WIDTH_M: f32 = 0.005;
 
 /// Writes a scene as USDZ.
 ///
 /// # Errors
-/// Those of `out`.
+/// Returns errors of `out`.
 pub fn write_usdz(export: &Export, out: impl Write + Seek) -> io::Result<()> {
     let options = SimpleFileOptions::default()
         .compression_method(CompressionMethod::Stored)
         .with_alignment(ALIGNMENT)
-        // The same scene makes the same bytes whenever it is written.
+        // The same scene gives the same bytes at any time.
         .last_modified_time(DateTime::default());
     let mut archive = ZipWriter::new(out);
     archive.start_file(LAYER, options)?;
@@ -155,7 +155,7 @@ fn write_outline(thing: &Instance, light: &[String], out: &mut impl Write) -> io
     writeln!(out, "        }}")
 }
 
-/// Of what is drawn: points and lines have a width.
+/// Writes the extent of drawn geometry. Points and lines have a width.
 fn write_extent(around: &Aabb, width_m: f32, out: &mut impl Write) -> io::Result<()> {
     let corner = |corner: Point3<f32>, sign: f32| {
         Vec3Text(corner.map(|at| at + sign * width_m / 2.0).into())
@@ -172,7 +172,7 @@ fn write_list<T: Display>(
     writeln!(out)
 }
 
-/// As [`write_list`], of what has a value for each point (`vertex`) or one for all (`constant`).
+/// Like [`write_list`], for data with one value per point (`vertex`) or one for all (`constant`).
 fn write_spread<T: Display>(
     name: &str,
     values: impl IntoIterator<Item = T>,
@@ -180,7 +180,7 @@ fn write_spread<T: Display>(
     out: &mut impl Write,
 ) -> io::Result<()> {
     write_values(name, values, out)?;
-    // The language wants it on the line of the list.
+    // The format requires it on the line of the list.
     writeln!(out, " (\n                interpolation = \"{over}\"\n            )")
 }
 
@@ -196,7 +196,7 @@ fn write_values<T: Display>(
     write!(out, "]")
 }
 
-/// A name as the layer's language wants one: letters of English, digits and low lines.
+/// Converts a name to a valid identifier of the format: ASCII letters, digits and underscores.
 fn identifier(name: &str) -> String {
     const LONGEST: usize = 60;
     let mut identifier: String = name
@@ -210,7 +210,7 @@ fn identifier(name: &str) -> String {
     identifier
 }
 
-/// Text between quotation marks.
+/// Text in quotation marks, escaped.
 struct QuotedText<'a>(&'a str);
 
 impl Display for QuotedText<'_> {
@@ -219,7 +219,7 @@ impl Display for QuotedText<'_> {
         for c in self.0.chars() {
             match c {
                 '"' | '\\' => write!(f, "\\{c}")?,
-                // Names are one line.
+                // Names are a single line.
                 c if c.is_control() => f.write_str(" ")?,
                 c => write!(f, "{c}")?,
             }
@@ -237,7 +237,7 @@ impl Display for Vec3Text {
     }
 }
 
-/// A colour, and the light of each channel as text.
+/// A color, with the linear light of each channel as text.
 struct PointColor<'a>([u8; 3], &'a [String]);
 
 impl Display for PointColor<'_> {

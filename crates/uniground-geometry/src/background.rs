@@ -1,20 +1,20 @@
-//! Threads of long work that give way: a parse must not stand in front of somebody's question.
+//! Low-priority threads for long work, so that a parse does not delay a question.
 //!
-//! On Linux a thread has a niceness of its own, and threads it starts inherit it: what a low thread
-//! creates (the pools of a network's session) is low as well. Elsewhere all threads are alike, and
-//! only the pools are apart.
+//! On Linux each thread has its own niceness, and threads it starts inherit it. So what a
+//! low-priority thread creates (the pools of a network's session) has low priority as well. On
+//! other systems all threads have the same priority, and only the pools are separate.
 
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
-/// How much background threads give way: a tenth of what an ordinary thread gets where both want
+/// Niceness of background threads: they get a tenth of what an ordinary thread gets when both want
 /// the same core.
 #[cfg(target_os = "linux")]
 const NICENESS: i32 = 10;
 
-/// A pool for long work, as many threads as there are cores.
+/// Creates a low-priority pool for long work, with as many threads as there are cores.
 ///
 /// # Errors
-/// When the system has no threads left.
+/// When the system cannot start more threads.
 pub fn pool() -> Result<ThreadPool, ThreadPoolBuildError> {
     ThreadPoolBuilder::new()
         .thread_name(|i| format!("background-{i}"))
@@ -22,7 +22,7 @@ pub fn pool() -> Result<ThreadPool, ThreadPoolBuildError> {
         .build()
 }
 
-/// Runs `work` on a thread that gives way: threads it starts do so as well.
+/// Runs `work` on a low-priority thread. Threads it starts have low priority too.
 pub fn on_low_thread<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     std::thread::scope(|scope| {
         let low = scope.spawn(|| {
@@ -33,8 +33,8 @@ pub fn on_low_thread<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     })
 }
 
-/// Lowers the priority of this thread. What the system refuses costs speed elsewhere, never a
-/// result.
+/// Lowers the priority of this thread. If the system refuses, other work gets slower, but results
+/// do not change.
 fn give_way() {
     #[cfg(target_os = "linux")]
     if let Err(error) = rustix::process::nice(NICENESS) {
@@ -49,7 +49,7 @@ mod tests {
     #[cfg(target_os = "linux")]
     #[test]
     fn background_threads_give_way_and_so_do_those_they_start() {
-        // Of the calling thread: the nineteenth field of its `stat`.
+        // Niceness of the calling thread: the nineteenth field of its `stat`.
         let niceness = || -> i32 {
             let stat = std::fs::read_to_string("/proc/thread-self/stat").unwrap();
             stat.rsplit(')').next().unwrap().split_whitespace().nth(16).unwrap().parse().unwrap()

@@ -1,4 +1,4 @@
-//! Colour as people name it: sRGB to CIELAB (D65) and the basic colour terms of English.
+//! Colors as people name them: sRGB to CIELAB (D65), and the basic color terms of English.
 
 use super::Vector3;
 use serde::{Deserialize, Serialize};
@@ -26,7 +26,7 @@ static LINEAR: LazyLock<[f32; 256]> = LazyLock::new(|| {
     })
 });
 
-/// CIELAB's compressive curve, read from a table: a scan has millions of pixels and a cube root is
+/// CIELAB's compressive curve, read from a table: a scan has millions of pixels, and a cube root is
 /// slow.
 fn lab_curve(t: f32) -> f32 {
     const STEPS: usize = 4096;
@@ -43,7 +43,7 @@ fn lab_curve(t: f32) -> f32 {
     TABLE[i] + (TABLE[i + 1] - TABLE[i]) * (at - i as f32)
 }
 
-/// The eleven basic colour terms of English (Berlin and Kay), plus beige, which furniture needs.
+/// The eleven basic color terms of English (Berlin and Kay), plus beige, which furniture needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ColourName {
@@ -51,9 +51,9 @@ pub enum ColourName {
     Black,
     /// Lightness from 72, chroma below 9.
     White,
-    /// Lightness 28 to 72, chroma below 9; a dull yellow or a faint blue as well.
-    SingleChannelImage,
-    /// Hue 345° to 46°, but for pale and dull shades.
+    /// Gray. Lightness 28 to 72, chroma below 9; also a dull yellow or a faint blue.
+    Grey,
+    /// Hue 345° to 46°, except for pale and dull shades.
     Red,
     /// Hue 46° to 72°, chroma from 30; dark ones from 55.
     Orange,
@@ -65,7 +65,7 @@ pub enum ColourName {
     Blue,
     /// Hue 308° to 345°; from 330° only up to a lightness of 55.
     Purple,
-    /// Pale reds, and what is lighter than purple at hues from 330°.
+    /// Pale reds, and colors lighter than purple at hues from 330°.
     Pink,
     /// Dark or dull reds, oranges and yellows.
     Brown,
@@ -78,7 +78,7 @@ impl ColourName {
     pub const ALL: [Self; 12] = [
         Self::Black,
         Self::White,
-        Self::SingleChannelImage,
+        Self::Grey,
         Self::Red,
         Self::Orange,
         Self::Yellow,
@@ -96,7 +96,7 @@ impl ColourName {
         match self {
             Self::Black => "black",
             Self::White => "white",
-            Self::SingleChannelImage => "grey",
+            Self::Grey => "grey",
             Self::Red => "red",
             Self::Orange => "orange",
             Self::Yellow => "yellow",
@@ -109,7 +109,7 @@ impl ColourName {
         }
     }
 
-    /// The name of a CIELAB colour: by chroma first (grey axis), then hue, then lightness.
+    /// Returns the name of a CIELAB color: by chroma first (gray axis), then hue, then lightness.
     ///
     /// Thresholds follow the usual centroids of the basic terms: browns are dark oranges, beiges
     /// pale ones, pinks pale reds.
@@ -118,15 +118,15 @@ impl ColourName {
         let lightness = lab.x;
         let chroma = lab.y.hypot(lab.z);
         let hue_deg = lab.z.atan2(lab.y).to_degrees().rem_euclid(360.0);
-        // Dark colours carry little chroma before they look black; bright ones need more before
-        // they look coloured.
+        // Dark colors look black up to a higher chroma; bright ones need more chroma to look
+        // colored.
         if lightness < 20.0 && chroma < 12.0 {
             return Self::Black;
         }
         if chroma < 9.0 {
             return match lightness {
                 l if l < 28.0 => Self::Black,
-                l if l < 72.0 => Self::SingleChannelImage,
+                l if l < 72.0 => Self::Grey,
                 _ => Self::White,
             };
         }
@@ -164,7 +164,7 @@ impl ColourName {
             h if h < 105.0 => match (lightness, chroma) {
                 (l, c) if c < 16.0 => match l {
                     l if l > 62.0 => Self::Beige,
-                    l if l > 35.0 => Self::SingleChannelImage,
+                    l if l > 35.0 => Self::Grey,
                     _ => Self::Brown,
                 },
                 (l, c) if c < 36.0 => {
@@ -180,7 +180,7 @@ impl ColourName {
             h if h < 190.0 => Self::Green,
             h if h < 308.0 => {
                 if chroma < 11.0 {
-                    Self::SingleChannelImage
+                    Self::Grey
                 } else {
                     Self::Blue
                 }
@@ -196,20 +196,20 @@ impl ColourName {
         }
     }
 
-    /// How well this name may stand for `other` when people disagree at the border, in `0..=1`.
+    /// How well this name may stand for `other`, since people disagree at the borders, in `0..=1`.
     #[must_use]
     pub fn kinship(self, other: Self) -> f32 {
         use ColourName::{
-            Beige, Black, Blue, Brown, Orange, Pink, Purple, Red, SingleChannelImage, White, Yellow,
+            Beige, Black, Blue, Brown, Grey, Orange, Pink, Purple, Red, White, Yellow,
         };
         if self == other {
             return 1.0;
         }
         let pair = if self < other { (self, other) } else { (other, self) };
         match pair {
-            (SingleChannelImage | Brown, Beige)
-            | (White, Beige | SingleChannelImage)
-            | (Black, SingleChannelImage)
+            (Grey | Brown, Beige)
+            | (White, Beige | Grey)
+            | (Black, Grey)
             | (Orange, Brown)
             | (Red, Orange) => 0.5,
             (Red, Pink | Brown)
@@ -217,19 +217,19 @@ impl ColourName {
             | (Purple, Pink)
             | (Orange, Yellow)
             | (Black, Brown) => 0.4,
-            (Yellow | Pink, Beige) | (SingleChannelImage, Blue) => 0.25,
+            (Yellow | Pink, Beige) | (Grey, Blue) => 0.25,
             _ => 0.0,
         }
     }
 }
 
-/// Share of each colour name among an instance's points, in the order of [`ColourName::ALL`]; sums
+/// Share of each color name among an instance's points, in the order of [`ColourName::ALL`]; sums
 /// to 1.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct ColourHistogram(pub [f32; 12]);
 
 impl ColourHistogram {
-    /// Counts 8-bit sRGB colours by name; all shares are 0 when there are none.
+    /// Counts 8-bit sRGB colors by name; all shares are 0 when there are none.
     pub fn of(colours: impl IntoIterator<Item = [u8; 3]>) -> Self {
         let mut counts = [0_u32; 12];
         for rgb in colours {
@@ -239,7 +239,7 @@ impl ColourHistogram {
         Self(counts.map(|n| n as f32 / total))
     }
 
-    /// Equal shares of these names.
+    /// A histogram with equal shares of these names.
     #[must_use]
     pub fn even(names: &[ColourName]) -> Self {
         let mut shares = [0.0; 12];
@@ -247,13 +247,13 @@ impl ColourHistogram {
         Self(shares)
     }
 
-    /// Share of the points with this very name, `0..=1`; kin do not count.
+    /// Share of the points with exactly this name, `0..=1`; similar names do not count.
     #[must_use]
     pub fn share(&self, name: ColourName) -> f32 {
         self.0[name as usize]
     }
 
-    /// Names by falling share, those under 10 % left out.
+    /// Names by descending share, without those under 10 %.
     #[must_use]
     pub fn dominant(&self) -> Vec<(ColourName, f32)> {
         let mut named: Vec<_> = ColourName::ALL
@@ -265,9 +265,9 @@ impl ColourHistogram {
         named
     }
 
-    /// How well the word `name` describes these points, in `0..=1`: full once 60 % of them carry
-    /// the name. Kin of it count less: a brown desk may be called orange, but not where an
-    /// orange one stands beside it.
+    /// How well the word `name` describes these points, in `0..=1`. The full score needs 60 % of
+    /// the points with this name. Similar names count less: a brown desk may be called orange, but
+    /// not if an orange one is next to it.
     #[must_use]
     pub fn describes(&self, name: ColourName) -> f32 {
         let kin: f32 = ColourName::ALL
@@ -302,7 +302,7 @@ mod tests {
         for (rgb, name) in [
             ([10, 10, 10], Black),
             ([240, 240, 240], White),
-            ([128, 128, 128], SingleChannelImage),
+            ([128, 128, 128], Grey),
             ([200, 30, 30], Red),
             ([230, 120, 20], Orange),
             ([230, 210, 40], Yellow),

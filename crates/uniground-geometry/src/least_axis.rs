@@ -1,12 +1,12 @@
-//! The direction a set of points spreads least in: the normal of the plane through them.
+//! The direction in which a set of points spreads least: the normal of the plane through them.
 
 use super::{Matrix3, Vector3};
 use nalgebra::SymmetricEigen;
 
 /// Smallest eigenvalue of a symmetric positive semi-definite matrix and its unit eigenvector.
 ///
-/// In closed form (Smith 1961), an order of magnitude faster than iterating; degenerate matrices,
-/// whose smallest eigenvalue is not alone, are left to the iteration.
+/// In closed form (Smith 1961), an order of magnitude faster than iteration. Degenerate matrices,
+/// whose smallest eigenvalue is not unique, are solved by iteration.
 #[must_use]
 pub fn least_axis(matrix: &Matrix3<f32>) -> (f32, Vector3<f32>) {
     let a = matrix.cast::<f64>();

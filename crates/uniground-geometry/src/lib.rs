@@ -1,6 +1,6 @@
 //! Boxes, poses, voxels, statistics and colors, and the vocabulary of a 3D scan ([`scene`]).
 //!
-//! Lengths are metres, angles are radians and the world is right-handed with Z up, unless a name
+//! Lengths are meters, angles are radians and the world is right-handed with Z up, unless a name
 //! says otherwise.
 
 #![warn(missing_docs)]
@@ -18,8 +18,8 @@ pub mod statistics;
 pub mod union_find;
 pub mod voxels;
 
-/// Nothing may lie further from the origin than this, metres: single precision and voxel keys end
-/// here. Map coordinates (UTM) need an offset taken off first.
+/// Maximum distance of any coordinate from the origin, meters: the limit of single precision and
+/// voxel keys. Subtract an offset from map coordinates (UTM) first.
 pub const MAX_COORDINATE_M: f32 = 10_000.0;
 
 pub use nalgebra::{Isometry3, Matrix3, Matrix4, Point2, Point3, Vector2, Vector3};

@@ -1,12 +1,12 @@
-//! Values used lately, kept in memory within a bound.
+//! An in-memory LRU cache with a bounded total weight.
 
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
-/// The most recently used values, as many as their weights allow, and always the latest. What is
-/// kept never changes, so nothing is ever stale.
+/// The most recently used values, as many as their weights allow, and always the latest one. Stored
+/// values never change, so no entry can be stale.
 pub struct LruCache<V> {
-    /// Latest last: key, value, weight.
+    /// Most recently used last: key, value, weight.
     entries: Mutex<Vec<(String, V, usize)>>,
     capacity: usize,
     hits: AtomicU64,
@@ -14,7 +14,7 @@ pub struct LruCache<V> {
 }
 
 impl<V: Clone> LruCache<V> {
-    /// Keeps values whose weights add up to at most `capacity`.
+    /// Creates a cache for values whose weights add up to at most `capacity`.
     #[must_use]
     pub fn new(capacity: usize) -> Self {
         Self {
@@ -25,7 +25,7 @@ impl<V: Clone> LruCache<V> {
         }
     }
 
-    /// The value under a key, which is now the latest.
+    /// Returns the value of a key and marks it as most recently used.
     pub fn get(&self, key: &str) -> Option<V> {
         let mut entries = self.entries.lock().unwrap_or_else(PoisonError::into_inner);
         let at = entries.iter().position(|(known, ..)| known == key);
@@ -37,12 +37,12 @@ impl<V: Clone> LruCache<V> {
         Some(value)
     }
 
-    /// How often a value was found, and how often not.
+    /// Numbers of cache hits and misses.
     pub fn looks(&self) -> (u64, u64) {
         (self.hits.load(Relaxed), self.misses.load(Relaxed))
     }
 
-    /// Lets go of a value.
+    /// Removes a value.
     pub fn remove(&self, key: &str) {
         self.entries
             .lock()
@@ -50,7 +50,7 @@ impl<V: Clone> LruCache<V> {
             .retain(|(known, ..)| known != key);
     }
 
-    /// Keeps a value; the least recently used leave for it.
+    /// Stores a value and evicts the least recently used ones.
     pub fn put(&self, key: String, value: V, weight: usize) {
         let mut entries = self.entries.lock().unwrap_or_else(PoisonError::into_inner);
         entries.retain(|(known, ..)| *known != key);

@@ -1,20 +1,20 @@
 //! Mean and covariance of many points, summed in double precision: five million single-precision
-//! sums lose whole metres.
+//! sums lose whole meters.
 
 use super::{Matrix3, Point3};
 
 /// First and second moments of a set of points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Moments {
-    /// Average position, metres; the origin when there are no points.
+    /// Average position, meters; the origin when there are no points.
     pub mean: Point3<f32>,
-    /// Of the coordinates, square metres; divided by the number of points, zero when there are
-    /// none.
+    /// Covariance of the coordinates, square meters; divided by the number of points, zero when
+    /// there are none.
     pub covariance: Matrix3<f32>,
 }
 
 impl Moments {
-    /// Of no points: the origin and no spread.
+    /// Moments of no points: the origin and no spread.
     #[must_use]
     pub fn of(points: &[Point3<f32>]) -> Self {
         let n = points.len().max(1) as f64;
@@ -35,7 +35,7 @@ mod tests {
 
     #[test]
     fn millions_of_points_far_from_the_origin_keep_their_plane() {
-        // A level plane at 2.3 m, a kilometre away.
+        // A level plane at 2.3 m, a kilometer away.
         let points: Vec<_> = (0..3_000_000)
             .map(|i| {
                 Point3::new(

@@ -19,7 +19,7 @@ pub enum PoseError {
     TooFar { kilometres: f32 },
 }
 
-/// Largest entry of `RᵀR - I` that still counts as rounding in a text file.
+/// Largest entry of `RᵀR - I` that still counts as a rounding error of a text file.
 const ORTHONORMAL_TOLERANCE: f32 = 0.02;
 
 /// Reads a row-major 4x4 matrix as a rigid transform; small rounding errors are projected away.

@@ -1,4 +1,4 @@
-//! How long work tells the outside where it stands, and learns that it should stop.
+//! Progress reports and cancellation of long work.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ pub struct Cancelled;
 type Sink = dyn Fn(&'static str, f32) + Send + Sync;
 type Stop = dyn Fn() -> bool + Send + Sync;
 
-/// A progress sink and a way to learn of cancellation, handed down to pipelines as one value.
+/// A progress sink with a cancellation check, passed to pipelines as one value.
 #[derive(Clone)]
 pub struct Progress {
     sink: Arc<Sink>,
@@ -20,7 +20,7 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// `sink` receives a stage's name and the overall progress in `0..=1`; `is_cancelled` is asked
+    /// `sink` receives a stage's name and the overall progress in `0..=1`. `is_cancelled` is called
     /// often and must be cheap.
     pub fn new(
         sink: impl Fn(&'static str, f32) + Send + Sync + 'static,
@@ -29,13 +29,13 @@ impl Progress {
         Self { sink: Arc::new(sink), is_cancelled: Arc::new(is_cancelled), from: 0.0, to: 1.0 }
     }
 
-    /// Nobody listens, nobody cancels.
+    /// Reports to nobody and is never cancelled.
     #[must_use]
     pub fn silent() -> Self {
         Self::new(|_, _| {}, || false)
     }
 
-    /// The part `from..to` (shares of this progress) as a progress of its own.
+    /// Returns the part `from..to` (shares of this progress) as a progress of its own.
     #[must_use]
     pub fn part(&self, from: f32, to: f32) -> Self {
         let at = |share: f32| self.from + (self.to - self.from) * share;

@@ -1,18 +1,18 @@
-//! Boxes turned any way (nine degrees of freedom), as `EmbodiedScan` and `ARKitScenes` annotate
+//! Boxes with any rotation (nine degrees of freedom), as `EmbodiedScan` and `ARKitScenes` annotate
 //! them, and their exact overlap.
 
 use super::boxes::{Aabb, OrientedBox};
 use super::{Point3, Vector3};
 use nalgebra::UnitQuaternion;
 
-/// A box with centre, full extent and any rotation. Metres, world frame (Z up).
+/// A box with center, full extent and any rotation. Meters, world frame (Z up).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RotatedBox {
-    /// Where its diagonals cross: metres, world frame.
+    /// Center, meters, world frame.
     pub center: Point3<f32>,
     /// Full extent along the box's own axes.
     pub size: Vector3<f32>,
-    /// Takes the box's axes to the world's.
+    /// Rotation from the box's axes to the world's.
     pub rotation: UnitQuaternion<f32>,
 }
 
@@ -53,9 +53,10 @@ impl RotatedBox {
         if shared <= 0.0 { 0.0 } else { (shared / (own + others - shared)) as f32 }
     }
 
-    /// Volume of the intersection: this box's faces are cut by the six planes of the other.
+    /// Volume of the intersection: this box's faces, cut by the six planes of the other.
     fn shared_volume(&self, other: &Self) -> f64 {
-        // Coordinates from this box's centre: rounding does not depend on where the room lies.
+        // Coordinates relative to this box's center, so that rounding does not depend on the room's
+        // position.
         let origin = self.center;
         let mut faces = self.faces(&origin);
         let turn = other.rotation.cast::<f64>();
@@ -152,7 +153,8 @@ mod tests {
     fn overlaps_by_hand() {
         let cube = turned([0.0; 3], [1.0; 3], [0.0; 3]);
         assert!((cube.iou(&cube) - 1.0).abs() < 1e-6);
-        // A square turned by 45 degrees on itself: the octagon has 2 (sqrt 2 - 1) of the area.
+        // A square and the same square rotated by 45 degrees: the octagon has 2 (sqrt 2 - 1) of the
+        // area.
         let octagon = 2.0 * (2.0_f32.sqrt() - 1.0);
         let diamond = turned([0.0; 3], [1.0; 3], [0.0, 0.0, FRAC_PI_4]);
         assert!(
@@ -173,7 +175,7 @@ mod tests {
     }
 
     proptest! {
-        /// Without rotation it is the benchmark's axis-aligned IoU.
+        /// Without rotation, the result is the benchmark's axis-aligned IoU.
         #[test]
         fn aligned_boxes_agree_with_the_plain_formula(a in prop::array::uniform6(0.1_f32..2.0), b in prop::array::uniform6(0.1_f32..2.0)) {
             let make = |v: [f32; 6]| Aabb { center: Point3::new(v[0], v[1], v[2]), size: Vector3::new(v[3], v[4], v[5]) };
@@ -182,7 +184,7 @@ mod tests {
             prop_assert!((exact - a.iou(&b)).abs() < 1e-4, "{exact} {}", a.iou(&b));
         }
 
-        /// Overlap does not depend on order, nor on how the world lies.
+        /// Overlap depends neither on the order nor on the orientation of the world.
         #[test]
         fn overlap_is_symmetric_and_moves_with_the_world(
             sizes in prop::array::uniform6(0.2_f32..2.0), at in prop::array::uniform3(-1.0_f32..1.0),

@@ -1,7 +1,7 @@
-//! Order statistics that do not care about a few wild values.
+//! Order statistics, which are robust against a few outliers.
 
-/// The value below which the share `q` (0..=1) of `values` lies; reorders them. `None` when there
-/// are none.
+/// Returns the value below which the share `q` (0..=1) of `values` lies; reorders them. `None` when
+/// there are none.
 ///
 /// Nearest rank, no interpolation: the answer is always one of the values. NaN sorts last.
 pub fn quantile(values: &mut [f32], q: f32) -> Option<f32> {
@@ -12,13 +12,13 @@ pub fn quantile(values: &mut [f32], q: f32) -> Option<f32> {
     Some(*values.select_nth_unstable_by(rank, f32::total_cmp).1)
 }
 
-/// The middle value; reorders them.
+/// Returns the median value; reorders the values.
 pub fn median(values: &mut [f32]) -> Option<f32> {
     quantile(values, 0.5)
 }
 
-/// Positions of the `count` largest values, largest first, ties in order of position. NaN is larger
-/// than all.
+/// Returns the positions of the `count` largest values, largest first, ties in order of position.
+/// NaN is larger than all.
 #[must_use]
 pub fn largest(values: &[f32], count: usize) -> Vec<usize> {
     let by_value = |a: &usize, b: &usize| values[*b].total_cmp(&values[*a]).then(a.cmp(b));

@@ -14,7 +14,7 @@ impl UnionFind {
         Self { parent: (0..len as u32).collect() }
     }
 
-    /// The smallest member of `i`'s set.
+    /// Returns the smallest member of `i`'s set.
     pub fn find(&mut self, i: u32) -> u32 {
         let mut i = i;
         while self.parent[i as usize] != i {
@@ -33,7 +33,8 @@ impl UnionFind {
         low
     }
 
-    /// Consecutive labels `0..n` per element, numbered by each set's smallest member; and `n`.
+    /// Returns consecutive labels `0..n` per element, numbered by each set's smallest member; and
+    /// `n`.
     #[must_use]
     pub fn into_labels(mut self) -> (Vec<u32>, usize) {
         let mut labels = vec![0; self.parent.len()];

@@ -1,11 +1,11 @@
-//! Sparse voxel grids: points binned into cubes, cubes found by their integer coordinates.
+//! Sparse voxel grids: points binned into cubes, and cubes looked up by integer coordinates.
 
 use super::Point3;
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 
-/// Integer voxel coordinates packed into one sortable key, 21 bits an axis.
+/// Integer voxel coordinates packed into one sortable key, 21 bits per axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct VoxelKey(pub u64);
 
@@ -13,8 +13,8 @@ const BIAS: i64 = 1 << 20;
 const MASK: u64 = (1 << 21) - 1;
 
 impl VoxelKey {
-    /// The voxel of edge `voxel_m` that holds `p`; coordinates beyond ±2^20 voxels are clamped to
-    /// the rim.
+    /// The voxel of edge `voxel_m` that contains `p`. Coordinates beyond ±2^20 voxels are clamped
+    /// to the border.
     #[must_use]
     pub fn of(p: &Point3<f32>, voxel_m: f32) -> Self {
         Self::pack([p.x, p.y, p.z].map(|c| floor(c / voxel_m)))
@@ -25,27 +25,27 @@ impl VoxelKey {
         Self(x << 42 | y << 21 | z)
     }
 
-    /// The key `d` voxels away.
+    /// The key at an offset of `d` voxels.
     #[must_use]
     pub fn offset(self, d: [i64; 3]) -> Self {
         let cell = [self.0 >> 42, self.0 >> 21 & MASK, self.0 & MASK];
         Self::pack(std::array::from_fn(|i| cell[i] as i64 - BIAS + d[i]))
     }
 
-    /// An offset in voxels as one number to add: see [`stepped`](Self::stepped).
+    /// An offset in voxels as one number to add; see [`stepped`](Self::stepped).
     #[must_use]
     pub const fn step([x, y, z]: [i64; 3]) -> i64 {
         (x << 42) + (y << 21) + z
     }
 
-    /// The key a [`step`](Self::step) away. Faster than [`offset`](Self::offset); beyond the rim it
-    /// is some other key.
+    /// The key at the offset of a [`step`](Self::step). Faster than [`offset`](Self::offset).
+    /// Beyond the border it is an arbitrary other key.
     #[must_use]
     pub const fn stepped(self, step: i64) -> Self {
         Self((self.0 as i64).wrapping_add(step) as u64)
     }
 
-    /// Centre of the voxel, metres.
+    /// Center of the voxel, meters.
     #[must_use]
     pub fn center(self, voxel_m: f32) -> Point3<f32> {
         let at =
@@ -54,14 +54,14 @@ impl VoxelKey {
     }
 }
 
-/// `value.floor() as i64`, without the call into the C library the oldest x86-64 processors need
-/// for it.
+/// `value.floor() as i64`, without the call into the C library that the oldest x86-64 processors
+/// need.
 fn floor(value: f32) -> i64 {
     let towards_zero = value as i64;
     towards_zero.saturating_sub(i64::from((towards_zero as f32) > value))
 }
 
-/// A multiplicative hasher for packed keys: they are already well spread and hostile input costs
+/// A multiplicative hasher for packed keys. They are already well spread, and hostile input costs
 /// only time.
 #[derive(Default)]
 pub struct KeyHasher(u64);
@@ -84,10 +84,10 @@ impl Hasher for KeyHasher {
 /// Values by voxel; hashing a key takes one multiplication.
 pub type VoxelMap<V> = HashMap<VoxelKey, V, BuildHasherDefault<KeyHasher>>;
 
-/// Points grouped by voxel. Voxels are numbered in key order, so the numbering depends on the
-/// points alone.
+/// Points grouped by voxel. Voxels are numbered in key order, so the numbering depends only on the
+/// points.
 pub struct VoxelGrid {
-    /// Occupied voxels, ascending; the place in this list is the voxel's number, from 0.
+    /// Occupied voxels, ascending; the index in this list is the voxel's number.
     pub keys: Vec<VoxelKey>,
     /// Voxel number of each input point.
     pub of_point: Vec<u32>,
@@ -95,7 +95,7 @@ pub struct VoxelGrid {
 }
 
 impl VoxelGrid {
-    /// Bins points into cubes of edge `voxel_m` metres.
+    /// Bins points into cubes with an edge of `voxel_m` meters.
     #[must_use]
     pub fn new(points: &[Point3<f32>], voxel_m: f32) -> Self {
         let point_keys: Vec<VoxelKey> =
@@ -106,7 +106,7 @@ impl VoxelGrid {
         Self { keys, of_point, index }
     }
 
-    /// How many voxels hold points.
+    /// Number of occupied voxels.
     #[must_use]
     pub fn len(&self) -> usize {
         self.keys.len()
@@ -124,7 +124,7 @@ impl VoxelGrid {
         self.index.get(&key).copied()
     }
 
-    /// The occupied ones among the 26 neighbours of every voxel, ascending.
+    /// Returns the occupied ones among the 26 neighbors of every voxel, ascending.
     #[must_use]
     pub fn neighbours(&self) -> VoxelNeighbors {
         const CHUNK: usize = 4096;
@@ -146,10 +146,10 @@ impl VoxelGrid {
         VoxelNeighbors { starts, list: chunks.into_iter().flat_map(|(_, list)| list).collect() }
     }
 
-    /// Count per voxel and the neighbours in one list.
+    /// Returns the count per voxel, and the neighbors in one list.
     ///
-    /// Along Z neighbours have consecutive keys, and as voxels ascend so do the keys of the nine
-    /// columns around them: nine cursors sweep the sorted keys once, and nothing is looked up.
+    /// Along Z, neighbors have consecutive keys. As voxels ascend, so do the keys of the nine
+    /// columns around them. So nine cursors sweep the sorted keys once, without look-ups.
     fn neighbours_of(&self, voxels: std::ops::Range<usize>) -> (Vec<u32>, Vec<u32>) {
         let columns: [i64; 9] =
             std::array::from_fn(|i| VoxelKey::step([i as i64 / 3 - 1, i as i64 % 3 - 1, -1]));
@@ -176,7 +176,7 @@ impl VoxelGrid {
     }
 }
 
-/// Neighbours of every voxel, one list after the other.
+/// Neighbors of every voxel, one list after the other.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct VoxelNeighbors {
     starts: Vec<u32>,
@@ -192,22 +192,23 @@ impl VoxelNeighbors {
     }
 }
 
-/// The keys that occur, ascending.
+/// The distinct keys, ascending.
 fn distinct(mut keys: Vec<VoxelKey>) -> Vec<VoxelKey> {
-    // Points mostly come near each other: much falls away before the sort.
+    // Consecutive points are mostly close together, so much is removed before the sort.
     keys.dedup();
     keys.par_sort_unstable();
     keys.dedup();
     keys
 }
 
-/// Cells the surface of a cloud is measured with first, metres.
+/// Initial cell size for measuring the surface area of a cloud, meters.
 const AREA_CELL_M: f32 = 0.1;
-/// A cell that holds fewer points on average says nothing of the surface: larger ones are tried.
+/// With fewer points per cell on average, a cell is no estimate of the surface: larger cells are
+/// tried.
 const POINTS_PER_CELL: usize = 3;
 
-/// Typical distance between neighbouring points on their surface, metres: the side of the square
-/// each point stands for.
+/// Typical distance between neighboring points on their surface, meters: the side of the square
+/// that each point represents.
 #[must_use]
 pub fn typical_spacing_m(points: &[Point3<f32>]) -> f32 {
     const LARGEST_CELL_M: f32 = 1000.0;
@@ -221,7 +222,7 @@ pub fn typical_spacing_m(points: &[Point3<f32>]) -> f32 {
     }
 }
 
-/// Offsets of the 26 voxels around one.
+/// Offsets of the 26 voxels around a voxel.
 pub const NEIGHBOURS_26: [[i64; 3]; 26] = {
     let mut all = [[0; 3]; 26];
     let (mut n, mut i) = (0, 0);

@@ -1,5 +1,4 @@
-//! What can be wrong with an upload. Messages are for the uploader: the file, frame or field is
-//! named.
+//! Errors in an upload. Messages are written for the uploader and name the file, frame or field.
 
 use camino::Utf8PathBuf;
 use serde::{Deserialize, Serialize};
@@ -8,9 +7,9 @@ use uniground_geometry::pose::PoseError;
 use uniground_geometry::progress::Cancelled;
 use uniground_geometry::scene::{FrameError, FrameIndex};
 
-/// Why a scan is refused, could not be read, or was called off.
+/// The reason why a scan was refused or could not be read, or that reading was cancelled.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // Every message says what it is about.
+#[allow(missing_docs)] // Every message describes its variant.
 pub enum IngestError {
     #[error("the upload is not a readable {kind} archive: {reason}")]
     ArchiveUnreadable { kind: &'static str, reason: String },
@@ -77,13 +76,13 @@ pub enum IngestError {
     TooCostly { file: Utf8PathBuf, limit: String },
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
-    /// The error of a reader in another process, by its kind and its message.
+    /// An error that a reader in another process returned, with its kind and its message.
     #[error("{message}")]
     Reported { kind: IngestErrorKind, message: String },
 }
 
-/// Kinds of [`IngestError`], without their details: what a stable code is given for. Of many
-/// damaged frames the first one's kind stands for all.
+/// The kinds of [`IngestError`], without details. Each has a stable code. Where many frames are
+/// damaged, the kind of the first one is used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[allow(missing_docs)] // Each is the error of the same name.
 pub enum IngestErrorKind {
@@ -111,7 +110,7 @@ pub enum IngestErrorKind {
 }
 
 impl IngestError {
-    /// The kind that a stable code is given for: of many damaged frames the first one's.
+    /// Returns the kind that has a stable code. For many damaged frames, the kind of the first one.
     #[must_use]
     pub fn kind(&self) -> IngestErrorKind {
         match self {
@@ -141,7 +140,7 @@ impl IngestError {
         }
     }
 
-    /// A file of the archive that could not be read: the uploader's doing unless the disk failed.
+    /// A file of the archive could not be read. The upload is at fault unless the disk failed.
     pub(super) fn reading(file: impl Into<Utf8PathBuf>, source: io::Error) -> Self {
         use io::ErrorKind::{
             InvalidData, InvalidFilename, InvalidInput, IsADirectory, NotADirectory, NotFound,

@@ -1,8 +1,8 @@
-//! Frames added to a scan: checked against the scene, fused, and laid into its cloud.
+//! Adds frames to a scan: checks them against the scene, fuses them and merges them into its cloud.
 //!
-//! The newest look counts. Points that new frames look through are gone; a surface that no known
-//! point is near is new; everything else stays exactly as it was, so that superpoints, what frames
-//! saw of them and the instances they became can stay as well.
+//! The newest measurement wins. Points that new frames look through are removed. A surface with no
+//! known point nearby is added. Everything else stays unchanged, so that superpoints, what frames
+//! saw of them, and the instances built from them can stay unchanged as well.
 
 use super::IngestError;
 use super::fusion;
@@ -19,33 +19,34 @@ use uniground_geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap};
 use uniground_geometry::{Isometry3, Matrix3, Point3, Vector3};
 use uniground_types::settings::ImportSettings;
 
-/// A new surface this near to a known one is the same: poses drift and depth is noisy by that much,
-/// metres.
+/// A new surface this close to a known one counts as the same surface, meters. Pose drift and depth
+/// noise are about this large.
 const SAME_SURFACE_M: f32 = 0.04;
-/// Frames that must look through a point before it is gone, where there are so many.
+/// Number of frames that must look through a point before it is removed, if that many frames exist.
 const ENOUGH_LOOKS: usize = 2;
-/// Below this share of the scene's points in view that fit their depth, frames are of another
-/// place, or their poses of another world. Laid into the scene they would carve it away.
+/// Minimum share of the scene's points in view that must agree with the frames' depth. Below this,
+/// the frames show another place, or their poses belong to another world. Merging them would carve
+/// the scene away.
 const BELONGS: f32 = 0.2;
-/// Points of the scene that the frames are compared with.
+/// Number of the scene's points that the frames are compared with.
 const COMPARED_POINTS: usize = 50_000;
 
-/// Frames that were found to lie in a scene.
+/// Frames that were found to belong to a scene.
 #[derive(Debug)]
 pub struct FitReport {
-    /// In the scene's world.
+    /// The frames, with poses in the scene's world.
     pub frames: Vec<FrameRef>,
-    /// Share of the scene's points in view that fit their depth.
+    /// Share of the scene's points in view that agree with the frames' depth.
     pub agreement: f32,
-    /// What is odd but was accepted.
+    /// Problems that were accepted.
     pub warnings: Vec<String>,
 }
 
-/// Brings the frames of a scan into a scene's world and checks that they agree with what is known
-/// there. Frames are counted from `first` on.
+/// Transforms the frames of a scan into a scene's world and checks that they agree with the scene.
+/// Frames are numbered from `first` on.
 ///
 /// # Errors
-/// [`IngestError::DoesNotBelong`], or what is wrong with the scan's poses and pictures.
+/// Returns [`IngestError::DoesNotBelong`], or an error for the scan's poses or pictures.
 pub fn fits(
     mut scan: Scan,
     to_scene: &SourceToScene,
@@ -79,7 +80,7 @@ pub fn fits(
                 other => other,
             },
         )?;
-    // Frames that see nothing that is known may be of anywhere.
+    // Frames that see none of the known points may show any place.
     let agreement = agreement.unwrap_or(0.0);
     if agreement < BELONGS {
         return Err(IngestError::DoesNotBelong { agreement: agreement * 100.0 });
@@ -93,10 +94,11 @@ pub fn fits(
     Ok(FitReport { frames: frames.into_iter().map(placed).collect(), agreement, warnings })
 }
 
-/// Lays the frames of a scan into a scene whose cloud is `known`.
+/// Merges the frames of a scan into a scene whose cloud is `known`.
 ///
 /// # Errors
-/// Those of [`fits`]; too many frames that can not be decoded, and calling off.
+/// Returns the errors of [`fits`], an error for too many frames that cannot be decoded, and
+/// cancellation.
 pub fn add(
     scan: Scan,
     made_of: String,
@@ -121,14 +123,14 @@ pub fn add(
     Ok(Addition { made_of, frames, kept, new, apart_m: SAME_SURFACE_M, frames_skipped, warnings })
 }
 
-/// Around what is gone this far, metres, surfaces are where the new frames have them.
+/// Within this distance of removed points, the new frames decide where surfaces are, meters.
 const AROUND_GONE_M: f32 = 0.1;
-/// A point this near to a fused one lies on its surface, metres.
+/// A point this close to a fused point lies on its surface, meters.
 const ON_SURFACE_M: f32 = 0.027;
 
-/// The points that are still there. Of a thing that is gone frames do not look through what is low
-/// over the floor: the floor is measured hardly behind it. So around what is gone, what was
-/// measured counts as well only where the fused surface is.
+/// Returns the points that are still there. When a thing is removed, frames do not look through its
+/// lowest points: the floor is measured barely behind them. Therefore, a known point near removed
+/// points stays only where the fused surface is.
 fn still_there(
     known: &PointCloud,
     looks: &[FreeSpaceVotes],
@@ -158,7 +160,7 @@ fn still_there(
         .collect()
 }
 
-/// Whether points are near.
+/// A spatial index that tells whether any point is near.
 struct NearbyPoints<'a> {
     points: &'a [Point3<f32>],
     within_m: f32,
@@ -174,7 +176,7 @@ impl<'a> NearbyPoints<'a> {
         Self { points, within_m, by_voxel }
     }
 
-    /// Whether any of them lies within reach of this one.
+    /// Returns whether any indexed point lies within reach of `p`.
     fn any(&self, p: &Point3<f32>) -> bool {
         let key = VoxelKey::of(p, self.within_m);
         let around = std::iter::once(key).chain(NEIGHBOURS_26.iter().map(|&d| key.offset(d)));
@@ -185,7 +187,7 @@ impl<'a> NearbyPoints<'a> {
     }
 }
 
-/// The points of `fused` that no point that stays is near.
+/// Returns the points of `fused` that have no remaining known point nearby.
 fn unknown_surfaces(fused: &PointCloud, known: &PointCloud, kept: &[u32]) -> PointCloud {
     let kept: Vec<Point3<f32>> =
         kept.iter().map(|&point| known.positions[point as usize]).collect();
@@ -199,11 +201,11 @@ fn unknown_surfaces(fused: &PointCloud, known: &PointCloud, kept: &[u32]) -> Poi
     }
 }
 
-/// A world that poses are told in.
+/// The world that the poses of the files are given in.
 struct SourceFrame {
-    /// The point of it that becomes the scene's origin, in its units.
+    /// The point of that world that becomes the scene's origin, in that world's units.
     origin: [f64; 3],
-    /// From metres around there to the scene.
+    /// Transform from meters around that point to the scene.
     turn: Isometry3<f32>,
 }
 
@@ -234,13 +236,13 @@ mod tests {
         let all: Vec<u32> = (0..100).collect();
         let new = unknown_surfaces(&fused, &known, &all);
         assert_eq!(new.positions, [Point3::new(0.5, 0.05, 0.0), Point3::new(1.5, 0.0, 0.0)]);
-        // Where the known points are gone, what is there now is new.
+        // Where the known points are removed, what is measured now is new.
         assert_eq!(unknown_surfaces(&fused, &known, &all[..1]).len(), 3);
     }
 
     #[test]
     fn the_foot_of_what_is_gone_goes_with_it() {
-        // A post on a floor; frames look through it down to eight centimetres over the floor.
+        // A post on a floor. Frames look through it down to eight centimeters above the floor.
         let known = cloud(
             (0..50)
                 .map(|i| [0.0, 0.0, i as f32 * 0.01])
@@ -263,7 +265,7 @@ mod tests {
             .map(|&i| known.positions[i as usize])
             .collect();
         assert!(kept.iter().all(|p| p.z < 0.03) && kept.len() >= 50, "{kept:?}");
-        // What no frame has looked at stays, however near.
+        // A point that no frame has looked at stays, however near it is.
         let hidden: Vec<FreeSpaceVotes> = looks
             .iter()
             .map(|looks| if looks.hits > 0 { FreeSpaceVotes::default() } else { *looks })
@@ -273,7 +275,7 @@ mod tests {
 
     #[test]
     fn a_world_at_map_coordinates_leads_to_the_scene() {
-        // A quarter turn about Z, centimetres, far away.
+        // A quarter turn about Z, centimeters, far away.
         let to_scene = SourceToScene {
             rotation: [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
             translation_m: [4_000.0, -5_000_000.0, 1.5],

@@ -1,17 +1,17 @@
-//! The unit of length of a cloud that does not say it: rooms are some metres across, so hundreds or
-//! thousands are centimetres or millimetres.
+//! Guesses the unit of length of a cloud that does not state it. Rooms are some meters across, so a
+//! size of hundreds or thousands means centimeters or millimeters.
 
 use uniground_geometry::Point3;
 use uniground_geometry::statistics::quantile;
 
-/// Largest side of what is taken as metres without a word. Halls and flats are smaller.
+/// Largest side of a cloud that is taken to be in meters. Halls and apartments are smaller.
 const LARGEST_M: f32 = 150.0;
-/// Up to this, centimetres make a room; beyond, millimetres do.
+/// Largest side that is taken to be in centimeters. Above it, millimeters are assumed.
 const LARGEST_CM: f32 = 2000.0;
-/// Beyond this no unit makes a room.
+/// Largest side that is taken to be in millimeters. Above it, no unit gives a room.
 const LARGEST_MM: f32 = 200_000.0;
 
-/// Metres per unit; a guess that is not metres is said in a warning.
+/// Returns meters per unit. Adds a warning if the guess is not meters.
 pub(super) fn guess(positions: &[Point3<f32>], warnings: &mut Vec<String>) -> f64 {
     let extent = |axis: usize| {
         let mut all: Vec<f32> = positions

@@ -1,9 +1,10 @@
-//! Bytes to [`SceneBundle`]: unpack an archive, recognise its layout, check it, load it.
+//! Turns bytes into a [`SceneBundle`]: unpacks an archive, recognizes its layout, checks it and
+//! loads it.
 //!
-//! Two moments. [`open`] runs while the caller waits: it reads manifests, poses and picture headers
-//! and refuses what can not become a scene. [`load`] runs in the parse job: it reads or fuses the
-//! cloud and checks that cloud, poses and depth agree. Everything that leaves this module is
-//! canonical (metres, Z up, OpenCV cameras, camera-to-world).
+//! There are two steps. [`open`] runs while the caller waits: it reads manifests, poses and picture
+//! headers, and refuses what cannot become a scene. [`load`] runs in the parse job: it reads or
+//! fuses the cloud and checks that cloud, poses and depth agree. Everything that this crate returns
+//! is canonical (meters, Z up, OpenCV cameras, camera-to-world).
 
 #![warn(missing_docs)]
 
@@ -35,20 +36,20 @@ pub use unpacked::{ArchiveFormat, ScanFolder, head_of, what_it_is};
 
 use camino::Utf8Path;
 
-/// Most points that are kept of an upload's own cloud. A room at a point for every 5 mm has fewer;
-/// of more, every so manieth is kept.
+/// Maximum number of points that are kept of an upload's own cloud. A room with one point per 5 mm
+/// has fewer. Larger clouds are thinned out by keeping every n-th point.
 pub const MAX_POINTS: usize = 8_000_000;
-/// Bounds on clouds of uploads.
+/// Limits on clouds of uploads.
 const UPLOADED: clouds::CloudBounds =
     clouds::CloudBounds { announced: 200_000_000, kept: MAX_POINTS };
-/// Most frames of an upload: half an hour of video at 30 frames a second.
+/// Maximum number of frames of an upload: half an hour of video at 30 frames per second.
 pub const MAX_FRAMES: usize = 54_000;
 
-/// Recognises the layout below `folder` and checks everything that can be checked without decoding
+/// Recognizes the layout below `folder` and checks everything that can be checked without decoding
 /// pictures.
 ///
 /// # Errors
-/// [`IngestError`] naming the file, frame or field.
+/// Returns an [`IngestError`] that names the file, frame or field.
 pub fn open(folder: &Utf8Path) -> Result<Scan, IngestError> {
     let mut scan = formats::read(folder)?;
     validate::check(&mut scan)?;

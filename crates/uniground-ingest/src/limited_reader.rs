@@ -1,5 +1,5 @@
-//! What strangers send is read through these: nothing is held in memory, or read on and on, because
-//! a file says so.
+//! Readers with limits for untrusted input: a file's own claims never decide how much is held in
+//! memory or read.
 
 use super::IngestError;
 use camino::Utf8Path;
@@ -8,7 +8,7 @@ use std::fs::File;
 use std::io::{self, BufRead, Read, Seek, SeekFrom};
 use std::rc::Rc;
 
-/// How many bytes may still be read. Clones share it.
+/// Number of bytes that may still be read. Clones share it.
 #[derive(Debug, Clone)]
 pub(super) struct ReadLimit(Rc<Cell<u64>>);
 
@@ -17,18 +17,18 @@ impl ReadLimit {
         Self(Rc::new(Cell::new(bytes)))
     }
 
-    /// Lets so many bytes more be read, from now on.
+    /// Resets the limit to `bytes` more bytes.
     pub fn renew(&self, bytes: u64) {
         self.0.set(bytes);
     }
 
-    /// Whether a reader wanted more than there was. From then on it gets nothing.
+    /// Returns whether a reader asked for more than the limit. From then on it gets nothing.
     pub fn is_spent(&self) -> bool {
         self.0.get() == 0
     }
 }
 
-/// A reader that ends in an error where its allowance does.
+/// A reader that fails with an error when its limit is reached.
 pub(super) struct LimitedReader<R> {
     inner: R,
     allowance: ReadLimit,
@@ -44,7 +44,7 @@ impl<R: Read> Read for LimitedReader<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let n = self.inner.read(buffer)?;
         let left = self.allowance.0.get();
-        // The last byte is never given out: an allowance at 0 is one that was exceeded.
+        // The last byte is never handed out: a limit at 0 means that it was exceeded.
         if n as u64 >= left {
             self.allowance.0.set(0);
             return Err(io::Error::other("there is more than may be read"));
@@ -60,7 +60,7 @@ impl<R: Seek> Seek for LimitedReader<R> {
     }
 }
 
-/// A text file of at most `most` bytes.
+/// Reads a text file of at most `most` bytes.
 pub(super) fn read_text(
     root: &Utf8Path,
     file: &Utf8Path,
@@ -76,7 +76,8 @@ pub(super) fn read_text(
     }
 }
 
-/// The next line without its end, of at most `most` bytes; `false` at the end of the file.
+/// Reads the next line without its line end, at most `most` bytes. Returns `false` at the end of
+/// the file.
 pub(super) fn read_line(
     source: &mut impl BufRead,
     line: &mut Vec<u8>,

@@ -1,4 +1,4 @@
-//! A checked [`Scan`] to a canonical [`SceneBundle`].
+//! Turns a checked [`Scan`] into a canonical [`SceneBundle`].
 
 use super::levelling::{self, UpDirection, UpHint};
 use super::reprojection::{self, CheckedConvention, SourceConvention};
@@ -12,22 +12,23 @@ use uniground_geometry::scene::{FrameRef, ImportReport, PointCloud, SceneBundle,
 use uniground_geometry::{Isometry3, Point3, pose};
 use uniground_types::settings::ImportSettings;
 
-/// A scan brought into canonical form, but for a cloud that is still to be fused.
+/// A scan in canonical form. A cloud that has to be fused is still missing.
 #[derive(Debug)]
 pub struct InspectedScan {
-    /// In the scan's order, Z up, metres.
+    /// Frames in the scan's order, Z up, meters.
     pub frames: Vec<FrameRef>,
     /// The scan's own cloud.
     pub cloud: Option<PointCloud>,
-    /// What was found out.
+    /// The results of the checks.
     pub report: ImportReport,
 }
 
-/// Reads or fuses the cloud, checks that cloud, poses and depth agree, and turns everything level
+/// Reads or fuses the cloud, checks that cloud, poses and depth agree, and rotates everything level
 /// with Z up.
 ///
 /// # Errors
-/// Those of [`inspect`]; frames that hold no depth, or too many that can not be decoded.
+/// Returns the errors of [`inspect`], and errors for frames without depth or for too many frames
+/// that cannot be decoded.
 pub fn load(
     scan: &Scan,
     settings: &ImportSettings,
@@ -53,12 +54,13 @@ pub fn load(
     Ok(SceneBundle { cloud, frames, report, additions: Vec::new() })
 }
 
-/// Everything but the fusion of a cloud: reads the scan's own, chooses the reading of poses and
-/// depth that fits a sample of frames, and turns all of it level with Z up.
+/// Does everything except fusing a cloud: reads the scan's own cloud, chooses the interpretation of
+/// poses and depth that fits a sample of frames, and rotates everything level with Z up.
 ///
 /// # Errors
-/// [`IngestError`]; [`IngestError::NothingFits`] when poses and depth do not belong together
-/// however they are read, [`IngestError::UpUnknown`] for a cloud whose up can not be told.
+/// Returns [`IngestError`]: [`IngestError::NothingFits`] when poses and depth do not agree under
+/// any interpretation, [`IngestError::UpUnknown`] for a cloud whose up direction cannot be
+/// determined.
 pub fn inspect(
     scan: &Scan,
     settings: &ImportSettings,
@@ -96,7 +98,7 @@ pub fn inspect(
             .up
             .or(scan.up)
             .or(own_cloud.as_ref().filter(|_| frames.is_empty()).and_then(|own| own.kind.up())),
-        // Who asks for another axis knows better than the sensor.
+        // An axis given in the request takes precedence over the inertial sensor.
         by_gravity: scan.by_gravity && settings.up.is_none(),
         choice: settings.levelling,
     };
@@ -131,17 +133,17 @@ pub fn inspect(
     Ok(InspectedScan { frames, cloud, report })
 }
 
-/// Reads a cloud this service wrote: canonical already.
+/// Reads a cloud that this service wrote. It is canonical already.
 ///
 /// # Errors
-/// [`IngestError`] naming the file.
+/// Returns an [`IngestError`] that names the file.
 pub fn read_cloud(file: &Utf8Path) -> Result<PointCloud, IngestError> {
     let (root, name) =
         (file.parent().unwrap_or(file), Utf8Path::new(file.file_name().unwrap_or_default()));
     Ok(clouds::read(root, name, &CloudBounds::OWN, CoordinateOrigin::At([0.0; 3]))?.cloud)
 }
 
-/// The scan's own cloud, in the files' units less the scan's origin.
+/// Reads the scan's own cloud, in the files' units, with the scan's origin subtracted.
 fn read_own_cloud(
     scan: &Scan,
     file: &Utf8Path,
@@ -178,7 +180,8 @@ fn read_own_cloud(
     Ok(loaded)
 }
 
-/// Length of the files' unit: as asked, or guessed for a cloud that would be far too large.
+/// Returns the length of the files' unit: as requested, or guessed for a cloud that would be far
+/// too large.
 fn metres_per_unit(
     scan: &Scan,
     settings: &ImportSettings,
@@ -221,7 +224,7 @@ pub(super) fn frame_refs(
     scan.frames.iter().map(|frame| frame_ref(scan, frame, reading, &units)).collect()
 }
 
-/// A frame with its pose as it is to be read, still in the file's world.
+/// Builds a frame with its pose in the chosen convention, still in the file's world.
 fn frame_ref(
     scan: &Scan,
     raw: &RawFrame,
@@ -248,11 +251,11 @@ fn frame_ref(
     })
 }
 
-/// The way from the files to the scene.
+/// The transform from the files to the scene.
 struct ToScene {
-    /// From metres near the origin, in the files' axes, to the scene.
+    /// Transform from meters near the origin, in the files' axes, to the scene.
     turn: Isometry3<f32>,
-    /// The same from the files' own coordinates, exactly.
+    /// The same transform from the files' own coordinates, exact.
     source: SourceToScene,
 }
 

@@ -1,32 +1,36 @@
-//! How well neighbouring frames agree: the error of their depth, and the drift of their poses.
+//! Measures how well neighboring frames agree: the error of their depth and the drift of their
+//! poses.
 
 use rayon::prelude::*;
 use uniground_geometry::scene::{DepthImage, FrameIndex, FrameRef};
 use uniground_geometry::statistics::median;
 
-/// Pairs looked at, spread over the scan, and points of each.
+/// Number of compared pairs, spread over the scan, and number of points per pair.
 const PAIRS: usize = 20;
 const POINTS: usize = 2000;
-/// Points that differ by more of their depth are hidden in one of the two pictures, or moved.
+/// Points whose depth differs by more than this share are occluded in one of the two pictures, or
+/// moved.
 const SAME_SURFACE: f32 = 0.1;
-/// A pair tells nothing where fewer of its points are seen in both.
+/// A pair is ignored if fewer points than this are seen in both frames.
 const FEWEST: usize = 50;
 
-/// What the depth of neighbouring frames says of the scan: each seen from the next.
+/// Statistics from comparing the depth of each frame with that of the next.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct NeighborAgreement {
-    /// Median difference between measured depths of one place, metres: noise and drift together.
+    /// Median difference between measured depths of the same place, meters. Includes both noise and
+    /// drift.
     pub depth_error_m: f32,
-    /// By how much a typical frame lies before or behind its neighbour as a whole, metres: drift
-    /// alone.
+    /// How far a typical frame lies in front of or behind its neighbor as a whole, meters. Drift
+    /// only.
     pub drift_m: f32,
-    /// The largest of these.
+    /// The largest drift, meters.
     pub worst_drift_m: f32,
-    /// Where that is: between this frame and the next.
+    /// The frame with the largest drift, measured between it and the next.
     pub worst_after: FrameIndex,
 }
 
-/// Looks at a sample of neighbouring frames; `None` where they do not overlap, or can not be read.
+/// Compares a sample of neighboring frames. Returns `None` where they do not overlap or cannot be
+/// read.
 #[must_use]
 pub fn neighbours(frames: &[FrameRef]) -> Option<NeighborAgreement> {
     let pairs: Vec<&[FrameRef]> = frames.windows(2).collect();
@@ -53,7 +57,8 @@ pub fn neighbours(frames: &[FrameRef]) -> Option<NeighborAgreement> {
     })
 }
 
-/// Median absolute difference of depth, and the size of the median difference.
+/// Returns the median absolute difference of depth, and the absolute value of the median
+/// difference.
 fn difference(
     from: &FrameRef,
     depth: &DepthImage,
@@ -113,7 +118,7 @@ mod tests {
     fn a_pose_that_drifts_is_told_and_where() {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
-        // Each ten centimetres nearer; the last says so and has not moved that far.
+        // Each is ten centimeters nearer. The last one claims so but has not moved that far.
         let frames = [
             frame(folder, 0, 0.0, 2000),
             frame(folder, 1, 0.1, 1900),

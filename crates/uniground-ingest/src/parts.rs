@@ -1,9 +1,9 @@
-//! A scan that has grown, on the disk: what was uploaded first and the frames that were added
-//! since, each in a folder of its own.
+//! The stored form of a scan that has grown: the first upload and the frames added later, each in a
+//! folder of its own.
 //!
 //! ```text
-//! grown.json     what came when, and how its poses are told
-//! parts/0/ …     the scan it began with, as it was unpacked
+//! grown.json     the parts in order of time, and the transform of their poses
+//! parts/0/ …     the first upload, as it was unpacked
 //! parts/1/ …     the first addition
 //! ```
 
@@ -13,16 +13,16 @@ use serde::{Deserialize, Serialize};
 use std::{fs, io};
 use uniground_geometry::scene::SourceToScene;
 
-/// The file that tells a scan that has grown from an upload.
+/// The file that distinguishes a scan that has grown from a single upload.
 pub const GROWN: &str = "grown.json";
 const FORMAT: &str = "uniground-grown/1";
 
-/// What a scan is made of, in order of time.
+/// The parts of a scan, in order of time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GrownScan {
     format: String,
-    /// At least one: the scan it began with.
+    /// The parts. At least one: the first upload.
     pub parts: Vec<ScanPart>,
 }
 
@@ -30,16 +30,16 @@ pub struct GrownScan {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScanPart {
-    /// SHA-256 of its bytes, hex.
+    /// SHA-256 of the upload's bytes, hexadecimal.
     pub hash: String,
-    /// From its poses to the scene; `None`: told in the same world as the files the scan began
-    /// with.
+    /// Transform from the upload's poses to the scene. `None`: its poses are in the same world as
+    /// the files of the first upload.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub to_scene: Option<SourceToScene>,
 }
 
 impl GrownScan {
-    /// A scan that has not grown yet.
+    /// Creates a scan with one part.
     #[must_use]
     pub fn from_upload(hash: &str) -> Self {
         Self {
@@ -48,10 +48,10 @@ impl GrownScan {
         }
     }
 
-    /// What a scan's folder says; `None` for one that has not grown.
+    /// Reads a scan's folder. Returns `None` for a scan that has not grown.
     ///
     /// # Errors
-    /// [`IngestError`] for a damaged file.
+    /// Returns an [`IngestError`] for a damaged file.
     pub fn read(content: &Utf8Path) -> Result<Option<Self>, IngestError> {
         let text = match fs::read(content.join(GROWN)) {
             Ok(text) => text,
@@ -67,18 +67,18 @@ impl GrownScan {
     }
 
     /// # Errors
-    /// Those of the file system.
+    /// Returns errors of the file system.
     pub fn write(&self, content: &Utf8Path) -> io::Result<()> {
         fs::write(content.join(GROWN), serde_json::to_vec_pretty(self)?)
     }
 }
 
-/// The folder of the parts.
+/// The folder that contains the parts.
 const PARTS: &str = "parts";
 /// The file of checksums that the store adds to a scan's folder.
 const CHECKSUMS: &str = ".sha256sums";
 
-/// Where a part lies, counted from 0.
+/// Returns the folder of a part, counted from 0.
 #[must_use]
 pub fn part_folder(content: &Utf8Path, part: usize) -> Utf8PathBuf {
     content.join(PARTS).join(part.to_string())

@@ -1,5 +1,5 @@
-//! Does the geometry agree with the depth pictures? Wrong pose directions, camera axes and depth
-//! scales show here first.
+//! Checks that the geometry agrees with the depth pictures. Wrong pose directions, camera axes and
+//! depth scales are detected here.
 
 use super::IngestError;
 use super::scan::{CameraAxes, RawFrame, Scan, Units};
@@ -8,33 +8,33 @@ use uniground_geometry::scene::{Camera, DepthImage, FrameRef, PointCloud, PoseCo
 use uniground_geometry::statistics::median;
 use uniground_geometry::{Isometry3, Point3};
 
-/// Frames and points looked at: enough to tell conventions apart, few enough to cost nothing.
+/// Number of frames and points in the sample: enough to tell conventions apart, and cheap.
 const MAX_FRAMES: usize = 20;
 const MAX_POINTS: usize = 5000;
 /// Relative depth difference that counts as agreement.
 const TOLERANCE: f32 = 0.1;
-/// From this agreement on, no other reading is looked at. Right ones give 0.6 to 0.9.
+/// At this agreement or above, no other interpretation is tried. Correct ones give 0.6 to 0.9.
 const CLEARLY_RIGHT: f32 = 0.6;
-/// Another reading is taken for the right one when it agrees this well, and this many times better
-/// than the declared one.
+/// Another interpretation replaces the declared one only if it agrees at least this well, and this
+/// many times better than the declared one.
 const CLEARLY_BETTER: f32 = 0.45;
 const TIMES_BETTER: f32 = 1.5;
-/// Another unit of length is taken only when it agrees better than that: cameras that all stand in
-/// one place agree too easily.
+/// Another unit of length must agree better than that by this factor: cameras that all stand in one
+/// place agree too easily.
 const TIMES_BETTER_UNITS: f32 = 2.5;
-/// Below this, a scan is odd however it is read.
+/// Below this agreement, a scan gets a warning whatever the interpretation.
 const SUSPICIOUS: f32 = 0.15;
-/// Below this, nothing belongs together.
+/// Below this agreement, cloud, poses and depth do not belong together.
 const NOTHING_FITS: f32 = 0.03;
-/// Median depth of an indoor scan, metres: a scale that leads out of this is no explanation.
+/// Plausible median depth of an indoor scan, meters. A scale that leads outside is rejected.
 const PLAUSIBLE_DEPTH_M: std::ops::RangeInclusive<f32> = 0.15..=30.0;
-/// Depth units in the field: millimetres, metres, TUM's 1/5000, Replica's 1/6553.5.
+/// Common depth units: millimeters, meters, TUM's 1/5000, Replica's 1/6553.5.
 const DEPTH_SCALES_M: [f32; 4] = [0.001, 1.0, 1.0 / 5000.0, 1.0 / 6553.5];
 
-/// Units of length that positions come in, metres.
+/// Common units of length of positions, meters.
 const LENGTHS_M: [f64; 2] = [0.001, 0.01];
 
-/// How the poses and the depth of a scan are read.
+/// How the poses and the depth of a scan are interpreted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct SourceConvention {
     pub pose: PoseConvention,
@@ -43,22 +43,23 @@ pub(super) struct SourceConvention {
     pub metres_per_unit: f64,
 }
 
-/// The reading that fits, and how well.
+/// The interpretation that fits, with its agreement.
 pub(super) struct CheckedConvention {
     pub reading: SourceConvention,
-    /// Share of points in view that agree with the depth there; `None` when there is nothing to
+    /// Share of points in view that agree with the depth there. `None` when there is nothing to
     /// compare.
     pub agreement: Option<f32>,
 }
 
-/// Compares points in view with the depth there, over a sample of frames, as the scan says it is to
-/// be read. When that does not fit and another reading clearly does, it is taken, with a warning.
+/// Compares points in view with the depth there, over a sample of frames, under the declared
+/// convention. If that does not fit and another interpretation clearly does, the other one is used,
+/// with a warning.
 ///
-/// The points are the archive's own cloud's (as `declared`, metres). Without one, they are each
-/// frame's own depth, judged by the other frames.
+/// The points come from the archive's own cloud (as `declared`, meters). Without one, they come
+/// from each frame's own depth and are checked against the other frames.
 ///
 /// # Errors
-/// [`IngestError::NothingFits`] when hardly anything agrees under any reading.
+/// Returns [`IngestError::NothingFits`] when hardly anything agrees under any interpretation.
 pub(super) fn check(
     scan: &Scan,
     declared: SourceConvention,
@@ -70,7 +71,7 @@ pub(super) fn check(
     if frames.is_empty() || (own_cloud.is_none() && frames.len() < 2) {
         return as_declared(None);
     }
-    // Pictures that can not be read are somebody else's to name.
+    // Unreadable pictures are reported by another check.
     let sampled: Vec<(&RawFrame, &FrameRef, DepthImage)> = frames
         .par_iter()
         .zip(&scan.frames)
@@ -175,19 +176,19 @@ impl SourceConvention {
     }
 }
 
-/// What the check looks at: a few frames' depth, and the points of a cloud where the archive has
+/// The data of the check: the depth of some frames, and the points of a cloud where the archive has
 /// one.
 struct ReprojectionSample<'a> {
     scan: &'a Scan,
-    /// How the depth was decoded and the cloud scaled.
+    /// The convention that was used to decode the depth and scale the cloud.
     declared: SourceConvention,
     frames: Vec<(&'a RawFrame, &'a FrameRef, DepthImage)>,
     cloud: Option<Vec<Point3<f32>>>,
 }
 
 impl ReprojectionSample<'_> {
-    /// Agreement in `0..=1` under one reading; `None` when too few points fall on measured depth to
-    /// tell.
+    /// Returns the agreement in `0..=1` under one interpretation. `None` when too few points fall
+    /// on measured depth.
     fn agreement(&self, reading: &SourceConvention) -> Option<f32> {
         let cameras: Vec<(Camera, Isometry3<f32>)> = self
             .frames
@@ -206,7 +207,7 @@ impl ReprojectionSample<'_> {
             return None;
         }
         let per_frame = MAX_POINTS / self.frames.len();
-        // Each point with the frame it comes from, which may not judge it.
+        // Each point with the frame it comes from. That frame must not be used to check the point.
         let points: Vec<(Option<usize>, Point3<f32>)> = match &self.cloud {
             Some(points) => points.iter().map(|p| (None, p * relength)).collect(),
             None => self
@@ -250,12 +251,12 @@ impl ReprojectionSample<'_> {
                 }
             }
         }
-        // A wrong reading may leave a handful of lucky points in view: they must be a fair share to
-        // count.
+        // A wrong interpretation may leave a few points in view by chance: they must be a fair
+        // share to count.
         (seen * 50 >= points.len()).then(|| agree as f32 / seen.max(1) as f32)
     }
 
-    /// The frame's camera under a reading of its pose, in the world of the files.
+    /// Returns the frame's camera under an interpretation of its pose, in the world of the files.
     fn camera(
         &self,
         raw: &RawFrame,

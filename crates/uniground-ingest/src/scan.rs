@@ -1,4 +1,4 @@
-//! A scan as its files describe it: what layouts produce and imports consume.
+//! A scan as its files describe it: the output of layouts and the input of imports.
 
 use super::IngestError;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -11,64 +11,65 @@ use uniground_geometry::scene::{
 use uniground_geometry::up_axis::UpAxis;
 use uniground_geometry::{Isometry3, pose};
 
-/// A scan as its files describe it: not yet canonical, pictures not yet decoded, paths below
-/// `root`.
+/// A scan as its files describe it. It is not canonical yet, its pictures are not decoded, and its
+/// paths are below `root`.
 #[derive(Debug)]
 pub struct Scan {
-    /// Folder that the other paths start from.
+    /// Folder that the other paths are relative to.
     pub root: Utf8PathBuf,
     /// Layout of the files: `uniground-scene/1`, `color-depth-pose`, `tum-rgbd` and so on.
     pub format: &'static str,
-    /// `name` in `scene.json`; `None` when it has none, or the layout knows no names.
+    /// `name` in `scene.json`. `None` when it is missing, or when the layout has no names.
     pub name: Option<String>,
-    /// The scan's own point cloud; `None`: one is fused from the frames.
+    /// The scan's own point cloud. `None`: a cloud is fused from the frames.
     pub cloud: Option<Utf8PathBuf>,
-    /// In the order of the files; frames whose pose is marked as lost are left out.
+    /// Frames in the order of the files. Frames whose pose is marked as lost are omitted.
     pub frames: Vec<RawFrame>,
-    /// As written in the files; `None` = not said.
+    /// The up axis as written in the files. `None`: not stated.
     pub up: Option<UpAxis>,
     /// Whether an inertial sensor made the world level.
     pub by_gravity: bool,
-    /// Camera axes the poses in the files use; made OpenCV's on loading.
+    /// Camera axes of the poses in the files. Converted to OpenCV's on loading.
     pub camera_axes: CameraAxes,
-    /// Direction of the poses in the files; made camera-to-world on loading.
+    /// Direction of the poses in the files. Converted to camera-to-world on loading.
     pub pose: PoseConvention,
-    /// Metres per unit of the depth pictures.
+    /// Meters per unit of the depth pictures.
     pub depth_scale_m: f32,
-    /// Whether its lengths are metres, or something that can be guessed; photogrammetry alone has
-    /// no scale.
+    /// Whether lengths are in meters or in a unit that can be guessed. Pure photogrammetry has no
+    /// scale.
     pub has_scale: bool,
-    /// A rigid transform (metres) that the files want applied to poses and cloud, such as
-    /// ScanNet's axis alignment.
+    /// A rigid transform (meters) that the files require for poses and cloud, such as ScanNet's
+    /// axis alignment.
     pub alignment: Option<Matrix4<f64>>,
-    /// What is taken off all positions, in the files' units: poses in map coordinates would lose
-    /// their decimals.
+    /// Offset that is subtracted from all positions, in the files' units. Without it, poses in map
+    /// coordinates would lose decimals.
     pub origin: [f64; 3],
-    /// Frames left out: pose marked as lost, or damaged.
+    /// Number of frames left out: pose marked as lost, or damaged.
     pub frames_skipped: u32,
-    /// Frames that could not be used, found so far.
+    /// Unusable frames found so far.
     pub damage: SkippedFrames,
-    /// What is odd but was accepted, each with its file or frame.
+    /// Problems that were accepted, each with its file or frame.
     pub warnings: Vec<String>,
 }
 
 /// Frames that could not be used.
 #[derive(Debug, Default)]
 pub struct SkippedFrames {
-    /// How many.
+    /// Number of frames.
     pub count: usize,
-    /// What was wrong with the first few.
+    /// The errors of the first few frames.
     pub first: Vec<IngestError>,
 }
 
-/// Damaged frames that are named.
+/// Maximum number of damaged frames that are named.
 const MAX_NAMED: usize = 5;
 
 impl SkippedFrames {
-    /// Notes a frame that can not be used. What is not the fault of one frame comes back.
+    /// Records a frame that cannot be used. Returns errors that are not the fault of a single
+    /// frame.
     ///
     /// # Errors
-    /// The disk's own, names that point outside, and calling off.
+    /// Returns errors of the disk, names that point outside of the upload, and cancellation.
     pub fn note(&mut self, error: IngestError) -> Result<(), IngestError> {
         match error {
             IngestError::Io { .. }
@@ -87,20 +88,20 @@ impl SkippedFrames {
 
 #[derive(Debug, Clone)]
 pub struct RawFrame {
-    /// Place in the scan's own list.
+    /// Index in the scan's own list.
     pub index: FrameIndex,
     pub colour: Utf8PathBuf,
     pub depth: Utf8PathBuf,
-    /// Where the pose was read from, and which one of several.
+    /// The file that the pose was read from, and the entry if it holds several.
     pub pose_file: Utf8PathBuf,
-    /// In the files' units; double precision for map coordinates.
+    /// The pose in the files' units. Double precision, because of map coordinates.
     pub pose: Matrix4<f64>,
     pub colour_intrinsics: Intrinsics,
     pub depth_intrinsics: Intrinsics,
     pub optics: Optics,
 }
 
-/// Which way a camera's own axes point.
+/// The directions of a camera's own axes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum CameraAxes {
@@ -111,8 +112,8 @@ pub enum CameraAxes {
 }
 
 impl Scan {
-    /// A scan without frames or cloud, as most layouts have it: OpenCV, camera-to-world,
-    /// millimetres.
+    /// Creates a scan without frames or cloud, with the most common conventions: OpenCV,
+    /// camera-to-world, millimeters.
     pub(super) fn new(root: &Utf8Path, format: &'static str) -> Self {
         Self {
             root: root.to_owned(),
@@ -134,10 +135,10 @@ impl Scan {
         }
     }
 
-    /// Adds a frame, or notes why it can not be used.
+    /// Adds a frame, or records why it cannot be used.
     ///
     /// # Errors
-    /// What is not the fault of one frame.
+    /// Returns errors that are not the fault of a single frame.
     pub(super) fn add(&mut self, frame: Result<RawFrame, IngestError>) -> Result<(), IngestError> {
         match frame {
             Ok(frame) => self.frames.push(frame),
@@ -148,8 +149,8 @@ impl Scan {
 }
 
 impl RawFrame {
-    /// The pose read under a convention, as camera-to-world with OpenCV axes, in the file's world
-    /// less `origin`, metres.
+    /// Returns the pose under a convention, as camera-to-world with OpenCV axes, in the file's
+    /// world with `origin` subtracted, meters.
     pub(super) fn camera_to_world(
         &self,
         convention: PoseConvention,
@@ -167,7 +168,7 @@ impl RawFrame {
         };
         Ok(match axes {
             CameraAxes::Opencv => camera_to_world,
-            // OpenGL's camera is OpenCV's turned by half a turn about its own X.
+            // OpenGL's camera is OpenCV's camera rotated by 180 degrees about its own X axis.
             CameraAxes::Opengl => {
                 camera_to_world * Isometry3::rotation(nalgebra::Vector3::x() * std::f32::consts::PI)
             }
@@ -175,15 +176,15 @@ impl RawFrame {
     }
 }
 
-/// How positions in the files become metres near the origin.
+/// How positions in the files are converted to meters near the origin.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Units {
-    /// In the files' units.
+    /// The origin, in the files' units.
     pub origin: [f64; 3],
     pub metres_per_unit: f64,
 }
 
-/// Width and height from a picture's header; `None` for depth that does not say.
+/// Reads width and height from a picture's header. Returns `None` for depth formats without a size.
 pub(super) fn picture_size(
     root: &Utf8Path,
     file: &Utf8Path,
@@ -217,13 +218,13 @@ pub(super) fn picture_size(
     Ok(Some((width, height)))
 }
 
-/// Metres per unit of depth pictures that nobody gave a unit: floats are metres, integers
-/// millimetres.
+/// Returns meters per unit of depth pictures without a declared unit: meters for floats,
+/// millimeters for integers.
 pub(super) fn usual_depth_scale_m<'a>(
     root: &Utf8Path,
     depth: impl IntoIterator<Item = &'a Utf8PathBuf>,
 ) -> f32 {
-    // What can not be read is told by who reads on.
+    // Unreadable files are reported when they are loaded.
     let is_float = depth
         .into_iter()
         .next()
@@ -231,5 +232,6 @@ pub(super) fn usual_depth_scale_m<'a>(
     if is_float { 1.0 } else { 0.001 }
 }
 
-/// Several pictures are decoded at once: each may take some hundred megabytes, not more.
+/// Maximum number of pixels. Several pictures are decoded at once, and each must not take more than
+/// a few hundred megabytes.
 const MAX_PIXELS: u64 = 40_000_000;

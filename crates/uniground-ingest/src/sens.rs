@@ -1,8 +1,8 @@
-//! ScanNet's `.sens`: all frames of a scan in one file, with their poses and both cameras. It is
-//! unpacked into pictures and a `scene.json`.
+//! Reads ScanNet's `.sens`: all frames of a scan in one file, with their poses and both cameras. It
+//! is unpacked into pictures and a `scene.json`.
 //!
-//! Little-endian throughout. What the file claims is checked before it is believed; frames are
-//! written one at a time.
+//! All values are little-endian. Everything that the file claims is checked before it is used.
+//! Frames are written one at a time.
 
 use super::IngestError;
 use super::unpacked::head_of;
@@ -16,16 +16,16 @@ use std::io::{self, BufReader, BufWriter, Read, Write};
 const VERSION: u32 = 4;
 const MAX_NAME_BYTES: u64 = 4096;
 const MAX_FRAMES: u64 = super::MAX_FRAMES as u64;
-/// A picture, compressed.
+/// Maximum size of a compressed picture, bytes.
 const MAX_PICTURE_BYTES: u64 = 64 << 20;
 const MAX_SIDE: u32 = 8192;
-/// Codecs of colour pictures, by their number in the file.
+/// Codecs of color pictures, by their number in the file.
 const COLOUR_PNG: i32 = 1;
 const COLOUR_JPEG: i32 = 2;
-/// The one of depth pictures that is used.
+/// The only supported codec of depth pictures.
 const DEPTH_ZLIB: i32 = 1;
 
-/// Whether a file with this ending begins as one.
+/// Returns whether a file with this extension starts like a `.sens` file.
 pub(super) fn recognises(head: &[u8], extension: &str) -> bool {
     let version = head.first_chunk::<4>().map(|version| u32::from_le_bytes(*version));
     let name_bytes =
@@ -35,7 +35,7 @@ pub(super) fn recognises(head: &[u8], extension: &str) -> bool {
         && name_bytes.is_some_and(|bytes| bytes <= MAX_NAME_BYTES)
 }
 
-/// The only file of a folder (and of the only folder in it) that is one.
+/// Returns the only `.sens` file of a folder (or of the only folder in it).
 pub(super) fn lone(folder: &Utf8Path) -> Result<Option<Utf8PathBuf>, IngestError> {
     let io = |source| IngestError::reading(folder, source);
     let mut folder = folder.to_owned();
@@ -80,7 +80,7 @@ struct Header {
 /// frames.
 ///
 /// # Errors
-/// [`IngestError`] naming the file; `target` may then hold a part.
+/// Returns an [`IngestError`] that names the file. `target` may then hold some of the files.
 pub(super) fn unpack(
     file: &Utf8Path,
     target: &Utf8Path,
@@ -93,7 +93,7 @@ pub(super) fn unpack(
     let mut source = BufReader::with_capacity(1 << 20, source);
     let header = header(&mut source)
         .map_err(|e| malformed(format!("not a .sens file of version {VERSION}: {e}")))?;
-    // A pose, two times and two sizes at least.
+    // A frame holds at least a pose, two times and two sizes.
     if header.frames > MAX_FRAMES || header.frames.saturating_mul(96) > bytes {
         return Err(malformed(format!(
             "it announces {} frames in {bytes} bytes, {MAX_FRAMES} are read at most",
@@ -201,7 +201,7 @@ fn header(source: &mut impl Read) -> io::Result<Header> {
     })
 }
 
-/// Zlib of 16-bit units, as a grey PNG.
+/// Converts zlib-compressed 16-bit units to a gray PNG.
 fn depth_png(packed: &[u8], [width, height]: [u32; 2]) -> io::Result<Vec<u8>> {
     let expected = u64::from(width) * u64::from(height) * 2;
     let mut bytes = Vec::new();
@@ -245,7 +245,7 @@ fn floats<const N: usize>(source: &mut impl Read) -> io::Result<[f32; N]> {
     Ok(all)
 }
 
-/// So many bytes, held only as they come.
+/// Reads exactly `bytes` bytes. Allocates memory only as they arrive.
 fn exactly(source: &mut impl Read, bytes: u64) -> io::Result<Vec<u8>> {
     let mut all = Vec::new();
     source.take(bytes).read_to_end(&mut all)?;
@@ -257,7 +257,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// A header of these sizes and one frame of black.
+    /// A header with these sizes, and one black frame.
     pub(super) fn sens(frames: u64) -> Vec<u8> {
         let mut bytes = VERSION.to_le_bytes().to_vec();
         bytes.extend(4_u64.to_le_bytes());

@@ -1,4 +1,4 @@
-//! A scan as a folder, whatever it was given as.
+//! A scan as a folder, whatever form it was given in.
 
 use super::IngestError;
 use super::archive::{ArchiveKind, UnpackLimits, unpack};
@@ -9,20 +9,20 @@ use std::fs;
 use std::io::Read;
 use tempfile::TempDir;
 
-/// A scan's folder. That of an archive or a bare cloud is temporary and goes with this.
+/// A scan's folder. For an archive or a single cloud it is temporary and removed on drop.
 #[derive(Debug)]
 pub struct ScanFolder {
-    /// Folder with the scan's files; a temporary one is removed when this is dropped.
+    /// Folder with the scan's files. A temporary one is removed when this is dropped.
     pub path: Utf8PathBuf,
     _temporary: Option<TempDir>,
 }
 
 impl ScanFolder {
-    /// A folder as it is; an archive (`.zip`, `.tar`, `.tar.zst`, `.r3d`) or a `.sens` file
-    /// unpacked; a cloud or a mesh as a scan without frames.
+    /// Opens a scan: a folder is used unchanged, an archive (`.zip`, `.tar`, `.tar.zst`, `.r3d`) or
+    /// a `.sens` file is unpacked, and a cloud or a mesh becomes a scan without frames.
     ///
     /// # Errors
-    /// [`IngestError`]: nothing of the kind, or an archive that can not be unpacked.
+    /// Returns an [`IngestError`] for an unsupported file, or an archive that cannot be unpacked.
     pub fn of(scan: &Utf8Path) -> Result<Self, IngestError> {
         if scan.is_dir() {
             let Some(sens) = sens::lone(scan)? else {
@@ -38,13 +38,13 @@ impl ScanFolder {
         match ArchiveFormat::of(scan)
             .ok_or_else(|| IngestError::malformed(scan, what_it_is(&head_of(scan))))?
         {
-            // What a mesh names lies beside it.
+            // Files that a mesh refers to lie next to it.
             ArchiveFormat::Cloud("obj" | "gltf") => {
                 copy_beside(scan, scan.parent().unwrap_or(Utf8Path::new(".")), &path)
                     .map_err(reading)?;
             }
             ArchiveFormat::Cloud(ending) => {
-                put(scan, &path.join("cloud").with_extension(ending)).map_err(reading)?
+                put(scan, &path.join("cloud").with_extension(ending)).map_err(reading)?;
             }
             packed => packed.unpack(scan, &path, &UnpackLimits::default())?,
         }
@@ -52,23 +52,23 @@ impl ScanFolder {
     }
 }
 
-/// How a scan is packed into one file, as its bytes say.
+/// How a scan is packed into one file, detected from its bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ArchiveFormat {
-    /// Its files in an archive.
+    /// An archive with the scan's files.
     Archive(ArchiveKind),
     /// `ScanNet`'s stream of frames.
     Sens,
-    /// A cloud or a mesh, by the ending such files have.
+    /// A cloud or a mesh, with the extension of such files.
     Cloud(&'static str),
 }
 
 impl ArchiveFormat {
-    /// Bytes of a file that are enough to tell.
+    /// Number of bytes at the start of a file that suffice for detection.
     pub const HEAD_BYTES: usize = 4096;
 
-    /// By a file's first bytes; where those are only numbers, by the ending of its name. `None`:
-    /// nothing that is read.
+    /// Detects the format from a file's first bytes. If those are only numbers, the extension of
+    /// its name decides. `None`: not a supported format.
     #[must_use]
     pub fn of_head(head: &[u8], name: &str) -> Option<Self> {
         let extension = Utf8Path::new(name).extension().unwrap_or_default();
@@ -85,10 +85,11 @@ impl ArchiveFormat {
             .or((file.extension() == Some("ply")).then_some(Self::Cloud("ply")))
     }
 
-    /// Brings the scan's files into a folder; a cloud is copied.
+    /// Writes the scan's files into a folder. A cloud is copied.
     ///
     /// # Errors
-    /// [`IngestError`]: an archive that can not be unpacked, a file that can not be copied.
+    /// Returns an [`IngestError`] for an archive that cannot be unpacked or a file that cannot be
+    /// copied.
     pub fn unpack(
         self,
         file: &Utf8Path,
@@ -106,23 +107,23 @@ impl ArchiveFormat {
     }
 }
 
-/// The first bytes of a file.
+/// Returns the first bytes of a file.
 #[must_use]
 pub fn head_of(file: &Utf8Path) -> Vec<u8> {
     let mut head = Vec::new();
-    // What can not be read is told by who reads on.
+    // An unreadable file is reported when it is loaded.
     let _ = fs::File::open(file)
         .and_then(|f| f.take(ArchiveFormat::HEAD_BYTES as u64).read_to_end(&mut head));
     head
 }
 
-/// Points to a file, or copies it where that can not be.
+/// Creates a symbolic link to a file, or copies it where linking is not possible.
 fn put(file: &Utf8Path, target: &Utf8Path) -> std::io::Result<()> {
     let linked = file.canonicalize_utf8().and_then(|file| std::os::unix::fs::symlink(file, target));
     linked.or_else(|_| fs::copy(file, target).map(drop))
 }
 
-/// Files that a mesh may name: its materials, buffers and pictures.
+/// Extensions of files that a mesh may refer to: its materials, buffers and pictures.
 const BESIDE_MESHES: [&str; 5] = ["mtl", "bin", "png", "jpg", "jpeg"];
 
 fn copy_beside(mesh: &Utf8Path, folder: &Utf8Path, target: &Utf8Path) -> std::io::Result<()> {
@@ -141,7 +142,7 @@ fn copy_beside(mesh: &Utf8Path, folder: &Utf8Path, target: &Utf8Path) -> std::io
     Ok(())
 }
 
-/// A sentence for what is often tried and is no scan.
+/// Returns a hint for file types that are often uploaded but are not scans.
 #[must_use]
 pub fn what_it_is(head: &[u8]) -> &'static str {
     match head {

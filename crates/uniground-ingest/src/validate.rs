@@ -1,5 +1,5 @@
-//! Checks that need no decoded picture: sizes from headers, intrinsics that fit, poses that are
-//! rigid, files that are whole.
+//! Checks that do not need decoded pictures: sizes from headers, matching intrinsics, rigid poses,
+//! complete files.
 
 mod whole;
 
@@ -11,16 +11,16 @@ use rayon::prelude::*;
 use uniground_geometry::MAX_COORDINATE_M;
 use uniground_geometry::scene::{DepthSensor, FrameIndex, Intrinsics, PoseConvention};
 
-/// Up to this share of damaged frames is left out; with more, the scan is refused.
+/// Maximum share of damaged frames that are left out. With more, the scan is refused.
 const MAX_DAMAGED: f32 = 0.1;
 
 /// Checks a scan, and drops the frames whose pose the tracker itself marked as lost and the few
 /// that are damaged.
 ///
-/// A pose of infinities only is that mark (ScanNet writes it): the frame is skipped and counted.
-/// Any other value that is not finite is damage.
+/// A pose that consists of infinities only is that mark (ScanNet writes it): the frame is skipped
+/// and counted. Any other non-finite value is damage.
 pub(super) fn check(scan: &mut Scan) -> Result<(), IngestError> {
-    // Frames keep their place in the scan's own list when others are skipped.
+    // Frames keep their index in the scan's own list when others are skipped.
     for (frame, i) in scan.frames.iter_mut().zip(0..) {
         frame.index = FrameIndex(i);
     }
@@ -60,14 +60,14 @@ pub(super) fn check(scan: &mut Scan) -> Result<(), IngestError> {
     Ok(())
 }
 
-/// Where positions in map coordinates are counted from; zero for everybody else.
+/// Returns the offset of positions in map coordinates, or zero for other scans.
 fn origin_of(frames: &[RawFrame]) -> [f64; 3] {
     let at = |frame: &RawFrame| [0, 1, 2].map(|axis| frame.pose[(axis, 3)]);
     let far = |at: &[f64; 3]| {
         at.iter().all(|c| c.is_finite() && c.abs() < 1e8)
             && at.iter().any(|c| c.abs() > f64::from(MAX_COORDINATE_M))
     };
-    // One stray pose moves nothing.
+    // A single outlier pose must not move the origin.
     let mut all: Vec<[f64; 3]> = frames.iter().map(at).filter(far).collect();
     if all.len() * 2 <= frames.len() {
         return [0.0; 3];
@@ -76,7 +76,7 @@ fn origin_of(frames: &[RawFrame]) -> [f64; 3] {
     all[all.len() / 2].map(|c| (c / 100.0).round() * 100.0)
 }
 
-/// The share that may be damaged goes with a warning that names it.
+/// Leaves out damaged frames up to the allowed share, with a warning that names it.
 fn leave_out_damaged(scan: &mut Scan) -> Result<(), IngestError> {
     let (damaged, total) = (scan.damage.count, scan.damage.count + scan.frames.len());
     if damaged == 0 {
@@ -84,7 +84,7 @@ fn leave_out_damaged(scan: &mut Scan) -> Result<(), IngestError> {
     }
     if damaged as f32 > MAX_DAMAGED * total as f32 {
         let first = scan.damage.first.swap_remove(0);
-        // Of a handful of frames the one that is wrong says it all.
+        // With only a few frames, the error of the single damaged one is the best message.
         return Err(match damaged == 1 || total < 10 {
             true => first,
             false => IngestError::TooManyDamaged { damaged, total, first: Box::new(first) },
@@ -151,8 +151,8 @@ fn checked(
     Ok(frame)
 }
 
-/// The intrinsics at the picture's own resolution. A picture of the same shape may be smaller or
-/// larger than they say.
+/// Returns the intrinsics at the picture's own resolution. A picture of the same aspect ratio may
+/// be smaller or larger than the intrinsics say.
 fn fit(
     root: &Utf8Path,
     file: &Utf8Path,
@@ -192,9 +192,9 @@ fn fit(
     Ok(intrinsics.scaled_to(found_width, found_height))
 }
 
-/// Focal lengths of real cameras, in picture widths: from a 168 degree fisheye to a telescope.
+/// Focal lengths of real cameras, in picture widths: from a 168 degree fisheye to a telephoto lens.
 const SHORTEST_FOCAL: f32 = 0.05;
 const LONGEST_FOCAL: f32 = 50.0;
-/// Relative difference of aspect ratios that still counts as the same camera read out at another
-/// size.
+/// Maximum relative difference of aspect ratios that still counts as the same camera at another
+/// resolution.
 const SHAPE_TOLERANCE: f32 = 0.02;

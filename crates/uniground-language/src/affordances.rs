@@ -1,7 +1,7 @@
-//! Things named by what they are for: "something to sit on", "what you would grab to put out a
-//! fire".
+//! Reads things that are named by their purpose: "something to sit on", "what you would grab to put
+//! out a fire".
 //!
-//! The uses are those of the lexicon; `uses.tsv` has the other words people say for them.
+//! The uses are those of the lexicon; `uses.tsv` has other words for them.
 
 use super::cost;
 use super::tokens::{BREAK, stem};
@@ -10,16 +10,16 @@ use std::collections::{BTreeSet, HashMap};
 use std::sync::LazyLock;
 use uniground_models::attributes::Lexicon;
 
-/// An opening clause that says what the target is for.
+/// A clause at the start that says what the target is for.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Affordance {
     /// The uses of the lexicon that fit the words best; several where they fit equally well.
     pub uses: Vec<String>,
-    /// The clause's words: "pour wine from" is said of wine bottles before teapots.
+    /// The clause's words: "pour wine from" fits wine bottles better than teapots.
     pub words: Vec<String>,
-    /// What describes the thing in between: "something soft and green to sink into".
+    /// Tokens within the clause that describe the thing: "something soft and green to sink into".
     pub described: std::ops::Range<usize>,
-    /// How many tokens say so; the rest of the query follows.
+    /// Number of tokens of the clause; the rest of the query follows.
     pub taken: usize,
 }
 
@@ -89,13 +89,13 @@ const OPENERS: &[&str] = &[
 /// Words that end the clause and begin the circumstances.
 const CIRCUMSTANCES: [&str; 4] = ["while", "when", "whilst", "without"];
 
-/// Small words: they decide between uses ("write on", "write with") but are no use by themselves.
+/// Small words: they decide between uses ("write on", "write with"), but are no use by themselves.
 const PARTICLES: [&str; 16] = [
     "on", "in", "at", "by", "from", "with", "to", "for", "into", "out", "away", "up", "off", "the",
     "a", "of",
 ];
 
-/// One way to say a use: the stems that must be there, and the particles that speak for it.
+/// One wording of a use: the required stems, and the particles that support it.
 struct Wording {
     needed: Vec<String>,
     particles: Vec<String>,
@@ -128,8 +128,9 @@ impl Wording {
         }
     }
 
-    /// How well the words say it: by the needed words and the particles that are said, "drink from"
-    /// as well as "drink water"; `None` when a needed word is missing.
+    /// Returns how well the words say this use: the number of required words and particles that are
+    /// said, so that "drink from" counts like "drink water". `None` when a required word is
+    /// missing.
     fn fit(&self, words: &BTreeSet<&str>, stems: &BTreeSet<String>) -> Option<usize> {
         cost::count();
         let said = !self.needed.is_empty() && self.needed.iter().all(|stem| stems.contains(stem));
@@ -137,15 +138,15 @@ impl Wording {
         (said && (particles > 0 || !self.is_light())).then(|| self.needed.len() + particles)
     }
 
-    /// Whether its particle says more than its verb: "get out", but not "get some fruit".
+    /// Returns whether its particle says more than its verb: "get out", but not "get some fruit".
     fn is_light(&self) -> bool {
         matches!(&self.needed[..], [only] if matches!(only.as_str(), "get" | "go"))
             && !self.particles.is_empty()
     }
 }
 
-/// Clauses that begin like a purpose and turn out to be none, before the search ends: nobody says
-/// more.
+/// Maximum number of clauses that begin like a purpose and are none, before the search ends. Real
+/// questions have fewer.
 const MAX_ATTEMPTS: usize = 8;
 
 /// Finds the clause at the start of a query, or after clauses that name nothing: "it's getting
@@ -156,7 +157,7 @@ pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
     let pauses = (0..named).filter(|&i| words[i] == BREAK);
     let (mut looked_at, mut attempts) = (0, 0);
     for start in std::iter::once(0).chain(pauses.map(|i| i + 1)) {
-        // A start that an earlier one has walked over leads to the same word.
+        // A start within the words of an earlier attempt leads to the same word.
         if start < looked_at {
             continue;
         }
@@ -177,8 +178,8 @@ pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
     None
 }
 
-/// The words that begin the clause at or after `start`, where only words without content may stand
-/// between; else the index of the word at which there is no such clause.
+/// Returns the words that begin the clause at or after `start`, where only words without content
+/// may stand between; otherwise the index of the word at which the search ended.
 fn opener(words: &[&str], mut start: usize) -> Result<std::ops::Range<usize>, usize> {
     loop {
         let rest = &words[start.min(words.len())..];
@@ -198,8 +199,8 @@ fn opener(words: &[&str], mut start: usize) -> Result<std::ops::Range<usize>, us
     }
 }
 
-/// What the clause from `begin` on, behind its opening words, says the target is for; `None` where
-/// that is no use of the lexicon.
+/// Returns the purpose that the clause from `begin` on, after its opener, states; `None` where that
+/// is no use of the lexicon.
 fn clause_of(words: &[&str], begin: usize) -> Option<Affordance> {
     let purpose = (begin..words.len())
         .find(|&i| is_purpose(words[i]))
@@ -241,10 +242,10 @@ fn clause_of(words: &[&str], begin: usize) -> Option<Affordance> {
     Some(Affordance { uses, words, described, taken: end })
 }
 
-/// Uses that begin with the verb of a clause, where none is said as the clause says it: "heat up my
-/// soup".
+/// Returns the uses that begin with the verb of a clause, where the clause matches no use exactly:
+/// "heat up my soup".
 fn of_the_same_verb(clause: &[&str]) -> Vec<(usize, &'static str)> {
-    /// Verbs of anything.
+    /// Verbs that may belong to any use.
     const LIGHT: [&str; 16] = [
         "get", "go", "put", "take", "have", "make", "keep", "do", "see", "know", "look", "check",
         "use", "hold", "find", "be",
@@ -264,18 +265,18 @@ fn of_the_same_verb(clause: &[&str]) -> Vec<(usize, &'static str)> {
         .collect()
 }
 
-/// Whether a thing is followed by what it is for, soon: "something soft to sit on", not "the thing
-/// on the table".
+/// Returns whether a purpose follows the word for a thing soon: "something soft to sit on", not
+/// "the thing on the table".
 fn names_a_purpose(words: &[&str], opener: usize) -> bool {
     const SOON: usize = 5;
-    // "the object is a chair with ...": it is told what it is.
+    // "the object is a chair with ...": a noun says what it is.
     let told = words.get(opener) == Some(&"is");
     !is_thing(words[opener - 1])
         || !told && words[opener..].iter().take(SOON).any(|word| is_purpose(word))
 }
 
-/// The words of a purpose that none of the uses found for it is said with: of "put a toddler for
-/// lunch", "put on" says the first only.
+/// Returns the words of a purpose that belong to none of the uses found for it: of "put a toddler
+/// for lunch", "put on" covers the first only.
 pub(super) fn unsaid<'a>(uses: &[String], purpose: &'a [String]) -> Vec<&'a String> {
     let wordings = || uses.iter().filter_map(|spoken| WORDINGS.get(spoken.as_str())).flatten();
     let is_said = |word: &&String| {
@@ -284,7 +285,7 @@ pub(super) fn unsaid<'a>(uses: &[String], purpose: &'a [String]) -> Vec<&'a Stri
     purpose.iter().filter(|word| !is_said(word)).collect()
 }
 
-/// Whether some use is said with this verb.
+/// Returns whether some use has this verb.
 pub(super) fn is_verb_of_a_use(word: &str) -> bool {
     let stem = stem(word);
     WORDINGS.values().flatten().any(|wording| wording.needed.first() == Some(&stem))
@@ -298,7 +299,7 @@ fn is_purpose(word: &str) -> bool {
     matches!(word, "to" | "that" | "which" | "for" | "i" | "you" | "we" | "used" | "with")
 }
 
-/// How many words of the longest opener the words begin with.
+/// Returns the number of words of the longest opener that the words begin with.
 fn opener_at(words: &[&str]) -> Option<usize> {
     /// Openers by their first word: most words begin none.
     static BY_FIRST_WORD: LazyLock<HashMap<&str, Vec<&str>>> = LazyLock::new(|| {
@@ -320,9 +321,10 @@ fn begins(words: &[&str], opener: &str) -> Option<usize> {
     opener.split(' ').all(|wanted| said.next() == Some(&wanted)).then(|| words.len() - said.len())
 }
 
-/// Whether the clause ends before word `i`: a pause, circumstances, or a relation to some thing.
+/// Returns whether the clause ends before word `i`: at a pause, circumstances, or a relation to a
+/// thing.
 fn ends_clause(words: &[&str], i: usize) -> bool {
-    // "something to sit on that is blue": what follows describes the thing.
+    // "something to sit on that is blue": the rest describes the thing.
     let describes = matches!(words[i..], ["that" | "which", "is" | "are", ..]);
     if words[i] == BREAK || CIRCUMSTANCES.contains(&words[i]) || describes {
         return true;
@@ -334,8 +336,8 @@ fn ends_clause(words: &[&str], i: usize) -> bool {
     ) {
         return false;
     }
-    // "sit on", "read by": a particle of the verb unless a thing follows. "Work on my laptop": that
-    // one need not be here.
+    // "sit on", "read by": a particle of the verb unless a thing follows. In "work on my laptop",
+    // the laptop need not be in the scene.
     let next = words.get(i + length).copied().unwrap_or(BREAK);
     if matches!(words[i], "on" | "in" | "with")
         && length == 1

@@ -1,7 +1,7 @@
-//! Where in a sentence the thing asked for may be named. People say what they do before they name a
+//! Finds where in a sentence the target may be named. People say what they do before they name a
 //! thing ("pop two slices in the toaster"), and why ("my back hurts, I'll take the old wooden
-//! chair"): later beginnings are read as well, and the scene tells which of them it bears
-//! out (`uniground_grounding::settled`).
+//! chair"). So later beginnings are read as well, and the scene decides which of them it supports
+//! (`uniground_grounding::choose_reading`).
 
 use super::pieces::longest_noun;
 use super::tokens::BREAK;
@@ -9,11 +9,11 @@ use super::words::{self, Meaning as Word};
 use super::{Meaning, ParsedQuery, With, affordances, zones};
 use uniground_models::attributes::WordNet;
 
-/// So many beginnings are read: each costs a reading.
+/// Maximum number of beginnings that are read, because each costs a reading.
 const MOST_READINGS: usize = 6;
 
-/// What is done with one thing to another: "chuck the peel in the bin" asks for the bin unless a
-/// peel is in it already.
+/// Verbs that move one thing to another: "chuck the peel in the bin" asks for the bin unless a peel
+/// is in it already.
 const DESTINED: [&str; 40] = [
     "put", "pop", "place", "stick", "chuck", "throw", "toss", "drop", "dump", "scrape", "pour",
     "tip", "hang", "lay", "set", "leave", "store", "pack", "load", "shove", "slide", "stow",
@@ -21,17 +21,18 @@ const DESTINED: [&str; 40] = [
     "sit", "lie", "climb", "go", "goes", "belongs", "lives",
 ];
 
-/// Where that other thing is told.
+/// Prepositions of the destination.
 const DESTINATIONS: [&str; 10] =
     ["in", "into", "inside", "on", "onto", "to", "over", "off", "under", "at"];
 
-/// The likeliest reading of a sentence, and what it says if the thing is named later, in order.
+/// Returns the likeliest reading of a sentence, and those with a target that is named later, in
+/// order.
 pub(super) fn readings(
     tokens: &[String],
     read: impl Fn(&[String]) -> ParsedQuery,
 ) -> (ParsedQuery, Vec<ParsedQuery>) {
     let first = read(tokens);
-    // Of food and drink, what holds it may be meant: "the milk is in the larger fridge".
+    // For food and drink, the container may be meant: "the milk is in the larger fridge".
     let is_held = ["food", "beverage", "foodstuff", "nutriment"]
         .iter()
         .any(|kind| WordNet::get().is_a(&first.target.head, kind));
@@ -39,7 +40,7 @@ pub(super) fn readings(
     let starts = objects.iter().chain(&others).take(MOST_READINGS);
     let mut later: Vec<ParsedQuery> =
         starts.map(|&start| from(tokens, start, &read)).filter(tells_a_thing).collect();
-    // "finished with today's newspaper": what was taken for a thing is what somebody does.
+    // "finished with today's newspaper": the word taken for the target is an action.
     if let (Meaning::Unknown, [With { phrase, .. }]) =
         (first.target.meaning(), &first.target.with[..])
     {
@@ -55,8 +56,8 @@ pub(super) fn readings(
     (likeliest, later)
 }
 
-/// What a sentence says from a word on. How somebody stands and looks was told before: that holds
-/// for what follows. What was passed over is told.
+/// Reads a sentence from a word on. A viewpoint given before it still applies. The words before it
+/// are listed as passed over.
 fn from(tokens: &[String], start: usize, read: impl Fn(&[String]) -> ParsedQuery) -> ParsedQuery {
     let is_kept =
         |clause: &&[String]| clause.ends_with(&[BREAK.to_owned()]) && tells_a_view(clause);
@@ -79,13 +80,13 @@ fn tells_a_view(clause: &[String]) -> bool {
     })
 }
 
-/// Words with which the thing asked for may begin, by index.
+/// Words at which the target may begin, by index.
 struct Beginnings {
-    /// The sentence begins with it: an article, what describes the thing, or its noun.
+    /// Whether the sentence begins with the target: an article, a description, or its noun.
     at_once: bool,
-    /// Articles of what somebody does something to: "straighten the picture".
+    /// Articles of the objects of actions: "straighten the picture".
     objects: Vec<usize>,
-    /// Clauses, and where somebody puts a thing.
+    /// Beginnings of clauses, and destinations of things that are moved.
     others: Vec<usize>,
 }
 
@@ -104,7 +105,7 @@ impl Beginnings {
             let run = &words[at..end];
             if run.is_empty() {
                 at += 1;
-                // How somebody stands and looks was told: the thing is still to come.
+                // The words so far gave a viewpoint: the target is still to come.
                 sentence &= !clause.looks;
                 // "chuck this away for me, in the bin"
                 let it_is = usize::from(words.get(at) == Some(&"it's"));
@@ -125,8 +126,8 @@ impl Beginnings {
                 _ => (None, 1),
             };
             match meaning {
-                // "vacuum the rug": a noun right before an article is what somebody does, as is a
-                // word that nobody knows.
+                // "vacuum the rug": a noun right before an article is an action, and so is an
+                // unknown word.
                 None => {
                     let is_thing =
                         noun.is_some() && run.get(length).is_none_or(|next| !is_article(next));
@@ -135,16 +136,16 @@ impl Beginnings {
                     (clause.said, clause.led) = (true, false);
                 }
                 Some(Word::Determiner) if clause.to_another && !clause.looks => {
-                    found.others.push(at)
+                    found.others.push(at);
                 }
-                // "wait by the door", "careful with the pot": no thing was named that could be
+                // "wait by the door", "careful with the pot": no target was named that could be
                 // there.
                 Some(Word::Determiner)
                     if clause.said && !(clause.led && clause.named) && !clause.looks =>
                 {
-                    found.objects.push(at)
+                    found.objects.push(at);
                 }
-                // "it's on the table", "it won't go through the door" speak of what was named
+                // "it's on the table", "it won't go through the door" describe the thing named
                 // before.
                 Some(Word::OfTarget | Word::Pronoun)
                     if !clause.said
@@ -174,27 +175,26 @@ impl Beginnings {
     }
 }
 
-/// What has been read of a clause.
-// Each is a word that was heard and waits for the one it speaks of.
+/// The state of the reader within a clause.
+// Each flag is a word that waits for the word it belongs to.
 #[allow(clippy::struct_excessive_bools)]
 #[derive(Default)]
 struct Clause {
-    /// A thing, or a word that nobody knows.
+    /// A thing, or an unknown word, was read.
     said: bool,
-    /// A thing: not only words that nobody knows and that have no article.
+    /// A thing was read: not only unknown words without an article.
     named: bool,
-    /// An article came.
+    /// An article was read.
     determined: bool,
-    /// The last word was a noun, or one that nobody knows.
+    /// The last word was a noun, or an unknown word.
     at_noun: bool,
-    /// The last word that carries something leads to another thing: "next to", "with", "of".
+    /// The last word with content leads to another thing: "next to", "with", "of".
     led: bool,
-    /// Something is put somewhere.
+    /// The clause moves a thing somewhere.
     destined: bool,
-    /// The word before is the way there.
+    /// The previous word is a preposition of the destination.
     to_another: bool,
-    /// It tells how somebody stands and looks, or more of what was named before: it names nothing
-    /// itself.
+    /// The clause gives a viewpoint, or more about a thing named before: it names nothing itself.
     looks: bool,
 }
 
@@ -202,10 +202,10 @@ fn is_article(word: &str) -> bool {
     matches!(words::longest(&[word]), Some((Word::Determiner, 1)))
 }
 
-/// Whether a clause begins as one that names a thing, and tells nothing more of what was named
+/// Returns whether a clause begins by naming a thing, rather than by saying more of one named
 /// before.
 fn names_something(clause: &[&str]) -> bool {
-    // "it's the pot with the lid": named once more.
+    // "it's the pot with the lid": the thing is named once more.
     let once_more = usize::from(
         clause.len() > 1 && matches!(clause[0], "it's" | "that's") && is_article(clause[1]),
     );
@@ -228,11 +228,11 @@ fn names_something(clause: &[&str]) -> bool {
     })
 }
 
-/// Whether a reading tells its thing from others.
+/// Returns whether a reading distinguishes its target from other things.
 fn tells_a_thing(query: &ParsedQuery) -> bool {
     let target = &query.target;
     match target.meaning() {
-        // "the one on the left" says more of what was named before.
+        // "the one on the left" says more of a thing named before.
         Meaning::Anything if matches!(target.head.as_str(), "one" | "ones") => false,
         Meaning::Anything => {
             !target.colours.is_empty() || !target.with.is_empty() || !target.relations.is_empty()
@@ -250,7 +250,7 @@ fn tells_a_thing(query: &ParsedQuery) -> bool {
 mod tests {
     use crate::parse;
 
-    /// Heads of the likeliest reading and of the others.
+    /// Returns the heads of the likeliest reading and of the others.
     fn heads(query: &str) -> Vec<String> {
         let read = parse(query);
         std::iter::once(&read)
@@ -295,7 +295,7 @@ mod tests {
         ] {
             assert!(heads(query).iter().any(|head| head == also), "{query}: {:?}", heads(query));
         }
-        // What a thing is next to is not what is asked for.
+        // The anchor of the target is not asked for.
         for query in [
             "fetch the red mug off the desk",
             "the theremin next to the sofa",

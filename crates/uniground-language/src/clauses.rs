@@ -1,5 +1,5 @@
-//! Clauses that run together, and those that tell nothing of the thing: "be a dear and fetch the
-//! mug", "the lamp needs a new bulb".
+//! Rewrites clauses that run together, and removes those that do not describe the target: "be a
+//! dear and fetch the mug", "the lamp needs a new bulb".
 
 use super::pieces::longest_noun;
 use super::tokens::BREAK;
@@ -35,13 +35,13 @@ fn is(tokens: &[String], i: usize, words: &[&str]) -> bool {
     tokens.get(i).is_some_and(|token| words.contains(&token.as_str()))
 }
 
-/// Index of the end of the clause that a word is in.
+/// Returns the index of the end of the clause that a word is in.
 fn end_of_clause(tokens: &[String], from: usize) -> usize {
     (from..tokens.len()).find(|&i| tokens[i] == BREAK).unwrap_or(tokens.len())
 }
 
-/// "has anybody seen the mug", "where did my son drop his bag": who did what with it does not tell
-/// it from others.
+/// Removes who did what with the target, which does not distinguish it: "has anybody seen the mug",
+/// "where did my son drop his bag".
 fn asked(tokens: &mut Vec<String>) {
     const WHO: [&str; 12] = [
         "i",
@@ -69,7 +69,7 @@ fn asked(tokens: &mut Vec<String>) {
         tokens.drain(from..at + 2);
         return;
     }
-    // Somebody, what they did, and an article: what they did it to follows.
+    // A person, an action, and an article: the object of the action follows.
     let end = end_of_clause(tokens, at);
     let object = (at + 3..end.min(at + 6)).find(|&i| is_article(tokens, i));
     let related = |i: usize| {
@@ -89,8 +89,8 @@ fn asked(tokens: &mut Vec<String>) {
     }
 }
 
-/// "leave it by the door", "can you see if my keys are there": what is to be done with the thing,
-/// after it was named.
+/// Removes what is to be done with the target, after it was named: "leave it by the door", "can you
+/// see if my keys are there".
 fn wanted_of_it(tokens: &mut Vec<String>) {
     const POLITE: [&str; 7] = ["can", "could", "would", "will", "you", "please", "just"];
     const VERBS: [&str; 30] = [
@@ -119,7 +119,7 @@ fn wanted_of_it(tokens: &mut Vec<String>) {
     }
 }
 
-/// "what the telly stands on" is a thing with the telly.
+/// Rewrites "what the telly stands on" to a thing with the telly.
 fn what_it_stands_on(tokens: &mut Vec<String>) {
     const PLACED: [&str; 11] = [
         "is", "stands", "stood", "sits", "sat", "standing", "sitting", "lies", "lying", "hangs",
@@ -138,8 +138,8 @@ fn what_it_stands_on(tokens: &mut Vec<String>) {
     }
 }
 
-/// "the ladder thing you stand on": what one does with it, where it is no known use, names no other
-/// thing.
+/// Removes what people do with the target, where it is no known use: "the ladder thing you stand
+/// on". It names no other thing.
 pub(super) fn done_with_it(tokens: &mut Vec<String>) {
     const LONGEST: usize = 4;
     let follows_a_noun = |i: usize| longest_noun(&[tokens[i].as_str()]).is_some();
@@ -156,7 +156,7 @@ pub(super) fn done_with_it(tokens: &mut Vec<String>) {
     }
 }
 
-/// "I left it by the lamp" speaks of no left side.
+/// Replaces the verb "left" by "put": "I left it by the lamp" gives no left side.
 fn left_there(tokens: &mut [String]) {
     const WHO: [&str; 12] =
         ["i", "we", "you", "he", "she", "they", "i've", "somebody", "someone", "who", "be", "was"];
@@ -169,7 +169,7 @@ fn left_there(tokens: &mut [String]) {
     }
 }
 
-/// "so I'll have the chair", "and fetch my mug": another clause begins.
+/// Inserts a break where another clause begins: "so I'll have the chair", "and fetch my mug".
 fn run_together(tokens: &mut Vec<String>) {
     const WHO: [&str; 16] = [
         "i", "i'll", "i'd", "we", "we'll", "you", "he", "she", "they", "bring", "can", "could",
@@ -188,7 +188,7 @@ fn run_together(tokens: &mut Vec<String>) {
     for i in 1..tokens.len() {
         let begins = match tokens[i].as_str() {
             "so" | "but" => is(tokens, i + 1, &WHO) || is_article(tokens, i + 1),
-            // "and vacuum around it", "and count along that side": nobody names a second thing so.
+            // "and vacuum around it", "and count along that side" name no second thing.
             "and" | "then" => {
                 let does = is(tokens, i + 1, &WANTED)
                     || meaning(tokens, i + 1).is_none() && is_article(tokens, i + 2);
@@ -204,7 +204,7 @@ fn run_together(tokens: &mut Vec<String>) {
     }
 }
 
-/// "the taller plant, like a small palm": what it is likened to is no second thing.
+/// Removes a comparison: in "the taller plant, like a small palm", the palm is no second thing.
 fn likened(tokens: &mut Vec<String>) {
     let begins = |i: &usize| {
         let likened = is(tokens, *i, &["like"]) && is(tokens, i + 1, &["a", "an"])
@@ -217,7 +217,7 @@ fn likened(tokens: &mut Vec<String>) {
     }
 }
 
-/// "bright orange" is orange.
+/// Rewrites "bright orange" to "orange".
 fn bright(tokens: &mut Vec<String>) {
     let is_shade = |i: &usize| {
         is(tokens, *i, &["bright", "vivid", "deep", "rich", "strong"])
@@ -228,7 +228,7 @@ fn bright(tokens: &mut Vec<String>) {
     }
 }
 
-/// "the lamp needs a new bulb": what a thing lacks is not there to be found.
+/// Removes what a thing lacks: in "the lamp needs a new bulb", the bulb is not in the scene.
 fn wanting(tokens: &mut Vec<String>) {
     let begins = |i: &usize| {
         is(tokens, *i, &["needs", "wants", "requires", "deserves"])
@@ -240,7 +240,8 @@ fn wanting(tokens: &mut Vec<String>) {
     }
 }
 
-/// "look at that thing on the wall", and nothing else: that is what is asked for.
+/// Reads "look at that thing on the wall", where it is the whole question, as a request for the
+/// thing.
 fn look_at(tokens: &mut Vec<String>) {
     let starts = |i: usize| i == 0 || tokens[i - 1] == BREAK;
     let Some(at) = (0..tokens.len())
@@ -254,7 +255,7 @@ fn look_at(tokens: &mut Vec<String>) {
     }
 }
 
-/// "the couch where the teddy is sitting" has the teddy.
+/// Rewrites "the couch where the teddy is sitting" to a couch with the teddy.
 fn where_another_is(tokens: &mut Vec<String>) {
     const PLACED: [&str; 11] = [
         "is", "are", "was", "sits", "lies", "stands", "hangs", "sitting", "lying", "standing",
@@ -280,7 +281,7 @@ fn where_another_is(tokens: &mut Vec<String>) {
     }
 }
 
-/// "not the cup by the laptop, the other cup": the clause that names what is meant.
+/// Removes the rejected thing in front of the target: "not the cup by the laptop, the other cup".
 fn rather_than(tokens: &mut Vec<String>) {
     let first = (0..tokens.len()).find(|&i| tokens[i] != BREAK && !is(tokens, i, &["no"]));
     let Some(not) = first.filter(|&i| tokens[i] == "not" && is_article(tokens, i + 1)) else {
@@ -298,7 +299,7 @@ fn run(tokens: &[String], from: usize) -> Vec<&str> {
     tokens.iter().skip(from).map(String::as_str).take_while(|token| *token != BREAK).collect()
 }
 
-/// "the bedside lamp" is one by the bed.
+/// Rewrites "the bedside lamp" to a lamp by the bed.
 fn beside_the_bed(tokens: &mut Vec<String>) {
     let lamp =
         |i: &usize| is(tokens, *i, &["bedside"]) && is(tokens, i + 1, &["lamp", "lamps", "light"]);
@@ -307,7 +308,7 @@ fn beside_the_bed(tokens: &mut Vec<String>) {
     }
 }
 
-/// "between the blue and the yellow picture": two of them.
+/// Repeats the noun for two things: "between the blue and the yellow picture" names two pictures.
 fn one_noun_for_two(tokens: &mut Vec<String>) {
     let is_colour =
         |i: usize| matches!(meaning(tokens, i), Some(Meaning::Colour(_) | Meaning::Trait(_)));

@@ -1,10 +1,10 @@
-//! Somebody who corrects themselves: "the brown bag. No, I mean the box" asks for the box.
+//! Applies self-corrections: "the brown bag. No, I mean the box" asks for the box.
 
 use super::pieces::longest_noun;
 use super::tokens::BREAK;
 use super::words::{self, Meaning};
 
-/// Words after which what was said before no longer holds; longest first.
+/// Words that withdraw what was said before; longest first.
 const TAKEN_BACK: [&[&str]; 14] = [
     &["sorry", "i", "mean"],
     &["sorry", "i", "meant"],
@@ -22,8 +22,8 @@ const TAKEN_BACK: [&[&str]; 14] = [
     &["no"],
 ];
 
-/// What is left of a query when all is taken back that was corrected. "The green one" after "the
-/// red chair, sorry" is the green chair.
+/// Returns the query after all corrections. "The green one" after "the red chair, sorry" is the
+/// green chair.
 pub(super) fn rewritten(tokens: Vec<String>) -> Vec<String> {
     let Some((at, length)) =
         (1..tokens.len()).rev().find_map(|at| taken_back(&tokens, at).map(|length| (at, length)))
@@ -33,7 +33,7 @@ pub(super) fn rewritten(tokens: Vec<String>) -> Vec<String> {
     let noun = (0..at).find_map(|i| named(&tokens[i..at]));
     let (Some(noun), after) = (noun, &tokens[at + length..]) else { return tokens };
     let mut meant: Vec<String> = Vec::with_capacity(after.len() + noun.len());
-    // "no, next to the door": the same thing elsewhere.
+    // "no, next to the door": the same thing in another place.
     let of_the_same = matches!(
         words::longest(&run(after)),
         Some((Meaning::Relation(_) | Meaning::With { .. }, _))
@@ -50,7 +50,8 @@ pub(super) fn rewritten(tokens: Vec<String>) -> Vec<String> {
     meant
 }
 
-/// How many words from `at` on take back what was said before; pauses between and after them count.
+/// Returns how many words from `at` on withdraw what was said before; pauses between and after them
+/// count.
 fn taken_back(tokens: &[String], at: usize) -> Option<usize> {
     let matched = |words: &&&[&str]| {
         let mut i = at;
@@ -67,7 +68,7 @@ fn taken_back(tokens: &[String], at: usize) -> Option<usize> {
     };
     let (words, mut end) =
         TAKEN_BACK.iter().find_map(|words| matched(&words).map(|end| (words, end)))?;
-    // "no" and "sorry" alone: only between what was said and what is meant.
+    // "no" and "sorry" alone count only between two descriptions.
     let alone = words.len() == 1;
     let begins = |word: &str| {
         word == BREAK || matches!(words::longest(&[word]), Some((Meaning::Determiner, _)))
@@ -78,11 +79,11 @@ fn taken_back(tokens: &[String], at: usize) -> Option<usize> {
     while tokens.get(end).is_some_and(|t| t == BREAK) {
         end += 1;
     }
-    // Something must follow that says what is meant.
+    // A new description must follow.
     (end < tokens.len()).then_some(end - at)
 }
 
-/// The thing named at the start of `tokens`; words for anything name none.
+/// Returns the thing named at the start of `tokens`; words for anything name none.
 fn named(tokens: &[String]) -> Option<Vec<String>> {
     let run = run(tokens);
     let length =

@@ -1,6 +1,6 @@
-//! The cost of reading a question, in steps: one for every comparison of words with a table.
-//! Counted in tests only, which hold that a question of the longest length costs little, whatever
-//! it is made of.
+//! Counts the cost of reading a question in steps: one for every comparison of words with a table.
+//! Counted in tests only. They check that a question of maximum length is cheap to read, whatever
+//! its words.
 
 #[cfg(not(test))]
 pub(super) const fn count() {}
@@ -21,10 +21,10 @@ mod tests {
     use crate::parse;
     use proptest::prelude::*;
 
-    /// Characters of the longest question that the API takes.
+    /// Maximum number of characters of a question in the API.
     const MAX_CHARS: usize = 1000;
 
-    /// Steps of reading a text of so many characters that repeats a pattern.
+    /// Returns the number of steps to read a text of `chars` characters that repeats a pattern.
     fn steps(pattern: &str, chars: usize) -> u64 {
         let text: String = pattern.chars().cycle().take(chars).collect();
         let before = STEPS.get();
@@ -32,7 +32,7 @@ mod tests {
         STEPS.get() - before
     }
 
-    /// Words of every role in a question, and what stands between them.
+    /// Words of every role in a question, to be combined with marks between them.
     const WORDS: [&str; 44] = [
         "a",
         "the",
@@ -84,7 +84,8 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(400))]
-        /// Reading is linear in the length: four times the text takes no more than about four times the steps.
+        /// Reading is linear in the length: four times the text takes no more than about four times
+        /// the steps.
         #[test]
         fn reading_is_linear(parts in prop::collection::vec((prop::sample::select(&WORDS[..]), prop::sample::select(&MARKS[..])), 1..12)) {
             let pattern: String = parts.iter().flat_map(|(word, mark)| [*word, *mark]).collect();

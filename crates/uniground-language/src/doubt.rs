@@ -1,25 +1,24 @@
-//! Whether a reading tells all that was said: where it does not, a reader who knows the world may
-//! do better.
+//! Judges whether a reading covers everything that was said. Where it does not, a parser with world
+//! knowledge may do better.
 //!
-//! Judged by what the reading says of itself, never by which words it was made of, nor by the
-//! scene: the same words are always read by the same reader.
+//! The judgment depends on the reading alone, not on its words, nor on the scene: the same words
+//! always go to the same parser.
 
 use super::{ME, Meaning, ParsedQuery, Phrase, Relation, affordances};
 use std::fmt;
 
-/// What a reading leaves open.
+/// The part of a question that a reading leaves open.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Doubt {
     /// Most words are of another language than English.
     Foreign,
-    /// No noun and no known purpose tells what is asked for, or what it is near.
+    /// No noun and no known purpose says what is asked for, or what it is near.
     Unnamed,
-    /// Something is told by what it is for, and no use that is known is said with all of these
-    /// words.
+    /// A thing is described by its purpose, and no known use has all of these words.
     Purpose(String),
-    /// A relation to nothing: what it was said of got lost.
+    /// A relation without an anchor: the anchor was not understood.
     Unanchored(String),
-    /// Words that could not be used, and nouns nobody knows.
+    /// Words that could not be used, and unknown nouns.
     Words(Vec<String>),
 }
 
@@ -36,8 +35,8 @@ impl fmt::Display for Doubt {
 }
 
 impl ParsedQuery {
-    /// What this reading leaves open, the gravest first; `None` where every word has found its
-    /// place.
+    /// Returns the most serious part that this reading leaves open; `None` where every word was
+    /// used.
     #[must_use]
     pub fn doubt(&self) -> Option<Doubt> {
         if self.foreign {
@@ -59,7 +58,9 @@ impl ParsedQuery {
         })
     }
 
-    /// Those of the words not understood that are clear as soon as the request tells where "me" is.
+    /// Returns those of the words not understood that become clear when the request gives the
+    /// position of "me".
+    #[must_use]
     pub fn of_me(&self) -> Vec<String> {
         let by_me = |relation: &&Relation| relation.anchors.iter().any(|anchor| anchor.head == ME);
         let relations =
@@ -71,7 +72,7 @@ impl ParsedQuery {
 impl Phrase {
     fn doubt(&self) -> Option<Doubt> {
         self.name_doubt().or_else(|| {
-            // Of a thing carried, "on it" is on what carries it.
+            // For a carried thing, "on it" means on its carrier.
             let carried = self
                 .with
                 .iter()
@@ -88,8 +89,8 @@ impl Phrase {
         })
     }
 
-    /// Words in front of nouns that are known, "leather" and "shabby": they describe, and nobody
-    /// who only reads can check them.
+    /// Collects words in front of known nouns, such as "leather" and "shabby". They describe, and
+    /// cannot be checked by reading alone.
     fn describing(&self, words: &mut Vec<String>) {
         if matches!(self.meaning(), Meaning::Nouns(_) | Meaning::Structure(_)) {
             words.extend(self.unchecked.iter().cloned());
@@ -103,12 +104,12 @@ impl Phrase {
         self.relations.iter().flat_map(|relation| &relation.anchors).find_map(Self::doubt)
     }
 
-    /// Of what tells the thing itself: its noun, or what it is for.
+    /// Returns a doubt about what names the thing: its noun, or its purpose.
     fn name_doubt(&self) -> Option<Doubt> {
         if !affordances::unsaid(&self.uses, &self.purpose).is_empty() {
             return Some(Doubt::Purpose(self.purpose.join(" ")));
         }
-        // "one" and "thing" are words somebody chose; no word at all is one that got lost.
+        // "one" and "thing" were chosen by the speaker; a phrase without any word lost its noun.
         (self.head.is_empty() && self.uses.is_empty()).then_some(Doubt::Unnamed)
     }
 }
@@ -157,7 +158,7 @@ mod tests {
         let mut query = parse("the lamp next to the sofa");
         query.target.relations[0].anchors.clear();
         assert_eq!(query.doubt(), Some(Doubt::Unanchored("next to".into())));
-        // In the corner of which room, nobody needs to say.
+        // "in the corner" needs no room.
         query.target.relations[0].kind = RelationKind::InCorner;
         assert_eq!(query.doubt(), None);
         let mut query = parse("the lamp next to the sofa");
@@ -165,7 +166,7 @@ mod tests {
         assert_eq!(query.doubt(), Some(Doubt::Unnamed));
     }
 
-    /// No reader can know where the one stands who asks.
+    /// No parser can know the observer's position.
     #[test]
     fn who_i_am_is_no_doubt() {
         for query in ["the chair closest to me", "the nearest chair"] {

@@ -1,4 +1,5 @@
-//! Words to phrases: a left-to-right reading with a stack of open phrases, the innermost on top.
+//! Parses words into phrases: reads from left to right with a stack of open phrases, the innermost
+//! on top.
 
 mod closing;
 mod opening;
@@ -20,19 +21,19 @@ use super::{
 /// What a relation belongs to when it follows a thing that is not the target.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Attach {
-    /// The last thing named: "the cup on the table by the door" - the table is by the door.
+    /// The last thing named: in "the cup on the table by the door", the table is by the door.
     Nearest,
     /// The target: the cup is by the door.
     Target,
 }
 
-/// What an open phrase is there for.
+/// The role of an open phrase.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Role {
     Target,
-    /// Said once more, after the target is known: "the chair is ...", "there is a lamp on it".
+    /// A further statement after the target is known: "the chair is ...", "there is a lamp on it".
     More,
-    /// Of the last relation of the phrase below. `joined` by "and".
+    /// Anchor of the last relation of the phrase below. `joined` by "and".
     Anchor {
         joined: bool,
     },
@@ -40,23 +41,23 @@ enum Role {
         absent: bool,
     },
     View(Look),
-    /// What somebody sits at and looks at.
+    /// The thing that the viewer sits at and looks at.
     Seated,
-    /// One too many: heard, but not used.
+    /// A phrase beyond the limit: read, but not used.
     Surplus,
 }
 
-/// More relations than this in one question are not used: nobody means them, and each costs work.
+/// Maximum number of relations that are used in one question, because each costs work. Real
+/// questions have fewer.
 const MAX_RELATIONS: u32 = 24;
 
 #[derive(Debug, Clone, PartialEq)]
 struct Frame {
     phrase: Phrase,
     role: Role,
-    /// Words since the last noun that nothing explains.
+    /// Unknown words since the last noun.
     unknown: Vec<String>,
-    /// An article after the noun: what follows is another thing, in no relation that was
-    /// understood.
+    /// An article came after the noun: another thing follows, in no relation that was understood.
     another: bool,
     /// "a", "an", "some" before the noun.
     indefinite: bool,
@@ -64,7 +65,7 @@ struct Frame {
     determined: bool,
 }
 
-/// Reads a query. Never fails: what is not understood is listed.
+/// Reads a query. Never fails: words that are not understood are listed.
 #[must_use]
 pub fn parse(query: &str) -> ParsedQuery {
     let tokens = tokens(query);
@@ -89,17 +90,17 @@ fn read(tokens: &[String]) -> ParsedQuery {
     nearest
 }
 
-// Each is a word that was heard and waits for the one it speaks of.
+// Each flag is a word that waits for the word it belongs to.
 #[allow(clippy::struct_excessive_bools)]
 struct Reader {
     attach: Attach,
     query: ParsedQuery,
-    /// The target, or what adds to it, lies at the bottom. Empty between clauses.
+    /// The target, or a further statement about it, lies at the bottom. Empty between clauses.
     stack: Vec<Frame>,
     target: Option<Phrase>,
     relations: u32,
     negated: bool,
-    /// Whether the last colour was one it must not have: "not red or white".
+    /// Whether the last color was one it must not have: "not red or white".
     last_negated: bool,
     /// Nouns the target must not be.
     other_things: Vec<String>,
@@ -108,11 +109,11 @@ struct Reader {
     /// "of" stands between two nouns.
     of: bool,
     same: bool,
-    /// "the closest chair to": what the noun is compared by stands in front of it.
+    /// A comparison in front of its noun: "the closest chair to".
     compared: Option<(RelationKind, u32, String)>,
-    /// Relations to the place where somebody stands; a later phrase may tell where that is.
+    /// Relations to the viewer's position; a later phrase may give it.
     from_here: Vec<Relation>,
-    /// A new sentence about something else than the target begins.
+    /// A new sentence about another thing than the target begins.
     there_is: bool,
 }
 
@@ -148,10 +149,10 @@ impl Reader {
         for (i, piece) in pieces.iter().enumerate() {
             match piece {
                 Piece::Noun(head) => self.noun(head, &pieces[i + 1..]),
-                // "that is not plastic": nobody can check it, but it is not the next thing that is
-                // denied.
+                // "that is not plastic": cannot be checked, but the negation does not apply to the
+                // next thing.
                 Piece::Unknown(word) if std::mem::take(&mut self.negated) => {
-                    self.query.not_understood.push(format!("not {word}"))
+                    self.query.not_understood.push(format!("not {word}"));
                 }
                 Piece::Unknown(word) => self.top().unknown.push(word.clone()),
                 Piece::Break if self.describes() && noun_to_come(&pieces[i + 1..]) => {}
@@ -174,7 +175,7 @@ impl Reader {
 
     fn noun(&mut self, head: &str, rest: &[Piece]) {
         let (of, number) = (std::mem::take(&mut self.of), self.number.take());
-        // "not the chair by the door" speaks of the relation, "not the armchair" of the noun.
+        // "not the chair by the door" negates the relation, "not the armchair" the noun.
         let relation_follows = rest.iter().find(|piece| !is_filler(piece)).is_some_and(|piece| {
             matches!(
                 piece,
@@ -198,8 +199,8 @@ impl Reader {
         if before.is_empty()
             || words::is_anything(&before) && !head.is_empty() && frame.phrase.uses.is_empty()
         {
-            // "filing cabinets ... the one": a pronoun never takes a noun's place, a noun takes a
-            // pronoun's.
+            // "filing cabinets ... the one": a pronoun never replaces a noun, a noun replaces a
+            // pronoun.
             head.clone_into(&mut frame.phrase.head);
         } else if of
             && words::is_part_of_furniture(&before)
@@ -208,7 +209,7 @@ impl Reader {
             // "over the headboard of the bed" is over the bed.
             head.clone_into(&mut frame.phrase.head);
         } else if of && words::is_measure(head) {
-            // "the box at the top of the stack": told by the side.
+            // "the box at the top of the stack": identified by the side.
         } else if of && !words::is_measure(&before) && !words::is_part(&before) {
             // "the bowl of apples" is a bowl.
             frame.phrase.unchecked.push(head.to_owned());
@@ -307,7 +308,7 @@ impl Reader {
                     self.push(Role::With { absent: false });
                 }
             }
-            // What it is comes next: "it is facing the door" speaks of the thing, not of somebody.
+            // A description comes next: "it is facing the door" describes the thing, not a viewer.
             Meaning::OfTarget => {
                 self.unwind(0);
                 self.top();
@@ -322,7 +323,7 @@ impl Reader {
                 }
             }
             Meaning::Filler => self.filler(text),
-            // "the slim case that is squeezed in": what was said before names it.
+            // "the slim case that is squeezed in": the words before name it.
             Meaning::OfLast => self.name_by_unknown(),
             Meaning::ThereIs => {
                 self.unwind(0);
@@ -332,7 +333,7 @@ impl Reader {
         }
     }
 
-    /// An article: a noun comes, and what has none yet has had its last chance.
+    /// Handles an article: a noun will follow, and a phrase without a noun cannot get one anymore.
     fn determiner(&mut self, text: &str) {
         let of = self.of;
         let frame = self.top();
@@ -340,7 +341,7 @@ impl Reader {
         let another =
             !frame.phrase.head.is_empty() && !words::is_anything(&frame.phrase.head) && !of;
         frame.another = another;
-        // "facing the mural the table": a noun nobody knows has come.
+        // "facing the mural the table": an unknown noun ends here.
         let unknown = frame.phrase.head.is_empty() && !frame.unknown.is_empty() && !of;
         let determined = frame.determined;
         frame.determined |= frame.is_empty();
@@ -352,7 +353,7 @@ impl Reader {
         }
     }
 
-    /// Whether the innermost phrase has been described, but not named.
+    /// Returns whether the innermost phrase has a description, but no noun.
     fn describes(&self) -> bool {
         self.stack.last().is_some_and(|Frame { phrase, unknown, .. }| {
             let described =
@@ -364,8 +365,8 @@ impl Reader {
         })
     }
 
-    /// Makes the last of the words that nothing explains the noun of the innermost phrase: none
-    /// other can come.
+    /// Makes the last unknown word the noun of the innermost phrase, because no other noun can
+    /// come.
     fn name_by_unknown(&mut self) {
         let Some(frame) = self
             .stack
@@ -380,11 +381,11 @@ impl Reader {
         }
     }
 
-    /// Words that carry something in some places only.
+    /// Handles words that have a meaning in some positions only.
     fn filler(&mut self, text: &str) {
         match text {
             "me" | "us" | "myself" | "you" if self.awaits_anchor() => {
-                ME.clone_into(&mut self.top().phrase.head)
+                ME.clone_into(&mut self.top().phrase.head);
             }
             "to" | "from" if self.compared.is_some() => {
                 if let Some((kind, rank, words)) = self.compared.take() {
@@ -422,8 +423,8 @@ impl Reader {
         self.stack.last().is_some_and(|f| matches!(f.role, Role::Anchor { .. }) && f.is_empty())
     }
 
-    /// Whether nothing has been named yet but what somebody looks at or what the target is next to:
-    /// "facing the bed the lamp on the left".
+    /// Returns whether nothing has been named yet except what the viewer looks at or what the
+    /// target is next to: "facing the bed the lamp on the left".
     fn awaits_target(&self) -> bool {
         let target = self.stack.first().filter(|frame| frame.role == Role::Target);
         self.stack.len() > 1
@@ -432,12 +433,12 @@ impl Reader {
     }
 
     fn and(&mut self, rest: &[Piece]) {
-        // "between the sprocket and the lamp": a noun nobody knows has come.
+        // "between the sprocket and the lamp": an unknown noun ends here.
         if matches!(rest.first(), Some(Piece::Word(Meaning::Determiner, _))) {
             self.name_by_unknown();
         }
         match self.stack.last() {
-            // "orange and black desk": one thing of two colours.
+            // "orange and black desk": one thing of two colors.
             Some(frame) if frame.phrase.head.is_empty() => {}
             Some(Frame { role: Role::Anchor { .. }, .. }) => {
                 self.pop();
@@ -452,7 +453,8 @@ impl Reader {
         }
     }
 
-    /// "it" within a relation: what is looked at, or the target of a sentence about something else.
+    /// Handles "it" within a relation: the thing that the viewer looks at, or the target of a
+    /// sentence about another thing.
     fn pronoun(&mut self) {
         if !self.awaits_anchor() {
             return;
@@ -464,11 +466,11 @@ impl Reader {
         }
     }
 
-    /// A comma or full stop. After it a new phrase may begin; further relations are said of the
-    /// target.
+    /// Handles a comma or full stop. After it a new phrase may begin; further relations describe
+    /// the target.
     fn pause(&mut self) {
         self.unwind(0);
-        // "the nearest chair": to somebody who stands there, if one does.
+        // "the nearest chair": nearest to the viewer, if there is one.
         if let Some((kind, rank, text)) = self.compared.take() {
             self.from_here.push(Relation { kind, text, anchors: Vec::new(), negated: false, rank });
         }
@@ -481,7 +483,7 @@ impl Reader {
         self.stack.push(Frame::new(role));
     }
 
-    /// The phrase at the bottom: the target, or what adds to it.
+    /// Returns the phrase at the bottom: the target, or a further statement about it.
     fn bottom(&mut self) -> &mut Phrase {
         self.top();
         &mut self.stack[0].phrase

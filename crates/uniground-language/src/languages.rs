@@ -1,10 +1,10 @@
-//! Whether a question is in English, the one language the grammar reads.
+//! Detects whether a question is in English, the only language that the grammar reads.
 
 use super::tokens::{BREAK, spelling, spelling_of_small_words};
 use super::words;
 use uniground_models::attributes::{Lexicon, WordNet};
 
-/// Small words of other languages that are none in English.
+/// Function words of other languages that are no English words.
 const SMALL: &[&str] = &[
     // German
     "der", "das", "dem", "ein", "eine", "einen", "einem", "ist", "wo", "auf", "neben", "unter",
@@ -20,15 +20,15 @@ const SMALL: &[&str] = &[
     "il", "gli", "della", "nel", "sul", "di", "dove", "è", "vicino", "sopra",
 ];
 
-/// Whether most words are of another language: small words that tell one, words that nobody knows,
-/// other scripts.
+/// Returns whether most words are of another language: function words of one, unknown words, other
+/// scripts.
 pub(super) fn is_foreign(tokens: &[String]) -> bool {
     let words: Vec<&str> =
         tokens.iter().map(String::as_str).filter(|token| *token != BREAK).collect();
     let small = words.iter().filter(|word| SMALL.contains(word)).count();
     let other_script = words.iter().filter(|word| word.chars().any(is_of_another_script)).count();
     let strange = words.iter().filter(|word| !SMALL.contains(word) && !is_known(word)).count();
-    // One may be part of a name: "le corbusier chair".
+    // One function word may be part of a name: "le corbusier chair".
     (small >= 2 || other_script > 0) && 2 * (small + strange) >= words.len()
 }
 
@@ -41,7 +41,8 @@ fn is_known(word: &str) -> bool {
         || spelling_of_small_words(word).or_else(|| spelling(word)).is_some()
 }
 
-/// Neither Latin nor a sign that all scripts share.
+/// Returns whether a character is of a script other than Latin, and not a sign that all scripts
+/// share.
 fn is_of_another_script(c: char) -> bool {
     const LAST_LATIN: char = '\u{24F}';
     c > LAST_LATIN && c.is_alphabetic()

@@ -1,9 +1,9 @@
-//! Questions in plain words to a [`ParsedQuery`]: target, attributes, anchors, relations
+//! Parses questions in plain words into a [`ParsedQuery`]: target, attributes, anchors, relations
 //! (docs/METHOD.md, section 3).
 //!
-//! Built in: a tokeniser that knows the lexicon and a grammar of noun phrases joined by relation
-//! words. English only. A chat model may read instead ([`VlmParser`], or [`AutoParser`] where the
-//! grammar is in [`Doubt`]): one call, checked, with the grammar to fall back on.
+//! Built in: a tokenizer that knows the lexicon, and a grammar of noun phrases joined by relation
+//! words. English only. A chat model may parse instead ([`VlmParser`], or [`AutoParser`] where the
+//! grammar is in [`Doubt`]): one call, validated, with the grammar as fallback.
 
 #![warn(missing_docs)]
 
@@ -35,36 +35,37 @@ use uniground_geometry::colour::ColourName;
 use uniground_geometry::scene::Structure;
 use uniground_models::attributes::{Lexicon, Noun};
 
-/// A query, understood as far as the words go. Every word is used, is filler, or is listed in
-/// `not_understood` or `passed_over`.
+/// A parsed query. Every word is used, is filler, or is listed in `not_understood` or
+/// `passed_over`.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ParsedQuery {
     /// What is asked for.
     pub target: Phrase,
-    /// The target once more, where the words allow another reading: in "the cup on the table by
+    /// The target under a second reading, where the words allow one: in "the cup on the table by
     /// the door" either may be by the door.
     pub other_reading: Option<Phrase>,
-    /// Somebody whose left, right, front and back are meant; `None` when the words tell of nobody.
+    /// The viewer whose left, right, front and back are meant; `None` when the words give no
+    /// viewer.
     pub viewpoint: Option<Viewpoint>,
-    /// Where that somebody stands, if the words tell: "standing at the door", "from the sofa".
-    /// What is "nearest" is nearest to it.
+    /// The viewer's position, if the words give it: "standing at the door", "from the sofa".
+    /// "Nearest" means nearest to it.
     pub standpoint: Option<Phrase>,
-    /// Whether one thing is asked for, or several.
+    /// Whether the question asks for one thing, or for several.
     pub quantity: Quantity,
-    /// Most words are of another language than English: what else is here means little.
+    /// Whether most words are of another language than English. The other fields mean little then.
     pub foreign: bool,
-    /// Words that could not be used or checked, and nouns the lexicon does not know.
+    /// Words that could not be used or checked, and nouns that the lexicon does not have.
     pub not_understood: Vec<String>,
-    /// Words that tell what somebody does or why, before the thing is named: they tell nothing of
-    /// it, and do not make its reading less sure.
+    /// Words before the target's name that say what somebody does or why. They do not describe the
+    /// target, and do not lower the confidence.
     pub passed_over: Vec<String>,
-    /// What is asked for if the words name it later ("pop two slices in the toaster"), in order: a
-    /// scene without what comes first may have one of these ([`settled`](super::settled)).
-    /// They have no later readings themselves.
+    /// Readings with a target that the words name later ("pop two slices in the toaster"), in
+    /// order. A scene without the first target may have one of these
+    /// (`uniground_grounding::choose_reading`). They have no later readings themselves.
     pub later: Vec<ParsedQuery>,
 }
 
-/// Head of an anchor that is the one who asks: "closest to me".
+/// Head of an anchor that is the observer: "closest to me".
 pub const ME: &str = "me";
 
 /// How many things a question asks for.
@@ -73,22 +74,22 @@ pub enum Quantity {
     /// "the chair"
     #[default]
     One,
-    /// "both chairs", "the three chairs": so many.
+    /// "both chairs", "the three chairs": this many.
     Exactly(u32),
-    /// "the chairs", "all the chairs", "how many chairs": all there are.
+    /// "the chairs", "all the chairs", "how many chairs": all of them.
     All,
 }
 
-/// How somebody looks at the room.
+/// How a viewer looks at the room.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Viewpoint {
-    /// Whether they look towards the anchor or away from it.
+    /// Whether the viewer looks towards the anchor or away from it.
     pub look: Look,
-    /// The thing they look at, look from, or have at their back.
+    /// The thing that the viewer looks at, looks from, or has behind.
     pub anchor: Phrase,
 }
 
-/// Which way somebody looks, told by a thing in the room (the anchor).
+/// The direction in which a viewer looks, relative to a thing in the room (the anchor).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Look {
     /// "facing the window"
@@ -100,10 +101,10 @@ pub enum Look {
 }
 
 impl Look {
-    /// All three, to find one by its [`word`](Self::word).
+    /// All three values, to find one by its [`word`](Self::word).
     pub const ALL: [Self; 3] = [Self::Facing, Self::From, Self::BackTo];
 
-    /// Its name in data.
+    /// Returns its name in data.
     #[must_use]
     pub fn word(self) -> &'static str {
         match self {
@@ -113,7 +114,7 @@ impl Look {
         }
     }
 
-    /// Words to stand between "somebody" and "the window".
+    /// Returns the words to put between "somebody" and "the window".
     #[must_use]
     pub fn phrase(self) -> &'static str {
         match self {
@@ -124,52 +125,52 @@ impl Look {
     }
 }
 
-/// A noun phrase, with all that is said of the thing it names.
+/// A noun phrase, with everything that is said of the thing it names.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Phrase {
     /// The noun as the query says it; empty when the phrase has none ("the red one").
     pub head: String,
-    /// What it is for: "something to sit on". Words of the lexicon.
+    /// Its purpose: "something to sit on". Uses of the lexicon.
     pub uses: Vec<String>,
-    /// Nouns it may be called by as well, the likeliest first: a reader that knows the world says
-    /// them; of a noun nobody listed, what holds it.
+    /// Other nouns it may have, the likeliest first: from a parser with world knowledge; for an
+    /// unknown noun, its container.
     pub could_be: Vec<String>,
     /// Nouns it must not be: "the table that is not the dining table".
     pub other_things: Vec<String>,
-    /// The words the use was said in: "wine" of "something to pour wine from".
+    /// The words that gave the use: "wine" of "something to pour wine from".
     pub purpose: Vec<String>,
-    /// Colours it must have. Two share its surface: each has to be there.
+    /// Colors it must have. If there are two, they share its surface: each has to be there.
     pub colours: Vec<ColourName>,
-    /// The colours are only likened ("pinkish"): one near them may be meant.
+    /// Whether the colors are approximate ("pinkish"): a similar color may be meant.
     pub roughly: bool,
-    /// Colours it must not have: "not red".
+    /// Colors it must not have: "not red".
     pub other_than: Vec<ColourName>,
-    /// "large", "round".
+    /// Traits: "large", "round".
     pub traits: Vec<Trait>,
-    /// Words in front of the noun that nothing here can check: "leather", "patterned".
+    /// Words in front of the noun that cannot be checked: "leather", "patterned".
     pub unchecked: Vec<String>,
-    /// "two monitors": how many of them there are.
+    /// Number of things: "two monitors".
     pub count: Option<u32>,
-    /// What the phrase's own object has: "the table with the book on it".
+    /// What the thing carries or has: "the table with the book on it".
     pub with: Vec<With>,
-    /// All of them must hold. Their anchors are phrases with relations of their own.
+    /// Relations, all of which must hold. Their anchors are phrases with relations of their own.
     pub relations: Vec<Relation>,
-    /// "a stand": any such thing, said of anchors only.
+    /// Whether any such thing is meant: "a stand". Set on anchors only.
     pub indefinite: bool,
-    /// "the largest", "the second from the left".
+    /// Rank among things of the kind: "the largest", "the second from the left".
     pub superlative: Option<Superlative>,
 }
 
-/// Something an object carries or lacks.
+/// A thing that an object carries or lacks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct With {
-    /// The thing carried or lacking.
+    /// The thing that is carried or lacking.
     pub phrase: Phrase,
-    /// "without": it must not be there.
+    /// Whether it must not be there: "without".
     pub absent: bool,
 }
 
-/// What a phrase's head may stand for.
+/// The meaning of a phrase's head.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Meaning {
     /// "thing", "one", or no noun at all.
@@ -178,16 +179,16 @@ pub enum Meaning {
     Structure(Structure),
     /// Nouns of the lexicon, the direct one first.
     Nouns(Vec<&'static Noun>),
-    /// A word the lexicon does not have.
+    /// A word that the lexicon does not have.
     Unknown,
 }
 
 impl Phrase {
-    /// Looks the head up: words for anything first, then parts of the building, then the lexicon.
+    /// Looks up the head: words for anything first, then parts of the building, then the lexicon.
     #[must_use]
     pub fn meaning(&self) -> Meaning {
         match self.head.as_str() {
-            // Not a thing but where things are.
+            // A zone is no thing, but a place for things.
             head if zones::made_of(head).is_some() => Meaning::Unknown,
             head if words::is_anything(head) && !self.uses.is_empty() => {
                 Meaning::Nouns(Lexicon::get().of_uses(&self.uses))
@@ -204,7 +205,7 @@ impl Phrase {
         }
     }
 
-    /// The phrase in words: "small red chair".
+    /// Returns the phrase in words: "small red chair".
     #[must_use]
     pub fn text(&self) -> String {
         let traits = self.traits.iter().map(|s| s.word());
@@ -231,7 +232,7 @@ impl Phrase {
     }
 }
 
-/// The part of the building a word names.
+/// Returns the part of the building that a word names.
 fn structure_of(word: &str) -> Option<Structure> {
     match word {
         "wall" | "walls" => Some(Structure::Wall),
@@ -241,7 +242,7 @@ fn structure_of(word: &str) -> Option<Structure> {
     }
 }
 
-/// Attributes that a comparison with others or the shape of the box shows.
+/// Attributes that follow from a comparison with others or from the shape of the box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Trait {
     /// Large volume of the box, among things of that noun.
@@ -254,11 +255,11 @@ pub enum Trait {
     Low,
     /// Large longer side of the footprint, among things of that noun.
     Long,
-    /// High lightness (CIELAB) of the mean colour, among things of that noun.
+    /// High lightness (CIELAB) of the mean color, among things of that noun.
     Light,
-    /// Low lightness (CIELAB) of the mean colour, among things of that noun.
+    /// Low lightness (CIELAB) of the mean color, among things of that noun.
     Dark,
-    /// About as deep as wide; a box can not tell round from square.
+    /// About as deep as wide. A box cannot distinguish round from square.
     Round,
     /// About as deep as wide.
     Square,
@@ -267,7 +268,7 @@ pub enum Trait {
 }
 
 impl Trait {
-    /// All ten, to find one by its [`word`](Self::word).
+    /// All ten values, to find one by its [`word`](Self::word).
     pub const ALL: [Self; 10] = [
         Self::Large,
         Self::Small,
@@ -281,7 +282,7 @@ impl Trait {
         Self::Rectangular,
     ];
 
-    /// Its name in data and in texts.
+    /// Returns its name in data and in texts.
     #[must_use]
     pub fn word(self) -> &'static str {
         match self {
@@ -302,29 +303,30 @@ impl Trait {
 /// A relation of a thing to one or more anchors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Relation {
-    /// Which geometry is scored.
+    /// The kind, which selects the geometry that is scored.
     pub kind: RelationKind,
-    /// As the query says it.
+    /// The words of the query.
     pub text: String,
-    /// Empty for relations to the room. "between" has two, or one that means both; of other kinds
-    /// all must hold.
+    /// Empty for relations to the room. "between" has two, or one that means both. For other kinds
+    /// the relation must hold for all of them.
     pub anchors: Vec<Phrase>,
-    /// "not the one by the door".
+    /// Whether it is negated: "not the one by the door".
     pub negated: bool,
-    /// "the second closest": 2. Only comparisons have more than 1.
+    /// "the second closest" has 2. Only comparisons have more than 1.
     pub rank: u32,
 }
 
-/// The extreme of a kind: `rank` 1 is the extreme itself, 2 the second from it.
+/// A rank by some measure: `rank` 1 is the extreme itself, 2 the second from it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Superlative {
-    /// What things are ranked by.
+    /// The measure by which things are ranked.
     pub measure: Measure,
-    /// From 1; has no meaning for [`Measure::Middle`].
+    /// Rank from 1; has no meaning for [`Measure::Middle`].
     pub rank: u32,
 }
 
-/// What things of one noun are ranked by. Sides and front are those of the question's directions.
+/// Measures by which things of one noun are ranked. Sides and front follow the question's
+/// directions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Measure {
     /// Largest volume of the box.
@@ -335,24 +337,24 @@ pub enum Measure {
     Tallest,
     /// Smallest height of the box.
     Shortest,
-    /// Highest centre above the ground.
+    /// Highest center above the ground.
     Highest,
-    /// Lowest centre above the ground.
+    /// Lowest center above the ground.
     Lowest,
-    /// Centre farthest to the left.
+    /// Center farthest to the left.
     Leftmost,
-    /// Centre farthest to the right.
+    /// Center farthest to the right.
     Rightmost,
-    /// Centre farthest to the front, towards the viewer.
+    /// Center farthest to the front, towards the viewer.
     Frontmost,
-    /// Centre farthest to the back, away from the viewer.
+    /// Center farthest to the back, away from the viewer.
     Backmost,
     /// In the middle of a row of them.
     Middle,
 }
 
 impl Measure {
-    /// All eleven, to find one by its [`word`](Self::word).
+    /// All eleven values, to find one by its [`word`](Self::word).
     pub const ALL: [Self; 11] = [
         Self::Largest,
         Self::Smallest,
@@ -367,7 +369,7 @@ impl Measure {
         Self::Middle,
     ];
 
-    /// Its name in data and in texts.
+    /// Returns its name in data and in texts.
     #[must_use]
     pub fn word(self) -> &'static str {
         match self {

@@ -1,11 +1,11 @@
-//! Clauses that tell how somebody stands and looks, rewritten to the few that the tables know: "if
-//! I'm sitting over there on the sofa and look at the TV" is "when you stand at the sofa when you
-//! face the TV".
+//! Rewrites clauses that give a viewer's position and direction to the few that the tables have:
+//! "if I'm sitting over there on the sofa and look at the TV" becomes "when you stand at the sofa
+//! when you face the TV".
 
 use super::tokens::BREAK;
 use uniground_models::attributes::Lexicon;
 
-/// What somebody does.
+/// The action of a viewer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Act {
     Be,
@@ -97,7 +97,7 @@ const ROOMS: [&str; 9] =
 /// Rewrites the clauses of a query.
 pub(super) fn rewritten(tokens: &[String]) -> Vec<String> {
     let mut out: Vec<String> = Vec::with_capacity(tokens.len());
-    // Whether somebody has been spoken of in this clause: "and look ..." then goes on with it.
+    // Whether this clause has mentioned a viewer: "and look ..." then continues it.
     let mut somebody = false;
     let mut i = 0;
     while i < tokens.len() {
@@ -115,7 +115,8 @@ pub(super) fn rewritten(tokens: &[String]) -> Vec<String> {
     out
 }
 
-/// What the clause at the start of `tokens` says, and how many tokens up to the thing it speaks of.
+/// Returns the meaning of the clause at the start of `tokens`, and the number of tokens before the
+/// thing it refers to.
 fn clause(
     tokens: &[String],
     starts: bool,
@@ -127,7 +128,7 @@ fn clause(
     while OPENERS.contains(&word(i)) {
         (opened, i) = (true, i + 1);
     }
-    // "they are under the counter" speaks of things.
+    // "they are under the counter" is about things.
     if !opened && matches!(word(i), "he" | "he's" | "they" | "they're") {
         return None;
     }
@@ -154,11 +155,11 @@ fn clause(
         _ => return None,
     };
     let told = goes_on || if subject { opened || starts && be } else { starts };
-    // "the chair facing the window", "find me": only of somebody.
+    // "the chair facing the window", "find me" do not give a viewer.
     if !told || opened && !subject && !word(i).ends_with("ing") {
         return None;
     }
-    // "look for", "get me", "come here", "go to": what somebody wants done.
+    // "look for", "get me", "come here", "go to" are requests.
     if starts && !opened && !subject && !goes_on && (act != Act::Be && !word(i).ends_with("ing")) {
         return None;
     }
@@ -169,9 +170,9 @@ fn clause(
         i += 1;
     }
     match act {
-        // At a table one faces it, on a sofa one has it at one's back.
+        // A person at a table faces it; a person on a sofa has it behind.
         Act::Be if sits && word(i) == "at" => Some((&["when", "you", "sit", "at"], i + 1)),
-        // "standing in the middle of the room": where everybody stands.
+        // "standing in the middle of the room" gives no particular position.
         Act::Be if at(tokens, i).is_some_and(|(_, length)| is_room(tokens, length)) => {
             let length = at(tokens, i).map_or(i, |(_, length)| length);
             Some((&[], length + if ROOMS.contains(&word(length)) { 1 } else { 2 }))
@@ -216,14 +217,15 @@ fn clause(
     }
 }
 
-/// Whether the room itself is named at `i`, and no door or wall of it.
+/// Returns whether the room itself is named at `i`, and not a door or wall of it.
 fn is_room(tokens: &[String], i: usize) -> bool {
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
     let room = i + usize::from(matches!(word(i), "the" | "this"));
     ROOMS.contains(&word(room)) && !Lexicon::get().knows(word(room + 1))
 }
 
-/// Where somebody is, by the preposition at `i`: in front of a thing they look at it.
+/// Returns the viewer's position by the preposition at `i`. A viewer in front of a thing looks at
+/// it.
 fn at(tokens: &[String], i: usize) -> Option<(&'static [&'static str], usize)> {
     let begins = |words: &&[&str]| {
         tokens[i.min(tokens.len())..]

@@ -1,4 +1,5 @@
-//! Who reads queries: the built-in grammar, a chat model, or the one where the other is in doubt.
+//! Parsers of queries: the built-in grammar, a chat model, or the model where the grammar is in
+//! doubt.
 
 use super::{ParsedQuery, vlm};
 use futures::FutureExt;
@@ -6,26 +7,25 @@ use futures::future::BoxFuture;
 use std::sync::Arc;
 use uniground_models::chat::{Budget, CallRecord, ChatModel, Session};
 
-/// A query, read.
+/// A parsed query, with its record.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reading {
-    /// What the query says, by the model or, where it was not wanted or could not be used, by the
-    /// grammar.
+    /// The parsed query, by the model or, where it was not used or not usable, by the grammar.
     pub parsed: ParsedQuery,
-    /// Name and version of who read it, recorded with answers.
+    /// Name and version of the parser, recorded with answers.
     pub by: String,
-    /// The calls it took.
+    /// The model calls that it took.
     pub calls: Vec<CallRecord>,
-    /// Why the grammar has read where a model was wanted, if so.
+    /// Why the grammar parsed in place of a requested model, if so.
     pub fell_back: Option<FellBack>,
 }
 
-/// A model was wanted as a reader and could not be used.
+/// The reason why a requested model could not be used for parsing.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FellBack {
-    /// What was wrong, in words.
+    /// The problem, in words.
     pub why: String,
-    /// The model was to read whatever comes: the answer is less than what was asked for.
+    /// Whether the model had to parse in any case. If so, the answer is degraded.
     pub was_demanded: bool,
 }
 
@@ -38,10 +38,10 @@ impl Reading {
 /// Name and version of the built-in grammar.
 const GRAMMAR: &str = "builtin-3";
 
-/// Reads queries. Never fails: what a model can not read the grammar does.
+/// Parses queries. Never fails: the grammar parses what a model cannot.
 pub trait QueryParser: Send + Sync {
-    /// Reads one query, given in plain words. `grammar` is what the grammar has read: it computes,
-    /// so the caller runs it where a thread may be kept busy.
+    /// Parses one query, given in plain words. `grammar` is the grammar's result: computing it
+    /// blocks, so the caller does that on a thread that may block.
     fn read<'a>(&'a self, query: &'a str, grammar: ParsedQuery) -> BoxFuture<'a, Reading>;
 }
 
@@ -55,18 +55,18 @@ impl QueryParser for BuiltinParser {
     }
 }
 
-/// One call to a chat model, validated; the grammar where that fails.
+/// Makes one call to a chat model and validates the reply. Falls back to the grammar.
 #[derive(Clone)]
 pub struct VlmParser {
-    /// The model that is asked to read.
+    /// The model that parses.
     pub model: Arc<dyn ChatModel>,
-    /// What pays for the call.
+    /// Budgets of the call.
     pub budgets: Vec<Budget>,
 }
 
 impl VlmParser {
-    /// Asks the model; where it can not be used, the grammar's reading stands. How many are asked
-    /// for the grammar knows best.
+    /// Asks the model; if it cannot be used, the grammar's reading stands. The grammar always
+    /// decides how many things are asked for.
     async fn ask(&self, query: &str, grammar: ParsedQuery) -> Reading {
         let mut session = Session::new(self.model.as_ref(), self.budgets.clone(), 1);
         let read = match session.ask("parse", vlm::request(query)).await {
@@ -99,8 +99,8 @@ impl QueryParser for VlmParser {
     }
 }
 
-/// The grammar, and a chat model where the grammar is in [doubt](ParsedQuery::doubt). Where the
-/// model can not be used then, the grammar's reading is what there is.
+/// Uses the grammar, and a chat model where the grammar is in [doubt](ParsedQuery::doubt). Falls
+/// back to the grammar's reading if the model cannot be used.
 #[derive(Clone)]
 pub struct AutoParser(pub VlmParser);
 

@@ -1,4 +1,4 @@
-//! Tokens to pieces: nouns of the lexicon, words of the grammar, and the rest.
+//! Splits tokens into pieces: nouns of the lexicon, words of the grammar, and the rest.
 
 use super::tokens::{BREAK, joined};
 use super::words::{self, Meaning};
@@ -15,7 +15,7 @@ pub(super) enum Piece {
     Break,
 }
 
-/// How many tokens call somebody: "hey robot, ".
+/// Returns how many tokens address the robot: "hey robot, ".
 pub(super) fn address(tokens: &[String]) -> usize {
     const CALLED: [&str; 6] = ["robot", "assistant", "hey", "hello", "hi", "ok"];
     let called = tokens.iter().take_while(|token| CALLED.contains(&token.as_str())).count();
@@ -35,7 +35,7 @@ pub(super) fn pieces(tokens: &[String]) -> Vec<Piece> {
             at += 1;
             continue;
         }
-        // Nothing in the tables spans a break.
+        // No entry of the tables spans a break.
         if at >= end {
             end = (at..words.len()).find(|&i| words[i] == BREAK).unwrap_or(words.len());
         }
@@ -49,8 +49,8 @@ pub(super) fn pieces(tokens: &[String]) -> Vec<Piece> {
         }
         let noun = longest_noun(run);
         let word = match (run[0], words::longest(run)) {
-            // "the right monitor", "the one on the right": "right" alone before a noun tells a
-            // side, elsewhere it says "directly".
+            // "the right monitor", "the one on the right": "right" alone before a noun is a side,
+            // elsewhere it means "directly".
             ("left" | "right", Some((Meaning::Filler, 1)) | None)
                 if run.len() == 1 || noun_follows(&run[1..]) =>
             {
@@ -73,8 +73,8 @@ pub(super) fn pieces(tokens: &[String]) -> Vec<Piece> {
             }
             (_, word) => word,
         };
-        // "the lamp stands by the door", "the can", "what you can see": a noun only where one may
-        // come.
+        // "the lamp stands by the door", "the can", "what you can see": a noun only where one is
+        // possible.
         let several =
             matches!(pieces.last(), Some(Piece::Noun(noun)) if Lexicon::get().is_plural(noun));
         let a_verb = WORDS_AND_NOUNS.contains(&run[0])
@@ -99,10 +99,10 @@ pub(super) fn pieces(tokens: &[String]) -> Vec<Piece> {
     pieces
 }
 
-/// Nouns that are as often a verb or say nothing.
+/// Nouns that are as often a verb or carry no meaning.
 const WORDS_AND_NOUNS: [&str; 3] = ["can", "stands", "present"];
 
-/// Whether a noun may come after a piece: "the", "red".
+/// Returns whether a noun may follow a piece: "the", "red".
 fn awaits_noun(piece: Option<&Piece>) -> bool {
     matches!(
         piece,
@@ -121,7 +121,7 @@ fn awaits_noun(piece: Option<&Piece>) -> bool {
     )
 }
 
-/// Whether a noun follows, with or without colours and the like before it.
+/// Returns whether a noun follows, with or without colors and traits before it.
 fn noun_follows(run: &[&str]) -> bool {
     let describes = |word: &&&str| {
         matches!(words::longest(&[word]), Some((Meaning::Colour(_) | Meaning::Trait(_), 1)))
@@ -130,7 +130,7 @@ fn noun_follows(run: &[&str]) -> bool {
     longest_noun(&run[described..]).is_some()
 }
 
-/// Length in words of the longest noun at the start.
+/// Returns the length in words of the longest noun at the start.
 pub(super) fn longest_noun(run: &[&str]) -> Option<usize> {
     let lexicon = Lexicon::get();
     let is_noun = |n: usize| {
@@ -144,19 +144,20 @@ pub(super) fn longest_noun(run: &[&str]) -> Option<usize> {
     (1..=lexicon.longest_words().max(zones::LONGEST).min(run.len())).rev().find(|&n| is_noun(n))
 }
 
-/// Whether a word names a part of the building.
+/// Returns whether a word names a part of the building.
 pub(super) fn structural(word: &str) -> bool {
     super::structure_of(word).is_some()
 }
 
-/// Whether a noun phrase without an article follows: "closest chair", not "closest the chair".
+/// Returns whether a noun phrase without an article follows: "closest chair", not "closest the
+/// chair".
 pub(super) fn is_bare_noun(rest: &[Piece]) -> bool {
     rest.iter()
         .find(|p| !matches!(p, Piece::Word(Meaning::Colour(_) | Meaning::Trait(_), _)))
         .is_some_and(|p| matches!(p, Piece::Noun(_)))
 }
 
-/// Whether more that describes a thing follows, and then its noun: "a square, wooden table".
+/// Returns whether more description and then its noun follow: "a square, wooden table".
 pub(super) fn noun_to_come(rest: &[Piece]) -> bool {
     let describes = |p: &&Piece| {
         matches!(
@@ -168,7 +169,7 @@ pub(super) fn noun_to_come(rest: &[Piece]) -> bool {
     rest.iter().find(|p| !describes(p)).is_some_and(|p| matches!(p, Piece::Noun(_)))
 }
 
-/// Whether a piece carries nothing by itself.
+/// Returns whether a piece has no meaning by itself.
 pub(super) fn is_filler(piece: &Piece) -> bool {
     matches!(
         piece,

@@ -1,16 +1,16 @@
-//! The kinds of relations there are.
+//! The kinds of spatial relations.
 
-/// What holds between a thing and its anchors; `uniground_grounding::relations` has the
-/// geometry of each.
+/// A relation between a thing and its anchors. `uniground_grounding::relations` has the geometry of
+/// each kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RelationKind {
     /// "next to", "by": a small gap between the surfaces, against the things' sizes.
     Near,
     /// The opposite of near.
     Far,
-    /// Nearer than its rivals; `rank` counts from the nearest.
+    /// Nearer than the other candidates; `rank` counts from the nearest.
     Closest,
-    /// Farther than its rivals; `rank` counts from the farthest.
+    /// Farther than the other candidates; `rank` counts from the farthest.
     Farthest,
     /// To the left in the directions of the question, and not far.
     LeftOf,
@@ -28,7 +28,7 @@ pub enum RelationKind {
     /// Resting on the anchor or on a board inside it, or flat against an upright plane ("the
     /// picture on the wall").
     On,
-    /// The other way round: the anchor rests on it.
+    /// The inverse of on: the anchor rests on it.
     Carrying,
     /// By the share of its volume within the anchor; resting on the anchor counts a little less.
     Inside,
@@ -51,7 +51,7 @@ pub enum RelationKind {
 }
 
 impl RelationKind {
-    /// All 21, to find one by its [`word`](Self::word).
+    /// All 21 values, to find one by its [`word`](Self::word).
     pub const ALL: [Self; 21] = [
         Self::Near,
         Self::Far,
@@ -76,7 +76,7 @@ impl RelationKind {
         Self::InMiddle,
     ];
 
-    /// Its name in data: `left_of`.
+    /// Returns its name in data: `left_of`.
     #[must_use]
     pub fn word(self) -> &'static str {
         match self {
@@ -104,25 +104,25 @@ impl RelationKind {
         }
     }
 
-    /// Whether rivals are compared: "closest".
+    /// Returns whether it compares candidates: "closest".
     #[must_use]
     pub fn is_comparison(self) -> bool {
         matches!(self, Self::Closest | Self::Farthest)
     }
 
-    /// Whether it names a side of the anchor.
+    /// Returns whether it names a side of the anchor.
     #[must_use]
     pub fn is_a_side(self) -> bool {
         matches!(self, Self::LeftOf | Self::RightOf | Self::InFrontOf | Self::Behind)
     }
 
-    /// Whether it speaks of the room and takes no anchor.
+    /// Returns whether it relates to the room and takes no anchor.
     #[must_use]
     pub fn is_of_the_room(self) -> bool {
         matches!(self, Self::AgainstWall | Self::InCorner | Self::InMiddle)
     }
 
-    /// Whether it depends on who looks from where, or on what they call "between" and a corner, and
+    /// Returns whether it depends on the viewer, or on what people call "between" and a corner, and
     /// not on boxes alone.
     #[must_use]
     pub fn depends_on_who_looks(self) -> bool {
@@ -140,8 +140,8 @@ impl RelationKind {
         )
     }
 
-    /// The relation the anchor stands in to the thing: "there is a lamp on it" says that it carries
-    /// a lamp.
+    /// Returns the relation of the anchor to the thing: "there is a lamp on it" says that it
+    /// carries a lamp.
     #[must_use]
     pub fn inverse(self) -> Self {
         match self {

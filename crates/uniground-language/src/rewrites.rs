@@ -1,4 +1,4 @@
-//! Ways of saying, rewritten to the one that the tables know.
+//! Rewrites different wordings to the one that the tables have.
 
 use super::pieces::longest_noun;
 use super::sides;
@@ -33,7 +33,7 @@ pub(super) fn rewritten(mut tokens: Vec<String>) -> Vec<String> {
     tokens
 }
 
-/// "somethng", "theres": small words that were misspelt.
+/// Corrects misspelled function words and contractions: "somethng", "theres".
 fn slips(tokens: &mut Vec<String>) {
     const LEFT_OUT: [(&str, &str); 17] = [
         ("u", "you"),
@@ -69,7 +69,7 @@ fn slips(tokens: &mut Vec<String>) {
             ("it's" | "that's" | "it" | "that", "got") => "has".clone_into(&mut tokens[i]),
             // "the fridge whose doors are wide"
             (thing, "whose") if longest_noun(&[thing]).is_some() => {
-                "with".clone_into(&mut tokens[i])
+                "with".clone_into(&mut tokens[i]);
             }
             (thing, "got") if longest_noun(&[thing]).is_some() => "has".clone_into(&mut tokens[i]),
             _ => {}
@@ -78,7 +78,7 @@ fn slips(tokens: &mut Vec<String>) {
     *tokens = tokens.iter().flat_map(|token| token.split(' ')).map(str::to_owned).collect();
 }
 
-/// "which sofa is the teddy sitting on" is "sofa with the teddy".
+/// Rewrites "which sofa is the teddy sitting on" to "sofa with the teddy".
 fn which_is(tokens: &mut Vec<String>) {
     let end = tokens.iter().position(|t| t == BREAK).unwrap_or(tokens.len());
     let is_verb = |i: &usize| matches!(tokens[*i].as_str(), "is" | "are");
@@ -98,8 +98,8 @@ fn which_is(tokens: &mut Vec<String>) {
     }
 }
 
-/// "the seat that a teddy has been put on" is "the seat with a teddy", "the table the bin stands
-/// under" is "the table above the bin".
+/// Rewrites "the seat that a teddy has been put on" to "the seat with a teddy", and "the table the
+/// bin stands under" to "the table above the bin".
 fn stranded(tokens: &mut Vec<String>) {
     const INVERSE: [(&[&str], &str); 16] = [
         (&["on", "top", "of"], "with"),
@@ -119,7 +119,7 @@ fn stranded(tokens: &mut Vec<String>) {
         (&["near"], "next to"),
         (&["against"], "next to"),
     ];
-    /// "has been put", "is now lying".
+    /// Maximum number of verbs: "has been put", "is now lying".
     const MOST_VERBS: usize = 4;
     let mut end = tokens.len();
     while end > 0 {
@@ -141,8 +141,8 @@ fn stranded(tokens: &mut Vec<String>) {
     }
 }
 
-/// Where a clause about the noun at an index begins, and the article of what it tells of: "the desk
-/// [that] [the] printer is on".
+/// Returns where a clause about the noun at an index begins, and the article of the thing it
+/// mentions: "the desk [that] [the] printer is on".
 fn relative_clause(clause: &[&str], i: usize) -> Option<(usize, usize)> {
     let that = i + longest_noun(&clause[i..])?;
     let thing = that + usize::from(matches!(clause.get(that), Some(&("that" | "which"))));
@@ -151,7 +151,7 @@ fn relative_clause(clause: &[&str], i: usize) -> Option<(usize, usize)> {
     is_article.then_some((that, thing))
 }
 
-/// "is", "has been put", "lies".
+/// Returns whether a word is part of a verb of place: "is", "has been put", "lies".
 fn is_verb_of_place(word: &str) -> bool {
     const PLACED: [&str; 27] = [
         "is", "are", "was", "were", "has", "have", "had", "got", "gets", "sits", "sit", "stands",
@@ -161,7 +161,7 @@ fn is_verb_of_place(word: &str) -> bool {
     PLACED.contains(&word) || word.len() > 5 && word.ends_with("ing") && !Lexicon::get().knows(word)
 }
 
-/// "its the one by the door" is "it's the one by the door".
+/// Rewrites "its the one by the door" to "it's the one by the door".
 fn its(tokens: &mut [String]) {
     for i in 1..tokens.len() {
         let follows = matches!(
@@ -174,7 +174,7 @@ fn its(tokens: &mut [String]) {
     }
 }
 
-/// "the green thing you make toast with" is "something green to make toast with".
+/// Rewrites "the green thing you make toast with" to "something green to make toast with".
 fn thing_you_use(tokens: &mut Vec<String>) {
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
     let is_thing =
@@ -206,7 +206,7 @@ fn thing_you_use(tokens: &mut Vec<String>) {
     }
 }
 
-/// "the bright one, for sitting" is "something bright to sit".
+/// Rewrites "the bright one, for sitting" to "something bright to sit".
 fn one_for(tokens: &mut Vec<String>) {
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
     let Some(one) = (0..tokens.len()).find(|&i| matches!(word(i), "one" | "thing" | "something"))
@@ -234,7 +234,7 @@ fn one_for(tokens: &mut Vec<String>) {
     }
 }
 
-/// "of the green chairs, the one by the door" is "the green chair by the door".
+/// Rewrites "of the green chairs, the one by the door" to "the green chair by the door".
 fn of_several(tokens: &mut Vec<String>) {
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
     let begins = match (word(0), word(1)) {
@@ -259,7 +259,7 @@ fn of_several(tokens: &mut Vec<String>) {
     tokens.drain(..=pause);
 }
 
-/// "over on my left", "up in the corner": the place says it.
+/// Removes "over" before a place: "over on my left".
 fn over_at(tokens: &mut Vec<String>) {
     let mut i = 0;
     while i + 1 < tokens.len() {
@@ -275,8 +275,8 @@ fn over_at(tokens: &mut Vec<String>) {
     }
 }
 
-/// "put the board away before somebody slips on it": when and why it is wanted does not tell it
-/// from others.
+/// Removes when and why the target is wanted, which does not distinguish it: "put the board away
+/// before somebody slips on it".
 fn until_somebody(tokens: &mut Vec<String>) {
     const SUBJECTS: [&str; 13] = [
         "somebody", "someone", "anybody", "anyone", "i", "we", "it", "they", "he", "she", "people",
@@ -294,7 +294,7 @@ fn until_somebody(tokens: &mut Vec<String>) {
     }
 }
 
-/// "at the very left", "all the way to the right": the side says it.
+/// Removes intensifiers of a side: "at the very left", "all the way to the right".
 fn extremes(tokens: &mut Vec<String>) {
     let is_side =
         |word: &str| matches!(word, "left" | "right" | "top" | "bottom" | "front" | "back" | "end");
@@ -311,7 +311,7 @@ fn extremes(tokens: &mut Vec<String>) {
     }
 }
 
-/// "how many lamps do we have here" asks for lamps, whoever has them.
+/// Removes the owner from "how many lamps do we have here".
 fn how_many(tokens: &mut Vec<String>) {
     let asks = tokens.windows(2).position(|pair| pair[0] == "how" && pair[1] == "many");
     let Some(start) = asks else { return };
@@ -329,8 +329,8 @@ fn how_many(tokens: &mut Vec<String>) {
     }
 }
 
-/// "the nearest place to sit when you come in" is "something to sit, the nearest, when you come
-/// in".
+/// Rewrites "the nearest place to sit when you come in" to "something to sit, the nearest, when you
+/// come in".
 fn nearest_place(tokens: &mut Vec<String>) {
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
     let begins = |&i: &usize| {
@@ -347,7 +347,7 @@ fn nearest_place(tokens: &mut Vec<String>) {
     tokens.splice(from..start + 2, ["something".to_owned()]);
 }
 
-/// "is the desk on the left or the right?" does not tell.
+/// Removes a choice of sides: "is the desk on the left or the right?" gives no side.
 fn either_side(tokens: &mut Vec<String>) {
     let small = |word: &str| matches!(word, "on" | "to" | "at" | "the" | "my" | "your");
     let Some(or) = (1..tokens.len().saturating_sub(1)).find(|&i| tokens[i] == "or") else { return };
@@ -367,7 +367,7 @@ fn either_side(tokens: &mut Vec<String>) {
     }
 }
 
-/// "a chair on wheels" has them.
+/// Rewrites "a chair on wheels" to a chair with wheels.
 fn on_parts(tokens: &mut [String]) {
     for i in 1..tokens.len() {
         if tokens[i - 1] == "on"
@@ -378,8 +378,8 @@ fn on_parts(tokens: &mut [String]) {
     }
 }
 
-/// "a lamp for reading", "the pot to brew tea in": what the named thing is for is one word that
-/// nothing here can check, unless the two together are a thing's name ("tea pot").
+/// Joins the purpose of a named thing to one word that cannot be checked: "a lamp for reading",
+/// "the pot to brew tea in". Exception: the two together are a thing's name ("tea pot").
 fn purposes(tokens: &mut Vec<String>) {
     let lexicon = Lexicon::get();
     let mut i = 1;
@@ -418,8 +418,7 @@ fn purposes(tokens: &mut Vec<String>) {
     }
 }
 
-/// "The chair. Leans against the wall": the verb of a sentence without a subject says no more than
-/// what follows it.
+/// Removes the verb of a sentence without a subject: "The chair. Leans against the wall".
 fn verbs(tokens: &mut Vec<String>) {
     let is_verb = |word: &str| {
         word.len() > 3
@@ -439,8 +438,8 @@ fn verbs(tokens: &mut Vec<String>) {
     }
 }
 
-/// "with the window in front of me" is "when you face the window", "with the door behind me" "with
-/// my back to the door".
+/// Rewrites "with the window in front of me" to "when you face the window", and "with the door
+/// behind me" to "with my back to the door".
 fn in_front_of_me(tokens: &mut Vec<String>) {
     const AHEAD: [&[&str]; 4] =
         [&["right", "in", "front", "of"], &["in", "front", "of"], &["ahead", "of"], &["before"]];
@@ -469,7 +468,7 @@ fn in_front_of_me(tokens: &mut Vec<String>) {
     }
 }
 
-/// "in green tones", "in shades of red", "in white" speak of the thing's own colour.
+/// Rewrites "in green tones", "in shades of red", "in white" to the thing's own color.
 fn shades(tokens: &mut Vec<String>) {
     const TONES: [&str; 12] = [
         "tone", "tones", "shade", "shades", "hue", "hues", "tint", "tints", "color", "colors",
@@ -590,7 +589,7 @@ mod tests {
             ("it 's got a lamp ontop of it", "it's has a lamp on top of it"),
         ] {
             assert_eq!(rewritten(tokens(said)).join(" "), meant.replace('|', " "), "{said}");
-            // A token may be several words.
+            // A token may have several words.
             if meant.contains('|') {
                 assert!(
                     rewritten(tokens(said))

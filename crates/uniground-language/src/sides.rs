@@ -1,5 +1,5 @@
-//! Ends, corners and sides of things and of the room, rewritten to the few ways that the tables
-//! know.
+//! Rewrites ends, corners and sides of things and of the room to the few forms that the tables
+//! have.
 
 use super::tokens::BREAK;
 use super::words::{self, Meaning};
@@ -16,7 +16,7 @@ pub(super) fn rewrite(tokens: &mut Vec<String>) {
     side_of_another(tokens);
 }
 
-/// "on the window side of the bed" is next to the bed, closest to the window.
+/// Rewrites "on the window side of the bed" to next to the bed, closest to the window.
 fn side_of_another(tokens: &mut Vec<String>) {
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
     let told = |&i: &usize| {
@@ -38,7 +38,7 @@ fn side_of_another(tokens: &mut Vec<String>) {
     tokens.splice(at..at + 5, ["next".to_owned(), "to".to_owned()]);
 }
 
-/// "the left - most table" is the leftmost; of points of the compass nothing is known.
+/// Rewrites "the left - most table" to the leftmost. Points of the compass are unknown.
 fn utmost(tokens: &mut Vec<String>) {
     let mut i = 1;
     while i < tokens.len() {
@@ -58,8 +58,8 @@ fn utmost(tokens: &mut Vec<String>) {
     }
 }
 
-/// "it is facing left": which way a thing is turned no box tells. One word, which nothing here can
-/// check.
+/// Joins the orientation of a thing to one word that cannot be checked: "it is facing left". A box
+/// does not show it.
 fn turned(tokens: &mut Vec<String>) {
     const WAYS: [&str; 15] = [
         "left",
@@ -89,7 +89,7 @@ fn turned(tokens: &mut Vec<String>) {
         }
         let turns = tokens[i] == "facing"
             && tokens.get(end).is_some_and(|word| WAYS.contains(&word.as_str()));
-        // "facing the left wall" is somebody who looks.
+        // "facing the left wall" gives a viewer.
         let alone = tokens
             .get(end + 1)
             .is_none_or(|next| next == BREAK || matches!(next.as_str(), "and" | "side"));
@@ -104,7 +104,7 @@ fn turned(tokens: &mut Vec<String>) {
     }
 }
 
-/// Beside a thing, or on it at that side, by the preposition.
+/// Returns the words for beside a thing, or on it at that side, by the preposition.
 fn at_a_side<'a>(preposition: &str, side: &'a str) -> Vec<&'a str> {
     match preposition {
         "on" | "at" | "in" => vec!["on", "the", side, "side", "of"],
@@ -112,7 +112,7 @@ fn at_a_side<'a>(preposition: &str, side: &'a str) -> Vec<&'a str> {
     }
 }
 
-/// "at the far left end of the counter" is on its left side.
+/// Rewrites "at the far left end of the counter" to on its left side.
 fn ends(tokens: &mut Vec<String>) {
     let mut i = 0;
     while i < tokens.len() {
@@ -130,8 +130,7 @@ fn ends(tokens: &mut Vec<String>) {
     }
 }
 
-/// "on the back right", "in the far bottom left": of two sides the one that the words before tell
-/// nothing of is kept.
+/// Reduces two sides to left or right: "on the back right", "in the far bottom left".
 fn far_sides(tokens: &mut Vec<String>) {
     let mut i = 2;
     while i < tokens.len() {
@@ -158,8 +157,8 @@ fn far_sides(tokens: &mut Vec<String>) {
 }
 
 const PREPOSITIONS: [&str; 8] = ["in", "at", "by", "near", "on", "to", "from", "into"];
-/// Words that tell one corner or side from another. Most need a plan of the room or somebody's view
-/// and are passed over.
+/// Words that distinguish corners or sides. Most need a plan of the room or a viewpoint and are
+/// passed over.
 const WHICH: [&str; 37] = [
     "far",
     "back",
@@ -200,8 +199,8 @@ const WHICH: [&str; 37] = [
     "absolute",
 ];
 
-/// Where a preposition, an article and words for which one stand before `end`: where they start,
-/// and the side they tell.
+/// Returns where a preposition, an article and words of `WHICH` before `end` start, and the side
+/// they give.
 fn before(tokens: &[String], end: usize) -> Option<(usize, Option<&'static str>)> {
     let is = |i: usize, words: &[&str]| words.contains(&tokens[i].as_str());
     let mut start = end;
@@ -219,7 +218,7 @@ fn before(tokens: &[String], end: usize) -> Option<(usize, Option<&'static str>)
     (start > 0 && is(start - 1, &PREPOSITIONS)).then(|| (start - 1, side))
 }
 
-/// What follows "of" after `at`: nothing, the room (and where it ends), or some other thing.
+/// What follows "of" after `at`: nothing, the room (with its end), or another thing.
 enum Of {
     Nothing,
     Room(usize),
@@ -239,8 +238,8 @@ fn of(tokens: &[String], at: usize) -> Of {
     }
 }
 
-/// "in the back left corner of the room" is "in the corner on the left"; "on the corner of the
-/// desk" is "on the desk".
+/// Rewrites "in the back left corner of the room" to "in the corner on the left", and "on the
+/// corner of the desk" to "on the desk".
 fn corners(tokens: &mut Vec<String>) {
     let mut i = 0;
     while i < tokens.len() {
@@ -270,7 +269,8 @@ fn corners(tokens: &mut Vec<String>) {
     }
 }
 
-/// "on the right side of the room" is "on the right"; of other sides of the room nothing is known.
+/// Rewrites "on the right side of the room" to "on the right". Removes other sides of the room,
+/// because the scene does not define them.
 fn sides_of_the_room(tokens: &mut Vec<String>) {
     let mut i = 0;
     while i < tokens.len() {
@@ -322,7 +322,7 @@ mod tests {
             rewrite(&mut words);
             assert_eq!(words.join(" "), meant, "{said}");
         }
-        // Which way it is turned is one word.
+        // The orientation is one word.
         let mut words = tokens("the chair is facing down and right");
         rewrite(&mut words);
         assert_eq!(words.last().map(String::as_str), Some("facing down and right"));

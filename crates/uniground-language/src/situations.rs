@@ -1,12 +1,12 @@
-//! What somebody says of themselves before they ask: "my hands are dirty and the tap drips, where
-//! can I wash them?" asks for a place to wash.
+//! Removes what people say of themselves before the question: "my hands are dirty and the tap
+//! drips, where can I wash them?" asks for a place to wash.
 
 use super::affordances;
 use super::tokens::BREAK;
 use super::words::{self, Meaning};
 use uniground_models::attributes::Lexicon;
 
-/// How somebody speaks of themselves, or sighs.
+/// Words with which people refer to themselves, or sigh.
 const OF_THEMSELVES: &[&str] = &[
     "i",
     "i'm",
@@ -62,8 +62,7 @@ const ASKS: [&str; 24] = [
     "locate", "pick", "grab", "hand", "pass", "can", "could", "would", "please", "is", "are", "do",
     "go",
 ];
-/// Words of somebody's wish, that name what is asked for themselves: "I need the chair", "I'm
-/// looking for the lamp".
+/// Words of a wish that names its target itself: "I need the chair", "I'm looking for the lamp".
 const WISHES: [&str; 12] = [
     "need",
     "want",
@@ -79,7 +78,7 @@ const WISHES: [&str; 12] = [
     "sit",
 ];
 
-/// The query from its first question or wish on, where somebody speaks of themselves before.
+/// Returns the query from its first question or wish on, if people speak of themselves before it.
 pub(super) fn left_out(mut tokens: Vec<String>) -> Vec<String> {
     let starts: Vec<usize> = std::iter::once(0)
         .chain((0..tokens.len()).filter(|&i| tokens[i] == BREAK).map(|i| i + 1))
@@ -110,7 +109,7 @@ fn is_of_themselves(clause: &[String]) -> bool {
     };
     let speaks = clause.is_empty()
         || OF_THEMSELVES.contains(&word(0)) && !(owns && clause.iter().all(describes));
-    // A place somebody looks from is part of the question, and so is a wish.
+    // A viewpoint is part of the question, and so is a wish.
     let tells = clause.iter().take(4).any(|word| WISHES.contains(&word.as_str()))
         || clause.iter().any(|word| {
             matches!(words::longest(&[word]), Some((Meaning::View(_) | Meaning::Seated, _)))
@@ -122,7 +121,7 @@ fn is_of_themselves(clause: &[String]) -> bool {
 }
 
 fn asks(clause: &[String]) -> bool {
-    // "it is a window. Is directly above the bed": told, not asked.
+    // "it is a window. Is directly above the bed" is a statement, not a question.
     let tells = matches!(clause, [is, next, ..] if is == "is" && matches!(words::longest(&[next]), Some((Meaning::Relation(_) | Meaning::Filler, _))) && next != "there");
     !tells && clause.first().is_some_and(|word| ASKS.contains(&word.as_str()))
 }

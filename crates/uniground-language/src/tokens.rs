@@ -1,15 +1,15 @@
-//! Text to words, and misspelt words to the words that were meant.
+//! Splits text into words, and corrects misspelled words.
 
 use super::{cost, words};
 use uniground_models::attributes::{Lexicon, WordNet};
 
-/// Stands for a comma or the end of a sentence.
+/// Token for a comma or the end of a sentence.
 pub(super) const BREAK: &str = ",";
 
-/// Words whose 's is an "is"; of others it tells an owner.
+/// Words whose 's means "is"; after others it marks an owner.
 const WITH_IS: [&str; 9] = ["it", "that", "there", "he", "she", "what", "where", "here", "who"];
 
-/// Lower-case words; sentence marks become [`BREAK`].
+/// Returns lower-case words; sentence marks become [`BREAK`].
 pub(super) fn tokens(query: &str) -> Vec<String> {
     let mut tokens = Vec::new();
     let mut word = String::new();
@@ -17,7 +17,7 @@ pub(super) fn tokens(query: &str) -> Vec<String> {
         let said = std::mem::take(word);
         let bare = said.trim_matches('\'');
         match (bare.strip_suffix("'s"), tokens.last_mut()) {
-            // "it 's", as some write.
+            // Some people write "it 's".
             _ if said == "'s" => {
                 if let Some(last) =
                     tokens.last_mut().filter(|last| WITH_IS.contains(&last.as_str()))
@@ -48,13 +48,13 @@ pub(super) fn tokens(query: &str) -> Vec<String> {
     tokens
 }
 
-/// Shorter words have too many neighbours to tell a slip from another word.
+/// Shorter words have too many similar words to correct them safely.
 const MIN_SLIP_CHARS: usize = 5;
-/// From here on two slips are forgiven.
+/// Minimum length of a word for which two wrong letters are corrected.
 const TWO_SLIPS_FROM_CHARS: usize = 8;
 
-/// The noun of the lexicon a misspelt word was meant to be: "refridgerator". `None` when no single
-/// one is near.
+/// Returns the noun of the lexicon that a misspelled word stands for: "refridgerator". `None` when
+/// no single one is similar.
 pub(super) fn spelling(word: &str) -> Option<&'static str> {
     let length = word.chars().count();
     if !word.is_ascii() || WordNet::get().is_english(word) {
@@ -80,13 +80,13 @@ fn distance(word: &str, known: &str) -> usize {
     strsim::damerau_levenshtein(word, known)
 }
 
-/// The noun that a short word becomes with one letter doubled: "bal".
+/// Returns the noun that a short word becomes with one letter doubled: "bal".
 fn doubled(word: &str) -> Option<&'static str> {
     (1..=word.len()).find_map(|i| Lexicon::get().word(&format!("{}{}", &word[..i], &word[i - 1..])))
 }
 
-/// The noun that two words make which somebody wrote apart: "wheel barow". Of two that are English
-/// only as it stands.
+/// Returns the noun that two separated words form: "wheel barow". Two English words must match
+/// exactly.
 pub(super) fn joined(first: &str, second: &str) -> Option<&'static str> {
     let lexicon = Lexicon::get();
     let of_the_grammar = |word: &str| words::longest(&[word]).is_some();
@@ -102,8 +102,8 @@ pub(super) fn joined(first: &str, second: &str) -> Option<&'static str> {
     })
 }
 
-/// The word of the grammar a misspelt one was meant to be: "somethng". `None` for English words,
-/// and for nouns of the lexicon.
+/// Returns the word of the grammar that a misspelled word stands for: "somethng". `None` for
+/// English words, and for nouns of the lexicon.
 pub(super) fn spelling_of_small_words(word: &str) -> Option<&'static str> {
     let length = word.chars().count();
     if length < MIN_SLIP_CHARS
@@ -122,7 +122,8 @@ pub(super) fn spelling_of_small_words(word: &str) -> Option<&'static str> {
     words::small().filter(near).min()
 }
 
-/// "sitting" -> "sit", "tells" -> "tell": enough to compare verbs by.
+/// Returns the stem of a verb: "sitting" -> "sit", "tells" -> "tell". Exact enough to compare
+/// verbs.
 pub(super) fn stem(word: &str) -> String {
     let undoubled = |stem: &str| {
         let mut from_the_end = stem.chars().rev();

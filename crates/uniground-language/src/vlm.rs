@@ -1,4 +1,4 @@
-//! Reading a query with a chat model: what it is asked, and its JSON as a [`ParsedQuery`].
+//! Parses a query with a chat model: the request, and the JSON reply as a [`ParsedQuery`].
 
 use super::affordances;
 use super::{
@@ -10,14 +10,14 @@ use serde_json::{Value, json};
 use uniground_geometry::colour::ColourName;
 use uniground_models::chat::{ChatRequest, Part};
 
-/// Raised when the prompt or the schema changes.
+/// Version of the prompt. Raise it when the prompt or the schema changes.
 pub(super) const PROMPT_VERSION: u32 = 2;
 
-/// Deeper nesting is no sentence.
+/// Maximum nesting; no sentence is deeper.
 const MAX_DEPTH: u32 = 5;
-/// More parts than this are no sentence either.
+/// Maximum number of parts; no sentence has more.
 const MAX_PARTS: usize = 64;
-/// Nouns that one thing may be called by.
+/// Maximum number of nouns for one thing.
 const MAX_NOUNS: usize = 8;
 
 const SYSTEM: &str = "You turn a question about an object in a room into JSON. Answer with the JSON object alone.\n\
@@ -33,7 +33,7 @@ const SYSTEM: &str = "You turn a question about an object in a room into JSON. A
     is the superlative leftmost or rightmost under a viewpoint; left_of and right_of are of another thing than the one they look from or \
     face. List words you could not use in not_understood.";
 
-/// The question to the model.
+/// Returns the request to the model.
 pub(super) fn request(query: &str) -> ChatRequest {
     ChatRequest {
         system: SYSTEM.into(),
@@ -118,9 +118,9 @@ struct SuperlativeJson {
     rank: Option<u32>,
 }
 
-/// The model's answer, checked; the error says what is wrong with it.
+/// Validates the model's answer; the error says what is wrong with it.
 pub(super) fn decode(text: &str) -> Result<ParsedQuery, String> {
-    // Models like to wrap JSON in a fence, or to say a word before it.
+    // Models tend to wrap JSON in a fence, or to write a word before it.
     let json =
         text.find('{').zip(text.rfind('}')).filter(|(a, b)| a < b).map(|(a, b)| &text[a..=b]);
     let json = json.ok_or("the model's answer holds no JSON object")?;
@@ -199,7 +199,7 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
     let mut could_be: Vec<String> =
         nouns.filter(|noun| !words::is_anything(noun)).take(MAX_NOUNS).collect();
     let mut head = json.noun.trim().to_lowercase();
-    // What answers to a need is told better by its nouns than by the need.
+    // Nouns describe the target better than the need it meets.
     if words::is_anything(&head) && !could_be.is_empty() {
         head = could_be.remove(0);
     }

@@ -5,21 +5,21 @@ use std::collections::HashMap;
 use std::sync::LazyLock;
 use uniground_geometry::colour::ColourName;
 
-/// What a word or a run of words contributes.
+/// The meaning of a word or a run of words.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Meaning {
     Relation(RelationKind),
-    /// "with", "that has": what follows belongs to the object.
+    /// "with", "that has": the next phrase belongs to the object.
     With {
         absent: bool,
     },
-    /// "the same": the anchor is known by what else is at it: "on the same desk as the lamp".
+    /// "the same": other things at the anchor identify it: "on the same desk as the lamp".
     Same,
     /// "as" after "the same".
     As,
-    /// How somebody looks; what they look at or from follows.
+    /// A viewpoint; the thing that the viewer looks at or from follows.
     View(Look),
-    /// "sitting at": somebody looks at what follows from a seat at it.
+    /// "sitting at": the viewer looks at the next thing from a seat at it.
     Seated,
     /// "as you walk in": from the door.
     Entering,
@@ -31,29 +31,29 @@ pub(super) enum Meaning {
     Colour(ColourName),
     Trait(Trait),
     Not,
-    /// "or", "nor": goes on with what was negated.
+    /// "or", "nor": continues the negation.
     Or,
     /// "with nothing on it"
     Bare,
-    /// "to its left": beside what is looked at.
+    /// "to its left": beside the thing that the viewer looks at.
     Side(Measure),
     /// "and": another anchor of the same relation.
     And,
     /// "of": "the bowl of fruit".
     Of,
-    /// "it is": what follows is said of the target.
+    /// "it is": the next words describe the target.
     OfTarget,
-    /// "that is": what follows is said of the last thing named.
+    /// "that is": the next words describe the last thing named.
     OfLast,
     /// "there is": a new subject.
     ThereIs,
-    /// Stands for the thing spoken of: "it".
+    /// "it": stands for the thing under discussion.
     Pronoun,
-    /// "how many", "all": each of them is meant.
+    /// "how many", "all": every one is meant.
     All,
     /// "the", "a": a noun phrase begins.
     Determiner,
-    /// Carries nothing.
+    /// Has no meaning.
     Filler,
 }
 
@@ -64,7 +64,7 @@ type Run = (Vec<&'static str>, Meaning);
 static BY_FIRST_WORD: LazyLock<HashMap<&'static str, Vec<Run>>> = LazyLock::new(|| {
     let mut table: HashMap<&'static str, Vec<Run>> = HashMap::new();
     for (meaning, phrases) in lines() {
-        // A test sees to it that every line has a meaning.
+        // A test checks that every line has a meaning.
         let Some(meaning) = Meaning::of(meaning) else { continue };
         for phrase in phrases {
             let words: Vec<&str> = phrase.split(' ').collect();
@@ -86,7 +86,7 @@ fn lines() -> impl Iterator<Item = (&'static str, Vec<&'static str>)> {
 }
 
 impl Meaning {
-    /// The meaning a line of the table names: "relation near", "colour red".
+    /// Returns the meaning that a line of the table names: "relation near", "colour red".
     fn of(name: &str) -> Option<Self> {
         let (kind, which) = name.split_once(' ').unwrap_or((name, ""));
         Some(match kind {
@@ -126,8 +126,8 @@ impl Meaning {
     }
 }
 
-/// The longest run of words at the start of `words` that means something, and how many words it
-/// takes.
+/// Returns the meaning and the length of the longest run of words at the start of `words` that has
+/// one.
 pub(super) fn longest(words: &[&str]) -> Option<(Meaning, usize)> {
     cost::count();
     let phrases = BY_FIRST_WORD.get(words.first()?)?;
@@ -138,7 +138,7 @@ pub(super) fn longest(words: &[&str]) -> Option<(Meaning, usize)> {
         .map(|(phrase, meaning)| (*meaning, phrase.len()))
 }
 
-/// Every single word of the tables, and those for anything.
+/// Returns every single word of the tables, and the words for anything.
 pub(super) fn small() -> impl Iterator<Item = &'static str> {
     let single = BY_FIRST_WORD
         .iter()
@@ -147,17 +147,17 @@ pub(super) fn small() -> impl Iterator<Item = &'static str> {
     single.chain(["something", "anything", "somewhere"])
 }
 
-/// Whether some run of words begins with this one.
+/// Returns whether some run of words begins with this one.
 pub(super) fn is_known(word: &str) -> bool {
     BY_FIRST_WORD.contains_key(word)
 }
 
-/// Whether words for a colour only liken it: "pinkish", "salmon coloured".
+/// Returns whether words for a color are approximate: "pinkish", "salmon coloured".
 pub(super) fn is_rough_colour(text: &str) -> bool {
     ["ish", "orangey", "yellowy", "coloured", "colored"].iter().any(|ending| text.ends_with(ending))
 }
 
-/// Nouns that may stand for anything.
+/// Returns whether a noun may stand for anything.
 pub(super) fn is_anything(head: &str) -> bool {
     matches!(
         head,
@@ -182,7 +182,7 @@ pub(super) fn is_anything(head: &str) -> bool {
     )
 }
 
-/// Words that measure out what follows "of": "a pair of shoes" are shoes.
+/// Returns whether a word measures out what follows "of": "a pair of shoes" are shoes.
 pub(super) fn is_measure(head: &str) -> bool {
     matches!(
         head,
@@ -206,7 +206,7 @@ pub(super) fn is_measure(head: &str) -> bool {
     )
 }
 
-/// Parts that are seldom found by themselves.
+/// Returns whether a word is a part that detection seldom finds separately.
 pub(super) fn is_part_of_furniture(head: &str) -> bool {
     matches!(
         head,
@@ -231,8 +231,8 @@ pub(super) fn is_part_of_furniture(head: &str) -> bool {
     )
 }
 
-/// Parts of things and of rooms: "the back of the chair" is the chair, "the end of the table" the
-/// table.
+/// Returns whether a word is a part of a thing or of a room: "the back of the chair" is the chair,
+/// "the end of the table" the table.
 pub(super) fn is_part(head: &str) -> bool {
     matches!(
         head,

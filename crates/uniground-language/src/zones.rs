@@ -1,7 +1,7 @@
-//! Zones of a room, told by what stands in them: a kitchen is where stove, sink and refrigerator
-//! are.
+//! Zones of a room, recognized by the things that stand in them: a kitchen has a stove, a sink and
+//! a refrigerator.
 
-/// Words for a zone, and nouns of the lexicon that make one.
+/// Names of each zone, and nouns of the lexicon that make one.
 const ZONES: &[(&[&str], &[&str])] = &[
     (
         &["kitchen", "kitchenette", "kitchen area", "kitchen corner", "cooking area", "pantry"],
@@ -66,15 +66,16 @@ const ZONES: &[(&[&str], &[&str])] = &[
     (&["play area", "play corner", "playroom"], &["toy", "dollhouse", "toy box"]),
 ];
 
-/// How many words the longest zone has.
+/// Number of words of the longest zone name.
 pub(super) const LONGEST: usize = 2;
 
-/// The nouns that make a zone of this name.
+/// Returns the nouns that make a zone of this name.
+#[must_use]
 pub fn made_of(name: &str) -> Option<&'static [&'static str]> {
     ZONES.iter().find(|(names, _)| names.contains(&name)).map(|(_, nouns)| *nouns)
 }
 
-/// Every zone by its first name, with the nouns that make it.
+/// Returns every zone by its first name, with the nouns that make it.
 pub fn all() -> impl Iterator<Item = (&'static str, &'static [&'static str])> {
     ZONES.iter().filter_map(|(names, nouns)| Some((*names.first()?, *nouns)))
 }

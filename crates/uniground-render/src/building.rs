@@ -1,11 +1,10 @@
-//! Walls and ceilings as planes: what is left out of a picture so that one can look into a room
-//! from outside.
+//! Walls and ceilings as planes, which a picture leaves out so that it shows a room from outside.
 //!
-//! Stage 1 says which instances are parts of the building; a plane is fitted to the points in the
-//! box of each, so sloped ceilings are as good as level ones, and a parse of any age will do. A
-//! plane faces the room. Where it turns its back on the camera its points are not drawn, nor are
-//! those of what hangs on it; one that stands between the camera and a subject goes too, whichever
-//! way it faces.
+//! Stage 1 says which instances are parts of the building. Planes are fitted to the points in the
+//! box of each, so sloped ceilings work as well as level ones, and parses of any age can be drawn.
+//! A plane faces the room. If its back faces the camera, its points are not drawn, nor are those of
+//! things that hang on it. A plane between the camera and a subject is left out too, whichever way
+//! it faces.
 
 use nalgebra::Rotation3;
 use rayon::prelude::*;
@@ -17,91 +16,92 @@ use uniground_geometry::scene::{Instance, InstanceId, Structure, Support};
 use uniground_geometry::statistics::quantile;
 use uniground_geometry::{Point3, Vector3};
 
-/// Planes of a building told apart; the number of one, from 1, fits a byte. Further ones are drawn
-/// as things are.
+/// Maximum number of planes of a building: the number of a plane, from 1, fits in a byte. Further
+/// planes are drawn as things.
 const MAX_SHEETS: usize = 120;
-/// Planes fitted to one instance: a ceiling may have two slopes.
+/// Maximum number of planes fitted to one instance: a ceiling may have two slopes.
 const MAX_PER_INSTANCE: usize = 3;
-/// Share of the points in an instance's box that a plane of it has.
+/// Minimum share of the points in an instance's box for a plane of the instance.
 const MIN_SHARE: f32 = 0.2;
 const MIN_POINTS: usize = 30;
-/// Points of a box that planes are tried on.
+/// Number of points of a box that candidate planes are tested on.
 const SAMPLE: usize = 1500;
-/// Planes tried.
+/// Number of candidate planes.
 const TRIALS: u32 = 120;
-/// Points this near to a plane that is tried are on it, metres.
+/// Points within this distance of a candidate plane lie on it, meters.
 const TRIED_M: f32 = 0.04;
-/// How much a box may miss of its wall on each side, metres.
+/// Growth of a box on each side, because it may miss that much of its wall, meters.
 const BOX_GROWTH_M: f32 = 0.05;
-/// Largest and smallest `|z|` of the unit normals of walls and ceilings.
+/// Largest `|z|` of the unit normal of a wall, and smallest of a ceiling.
 const WALL_MAX_Z: f32 = 0.4;
 const CEILING_MIN_Z: f32 = 0.35;
-/// Points belong to a plane up to this many standard deviations from it, and at least and at most
-/// so far, metres.
+/// Maximum distance of a plane's points: this many standard deviations, but at least and at most so
+/// many meters.
 const SLACK_SIGMAS: f32 = 3.0;
 const SLACK_M: [f32; 2] = [0.035, 0.10];
-/// A wall's rectangle leaves out this share of its points on each side, and is grown again to take
-/// in its rims, metres.
+/// Share of its points that a wall's rectangle leaves out on each side. The rectangle is then grown
+/// to include the wall's rims, meters.
 const STRAY_SHARE: f32 = 0.005;
 const WALL_GROWTH_M: f32 = 0.12;
-/// A ceiling goes on beyond where it was recognised, metres.
+/// Growth of a ceiling beyond where it was recognized, meters.
 const CEILING_GROWTH_M: f32 = 1.5;
-/// Window frames, reveals and reflections behind a wall, and what is above a ceiling, belong to it,
-/// metres.
+/// Depth behind a plane that belongs to it: window frames, reveals and reflections behind a wall,
+/// and what is above a ceiling, meters.
 const BEHIND_WALL_M: f32 = 0.25;
 const BEHIND_CEILING_M: f32 = 0.5;
-/// What is looked at on both sides of a wall to know which one faces the room: metres from the
-/// wall, and points of the cloud.
+/// Range checked on both sides of a wall to find the side that faces the room: meters from the
+/// wall, and number of points of the cloud.
 const ROOM_M: [f32; 2] = [0.15, 4.0];
 const ROOM_SAMPLE: usize = 60_000;
-/// A wall with more than this share of the points on its emptier side is one between two rooms.
+/// A wall with more than this share of the points on its emptier side is between two rooms.
 const BOTH_SIDES: f32 = 0.2;
-/// A wall goes on as far as there is a room before it and no more than this share of the points
-/// behind it, in steps of so many metres. It goes on for so many steps at most. What is behind is
-/// looked for so deep, metres.
+/// A wall is extended while there is a room before it and no more than this share of the points
+/// behind it. It is extended in steps of so many meters, and for so many steps at most. The last
+/// value is the depth checked behind the wall, meters.
 const OUTSIDE: f32 = 0.1;
 const STEP_M: f32 = 0.25;
 const LONGEST_STEPS: i32 = 200;
 const OUTSIDE_M: f32 = 1.5;
-/// Two sides of one wall are at most this far apart, metres, and as parallel as this cosine.
+/// Maximum distance between two sides of one wall, meters, and minimum cosine between them.
 const THICKEST_WALL_M: f32 = 0.45;
 const PARALLEL: f32 = 0.95;
-/// What hangs on a wall does not stand out further than this, metres.
+/// Maximum depth of things that hang on a wall, meters.
 const HANGS_M: f32 = 0.35;
-/// What reaches higher than this above the foot of a wall hides the room behind it, metres.
+/// A thing that reaches higher than this above the foot of a wall hides the room behind it, meters.
 const HIGH_M: f32 = 1.0;
-/// A subject no deeper than this is in its wall or on it: a door, a picture, metres.
+/// Maximum depth of a subject that lies in its wall or on it, such as a door or a picture, meters.
 const FLAT_M: f32 = 0.2;
-/// Robust boxes leave out a few points of their things: metres on every side.
+/// Growth of robust boxes on every side, because they leave out a few points of their things,
+/// meters.
 pub(super) const RIM_M: f32 = 0.02;
-/// A subject counts as hidden when more than this share of its centre and corners is.
+/// A subject counts as hidden when more than this share of its center and corners is hidden.
 const HIDDEN_SHARE: f32 = 0.3;
-/// Corners of a subject are drawn in towards its centre by this share: what leans at a wall reaches
-/// into it.
+/// Share by which the corners of a subject are drawn in toward its center: a thing that leans
+/// against a wall reaches into it.
 const DRAWN_IN: f32 = 0.2;
 
-/// The planes of a scene and what belongs to each.
+/// The planes of a scene, and the points and things that belong to each.
 #[derive(Debug, Clone)]
 pub(super) struct Building {
     sheets: Vec<PlaneRect>,
-    /// Numbers of each point's planes, from 1: two where they meet; 0 for none.
+    /// The planes of each point, numbered from 1: two where planes meet; 0 for none.
     of_point: Vec<[u8; 2]>,
-    /// Both boxes of every instance: those of things that lie at a turned wall are thin in one of
-    /// them only.
+    /// Both boxes of every instance: those of things at a rotated wall are thin in only one of
+    /// them.
     boxes: Vec<(Aabb, OrientedBox)>,
 }
 
-/// What one camera looks through, and what it is to see.
+/// The planes that one camera looks through, and the subjects that it must see.
 pub(super) struct Opening {
-    /// By plane.
+    /// By plane: whether the camera looks through it.
     open: Vec<bool>,
     shown: Vec<VisibleSubject>,
 }
 
-/// A subject.
+/// A subject of a picture.
 struct VisibleSubject {
     within: OrientedBox,
-    /// By plane: whether it lies in it or at it, as doors and pictures do.
+    /// By plane: whether the subject lies in it or on it, as doors and pictures do.
     flat: Vec<bool>,
 }
 
@@ -109,30 +109,30 @@ struct VisibleSubject {
 #[derive(Debug, Clone, PartialEq)]
 struct PlaneRect {
     structure: Structure,
-    /// The instance it was fitted to, and that one's box.
+    /// The instance it was fitted to; below, that instance's box.
     instance: InstanceId,
     aabb: Aabb,
-    /// Unit length, towards the room.
+    /// Unit length, toward the room.
     normal: Vector3<f32>,
     middle: Point3<f32>,
-    /// Unit vectors in the plane; `along` is level, `up` rises.
+    /// Unit vectors in the plane: `along` is level, `up` rises.
     along: Vector3<f32>,
     up: Vector3<f32>,
-    /// Least and greatest coordinate on `along` and `up` from `middle`, metres.
+    /// Minimum and maximum coordinates on `along` and `up` from `middle`, meters.
     rect: [[f32; 2]; 2],
-    /// How far its points lie from the plane, metres.
+    /// Maximum distance of its points from the plane, meters.
     slack_m: f32,
-    /// How far behind the plane things still belong to it, metres.
+    /// Depth behind the plane in which things still belong to it, meters.
     behind_m: f32,
     faces: WallSides,
 }
 
-/// What is on the two sides of a plane.
+/// What lies on the two sides of a plane.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum WallSides {
-    /// A room where the normal points to, nothing or the wall's other side behind.
+    /// A room on the side of the normal; nothing, or the wall's other side, behind.
     Room,
-    /// A room on both sides and one layer of points between them.
+    /// A room on both sides, and one layer of points between them.
     Both,
 }
 
@@ -161,7 +161,7 @@ impl Building {
         let of_point = positions
             .par_iter()
             .map(|p| {
-                // A ceiling comes first: its rims would float over the room.
+                // Ceilings take precedence: their rims would hover over the room.
                 let mut nearest: [Option<(usize, f32)>; 2] = [None; 2];
                 for (i, sheet) in sheets.iter().enumerate() {
                     let Some(distance_m) = sheet.owns(p) else { continue };
@@ -191,8 +191,8 @@ impl Building {
         self.sheets.iter().any(|sheet| sheet.structure == Structure::Ceiling)
     }
 
-    /// What a camera at `eye` looks through so that it sees the room and the subjects in it. Parts
-    /// of the building are no subjects: drawn, they would hide the room.
+    /// Returns what a camera at `eye` looks through to see the room and the subjects in it. Parts
+    /// of the building never count as subjects: drawn, they would hide the room.
     pub fn opening(&self, eye: &Point3<f32>, subjects: &[Aabb]) -> Opening {
         let things = subjects.iter().filter(|s| !self.sheets.iter().any(|sheet| sheet.aabb == **s));
         let shown: Vec<VisibleSubject> = things
@@ -216,8 +216,8 @@ impl Building {
         Opening { open: self.sheets.iter().map(open).collect(), shown }
     }
 
-    /// Whether a point is drawn: where a wall that is looked through meets another its rim goes
-    /// too. Of what is in a subject's box the subject is, not the wall it stands at.
+    /// Whether a point is drawn. Where an open wall meets another, its rim is left out too. In a
+    /// subject's box, the subject is drawn but not the wall it stands at.
     pub fn draws(&self, point: usize, p: &Point3<f32>, opening: &Opening) -> bool {
         let own =
             self.of_point[point].into_iter().filter_map(|number| (number as usize).checked_sub(1));
@@ -227,7 +227,7 @@ impl Building {
         })
     }
 
-    /// Where the walls that are looked through stand on the floor: their lower edges.
+    /// Returns the lower edges of the walls that the camera looks through.
     pub fn footings(&self, opening: &Opening) -> Vec<[Point3<f32>; 2]> {
         let walls = self
             .sheets
@@ -235,7 +235,7 @@ impl Building {
             .zip(&opening.open)
             .filter(|(sheet, open)| **open && sheet.structure == Structure::Wall);
         let mut drawn: Vec<&PlaneRect> = Vec::new();
-        // Stretches of one wall that were recognised apart have one line.
+        // Stretches of one wall that were recognized separately get one line.
         for (sheet, _) in walls {
             let on = |other: &&PlaneRect| {
                 sheet
@@ -252,14 +252,14 @@ impl Building {
 }
 
 impl Opening {
-    /// Whether a point is a subject's.
+    /// Whether a point belongs to a subject.
     pub fn shows(&self, p: &Point3<f32>) -> bool {
         self.shown.iter().any(|s| holds(&s.within, RIM_M, p))
     }
 }
 
 impl PlaneRect {
-    /// Of the points on a plane.
+    /// Fits a rectangle to the points on a plane.
     fn fitted(on: &[Point3<f32>], instance: &Instance, structure: Structure) -> Self {
         let Moments { mean: middle, covariance } = Moments::of(on);
         let (variance, normal) = least_axis(&covariance);
@@ -293,7 +293,7 @@ impl PlaneRect {
         (p - self.middle).dot(&self.normal)
     }
 
-    /// Its lower edge.
+    /// Returns its lower edge.
     fn footing(&self) -> [Point3<f32>; 2] {
         self.rect[0].map(|along_m| self.at(along_m, self.rect[1][0]))
     }
@@ -315,7 +315,7 @@ impl PlaneRect {
         })
     }
 
-    /// Distance to the plane of a point that belongs to it, metres.
+    /// Returns the distance to the plane for a point that belongs to it, meters.
     fn owns(&self, p: &Point3<f32>) -> Option<f32> {
         let distance = self.distance(p);
         let growth_m =
@@ -326,7 +326,7 @@ impl PlaneRect {
         .then_some(distance.abs())
     }
 
-    /// Whether a box lies at the plane as pictures do.
+    /// Whether a box lies flat on the plane, as pictures do.
     fn is_flat(&self, of: &OrientedBox, depth_m: f32) -> bool {
         corners(of).iter().all(|corner| self.distance(corner).abs() < depth_m)
     }
@@ -335,13 +335,13 @@ impl PlaneRect {
         self.faces == WallSides::Room && self.distance(eye) < 0.0
     }
 
-    /// Whether it stands between the eye and much of a box.
+    /// Whether the plane is between the eye and much of a box.
     fn hides(&self, subject: &OrientedBox, eye: &Point3<f32>) -> bool {
         let corners = corners(subject).map(|corner| corner + (subject.center - corner) * DRAWN_IN);
         let before = self.distance(eye);
         let hidden = |p: &&Point3<f32>| {
             let behind = self.distance(p);
-            // Beyond the plane, and not merely within its noise.
+            // Beyond the plane, and not only within its noise.
             let crosses = before.signum() != behind.signum() && behind.abs() > self.slack_m;
             crosses && self.covers(&(eye + (*p - eye) * (before / (before - behind))), 0.0)
         };
@@ -350,7 +350,7 @@ impl PlaneRect {
     }
 }
 
-/// The planes in the box of a wall or a ceiling, the largest first.
+/// Finds the planes in the box of a wall or a ceiling, largest first.
 fn sheets_of(
     positions: &[Point3<f32>],
     instance: &Instance,
@@ -374,12 +374,12 @@ fn sheets_of(
     sheets
 }
 
-/// Unit normal and offset of the plane through three of the points that most of them lie on, of
-/// those that may be a wall or a ceiling.
+/// Returns unit normal and offset of the plane through three of the points that most points lie on,
+/// among planes that may be a wall or a ceiling.
 fn best_plane(points: &[Point3<f32>], structure: Structure) -> Option<(Vector3<f32>, f32)> {
     let sample: Vec<Point3<f32>> =
         points.iter().step_by(points.len().div_ceil(SAMPLE)).copied().collect();
-    // The same points are tried every time: an answer does not depend on chance.
+    // The same points are tried every time, so that the result is reproducible.
     let mut state = 1_u32;
     let mut pick = || {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -405,8 +405,8 @@ fn best_plane(points: &[Point3<f32>], structure: Structure) -> Option<(Vector3<f
     best.map(|(_, normal, offset)| (normal, offset))
 }
 
-/// Ceilings face down. Walls face the side with the room on it; of a wall between two rooms that
-/// was scanned from both, each side faces away from the other.
+/// Orients the planes. Ceilings face down. Walls face the side with the room on it. If a wall
+/// between two rooms was scanned from both, each side faces away from the other.
 fn turn_to_rooms(sheets: &mut [PlaneRect], sample: &[&Point3<f32>]) {
     let flipped = |sheet: &mut PlaneRect| sheet.normal = -sheet.normal;
     for sheet in sheets
@@ -449,8 +449,8 @@ fn turn_to_rooms(sheets: &mut [PlaneRect], sample: &[&Point3<f32>]) {
     }
 }
 
-/// Walls go from floor to ceiling, and on along the room where stage 1 recognised a stretch of them
-/// only.
+/// Extends walls from floor to ceiling, and along the room where stage 1 recognized only a stretch
+/// of them.
 fn extend(sheets: &mut [PlaneRect], sample: &[&Point3<f32>]) {
     let mut heights: Vec<f32> = sample.iter().map(|p| p.z).collect();
     let [low_z, high_z] =
@@ -495,7 +495,7 @@ fn extend(sheets: &mut [PlaneRect], sample: &[&Point3<f32>]) {
 }
 
 impl PlaneRect {
-    /// Where the other side of the same wall is, metres along the normal.
+    /// Returns the distance of the other side of the same wall, meters along the normal.
     fn other_side(&self, other: &Self) -> Option<f32> {
         let distance = self.distance(&other.middle);
         let parallel =
@@ -505,8 +505,9 @@ impl PlaneRect {
     }
 }
 
-/// The plane of the wall that a thing goes with, and its box: the wall it hangs on, and for
-/// windows, doors and curtains, which reach high and lie flat, the one they are in.
+/// Returns the plane of the wall that a thing belongs to, and the thing's box. This is the wall it
+/// hangs on; windows, doors and curtains, which reach high and lie flat, belong to the wall they
+/// are in.
 fn hung(sheets: &[PlaneRect], instance: &Instance) -> Option<(usize, OrientedBox)> {
     let of = instance.oriented_box;
     let hangs = |sheet: &PlaneRect| match instance.support {
@@ -532,7 +533,7 @@ fn corners(of: &OrientedBox) -> [Point3<f32>; 8] {
         .map(|corner| of.center + turn * corner.coords)
 }
 
-/// Whether a point is in a box that is grown on all sides, metres.
+/// Whether a point is in a box grown by `growth_m` on all sides, meters.
 pub(super) fn holds(of: &OrientedBox, growth_m: f32, p: &Point3<f32>) -> bool {
     let (sin, cos) = of.yaw_rad.sin_cos();
     let d = p - of.center;

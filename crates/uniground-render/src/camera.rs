@@ -6,14 +6,14 @@ use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{Camera, Intrinsics};
 use uniground_geometry::{Isometry3, Matrix3, Point3, Vector3};
 
-/// Where to look from: around the scene's centre at an azimuth, tilted off the vertical.
+/// A viewpoint: around the scene's center at an azimuth, tilted off the vertical.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Orbit {
-    /// Of the picture, pixels.
+    /// Width of the picture, pixels.
     pub width: u32,
-    /// Of the picture, pixels.
+    /// Height of the picture, pixels.
     pub height: u32,
-    /// Direction the camera stands in, degrees about +Z from +X.
+    /// Azimuth of the camera, degrees about +Z from +X.
     pub azimuth_deg: f32,
     /// Angle off the vertical; 0 looks straight down.
     pub tilt_deg: f32,
@@ -25,7 +25,7 @@ const MARGIN: f32 = 0.06;
 const FIELD_OF_VIEW_DEG: f32 = 45.0;
 
 impl Orbit {
-    /// The camera that shows the whole extent. OpenCV axes, world frame Z up.
+    /// Returns the camera that shows the whole extent. OpenCV axes, world frame Z up.
     #[must_use]
     pub fn camera(&self, extent: &Aabb) -> Camera {
         let eye = extent.center
@@ -36,14 +36,14 @@ impl Orbit {
     }
 }
 
-/// How far from its target a camera that orbits candidates stands.
+/// The distance of a camera that orbits candidates from its target.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Distance {
     /// Paper: alpha, times the longest side of the scene.
     pub alpha: f32,
-    /// Paper: `r >= r_min`, metres in the horizontal.
+    /// Paper: `r >= r_min`, meters in the horizontal.
     pub min_radius_m: f32,
-    /// Paper: `h >= h_min`, metres above the target.
+    /// Paper: `h >= h_min`, meters above the target.
     pub min_height_m: f32,
 }
 
@@ -67,7 +67,7 @@ pub(super) fn eye(
         )
 }
 
-/// `R_azim R_tilt (0, 0, 1)`: from straight above, tilted towards +X, turned about +Z.
+/// `R_azim R_tilt (0, 0, 1)`: from straight above, tilted toward +X, rotated about +Z.
 fn direction(azimuth_deg: f32, tilt_deg: f32) -> Vector3<f32> {
     let (tilt, azimuth) = (tilt_deg.to_radians(), azimuth_deg.to_radians());
     Vector3::new(tilt.sin() * azimuth.cos(), tilt.sin() * azimuth.sin(), tilt.cos())
@@ -86,8 +86,8 @@ pub(super) fn uncalibrated(width: u32, height: u32) -> Intrinsics {
 }
 
 /// Camera-to-world pose at `eye` looking at `target`, OpenCV axes: `z = (c - e) / |c - e|`, `x = z
-/// x up` normalised, `y = z x x`. The paper's rows are those of a library with x to the left and y
-/// up: `x = up x z` there is `-x` here, the same picture.
+/// x up` normalized, `y = z x x`. The paper's rows are those of a library with x to the left and y
+/// up: its `x = up x z` is `-x` here, which gives the same picture.
 ///
 /// Straight down, image-up is the direction away from the azimuth, so nothing is undefined.
 pub(super) fn look_at(eye: &Point3<f32>, target: &Point3<f32>, azimuth_rad: f32) -> Isometry3<f32> {
@@ -111,7 +111,7 @@ pub(super) fn calibrated(
     margin: f32,
     max_zoom: f32,
 ) -> Intrinsics {
-    /// Nearer to the camera than this nothing is shown, metres.
+    /// Nothing nearer to the camera than this is shown, meters.
     const NEAR_M: f32 = 0.05;
     let wide = camera.intrinsics;
     let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
@@ -125,7 +125,7 @@ pub(super) fn calibrated(
         return wide;
     }
     let room = 1.0 - 2.0 * margin;
-    // A scene of one point has no width: some picture of it is better than none.
+    // A scene of one point has no width: it still gets a picture.
     let spread = |axis: usize| (high[axis] - low[axis]).max(1e-3);
     let focal = (wide.width as f32 * room / spread(0))
         .min(wide.height as f32 * room / spread(1))
@@ -185,7 +185,7 @@ mod tests {
         }
     }
 
-    /// Reckoned by hand: a scene 6 m long at alpha 1.5 is seen from 9 m; at 15 degrees that is
+    /// Computed by hand: a scene 6 m long at alpha 1.5 is seen from 9 m; at 15 degrees that is
     /// 2.3294 m out and 8.6933 m up.
     #[test]
     fn the_eye_is_where_the_paper_puts_it_and_never_too_near() {
@@ -199,8 +199,8 @@ mod tests {
     }
 
     /// By hand: 4 m straight above, a square of 2 m spans tangents of +-.25. A picture of 100 px
-    /// with a margin of 10 % shows it on 80 px: f = 160. Its middle, .5 m off the axis, moves
-    /// to the picture's middle.
+    /// with a margin of 10 % shows it on 80 px: f = 160. Its middle, .5 m off the axis, moves to
+    /// the picture's middle.
     #[test]
     fn calibration_fills_the_picture_and_leaves_the_pose() {
         let pose =
@@ -219,15 +219,15 @@ mod tests {
                 && (at(-0.5, 0.0).u - 9.5).abs() < 1e-2
                 && (at(0.5, 1.0).v - 9.5).abs() < 1e-2
         );
-        // Never closer than the cap: the uncalibrated focal length is 120.7.
+        // The zoom is limited: the uncalibrated focal length is 120.7.
         let capped =
             calibrated(&camera, &square(0.5).map(|p| Point3::from(p.coords * 0.01)), 0.1, 2.0);
         assert!((capped.fx - 241.42).abs() < 0.1, "{capped:?}");
-        // Nothing to show leaves the camera as it is.
+        // Without anything to show, the camera does not change.
         assert_eq!(calibrated(&camera, &[Point3::new(0.0, 0.0, 9.0)], 0.1, 2.0), camera.intrinsics);
     }
 
-    /// The world-to-camera rows of the paper, by its own formulas, in its axes (x left, y up).
+    /// The world-to-camera rows by the paper's own formulas, in its axes (x left, y up).
     #[test]
     fn look_at_is_the_paper_s_matrix_in_other_axes() {
         for (eye, target) in

@@ -14,33 +14,33 @@ use uniground_geometry::Point3;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::Camera;
 
-/// How candidates are shown together.
+/// Settings for a picture of several candidates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GlobalView {
     /// Side of each square view. Paper: 680.
     pub view_px: u32,
-    /// Where the camera stands, degrees about +Z from +X. Paper: 0, 120, 240.
+    /// Azimuths of the cameras, degrees about +Z from +X. Paper: 0, 120, 240.
     pub azimuths_deg: Vec<f32>,
     /// Angle off the vertical, degrees. Paper: 15.
     pub tilt_deg: f32,
     /// Paper: alpha, distance over the longest side of the scene.
     pub distance: f32,
-    /// Paper: `r_min`, metres; a value is not given.
+    /// Paper: `r_min`, meters; the paper gives no value.
     pub min_radius_m: f32,
-    /// Paper: `h_min`, metres; a value is not given.
+    /// Paper: `h_min`, meters; the paper gives no value.
     pub min_height_m: f32,
     /// Share of a view left empty around the candidates, per side.
     pub margin: f32,
-    /// How much closer than the uncalibrated camera a view may get, so that candidates that stand
-    /// together keep their surroundings.
+    /// Maximum zoom relative to the uncalibrated camera, so that candidates close together keep
+    /// their surroundings in view.
     pub max_zoom: f32,
-    /// How much darker surfaces get that turn away, `0..=1`; 0 leaves their colours.
+    /// How much darker surfaces get that face away, `0..=1`; 0 leaves their colors unchanged.
     pub shading: f32,
-    /// The least a box measures along its longer side in a view, pixels: a view zooms in further
-    /// for a smaller one, and one that stays smaller, as the others lie far away, is shown
-    /// once more in an inset. 0 for neither, as in the paper.
+    /// Minimum length of a box's longer side in a view, pixels. A view zooms in further for a
+    /// smaller box. A box that stays smaller, because the others are far away, is shown again in an
+    /// inset. 0 disables both, as in the paper.
     pub min_subject_px: f32,
-    /// What is left out so that one can look into the room.
+    /// What is left out so that the picture shows the room from outside.
     pub cutaway: Cutaway,
 }
 
@@ -62,26 +62,26 @@ impl Default for GlobalView {
     }
 }
 
-/// What a global render shows.
+/// The subjects of a global render.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Subjects {
-    /// Candidates and anchors; later ones lie on top.
+    /// Candidates and anchors; later ones are drawn on top.
     pub boxes: Vec<LabelledBox>,
-    /// Directions told at the rim of each view.
+    /// Direction words drawn at the border of each view.
     pub words: Vec<DirectionWord>,
-    /// What cameras look at, world frame. Paper: the mean candidate centre (Eq. 3); anchors do not
-    /// move it.
+    /// The point that cameras look at, world frame. Paper: the mean candidate center (Eq. 3);
+    /// anchors do not move it.
     pub target: Point3<f32>,
 }
 
-/// A box smaller than this before calibration is a point, and zoomed in on no further, pixels.
+/// A box smaller than this before calibration is a point and does not cause further zoom, pixels.
 const LEAST_PX: f32 = 0.5;
-/// Size of a view's title and where it begins, pixels.
+/// Size of a view's title, and its position, pixels.
 const TITLE_PX: f32 = 16.0;
 const TITLE_AT: (f32, f32) = (6.0, 4.0);
 
 impl GlobalView {
-    /// The camera of one view; candidates' corners, and those of anchors, are in the picture.
+    /// Returns the camera of one view. The corners of candidates and of anchors are in the picture.
     #[must_use]
     pub fn camera(&self, extent: &Aabb, subjects: &Subjects, azimuth_deg: f32) -> Camera {
         let distance = Distance {
@@ -172,7 +172,7 @@ impl GlobalView {
     }
 }
 
-/// Of a box in the picture, pixels; `None` behind the camera.
+/// Longer side of a box in the picture, pixels; `None` behind the camera.
 pub(super) fn longer_side(camera: &Camera, aabb: &Aabb) -> Option<f32> {
     bounds(camera, aabb).map(|rect| rect.width().max(rect.height()))
 }
@@ -224,9 +224,9 @@ mod tests {
         }
     }
 
-    /// Picture and words agree: a coloured patch lies on the side its word stands on, in every
-    /// view. Where the words stand is also reckoned by hand: from azimuth a the picture's right
-    /// is (-sin a, cos a), its upper rim (-cos a, -sin a).
+    /// Picture and words agree: in every view, a colored patch lies on the side of its word. The
+    /// positions of the words are also computed by hand: from azimuth a the picture's right is
+    /// (-sin a, cos a), its upper border (-cos a, -sin a).
     #[test]
     fn words_stand_where_things_lie() {
         let mut cloud = PointCloud::default();

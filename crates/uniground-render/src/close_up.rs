@@ -1,4 +1,4 @@
-//! A candidate no photograph shows, drawn from the cloud: close, and with its surroundings.
+//! Close-ups of a candidate that no photograph shows, drawn from the cloud with its surroundings.
 
 use super::camera::Distance;
 use super::camera::{calibrated, eye, look_at, uncalibrated};
@@ -13,11 +13,11 @@ use uniground_geometry::scene::Camera;
 const SIDE_PX: u32 = 360;
 const AZIMUTHS_DEG: [f32; 3] = [-60.0, 60.0, 180.0];
 const TILT_DEG: f32 = 50.0;
-/// How much of the surroundings a shot's frame shows, metres on every side of the box.
+/// Margin of a shot's frame around the box, meters on every side.
 const AROUND_M: f32 = 0.8;
 const MARGIN: f32 = 0.08;
 
-/// Three shots of what a box holds.
+/// Draws three shots of the contents of a box.
 #[must_use]
 pub fn close_ups(render_scene: &RenderScene, aabb: &Aabb) -> Vec<Shot> {
     let surroundings = Aabb { size: aabb.size + Vector3::repeat(2.0 * AROUND_M), ..*aabb };
@@ -55,7 +55,7 @@ pub fn close_ups(render_scene: &RenderScene, aabb: &Aabb) -> Vec<Shot> {
         .collect()
 }
 
-/// What hangs from the ceiling is seen, the ceiling above it is not.
+/// Draws things that hang from the ceiling, but not the ceiling above them.
 fn drawn(render_scene: &RenderScene, camera: &Camera, subject: &Aabb) -> RgbImage {
     super::on_paper(&render_scene.drawn(camera, Cutaway::Building, &[*subject]))
 }

@@ -1,6 +1,6 @@
-//! What one candidate looks like: up to three close crops with the whole photographs beneath, and a
-//! tag with its id (paper: candidate visual evidence). Outlines are drawn after shrinking: lines of
-//! a large photograph would be thinner than a pixel.
+//! A collage of one candidate: up to three close crops with the whole photographs beneath, and a
+//! tag with its id (paper: candidate visual evidence). Outlines are drawn after shrinking, because
+//! lines of a large photograph would become thinner than a pixel.
 
 use super::outline::{Surroundings, draw_outline, outline_reach};
 use super::shot::Shot;
@@ -10,12 +10,12 @@ use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer
 use image::{Rgb, RgbImage, imageops};
 use uniground_geometry::scene::FrameIndex;
 
-/// How large collages are. 1024 x 512 pixels are two of the tiles providers charge for.
+/// Size limits of collages. 1024 x 512 pixels are two of the tiles that providers charge for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Collage {
-    /// Most pixels a collage of three shots has; ones with fewer shots are narrower.
+    /// Maximum number of pixels of a collage with three shots; fewer shots make it narrower.
     pub max_pixels: u32,
-    /// Paper: 3.
+    /// Maximum number of shots. Paper: 3.
     pub max_shots: usize,
 }
 
@@ -28,19 +28,19 @@ impl Default for Collage {
 const SHEET: Rgb<u8> = Rgb([245; 3]);
 const RED: Rgb<u8> = Rgb([230, 20, 20]);
 const TAG: Rgb<u8> = Rgb([20, 30, 60]);
-/// Height of the tag, as a share of the sheet's.
+/// Height of the tag, as a share of the sheet's height.
 const TAG_SHARE: f32 = 0.0625;
 const CROP_SHARE: f32 = 0.5;
 const GAP_PX: u32 = 4;
 
-/// A photograph, or a piece of one, in a picture made of several.
+/// The position of a photograph, or of a piece of one, in a composed picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tile {
-    /// Where it is: left, top, width, height, pixels.
+    /// Position in the composed picture: left, top, width, height, pixels.
     pub area: Area,
     /// The frame it was taken with.
     pub frame: FrameIndex,
-    /// What of the frame's colour picture it shows: left, top, right, bottom, pixels.
+    /// The part of the frame's color picture that it shows: left, top, right, bottom, pixels.
     pub shows: [u32; 4],
 }
 
@@ -48,8 +48,8 @@ pub struct Tile {
 type Area = (u32, u32, u32, u32);
 
 impl Tile {
-    /// Column and row of the frame's colour picture at a position of the whole picture; `None`
-    /// beside the tile.
+    /// Converts a position of the composed picture to column and row of the frame's color picture;
+    /// `None` outside of the tile.
     #[must_use]
     pub fn place(&self, (x, y): (f32, f32)) -> Option<(f32, f32)> {
         let (left, top, width, height) = self.area;
@@ -60,7 +60,7 @@ impl Tile {
     }
 }
 
-/// Where everything on a collage is.
+/// The positions of all elements on a collage.
 struct Layout {
     size: (u32, u32),
     tag_height: u32,
@@ -95,7 +95,8 @@ impl Collage {
         &shots[..shots.len().min(self.max_shots)]
     }
 
-    /// Where the photographs are on the collage of these shots, those that frames were taken with.
+    /// Returns the positions of the photographs on the collage of these shots. Only shots taken
+    /// with a frame have one.
     #[must_use]
     pub fn tiles(&self, shots: &[Shot]) -> Vec<Tile> {
         let shots = self.shown(shots);
@@ -112,7 +113,7 @@ impl Collage {
         shots.iter().zip(self.layout(shots).areas).filter_map(tiles).flatten().collect()
     }
 
-    /// Draws a collage; without shots only the tag, which says so.
+    /// Draws a collage. Without shots, it draws only the tag, which says so.
     #[must_use]
     pub fn draw(&self, id: u32, shots: &[Shot]) -> RgbImage {
         let shots = self.shown(shots);
@@ -130,7 +131,7 @@ impl Collage {
             let (left, upper, width, height) = area;
             let at = |share: f32, length: u32| share * length as f32;
             let [l, t, r, b] = shot.place;
-            // The box leaves room for the outline.
+            // Space between the box and the object for the outline.
             let mut room = 0.0;
             if let Some((mask, _)) = &shot.mask {
                 draw_outline(&mut sheet, area, mask, shot.place, Surroundings::Kept);
@@ -145,7 +146,7 @@ impl Collage {
     }
 }
 
-/// Many candidates on one sheet, one crop each, to be named together.
+/// Draws many candidates on one sheet, one crop each, so that they can be named together.
 #[must_use]
 pub fn mosaic(tiles: &[(u32, &Shot)], columns: u32, tile_px: u32) -> RgbImage {
     let rows = (tiles.len() as u32).div_ceil(columns.max(1)).max(1);
@@ -158,7 +159,8 @@ pub fn mosaic(tiles: &[(u32, &Shot)], columns: u32, tile_px: u32) -> RgbImage {
     sheet
 }
 
-/// Where the photographs are on a [`mosaic`] of these shots, those that frames were taken with.
+/// Returns the positions of the photographs on a [`mosaic`] of these shots. Only shots taken with a
+/// frame have one.
 #[must_use]
 pub fn mosaic_tiles(shots: &[&Shot], columns: u32, tile_px: u32) -> Vec<Tile> {
     let tile = |(shot, corner): (&&Shot, (u32, u32))| {
@@ -168,7 +170,7 @@ pub fn mosaic_tiles(shots: &[&Shot], columns: u32, tile_px: u32) -> Vec<Tile> {
     shots.iter().zip(corners(columns, tile_px)).filter_map(tile).collect()
 }
 
-/// Corners of the cells of a mosaic, row by row.
+/// Top left corners of the cells of a mosaic, row by row.
 fn corners(columns: u32, tile_px: u32) -> impl Iterator<Item = (u32, u32)> {
     (0..).map(move |i: u32| (i % columns.max(1) * tile_px, i / columns.max(1) * tile_px))
 }
@@ -182,7 +184,7 @@ fn mosaic_area(shot: &Shot, (x, y): (u32, u32), tile_px: u32) -> Area {
     )
 }
 
-/// White letters on dark, left aligned.
+/// Draws white letters on dark, left aligned.
 fn tag(sheet: &mut RgbImage, (x, y): (u32, u32), height: u32, words: &str) {
     let size_px = height as f32 * 0.78;
     let width = (text::width(words, size_px) as u32 + 12).min(sheet.width() - x);
@@ -199,7 +201,7 @@ fn tag(sheet: &mut RgbImage, (x, y): (u32, u32), height: u32, words: &str) {
     );
 }
 
-/// Puts the crop of a shot into an area, its object outlined and the surroundings dimmed.
+/// Draws the crop of a shot into an area, with its object outlined and the surroundings dimmed.
 fn put_crop(sheet: &mut RgbImage, shot: &Shot, area: Area) {
     put(sheet, &shot.crop, area);
     if let Some((mask, place)) = &shot.mask {
@@ -211,9 +213,9 @@ fn put(sheet: &mut RgbImage, picture: &RgbImage, (left, top, width, height): Are
     imageops::replace(sheet, &resized(picture, (width, height)), i64::from(left), i64::from(top));
 }
 
-/// The middle of a cell, as large as a picture of this size fits.
+/// Returns the largest centered area of a cell in which a picture of this size fits.
 fn fitted(picture: (u32, u32), (x, y): (u32, u32), (width, height): (u32, u32)) -> Area {
-    /// Tiny crops are not blown up beyond this: there is nothing more to see.
+    /// Maximum enlargement of tiny crops: they have no more detail to show.
     const MAX_ENLARGED: f32 = 4.0;
     let scale =
         (width as f32 / picture.0 as f32).min(height as f32 / picture.1 as f32).min(MAX_ENLARGED);
@@ -240,7 +242,7 @@ fn resized(picture: &RgbImage, (width, height): (u32, u32)) -> RgbImage {
         .unwrap_or_else(|| imageops::resize(picture, width, height, imageops::FilterType::Triangle))
 }
 
-/// A red outline just outside of a box, three pixels wide, clipped to the picture it belongs to.
+/// Draws a red outline just outside of a box, three pixels wide, clipped to the box's picture.
 fn red_box(
     sheet: &mut RgbImage,
     (left, top, width, height): (u32, u32, u32, u32),
@@ -316,8 +318,8 @@ mod tests {
         assert_eq!(single.dimensions(), (512, 512));
     }
 
-    /// What the model gets: letters at least 16 pixels tall with a contrast of at least 7 : 1 (WCAG
-    /// AAA), and a red outline where the object is, also on a photograph four times as large.
+    /// The model's input: letters at least 16 pixels tall with a contrast of at least 7 : 1 (WCAG
+    /// AAA), and a red outline at the object, also on a photograph four times as large.
     #[test]
     fn the_label_is_readable_and_the_box_is_there() {
         for frame in [(640, 480), (2560, 1920)] {
@@ -358,8 +360,8 @@ mod tests {
         assert!((0..7).all(red) && !red(7));
     }
 
-    /// The crop has the outline where the mask is and dimmed surroundings, the photograph the
-    /// outline beside its box and no dimming.
+    /// The crop has the outline of the mask and dimmed surroundings. The photograph has the outline
+    /// and its box, and no dimming.
     #[test]
     fn an_object_whose_mask_is_known_stands_out() {
         let mask = CellMask::of(4, 4, |column, _| column < 2);
@@ -390,7 +392,7 @@ mod tests {
         );
     }
 
-    /// A mark in a photograph is found again from where it is on the collage and on the sheet, in
+    /// A mark in a photograph is found again from its position on the collage and on the sheet, in
     /// the crop and in the whole.
     #[test]
     fn a_place_on_a_collage_is_a_place_in_a_photograph() {

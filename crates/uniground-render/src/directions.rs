@@ -1,4 +1,4 @@
-//! Axes and direction words on a picture: where "left" lies, in this view.
+//! Axes and direction words on a picture: where "left" is, in this view.
 
 use super::overlay::{blend, position};
 use super::text;
@@ -7,7 +7,7 @@ use tiny_skia::{FillRule, Paint, PathBuilder, Pixmap, Rect, Stroke, Transform};
 use uniground_geometry::scene::Camera;
 use uniground_geometry::{Point2, Point3, Vector2, Vector3};
 
-/// A word and the direction it stands for, world frame (Z up).
+/// A word and the direction it means, world frame (Z up).
 #[derive(Debug, Clone, PartialEq)]
 pub struct DirectionWord {
     /// As written into the picture: "left (+X)".
@@ -16,24 +16,24 @@ pub struct DirectionWord {
     pub direction: Vector3<f32>,
 }
 
-/// A word at the rim of a picture.
+/// A word at the border of a picture.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct DirectionMark {
     pub word: String,
     pub rect: Rect,
-    /// Where it points to, unit length, picture axes (y down).
+    /// Direction it points to, unit length, picture axes (y down).
     pub towards: Vector2<f32>,
 }
 
 const WORD_PX: f32 = 17.0;
 const PADDING_PX: f32 = 3.0;
-/// Room for the arrow beyond the word.
+/// Space for the arrow beyond the word.
 const ARROW_PX: f32 = 20.0;
 const INK: [u8; 3] = [20, 20, 20];
 const TRIAD_PX: f32 = 42.0;
 
-/// Where each word stands: at the rim of the picture, in the direction it means as seen from
-/// `target`.
+/// Returns the position of each word: at the border of the picture, in the direction it means as
+/// seen from `target`.
 pub(super) fn marks(
     camera: &Camera,
     target: &Point3<f32>,
@@ -48,7 +48,7 @@ pub(super) fn marks(
                 text::width(word, WORD_PX) + 2.0 * PADDING_PX,
                 WORD_PX + 2.0 * PADDING_PX,
             );
-            // From the middle until word and arrow touch the rim.
+            // Moves from the middle until word and arrow touch the border.
             let room =
                 Vector2::new(width, height) / 2.0 - size / 2.0 - Vector2::repeat(ARROW_PX + 2.0);
             let reach =
@@ -63,7 +63,7 @@ pub(super) fn marks(
         .collect()
 }
 
-/// The direction in the picture, pixels per metre at `target`.
+/// Direction in the picture, pixels per meter at `target`.
 fn on_picture(
     camera: &Camera,
     target: &Point3<f32>,
@@ -75,8 +75,8 @@ fn on_picture(
     Some((b - a) / (2.0 * STEP_M))
 }
 
-/// Draws the words with their arrows, and the world's axes into a corner no word stands in. Returns
-/// the places taken.
+/// Draws the words with their arrows, and the world's axes into a corner without a word. Returns
+/// the occupied areas.
 pub(super) fn draw(
     picture: &mut RgbImage,
     camera: &Camera,
@@ -92,7 +92,7 @@ pub(super) fn draw(
     for DirectionMark { rect, towards, .. } in &marks {
         layer.fill_rect(*rect, &pale, Transform::identity(), None);
         if let Some(arrow) = arrow(rect, *towards) {
-            // A pale rim, for dark ground.
+            // A pale outline, for dark backgrounds.
             layer.stroke_path(
                 &arrow,
                 &pale,
@@ -128,7 +128,7 @@ pub(super) fn draw(
     taken
 }
 
-/// A triangle beyond a word, towards where it points.
+/// A triangle beyond a word, in the direction it points to.
 fn arrow(rect: &Rect, towards: Vector2<f32>) -> Option<tiny_skia::Path> {
     let (half_w, half_h) = (rect.width() / 2.0, rect.height() / 2.0);
     let middle = Vector2::new(rect.left() + half_w, rect.top() + half_h);
@@ -144,7 +144,7 @@ fn arrow(rect: &Rect, towards: Vector2<f32>) -> Option<tiny_skia::Path> {
     path.finish()
 }
 
-/// A free corner of the picture, bottom left first.
+/// Returns a free corner of the picture, bottom left first.
 fn triad_corner((width, height): (u32, u32), taken: &[Rect]) -> Option<Rect> {
     let side = 2.0 * TRIAD_PX + 20.0;
     let (right, bottom) = (width as f32 - side, height as f32 - side);
@@ -153,7 +153,8 @@ fn triad_corner((width, height): (u32, u32), taken: &[Rect]) -> Option<Rect> {
     corners.find(|corner| taken.iter().all(|other| !super::overlay::overlap(corner, other)))
 }
 
-/// The world's axes as seen in this view: X red, Y green, Z blue. Returns where their names stand.
+/// Draws the world's axes as seen in this view: X red, Y green, Z blue. Returns the areas of their
+/// names.
 fn triad(
     layer: &mut Pixmap,
     camera: &Camera,

@@ -1,4 +1,4 @@
-//! Small close pictures in the corners of a view, for candidates that are too small in it.
+//! Insets: close-up pictures in the corners of a view, for candidates that are too small in it.
 
 use super::camera::calibrated;
 use super::candidates::longer_side;
@@ -8,31 +8,31 @@ use tiny_skia::Rect;
 use uniground_geometry::scene::{Camera, Intrinsics};
 use uniground_geometry::{Isometry3, Point3};
 
-/// Sides that are tried, as shares of the view's.
+/// Side lengths that are tried, as shares of the view's side.
 const SIDE_SHARES: [f32; 2] = [0.22, 0.18];
-/// Share of an inset left empty around its candidates, per side.
+/// Share of an inset left empty around its candidate, per side.
 const MARGIN: f32 = 0.27;
-/// The same where several share it.
+/// The same for an inset of several candidates.
 const GROUP_MARGIN: f32 = 0.1;
-/// From the rim of the view, and between the places that are tried, pixels.
+/// Distance to the border of the view, and between the positions that are tried, pixels.
 const GAP_PX: f32 = 6.0;
 const RIM_PX: u32 = 2;
 const RIM: Rgb<u8> = Rgb([60; 3]);
-/// More of them hide the view.
+/// Maximum number of insets: more would hide the view.
 const MOST: usize = 3;
 
-/// A close picture and its place.
+/// A close-up and its position.
 pub(super) struct Inset {
-    /// In the view, pixels.
+    /// Position in the view, pixels.
     pub rect: Rect,
-    /// As the view's, zoomed in.
+    /// The view's camera, zoomed in.
     pub camera: Camera,
-    /// Which boxes it is for.
+    /// Indices of the boxes it shows.
     pub boxes: Vec<usize>,
 }
 
-/// Insets for boxes that measure less than `min_px` along their longer side, where a place is free:
-/// not over `taken`, and over no box. Boxes near each other share one.
+/// Creates insets for boxes whose longer side is below `min_px`, where there is free space: not
+/// over `taken`, and not over a box. Boxes near each other share an inset.
 pub(super) fn placed(
     camera: &Camera,
     boxes: &[LabelledBox],
@@ -42,7 +42,7 @@ pub(super) fn placed(
     let size =
         |camera: &Camera, i: usize| longer_side(camera, &boxes[i].aabb).unwrap_or(f32::INFINITY);
     let mut small: Vec<usize> = (0..boxes.len()).filter(|&i| size(camera, i) < min_px).collect();
-    // The most important ones come last in the list and first here.
+    // The most important ones are last in the list and must come first here.
     small.reverse();
     let mut taken: Vec<Rect> =
         taken.iter().copied().chain(boxes.iter().filter_map(|b| bounds(camera, &b.aabb))).collect();
@@ -62,7 +62,7 @@ pub(super) fn placed(
             }
         }
         small.retain(|i| !group.contains(i));
-        // As in the view: later ones lie on top.
+        // As in the view, later ones are on top.
         group.sort_unstable();
         taken.push(rect);
         insets.push(Inset {
@@ -74,7 +74,7 @@ pub(super) fn placed(
     insets
 }
 
-/// The view's camera, zoomed in to some boxes.
+/// Returns the view's camera, zoomed in on some boxes.
 fn zoomed(camera: &Camera, boxes: &[LabelledBox], which: &[usize], side: u32) -> Camera {
     let pose: Isometry3<f32> = camera.world_to_camera().inverse();
     let corners: Vec<Point3<f32>> = which.iter().flat_map(|&i| boxes[i].aabb.corners()).collect();
@@ -90,8 +90,8 @@ fn zoomed(camera: &Camera, boxes: &[LabelledBox], which: &[usize], side: u32) ->
     )
 }
 
-/// A free square in a corner or in the middle of a side; the right side first, as titles and axes
-/// stand on the left.
+/// Returns a free square in a corner or at the middle of a side. The right side comes first,
+/// because titles and axes are on the left.
 fn corner(of: Intrinsics, side: f32, taken: &[Rect]) -> Option<Rect> {
     let (right, bottom) = (of.width as f32 - side - GAP_PX, of.height as f32 - side - GAP_PX);
     let (middle_x, middle_y) = ((of.width as f32 - side) / 2.0, (of.height as f32 - side) / 2.0);
@@ -111,7 +111,7 @@ fn corner(of: Intrinsics, side: f32, taken: &[Rect]) -> Option<Rect> {
 }
 
 impl Inset {
-    /// Puts the close picture into its place, with a rim.
+    /// Draws the close-up at its position, with a border.
     pub fn put(&self, view: &mut RgbImage, close: &RgbImage) {
         let (x, y) = (self.rect.left() as i64, self.rect.top() as i64);
         let rim =
@@ -143,7 +143,7 @@ mod tests {
         Subjects { boxes, words: Vec::new(), target }
     }
 
-    /// In a hall, where a view of the whole would leave a few pixels for a mug.
+    /// A hall, where a view of the whole leaves only a few pixels for a mug.
     #[test]
     fn every_candidate_is_large_enough_in_the_view_or_in_an_inset() {
         let hall = Aabb { center: Point3::new(0.0, 0.0, 2.0), size: Vector3::new(40.0, 25.0, 4.0) };

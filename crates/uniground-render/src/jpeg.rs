@@ -1,11 +1,12 @@
-//! Pictures as JPEG files.
+//! Encodes pictures as JPEG.
 
 use image::RgbImage;
 use jpeg_encoder::{ColorType, Encoder};
 
 const QUALITY: u8 = 85;
 
-/// Encodes a picture; empty when it has more than 65,535 pixels a side, which JPEG does not know.
+/// Encodes a picture. Returns an empty file for more than 65,535 pixels per side, which JPEG does
+/// not support.
 #[must_use]
 pub fn jpeg(image: &RgbImage) -> Vec<u8> {
     let mut bytes = Vec::new();

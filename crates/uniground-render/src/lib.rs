@@ -1,4 +1,4 @@
-//! Pictures of a parsed scene, on the CPU and deterministic: splatted points, boxes, labels.
+//! Draws pictures of a parsed scene, on the CPU and deterministic: splatted points, boxes, labels.
 
 #![warn(missing_docs)]
 
@@ -33,10 +33,11 @@ use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::Camera;
 
 const BACKGROUND: Rgb<u8> = Rgb([250, 250, 250]);
-/// How a whole room is shown: from the south, well above. Left is -X, right is +X, the far wall +Y.
+/// Default view of a whole room: from the south, well above. Left is -X, right is +X, the
+/// far wall +Y.
 pub const ROOM_VIEW: Orbit = Orbit { width: 1024, height: 768, azimuth_deg: -90.0, tilt_deg: 35.0 };
 
-/// A frame with the cloud's colours laid over it, half transparent. `camera` is the frame's own.
+/// Draws the cloud's colors over a frame, half transparent. `camera` is the frame's own.
 #[must_use]
 pub fn frame_overlay(frame: &RgbImage, camera: &Camera, render_scene: &RenderScene) -> RgbImage {
     let mut picture = frame.clone();
@@ -55,7 +56,7 @@ pub fn frame_overlay(frame: &RgbImage, camera: &Camera, render_scene: &RenderSce
     picture
 }
 
-/// Draws the scene from an orbit camera with boxes on top. One looks into it: see
+/// Draws the scene from an orbit camera with boxes on top. The inside of the room is visible: see
 /// [`Cutaway::Building`].
 #[must_use]
 pub fn scene_picture(
@@ -72,7 +73,7 @@ pub fn scene_picture(
     picture
 }
 
-/// What was drawn, with the background where nothing was.
+/// The drawn points over the background.
 fn on_paper(drawn: &Splats) -> RgbImage {
     let mut picture =
         RgbImage::from_pixel(drawn.picture.width(), drawn.picture.height(), BACKGROUND);
@@ -84,8 +85,8 @@ fn on_paper(drawn: &Splats) -> RgbImage {
     picture
 }
 
-/// Renders what a camera at `eye` that looks at `at` would see of the cloud, ceilings included:
-/// the camera (640 x 480), its picture, and the depth of every pixel in metres.
+/// Renders what a camera at `eye` that looks at `at` would see of the cloud, ceilings included.
+/// Returns the camera (640 x 480), its picture, and the depth of every pixel in meters.
 #[must_use]
 pub fn simulated_frame(
     scene: &RenderScene,

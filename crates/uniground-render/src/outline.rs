@@ -1,20 +1,20 @@
-//! What a picture is about, made plain: the outline of a mask, and its surroundings dimmed.
+//! Highlights the object of a picture: the outline of its mask, and dimmed surroundings.
 
 use image::{Rgb, RgbImage};
 use uniground_geometry::scene::CellMask;
 
-/// A light line at the object with a dark one around it: one of them stands out from any ground.
+/// A light line at the object with a dark one around it: one of them is visible on any background.
 const LIGHT: Rgb<u8> = Rgb([255, 240, 40]);
 const DARK: Rgb<u8> = Rgb([10, 10, 10]);
-/// What is left of the brightness of the surroundings.
+/// Remaining brightness of dimmed surroundings.
 const DIMMED: f32 = 0.66;
 /// Thickness of the light line and of both, in units of a line.
 const LIGHT_WIDTH: f32 = 2.0;
 const BOTH_WIDTH: f32 = 3.2;
-/// Pictures of more pixels than this on their shorter side get thicker lines.
+/// Pictures with more pixels than this on their shorter side get thicker lines.
 const USUAL_PX: f32 = 480.0;
 
-/// How far the lines reach into the surroundings in a picture of this size, pixels.
+/// How far the lines reach outside of the object in a picture of this size, pixels.
 #[must_use]
 pub fn outline_reach(width: u32, height: u32) -> u32 {
     (BOTH_WIDTH * unit(width, height)).ceil() as u32
@@ -24,18 +24,18 @@ fn unit(width: u32, height: u32) -> f32 {
     (width.min(height) as f32 / USUAL_PX).max(1.0)
 }
 
-/// What is done to the surroundings of an object.
+/// How the surroundings of an object are drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Surroundings {
-    /// They stay as they are.
+    /// Unchanged.
     Kept,
-    /// They are darker.
+    /// Darker.
     Dimmed,
 }
 
 /// Draws the outline of a mask into the part of a picture at `area` (left, top, width, height,
-/// pixels); `place` is where the mask's box is, as shares of that part: left, top, right, bottom.
-/// Nothing outside of `area` is touched.
+/// pixels). `place` is the position of the mask's box as shares of that part: left, top, right,
+/// bottom. Pixels outside of `area` do not change.
 pub fn draw_outline(
     picture: &mut RgbImage,
     (left, top, width, height): (u32, u32, u32, u32),
@@ -70,7 +70,8 @@ pub fn draw_outline(
         .flat_map(|y| (-reach..=reach).map(move |x| (x, y, ((x * x + y * y) as f32).sqrt())))
         .filter(|(_, _, distance)| *distance > 0.0 && *distance <= BOTH_WIDTH * unit)
         .collect();
-    // How near each pixel outside is to the mask; only pixels at its rim have neighbours to tell.
+    // Distance of each outside pixel to the mask. Only pixels at the mask's border need to be
+    // expanded.
     let mut nearest = vec![f32::INFINITY; inside.len()];
     for (x, y) in (0..i64::from(height)).flat_map(|y| (0..i64::from(width)).map(move |x| (x, y))) {
         let at_rim =
@@ -99,7 +100,7 @@ pub fn draw_outline(
 mod tests {
     use super::*;
 
-    /// A mask over the middle half of a picture of one colour.
+    /// Draws a mask over the middle half of a picture of one color.
     fn drawn(ground: [u8; 3], around: Surroundings) -> RgbImage {
         let mut picture = RgbImage::from_pixel(120, 100, Rgb(ground));
         draw_outline(

@@ -1,4 +1,4 @@
-//! Boxes and labels over a picture: edges behind other things dashed, labels that never cover each
+//! Draws boxes and labels over a picture: hidden edges are dashed, and labels never cover each
 //! other.
 
 use super::render_scene::Splats;
@@ -11,12 +11,12 @@ use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::Camera;
 use uniground_geometry::{Point2, Point3};
 
-/// How a box is drawn.
+/// The style of a box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BoxStyle {
     /// The chosen instance: green, the thickest lines.
     Answer,
-    /// What the answer is measured against: red.
+    /// An object that the answer is related to: red.
     Anchor,
     /// Any other instance that may be meant: blue, the thinnest lines.
     Candidate,
@@ -25,11 +25,11 @@ pub enum BoxStyle {
 /// A box in the world with a tag.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LabelledBox {
-    /// Axis-aligned, metres, world frame (Z up).
+    /// Axis-aligned, meters, world frame (Z up).
     pub aabb: Aabb,
-    /// One line of text, as written on the tag: "22", "7 anchor".
+    /// One line of text on the tag: "22", "7 anchor".
     pub label: String,
-    /// Colour and width of its lines.
+    /// Selects color and width of its lines.
     pub style: BoxStyle,
 }
 
@@ -51,19 +51,20 @@ impl BoxStyle {
     }
 }
 
-/// Sizes tried for a label's letters: smaller ones where there is no room.
+/// Font sizes tried for a label: smaller ones if there is no space.
 const LABEL_PX: [f32; 3] = [18.0, 14.0, 11.0];
 const PADDING_PX: f32 = 4.0;
 const FOOTING: [u8; 3] = [120; 3];
 const FOOTING_PX: f32 = 1.5;
-/// An edge counts as hidden when something lies this much nearer: metres, and a share of the depth.
+/// An edge counts as hidden when a surface is nearer by this much: meters, and a share of the
+/// depth.
 const HIDDEN_BY_M: f32 = 0.03;
 const HIDDEN_BY_SHARE: f32 = 0.01;
-/// Nearer to the camera than this nothing is drawn, metres.
+/// Nothing nearer to the camera than this is drawn, meters.
 const NEAR_M: f32 = 0.05;
 
-/// Draws the boxes in order, later ones on top, then the labels. `taken` are places that hold
-/// something already.
+/// Draws the boxes in order, later ones on top, then the labels. `taken` are areas that are already
+/// occupied.
 pub(super) fn draw(
     picture: &mut RgbImage,
     drawn: &Splats,
@@ -105,14 +106,14 @@ pub(super) fn draw(
     }
 }
 
-/// Position in the picture, also beyond its rim, and depth; `None` behind the camera.
+/// Position in the picture, possibly outside of it, and depth; `None` behind the camera.
 pub(super) fn position(camera: &Camera, point: &Point3<f32>) -> Option<(Point2<f32>, f32)> {
     let p = camera.world_to_camera() * point;
     let i = &camera.intrinsics;
     (p.z > NEAR_M).then(|| (Point2::new(i.fx * p.x / p.z + i.cx, i.fy * p.y / p.z + i.cy), p.z))
 }
 
-/// Thin lines where walls stand that were left out, as far as nothing hides them.
+/// Draws thin lines at the foot of walls that were left out, where nothing hides them.
 fn draw_footings(layer: &mut Pixmap, drawn: &Splats, camera: &Camera) {
     let (mut seen, mut hidden) = (PathBuilder::new(), PathBuilder::new());
     for [a, b] in &drawn.footings {
@@ -157,14 +158,13 @@ fn draw_edges(layer: &mut Pixmap, drawn: &Splats, camera: &Camera, labelled: &La
         );
     }
     if let Some(path) = seen.finish() {
-        // A pale rim keeps the line readable on any background.
+        // A pale outline keeps the line readable on any background.
         line(&path, Color::from_rgba8(255, 255, 255, 160), width + 2.0, None);
         line(&path, Color::from_rgba8(r, g, b, 255), width, None);
     }
 }
 
-/// Adds the stretches of an edge that are seen to one path and those behind other things to
-/// another.
+/// Adds the visible stretches of an edge to one path and the hidden ones to another.
 fn edge(
     drawn: &Splats,
     camera: &Camera,
@@ -207,7 +207,7 @@ fn edge(
     }
 }
 
-/// A line from a label that found no room at its box to the box.
+/// Draws a line between a box and its label, if the label did not fit at the box.
 fn draw_leader(layer: &mut Pixmap, style: BoxStyle, rect: &Rect, home: Point2<f32>) {
     const TOUCHING_PX: f32 = 14.0;
     let nearest = Point2::new(
@@ -233,17 +233,17 @@ fn draw_leader(layer: &mut Pixmap, style: BoxStyle, rect: &Rect, home: Point2<f3
     );
 }
 
-/// Where a label stands.
+/// The position of a label.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct LabelSpot {
     pub rect: Rect,
     pub size_px: f32,
-    /// The point of the box it belongs to: the middle of its upper rim.
+    /// The point of the box that the label refers to: the middle of its upper border.
     home: Point2<f32>,
 }
 
-/// A place for every label that has a box in the picture: as near to the box as there is room,
-/// never over another label, and not over the middle of another box while there is a choice. The
+/// Finds a position for every label that has a box in the picture: as near to the box as possible,
+/// never over another label, and not over the middle of another box if there is an alternative. The
 /// last boxes are the most important, so they choose first.
 pub(super) fn label_places(
     picture: (u32, u32),
@@ -277,7 +277,7 @@ pub(super) fn label_places(
     places
 }
 
-/// Where a box is in the picture, also beyond its rim; `None` when it is behind the camera.
+/// Bounds of a box in the picture, possibly outside of it; `None` when it is behind the camera.
 pub(super) fn bounds(camera: &Camera, aabb: &Aabb) -> Option<Rect> {
     let corners = aabb.corners();
     let mut at = corners.iter().filter_map(|corner| position(camera, corner)).map(|(at, _)| at);
@@ -286,7 +286,7 @@ pub(super) fn bounds(camera: &Camera, aabb: &Aabb) -> Option<Rect> {
     Rect::from_ltrb(low.x, low.y, high.x, high.y)
 }
 
-/// The middle of a box's upper rim, moved into the picture; `None` when the box is behind the
+/// The middle of a box's upper border, moved into the picture; `None` when the box is behind the
 /// camera.
 fn home((width, height): (u32, u32), camera: &Camera, aabb: &Aabb) -> Option<Point2<f32>> {
     let corners: Vec<Point2<f32>> =
@@ -299,7 +299,7 @@ fn home((width, height): (u32, u32), camera: &Camera, aabb: &Aabb) -> Option<Poi
     })
 }
 
-/// Places for a label: above its box, then in rings around that, all within the picture.
+/// Candidate positions for a label: above its box, then in rings around it, all within the picture.
 fn spots(
     (width, height): (u32, u32),
     home: Point2<f32>,
@@ -332,7 +332,7 @@ pub(super) fn overlap(a: &Rect, b: &Rect) -> bool {
     a.left() < b.right() && b.left() < a.right() && a.top() < b.bottom() && b.top() < a.bottom()
 }
 
-/// Puts a premultiplied layer over the picture.
+/// Blends a premultiplied layer over the picture.
 pub(super) fn blend(picture: &mut RgbImage, layer: &Pixmap) {
     for (below, above) in
         picture.pixels_mut().zip(layer.pixels()).filter(|(_, above)| above.alpha() > 0)
@@ -398,8 +398,8 @@ mod tests {
         }
     }
 
-    /// A wall in front of the far half of a box: along its upper edge the line is whole where it is
-    /// seen and broken behind the wall.
+    /// A wall in front of the far half of a box: the line along the box's upper edge is solid where
+    /// it is visible and dashed behind the wall.
     #[test]
     fn edges_behind_things_are_dashed() {
         let mut cloud = PointCloud::default();

@@ -1,4 +1,4 @@
-//! Points as z-buffered squares, large enough to close the gaps between them.
+//! Draws points as z-buffered squares, large enough to close the gaps between them.
 
 use super::building::{Building, RIM_M, holds};
 use image::{Rgba, RgbaImage};
@@ -10,49 +10,49 @@ use uniground_geometry::scene::{Camera, Instance, PointCloud};
 use uniground_geometry::statistics::quantile;
 use uniground_geometry::voxels::typical_spacing_m;
 
-/// A splat is this much wider than the spacing of the points: seen at a slant, surfaces would tear
-/// otherwise.
+/// Width of a splat relative to the spacing of the points: without overlap, slanted surfaces would
+/// show gaps.
 const OVERLAP: f32 = 1.6;
 const MAX_SPLAT_PX: f32 = 24.0;
 /// Points above this height percentile are left out, so that a ceiling does not hide the room
 /// (paper: 95th).
 const CEILING_PERCENTILE: f32 = 0.95;
-/// Only a scene taller than this has a ceiling to leave out, metres.
+/// Minimum height of a scene with a ceiling to leave out, meters.
 const CEILING_FROM_M: f32 = 2.0;
 
-/// What is left out of a picture so that one can look into a room from outside.
+/// What is left out of a picture so that it shows a room from outside.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Cutaway {
-    /// Walls and ceilings that turn their backs on the camera or hide a subject, with what hangs on
-    /// them. Subjects themselves are always drawn. Where no ceiling is known the highest points
-    /// are left out as well.
+    /// Leaves out walls and ceilings whose backs face the camera or that hide a subject, with the
+    /// things on them. Subjects themselves are always drawn. If no ceiling is known, the highest
+    /// points are left out as well.
     #[default]
     Building,
-    /// Paper: points above the 95th height percentile, whatever they are.
+    /// Paper: leaves out points above the 95th height percentile, whatever they are.
     HighestPoints,
 }
 
-/// A cloud and what has to be known of it before it can be drawn.
+/// A cloud, prepared for drawing.
 #[derive(Debug, Clone)]
 pub struct RenderScene {
-    /// Every point, the ceiling's too.
+    /// Every point, including the ceiling.
     pub cloud: Arc<PointCloud>,
     spacing_m: f32,
-    /// Points above this Z are the highest; infinite in a low room.
+    /// Points above this Z are left out as the highest; infinite in a low room.
     ceiling_m: f32,
-    /// Walls and ceilings, where stage 1 has found some.
+    /// Walls and ceilings, if stage 1 has found some.
     building: Option<Building>,
 }
 
 impl RenderScene {
-    /// Measures a cloud of which nothing else is known: a pass over its points.
+    /// Prepares a cloud of which nothing else is known: one pass over its points.
     #[must_use]
     pub fn of(cloud: impl Into<Arc<PointCloud>>) -> Self {
         Self::of_parsed(cloud, &[])
     }
 
-    /// Measures a cloud whose walls and ceilings are known: some passes over its points. Two bytes
-    /// a point are kept beside the cloud.
+    /// Prepares a cloud with known walls and ceilings: several passes over its points. Stores two
+    /// bytes per point beside the cloud.
     #[must_use]
     pub fn of_parsed(cloud: impl Into<Arc<PointCloud>>, instances: &[Instance]) -> Self {
         let cloud = cloud.into();
@@ -68,7 +68,7 @@ impl RenderScene {
         Self { spacing_m: typical_spacing_m(&cloud.positions), ceiling_m, building, cloud }
     }
 
-    /// Draws the room as from outside, `subjects` in sight.
+    /// Draws the room from outside, with `subjects` visible.
     #[must_use]
     pub(super) fn drawn(&self, camera: &Camera, cutaway: Cutaway, subjects: &[Aabb]) -> Splats {
         let highest_m = match (&self.building, cutaway) {
@@ -103,12 +103,12 @@ impl RenderScene {
     }
 }
 
-/// What was drawn: colours, and the depth along the optical axis in metres. Where nothing was drawn
-/// they are transparent and infinite.
+/// A drawing: colors, and the depth along the optical axis in meters. Empty pixels are transparent
+/// and infinitely deep.
 pub(super) struct Splats {
     pub picture: RgbaImage,
     pub depth_m: Vec<f32>,
-    /// Where walls that were left out stand on the floor, world frame.
+    /// Where walls that were left out meet the floor, world frame.
     pub footings: Vec<[Point3<f32>; 2]>,
 }
 
@@ -124,8 +124,8 @@ impl Splats {
         }
     }
 
-    /// Darkens surfaces that turn away from the camera, by up to `strength`: normals come from the
-    /// drawn depth, so that a grey chair stands out from a grey floor.
+    /// Darkens surfaces that face away from the camera, by up to `strength`. Normals come from the
+    /// drawn depth. A gray chair thus stands out from a gray floor.
     pub fn shade(&mut self, camera: &Camera, strength: f32) {
         let (width, height) = (self.picture.width() as usize, self.picture.height() as usize);
         let intrinsics = camera.intrinsics;
@@ -133,8 +133,8 @@ impl Splats {
             let z_m = self.depth_m[row * width + column];
             z_m.is_finite().then(|| intrinsics.unproject(column as f32, row as f32, z_m))
         };
-        // Steps of several pixels: splats are small squares that face the camera, and within one of
-        // them there is no slope.
+        // Steps of several pixels: splats are small squares that face the camera, so there is no
+        // slope within one.
         const STEP: usize = 3;
         let mut light = vec![1.0_f32; width * height];
         light.par_chunks_mut(width).enumerate().for_each(|(row, of_row)| {

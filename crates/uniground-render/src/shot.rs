@@ -1,5 +1,5 @@
-//! A photograph as evidence: the whole of it, a crop of what it is about, and what of both shows
-//! that.
+//! A photograph as evidence: the whole of it, a crop of its subject, and the mask of the subject in
+//! both.
 
 use image::{RgbImage, imageops};
 use uniground_geometry::scene::{CellMask, FrameIndex, View};
@@ -7,38 +7,38 @@ use uniground_geometry::scene::{CellMask, FrameIndex, View};
 /// One photograph that shows a candidate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Shot {
-    /// The candidate and a little around it.
+    /// The candidate with a margin.
     pub crop: RgbImage,
-    /// The photograph as it was taken, or with its box drawn already.
+    /// The photograph as taken, or with its box already drawn.
     pub frame: RgbImage,
-    /// Where the candidate is in `frame`: left, top, right, bottom as shares of its width and
+    /// Position of the candidate in `frame`: left, top, right, bottom as shares of its width and
     /// height.
     pub place: [f32; 4],
-    /// What of the candidate's place shows it, and that place in `crop`; `None` where it is not
-    /// known, or drawn already.
+    /// Mask of the candidate within `place`, and the position of that place in `crop`; `None` if it
+    /// is not known, or already drawn.
     pub mask: Option<(CellMask, [f32; 4])>,
-    /// The frame the photograph was taken with, and what of it `crop` shows (left, top, right,
-    /// bottom, pixels); `None` for other pictures.
+    /// The frame the photograph was taken with, and the part of it that `crop` shows (left, top,
+    /// right, bottom, pixels); `None` for other pictures.
     pub taken: Option<(FrameIndex, [u32; 4])>,
 }
 
-/// A crop grows the tight box by this share of its width and height per side, so that the object is
-/// not cut at its rim.
+/// Margin of a crop around the tight box on each side, as a share of the box's width and height, so
+/// that the object is not cut off.
 const CROP_MARGIN: f32 = 0.1;
-/// A crop has at least so many pixels of the photograph each way, where the photograph has them:
-/// what is small is known by what is around it.
+/// Minimum size of a crop each way, pixels, if the photograph is that large: small objects are
+/// recognized by their surroundings.
 const LEAST_CROP_PX: u32 = 224;
 
 impl Shot {
-    /// Pictures made before: a crop, and the photograph with its box at `box_px` (left, top, right,
-    /// bottom, pixels).
+    /// Creates a shot from existing pictures: a crop, and the photograph with its box at `box_px`
+    /// (left, top, right, bottom, pixels).
     #[must_use]
     pub fn new(crop: RgbImage, frame: RgbImage, box_px: [u32; 4]) -> Self {
         let place = shares(box_px, [0, 0, frame.width(), frame.height()]);
         Self { crop, frame, place, mask: None, taken: None }
     }
 
-    /// A view and the photograph it is of.
+    /// Creates a shot of a view and its photograph.
     #[must_use]
     pub fn of_view(photograph: RgbImage, view: &View) -> Self {
         let area = crop_area(view.box_px, photograph.dimensions());
@@ -51,7 +51,8 @@ impl Shot {
         Self { mask, taken: Some((view.frame, area)), ..Self::new(crop, photograph, view.box_px) }
     }
 
-    /// Pixels of the photograph that show the candidate; without a mask, those of its box.
+    /// Number of pixels of the photograph that show the candidate; without a mask, those of its
+    /// box.
     #[must_use]
     pub fn covered_px(&self) -> f32 {
         let [left, top, right, bottom] = self.place;
@@ -64,8 +65,8 @@ impl Shot {
     }
 }
 
-/// What to cut out of a photograph to show a box (left, top, right, bottom, pixels): with a margin,
-/// and enough of it to be known by.
+/// Returns the part of a photograph to crop for a box (left, top, right, bottom, pixels): with a
+/// margin, and large enough to recognize the object.
 #[must_use]
 pub fn crop_area([left, top, right, bottom]: [u32; 4], (width, height): (u32, u32)) -> [u32; 4] {
     let along = |low: u32, high: u32, length: u32| {
@@ -77,7 +78,7 @@ pub fn crop_area([left, top, right, bottom]: [u32; 4], (width, height): (u32, u3
         if missing == 0 {
             return (low, high);
         }
-        // What one side has no room for, the other gives.
+        // Space that is missing on one side is taken from the other.
         let high = (low.saturating_sub(missing / 2) + least).min(length);
         (high - least, high)
     };
@@ -85,14 +86,14 @@ pub fn crop_area([left, top, right, bottom]: [u32; 4], (width, height): (u32, u3
     [x, y, x2, y2]
 }
 
-/// An area of a photograph (left, top, right, bottom, pixels) as a picture of its own.
+/// Cuts out an area of a photograph (left, top, right, bottom, pixels).
 #[must_use]
 pub fn cut(photograph: &RgbImage, [left, top, right, bottom]: [u32; 4]) -> RgbImage {
     imageops::crop_imm(photograph, left, top, (right - left).max(1), (bottom - top).max(1))
         .to_image()
 }
 
-/// A box in shares of an area, both in pixels of one picture.
+/// Converts a box to shares of an area, both in pixels of one picture.
 #[must_use]
 pub fn shares(box_px: [u32; 4], [left, top, right, bottom]: [u32; 4]) -> [f32; 4] {
     let [l, t, r, b] = box_px.map(|v| v as f32);
@@ -108,7 +109,8 @@ mod tests {
     use uniground_geometry::scene::FrameIndex;
 
     proptest! {
-        /// Whatever the box, its crop holds it, lies in the photograph, and has 224 pixels each way where the photograph has them.
+        /// Whatever the box, its crop contains it, lies in the photograph, and has 224 pixels each
+        /// way if the photograph is that large.
         #[test]
         fn a_crop_holds_its_box_and_enough_around_it(
             (width, height) in (1..900_u32, 1..700_u32), low in (0.0..1.0_f32, 0.0..1.0_f32), size in (0.0..1.0_f32, 0.0..1.0_f32),

@@ -46,7 +46,8 @@ pub(super) fn draw(
     }
 }
 
-/// Glyphs from the origin, baseline set so that the line starts at its top; and the advance.
+/// Returns glyphs from the origin, with the baseline set so that the line starts at its top; and
+/// the advance.
 fn layout(text: &str, size_px: f32) -> (Vec<Glyph>, f32) {
     let Some(font) = FONT.as_ref() else { return (Vec::new(), 0.0) };
     let scaled = font.as_scaled(PxScale::from(size_px));

@@ -9,14 +9,14 @@ const BOTTOM: f32 = 34.0;
 const TOP: f32 = 14.0;
 const COLOURS: [&str; 6] = ["#2a6fbb", "#c0392b", "#2c8a4b", "#8e5bb5", "#c77f1b", "#4a4a4a"];
 
-/// A line of a chart.
+/// One line of a chart.
 pub(super) struct Line {
     pub name: String,
     pub points: Vec<(f32, f32)>,
 }
 
-/// Lines over a common X axis; Y starts at zero and ends at `top`, or a little above the highest
-/// point.
+/// Draws lines over a common X axis. Y starts at zero and ends at `top`, or slightly above the
+/// highest point.
 pub(super) fn lines(title: &str, x_label: &str, lines: &[Line], top: Option<f32>) -> String {
     let points = || lines.iter().flat_map(|line| &line.points);
     let highest = points().map(|p| p.1).fold(0.0, f32::max);
@@ -56,7 +56,7 @@ pub(super) fn lines(title: &str, x_label: &str, lines: &[Line], top: Option<f32>
                 y_of(*y)
             );
         }
-        // Curves rise to the right: the legend stands where they seldom are.
+        // Curves rise to the right, so the legend is placed where they seldom are.
         let y = HEIGHT - BOTTOM - 8.0 - 14.0 * (lines.len() - 1 - i) as f32;
         let name = super::escaped(&line.name);
         let _ = write!(
@@ -69,7 +69,7 @@ pub(super) fn lines(title: &str, x_label: &str, lines: &[Line], top: Option<f32>
     svg
 }
 
-/// Bars of equal width over `0..=1`.
+/// Draws bars of equal width over `0..=1`.
 pub(super) fn histogram(title: &str, x_label: &str, counts: &[usize]) -> String {
     let top = counts.iter().copied().max().unwrap_or(0).max(1) as f32;
     let y_of = |y: f32| HEIGHT - BOTTOM - y / top * (HEIGHT - BOTTOM - TOP);

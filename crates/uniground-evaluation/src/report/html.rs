@@ -1,4 +1,4 @@
-//! The report as one page that needs nothing beside it: tables, charts, and every failure with its
+//! Writes the report as a single self-contained page: tables, charts, and every failure with its
 //! picture.
 
 use super::charts::{self, Line};
@@ -23,7 +23,7 @@ svg text{font-size:11px;fill:#444}.note{background:#fff4d6;padding:.3rem .8rem;m
 .failure img{width:100%;border:1px solid #ddd}.failure p{margin:.2rem 0}.q{font-weight:600}.id{color:#777;font-size:13px}\
 summary{cursor:pointer;font-weight:600;margin:1rem 0}";
 
-/// The whole page.
+/// Returns the whole page.
 pub(super) fn page(report: &Report, folder: &Utf8Path, embedded: usize) -> String {
     let run = &report.run;
     let mut page = format!(
@@ -197,13 +197,13 @@ fn failure(outcome: &ScoredExpression, folder: &Utf8Path, embed: bool) -> String
     html
 }
 
-/// Latency and tokens over `top_k`, where a run varies it.
+/// Returns charts of latency and tokens over `top_k`, if a run varies it.
 fn cost_charts(report: &Report) -> String {
     let mut latency: BTreeMap<String, Vec<(f32, f32)>> = BTreeMap::new();
     let mut tokens = latency.clone();
     for cell in &report.cells {
         let k = cell.configuration.top_k;
-        // Cells that differ in top_k alone make a line.
+        // Cells that differ only in top_k form one line.
         let name = cell
             .name
             .split(", ")

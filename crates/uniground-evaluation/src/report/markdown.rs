@@ -1,13 +1,13 @@
-//! The report as Markdown tables.
+//! Writes the report as Markdown tables.
 
 use super::{CellReport, Report};
 use crate::measures::{Figures, Share};
 use std::fmt::Write;
 
-/// How many omissions are listed.
+/// Maximum number of omissions that are listed.
 const SHOWN_OMISSIONS: usize = 50;
 
-// Writing to a String can not fail.
+// Writing to a String cannot fail.
 pub(super) fn page(report: &Report) -> String {
     let mut page = String::new();
     let run = &report.run;
@@ -59,7 +59,7 @@ pub(super) fn page(report: &Report) -> String {
 const HEAD: &str = "| | n | Acc@.25 | Acc@.5 | filtered .25 | .5 | mIoU | first .25 | recall@k .25 | any instance .25 | absent told | denied |";
 const RULE: &str = "|---|---|---|---|---|---|---|---|---|---|---|---|";
 
-/// One row per cell.
+/// Returns a table with one row per cell.
 fn cells_table(report: &Report) -> String {
     let mut table = format!(
         "{HEAD} ambiguous | failed | ms p50 | p95 | calls | tokens | USD |\n{RULE}---|---|---|---|---|---|---|\n"
@@ -83,7 +83,7 @@ fn cells_table(report: &Report) -> String {
     table
 }
 
-/// One row per split and scene.
+/// Returns a table with one row per split and scene.
 fn splits_table(cell: &CellReport) -> String {
     let mut table = format!("{HEAD}\n{RULE}\n");
     for (name, figures) in
@@ -127,7 +127,7 @@ fn row(name: &str, f: &Figures) -> String {
     )
 }
 
-/// "60.0 (45-75)", in percent.
+/// Formats a share with its interval in percent: "60.0 (45-75)".
 pub(super) fn interval(share: &Share) -> String {
     if share.of == 0 {
         return "-".into();

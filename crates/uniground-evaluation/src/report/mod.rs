@@ -20,34 +20,34 @@ use uniground_types::answer::Models;
 
 const FORMAT: &str = "uniground-report/1";
 
-/// Everything a run found.
+/// All results of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     pub format: String,
     pub suite: String,
     pub run: RunFacts,
     pub scenes: usize,
-    /// Expressions that could be scored.
+    /// Number of expressions that could be scored.
     pub expressions: usize,
-    /// What of the suite could not be used.
+    /// Parts of the suite that could not be used.
     pub omissions: Vec<Omission>,
     pub cells: Vec<CellReport>,
 }
 
-/// Where figures come from.
+/// The origin of the figures.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunFacts {
     /// `in process`, or the server's address.
     pub system: String,
     pub version: String,
-    /// What the caller calls this run, e.g. a commit.
+    /// The caller's label for this run, e.g. a commit.
     pub label: Option<String>,
     pub machine: String,
     /// RFC 3339, UTC.
     pub written_at: String,
-    /// Annotated classes and anchors were handed over: not leak-free.
+    /// Whether annotated classes and anchors were given to the system. Such a run is not leak-free.
     pub paper_compatible: bool,
-    /// Of the bootstrap.
+    /// Seed of the bootstrap.
     pub seed: u64,
 }
 
@@ -56,14 +56,14 @@ pub struct RunFacts {
 pub struct CellReport {
     pub name: String,
     pub configuration: Configuration,
-    /// As the replies name them; `None` when there was none.
+    /// Models as named in the replies. `None` when the replies name none.
     pub models: Option<Models>,
-    /// What a reader must know to read the figures.
+    /// Notes that are needed to interpret the figures.
     pub notes: Vec<String>,
     pub figures: Figures,
     pub splits: BTreeMap<String, Figures>,
     pub by_scene: BTreeMap<String, Figures>,
-    /// Expressions whose scene could not be used by this cell, and why.
+    /// Expressions whose scene could not be used by this cell, with the reason.
     pub left_out: Vec<LeftOut>,
     pub outcomes: Vec<ScoredExpression>,
 }
@@ -89,10 +89,10 @@ impl Report {
         }
     }
 
-    /// Reads a `report.json`, or that of a folder.
+    /// Reads a `report.json`, from its path or its folder.
     ///
     /// # Errors
-    /// An unreadable file, or one that is no report.
+    /// Returns an error for an unreadable file, or one that is not a report.
     pub fn read(path: &Utf8Path) -> anyhow::Result<Self> {
         let file = if path.is_dir() { path.join("report.json") } else { path.to_owned() };
         let text = fs::read_to_string(&file).with_context(|| file.to_string())?;
@@ -105,11 +105,11 @@ impl Report {
         Ok(report)
     }
 
-    /// Writes `report.json`, `report.md` and `index.html`. Pictures are taken from the folder; the
-    /// first `embedded` of them per cell become part of the page, the rest are links.
+    /// Writes `report.json`, `report.md` and `index.html`. Pictures are taken from the folder. The
+    /// first `embedded` of them per cell are embedded in the page, the others are linked.
     ///
     /// # Errors
-    /// When the folder can not be written.
+    /// Returns an error when the folder cannot be written.
     pub fn write(&self, folder: &Utf8Path, embedded: usize) -> anyhow::Result<()> {
         let write = |name: &str, content: Vec<u8>| {
             fs::write(folder.join(name), content).with_context(|| folder.join(name).to_string())
@@ -119,7 +119,7 @@ impl Report {
         write("index.html", html::page(self, folder, embedded).into_bytes())
     }
 
-    /// The tables.
+    /// Returns the Markdown tables.
     #[must_use]
     pub fn markdown(&self) -> String {
         markdown::page(self)
@@ -140,8 +140,8 @@ impl CellReport {
                 .map(|(name, group)| (name.to_owned(), Figures::of(&group, seed)))
                 .collect()
         };
-        // Where the built-in reasoner stood in for a model here and there, the cell is still the
-        // model's.
+        // If the built-in reasoner was the fallback for some questions, the cell is still
+        // attributed to the model.
         let replies =
             || outcomes.iter().filter_map(|o| o.reply.as_ref()).map(|reply| &reply.models);
         let models = replies()
@@ -161,13 +161,13 @@ impl CellReport {
         }
     }
 
-    /// Wrong answers, in the order of the suite.
+    /// Returns wrong answers, in the order of the suite.
     pub fn failures(&self) -> impl Iterator<Item = &ScoredExpression> {
         self.outcomes.iter().filter(|o| !o.is_right())
     }
 }
 
-/// Text as it may stand in HTML.
+/// Escapes text for HTML.
 #[must_use]
 pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")

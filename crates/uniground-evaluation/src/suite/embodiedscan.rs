@@ -1,10 +1,10 @@
-//! `EmbodiedScan` visual grounding lists (`{scan_id, target_id, distractor_ids, text, target,
+//! Reads `EmbodiedScan` visual grounding lists (`{scan_id, target_id, distractor_ids, text, target,
 //! anchors}`) and `UniGround`'s query lists of `ScanNet` and `ARKitScenes` (`{scan_id, target_id,
 //! target_name, caption}`).
 //!
-//! `scan_id` may carry its dataset (`arkitscenes/Training/47333462`): scans and annotations go by
-//! its last part. Targets are looked up by `bbox_id`; an expression with several targets has no
-//! single right box and is left out.
+//! `scan_id` may include its data set (`arkitscenes/Training/47333462`): its last part identifies
+//! scans and annotations. Targets are resolved by `bbox_id`. An expression with several targets has
+//! no single correct box and is left out.
 
 use super::scanrefer::Number;
 use super::tables::depends_on_view;
@@ -13,7 +13,7 @@ use crate::records::{Omission, Record};
 use camino::Utf8Path;
 use serde::Deserialize;
 
-/// More objects of the target's kind than this make an expression hard (`EmbodiedScan`).
+/// Maximum number of other objects of the target's class for an easy expression (`EmbodiedScan`).
 const EASY_DISTRACTORS: usize = 3;
 
 #[derive(Deserialize)]
@@ -67,8 +67,8 @@ fn task_of(record: VisualGroundingRecord, index: usize) -> Result<RawTask, Strin
     let distractors = record.distractor_ids.as_ref().map(Vec::len);
     splits
         .extend(distractors.map(|n| if n > EASY_DISTRACTORS { "hard" } else { "easy" }.to_owned()));
-    // The converter of the paper writes `false` for every expression of ARKitScenes: only `true`
-    // says something.
+    // The paper's converter writes `false` for every expression of ARKitScenes. Only `true` is
+    // reliable.
     let uniqueness = match (distractors, record.unique) {
         (Some(0), _) | (None, Some(true)) => Some("unique"),
         (Some(_), _) => Some("multiple"),

@@ -1,10 +1,11 @@
-//! `ScanNet`'s table of labels, and the eighteen classes `ScanRefer` tells unique from multiple by.
+//! `ScanNet`'s table of labels, and the 18 classes that `ScanRefer` uses to distinguish unique from
+//! multiple.
 
 use anyhow::{Context, ensure};
 use camino::Utf8Path;
 use std::collections::HashMap;
 
-/// The classes; everything else is "others".
+/// The classes. Everything else is "others".
 const CLASSES: [&str; 17] = [
     "cabinet",
     "bed",
@@ -55,7 +56,7 @@ impl LabelMap {
         Ok(Self(classes))
     }
 
-    /// The class of an object's name.
+    /// Returns the class of an object's name.
     pub(super) fn class(&self, name: &str) -> &'static str {
         let class = self.0.get(name).map_or("", String::as_str);
         CLASSES.into_iter().find(|c| *c == class).unwrap_or("others")

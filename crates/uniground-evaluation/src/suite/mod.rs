@@ -1,8 +1,8 @@
-//! Suites: scenes, expressions and ground truth, from the layouts the field uses.
+//! Suites: scenes, expressions and ground truth, in common layouts of benchmarks.
 //!
 //! Readers ([`queries`], [`scanrefer`], [`tables`], [`embodiedscan`], [`task_folders`]) turn files
-//! into [`RawTask`]s; here they are joined with scans and annotations. What can not be used is told
-//! with file and line, the rest is scored.
+//! into [`RawTask`]s. This module joins them with scans and annotations. Unusable records are
+//! reported with file and line, the rest is scored.
 
 mod embodiedscan;
 mod label_map;
@@ -22,7 +22,7 @@ use std::fs;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::rotated_box::RotatedBox;
 
-/// What a system is told of a task.
+/// The part of a task that a system may see.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Expression {
     pub query: String,
@@ -31,7 +31,7 @@ pub struct Expression {
 /// One expression to be grounded.
 #[derive(Debug, Clone)]
 pub struct Task {
-    /// Unique within the suite, and the same from run to run.
+    /// Unique within the suite and stable across runs.
     pub id: String,
     /// Index into [`Suite::scenes`].
     pub scene: usize,
@@ -40,7 +40,7 @@ pub struct Task {
     pub hints: Sealed<Hints>,
 }
 
-/// What is right, and which splits of a report the task counts in.
+/// The correct answer, and the splits of a report in which the task counts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {
     pub target: Target,
@@ -55,14 +55,14 @@ pub enum Target {
     Object {
         name: Option<String>,
         aabb: Aabb,
-        /// Where the annotation says how the object stands.
+        /// The oriented box, if the annotation has one.
         rotated: Option<RotatedBox>,
     },
-    /// No such object in the scene.
+    /// The scene contains no such object.
     Absent,
 }
 
-/// What a paper-compatible run may hand over: the annotated class and anchors of `task.json`.
+/// Data that a paper-compatible run may pass on: the annotated class and anchors of `task.json`.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Hints {
     pub target_name: Option<String>,
@@ -73,14 +73,14 @@ pub struct Hints {
 #[derive(Debug, Clone)]
 pub struct SuiteScene {
     pub id: String,
-    /// Archive or folder of the scan, or a bare cloud.
+    /// Archive or folder of the scan, or a single cloud.
     pub scan: Option<Utf8PathBuf>,
     pub annotations: Option<Sealed<Annotations>>,
-    /// Candidates somebody else's stage 1 left in a task folder; no ground truth.
+    /// Candidates from another stage 1, stored in a task folder. Not ground truth.
     pub recorded: Option<Annotations>,
 }
 
-/// Everything there is to score.
+/// A suite: scenes and tasks to score.
 #[derive(Debug, Clone)]
 pub struct Suite {
     pub name: String,
@@ -89,17 +89,17 @@ pub struct Suite {
     pub omissions: Vec<Omission>,
 }
 
-/// How a suite is read.
+/// Options for reading a suite.
 #[derive(Debug, Clone, Default)]
 pub struct SuiteOptions {
-    /// Where scans and annotations lie; the suite's own folder when `None`.
+    /// Folder of scans and annotations. `None`: the suite's own folder.
     pub scenes: Option<Utf8PathBuf>,
-    /// `ScanNet`'s `scannetv2-labels.combined.tsv`, to tell unique from multiple as `ScanRefer`
-    /// does.
+    /// `ScanNet`'s `scannetv2-labels.combined.tsv`, to distinguish unique from multiple as
+    /// `ScanRefer` does.
     pub label_map: Option<Utf8PathBuf>,
 }
 
-/// A task as its file tells it, before its target is looked up.
+/// A task as read from its file, before its target is resolved.
 #[derive(Debug, Clone)]
 struct RawTask {
     file: Utf8PathBuf,
@@ -109,7 +109,7 @@ struct RawTask {
     query: String,
     target: RawTarget,
     target_name: Option<String>,
-    /// As the file has it; `None` = count names in the annotations.
+    /// The value in the file. `None`: names are counted in the annotations.
     uniqueness: Option<&'static str>,
     splits: Vec<String>,
     anchors: Vec<(String, Aabb)>,
@@ -122,7 +122,7 @@ enum RawTarget {
     Absent,
 }
 
-/// What readers collect.
+/// The output of the readers.
 #[derive(Debug, Default)]
 struct Collected {
     tasks: Vec<RawTask>,
@@ -151,8 +151,8 @@ impl Suite {
     /// Opens a folder, a JSON list, a `suite.json` or a CSV table.
     ///
     /// # Errors
-    /// When there is nothing to score: an unreadable path, an unknown layout, or no usable
-    /// expression (the reasons are in the message).
+    /// Returns an error when there is nothing to score: an unreadable path, an unknown layout, or
+    /// no usable expression (the reasons are in the message).
     pub fn open(path: &Utf8Path, options: &SuiteOptions) -> anyhow::Result<Self> {
         ensure!(path.exists(), "{path}: there is no such file or folder");
         if let Some(file) = &options.label_map {
@@ -178,7 +178,7 @@ impl Suite {
         Ok(suite)
     }
 
-    /// The first `count` tasks of an order that depends on ids and `seed` alone.
+    /// Returns the first `count` tasks in an order that depends only on ids and `seed`.
     #[must_use]
     pub fn sampled(mut self, count: usize, seed: u64) -> Self {
         let mut keyed: Vec<(u64, usize)> =
@@ -192,7 +192,8 @@ impl Suite {
 }
 
 impl Suite {
-    /// The tasks of the first `count` scenes of an order that depends on ids and `seed` alone.
+    /// Returns the tasks of the first `count` scenes in an order that depends only on ids and
+    /// `seed`.
     #[must_use]
     pub fn sampled_by_scene(mut self, count: usize, seed: u64) -> Self {
         let asked_about: BTreeSet<usize> = self.tasks.iter().map(|task| task.scene).collect();
@@ -207,7 +208,7 @@ impl Suite {
     }
 }
 
-/// FNV-1a: stable over platforms and versions, which the standard hasher is not.
+/// FNV-1a. Stable over platforms and versions, unlike the standard hasher.
 fn hash(text: &str, seed: u64) -> u64 {
     let start = 0xcbf2_9ce4_8422_2325 ^ seed.wrapping_mul(0x9e37_79b9_7f4a_7c15);
     let mixed =
@@ -215,14 +216,15 @@ fn hash(text: &str, seed: u64) -> u64 {
     (mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9)
 }
 
-/// A folder holds `*.queries.json`, a `suite.json`, or `task.json` folders up to three levels down.
+/// Reads a folder with `*.queries.json`, a `suite.json`, or `task.json` folders up to three levels
+/// down.
 fn read_folder(folder: &Utf8Path, collected: &mut Collected) -> anyhow::Result<()> {
     let mut found = false;
     for file in entries(folder)? {
         let name = file.file_name().unwrap_or_default();
         if name.ends_with(".queries.json") || name == "suite.json" {
             found = true;
-            // One file that can not be read must not take the others along.
+            // One unreadable file must not prevent reading the others.
             if let Err(error) = read_file(&file, &SuiteOptions::default(), collected) {
                 collected.omissions.push(Omission::new(&file, None, format!("{error:#}")));
             }
@@ -236,7 +238,7 @@ fn read_folder(folder: &Utf8Path, collected: &mut Collected) -> anyhow::Result<(
     Ok(())
 }
 
-/// Files and folders directly below, in order of name.
+/// Returns files and folders directly below, sorted by name.
 fn entries(folder: &Utf8Path) -> anyhow::Result<Vec<Utf8PathBuf>> {
     let listed = folder.read_dir_utf8().with_context(|| folder.to_string())?;
     let mut paths =
@@ -268,7 +270,7 @@ fn read_file(
             return Ok(());
         }
     };
-    // The first record that is an object says which list this is.
+    // The first record that is an object determines the kind of list.
     let keys: Option<BTreeMap<String, serde_json::Value>> =
         records.iter().find_map(|record| record.decode(file).ok());
     let has = |key: &str| keys.as_ref().is_some_and(|keys| keys.contains_key(key));
@@ -331,7 +333,7 @@ fn scene_of(
     SuiteScene { id: id.to_owned(), scan, annotations, recorded }
 }
 
-/// Looks up the target of a task; the error says why it can not be scored.
+/// Resolves the target of a task. The error is the reason why it cannot be scored.
 fn resolve(task: &RawTask, scene: usize, suite_scene: &SuiteScene) -> Result<Task, String> {
     if task.query.trim().is_empty() {
         return Err("the query is empty".into());

@@ -1,5 +1,5 @@
-//! `<scene>.queries.json`, a list of expressions about one scene; and `suite.json`, which names its
-//! scenes itself.
+//! Reads `<scene>.queries.json`, a list of expressions about one scene, and `suite.json`, which
+//! lists its own scenes.
 
 use super::{Collected, RawTarget, RawTask, SceneFiles};
 use crate::records::{Omission, Record};
@@ -15,7 +15,7 @@ struct QueryRecord {
     id: Option<String>,
     scene: Option<String>,
     query: String,
-    /// `null`: no such object. Left out, there must be a box.
+    /// `null`: no such object exists. If missing, there must be a box.
     #[serde(default = "left_out")]
     target_id: Value,
     target_box: Option<Aabb>,
@@ -24,7 +24,7 @@ struct QueryRecord {
     unique: Option<bool>,
 }
 
-/// A suite in one file; paths are relative to it.
+/// A suite in one file. Paths are relative to it.
 #[derive(Deserialize)]
 struct SuiteFile<'a> {
     format: String,
@@ -41,7 +41,7 @@ struct SceneEntry {
     annotations: Option<Utf8PathBuf>,
 }
 
-/// Stands for a `target_id` that is not there, which is not the same as `null`.
+/// Marks a missing `target_id`, which differs from `null`.
 fn left_out() -> Value {
     Value::Bool(false)
 }

@@ -1,8 +1,7 @@
-//! `ScanRefer_filtered_val.json`: a list of `{scene_id, object_id, object_name, ann_id,
+//! Reads `ScanRefer_filtered_val.json`: a list of `{scene_id, object_id, object_name, ann_id,
 //! description}`.
 //!
-//! Targets are looked up in the scene's annotations by `object_id` (`ScanNet`'s `objectId`, from
-//! 0).
+//! Targets are resolved in the scene's annotations by `object_id` (`ScanNet`'s `objectId`, from 0).
 
 use super::label_map::LabelMap;
 use super::{Collected, RawTarget, RawTask};
@@ -47,7 +46,7 @@ pub(super) fn read(
 ) {
     let decoded: Vec<(u64, Result<ScanReferRecord, Omission>)> =
         records.iter().map(|r| (r.line, r.decode(file))).collect();
-    // Unique: one annotated object of its class in its scene, among the objects of this very list.
+    // Unique: the only annotated object of its class in its scene, among the objects of this list.
     let class = |name: &str| {
         labels.map_or_else(
             || name.to_owned(),

@@ -1,9 +1,9 @@
-//! Tables: `nr3d.csv` and `sr3d.csv` of `ReferIt3D`, and the 250-task lists of VLM-Grounder, which
-//! have the same core.
+//! Reads tables: `nr3d.csv` and `sr3d.csv` of `ReferIt3D`, and the 250-task lists of VLM-Grounder,
+//! which have the same core.
 //!
-//! Columns used: `scan_id`, `target_id`, `utterance`, `instance_type`; where given `stimulus_id`,
+//! Columns used: `scan_id`, `target_id`, `utterance`, `instance_type`; if present `stimulus_id`,
 //! `is_unique_scanrefer`, `is_easy_referit3d`, `is_vd_referit3d`, `reference_type`. Targets are
-//! `ScanNet` `objectId`s; boxes come from the annotations.
+//! `ScanNet` `objectId`s. Boxes come from the annotations.
 
 use super::{Collected, RawTarget, RawTask};
 use crate::records::Omission;
@@ -26,7 +26,7 @@ const VIEW_WORDS: [&str; 10] = [
     "across",
 ];
 
-/// Up to this many objects of the target's class, the target included, an expression is easy
+/// Maximum number of objects of the target's class, including the target, for an easy expression
 /// (`ReferIt3D`).
 const EASY_UP_TO: u32 = 2;
 
@@ -114,8 +114,8 @@ fn task_of(row: &Row, index: usize) -> Result<RawTask, String> {
     })
 }
 
-/// How many objects of the class there are: `scan-label-N-target-distractors…`; N counts the
-/// target.
+/// Returns the number of objects of the class from `scan-label-N-target-distractors…`. N includes
+/// the target.
 fn alike_of(stimulus: &str) -> Option<u32> {
     stimulus.split('-').nth(2)?.parse().ok()
 }

@@ -1,8 +1,9 @@
-//! `UniGround`'s task folders: `task.json`, `gt.json`, `ref.json`, `anchor*.json`, `full_pcd.ply`.
+//! Reads `UniGround`'s task folders: `task.json`, `gt.json`, `ref.json`, `anchor*.json`,
+//! `full_pcd.ply`.
 //!
-//! Boxes are centre and full extent in a Y-up world, the cloud is Z-up: boxes are turned here,
-//! once. `ref.json` has the candidates of the run that wrote the folder; its `target_id: null` in
-//! `gt.json` says that run missed the target, which says nothing of ours.
+//! Boxes are center and full extent in a Y-up world, the cloud is Z-up: boxes are converted here,
+//! once. `ref.json` has the candidates of the run that wrote the folder. `target_id: null` in
+//! `gt.json` means that this run missed the target, and has no meaning for other runs.
 
 use super::{Collected, RawTarget, RawTask, SceneFiles, entries};
 use crate::annotations::{Annotations, SceneObject, check_box};
@@ -15,7 +16,7 @@ use std::fs;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::{Point3, Vector3};
 
-/// How deep below the suite's folder a `task.json` may lie: `<root>/<scene>/<task>/task.json`.
+/// Maximum depth of a `task.json` below the suite's folder: `<root>/<scene>/<task>/task.json`.
 const DEPTH: u32 = 3;
 
 #[derive(Deserialize)]
@@ -52,7 +53,7 @@ struct AnchorRecord {
     bbox: Vec<f32>,
 }
 
-/// Reads every task folder below; `false` when there is none.
+/// Reads all task folders below `root`. Returns `false` when there is none.
 pub(super) fn read_below(root: &Utf8Path, collected: &mut Collected) -> anyhow::Result<bool> {
     let mut found = false;
     let mut folders = vec![(root.to_owned(), 0)];
@@ -69,7 +70,7 @@ pub(super) fn read_below(root: &Utf8Path, collected: &mut Collected) -> anyhow::
                 Err(omission) => collected.omissions.push(omission),
             }
         } else if depth < DEPTH {
-            // Popped from the end: reversed, so that folders are read in order of name.
+            // Popped from the end, so reversed: folders are read in order of name.
             folders.extend(
                 entries(&folder)?
                     .into_iter()
@@ -125,7 +126,7 @@ fn read(folder: &Utf8Path, name: &str) -> Result<(RawTask, SceneFiles), Omission
     Ok((task, files))
 }
 
-/// The candidates of `ref.json`, unnamed.
+/// Returns the candidates of `ref.json`, without names.
 fn candidates(folder: &Utf8Path) -> Result<Option<Annotations>, Omission> {
     let file = folder.join("ref.json");
     if !file.is_file() {
@@ -152,7 +153,7 @@ fn candidates(folder: &Utf8Path) -> Result<Option<Annotations>, Omission> {
     Ok(Some(Annotations { objects, of_point: None }))
 }
 
-/// `anchor.json`, or else every `anchor_*.json`.
+/// Reads `anchor.json`, or else all `anchor_*.json`.
 fn anchors(folder: &Utf8Path) -> Result<Vec<(String, Aabb)>, Omission> {
     let single = folder.join("anchor.json");
     let files = if single.is_file() {
@@ -173,8 +174,8 @@ fn anchors(folder: &Utf8Path) -> Result<Vec<(String, Aabb)>, Omission> {
     files.iter().map(read).collect()
 }
 
-/// `[x, y, z, dx, dy, dz]` of a Y-up world, in ours: `(x, -z, y)`, extents swapped alike. Further
-/// numbers are ignored.
+/// Converts `[x, y, z, dx, dy, dz]` of a Y-up world to Z-up: `(x, -z, y)`, with extents swapped in
+/// the same way. Further numbers are ignored.
 fn z_up(numbers: &[f32]) -> Result<Aabb, String> {
     match *numbers {
         [x, y, z, dx, dy, dz, ..] => {

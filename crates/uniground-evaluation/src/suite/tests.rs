@@ -184,7 +184,7 @@ fn embodiedscan_lists_go_by_the_last_part_of_their_scan() {
     assert!(matches!(target(&suite.tasks[0]), Target::Object { rotated: Some(_), .. }));
     assert!(told(&suite)[0].ends_with("2 targets: only expressions with one are scored"));
     let lists = Suite::open(&root.join("queries.json"), &options).unwrap();
-    // The converter writes `false` for everything: the annotations are counted instead.
+    // The converter writes `false` for everything, so the annotations are counted instead.
     assert_eq!(lists.tasks[0].truth.for_reader().uniqueness, "unique");
 }
 

@@ -1,4 +1,4 @@
-//! The pipelines themselves, without a server or a store.
+//! Runs the pipelines in this process, without a server or a store.
 
 use super::oracle::{NamedBy, give_name, instances_of, see, view};
 use super::seen_names::name_as_seen;
@@ -39,48 +39,49 @@ use uniground_types::answer::Models;
 use uniground_types::question::{ParserChoice, ReasonerChoice};
 use uniground_types::settings::{ImportSettings, LevellingChoice, ParseSettings};
 
-/// How a model is asked in a run.
+/// How a run uses a model.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct ModelUse {
-    /// Most the whole run may cost, US dollars.
+    /// Maximum cost of the whole run, US dollars.
     pub max_usd: Option<f64>,
-    /// Ask for JSON by a schema.
+    /// Whether to request JSON with a schema.
     pub json: bool,
 }
 
 /// Loads the networks of a mask source and an encoder, given their names.
 pub type ModelLoader = Box<dyn Fn(&str, &str) -> anyhow::Result<NeuralModels> + Send + Sync>;
 
-/// The system of this executable.
+/// The system in this executable.
 pub struct InProcess {
     fingerprint: String,
-    /// Its executable, by its bytes.
+    /// Digest of the executable's bytes.
     program: String,
-    /// Where finished stages of parses are kept, for the next run.
+    /// Folder where finished stages of parses are stored for later runs.
     parses: Option<Utf8PathBuf>,
     vlm: Option<Arc<Reviewer>>,
     load_models: ModelLoader,
-    /// Loaded models by the names of masks and encoder.
+    /// Loaded models, by the names of masks and encoder.
     loaded: Mutex<HashMap<(String, String), NeuralModels>>,
 }
 
 struct LocalScene {
     instances: Arc<[Instance]>,
     boxes: Vec<Aabb>,
-    /// Where the instances come from.
+    /// Source of the instances.
     masks: String,
     album: Arc<SceneAlbum>,
-    /// Where the photographs lie; a temporary folder goes with it.
+    /// The folder of the photographs. A temporary folder is removed on drop.
     _folder: Option<ScanFolder>,
     vlm: Option<Arc<Reviewer>>,
 }
 
 impl InProcess {
-    /// `models` names the folder of model bundles and `load_models` loads from it. `recorded` is where the model's answers are recorded, if they are; `usage` is how it is
-    /// asked.
+    /// Creates the system. `models` names the folder of model bundles and `load_models` loads from
+    /// it. `recorded` is the place where the model's answers are recorded, if any. `usage` is how
+    /// the model is used.
     ///
     /// # Errors
-    /// When the executable can not be read: what it would answer is known by its bytes.
+    /// Returns an error when the executable cannot be read: its bytes identify the answers.
     pub fn new(
         models: &Utf8Path,
         load_models: ModelLoader,
@@ -91,7 +92,7 @@ impl InProcess {
         let executable = std::env::current_exe()?;
         let bytes = fs::read(&executable).with_context(|| executable.display().to_string())?;
         let program = digest::of(&bytes);
-        // What was answered without this record is not in it.
+        // Answers without this record are not part of it, so its path is part of the fingerprint.
         let fingerprint = format!(
             "{program} {models} {} {}",
             vlm.as_ref().map_or("", |client| client.name()),
@@ -101,14 +102,14 @@ impl InProcess {
         Ok(Self { fingerprint, program, parses: None, vlm, load_models, loaded: Mutex::default() })
     }
 
-    /// With finished stages of parses kept below a folder: a run with other questions, models or
-    /// settings of stage 2 does not repeat them. They are this executable's alone.
+    /// Stores finished stages of parses below a folder. Later runs with other questions, models or
+    /// settings of stage 2 reuse them. They are only valid for this executable.
     #[must_use]
     pub fn keeping_parses_in(self, folder: &Utf8Path) -> Self {
         Self { parses: Some(folder.to_owned()), ..self }
     }
 
-    /// Kept stages of one scan's parses.
+    /// Returns the stored stages of one scan's parses.
     fn checkpoints(&self, scan: &Utf8Path, import: &ImportSettings) -> anyhow::Result<Checkpoints> {
         let Some(parses) = &self.parses else { return Ok(Checkpoints::none()) };
         let mut hasher = Sha256::new();
@@ -117,14 +118,14 @@ impl InProcess {
         let own = parses.join(&self.program);
         let folder = own.join(&content);
         fs::create_dir_all(&folder).with_context(|| folder.to_string())?;
-        // What another build has left is of no use to anybody.
+        // Stages of other builds cannot be reused.
         for entry in parses.read_dir_utf8()?.flatten().filter(|entry| entry.path() != own) {
             fs::remove_dir_all(entry.path()).with_context(|| entry.path().to_string())?;
         }
         Ok(Checkpoints::kept_in(&folder, &serde_json::to_string(&(content, import))?))
     }
 
-    /// The models a configuration asks for, loaded once.
+    /// Returns the models of a configuration, loaded once.
     fn models(&self, configuration: &Configuration) -> anyhow::Result<NeuralModels> {
         let mut loaded = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
         let (masks, encoder) = (configuration.masks.clone(), configuration.encoder.clone());
@@ -156,12 +157,12 @@ impl System for InProcess {
                 "{axis}: no vision-language model is configured"
             );
         }
-        // Before anything runs: whether the models are there and whole.
+        // Checks before the run starts that the models exist and are complete.
         self.models(configuration).map(drop)
     }
 
     fn still_has(&self, _: &str) -> bool {
-        true // Everything a reply depends on is in the fingerprint and the content.
+        true // The fingerprint and the content cover everything that a reply depends on.
     }
 
     fn enter(
@@ -175,10 +176,10 @@ impl System for InProcess {
         let models = self.models(configuration)?;
         let mut settings =
             ParseSettings::from_request(configuration.preset, configuration.settings.clone())?;
-        // The truth is told in the world of the files.
+        // The annotations are in the world of the files.
         settings.import.levelling = LevellingChoice::Off;
-        // The scene is brought in once for all reasoners and parsers: where a model may decide, it
-        // needs photographs.
+        // The scene is prepared once for all reasoners and parsers. If a model may decide, it needs
+        // photographs.
         let with_views = self.vlm.is_some();
         let known = |annotations: &Annotations, names| {
             boxed(annotations, scene, names, &models, &settings, with_views)
@@ -259,22 +260,23 @@ impl System for InProcess {
     }
 }
 
-/// A scene as it comes in, whatever its instances come from.
+/// A prepared scene, independent of the source of its instances.
 struct OpenedScene {
     instances: Vec<Instance>,
     cloud: PointCloud,
     extent: Aabb,
     masks: String,
     embeddings: Option<Embeddings>,
-    /// Of photographs that may show what is no instance; where all is annotated, none.
+    /// Embeddings of photographs that may show things that are not instances. `None` where
+    /// everything is annotated.
     frame_embeddings: Option<FrameEmbeddings>,
     frames: Vec<FrameRef>,
-    /// Where the frames lie.
+    /// The folder of the frames.
     folder: Option<ScanFolder>,
 }
 
-/// Instances from known boxes, with the scan's cloud where there is one, and what an encoder sees
-/// of them.
+/// Builds instances from known boxes, with the scan's cloud if there is one, and with an encoder's
+/// embeddings and names.
 fn boxed(
     known: &Annotations,
     scene: &SuiteScene,
@@ -326,7 +328,7 @@ impl OpenScene for LocalScene {
         configuration: &Configuration,
         hints: Option<&Hints>,
     ) -> anyhow::Result<Reply> {
-        // In a paper-compatible run annotated anchors join the scene.
+        // In a paper-compatible run, annotated anchors are added to the scene.
         let instances = match hints.filter(|h| !h.anchors.is_empty()) {
             Some(hints) => self.with(&hints.anchors).into(),
             None => self.instances.clone(),
@@ -400,8 +402,8 @@ impl LocalScene {
     }
 }
 
-/// The question pipeline, as a configuration wants it. A call of a model that failed is no answer
-/// of the configuration: it is told, counted as wrong, and asked again next time.
+/// Runs the question pipeline with a configuration. A failed model call is not an answer of the
+/// configuration: it is reported, counted as wrong, and repeated in the next run.
 fn answer(
     source: &Arc<MemoryScene>,
     vlm: Option<&Reviewer>,
@@ -437,14 +439,14 @@ fn answer(
     let answered = pipeline::answer(source, ask);
     match vlm {
         Some(vlm) => vlm.runtime.block_on(answered),
-        // Without a model nothing is ever waited for.
+        // Without a model, the future never waits.
         None => futures::executor::block_on(answered),
     }
     .context("the question was not answered")
 }
 
-/// A vision-language model, what may be spent on it in this run, and a runtime to wait for it:
-/// evaluation asks from threads that have none.
+/// A vision-language model, its budget in this run, and an async runtime, because evaluation runs
+/// on threads without one.
 struct Reviewer {
     model: Arc<dyn ChatModel>,
     budgets: Vec<Budget>,

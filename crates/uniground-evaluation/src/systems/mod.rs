@@ -1,4 +1,4 @@
-//! What is measured: the pipelines in this process, or a running server.
+//! Systems under evaluation: the pipelines in this process, or a running server.
 
 mod in_process;
 mod oracle;
@@ -14,27 +14,27 @@ pub use server::Server;
 use uniground_geometry::boxes::Aabb;
 use uniground_render::RenderScene;
 
-/// Something that answers expressions about scenes.
+/// A system that answers expressions about scenes.
 pub trait System: Sync {
-    /// For the report: `in process`, or the server's address.
+    /// Returns its name for the report: `in process`, or the server's address.
     fn name(&self) -> String;
 
-    /// Changes whenever the system might answer otherwise; replies are kept under it.
+    /// Returns a string that changes whenever answers may change. Replies are stored under it.
     fn fingerprint(&self) -> &str;
 
-    /// Whether it can do what a configuration asks for.
+    /// Checks that the system supports a configuration.
     ///
     /// # Errors
-    /// Why it can not.
+    /// Returns the reason if it does not.
     fn accepts(&self, configuration: &Configuration) -> anyhow::Result<()>;
 
-    /// Whether it still has the scene that had this [token](OpenScene::token).
+    /// Returns whether it still has the scene with this [token](OpenScene::token).
     fn still_has(&self, token: &str) -> bool;
 
-    /// Brings a scene in, ready for questions.
+    /// Prepares a scene for questions.
     ///
     /// # Errors
-    /// Why the scene can not be used.
+    /// Returns the reason why the scene cannot be used.
     fn enter(
         &self,
         scene: &SuiteScene,
@@ -42,12 +42,12 @@ pub trait System: Sync {
     ) -> anyhow::Result<Box<dyn OpenScene>>;
 }
 
-/// A scene that can be asked about. All boxes in metres, world frame (Z up).
+/// A scene that is ready for questions. All boxes in meters, world frame (Z up).
 pub trait OpenScene: Sync {
     /// Answers one expression. `hints` are given in paper-compatible runs only.
     ///
     /// # Errors
-    /// Why there is no answer; it counts as wrong.
+    /// Returns the reason why there is no answer. It counts as wrong.
     fn ask(
         &self,
         expression: &Expression,
@@ -55,12 +55,12 @@ pub trait OpenScene: Sync {
         hints: Option<&Hints>,
     ) -> anyhow::Result<Reply>;
 
-    /// The boxes of all instances: what no shortlist can do better than.
+    /// Returns the boxes of all instances, the upper bound for any shortlist.
     fn boxes(&self) -> &[Aabb];
 
-    /// By which the system knows the scene again.
+    /// Returns a token by which the system recognizes the scene.
     fn token(&self) -> &str;
 
-    /// For pictures.
+    /// Returns the scene for rendering pictures.
     fn render_scene(&self) -> &RenderScene;
 }

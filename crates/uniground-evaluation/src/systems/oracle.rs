@@ -1,4 +1,4 @@
-//! Annotations as instances: perfect boxes, and perfect names or the encoder's.
+//! Uses annotations as instances: perfect boxes, with perfect names or the encoder's names.
 
 use crate::annotations::{Annotations, SceneObject};
 use uniground_geometry::boxes::OrientedBox;
@@ -19,19 +19,19 @@ use uniground_parsing::views::LabelledPoints;
 use uniground_parsing::visibility::Visibility;
 use uniground_parsing::{ParseError, ParsingSettings, views};
 
-/// Who names annotated instances.
+/// The source of names for annotated instances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NamedBy {
     Annotated,
     Encoder,
 }
 
-/// Of an object without points: says neither flat nor rough.
+/// Planarity of an object without points: neither flat nor rough.
 const UNKNOWN_PLANARITY: f32 = 0.4;
 
-/// Instances with annotated boxes, in the order of the annotations. With annotated names come
-/// annotated colours; else, and where none are, colours are those of the points that belong to each
-/// object in `cloud`, or the annotated mean colour where it has no points.
+/// Builds instances with annotated boxes, in the order of the annotations. With annotated names,
+/// annotated colors are used. Otherwise, or if there are none, colors come from the points of each
+/// object in `cloud`, or from the annotated mean color if it has no points.
 #[must_use]
 pub fn instances_of(
     annotations: &Annotations,
@@ -57,7 +57,7 @@ pub fn instances_of(
     let floor_z = floor
         .or_else(|| objects.iter().map(|o| o.aabb.min().z).min_by(f32::total_cmp))
         .unwrap_or(0.0);
-    // Nobody can cancel what is not told to anybody.
+    // Silent progress cannot be cancelled.
     let supports = supports(&bodies, &structures, floor_z, &Progress::silent())
         .unwrap_or_else(|_| vec![Support::Nothing; objects.len()]);
     let build = |(i, object): (usize, &SceneObject)| {
@@ -93,7 +93,7 @@ pub fn instances_of(
     instances
 }
 
-/// Only the yaw of a tilted box fits an oriented box; most things stand upright.
+/// Only the yaw of a tilted box is representable by an oriented box. Most things stand upright.
 fn oriented_box_of(object: &SceneObject) -> OrientedBox {
     let own = object.rotated_box();
     let (_, _, yaw_rad) = own.rotation.euler_angles();
@@ -103,11 +103,11 @@ fn oriented_box_of(object: &SceneObject) -> OrientedBox {
     }
 }
 
-/// What an encoder sees of annotated instances, and what it calls them: crops around the points
-/// annotated as theirs.
+/// Computes embeddings and names of annotated instances with an encoder, from crops around their
+/// annotated points.
 ///
 /// # Errors
-/// An unreadable frame, or a model that fails.
+/// Returns an error for an unreadable frame, or a model that fails.
 pub fn see(
     annotations: &Annotations,
     instances: &mut [Instance],
@@ -127,7 +127,7 @@ pub fn see(
 /// Chooses the frames that show annotated instances best.
 ///
 /// # Errors
-/// An unreadable frame.
+/// Returns an error for an unreadable frame.
 pub(super) fn view(
     annotations: &Annotations,
     instances: &mut [Instance],
@@ -153,7 +153,7 @@ fn visibility(
     Visibility::new(cloud, &group_of, settings.depth_tolerance)
 }
 
-/// The points that are annotated as some object's, and as whose.
+/// Returns the points that are annotated as part of an object, with the objects' ids.
 fn points_of(annotations: &Annotations, cloud: &PointCloud) -> (PointCloud, Vec<InstanceId>) {
     let mut own = PointCloud::default();
     let mut instance_of_point = Vec::new();
@@ -169,7 +169,7 @@ fn points_of(annotations: &Annotations, cloud: &PointCloud) -> (PointCloud, Vec<
     (own, instance_of_point)
 }
 
-/// Names an instance, in the lexicon's word where it has one.
+/// Names an instance, with the lexicon's word if it has one.
 pub(super) fn give_name(instance: &mut Instance, name: &str) {
     let known = attributes::Lexicon::get()
         .find(name)

@@ -1,17 +1,17 @@
-//! Names that somebody gave annotated objects from pictures alone, handed to the instances that
-//! cover them.
+//! Assigns names that annotators gave to objects from pictures alone to the instances that cover
+//! the objects.
 
 use crate::annotations::{Annotations, SceneObject};
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::Instance;
 
-/// An instance is called what the object is called that its box overlaps by this much (IoU).
+/// Minimum IoU of boxes at which an instance gets the object's name.
 const COVERS: f32 = 0.25;
-/// It is a part of an object that holds this share of its box.
+/// Minimum share of an instance's box inside an object at which it is a part of that object.
 const WITHIN: f32 = 0.6;
 
-/// Names instances as somebody would who sees what they cover: the object itself, or a part of one.
-/// What covers nothing has no name.
+/// Names instances by what they cover: the object itself, or a part of one. An instance that covers
+/// nothing gets no name.
 pub fn name_as_seen(instances: &mut [Instance], annotations: &Annotations) {
     let things: Vec<&SceneObject> =
         annotations.objects.iter().filter(|o| o.structure().is_none()).collect();

@@ -1,4 +1,4 @@
-//! A running server, over HTTP: scans are uploaded once and stay there.
+//! Evaluates a running server over HTTP. Scans are uploaded once and stay there.
 
 use super::{OpenScene, System};
 use crate::configuration::{Configuration, Names, Source};
@@ -27,7 +27,7 @@ use uniground_types::question::{GroundRequest, ParserChoice, ShortlistRequest};
 use uniground_types::scenes::Scene;
 use uniground_types::settings::ParsePreset;
 
-/// A server, and the runtime to speak with it from threads that know of none.
+/// A server, with an async runtime for calls from threads without one.
 pub struct Server {
     client: Client,
     address: String,
@@ -45,7 +45,7 @@ struct RemoteScene {
 
 impl Server {
     /// # Errors
-    /// An address that is none, or a server that is not ready.
+    /// Returns an error for an invalid address, or a server that is not ready.
     pub fn connect(address: &str, api_key: Option<String>) -> anyhow::Result<Self> {
         let client = Client::new(address, api_key)?;
         let runtime =
@@ -104,12 +104,12 @@ impl System for Server {
         let scan =
             scene.scan.as_deref().with_context(|| format!("the scene {} has no scan", scene.id))?;
         let archive = Archive::of(scan)?;
-        // The same scan again finds the scene it made before.
+        // Uploading the same scan again returns the existing scene.
         let key = format!("evaluation-as-it-is-{}", archive.digest()?);
         self.runtime.block_on(async {
             let body =
                 Body::wrap_stream(ReaderStream::new(tokio::fs::File::open(&archive.path).await?));
-            // Truth is told in the world of the files.
+            // The annotations are in the world of the files.
             let query = [("name", scene.id.as_str()), ("levelling", "off")];
             let created =
                 self.client.create_scene_once(&query, archive.media_type, body, &key).await?;
@@ -175,7 +175,7 @@ impl OpenScene for RemoteScene {
             ablation: *ablation,
             evidence: *evidence,
             direction_convention: *convention,
-            // As measured in process: the confidences tell how sure answers are.
+            // As measured in process: the report shows how reliable the confidences are.
             min_confidence: Some(0.0),
             ..GroundRequest::of(&expression.query)
         };
@@ -228,12 +228,12 @@ impl OpenScene for RemoteScene {
     }
 }
 
-/// A scene and what it was parsed with: a scene that is gone, or was parsed again, is another.
+/// Returns a token of a scene and its parse. It changes if the scene is deleted or parsed again.
 fn token_of(scene: &Scene) -> String {
     format!("{} {} {:?}", scene.id, scene.parse_version, scene.models)
 }
 
-/// A scan as the server takes it; folders and bare clouds are packed.
+/// A scan in the form that the server accepts. Folders and single clouds are packed.
 struct Archive {
     media_type: &'static str,
     path: Utf8PathBuf,

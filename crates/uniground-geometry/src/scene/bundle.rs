@@ -1,47 +1,47 @@
-//! What an import produces: a cloud, references to its frames, and what was found out on the way.
+//! The result of an import: a cloud, references to its frames, and the import report.
 
 use super::{FrameRef, ImportReport, PointCloud};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Serialize};
 
-/// A scan in canonical form. The cloud is in memory; frames are decoded one at a time by whoever
-/// needs them.
+/// A scan in canonical form. The cloud is in memory; frames are decoded one at a time where needed.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct SceneBundle {
-    /// The scan's own, or fused from its frames.
+    /// The scan's own cloud, or one fused from its frames.
     pub cloud: PointCloud,
-    /// Those that can be used, in the scan's order; none for a bare cloud.
+    /// The usable frames, in the scan's order; empty for a bare cloud.
     pub frames: Vec<FrameRef>,
     /// What the import found.
     pub report: ImportReport,
-    /// What was added to the scan since, in order; none of it is in the fields above. Kept apart:
-    /// what came first is imported once.
+    /// Additions to the scan, in order. The fields above do not include them, so that the original
+    /// scan is imported only once.
     #[serde(skip)]
     pub additions: Vec<Addition>,
 }
 
-/// Frames that were added to a scan, and what they change in its cloud.
+/// Frames added to a scan, and the changes they make to its cloud.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Addition {
-    /// What identifies the scan up to here: of the same one the same is made.
+    /// Identifies the scan up to this addition: equal values mean equal imports.
     pub made_of: String,
-    /// Counted on from those of before.
+    /// Numbered consecutively after the earlier frames.
     pub frames: Vec<FrameRef>,
-    /// Points of the cloud so far that are still there, ascending: the others were looked through.
+    /// Previous points that still exist, ascending. Frames looked through the others.
     pub kept: Vec<u32>,
-    /// Points that were not there before.
+    /// Points that did not exist before.
     pub new: PointCloud,
-    /// What is nearer to a known point is no new one, metres: as wide is the gap between a surface
-    /// and its continuation.
+    /// Minimum distance of a new point to known points, meters. This is also the width of the gap
+    /// between a surface and its continuation.
     pub apart_m: f32,
-    /// How many frames could not be used.
+    /// Number of frames that could not be used.
     pub frames_skipped: u32,
-    /// What is odd but was accepted.
+    /// Oddities that were accepted.
     pub warnings: Vec<String>,
 }
 
 impl Addition {
-    /// The cloud after the addition, given that of before: what is still there, then what is new.
+    /// Returns the cloud after the addition, given the previous one: remaining points, then new
+    /// points.
     #[must_use]
     pub fn applied_to(&self, before: &PointCloud) -> PointCloud {
         let kept = self.kept.iter().map(|&point| point as usize);
@@ -54,7 +54,7 @@ impl Addition {
         PointCloud { positions: positions.collect(), colours: colours.collect() }
     }
 
-    /// The same with the paths of its frames changed.
+    /// Returns the same addition with the paths of its frames changed.
     #[must_use]
     pub fn with_paths(mut self, path: impl Fn(&Utf8Path) -> Utf8PathBuf) -> Self {
         self.frames = self.frames.into_iter().map(|frame| frame.with_paths(&path)).collect();
@@ -63,7 +63,7 @@ impl Addition {
 }
 
 impl SceneBundle {
-    /// The report and the frames with everything that was added.
+    /// Returns the report and the frames including all additions.
     #[must_use]
     pub fn in_all(&self) -> (ImportReport, Vec<FrameRef>) {
         let (mut report, mut frames) = (self.report.clone(), self.frames.clone());
@@ -76,20 +76,20 @@ impl SceneBundle {
         (report, frames)
     }
 
-    /// Points of the cloud with everything that was added.
+    /// Number of points of the cloud including all additions.
     #[must_use]
     pub fn points(&self) -> usize {
         self.additions.last().map_or(self.cloud.len(), |last| last.kept.len() + last.new.len())
     }
 
-    /// The number that the frames of the next addition begin with.
+    /// The index at which the frames of the next addition begin.
     #[must_use]
     pub fn next_frame(&self) -> u32 {
         let frames = self.additions.last().map_or(&self.frames, |last| &last.frames);
         frames.iter().map(|frame| frame.index.0 + 1).max().unwrap_or(0)
     }
 
-    /// The same bundle with the paths of its frames changed.
+    /// Returns the same bundle with the paths of its frames changed.
     #[must_use]
     pub fn with_paths(mut self, path: impl Fn(&Utf8Path) -> Utf8PathBuf) -> Self {
         self.frames = self.frames.into_iter().map(|frame| frame.with_paths(&path)).collect();

@@ -3,7 +3,7 @@
 use crate::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
 
-/// Pinhole intrinsics in pixels; pixel (0, 0) is the centre of the top-left pixel.
+/// Pinhole intrinsics in pixels; pixel (0, 0) is the center of the top-left pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Intrinsics {
@@ -15,18 +15,18 @@ pub struct Intrinsics {
     pub fx: f32,
     /// Focal length along y.
     pub fy: f32,
-    /// Column where the optical axis meets the picture.
+    /// Column where the optical axis crosses the picture.
     pub cx: f32,
-    /// Row where the optical axis meets the picture.
+    /// Row where the optical axis crosses the picture.
     pub cy: f32,
 }
 
 impl Intrinsics {
-    /// The same camera read out at another resolution.
+    /// The intrinsics of the same camera at another resolution.
     #[must_use]
     pub fn scaled_to(&self, width: u32, height: u32) -> Self {
         let (sx, sy) = (width as f32 / self.width as f32, height as f32 / self.height as f32);
-        // Pixel centres, not corners, carry the coordinates: shift by half a pixel around the
+        // Coordinates refer to pixel centers, not corners: shift by half a pixel around the
         // scaling.
         let center = |c: f32, s: f32| (c + 0.5) * s - 0.5;
         Self {
@@ -39,7 +39,7 @@ impl Intrinsics {
         }
     }
 
-    /// Pixel coordinates of a point in camera axes (metres); `None` behind the camera or outside
+    /// Pixel coordinates of a point in camera axes (meters); `None` behind the camera or outside
     /// the image.
     #[must_use]
     #[inline]
@@ -56,7 +56,7 @@ impl Intrinsics {
         inside.then_some(pixel)
     }
 
-    /// The point at depth `z_m` along the ray through pixel `(u, v)`, camera axes, metres.
+    /// The point at depth `z_m` along the ray through pixel `(u, v)`, camera axes, meters.
     #[must_use]
     pub fn unproject(&self, u: f32, v: f32, z_m: f32) -> Point3<f32> {
         Point3::new((u - self.cx) / self.fx * z_m, (v - self.cy) / self.fy * z_m, z_m)
@@ -66,16 +66,16 @@ impl Intrinsics {
 /// A projected point: pixel coordinates and depth along the optical axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pixel {
-    /// Column, growing to the right; 0 is the centre of the first.
+    /// Column, growing to the right; 0 is the center of the first.
     pub u: f32,
-    /// Row, growing downwards; 0 is the centre of the first.
+    /// Row, growing downward; 0 is the center of the first.
     pub v: f32,
-    /// Depth, metres, always above 0.
+    /// Depth, meters, always above 0.
     pub z_m: f32,
 }
 
 impl Pixel {
-    /// Column and row of the pixel that holds this position.
+    /// Column and row of the pixel that contains this position.
     #[must_use]
     #[inline]
     pub fn cell(&self) -> (u32, u32) {
@@ -83,17 +83,17 @@ impl Pixel {
     }
 }
 
-/// Intrinsics and where the camera stood.
+/// Intrinsics and pose of a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
-    /// For the resolution that [`project`](Self::project) answers in.
+    /// Intrinsics at the resolution of the pixels that [`project`](Self::project) returns.
     pub intrinsics: Intrinsics,
     world_to_own: Isometry3<f32>,
     center: Point3<f32>,
 }
 
 impl Camera {
-    /// `camera_to_world` is the pose: OpenCV camera axes to the world frame (Z up), metres.
+    /// `camera_to_world` is the pose: OpenCV camera axes to the world frame (Z up), meters.
     #[must_use]
     pub fn new(intrinsics: Intrinsics, camera_to_world: &Isometry3<f32>) -> Self {
         Self {
@@ -105,23 +105,23 @@ impl Camera {
 
     /// Projects a world point into pixel coordinates of this camera.
     ///
-    /// `p` is in metres, world frame (Z up). Returns `None` behind the camera (`z <= 0`) or outside
-    /// the image; depth is not looked at here.
+    /// `p` is in meters, world frame (Z up). Returns `None` behind the camera (`z <= 0`) or outside
+    /// the image; ignores depth.
     #[must_use]
     #[inline]
     pub fn project(&self, p: &Point3<f32>) -> Option<Pixel> {
         self.intrinsics.project(&(self.world_to_own * p))
     }
 
-    /// Whether some of a ball may [`project`](Self::project) into the image: `false` only if no
+    /// Whether part of a ball may [`project`](Self::project) into the image: `false` only if no
     /// point of it does.
     ///
-    /// `center` and `radius_m` are in metres, world frame (Z up).
+    /// `center` and `radius_m` are in meters, world frame (Z up).
     #[must_use]
     pub fn may_show(&self, center: &Point3<f32>, radius_m: f32) -> bool {
         let Intrinsics { width, height, fx, fy, cx, cy } = self.intrinsics;
         let c = self.world_to_own * center;
-        // Room for rounding, which grows with the distance.
+        // Margin for rounding, which grows with the distance.
         let radius = radius_m + 1e-3 + 1e-5 * c.coords.norm();
         // Signed distance to a side of the viewing pyramid: `along` pixels from the optical axis,
         // at focal length `f`.
@@ -134,13 +134,13 @@ impl Camera {
             && inside(fy, -c.y, height as f32 - 0.5 - cy)
     }
 
-    /// Takes points of the world frame to OpenCV camera axes, metres; the inverse of the pose.
+    /// Transforms points of the world frame to OpenCV camera axes, meters; the inverse of the pose.
     #[must_use]
     pub fn world_to_camera(&self) -> &Isometry3<f32> {
         &self.world_to_own
     }
 
-    /// Optical centre, metres, world frame.
+    /// Optical center, meters, world frame.
     #[must_use]
     pub fn center(&self) -> Point3<f32> {
         self.center
@@ -195,7 +195,7 @@ mod tests {
             let within = Vector3::from(within);
             let point = center + within * (radius_m / within.norm().max(1.0));
             prop_assert!(camera.project(&point).is_none() || camera.may_show(&center, radius_m));
-            // What lies well behind or beside is passed over.
+            // A ball well behind or beside the camera is skipped.
             prop_assert!(!camera.may_show(&Point3::new(0.3, -0.2, 0.4 - radius_m), radius_m * 0.9));
             prop_assert!(!camera.may_show(&Point3::new(5.0, -0.2, 1.5), 1.0));
         }

@@ -1,9 +1,9 @@
-//! Masks of a few cells: what of a view's box shows the instance.
+//! Coarse masks: which cells of a view's box show the instance.
 
 use super::ViewMask;
 
-/// Which cells of a box belong to something: a grid of at most [`CellMask::MAX_CELLS`] cells each
-/// way.
+/// The cells of a box that belong to an object: a grid of at most [`CellMask::MAX_CELLS`] cells
+/// each way.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CellMask {
     columns: u32,
@@ -12,17 +12,17 @@ pub struct CellMask {
 }
 
 impl CellMask {
-    /// Most columns, and most rows.
+    /// Maximum number of columns and of rows.
     pub const MAX_CELLS: u32 = 64;
 
-    /// No cell; sizes beyond `1..=`[`Self::MAX_CELLS`] are brought there.
+    /// Creates an empty mask. Sizes are clamped to `1..=`[`Self::MAX_CELLS`].
     #[must_use]
     pub fn empty(columns: u32, rows: u32) -> Self {
         let side = |count: u32| count.clamp(1, Self::MAX_CELLS);
         Self { columns: side(columns), rows: vec![0; side(rows) as usize] }
     }
 
-    /// The cells (column, row) for which `inside` holds.
+    /// Creates a mask of the cells (column, row) for which `inside` is true.
     #[must_use]
     pub fn of(columns: u32, rows: u32, inside: impl Fn(u32, u32) -> bool) -> Self {
         let mut mask = Self::empty(columns, rows);
@@ -40,33 +40,33 @@ impl CellMask {
         (self.columns, self.rows.len() as u32)
     }
 
-    /// Adds the cell that holds a position, given as shares of the box.
+    /// Adds the cell that contains a position, given as shares of the box.
     pub fn add(&mut self, (x, y): (f32, f32)) {
         let (columns, rows) = self.size();
         let cell = |share: f32, count: u32| ((share * count as f32).max(0.0) as u32).min(count - 1);
         self.rows[cell(y, rows) as usize] |= 1 << cell(x, columns);
     }
 
-    /// Whether a cell belongs to it.
+    /// Whether a cell belongs to the mask.
     #[must_use]
     pub fn has(&self, column: u32, row: u32) -> bool {
         column < self.columns
             && self.rows.get(row as usize).is_some_and(|bits| bits >> column & 1 == 1)
     }
 
-    /// How many cells belong to it.
+    /// Number of cells in the mask.
     #[must_use]
     pub fn count(&self) -> u32 {
         self.rows.iter().map(|bits| bits.count_ones()).sum()
     }
 
-    /// Share of the box that belongs to it, `0..=1`.
+    /// Share of the box that the mask covers, `0..=1`.
     #[must_use]
     pub fn share(&self) -> f32 {
         self.count() as f32 / (self.columns * self.rows.len() as u32) as f32
     }
 
-    /// The cells of both; `other` has the same size.
+    /// Returns the union of both masks; `other` must have the same size.
     #[must_use]
     pub fn joined(&self, other: &Self) -> Self {
         Self {
@@ -75,8 +75,8 @@ impl CellMask {
         }
     }
 
-    /// Whether a position, given as shares of the box, belongs to it: by the mean of the nearest
-    /// cells, so that its rim has no steps.
+    /// Whether a position, given as shares of the box, belongs to the mask. Interpolates the
+    /// nearest cells, so that the outline has no steps.
     #[must_use]
     pub fn covers(&self, (x, y): (f32, f32)) -> bool {
         let (columns, rows) = self.size();
@@ -93,12 +93,12 @@ impl CellMask {
         upper * (1.0 - low_share) + lower * low_share >= 0.5
     }
 
-    /// Gaps of a cell or two closed: grown by a cell all round, and shrunk again.
+    /// Closes gaps of a cell or two: grows by one cell all round, then shrinks again.
     #[must_use]
     pub fn closed(&self) -> Self {
         let all = self.all();
         let grown = Self { columns: self.columns, rows: grow(&self.rows, all) };
-        // Nothing shrinks at the rim of the box.
+        // The mask does not shrink at the border of the box.
         let outside: Vec<u64> = grown.rows.iter().map(|bits| !bits & all).collect();
         let rows = grow(&outside, all)
             .iter()
@@ -108,7 +108,7 @@ impl CellMask {
         Self { columns: self.columns, rows }
     }
 
-    /// Holes filled: what can not be reached from the rim of the box.
+    /// Fills holes: cells that cannot be reached from the border of the box.
     #[must_use]
     pub fn filled(&self) -> Self {
         let all = self.all();
@@ -121,7 +121,7 @@ impl CellMask {
         Self { columns: self.columns, rows: reached.iter().map(|bits| !bits & all).collect() }
     }
 
-    /// Without the pieces that have less than this share of its cells.
+    /// Removes pieces that have less than this share of the cells.
     #[must_use]
     pub fn without_crumbs(&self, least: f32) -> Self {
         let least = self.count() as f32 * least;
@@ -140,11 +140,11 @@ impl CellMask {
         Self { columns: self.columns, rows }
     }
 
-    /// As it is written down.
+    /// Serializes the mask as a string.
     #[must_use]
     pub fn packed(&self) -> ViewMask {
         let (columns, rows) = self.size();
-        // Runs go down the columns and begin with what lies outside.
+        // Runs go down the columns and begin with cells outside the mask.
         let cells: Vec<bool> = (0..columns)
             .flat_map(|column| (0..rows).map(move |row| self.has(column, row)))
             .collect();
@@ -203,36 +203,36 @@ impl CellMask {
         Some(Self::of(*columns, *rows, |column, row| cells[(column * rows + row) as usize]))
     }
 
-    /// A row that is full.
+    /// A full row.
     fn all(&self) -> u64 {
         u64::MAX >> (Self::MAX_CELLS - self.columns)
     }
 }
 
-// The letters that COCO's tools write runs with: five bits each, differences to the run before the
-// last, and a sixth bit for more to come.
+// The letters of COCO run-length strings: five bits each, differences to the run before the last,
+// and a sixth bit if more letters follow.
 const FIRST_CHAR: u8 = b'0';
 const DIGIT_BITS: u32 = 5;
 const DIGIT: i32 = 0x1f;
 const SIGN: i32 = 0x10;
 const MORE: i32 = 0x20;
-/// Index of the last run that is written as it is.
+/// Index of the last run that is written without a difference.
 const RAW_RUNS: usize = 2;
-/// A run of all cells has three letters.
+/// A run of all cells takes three letters.
 const MAX_SHIFT: u32 = 3 * DIGIT_BITS;
 
-/// All cells of a piece and their eight neighbours, within `all`.
+/// All cells of a piece and their eight neighbors, within `all`.
 fn grow(rows: &[u64], all: u64) -> Vec<u64> {
     let wide: Vec<u64> = rows.iter().map(|bits| (bits | bits << 1 | bits >> 1) & all).collect();
     let at = |row: Option<usize>| row.and_then(|row| wide.get(row)).copied().unwrap_or(0);
     (0..wide.len()).map(|row| at(row.checked_sub(1)) | wide[row] | at(row.checked_add(1))).collect()
 }
 
-/// The cells of `within` that can be reached from the seeds by their four neighbours.
+/// The cells of `within` that are reachable from the seeds through their four neighbors.
 fn flood(mut reached: Vec<u64>, within: &[u64]) -> Vec<u64> {
     loop {
         let mut grew = false;
-        // Down and up again, so that most shapes take a round or two.
+        // Down and up again, so that most shapes take one or two rounds.
         for row in (0..reached.len()).chain((0..reached.len()).rev()) {
             let above = row.checked_sub(1).map_or(0, |above| reached[above]);
             let mut bits =
@@ -295,7 +295,7 @@ mod tests {
         }
     }
 
-    /// As COCO's own tools write a 4 x 5 mask of runs 5, 2, 2, 1, 4, 1, 5.
+    /// COCO's own tools write a 4 x 5 mask of runs 5, 2, 2, 1, 4, 1, 5 in this way.
     #[test]
     fn the_letters_are_those_of_coco() {
         let mask = drawn(&[".....", ".##..", ".#.#.", "....."]);

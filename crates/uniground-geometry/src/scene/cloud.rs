@@ -1,12 +1,12 @@
-//! Coloured point clouds.
+//! Colored point clouds.
 
 use crate::Point3;
 use serde::{Deserialize, Serialize};
 
-/// Points and their colours, same length. Metres, world frame.
+/// Points and their colors, same length. Meters, world frame.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct PointCloud {
-    /// Coordinates, metres, Z up.
+    /// Coordinates, meters, Z up.
     pub positions: Vec<Point3<f32>>,
     /// 8-bit sRGB.
     pub colours: Vec<[u8; 3]>,

@@ -1,33 +1,33 @@
-//! Instances as people have corrected them. What stage 1 has found stays as it is: corrections are
-//! laid over it, in the order they were made, and can be taken back.
+//! Applies people's corrections to instances. The results of stage 1 never change: corrections are
+//! applied on top, in the order they were made, and can be undone.
 
 use super::{Instance, InstanceId, Level, View};
 use std::collections::BTreeMap;
 use uniground_types::corrections::{Change, Correction};
 
-/// Lays corrections over the instances of a parse, in order of id; those that a merge has made are
-/// among them.
+/// Applies corrections to the instances of a parse, sorted by id. Instances that a merge created
+/// are already among them.
 pub fn correct(instances: &mut [Instance], corrections: &[Correction]) {
     for Correction { change, made, undone_at, .. } in corrections {
         if undone_at.is_some() {
-            // What a merge had made stays where it is, so that no id is ever another's.
+            // The merged instance stays in the list, so that its id is never reused.
             with(instances, made, |instance| instance.dismissed = true);
             continue;
         }
         match change {
             Change::Rename { instance_id, name } => {
-                with(instances, [instance_id], |instance| instance.given_name = Some(name.clone()))
+                with(instances, [instance_id], |instance| instance.given_name = Some(name.clone()));
             }
             Change::Dismiss { instance_ids } => {
-                with(instances, instance_ids, |instance| instance.dismissed = true)
+                with(instances, instance_ids, |instance| instance.dismissed = true);
             }
             Change::Merge { instance_ids, name } => {
-                // What was made since the instances were read is not among them yet.
+                // An instance created after the list was read is not in it yet.
                 let Some(made) = made.filter(|made| made.0 as usize <= instances.len()) else {
                     continue;
                 };
                 with(instances, [&made], |instance| {
-                    instance.given_name = name.clone().or(instance.given_name.take())
+                    instance.given_name = name.clone().or(instance.given_name.take());
                 });
                 belong_to(instances, instance_ids, &[made]);
                 with(instances, instance_ids, |instance| {
@@ -48,15 +48,15 @@ pub fn correct(instances: &mut [Instance], corrections: &[Correction]) {
     }
 }
 
-/// The parts of a thing.
+/// Returns the parts of a thing.
 #[must_use]
 pub fn parts_of(instances: &[Instance], thing: InstanceId) -> Vec<InstanceId> {
     let is_part = |i: &&Instance| i.level == Level::Part && !i.dismissed && i.things == [thing];
     instances.iter().filter(is_part).map(|i| i.id).collect()
 }
 
-/// The best views of several instances together: a frame that shows more than one of them once,
-/// best first.
+/// Returns the best views of several instances together, best first. A frame that shows more than
+/// one of them appears once.
 #[must_use]
 pub fn views_of_all(instances: &[&Instance], most: usize) -> Vec<View> {
     let mut by_frame: BTreeMap<_, View> = BTreeMap::new();
@@ -65,7 +65,7 @@ pub fn views_of_all(instances: &[&Instance], most: usize) -> Vec<View> {
             .entry(view.frame)
             .and_modify(|all| {
                 let ([left, top, right, bottom], [l, t, r, b]) = (all.box_px, view.box_px);
-                // The mask of one would hide the others.
+                // The mask of one instance would hide the others.
                 *all = View {
                     visible_points: all.visible_points + view.visible_points,
                     box_px: [left.min(l), top.min(t), right.max(r), bottom.max(b)],
@@ -81,7 +81,7 @@ pub fn views_of_all(instances: &[&Instance], most: usize) -> Vec<View> {
     views
 }
 
-/// Changes instances by their ids.
+/// Modifies instances by their ids.
 fn with<'a>(
     instances: &mut [Instance],
     ids: impl IntoIterator<Item = &'a InstanceId>,
@@ -94,7 +94,7 @@ fn with<'a>(
     }
 }
 
-/// Parts and wholes of `before` are those of `now`.
+/// Moves the parts and wholes of `before` to `now`.
 fn belong_to(instances: &mut [Instance], before: &[InstanceId], now: &[InstanceId]) {
     for compound in
         instances.iter_mut().filter(|i| i.things.iter().any(|thing| before.contains(thing)))
@@ -113,7 +113,7 @@ mod tests {
     use crate::scene::{FrameIndex, Support};
     use crate::{Point3, Vector3};
 
-    /// A box half a metre deep and high on the floor.
+    /// A box on the floor, half a meter deep and high.
     fn thing(id: u32, x: f32, width: f32) -> Instance {
         let aabb = Aabb { center: Point3::new(x, 0.0, 0.25), size: Vector3::new(width, 0.5, 0.5) };
         Instance {

@@ -1,4 +1,4 @@
-//! Depth pictures as files: grey pictures (PNG, PGM, TIFF) of 16 bits, or of 8 with a unit that
+//! Reads depth pictures: gray pictures (PNG, PGM, TIFF) of 16 bits, or of 8 bits with a unit that
 //! reaches across a room, and floats (EXR, TIFF; compressed with LZFSE: Record3D).
 
 use super::float_pictures::{PixelValues, SingleChannelImage, read_grey};
@@ -9,29 +9,28 @@ use image::DynamicImage;
 use std::fs::File;
 use std::io::{self, BufReader, Read};
 
-/// What a block of LZFSE begins with.
+/// The first bytes of an LZFSE block.
 const LZFSE_MAGIC: &[u8; 3] = b"bvx";
 
-/// With this unit 8 bits reach a metre. With a smaller one they are a picture to look at, stretched
-/// over whatever was there.
+/// With this unit, 8 bits reach one meter. With a smaller unit they are a visualization, stretched
+/// over the range of the scene.
 const LEAST_UNIT_OF_BYTES_M: f32 = 0.004;
 
-/// Whether a file is LZFSE: its size in pixels stands elsewhere.
+/// Whether a file is LZFSE. Its size in pixels is not in the file.
 ///
 /// # Errors
-/// Those of the file system.
+/// I/O errors.
 pub fn is_compressed_floats(file: &Utf8Path) -> io::Result<bool> {
     let mut magic = [0; 3];
     Ok(File::open(file)?.read_exact(&mut magic).is_ok() && &magic == LZFSE_MAGIC)
 }
 
-/// The picture as the file holds it, metres; 0 where the file holds nothing that is a distance.
-/// `size` is that of floats without one.
+/// Reads the picture as stored, meters; 0 where the file has no valid distance. `size` is used for
+/// floats without a size of their own.
 pub(super) fn read(frame: &FrameRef, size: (u32, u32)) -> Result<DepthImage, FrameError> {
     let SingleChannelImage { size: (width, height), numbers } = numbers_of(frame, size)?;
     let scale_m = frame.depth_scale_m;
-    // The largest integer is what sensors write where they measured nothing, or too far (7-Scenes,
-    // 3RScan).
+    // Sensors write the largest integer where they measured nothing, or too far (7-Scenes, 3RScan).
     let depth_m = match numbers {
         PixelValues::Floats(floats) => {
             floats.into_iter().map(|z| distance_m(z * scale_m)).collect()
@@ -51,7 +50,7 @@ pub(super) fn read(frame: &FrameRef, size: (u32, u32)) -> Result<DepthImage, Fra
     Ok(DepthImage { width, height, depth_m })
 }
 
-/// Renderers write huge numbers or infinity where there is nothing.
+/// Renderers write huge numbers or infinity for empty space.
 fn distance_m(z: f32) -> f32 {
     if z > 0.0 && z <= MAX_COORDINATE_M { z } else { 0.0 }
 }
@@ -78,7 +77,7 @@ fn numbers_of(frame: &FrameRef, size: (u32, u32)) -> Result<SingleChannelImage, 
             size: image.dimensions(),
             numbers: PixelValues::Bytes(image.into_raw()),
         }),
-        // Colours mixed of distances are none.
+        // Distances encoded as mixed colors are not supported.
         other => Err(not_depth(frame, format!("{:?}", other.color()))),
     }
 }
@@ -87,13 +86,13 @@ fn not_depth(frame: &FrameRef, found: String) -> FrameError {
     FrameError::NotDepth { frame: frame.index, file: super::frame::in_scene(&frame.depth), found }
 }
 
-/// Row-major floats; exactly as many as the picture has pixels, whatever the file unpacks to.
+/// Reads row-major floats: exactly as many as the picture has pixels, whatever the file unpacks to.
 fn read_floats(file: &Utf8Path, width: u32, height: u32) -> io::Result<Vec<f32>> {
     let bytes = read_compressed(file, u64::from(width) * u64::from(height) * 4)?;
     Ok(bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect())
 }
 
-/// A file of LZFSE that holds so many bytes and no other number of them.
+/// Reads an LZFSE file that must hold exactly `expected` bytes.
 pub(super) fn read_compressed(file: &Utf8Path, expected: u64) -> io::Result<Vec<u8>> {
     let mut decoder = lzfse_rust::LzfseRingDecoder::default();
     let mut bytes = Vec::new();

@@ -1,4 +1,4 @@
-//! What instances look like, as vectors beside which words can be laid.
+//! Embeddings of instances: vectors that can be compared with those of words.
 
 use super::npy;
 use half::f16;
@@ -7,8 +7,8 @@ use multiversion::multiversion;
 use rayon::prelude::*;
 use std::io::{self, Write};
 
-/// One row per instance, in order of id; stored as half floats, which changes a cosine by less than
-/// a thousandth.
+/// One row per instance, sorted by id. Stored as half floats, which changes a cosine by less than a
+/// thousandth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Embeddings {
     dim: usize,
@@ -17,20 +17,20 @@ pub struct Embeddings {
     norms: Vec<Norms>,
 }
 
-/// What calibrates the fit of words to an instance: logarithms of sums over a vocabulary.
+/// Calibration of the fit of words to an instance: logarithms of sums over a vocabulary.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Norms {
-    /// Of appearance alone.
+    /// From appearance alone.
     pub appearance: f32,
-    /// Of appearance and measures together.
+    /// From appearance and measures together.
     pub joint: f32,
 }
 
-/// Rows looked through by one thread at a time.
+/// Rows searched by one thread at a time.
 const ROWS_PER_TASK: usize = 4096;
 
 impl Embeddings {
-    /// `rows` holds one vector of length `dim` per instance.
+    /// Creates embeddings; `rows` holds one vector of length `dim` per instance.
     #[must_use]
     pub fn new(dim: usize, rows: &[f32]) -> Self {
         let mut halves = vec![f16::ZERO; rows.len()];
@@ -38,13 +38,13 @@ impl Embeddings {
         Self { dim, rows: halves, norms: vec![Norms::default(); rows.len() / dim] }
     }
 
-    /// The same with what calibrates fits, one for each instance.
+    /// Returns the embeddings with calibration norms, one for each instance.
     #[must_use]
     pub fn with_norms(self, norms: Vec<Norms>) -> Self {
         Self { norms, ..self }
     }
 
-    /// With so many instances: those at the end that are missing were not seen.
+    /// Returns `count` rows; rows added at the end count as not seen.
     #[must_use]
     pub fn padded_to(mut self, count: usize) -> Self {
         let count = count.max(self.len());
@@ -53,7 +53,8 @@ impl Embeddings {
         self
     }
 
-    /// One row for each of these: the one at an index, or that of an instance nobody has seen.
+    /// Returns a row for each of these indices; `None` gives the row of an instance that was not
+    /// seen.
     #[must_use]
     pub fn rearranged(&self, rows: impl Iterator<Item = Option<usize>>) -> Self {
         let (mut rearranged, unseen) = (
@@ -69,8 +70,8 @@ impl Embeddings {
         rearranged
     }
 
-    /// With the mean of other rows in one of them: what several instances look like together, at
-    /// the index of what they are.
+    /// Sets the row at `at` to the mean of other rows: the appearance of several instances that
+    /// form one.
     #[must_use]
     pub fn with_mean(mut self, of: impl IntoIterator<Item = usize>, at: usize) -> Self {
         let (mut sum, mut norms, mut seen) = (vec![0.0; self.dim], Norms::default(), 0.0);
@@ -97,7 +98,7 @@ impl Embeddings {
         self.dim
     }
 
-    /// Number of instances, those no frame shows included.
+    /// Number of instances, including those that no frame shows.
     #[must_use]
     pub fn len(&self) -> usize {
         self.rows.len() / self.dim
@@ -109,7 +110,7 @@ impl Embeddings {
         self.rows.is_empty()
     }
 
-    /// Whether the instance at this index was seen at all.
+    /// Whether any frame shows the instance at this index.
     #[must_use]
     pub fn is_seen(&self, index: usize) -> bool {
         self.rows[index * self.dim..(index + 1) * self.dim].iter().any(|v| *v != f16::ZERO)
@@ -121,34 +122,35 @@ impl Embeddings {
         self.rows[index * self.dim..(index + 1) * self.dim].iter().map(|v| v.to_f32()).collect()
     }
 
-    /// One for each instance, in order of id; all 0 until [`with_norms`](Self::with_norms).
+    /// The calibration norms, sorted by instance id; all 0 until [`with_norms`](Self::with_norms).
     #[must_use]
     pub fn norms(&self) -> &[Norms] {
         &self.norms
     }
 
-    /// The vectors as a numpy array of half floats, one row per instance.
+    /// Writes the vectors as a numpy array of half floats, one row per instance.
     ///
     /// # Errors
-    /// Those of `out`.
+    /// I/O errors of `out`.
     pub fn write_rows(&self, out: impl Write) -> io::Result<()> {
         let bits: &[u16] = self.rows.reinterpret_cast();
         npy::write(out, "<f2", [self.len(), self.dim], bits.iter().flat_map(|v| v.to_le_bytes()))
     }
 
-    /// What calibrates fits as a numpy array of floats: appearance alone, and with measures.
+    /// Writes the norms as a numpy array of floats: appearance alone, and with measures.
     ///
     /// # Errors
-    /// Those of `out`.
+    /// I/O errors of `out`.
     pub fn write_norms(&self, out: impl Write) -> io::Result<()> {
         let values = self.norms.iter().flat_map(|n| [n.appearance, n.joint]);
         npy::write(out, "<f4", [self.len(), 2], values.flat_map(f32::to_le_bytes))
     }
 
-    /// Reads back what was written.
+    /// Reads the arrays that [`write_rows`](Self::write_rows) and
+    /// [`write_norms`](Self::write_norms) wrote.
     ///
     /// # Errors
-    /// Files that are no such arrays, or do not belong together.
+    /// Files that are not such arrays, or do not belong together.
     pub fn read(rows: &[u8], norms: &[u8]) -> io::Result<Self> {
         let ([count, dim], rows) = npy::read(rows, "<f2")?;
         let ([normed, two], norms) = npy::read(norms, "<f4")?;
@@ -192,8 +194,8 @@ impl Embeddings {
     }
 }
 
-/// Dot products of rows with a query. Lanes are added in one order whatever the machine's vectors
-/// are, and nothing is contracted: same bits everywhere.
+/// Dot products of rows with a query. Lanes are added in one fixed order on every machine, and
+/// nothing is contracted, so the bits are the same everywhere.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "aarch64+neon"))]
 fn dots(rows: &[u16], query: &[f32], sums: &mut [f32]) {
     const LANES: usize = 64;
@@ -211,8 +213,8 @@ fn dots(rows: &[u16], query: &[f32], sums: &mut [f32]) {
     }
 }
 
-/// A finite half float as a float, in arithmetic that vectorises: the exponent is shifted into
-/// place and rebased.
+/// Converts a finite half float to a float with arithmetic that vectorizes: the exponent is shifted
+/// into place and rebased.
 #[inline]
 fn widened(bits: u16) -> f32 {
     const REBASE: f32 = f32::from_bits(0x7780_0000);

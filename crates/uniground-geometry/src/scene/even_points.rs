@@ -1,17 +1,18 @@
-//! The cloud for whoever looks at it over a network: twelve bytes a point, in an order of which
-//! every beginning is an even sample.
+//! The cloud for viewers over a network: twelve bytes per point, in an order of which every prefix
+//! is an even sample.
 //!
 //! ```text
 //!  0  4 bytes  "UGP1"
 //!  4  u32      number of points
 //!  8  u32      bytes per point: 12
 //! 12  u32      0
-//! 16  3 f32    origin, metres
-//! 28  f32      step, metres
-//! 32  points   3 u16: position = origin + step * (x, y, z); 3 u8: red, green, blue; u24: id of the thing it belongs to, 0 for none
+//! 16  3 f32    origin, meters
+//! 28  f32      step, meters
+//! 32  points   3 u16: position = origin + step * (x, y, z); 3 u8: red, green, blue;
+//!              u24: id of the thing it belongs to, 0 for none
 //! ```
 //! Little endian, world frame (Z up). The step is the longest side of the cloud's box over 65,535:
-//! a seventh of a millimetre in a room.
+//! a seventh of a millimeter in a room.
 
 use super::{InstanceId, PointCloud};
 use crate::Point3;
@@ -19,16 +20,16 @@ use crate::boxes::Aabb;
 use rayon::prelude::*;
 use std::io::{self, Write};
 
-/// Steps along the longest side.
+/// Number of steps along the longest side.
 const STEPS: f32 = 65_535.0;
 const BYTES_PER_POINT: u32 = 12;
-/// Used where all points are in one place.
+/// Step size if all points are in one place.
 const SMALLEST_STEP_M: f32 = 1e-6;
 
 /// Writes the cloud with the things its points belong to, by index.
 ///
 /// # Errors
-/// Those of `out`.
+/// I/O errors of `out`.
 pub fn write_even_points(
     cloud: &PointCloud,
     instance_of_point: &[InstanceId],
@@ -54,8 +55,8 @@ pub fn write_even_points(
     out.flush()
 }
 
-/// All points by index, in an order of which every beginning is an even sample of the whole; always
-/// the same.
+/// Returns the indices of all points, in an order of which every prefix is an even sample of the
+/// whole. The order is always the same.
 pub fn evenly(positions: &[Point3<f32>]) -> impl Iterator<Item = usize> {
     let steps = GridStep::over(positions);
     let mut along_curve: Vec<(u64, u32)> =
@@ -64,7 +65,7 @@ pub fn evenly(positions: &[Point3<f32>]) -> impl Iterator<Item = usize> {
     every_nth_first(positions.len()).map(move |place| along_curve[place].1 as usize)
 }
 
-/// Steps from the least corner of a cloud's box.
+/// Steps from the minimum corner of a cloud's box.
 #[derive(Clone, Copy)]
 struct GridStep {
     origin: Point3<f32>,
@@ -84,8 +85,8 @@ impl GridStep {
     }
 }
 
-/// Place along a space-filling curve: neighbours on it are neighbours in space. Bits of the three
-/// numbers in turns.
+/// Position along a space-filling curve: neighbors on it are neighbors in space. Interleaves the
+/// bits of the three numbers.
 fn morton(steps: [u16; 3]) -> u64 {
     let spread = |number: u16| {
         let mut bits = u64::from(number);
@@ -100,8 +101,8 @@ fn morton(steps: [u16; 3]) -> u64 {
     x | y << 1 | z << 2
 }
 
-/// `0..count` in an order of which every beginning is spread evenly over the whole: bits of a
-/// counter, last one first.
+/// Returns `0..count` in an order of which every prefix is spread evenly over the whole: the bits
+/// of a counter, reversed.
 fn every_nth_first(count: usize) -> impl Iterator<Item = usize> {
     let bits = usize::BITS - count.saturating_sub(1).leading_zeros();
     let reversed = move |counter: usize| {
@@ -116,7 +117,7 @@ mod tests {
     use crate::Vector3;
     use proptest::prelude::*;
 
-    /// What a reader makes of a file: positions, colours and ids.
+    /// Decodes a file: positions, colors and ids.
     fn read(bytes: &[u8]) -> Vec<(Point3<f32>, [u8; 3], u32)> {
         let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
         let number = |at: usize| f32::from_bits(word(at));
@@ -159,7 +160,7 @@ mod tests {
                 "{beginning}: {squares:?}"
             );
         }
-        // Ids go with their points.
+        // Ids stay with their points.
         assert!(
             points.iter().all(|(p, _, id)| (p.x.round() as u32 + 64 * p.y.round() as u32) == *id)
         );

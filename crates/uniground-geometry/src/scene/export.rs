@@ -1,21 +1,21 @@
-//! Clouds as binary little-endian PLY, for any viewer.
+//! Writes clouds as binary little-endian PLY, for any viewer.
 
 use super::{InstanceId, ParsedScene, PointCloud};
 use crate::Point3;
 use std::io::{self, BufRead, Read, Write};
 
-/// Writes the cloud in its own colours.
+/// Writes the cloud in its own colors.
 ///
 /// # Errors
-/// Those of `out`.
+/// I/O errors of `out`.
 pub fn write_cloud_ply(cloud: &PointCloud, out: impl Write) -> io::Result<()> {
     write(&[], &cloud.positions, |i| (cloud.colours[i], None), out)
 }
 
-/// Writes the cloud with one colour per instance and the id as the property `instance`.
+/// Writes the cloud with one color per instance and the id as the property `instance`.
 ///
 /// # Errors
-/// Those of `out`.
+/// I/O errors of `out`.
 pub fn write_instances_ply(scene: &ParsedScene, out: impl Write) -> io::Result<()> {
     write(
         &[],
@@ -25,8 +25,11 @@ pub fn write_instances_ply(scene: &ParsedScene, out: impl Write) -> io::Result<(
     )
 }
 
-/// Writes points with a line of the header for each comment, which are short and ASCII: programs
-/// read it as such.
+/// Writes points, with one header line for each comment. Comments must be short and ASCII, because
+/// programs read them as such.
+///
+/// # Errors
+/// When `out` cannot be written.
 pub fn write<'a>(
     comments: &[String],
     positions: impl IntoIterator<Item = &'a Point3<f32>, IntoIter: ExactSizeIterator>,
@@ -57,10 +60,10 @@ pub fn write<'a>(
     out.flush()
 }
 
-/// The thing each point belongs to, of what [`write_instances_ply`] wrote.
+/// Reads the thing each point belongs to from the output of [`write_instances_ply`].
 ///
 /// # Errors
-/// Those of `file`; something else than was written.
+/// I/O errors of `file`; a file that [`write_instances_ply`] did not write.
 pub fn read_instance_of_point(mut file: impl BufRead) -> io::Result<Vec<InstanceId>> {
     let malformed = || io::Error::new(io::ErrorKind::InvalidData, "this is no cloud by instance");
     let (mut line, mut count) = (String::new(), None);
@@ -85,13 +88,12 @@ pub fn read_instance_of_point(mut file: impl BufRead) -> io::Result<Vec<Instance
         .collect())
 }
 
-/// Of a header.
+/// Maximum length of a header line.
 const LONGEST_LINE: u64 = 200;
-/// Three coordinates, three colours, an id.
+/// Bytes per point: three coordinates, three colors, an id.
 const LABELLED_BYTES: usize = 19;
 
-/// A colour per id: steps of the golden angle around the hue circle, so that neighbours in number
-/// differ.
+/// A color per id: steps of the golden angle around the hue circle, so that consecutive ids differ.
 #[must_use]
 pub fn id_colour(id: u32) -> [u8; 3] {
     let hue = (id as f32 * 0.618_034).fract() * 6.0;

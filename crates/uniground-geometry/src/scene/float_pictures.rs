@@ -1,5 +1,5 @@
-//! Depth pictures that hold what was measured: `OpenEXR`, and TIFF of one channel. Sizes are looked
-//! at before room is made for them.
+//! Depth pictures with measured values: `OpenEXR`, and TIFF of one channel. Sizes are checked
+//! before memory is allocated.
 
 use camino::Utf8Path;
 use exr::block::reader::Reader;
@@ -13,15 +13,14 @@ use tiff::tags::Tag;
 
 const EXR_MAGIC: &[u8; 4] = b"\x76\x2f\x31\x01";
 const TIFF_MAGICS: [&[u8; 4]; 4] = [b"II\x2a\0", b"MM\0\x2a", b"II\x2b\0", b"MM\0\x2b"];
-/// What distance goes by among the channels of an EXR, the best first; of three that are alike,
-/// red.
+/// Names of the distance channel of an EXR, best first. If three channels are equal: red.
 const CHANNELS: [&str; 5] = ["z", "depth", "y", "v", "r"];
-/// Memory that a picture's own numbers may take.
+/// Maximum memory for a picture's own numbers.
 const MAX_BYTES: u64 = 256 << 20;
 /// `SampleFormat` of IEEE floats.
 const IEEE_FLOATS: u16 = 3;
 
-/// Numbers of a picture, row-major.
+/// Values of a picture, row-major.
 pub(super) enum PixelValues {
     Floats(Vec<f32>),
     Words(Vec<u16>),
@@ -40,10 +39,10 @@ enum FloatImageFormat {
     Tiff,
 }
 
-/// Width and height of an EXR or TIFF; `None`: the file is neither.
+/// Returns width and height of an EXR or TIFF; `None`: the file is neither.
 ///
 /// # Errors
-/// Those of the file system; a header that can not be read.
+/// I/O errors; a header that cannot be read.
 pub fn float_picture_size(file: &Utf8Path) -> io::Result<Option<(u32, u32)>> {
     Ok(match kind(file)? {
         None => None,
@@ -54,11 +53,11 @@ pub fn float_picture_size(file: &Utf8Path) -> io::Result<Option<(u32, u32)>> {
     })
 }
 
-/// Whether a file is an EXR, or a TIFF of floats: those are metres by habit, integers are
-/// millimetres.
+/// Whether a file is an EXR, or a TIFF of floats. By convention those are meters, and integers are
+/// millimeters.
 ///
 /// # Errors
-/// Those of the file system; a header that can not be read.
+/// I/O errors; a header that cannot be read.
 pub fn is_float_picture(file: &Utf8Path) -> io::Result<bool> {
     Ok(match kind(file)? {
         None => false,
@@ -71,7 +70,7 @@ pub fn is_float_picture(file: &Utf8Path) -> io::Result<bool> {
     })
 }
 
-/// The picture; `None`: the file is neither EXR nor TIFF.
+/// Reads the picture; `None`: the file is neither EXR nor TIFF.
 pub(super) fn read_grey(file: &Utf8Path) -> io::Result<Option<SingleChannelImage>> {
     kind(file)?
         .map(|kind| if kind == FloatImageFormat::Exr { read_exr(file) } else { read_tiff(file) })
@@ -128,7 +127,7 @@ fn read_exr(file: &Utf8Path) -> io::Result<SingleChannelImage> {
         .all_attributes()
         .non_parallel();
     let mut channels = image.from_chunks(reader).map_err(damaged)?.layer_data.channel_data.list;
-    // "scene.Z" is the Z of a layer.
+    // "scene.Z" is the Z channel of a layer.
     let name = |at: usize| {
         channels[at].name.to_string().rsplit('.').next().unwrap_or_default().to_ascii_lowercase()
     };

@@ -8,25 +8,25 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::io;
 
-/// Where one frame lies and how it was taken. Decoding happens in [`FrameRef::decode`].
+/// File locations and camera of one frame. Decoding happens in [`FrameRef::decode`].
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct FrameRef {
     /// Position in the scan's own list, from 0; skipped frames leave gaps.
     pub index: FrameIndex,
-    /// Path of the colour picture.
+    /// Path of the color picture.
     pub colour: Utf8PathBuf,
-    /// Path of the depth picture: 16-bit grey, or floats.
+    /// Path of the depth picture: 16-bit gray, or floats.
     pub depth: Utf8PathBuf,
-    /// At the resolution of the colour picture.
+    /// At the resolution of the color picture.
     pub colour_intrinsics: Intrinsics,
-    /// At the resolution of the depth picture; where the depth camera stands beside the colour
-    /// camera, that of the picture made of it.
+    /// At the resolution of the depth picture. If the depth camera is beside the color camera:
+    /// those of the depth picture reprojected into the color camera.
     pub depth_intrinsics: Intrinsics,
-    /// Metres per unit of the depth image.
+    /// Meters per unit of the depth image.
     pub depth_scale_m: f32,
-    /// Camera-to-world, OpenCV camera axes, Z-up world, metres.
+    /// Camera-to-world, OpenCV camera axes, Z-up world, meters.
     pub camera_to_world: Isometry3<f32>,
-    /// What the files need before they are pinhole pictures.
+    /// Corrections that turn the files into pinhole pictures.
     pub optics: Optics,
 }
 
@@ -65,7 +65,7 @@ pub enum FrameError {
     },
 }
 
-/// Depth along the optical axis, metres; 0 = no measurement. Row-major.
+/// Depth along the optical axis, meters; 0 = no measurement. Row-major.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DepthImage {
     /// Number of columns.
@@ -77,14 +77,14 @@ pub struct DepthImage {
 }
 
 impl DepthImage {
-    /// Depth at a pixel; 0 where nothing was measured.
+    /// Depth at a pixel, meters; 0 where nothing was measured.
     #[must_use]
     pub fn at(&self, (column, row): (u32, u32)) -> f32 {
         self.depth_m[(row * self.width + column) as usize]
     }
 }
 
-/// A decoded frame. Colour and depth may have different resolutions; both are seen from the same
+/// A decoded frame. Color and depth may have different resolutions; both are seen from the same
 /// pose.
 #[derive(Debug, Clone)]
 pub struct Frame {
@@ -92,7 +92,7 @@ pub struct Frame {
     pub index: FrameIndex,
     /// 8-bit sRGB.
     pub colour: RgbImage,
-    /// On a grid of its own, see [`colour_on_depth_grid`](Self::colour_on_depth_grid).
+    /// On its own grid, see [`colour_on_depth_grid`](Self::colour_on_depth_grid).
     pub depth: DepthImage,
     /// Projects into pixels of `colour`.
     pub colour_camera: Camera,
@@ -101,7 +101,7 @@ pub struct Frame {
 }
 
 impl FrameRef {
-    /// The same frame with the paths of its files changed.
+    /// Returns the same frame with the paths of its files changed.
     #[must_use]
     pub fn with_paths(mut self, path: impl Fn(&Utf8Path) -> Utf8PathBuf) -> Self {
         self.colour = path(&self.colour);
@@ -112,13 +112,13 @@ impl FrameRef {
         self
     }
 
-    /// Projects world points into pixels of the colour picture.
+    /// The camera that projects world points into pixels of the color picture.
     #[must_use]
     pub fn colour_camera(&self) -> Camera {
         Camera::new(self.colour_intrinsics, &self.camera_to_world)
     }
 
-    /// Projects world points into pixels of the depth picture.
+    /// The camera that projects world points into pixels of the depth picture.
     #[must_use]
     pub fn depth_camera(&self) -> Camera {
         Camera::new(self.depth_intrinsics, &self.camera_to_world)
@@ -138,7 +138,7 @@ impl FrameRef {
         })
     }
 
-    /// The colour picture, rectified.
+    /// Reads the color picture, rectified.
     ///
     /// # Errors
     /// [`FrameError`] naming the frame and the file.
@@ -151,8 +151,8 @@ impl FrameRef {
         })
     }
 
-    /// The depth picture, rectified and seen from the colour camera; what is not sure enough is
-    /// left out.
+    /// Reads the depth picture, rectified and seen from the color camera. Depth of low confidence
+    /// is left out.
     ///
     /// # Errors
     /// [`FrameError`] naming the frame and the file.
@@ -182,7 +182,7 @@ impl FrameRef {
         let unreadable =
             |source| FrameError::Unreadable { frame: self.index, file: in_scene(file), source };
         let sure = if depth_file::is_compressed_floats(file).map_err(unreadable)? {
-            // Of the depth picture's own size.
+            // Pixels of the depth picture's own size.
             let bytes =
                 depth_file::read_compressed(file, u64::from(depth.width) * u64::from(depth.height))
                     .map_err(unreadable)?;
@@ -246,10 +246,10 @@ impl FrameRef {
     }
 }
 
-/// Memory a picture may take while it is decoded: 40 megapixels with room to spare.
+/// Maximum memory for decoding a picture: 40 megapixels plus a margin.
 const MAX_PICTURE_BYTES: u64 = 256 << 20;
 
-/// The last two components: what the uploader knows the file as, without the server's own folders.
+/// The last two path components: the name that the uploader knows, without the server's folders.
 pub(super) fn in_scene(file: &Utf8Path) -> Utf8PathBuf {
     let mut tail: Vec<_> = file.components().rev().take(2).collect();
     tail.reverse();
@@ -257,8 +257,8 @@ pub(super) fn in_scene(file: &Utf8Path) -> Utf8PathBuf {
 }
 
 impl Frame {
-    /// Where the ray through a depth pixel (column, row) meets the colour picture, pixels; it may
-    /// lie outside.
+    /// Where the ray through a depth pixel (column, row) meets the color picture, pixels; may lie
+    /// outside.
     #[must_use]
     pub fn colour_position(&self, u: f32, v: f32) -> (f32, f32) {
         let (depth, colour) = (&self.depth_camera.intrinsics, &self.colour_camera.intrinsics);
@@ -271,8 +271,8 @@ impl Frame {
         )
     }
 
-    /// Colour of each depth pixel, row-major: the colour image resampled (nearest) onto the depth
-    /// grid.
+    /// Returns the color of each depth pixel, row-major: the color image resampled (nearest) onto
+    /// the depth grid.
     #[must_use]
     pub fn colour_on_depth_grid(&self) -> Vec<[u8; 3]> {
         let (depth, colour) = (&self.depth_camera.intrinsics, &self.colour_camera.intrinsics);
@@ -292,9 +292,9 @@ impl Frame {
     }
 }
 
-/// Works on frames in parallel, a few at a time, and folds the results in frame order.
+/// Processes frames in parallel, a few at a time, and folds the results in frame order.
 ///
-/// At most as many frames as there are threads are in memory, and what `fold` sees does not depend
+/// At most as many frames as there are threads are in memory. The input of `fold` does not depend
 /// on that number.
 ///
 /// # Errors

@@ -1,5 +1,4 @@
-//! What frames look like as a whole, as vectors beside which words can be laid: for what is in no
-//! instance.
+//! Embeddings of whole frames, comparable with those of words: for objects that are in no instance.
 
 use super::{Embeddings, FrameIndex, npy};
 use std::collections::BTreeMap;
@@ -14,14 +13,14 @@ pub struct FrameEmbeddings {
 }
 
 impl FrameEmbeddings {
-    /// `rows` holds one vector of length `dim` for each entry of `of_row`.
+    /// Creates embeddings; `rows` holds one vector of length `dim` for each entry of `of_row`.
     #[must_use]
     pub fn new(dim: usize, of_row: Vec<FrameIndex>, rows: &[f32]) -> Self {
         Self { of_row, rows: Embeddings::new(dim, rows) }
     }
 
-    /// The frames of which a crop is nearest to a unit vector, the nearest first. Of frames that
-    /// follow each other only the better one: they show the same.
+    /// Returns the frames with the crops nearest to a unit vector, nearest first. Of consecutive
+    /// frames only the better one is returned, because they show the same.
     ///
     /// # Panics
     /// When `query` has another dimension.
@@ -56,18 +55,18 @@ impl FrameEmbeddings {
         self.of_row.is_empty()
     }
 
-    /// The vectors as a numpy array of half floats, one row per crop.
+    /// Writes the vectors as a numpy array of half floats, one row per crop.
     ///
     /// # Errors
-    /// Those of `out`.
+    /// I/O errors of `out`.
     pub fn write_rows(&self, out: impl Write) -> io::Result<()> {
         self.rows.write_rows(out)
     }
 
-    /// The frame of every row as a numpy array of one column.
+    /// Writes the frame of every row as a numpy array of one column.
     ///
     /// # Errors
-    /// Those of `out`.
+    /// I/O errors of `out`.
     pub fn write_frames(&self, out: impl Write) -> io::Result<()> {
         npy::write(
             out,
@@ -77,10 +76,11 @@ impl FrameEmbeddings {
         )
     }
 
-    /// Reads back what was written.
+    /// Reads the arrays that [`write_rows`](Self::write_rows) and
+    /// [`write_frames`](Self::write_frames) wrote.
     ///
     /// # Errors
-    /// Files that are no such arrays, or do not belong together.
+    /// Files that are not such arrays, or do not belong together.
     pub fn read(rows: &[u8], frames: &[u8]) -> io::Result<Self> {
         let ([count, dim], rows) = npy::read(rows, "<f2")?;
         let ([of, one], frames) = npy::read(frames, "<u4")?;
@@ -104,7 +104,7 @@ impl FrameEmbeddings {
 mod tests {
     use super::*;
 
-    /// Frames 0, 10, 20, 30, each with two crops; the second crop of frame 20 is nearest to x, then
+    /// Frames 0, 10, 20, 30, each with two crops. The second crop of frame 20 is nearest to x, then
     /// those of 30, 0 and 10.
     fn some() -> FrameEmbeddings {
         let of_row = [0, 0, 10, 10, 20, 20, 30, 30].map(FrameIndex).to_vec();

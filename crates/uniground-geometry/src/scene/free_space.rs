@@ -1,51 +1,52 @@
-//! What frames say of points that were known before: measured where they are, or looked through.
+//! Checks known points against new frames: a surface was measured there, or the frame looked
+//! through.
 
 use super::{DepthImage, FrameError, FrameRef, stream_frames};
 use crate::Point3;
 use rayon::prelude::*;
 
-/// A point counts as measured, or as looked through, from this far before or behind it on, metres,
-/// and this share of the depth: poses drift by centimetres, and noise grows with the distance.
+/// Margin before and behind a point from which a measurement counts as in front of it or behind it:
+/// meters, and a share of the depth. Poses drift by centimeters, and noise grows with the distance.
 const MARGIN_M: f32 = 0.05;
 const MARGIN: f32 = 0.025;
-/// Nothing in this many pixels around may be near the point, in pictures of this width; more in
-/// larger ones. Silhouettes smear and poses are off by a pixel or two.
+/// Radius in pixels in which no measurement may be near the point, for pictures of this width; more
+/// in larger ones. Silhouettes smear, and poses are off by a pixel or two.
 const AROUND_PX: u32 = 2;
 const AT_WIDTH_PX: u32 = 640;
-/// Share of the pixels around that must be measured: what is shiny or black leaves holes, and must
-/// not be taken for gone.
+/// Minimum share of the surrounding pixels with a measurement: shiny or black surfaces leave holes
+/// and must not count as gone.
 const MEASURED: f32 = 0.75;
 
 /// How many frames measured something at a point, and how many looked through it.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct FreeSpaceVotes {
-    /// Frames that measured a surface there.
+    /// Number of frames that measured a surface there.
     pub hits: u32,
-    /// Frames that measured only what lies well behind it.
+    /// Number of frames that measured only surfaces well behind it.
     pub through: u32,
 }
 
 impl FreeSpaceVotes {
-    /// Whether nothing is there any more: `enough` frames looked through, and many more than found
-    /// something.
+    /// Whether the point no longer exists: at least `enough` frames looked through it, and many
+    /// more than measured a surface.
     #[must_use]
     pub fn is_gone(&self, enough: u32) -> bool {
         self.through >= enough && self.through > 2 * self.hits
     }
 
-    /// Whether any frame tells.
+    /// Whether any frame has evidence.
     #[must_use]
     pub fn is_known(&self) -> bool {
         self.hits + self.through > 0
     }
 }
 
-/// What frames say of points (metres, world frame, Z up); one answer a point. Points behind what
-/// was measured are hidden: nothing is said.
+/// Counts the evidence of frames for points (meters, world frame, Z up); one result per point.
+/// Points behind a measured surface are hidden and get no evidence.
 ///
 /// # Errors
-/// [`FrameError`] for a depth picture that can not be read, and those of `check`, which is called
-/// once a frame.
+/// [`FrameError`] for a depth picture that cannot be read, and those of `check`, which is called
+/// once per frame.
 pub fn count_free_space<E: From<FrameError> + Send>(
     positions: &[Point3<f32>],
     frames: &[FrameRef],
@@ -71,7 +72,7 @@ pub fn count_free_space<E: From<FrameError> + Send>(
     Ok(looks)
 }
 
-/// `true`: a surface was measured there; `false`: it was looked through; `None`: hidden or not
+/// `true`: a surface was measured there; `false`: the frame looked through; `None`: hidden or not
 /// measured.
 fn sight(depth: &DepthImage, (column, row): (u32, u32), z_m: f32) -> Option<bool> {
     let measured_m = depth.at((column, row));

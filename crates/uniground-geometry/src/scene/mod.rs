@@ -1,9 +1,8 @@
-//! The vocabulary of a scan: clouds, cameras, frames, instances. Everything above speaks in these
-//! types.
+//! The vocabulary of a scan: clouds, cameras, frames, instances. All higher crates use these types.
 //!
-//! Canonical inside: metres, right-handed world with Z up, OpenCV cameras (x right, y down, z
-//! forward), poses are camera-to-world. [`ingest`](uniground_ingest) converts once; nobody swaps axes
-//! again.
+//! Canonical conventions: meters, right-handed world with Z up, OpenCV cameras (x right, y down, z
+//! forward), poses are camera-to-world. [`ingest`](uniground_ingest) converts once; no other code
+//! swaps axes.
 
 mod bundle;
 mod camera;

@@ -14,7 +14,7 @@ pub(super) fn write(
     let mut out = BufWriter::new(out);
     let header =
         format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({rows}, {columns}), }}");
-    // Data begin at a multiple of 64 bytes; the header ends with a line break.
+    // Data begins at a multiple of 64 bytes; the header ends with a line break.
     let length = (MAGIC.len() + 2 + header.len() + 1).next_multiple_of(64) - MAGIC.len() - 2;
     out.write_all(MAGIC)?;
     out.write_all(&(length as u16).to_le_bytes())?;
@@ -25,7 +25,7 @@ pub(super) fn write(
     out.flush()
 }
 
-/// Rows, columns and the values' bytes of an array written by [`write`].
+/// Returns rows, columns and the value bytes of an array written by [`write`].
 pub(super) fn read<'a>(bytes: &'a [u8], descr: &str) -> io::Result<([usize; 2], &'a [u8])> {
     let parse = || {
         let rest = bytes.strip_prefix(MAGIC)?;

@@ -1,6 +1,6 @@
-//! What stands between the picture files of a frame and pinhole pictures seen from one place:
-//! lenses, depth cameras beside the colour camera, confidence. Applied once, when a frame is
-//! decoded; nobody after that knows of them.
+//! Converts the picture files of a frame to pinhole pictures seen from one place: lenses, depth
+//! cameras beside the color camera, confidence. Applied once, when a frame is decoded; other code
+//! does not need to know about them.
 
 use super::{DepthImage, Intrinsics};
 use crate::{Isometry3, Point3};
@@ -8,21 +8,22 @@ use camino::Utf8PathBuf;
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
-/// What a frame's pictures need before they are pinhole pictures; nothing for most scans.
+/// The corrections for a frame's pictures; empty for most scans.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Optics {
-    /// Lens of the colour camera; `None`: the picture is rectified.
+    /// Lens of the color camera; `None`: the picture is rectified.
     pub colour_lens: Option<Lens>,
-    /// Lens that the depth picture was seen through; `None`: it is rectified.
+    /// Lens of the depth camera; `None`: the picture is rectified.
     pub depth_lens: Option<Lens>,
-    /// A depth camera that stands beside the colour camera; `None`: both are seen from one place.
+    /// A depth camera beside the color camera; `None`: both pictures are seen from one place.
     pub depth_sensor: Option<DepthSensor>,
-    /// How sure the depth is, pixel by pixel.
+    /// Confidence of the depth, pixel by pixel.
     pub confidence: Option<Confidence>,
 }
 
-/// Distortion of a lens, as OpenCV writes it: radial `(1 + k1 r2 + k2 r4 + k3 r6) / (1 + k4 r2 + k5
-/// r4 + k6 r6)` and tangential `p1`, `p2`, in coordinates on the plane at depth 1.
+/// Distortion of a lens in OpenCV's form: radial
+/// `(1 + k1 r2 + k2 r4 + k3 r6) / (1 + k4 r2 + k5 r4 + k6 r6)` and tangential `p1`, `p2`, in
+/// coordinates on the plane at depth 1.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 #[allow(missing_docs)]
@@ -37,39 +38,39 @@ pub struct Lens {
     pub k6: f32,
 }
 
-/// A depth camera with a place of its own.
+/// A depth camera with a pose of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct DepthSensor {
-    /// Of the depth picture in the file, pixels.
+    /// Intrinsics of the depth picture in the file, pixels.
     pub intrinsics: Intrinsics,
-    /// From the depth camera's axes to the colour camera's (OpenCV both), metres.
+    /// Transform from the depth camera's axes to the color camera's (both OpenCV), meters.
     pub depth_to_colour: Isometry3<f32>,
 }
 
-/// A picture of how sure a depth picture is.
+/// A confidence picture of a depth picture.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Confidence {
-    /// 8-bit grey, of any size of the same shape.
+    /// 8-bit gray, of any size with the same aspect ratio.
     pub file: Utf8PathBuf,
-    /// Depth whose confidence is below this is no measurement.
+    /// Minimum confidence: depth below it counts as no measurement.
     pub at_least: u8,
 }
 
 impl Lens {
-    /// The lens, unless it does nothing.
+    /// Returns the lens, unless it has no distortion.
     #[must_use]
     pub fn or_none(self) -> Option<Self> {
         (self != Self::default()).then_some(self)
     }
 
-    /// Whether all coefficients are numbers of a size that lenses have.
+    /// Whether all coefficients are finite and in the range of real lenses.
     #[must_use]
     pub fn is_plausible(&self) -> bool {
         let Self { k1, k2, p1, p2, k3, k4, k5, k6 } = *self;
         [k1, k2, p1, p2, k3, k4, k5, k6].iter().all(|k| k.is_finite() && k.abs() < 1e3)
     }
 
-    /// Where the lens puts the ray through `(x, y)` on the plane at depth 1.
+    /// Where the lens projects the ray through `(x, y)` on the plane at depth 1.
     #[must_use]
     pub fn distort(&self, x: f32, y: f32) -> (f32, f32) {
         let Self { k1, k2, p1, p2, k3, k4, k5, k6 } = *self;
@@ -82,14 +83,15 @@ impl Lens {
         )
     }
 
-    /// Pixel of the distorted picture that shows what the pinhole picture shows at `(u, v)`.
+    /// Pixel of the distorted picture that corresponds to `(u, v)` of the pinhole picture.
     fn source(&self, camera: &Intrinsics, u: u32, v: u32) -> (f32, f32) {
         let (x, y) =
             self.distort((u as f32 - camera.cx) / camera.fx, (v as f32 - camera.cy) / camera.fy);
         (x * camera.fx + camera.cx, y * camera.fy + camera.cy)
     }
 
-    /// The pinhole picture of the same intrinsics, bilinear; black where the lens saw nothing.
+    /// Rectifies a color picture with the same intrinsics, bilinear; black where the lens saw
+    /// nothing.
     #[must_use]
     pub fn rectified(&self, picture: &RgbImage, camera: &Intrinsics) -> RgbImage {
         let (width, height) = picture.dimensions();
@@ -99,7 +101,7 @@ impl Lens {
         })
     }
 
-    /// The same for depth, nearest pixel: depths of two surfaces must not be mixed.
+    /// Rectifies a depth picture, nearest pixel: depths of two surfaces must not be mixed.
     #[must_use]
     pub fn rectified_depth(&self, depth: &DepthImage, camera: &Intrinsics) -> DepthImage {
         let pixels = (0..depth.height).flat_map(|v| (0..depth.width).map(move |u| (u, v)));
@@ -118,7 +120,7 @@ impl Lens {
 }
 
 impl DepthSensor {
-    /// Intrinsics of a depth picture seen from the colour camera: no finer than the sensor, so that
+    /// Intrinsics of a depth picture seen from the color camera: no finer than the sensor, so that
     /// measurements leave no holes.
     #[must_use]
     pub fn registered_intrinsics(&self, colour: &Intrinsics) -> Intrinsics {
@@ -127,8 +129,8 @@ impl DepthSensor {
         colour.scaled_to(size(colour.width), size(colour.height))
     }
 
-    /// The depth picture as the colour camera would have seen it; of several surfaces in a pixel
-    /// the nearest.
+    /// Reprojects the depth picture into the color camera. Of several surfaces in a pixel, the
+    /// nearest counts.
     #[must_use]
     pub fn registered(&self, depth: &DepthImage, target: &Intrinsics) -> DepthImage {
         let mut depth_m = vec![0.0_f32; (target.width * target.height) as usize];
@@ -137,7 +139,7 @@ impl DepthSensor {
             let p: Point3<f32> =
                 self.depth_to_colour * self.intrinsics.unproject(u as f32, v as f32, z_m);
             let Some(pixel) = target.project(&p) else { continue };
-            // To the pixels on either side: resampling alone would leave gaps.
+            // Fills the pixels on either side: resampling alone would leave gaps.
             for (column, row) in [(0, 0), (1, 0), (0, 1), (1, 1)]
                 .map(|(a, b)| (pixel.u.floor() as i64 + a, pixel.v.floor() as i64 + b))
             {
@@ -166,7 +168,7 @@ mod tests {
     #[test]
     fn a_lens_is_taken_off_a_picture() {
         let lens = Lens { k1: -0.2, k2: 0.03, p1: 0.001, ..Lens::default() };
-        // What a lens shows of a pattern that is a function of the ray.
+        // The picture that a lens shows of a pattern, which is a function of the ray.
         let brightness = |x: f32, y: f32| ((x * 100.0 + 128.0) as u8, (y * 100.0 + 128.0) as u8);
         let straight = RgbImage::from_fn(64, 48, |u, v| {
             let (a, b) = brightness((u as f32 - 31.5) / 60.0, (v as f32 - 23.5) / 60.0);
@@ -174,7 +176,7 @@ mod tests {
         });
         let bent = RgbImage::from_fn(64, 48, |u, v| {
             let (x, y) = ((u as f32 - 31.5) / 60.0, (v as f32 - 23.5) / 60.0);
-            // Where the ray of this pixel comes from: the inverse by iteration.
+            // The ray of this pixel: the inverse, by iteration.
             let (mut a, mut b) = (x, y);
             for _ in 0..20 {
                 let (da, db) = lens.distort(a, b);

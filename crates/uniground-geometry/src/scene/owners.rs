@@ -1,22 +1,23 @@
-//! Whom a point belongs to after what people have said: what was merged to the one thing it is now,
-//! what was dismissed to nothing, what was taken apart to the part whose box it lies in (of parts
-//! no points are kept).
+//! Determines which instance owns a point after people's corrections. Points of a merged instance
+//! belong to the merge result, those of a dismissed one to nothing. Points of a split one belong to
+//! the part whose box contains them, because points of parts are not stored.
 
 use super::{Instance, InstanceId};
 use crate::Point3;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The present owners of points.
+/// The current owners of points.
 pub struct Owners<'a> {
     instances: &'a [Instance],
-    /// The thing an instance has become a member of.
+    /// The merge result that an instance is a member of.
     merged: BTreeMap<InstanceId, InstanceId>,
-    /// What may own points without having had any: parts that are things now, the smallest first.
+    /// Instances that may own points without having any in the parse: parts that are now things,
+    /// smallest first.
     parts: Vec<&'a Instance>,
 }
 
 impl<'a> Owners<'a> {
-    /// `instance_of_point` is what stage 1 has found, `instances` as people have corrected them.
+    /// `instance_of_point` is the result of stage 1; `instances` are the corrected ones.
     #[must_use]
     pub fn of(instance_of_point: &[InstanceId], instances: &'a [Instance]) -> Self {
         let with_members = instances.iter().filter(|instance| !instance.dismissed);
@@ -36,7 +37,7 @@ impl<'a> Owners<'a> {
         Self { instances, merged, parts }
     }
 
-    /// The owner of a point that stage 1 has found to be of a thing; 0: none.
+    /// The current owner of a point that stage 1 assigned to a thing; 0: none.
     #[must_use]
     pub fn of_point(&self, found: InstanceId, position: &Point3<f32>) -> InstanceId {
         let mut id = found;

@@ -1,26 +1,26 @@
-//! The result of stage 1: a scene cut into instances.
+//! The result of stage 1: a scene segmented into instances.
 
 use super::{Embeddings, FrameEmbeddings, Instance, InstanceId, ParseReport, PointCloud};
 use crate::boxes::Aabb;
 
-/// A parsed scene: every point belongs to one thing, or to none; parts and wholes overlap the
+/// A parsed scene: every point belongs to one thing, or to none. Parts and wholes overlap the
 /// things.
 #[derive(Debug, Clone)]
 pub struct ParsedScene {
     /// The points of the import, in its order.
     pub cloud: PointCloud,
-    /// Thing each point of `cloud` belongs to; 0: none, for what no mask shows.
+    /// The thing each point of `cloud` belongs to; 0: none, for points that no mask shows.
     pub instance_of_point: Vec<InstanceId>,
     /// Superpoint of each point, numbered from 0.
     pub superpoint_of_point: Vec<u32>,
-    /// In order of id: things, then parts and wholes.
+    /// Sorted by id: things, then parts and wholes.
     pub instances: Vec<Instance>,
-    /// What the instances look like, where an encoder has seen them.
+    /// Embeddings of the instances, if an encoder is configured.
     pub embeddings: Option<Embeddings>,
-    /// What some of the frames look like as a whole, where an encoder has seen them.
+    /// Embeddings of some whole frames, if an encoder is configured.
     pub frame_embeddings: Option<FrameEmbeddings>,
-    /// Axis-aligned box of all points, metres, world frame.
+    /// Axis-aligned box of all points, meters, world frame.
     pub extent: Aabb,
-    /// What each step did and took, and what is odd.
+    /// What each step did and took, and warnings.
     pub report: ParseReport,
 }

@@ -1,5 +1,5 @@
-//! The entries of an archive, one after another, whatever its kind. Names and extension headers are
-//! read in bounds.
+//! Iterates over the entries of an archive of any kind. Names and extension headers are read within
+//! limits.
 
 use super::{ArchiveKind, UnpackLimits};
 use crate::IngestError;
@@ -8,14 +8,14 @@ use camino::Utf8Path;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 
-/// What an entry is.
+/// The kind of an entry.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum EntryKind {
     File,
     Folder,
 }
 
-/// Is shown every entry: its name, its kind, and its content.
+/// Receives every entry: its name, its kind and its content.
 pub(super) trait EntryVisitor {
     fn entry(
         &mut self,
@@ -25,17 +25,18 @@ pub(super) trait EntryVisitor {
     ) -> Result<(), IngestError>;
 }
 
-/// A zip's list of entries: enough for the most entries with names of everyday length.
+/// Maximum size of a zip's central directory: enough for the maximum number of entries with names
+/// of usual length.
 const MAX_ZIP_DIRECTORY_BYTES: u64 = 12 << 20;
-/// Headers of a tar, beside the files themselves.
+/// Bytes of tar headers per entry, in addition to the files themselves.
 const TAR_HEADER_BYTES: u64 = 1536;
-/// Extended headers hold a name, times and the like.
+/// Maximum size of extended headers. They hold a name, times and similar values.
 const MAX_EXTENDED_HEADER_BYTES: u64 = 64 << 10;
-/// Memory a compressed tar may want for what it repeats, as a power of two: 64 MiB.
+/// Maximum window of a compressed tar, as a power of two: 64 MiB of memory.
 const MAX_WINDOW_LOG: u32 = 26;
 
-/// Shows `visitor` every entry. `with_content` says whether their content is wanted: only then is a
-/// zip's decompressed.
+/// Passes every entry to `visitor`. `with_content` says whether content is needed: a zip's entries
+/// are only decompressed then.
 pub(super) fn walk(
     archive: &Utf8Path,
     kind: ArchiveKind,
@@ -48,7 +49,7 @@ pub(super) fn walk(
     let packed_bytes = file.metadata().map_or(0, |m| m.len());
     match kind {
         ArchiveKind::Zip => walk_zip(file, limits, with_content, visitor),
-        // Names alone are looked at by going from header to header.
+        // If only names are needed, it is enough to go from header to header.
         ArchiveKind::Tar if !with_content => {
             let mut tar = tar::Archive::new(file);
             walk_tar_entries(
@@ -80,7 +81,7 @@ fn walk_zip(
     {
         return Err(limits.too_many_entries());
     }
-    // What is read here is kept: the directory as a whole.
+    // The directory is held in memory as a whole.
     let allowance = ReadLimit::of(MAX_ZIP_DIRECTORY_BYTES);
     let mut zip = zip::ZipArchive::new(BufReader::new(LimitedReader::new(file, &allowance)))
         .map_err(|e| match allowance.is_spent() {
@@ -112,12 +113,11 @@ fn walk_zip(
     Ok(())
 }
 
-/// How many entries a zip says it has, by the record at its end; `None` where there is none. It is
-/// looked at before the directory is read: of that, all is kept. The file is at its start again
-/// afterwards.
+/// Returns the number of entries from the record at the end of a zip, or `None` if there is none.
+/// It is checked before the directory is read, because the directory is held in memory as a whole.
+/// Afterwards the file is at its start again.
 fn announced_entries(file: &mut File) -> io::Result<Option<u64>> {
-    // The record, the longest comment after it, and before it where the record of large archives
-    // is.
+    // The record, the longest comment after it, and the record of large archives (zip64) before it.
     const RECORD: usize = 22;
     const LOCATOR: usize = 20;
     const LONGEST_TAIL: usize = LOCATOR + RECORD + u16::MAX as usize;
@@ -155,7 +155,7 @@ fn walk_tar(
     limits: &UnpackLimits,
     visitor: &mut dyn EntryVisitor,
 ) -> Result<(), IngestError> {
-    // Headers count too: a tar of nothing but headers is as large as one says.
+    // Headers count too: otherwise, a tar could consist of any number of headers.
     let allowance =
         ReadLimit::of(bytes.saturating_add(limits.max_entries as u64 * TAR_HEADER_BYTES));
     let mut tar = tar::Archive::new(LimitedReader::new(source, &allowance));
@@ -166,7 +166,7 @@ fn walk_tar(
     if allowance.is_spent() { Err(limits.too_many_bytes()) } else { walked }
 }
 
-/// Extended headers come as entries of their own here: left to itself, the reader takes them to
+/// Handles extended headers as entries of their own. By itself, the tar reader would load them into
 /// memory whatever their size.
 fn walk_tar_entries(
     entries: tar::Entries<'_, impl Read>,
@@ -203,9 +203,9 @@ fn walk_tar_entries(
         let name = String::from_utf8_lossy(&name).into_owned();
         match entry_type {
             Directory => visitor.entry(&name, EntryKind::Folder, &mut entry)?,
-            // The oldest kind of tar marks folders by their name.
+            // The oldest kind of tar marks folders by a trailing slash in their name.
             Regular if name.ends_with('/') => {
-                visitor.entry(&name, EntryKind::Folder, &mut entry)?
+                visitor.entry(&name, EntryKind::Folder, &mut entry)?;
             }
             Regular | Continuous => visitor.entry(&name, EntryKind::File, &mut entry)?,
             _ => return Err(IngestError::unsafe_entry(&name, "is not a plain file or folder")),
@@ -229,8 +229,8 @@ fn extended_header(
     Ok(bytes)
 }
 
-/// The name an extended header gives to the entry after it. One that changes its size is refused:
-/// readers would disagree on what is inside.
+/// Returns the name that an extended header gives to the next entry. A header that changes the size
+/// is refused, because readers would disagree on the content.
 fn pax_path(header: &[u8], kind: ArchiveKind) -> Result<Option<Vec<u8>>, IngestError> {
     let mut path = None;
     for extension in tar::PaxExtensions::new(header) {

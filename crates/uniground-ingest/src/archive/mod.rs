@@ -1,4 +1,4 @@
-//! Unpacks an uploaded archive into a folder. Entry names, counts and sizes are hostile input.
+//! Unpacks an uploaded archive into a folder. Entry names, counts and sizes are untrusted input.
 
 mod entries;
 mod sink;
@@ -9,7 +9,7 @@ use entries::walk;
 use serde::{Deserialize, Serialize};
 use sink::{ArchiveCheck, ArchiveExtractor};
 
-/// Container of a scan's files.
+/// Archive format of a scan's files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ArchiveKind {
     /// `.zip`; its entries may be compressed.
@@ -21,7 +21,7 @@ pub enum ArchiveKind {
 }
 
 impl ArchiveKind {
-    /// By file name.
+    /// Returns the kind by file name.
     #[must_use]
     pub fn of_file_name(name: &str) -> Option<Self> {
         let name = name.to_ascii_lowercase();
@@ -36,7 +36,7 @@ impl ArchiveKind {
         .find_map(|(ending, kind)| name.ends_with(ending).then_some(kind))
     }
 
-    /// By what a file begins with.
+    /// Returns the kind by the first bytes of a file.
     #[must_use]
     pub fn of_head(head: &[u8]) -> Option<Self> {
         match head {
@@ -47,7 +47,7 @@ impl ArchiveKind {
         }
     }
 
-    /// Its content type; an upload is known by its bytes.
+    /// Returns its content type. An upload is recognized by its bytes.
     #[must_use]
     pub fn media_type(self) -> &'static str {
         match self {
@@ -70,21 +70,21 @@ impl ArchiveKind {
     }
 }
 
-/// Bounds on what an archive may unpack to.
+/// Limits on what an archive may unpack to.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub struct UnpackLimits {
-    /// Number of entries: files, folders and whatever else stands in it.
+    /// Maximum number of entries: files, folders and everything else.
     pub max_entries: usize,
-    /// Number of folders its files lie in.
+    /// Maximum number of folders that contain files.
     pub max_folders: usize,
-    /// Parts of a file's path, its name included.
+    /// Maximum number of components of a file's path, including its name.
     pub max_depth: usize,
-    /// Bytes of an entry's name, folders included.
+    /// Maximum length of an entry's name in bytes, including folders.
     pub max_name_bytes: usize,
-    /// Size of all files together, unpacked.
+    /// Maximum total size of all files, unpacked, bytes.
     pub max_bytes: u64,
-    /// Unpacked over packed size; depth pictures are compressed already, so honest archives stay
-    /// far below.
+    /// Maximum ratio of unpacked to packed size. Depth pictures are compressed already, so
+    /// legitimate archives stay far below.
     pub max_ratio: u64,
 }
 
@@ -102,10 +102,9 @@ impl Default for UnpackLimits {
 }
 
 impl UnpackLimits {
-    /// Bytes an archive of this size may unpack to.
+    /// Returns the number of bytes that an archive of this size may unpack to.
     fn unpacked(&self, packed_bytes: u64) -> u64 {
-        // Small archives may compress very well; the ratio only matters once there is something to
-        // blow up.
+        // Small archives may compress very well. The ratio only matters above a minimum size.
         self.max_bytes.min(packed_bytes.max(1 << 20).saturating_mul(self.max_ratio))
     }
 
@@ -120,11 +119,12 @@ impl UnpackLimits {
     }
 }
 
-/// Unpacks `archive` into the empty folder `target`. Nothing is written before the whole list of
-/// entries was looked at.
+/// Unpacks `archive` into the empty folder `target`. Checks the whole list of entries before
+/// anything is written.
 ///
 /// # Errors
-/// [`IngestError`] naming the entry; `target` may then hold a part and is the caller's to remove.
+/// Returns an [`IngestError`] that names the entry. `target` may then hold some of the files, and
+/// the caller removes it.
 pub fn unpack(
     archive: &Utf8Path,
     kind: ArchiveKind,
@@ -133,7 +133,7 @@ pub fn unpack(
 ) -> Result<(), IngestError> {
     walk(archive, kind, limits, false, &mut ArchiveCheck::new(limits))?;
     walk(archive, kind, limits, true, &mut ArchiveExtractor::new(target))?;
-    // ScanNet's own container: its frames become files beside it, within the same bounds.
+    // ScanNet's own container: its frames are unpacked next to it, within the same limits.
     match sens::lone(target)? {
         Some(file) => {
             sens::unpack(&file, file.parent().unwrap_or(target), limits.max_bytes).map(drop)
@@ -236,7 +236,7 @@ mod tests {
         }
     }
 
-    /// A spelling of a path that leads to the same file, at least on some file systems.
+    /// Spells a path in a different way that leads to the same file, at least on some file systems.
     fn spelt(path: &str, upper: &[bool], dots: &[bool], doubled: &[bool]) -> String {
         let cased: String = path
             .chars()
@@ -268,7 +268,7 @@ mod tests {
             for name in ["color/0.png", &name] {
                 let mut header = tar::Header::new_gnu();
                 header.set_size(1);
-                // The builder would write a tidied path.
+                // The builder would write a normalized path.
                 header.as_old_mut().name[..name.len()].copy_from_slice(name.as_bytes());
                 header.set_cksum();
                 tar.append(&header, &b"x"[..]).unwrap();

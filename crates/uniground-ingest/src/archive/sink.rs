@@ -1,4 +1,4 @@
-//! Two looks at an archive: all names before anything is written, then the files.
+//! The two passes over an archive: first a check of all names, then the extraction of the files.
 
 use super::UnpackLimits;
 use super::entries::{EntryKind, EntryVisitor};
@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
 
-/// Counts and looks at names; reads no content.
+/// Counts and checks names. Reads no content.
 pub(super) struct ArchiveCheck<'a> {
     limits: &'a UnpackLimits,
     entries: usize,
@@ -56,7 +56,7 @@ impl EntryVisitor for ArchiveCheck<'_> {
     }
 }
 
-/// Writes files below one folder. Folders without files are not made.
+/// Writes files below one folder. Folders without files are not created.
 pub(super) struct ArchiveExtractor<'a> {
     target: &'a Utf8Path,
     folders: BTreeSet<Utf8PathBuf>,
@@ -100,7 +100,8 @@ impl EntryVisitor for ArchiveExtractor<'_> {
     }
 }
 
-/// Some names fit an archive but not a disk; a full disk is the server's trouble.
+/// Converts an error of writing an entry. Some names fit an archive but not a disk. A full disk is
+/// an error of the server.
 fn cannot_store(name: &str, source: io::Error) -> IngestError {
     use io::ErrorKind::{
         AlreadyExists, InvalidFilename, InvalidInput, IsADirectory, NotADirectory,
@@ -114,8 +115,8 @@ fn cannot_store(name: &str, source: io::Error) -> IngestError {
     IngestError::unsafe_entry(name, reason)
 }
 
-/// The entry's path when it is relative, stays inside the archive and is not one of the server's
-/// own files.
+/// Returns the entry's path if it is relative, stays inside the archive and does not collide with
+/// the server's own files.
 pub(super) fn safe_path(name: &str) -> Result<Utf8PathBuf, IngestError> {
     if name.contains(|c: char| c == '\\' || c.is_control()) {
         return Err(IngestError::unsafe_entry(name, "holds a backslash or a control character"));

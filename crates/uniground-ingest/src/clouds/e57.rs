@@ -1,5 +1,5 @@
-//! E57 (ASTM E2807), by the `e57` crate: terrestrial scanners' clouds. All scans of a file, each
-//! brought into the file's own frame.
+//! E57 (ASTM E2807), by the `e57` crate: clouds of terrestrial scanners. All scans of a file are
+//! transformed into the file's own frame.
 
 use super::gathered::{CloudBounds, GREY};
 use super::{CloudBuilder, guarded};
@@ -10,12 +10,12 @@ use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::panic::AssertUnwindSafe;
 
-/// A point takes at least this much room: with fewer, a count is a lie.
+/// Minimum size of a point. A count that does not fit into the file is refused.
 const LEAST_BYTES_PER_POINT: u64 = 2;
-/// The XML that describes a file becomes a tree of many times its size. That of a campaign with a
-/// thousand scans has two megabytes.
+/// Maximum size of the XML that describes a file. Parsed, it takes many times its size. The XML of
+/// a campaign with a thousand scans has two megabytes.
 const MAX_XML_BYTES: u64 = 8 << 20;
-/// Where the header tells its length (ASTM E2807, table 1).
+/// Offset of the XML's length in the header (ASTM E2807, table 1).
 const XML_LENGTH_AT: usize = 32;
 
 pub(super) fn check(

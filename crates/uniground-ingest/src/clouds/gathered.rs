@@ -1,4 +1,4 @@
-//! Points on their way from a file into a cloud.
+//! Collects points from a file into a cloud.
 
 use super::CloudKind;
 use crate::IngestError;
@@ -6,45 +6,45 @@ use camino::Utf8Path;
 use uniground_geometry::scene::PointCloud;
 use uniground_geometry::{MAX_COORDINATE_M, Point3};
 
-/// A cloud in the file's own axes and units, less its offset.
+/// A cloud in the file's own axes and units, with its offset subtracted.
 #[derive(Debug)]
 pub struct LoadedCloud {
     pub kind: CloudKind,
     pub cloud: PointCloud,
-    /// What was taken off all coordinates, in the file's units.
+    /// Offset that was subtracted from all coordinates, in the file's units.
     pub offset: [f64; 3],
     /// Points left out because their coordinates are not finite.
     pub dropped: usize,
-    /// Points whose colour is not a number and was taken as grey.
+    /// Number of points whose color is not a number and was replaced by gray.
     pub without_colour: usize,
     pub has_colour: bool,
-    /// One of so many points was kept.
+    /// The cloud was thinned out: one of this many points was kept.
     pub thinned: usize,
 }
 
-/// Bounds on what a file may announce and what is kept of it.
+/// Limits on how many points a file may announce and how many are kept.
 #[derive(Debug, Clone, Copy)]
 pub struct CloudBounds {
-    /// A file that announces more points is refused.
+    /// Files that announce more points are refused.
     pub announced: usize,
-    /// Of more points than this, every so manieth is kept.
+    /// Clouds with more points are thinned out by keeping every n-th point.
     pub kept: usize,
 }
 
-/// Where coordinates are counted from.
+/// The origin of the coordinates.
 #[derive(Debug, Clone, Copy)]
 pub enum CoordinateOrigin {
-    /// Where the first point is, where that is far away (map coordinates) and written in double
-    /// precision.
+    /// Near the first point, if that is far away (map coordinates) and written in double precision.
+    /// Otherwise at zero.
     Free,
-    /// Where the poses' origin was put, in the file's units.
+    /// At the origin of the poses, in the file's units.
     At([f64; 3]),
 }
 
-/// Points without colour.
+/// Color of points without color.
 pub const GREY: [u8; 3] = [128; 3];
 
-/// What readers hand points to.
+/// Receives points from the readers.
 pub(super) struct CloudBuilder {
     loaded: LoadedCloud,
     bounds: CloudBounds,
@@ -70,7 +70,7 @@ impl CloudBuilder {
         Self { loaded, bounds: *bounds, origin, seen: 0 }
     }
 
-    /// Says how many points will come, and makes room for those that are kept.
+    /// Sets the expected number of points and allocates memory for those that are kept.
     pub fn expect(&mut self, file: &Utf8Path, points: usize) -> Result<(), IngestError> {
         self.bounds.check(file, points as u64)?;
         self.loaded.thinned = points.div_ceil(self.bounds.kept).max(1);
@@ -80,18 +80,18 @@ impl CloudBuilder {
         Ok(())
     }
 
-    /// Whether the file brings colour.
+    /// Sets whether the file contains color.
     pub fn coloured(&mut self, has_colour: bool) {
         self.loaded.has_colour = has_colour;
     }
 
-    /// Coordinates in single precision have no offset to take off: far from the origin they are
+    /// Declares single precision. Such coordinates get no offset: far from the origin they are
     /// coarse already.
     pub fn single_precision(&mut self) {
         self.origin.get_or_insert([0.0; 3]);
     }
 
-    /// One point, in the file's units.
+    /// Adds one point, in the file's units.
     #[inline]
     pub fn push(&mut self, [x, y, z]: [f64; 3], colour: [u8; 3]) {
         self.seen += 1;
@@ -112,42 +112,42 @@ impl CloudBuilder {
         self.loaded.cloud.colours.push(colour);
     }
 
-    /// A point whose colour is not a number.
+    /// Adds a point whose color is not a number.
     pub fn push_discoloured(&mut self, position: [f64; 3], colour: [u8; 3]) {
         let before = self.loaded.cloud.len();
         self.push(position, colour);
         self.loaded.without_colour += self.loaded.cloud.len() - before;
     }
 
-    /// Points kept so far.
+    /// Returns the number of points kept so far.
     pub fn len(&self) -> usize {
         self.loaded.cloud.len()
     }
 
-    /// The points as they came, where all of them are here: none thinned out, none dropped.
+    /// Returns the points in file order if all of them are kept: none thinned out, none dropped.
     pub fn complete(&self) -> Option<&PointCloud> {
         (self.loaded.cloud.len() == self.seen).then_some(&self.loaded.cloud)
     }
 
-    /// Others in their place, counted from the same origin.
+    /// Replaces the points by others with the same origin.
     pub fn replace(&mut self, cloud: PointCloud) {
         self.loaded.cloud = cloud;
     }
 
-    /// Colours of the points kept, where they are known only at the end.
+    /// Sets the colors of the kept points, for formats where they are known only at the end.
     pub fn recolour(&mut self, colours: impl Iterator<Item = [u8; 3]>) {
         for (own, colour) in self.loaded.cloud.colours.iter_mut().zip(colours) {
             *own = colour;
         }
     }
 
-    /// Points so far, those that were thinned out included.
+    /// Returns the number of points so far, including those that were thinned out.
     pub fn seen(&self) -> usize {
         self.seen
     }
 
-    /// Files that announce nothing are bounded while they are read: twice as many as are kept, and
-    /// every other one goes.
+    /// Makes room for files that do not announce their number of points: when twice the limit is
+    /// reached, every other point is dropped.
     pub fn make_room(&mut self, file: &Utf8Path) -> Result<(), IngestError> {
         self.bounds.check(file, self.seen as u64)?;
         if self.loaded.cloud.len() < self.bounds.kept.saturating_mul(2) {
@@ -166,13 +166,13 @@ impl CloudBuilder {
 
     fn settle(&mut self, first: [f64; 3]) -> [f64; 3] {
         let far = first.iter().any(|c| c.abs() > f64::from(MAX_COORDINATE_M));
-        // A round number: people who compare coordinates will meet it.
+        // A round number, because people who compare coordinates will see it.
         let origin = if far { first.map(|c| (c / 100.0).round() * 100.0) } else { [0.0; 3] };
         self.origin = Some(origin);
         origin
     }
 
-    /// The cloud, when it is one.
+    /// Returns the cloud, or an error if it is not a valid one.
     pub fn finish(mut self, file: &Utf8Path) -> Result<LoadedCloud, IngestError> {
         self.loaded.offset = self.origin.unwrap_or_default();
         let cloud = &self.loaded.cloud;
@@ -194,10 +194,10 @@ impl CloudBuilder {
 }
 
 impl CloudBounds {
-    /// What this service wrote itself.
+    /// No limits, for files that this service wrote itself.
     pub const OWN: Self = Self { announced: usize::MAX, kept: usize::MAX };
 
-    /// Refuses what announces too many points.
+    /// Refuses a file that announces too many points.
     pub fn check(&self, file: &Utf8Path, points: u64) -> Result<(), IngestError> {
         match points > self.announced as u64 {
             true => Err(IngestError::malformed(

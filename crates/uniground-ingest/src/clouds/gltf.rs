@@ -1,8 +1,8 @@
-//! glTF 2.0 and GLB: triangles and points of all meshes of the scene, with vertex colours and base
-//! colour textures. Y up, metres.
+//! glTF 2.0 and GLB: triangles and points of all meshes of the scene, with vertex colors and base
+//! color textures. Y up, meters.
 //!
-//! Read by hand: offsets and counts of the file are checked before they are used, nothing else of
-//! the format is needed.
+//! The parser is part of this crate: it checks offsets and counts of the file before they are used,
+//! and needs only a small part of the format.
 
 mod document;
 
@@ -20,14 +20,14 @@ use std::ops::Range;
 
 const MAX_JSON_BYTES: u64 = 64 << 20;
 const MAX_FILE_BYTES: u64 = 2 << 30;
-/// Nodes one in another.
+/// Maximum depth of nested nodes.
 const MAX_DEPTH: usize = 64;
 const MAX_NODES: usize = 100_000;
 const TRIANGLES: u32 = 4;
 const POINTS: u32 = 0;
-/// Lines, loops and strips of them: outlines, which are nothing that was measured.
+/// Modes of lines, loops and strips: outlines, which are not measured geometry.
 const LINES: std::ops::RangeInclusive<u32> = 1..=3;
-/// What changes how geometry is stored; without these a file can not be read.
+/// Extensions that change how geometry is stored. A file that requires others cannot be read.
 const KNOWN_EXTENSIONS: [&str; 4] = [
     "KHR_mesh_quantization",
     "KHR_materials_unlit",
@@ -80,10 +80,10 @@ pub(super) fn read(
     Ok(gathered)
 }
 
-/// Where the binary part of a GLB lies in its file, bytes.
+/// Range of the binary part of a GLB within its file, bytes.
 type BinaryPart = Option<Range<u64>>;
 
-/// The description, and of a GLB its binary part.
+/// Returns the description, and the binary part of a GLB.
 fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Document, BinaryPart), IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let reading = |source| IngestError::reading(file, source);
@@ -110,8 +110,9 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Document, BinaryPart), Inge
     Ok((document, binary))
 }
 
-/// The JSON of a GLB of so many bytes, which is read up to its magic, and where its binary chunk
-/// lies. Lengths are held against the file before anything is read. `None`: not a whole file.
+/// Reads the JSON of a GLB of `bytes` bytes, which has been read up to its magic, and the range of
+/// its binary chunk. Lengths are compared with the file's size before anything is read. `None`: the
+/// file is incomplete.
 fn chunks(source: &mut File, bytes: u64) -> io::Result<Option<(Vec<u8>, BinaryPart)>> {
     let mut head = [0; 16];
     source.read_exact(&mut head)?;
@@ -136,7 +137,7 @@ fn chunks(source: &mut File, bytes: u64) -> io::Result<Option<(Vec<u8>, BinaryPa
     }
 }
 
-/// A part of a file that is there.
+/// Reads a part of a file. The part must lie within the file.
 fn part_of(root: &Utf8Path, file: &Utf8Path, part: Range<u64>) -> Result<Vec<u8>, IngestError> {
     let read = || {
         let mut source = File::open(root.join(file))?;
@@ -162,7 +163,7 @@ impl document::Node {
     }
 }
 
-/// The texture of a primitive's material, decoded once.
+/// Returns the texture of a primitive's material, decoded once.
 fn texture_of(
     document: &Document,
     buffers: &Buffers,
@@ -226,7 +227,7 @@ fn add(
             .as_ref()
             .and_then(|c| c.get(i))
             .map_or([1.0; 3], |c| [c[0] as f32, c[1] as f32, c[2] as f32]);
-        // Factors and vertex colours are light, pictures are what screens show.
+        // Factors and vertex colors are linear, pictures are sRGB.
         let tint = std::array::from_fn(|k| srgb(own[k] * factor[k]));
         let uv =
             places.as_ref().and_then(|places| places.get(i)).map(|uv| [uv[0] as f32, uv[1] as f32]);
@@ -239,7 +240,7 @@ fn add(
         Some(indices) => indices.get(i).map_or(usize::MAX, |index| index[0] as usize),
         None => i,
     };
-    // Before there is memory for them.
+    // Checked before memory is allocated.
     let elements = if mode == TRIANGLES {
         mesh.triangles.len() + count / 3
     } else {
@@ -276,7 +277,7 @@ fn add(
     Ok(())
 }
 
-/// Linear light to what pictures hold, `0..=1` both.
+/// Converts linear light to sRGB, both `0..=1`.
 fn srgb(linear: f32) -> f32 {
     let c = linear.clamp(0.0, 1.0);
     if c <= 0.003_130_8 { 12.92 * c } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 }
@@ -313,7 +314,7 @@ mod tests {
         )
     }
 
-    /// A triangle of half a square metre, moved up by two, with a colour for each corner.
+    /// A triangle of half a square meter, moved up by two, with a color for each corner.
     fn triangle() -> (String, Vec<u8>) {
         let mut blob = Vec::new();
         [0.0_f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]

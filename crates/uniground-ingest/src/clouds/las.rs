@@ -1,5 +1,5 @@
-//! LAS and LAZ: surveyors' clouds, with Z up and often in map coordinates. LAZ is unpacked by the
-//! `las` crate; the records of LAS are read here, five times as fast.
+//! LAS and LAZ: surveying clouds, with Z up and often in map coordinates. The `las` crate unpacks
+//! LAZ. LAS records are read here, five times as fast.
 
 mod lengths;
 mod records;
@@ -12,7 +12,7 @@ use std::fs::File;
 use std::io::{BufReader, Seek};
 use std::panic::AssertUnwindSafe;
 
-/// LAZ stores a point in a byte or two at best; a count far beyond that is a lie.
+/// Minimum size of 100 points. LAZ stores a point in one or two bytes at best.
 const LEAST_BYTES_PER_100_POINTS: u64 = 20;
 
 pub(super) fn check(
@@ -73,8 +73,8 @@ fn read_compressed(
     guarded(file, read)
 }
 
-/// Sixteen bits by the standard; many writers leave eight bits as they are. Which of them shows in
-/// the largest value.
+/// Sets the colors. The standard requires 16 bits, but many writers store 8-bit values unscaled.
+/// The largest value tells which it is.
 fn recolour(gathered: &mut CloudBuilder, wide: &[[u16; 3]]) {
     let shift = if wide.iter().flatten().any(|c| *c > 255) { 8 } else { 0 };
     gathered.recolour(wide.iter().map(|c| c.map(|c| (c >> shift) as u8)));

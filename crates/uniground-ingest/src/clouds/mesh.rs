@@ -1,5 +1,5 @@
-//! Triangles to points: evenly spread over the surface, at places that depend on nothing but the
-//! mesh.
+//! Samples points from triangles: evenly spread over the surface, at positions that depend only on
+//! the mesh.
 
 use super::CloudBuilder;
 use super::gathered::GREY;
@@ -7,27 +7,27 @@ use super::texture::Texture;
 use crate::IngestError;
 use camino::Utf8Path;
 
-/// Points come about this far apart, metres, where that is not too many.
+/// Distance between sampled points, meters, unless that gives too many points.
 const SPACING_M: f64 = 0.01;
 const MAX_POINTS: f64 = 4_000_000.0;
-/// Most vertices and triangles that are read.
+/// Maximum number of vertices and triangles.
 pub(super) const MAX_ELEMENTS: usize = 20_000_000;
 
 /// A corner of a triangle.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct MeshVertex {
     pub at: [f64; 3],
-    /// Colour of the vertex, `0..=1`; white where there is none.
+    /// Color of the vertex, `0..=1`. White if it has none.
     pub tint: [f32; 3],
-    /// Place in the texture; (0, 0) is its first pixel's corner, the second coordinate grows
-    /// downwards.
+    /// Texture coordinates. (0, 0) is the corner of the texture's first pixel; the second
+    /// coordinate grows downwards.
     pub uv: Option<[f32; 2]>,
 }
 
 #[derive(Debug, Clone)]
 pub(super) struct Triangle {
     pub corners: [MeshVertex; 3],
-    /// Of [`Mesh::textures`].
+    /// Index into [`Mesh::textures`].
     pub texture: Option<u32>,
 }
 
@@ -36,20 +36,20 @@ pub(super) struct Triangle {
 pub(super) struct Mesh {
     pub triangles: Vec<Triangle>,
     pub textures: Vec<Texture>,
-    /// Vertices that stand alone; with colour where `Some`.
+    /// Vertices without faces, with color where `Some`.
     pub points: Vec<([f64; 3], Option<[u8; 3]>)>,
     pub has_colour: bool,
 }
 
 impl Triangle {
-    /// In the file's units; 0 where it is no number.
+    /// Returns the area in the file's units squared, or 0 if it is not a number.
     pub fn area(&self) -> f64 {
         let [a, b, c] = self.corners.map(|corner| nalgebra::Vector3::from(corner.at));
         let area = (b - a).cross(&(c - a)).norm() / 2.0;
         if area.is_finite() { area } else { 0.0 }
     }
 
-    /// The point with these weights of its corners.
+    /// Returns the point with these weights of its corners.
     fn at(&self, weights: [f64; 3], textures: &[Texture]) -> ([f64; 3], [u8; 3]) {
         let mix = |of: &dyn Fn(&MeshVertex) -> f64| {
             self.corners.iter().zip(weights).map(|(corner, w)| of(corner) * w).sum::<f64>()
@@ -69,8 +69,8 @@ impl Triangle {
 }
 
 impl Mesh {
-    /// Hands points of the surface on. `metres_per_unit` is about right: it decides how dense they
-    /// come.
+    /// Passes points of the surface on. `metres_per_unit` may be approximate: it only determines
+    /// the density of the points.
     pub fn sample(
         &self,
         file: &Utf8Path,
@@ -96,16 +96,16 @@ impl Mesh {
     }
 }
 
-/// Spreads points over triangles that come one after the other.
+/// Spreads points over consecutive triangles.
 pub(super) struct MeshSampler {
     per_area: f64,
-    /// Points of the area so far that are still to come.
+    /// Number of points that the area so far still requires.
     owed: f64,
     drawn: u32,
 }
 
 impl MeshSampler {
-    /// For triangles of so much area together; `None`: there is none.
+    /// Creates a sampler for triangles of this total area. Returns `None` if there is none.
     pub fn of(area: f64, metres_per_unit: f64) -> Option<Self> {
         let most = area * (metres_per_unit / SPACING_M).powi(2);
         (area.is_finite() && area > 0.0).then(|| Self {
@@ -115,7 +115,7 @@ impl MeshSampler {
         })
     }
 
-    /// Points of the next triangle, with their colours.
+    /// Returns the points of the next triangle, with their colors.
     pub fn points(
         &mut self,
         triangle: &Triangle,
@@ -132,7 +132,7 @@ impl MeshSampler {
     }
 }
 
-/// The next of a sequence that fills a triangle evenly (Roberts' R2, folded).
+/// Returns the next item of a sequence that fills a triangle evenly (Roberts' R2, folded).
 fn weights(drawn: u32) -> [f64; 3] {
     const A: f64 = 0.754_877_666_246_692_7;
     const B: f64 = 0.569_840_290_998_053_2;

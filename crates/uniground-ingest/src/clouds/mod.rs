@@ -1,6 +1,6 @@
-//! Point clouds and meshes as files, recognised by what they begin with. Each file of this folder
-//! reads one format; all of them hand points to a [`CloudBuilder`], which drops what is no point, thins
-//! out what is too much, and takes off an offset of map coordinates.
+//! Point cloud and mesh files, recognized by their first bytes. Each file of this folder reads one
+//! format. All of them pass points to a [`CloudBuilder`], which drops invalid points, thins out
+//! clouds that are too large, and subtracts an offset from map coordinates.
 
 mod e57;
 mod gathered;
@@ -21,34 +21,34 @@ use std::fs::File;
 use std::io::Read;
 use uniground_geometry::up_axis::UpAxis;
 
-/// A format of clouds.
+/// A format of point clouds or meshes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum CloudKind {
     Ply,
     Pcd,
-    /// And LAZ.
+    /// LAS and LAZ.
     Las,
     E57,
     /// Lines of numbers: XYZ, PTS, TXT, CSV.
     Text,
     Obj,
-    /// And GLB.
+    /// glTF and GLB.
     Gltf,
 }
 
-/// Bytes that are enough to know a format by.
+/// Number of bytes that suffice to recognize a format.
 const HEAD_BYTES: u64 = 4096;
 
 impl CloudKind {
-    /// By a file's first bytes; where those are only numbers, by its ending. `None`: no cloud that
-    /// is read.
+    /// Detects the format by a file's first bytes. If those are only numbers, its extension
+    /// decides. `None`: not a supported cloud.
     pub fn of(file: &Utf8Path) -> Option<Self> {
         let mut head = Vec::new();
         File::open(file).ok()?.take(HEAD_BYTES).read_to_end(&mut head).ok()?;
         Self::of_head(&head, file.extension().unwrap_or_default())
     }
 
-    /// By first bytes; where those are only numbers, by an ending.
+    /// Detects the format by first bytes. If those are only numbers, the extension decides.
     pub fn of_head(head: &[u8], extension: &str) -> Option<Self> {
         if head.starts_with(b"ply") {
             return Some(Self::Ply);
@@ -68,7 +68,7 @@ impl CloudKind {
         {
             return Some(Self::Pcd);
         }
-        // Binary files of other kinds are no text, whatever they are called.
+        // Binary data is not text, whatever its extension.
         let is_text = !head.contains(&0);
         match extension.to_ascii_lowercase().as_str() {
             "gltf" if is_text => Some(Self::Gltf),
@@ -82,17 +82,17 @@ impl CloudKind {
         }
     }
 
-    /// The axis that is up by the format's own word.
+    /// Returns the up axis that the format defines.
     pub fn up(self) -> Option<UpAxis> {
         match self {
             Self::Gltf => Some(UpAxis::Y),
-            // Surveyors' formats: heights are z.
+            // Surveying formats: heights are z.
             Self::Las | Self::E57 => Some(UpAxis::Z),
             Self::Ply | Self::Pcd | Self::Text | Self::Obj => None,
         }
     }
 
-    /// Whether lengths are metres by the format's own word.
+    /// Returns whether the format defines lengths to be in meters.
     pub fn is_metric(self) -> bool {
         match self {
             Self::Gltf | Self::Las | Self::E57 => true,
@@ -113,10 +113,10 @@ impl CloudKind {
     }
 }
 
-/// Looks at the header of a cloud: whether its points can be read, and how many it announces.
+/// Checks the header of a cloud: whether its points can be read, and how many it announces.
 ///
 /// # Errors
-/// [`IngestError`] naming `file` (a path below `root`).
+/// Returns an [`IngestError`] that names `file` (a path below `root`).
 pub(super) fn check(
     root: &Utf8Path,
     file: &Utf8Path,
@@ -127,17 +127,17 @@ pub(super) fn check(
         CloudKind::Pcd => pcd::check(root, file, bounds),
         CloudKind::Las => las::check(root, file, bounds),
         CloudKind::E57 => e57::check(root, file, bounds),
-        // Nothing is announced: they are looked at while they are read.
+        // These formats announce no counts. They are checked while they are read.
         CloudKind::Text | CloudKind::Obj => Ok(()),
         CloudKind::Gltf => gltf::check(root, file),
     }
 }
 
-/// Reads a cloud. Points without colour come out mid-grey; meshes are sampled evenly, always at the
-/// same places.
+/// Reads a cloud. Points without color become mid-gray. Meshes are sampled evenly, always at the
+/// same positions.
 ///
 /// # Errors
-/// [`IngestError`] naming `file` (a path below `root`).
+/// Returns an [`IngestError`] that names `file` (a path below `root`).
 pub(super) fn read(
     root: &Utf8Path,
     file: &Utf8Path,
@@ -165,7 +165,8 @@ fn kind_of(root: &Utf8Path, file: &Utf8Path) -> Result<CloudKind, IngestError> {
     }
     match CloudKind::of(&path) {
         Some(kind) => Ok(kind),
-        // What is called PLY is read as such: its reader says what is wrong with it.
+        // A file named `.ply` is always read as PLY, so that its reader reports what is wrong with
+        // it.
         None if file.extension() == Some("ply") => Ok(CloudKind::Ply),
         None => Err(IngestError::malformed(
             file,
@@ -174,7 +175,7 @@ fn kind_of(root: &Utf8Path, file: &Utf8Path) -> Result<CloudKind, IngestError> {
     }
 }
 
-/// Runs a reader of somebody else's making, whose panics over damaged files become refusals.
+/// Runs a third-party reader. Converts its panics on damaged files to errors.
 fn guarded<T>(
     file: &Utf8Path,
     read: impl FnOnce() -> Result<T, IngestError> + std::panic::UnwindSafe,

@@ -1,4 +1,4 @@
-//! Wavefront OBJ: vertices with or without colour, faces, and the textures of its materials.
+//! Wavefront OBJ: vertices with or without color, faces, and the textures of its materials.
 //! Without faces the vertices are the cloud.
 
 use super::CloudBuilder;
@@ -50,11 +50,11 @@ pub(super) fn read(
             Some("vt") => reading.texture_place(words).map_err(at)?,
             Some("f") => reading.face(words).map_err(at)?,
             Some("mtllib") => {
-                reading.materials_of(root, file, text.trim_start()["mtllib".len()..].trim())?
+                reading.materials_of(root, file, text.trim_start()["mtllib".len()..].trim())?;
             }
             Some("usemtl") => {
                 reading.current =
-                    reading.materials.get(text.trim_start()["usemtl".len()..].trim()).copied()
+                    reading.materials.get(text.trim_start()["usemtl".len()..].trim()).copied();
             }
             _ => {}
         }
@@ -87,7 +87,8 @@ impl ObjReader {
             return Err("a vertex has three numbers".into());
         };
         self.positions.push([*x, *y, *z]);
-        // Colours are shares by habit; some write bytes. A fourth number alone is a weight.
+        // Colors are usually in `0..=1`; some writers use bytes. A single fourth number is a
+        // weight.
         if let [r, g, b] = rest {
             let scale = if r.max(*g).max(*b) > 1.0 { 1.0 / 255.0 } else { 1.0 };
             self.tints.resize(self.positions.len() - 1, [0.5; 3]);
@@ -101,7 +102,7 @@ impl ObjReader {
             .take(2)
             .map(|w| w.parse().map_err(|_| format!("{w:?} is not a number")))
             .collect::<Result<_, _>>()?;
-        // Upwards in the file, downwards in pictures.
+        // V grows upwards in the file, downwards in pictures.
         self.uvs.push([
             values.first().copied().unwrap_or(0.0),
             1.0 - values.get(1).copied().unwrap_or(0.0),
@@ -109,8 +110,8 @@ impl ObjReader {
         Ok(())
     }
 
-    /// `f v`, `f v/vt`, `f v/vt/vn`, `f v//vn`, from 1 or backwards from the last; polygons become
-    /// fans.
+    /// Parses `f v`, `f v/vt`, `f v/vt/vn` or `f v//vn`. Indices count from 1, or backwards from
+    /// the last. Polygons are split into fans.
     fn face<'a>(&mut self, words: impl Iterator<Item = &'a str>) -> Result<(), String> {
         let mut corners = Vec::new();
         for word in words.take(256) {
@@ -150,7 +151,7 @@ impl ObjReader {
         name: &str,
     ) -> Result<(), IngestError> {
         let Some(library) = beside(file, name) else { return Ok(()) };
-        // A mesh without its materials is a mesh without colour.
+        // Without its material file, a mesh is read without color.
         if !root.join(&library).is_file() {
             return Ok(());
         }
@@ -160,7 +161,7 @@ impl ObjReader {
             if let Some(name) = line.strip_prefix("newmtl ") {
                 name.trim().clone_into(&mut material);
             } else if let Some(picture) = line.strip_prefix("map_Kd ") {
-                // Options come before the name; names with blanks are rare.
+                // Options come before the name. Names with spaces are rare.
                 let picture = if picture.trim_start().starts_with('-') {
                     picture.rsplit(' ').next().unwrap_or_default()
                 } else {
@@ -192,7 +193,7 @@ impl ObjReader {
     }
 }
 
-/// A file that another one names, when it stays inside the upload.
+/// Returns the path of a file that another one names, if it stays inside the upload.
 pub(super) fn beside(file: &Utf8Path, name: &str) -> Option<Utf8PathBuf> {
     let name = Utf8Path::new(name);
     let plain =

@@ -1,8 +1,8 @@
-//! PCD 0.7 (Point Cloud Library): ascii, binary and `binary_compressed`, with the fields in any
-//! order and of any type.
+//! PCD 0.7 (Point Cloud Library): ascii, binary and `binary_compressed`, with fields of any type in
+//! any order.
 //!
-//! Colour is `rgb` or `rgba`, packed into the four bytes of a float or an integer. The viewpoint is
-//! where the sensor stood; it moves nothing.
+//! Color is `rgb` or `rgba`, packed into the four bytes of a float or an integer. The viewpoint is
+//! the sensor's position and does not transform the points.
 
 use super::CloudBuilder;
 use super::gathered::{CloudBounds, GREY};
@@ -12,13 +12,13 @@ use camino::Utf8Path;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 
-/// A line of the header, or of an ascii body.
+/// Maximum length of a line of the header or of an ascii body.
 const MAX_LINE_BYTES: u64 = 16 << 10;
 const MAX_HEADER_LINES: usize = 64;
 const MAX_FIELDS: usize = 128;
-/// Bytes of rows read at once.
+/// Number of bytes of rows that are read at once.
 const BLOCK_BYTES: usize = 256 << 10;
-/// LZF stores at best 264 bytes in three.
+/// LZF compresses at best 264 bytes to three.
 const BEST_RATIO: u64 = 100;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,14 +28,14 @@ enum PcdFieldType {
     Unsigned,
 }
 
-/// A field of a point; `count` numbers of `size` bytes.
+/// A field of a point: `count` numbers of `size` bytes.
 #[derive(Debug, Clone)]
 struct Field {
     name: String,
     size: usize,
     kind: PcdFieldType,
     count: usize,
-    /// Where it begins in a row.
+    /// Offset in a row, bytes.
     offset: usize,
 }
 
@@ -82,7 +82,7 @@ impl Header {
         self.fields.iter().find(|field| field.name == name)
     }
 
-    /// Where x, y, z and the packed colour are.
+    /// Returns the fields x, y, z and the packed color.
     fn wanted(&self) -> Option<([&Field; 3], Option<&Field>)> {
         let xyz = [self.field("x")?, self.field("y")?, self.field("z")?];
         let packed =
@@ -91,7 +91,7 @@ impl Header {
     }
 }
 
-/// Whether the header can be read, and how many points it announces.
+/// Checks that the header can be read and that the number of announced points is allowed.
 pub(super) fn check(
     root: &Utf8Path,
     file: &Utf8Path,
@@ -136,8 +136,8 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Header, BufReader<File>), I
         PcdEncoding::Binary => header.points as u64 * header.row_bytes as u64,
         PcdEncoding::Compressed => header.points as u64 * header.row_bytes as u64 / BEST_RATIO,
     };
-    // A count that can not be there is a lie, not a reason to allocate. The last line may lack its
-    // end.
+    // A count that does not fit into the file must not cause an allocation. The last line may lack
+    // its line end.
     if least > bytes.saturating_add(1) {
         return Err(IngestError::malformed(
             file,
@@ -232,7 +232,7 @@ fn fields(
     Ok(fields)
 }
 
-/// Blue, green, red: the order of the packed bytes.
+/// Unpacks blue, green, red: the order of the packed bytes.
 fn unpacked([b, g, r, _]: [u8; 4]) -> [u8; 3] {
     [r, g, b]
 }
@@ -243,7 +243,7 @@ fn read_ascii(
     gathered: &mut CloudBuilder,
 ) -> Result<(), String> {
     let Some((xyz, packed)) = header.wanted() else { return Ok(()) };
-    // Columns, where fields of several numbers stand before them.
+    // Column numbers. Fields of several numbers may precede them.
     let column = |field: &Field| {
         header.fields.iter().take_while(|f| f.name != field.name).map(|f| f.count).sum::<usize>()
     };
@@ -264,7 +264,7 @@ fn read_ascii(
             if let Some(axis) = xyz.iter().position(|c| *c == i) {
                 position[axis] = number()?;
             } else if let Some((_, kind)) = packed.filter(|(column, _)| *column == i) {
-                // As an integer, or as the float that has these bytes.
+                // Written as an integer, or as the float with the same bytes.
                 let bits = match (kind, word.parse::<u32>()) {
                     (PcdFieldType::Float, Ok(bits)) if bits > 0xff => bits,
                     (PcdFieldType::Float, _) => (number()? as f32).to_bits(),
@@ -307,7 +307,7 @@ fn read_binary(
     Ok(())
 }
 
-/// Compressed as a whole, one field after the other: all x, all y and so on.
+/// Reads data that is compressed as a whole, one field after another: all x, then all y and so on.
 fn read_compressed(
     header: &Header,
     source: &mut impl Read,
@@ -344,7 +344,7 @@ fn read_compressed(
     Ok(())
 }
 
-/// LibLZF: runs of literals, and copies of what came before.
+/// Decompresses LibLZF: runs of literals, and copies of earlier output.
 fn lzf(source: &[u8], expected: usize) -> Result<Vec<u8>, String> {
     let damaged = || "its compressed points are damaged".to_owned();
     let mut out: Vec<u8> = Vec::with_capacity(expected);
@@ -420,9 +420,9 @@ mod tests {
         }
         points.iter().for_each(|(c, _)| columns.extend(packed(*c).to_le_bytes()));
         (0..3).for_each(|axis| {
-            points.iter().for_each(|(_, p)| columns.extend(p[axis].to_le_bytes()))
+            points.iter().for_each(|(_, p)| columns.extend(p[axis].to_le_bytes()));
         });
-        // Literals only: valid LZF.
+        // Literals only, which is valid LZF.
         let mut stored = Vec::new();
         for run in columns.chunks(32) {
             stored.push(run.len() as u8 - 1);
@@ -443,7 +443,7 @@ mod tests {
 
     #[test]
     fn copies_repeat_what_came_before() {
-        // "ab", then nine bytes from two back.
+        // "ab", then nine bytes copied from two bytes back.
         assert_eq!(lzf(&[1, b'a', b'b', 0b111_00000, 0, 1], 11).unwrap(), b"abababababa");
         assert!(lzf(&[0b111_00000, 0, 1], 9).is_err(), "nothing to copy from");
         assert!(lzf(&[1, b'a', b'b', 0b111_00000, 255, 1], 11).is_err(), "longer than announced");

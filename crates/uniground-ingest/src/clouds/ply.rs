@@ -1,8 +1,8 @@
-//! PLY: ascii, little and big endian; properties by name in any order. Scans' meshes are read by
-//! their vertices, coarse ones are sampled.
+//! PLY: ascii, little and big endian; properties by name in any order. Meshes of scans are read by
+//! their vertices. Coarse meshes are sampled.
 //!
-//! The header goes through the `ply-rs-bw` parser. Rows are read here, one block or line at a time:
-//! it is faster, ascii may hold `nan`, and nothing is held in memory because a header says so.
+//! The `ply-rs-bw` crate parses the header. Rows are read here, one block or line at a time: this
+//! is faster, accepts `nan` in ascii files, and never allocates memory based on the header alone.
 
 mod faces;
 mod rows;
@@ -18,23 +18,23 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 
 const MAX_HEADER_BYTES: usize = 64 << 10;
-/// Properties of all elements together.
+/// Maximum number of properties of all elements together.
 const MAX_PROPERTIES: usize = 256;
 
-/// Looks at the header of a PLY file: whether its vertices can be read, and how many it announces.
+/// Checks the header of a PLY file: whether its vertices can be read, and how many it announces.
 ///
 /// # Errors
-/// [`IngestError`] naming `file` (a path below `root`).
+/// Returns an [`IngestError`] that names `file` (a path below `root`).
 pub fn check(root: &Utf8Path, file: &Utf8Path, bounds: &CloudBounds) -> Result<(), IngestError> {
     let (header, _) = open(root, file)?;
     bounds.check(file, header.elements.get("vertex").map_or(0, |vertex| vertex.count as u64))
 }
 
-/// Reads the vertices of a PLY file, or points of its faces where its vertices are sparse. Those
-/// without colour come out mid-grey.
+/// Reads the vertices of a PLY file, or points on its faces if its vertices are sparse. Points
+/// without color become mid-gray.
 ///
 /// # Errors
-/// [`IngestError`] naming `file` (a path below `root`).
+/// Returns an [`IngestError`] that names `file` (a path below `root`).
 pub fn read(
     root: &Utf8Path,
     file: &Utf8Path,
@@ -75,7 +75,7 @@ pub fn read(
     Ok(gathered)
 }
 
-/// The header, looked at, and the file where its rows begin.
+/// Returns the checked header, and the file positioned at the first row.
 fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Header, BufReader<File>), IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let source =
@@ -101,15 +101,15 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Header, BufReader<File>), I
             return Err(malformed(format!("its vertices have no property {axis}")));
         }
     }
-    // Even the tersest row takes three bytes: a count that can not be there is a lie, not a reason
-    // to allocate.
+    // The shortest row takes three bytes. A count that does not fit into the file must not cause an
+    // allocation.
     if vertex.count as u64 > bytes / 3 {
         return Err(malformed(format!(
             "it announces {} vertices but has only {bytes} bytes",
             vertex.count
         )));
     }
-    // The same for what comes before the vertices: those rows are read too.
+    // The same check for elements before the vertices: their rows are read too.
     let lies = |e: &&ElementDef| e.count as u64 > bytes || (e.properties.is_empty() && e.count > 0);
     if let Some(liar) = header.elements.values().find(lies) {
         return Err(malformed(format!(
@@ -120,7 +120,7 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Header, BufReader<File>), I
     Ok((header, source))
 }
 
-/// The lines up to `end_header`, that one included.
+/// Reads the lines up to and including `end_header`.
 fn header_text(source: &mut impl BufRead) -> io::Result<Vec<u8>> {
     let mut text = Vec::new();
     loop {
@@ -150,16 +150,16 @@ impl Vertex {
     }
 }
 
-/// One vertex; what is not said stays mid-grey.
+/// One vertex. Missing color channels stay mid-gray.
 #[derive(Clone, Copy)]
 struct Vertex {
     position: [f64; 3],
     colour: [u8; 3],
-    /// Whether a colour channel was NaN.
+    /// Whether a color channel was NaN.
     nan_colour: bool,
 }
 
-/// A property that matters.
+/// A property that is used.
 #[derive(Clone, Copy)]
 enum Field {
     Coordinate(usize),
@@ -180,7 +180,8 @@ impl Vertex {
         Self { position: [f64::NAN; 3], colour: GREY, nan_colour: false }
     }
 
-    /// Bytes of a channel are taken as they are, 16 bits by 1/257, floats from `0..=1`.
+    /// Sets a color channel. Bytes are used unchanged, 16-bit values are divided by 257, floats are
+    /// in `0..=1`.
     #[inline]
     fn set(&mut self, field: Field, value: f64, scalar: &ScalarType) {
         match field {
@@ -288,7 +289,7 @@ mod tests {
         assert_eq!(loaded.cloud.colours, [[128, 128, 255], [0; 3]]);
     }
 
-    /// Lists among the vertices, and faces before them, are read past in all encodings.
+    /// Lists among the vertices, and faces before them, are skipped in all encodings.
     #[test]
     fn lists_and_other_elements_are_skipped() {
         let layout = |encoding: &str| {
@@ -323,7 +324,7 @@ mod tests {
         }
     }
 
-    /// What a header or a line says is believed only as far as it goes.
+    /// Claims of a header or a line are checked against the file.
     #[test]
     fn bombs_are_refused_before_they_are_held() {
         let columns: String = (0..300).map(|i| format!("property double c{i}\n")).collect();

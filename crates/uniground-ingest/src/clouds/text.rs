@@ -1,5 +1,5 @@
-//! Lines of numbers: XYZ, PTS, TXT, CSV. Which column is what is told by a heading, or by how many
-//! there are and what they look like.
+//! Lines of numbers: XYZ, PTS, TXT, CSV. The meaning of the columns comes from a heading, or from
+//! the number of columns and their values.
 
 use super::CloudBuilder;
 use super::gathered::GREY;
@@ -10,12 +10,12 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 
 const MAX_LINE_BYTES: u64 = 4 << 10;
-/// Lines the columns are told by.
+/// Number of lines that are used to detect the columns.
 const LOOKED_AT: usize = 200;
-/// Columns of a line that are looked at.
+/// Maximum number of columns of a line that are examined.
 const MAX_COLUMNS: usize = 32;
 
-/// How colours are written.
+/// How colors are written.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum ColorScale {
     /// `0..=255`.
@@ -26,13 +26,13 @@ enum ColorScale {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Columns {
-    /// The first of x, y, z.
+    /// The columns of x, y and z.
     position: [usize; 3],
     colour: Option<([usize; 3], ColorScale)>,
 }
 
-/// Whether lines of at least three numbers stand at the beginning of a file, after a heading or a
-/// count at most.
+/// Returns whether a file begins with lines of at least three numbers, after at most a heading or a
+/// count.
 pub(super) fn recognises(head: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(
         &head[..head.iter().rposition(|b| *b == b'\n').map_or(head.len(), |at| at + 1)],
@@ -88,7 +88,7 @@ pub(super) fn read(
             found += 1;
         }
         if !readable || found < 3 {
-            // A heading, a count, a comment: at the beginning, not everywhere.
+            // A heading, a count or a comment is accepted at the beginning only.
             skipped += usize::from(found > 0 && !text.trim_start().starts_with(['#', '/']));
             if skipped > 3 {
                 return Err(malformed(format!(
@@ -145,7 +145,7 @@ fn columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestError> {
         return Ok(Columns { position, colour: colour.map(|at| (at, scale(at))) });
     }
     let count = rows.iter().map(Vec::len).min().unwrap_or(3);
-    // `x y z intensity r g b` (PTS), `x y z r g b`, or normals in that place.
+    // `x y z intensity r g b` (PTS), `x y z r g b`, or normals instead of colors.
     let candidates: &[usize] = match count {
         6 => &[3],
         7 => &[4, 3],
@@ -166,7 +166,7 @@ fn columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestError> {
     })
 }
 
-/// Names of columns, as CloudCompare and most tables write them.
+/// Finds columns by names as CloudCompare and most tables write them.
 fn by_heading(line: &str) -> Option<([usize; 3], Option<[usize; 3]>)> {
     let line = line.trim_start_matches(['#', '/', '\u{feff}']).to_ascii_lowercase();
     let names: Vec<&str> = words(&line).map(|word| word.trim_matches('"')).collect();
@@ -181,7 +181,7 @@ fn by_heading(line: &str) -> Option<([usize; 3], Option<[usize; 3]>)> {
     Some((position, of([&["r", "red"], &["g", "green"], &["b", "blue"]])))
 }
 
-/// Lines as text, bounded.
+/// Reads lines of text with a limit on their length.
 struct BoundedLines<R> {
     source: R,
     line: Vec<u8>,

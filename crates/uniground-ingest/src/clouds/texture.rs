@@ -1,9 +1,9 @@
-//! Pictures on the faces of meshes.
+//! Textures of meshes.
 
 use image::{ImageReader, Limits, RgbImage};
 use std::io::Cursor;
 
-/// Memory a texture may take while it is decoded: 64 megapixels.
+/// Maximum memory for decoding a texture, bytes: 64 megapixels.
 const MAX_BYTES: u64 = 256 << 20;
 
 #[derive(Debug)]
@@ -26,7 +26,7 @@ impl Texture {
         }
     }
 
-    /// The pixel at a place, repeated outside `0..1`.
+    /// Returns the pixel at a position, repeated outside `0..1`.
     pub fn at(&self, u: f32, v: f32) -> [u8; 3] {
         let pixel = |at: f32, size: u32| {
             let at = at - at.floor();

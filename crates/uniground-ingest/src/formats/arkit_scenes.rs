@@ -1,5 +1,5 @@
 //! ARKitScenes: `lowres_wide/ lowres_depth/ lowres_wide_intrinsics/ lowres_wide.traj`, and
-//! `confidence/`, named `<video>_<seconds>`; poses are world-to-camera in a world that ARKit made
+//! `confidence/`, named `<video>_<seconds>`. Poses are world-to-camera in a world that ARKit made
 //! level, Z up. The mesh `*_3dod_mesh.ply` lies one folder up.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
@@ -20,12 +20,12 @@ const COLOUR: &str = "lowres_wide";
 const DEPTH: &str = "lowres_depth";
 const CAMERAS: &str = "lowres_wide_intrinsics";
 const MAX_TRAJECTORY_BYTES: u64 = 32 << 20;
-/// Pictures are at 60 Hz, poses at 10.
+/// Pictures are at 60 Hz, poses at 10 Hz.
 const POSE_WITHIN_S: f64 = 0.005;
-/// Names of one moment differ by a rounded millisecond.
+/// File names of the same moment may differ by a rounded millisecond.
 const NAME_WITHIN_S: f64 = 0.0015;
 
-/// The folder of the frames: here, or the only one called `*_frames`.
+/// Returns the folder of the frames: this one, or the only one named `*_frames`.
 fn frames_in(folder: &FolderListing) -> Option<String> {
     let has = |inner: &str| {
         [TRAJECTORY, COLOUR].iter().any(|name| folder.root.join(inner).join(name).exists())
@@ -123,7 +123,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     Ok(scan)
 }
 
-/// `time`, rotation as axis times angle, translation.
+/// Reads lines of time, rotation (axis times angle) and translation.
 fn poses(root: &Utf8Path, file: &Utf8Path) -> Result<Vec<(f64, Matrix4<f64>)>, IngestError> {
     let text = read_text(root, file, MAX_TRAJECTORY_BYTES)?;
     let mut poses = Vec::new();

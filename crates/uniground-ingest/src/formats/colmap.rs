@@ -1,5 +1,5 @@
-//! COLMAP: poses of pictures without depth, in no unit of length and with no up. Its dense cloud
-//! can be read, once somebody says how long its unit is.
+//! COLMAP: poses of pictures without depth, without a unit of length and without an up direction.
+//! Its dense cloud can be read once the caller states the unit's length.
 
 use super::files::FolderListing;
 use super::incomplete;

@@ -1,6 +1,6 @@
-//! The plain layout: `color/ depth/ pose/ intrinsic.txt` and, optionally, a cloud. Folders go by
-//! their usual names; files belong together by name, number or time; poses may stand in one file.
-//! Order is by number, so `10` follows `9`.
+//! The plain layout: `color/ depth/ pose/ intrinsic.txt` and, optionally, a cloud. Folders are
+//! found by their usual names. Files are matched by name, number or time. All poses may be in one
+//! file. Order is by number, so `10` follows `9`.
 
 use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::read_pose;
@@ -17,7 +17,7 @@ const POSE: &[&str] = &["pose", "poses"];
 const CONFIDENCE: &[&str] = &["confidence", "conf"];
 const TRAJECTORIES: &[&str] =
     &["poses.txt", "pose.txt", "traj.txt", "trajectory.txt", "groundtruth.txt", "trajectory.log"];
-/// Names that a cloud of posed pictures goes by: others may be anything.
+/// Accepted names of a cloud next to posed pictures. Other clouds could be anything.
 pub(super) const CLOUD: &[&str] =
     &["cloud.", "pointcloud.", "point_cloud.", "points.", "mesh.", "scene."];
 
@@ -67,7 +67,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     Ok(scan)
 }
 
-/// A cloud beside posed pictures, by its name.
+/// Returns the cloud next to posed pictures, found by its name.
 pub(super) fn own_cloud(folder: &FolderListing) -> Option<Utf8PathBuf> {
     folder
         .clouds(CLOUD)
@@ -79,34 +79,34 @@ pub(super) fn own_cloud(folder: &FolderListing) -> Option<Utf8PathBuf> {
 pub(super) struct ScanImages {
     pub colour: Vec<Utf8PathBuf>,
     pub depth: Vec<Utf8PathBuf>,
-    /// Of the depth; frames without are fine.
+    /// Confidence of the depth pictures. Frames without it are accepted.
     pub confidence: Vec<Utf8PathBuf>,
 }
 
-/// Where poses stand.
+/// The location of the poses.
 pub(super) enum PoseFiles {
-    /// A file for each.
+    /// One file per frame.
     Files(Vec<Utf8PathBuf>),
-    /// All in this file.
+    /// All poses in this file.
     List(Trajectory, Utf8PathBuf),
 }
 
-/// Cameras of all frames; without one of its own the depth camera is the colour camera.
+/// Cameras of all frames. If there is no separate depth camera, the color camera is used for depth.
 pub(super) struct FrameCameras {
     pub colour: Intrinsics,
     pub depth: Option<Intrinsics>,
 }
 
-/// What pictures without partners are.
+/// How to treat pictures without a matching picture or pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum UnmatchedImages {
-    /// Damage: every picture should have one.
+    /// As damage: every picture should have a match.
     Damaged,
-    /// As usual: cameras that run at their own pace.
+    /// Left out silently: the cameras run at different rates.
     LeftOut,
 }
 
-/// Confidence below this is no measurement: of three levels the lowest.
+/// Minimum confidence of a measurement. Of three levels, the lowest is rejected.
 pub(super) const LEAST_CONFIDENCE: u8 = 1;
 
 impl ScanImages {
@@ -125,8 +125,8 @@ impl ScanImages {
     }
 }
 
-/// Puts colour, depth and pose of each moment together. Confidence of the depth's names is taken
-/// where it is there.
+/// Matches color, depth and pose of each moment. Confidence is matched to depth by name, where it
+/// exists.
 pub(super) fn add_frames(
     scan: &mut Scan,
     pictures: &ScanImages,
@@ -180,7 +180,7 @@ pub(super) fn add_frames(
     }
     match unmatched {
         UnmatchedImages::Damaged => {
-            // A moment counts once, however many of its files are there.
+            // Each moment counts once, however many of its files exist.
             let mut moments: Vec<_> =
                 alone.into_iter().map(|file| (pairing::natural(&file), file)).collect();
             moments.dedup_by(|a, b| a.0 == b.0);
@@ -204,7 +204,7 @@ pub(super) fn add_frames(
     Ok(())
 }
 
-/// Where the pose of a picture stands.
+/// The location of a picture's pose.
 enum PoseSource {
     File(Utf8PathBuf),
     At(nalgebra::Matrix4<f64>, Utf8PathBuf),

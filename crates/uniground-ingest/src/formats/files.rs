@@ -1,4 +1,4 @@
-//! A folder's names, as layouts ask for them.
+//! The names in a folder, for the layouts.
 
 use super::check_frames;
 use crate::IngestError;
@@ -6,19 +6,18 @@ use crate::clouds::CloudKind;
 use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
 use std::fs;
 
-/// A folder of a scan: what lies in it, without hidden files and what operating systems leave
-/// behind.
+/// A folder of a scan: its entries, without hidden files and files that operating systems create.
 pub(super) struct FolderListing {
     pub root: Utf8PathBuf,
     /// Sorted.
     names: Vec<String>,
 }
 
-/// Endings of colour pictures that are read.
+/// Supported extensions of color pictures.
 pub(super) const PICTURES: &[&str] = &["jpg", "jpeg", "png"];
-/// Endings of depth pictures that are read.
+/// Supported extensions of depth pictures.
 pub(super) const DEPTHS: &[&str] = &["png", "pgm", "exr", "tif", "tiff"];
-/// Endings of clouds and meshes.
+/// Extensions of clouds and meshes.
 const CLOUDS: &[&str] = &[
     "ply", "pcd", "las", "laz", "e57", "glb", "gltf", "obj", "xyz", "xyzrgb", "xyzn", "pts", "txt",
     "csv", "asc",
@@ -41,17 +40,17 @@ impl FolderListing {
         self.root.join(name).is_dir()
     }
 
-    /// The first of these that is a folder here.
+    /// Returns the first of `names` that is a folder here.
     pub fn first_folder(&self, names: &[&'static str]) -> Option<&'static str> {
         names.iter().copied().find(|name| self.has_folder(name))
     }
 
-    /// The first of these that is a file here.
+    /// Returns the first of `names` that is a file here.
     pub fn first_file(&self, names: &[&'static str]) -> Option<Utf8PathBuf> {
         names.iter().find(|name| self.has_file(name)).map(Utf8PathBuf::from)
     }
 
-    /// The folder that is all there is.
+    /// Returns the folder's only entry, if that is a folder.
     pub fn only_folder(&self) -> Option<&str> {
         match &self.names[..] {
             [only] if self.has_folder(only) => Some(only),
@@ -59,13 +58,13 @@ impl FolderListing {
         }
     }
 
-    /// Folders within this one.
+    /// Returns the folders within this one.
     pub fn folders(&self) -> impl Iterator<Item = &str> {
         self.names.iter().map(String::as_str).filter(|name| self.has_folder(name))
     }
 
-    /// Files of a folder below this one (`""`: this one) with one of these endings, in natural
-    /// order. Refused when there are far too many.
+    /// Returns the files of a folder below this one (`""`: this one) with one of these extensions,
+    /// in natural order. Fails when there are far too many.
     pub fn files(&self, folder: &str, endings: &[&str]) -> Result<Vec<Utf8PathBuf>, IngestError> {
         let names =
             if folder.is_empty() { self.names.clone() } else { names(&self.root.join(folder))? };
@@ -77,8 +76,8 @@ impl FolderListing {
         Ok(files)
     }
 
-    /// Clouds and meshes that lie here, what these names begin or end with first, larger ones
-    /// before smaller ones.
+    /// Returns the clouds and meshes in this folder. Names that begin or end with a preferred name
+    /// come first, and larger files come before smaller ones.
     pub fn clouds(&self, preferred: &[&str]) -> Vec<Utf8PathBuf> {
         let mut found: Vec<(usize, u64, &String)> = Vec::new();
         for name in &self.names {
@@ -89,7 +88,8 @@ impl FolderListing {
             if is_something_else(name, &path) {
                 continue;
             }
-            // What is called PLY is meant to be one: what is wrong with it will be said.
+            // A file named `.ply` is always read as PLY, so that the reader can report what is
+            // wrong with it.
             if ending(name).as_deref() != Some("ply") && CloudKind::of(&path).is_none() {
                 continue;
             }
@@ -104,7 +104,7 @@ impl FolderListing {
         found.into_iter().map(|(_, _, name)| Utf8PathBuf::from(name)).collect()
     }
 
-    /// What lies here, for people.
+    /// Describes the folder's content for people.
     pub fn describe(&self) -> String {
         let shown = self.names.iter().take(8).cloned().collect::<Vec<_>>().join(", ");
         match self.names.len() {
@@ -115,7 +115,7 @@ impl FolderListing {
     }
 }
 
-/// Text files that belong to posed pictures are lines of numbers too.
+/// Names of text files that belong to posed pictures. They contain lines of numbers too.
 const NO_CLOUDS: [&str; 12] = [
     "pose",
     "traj",
@@ -130,7 +130,7 @@ const NO_CLOUDS: [&str; 12] = [
     "scene0",
     "_info",
 ];
-/// Text of fewer bytes is no cloud, whatever it holds.
+/// Minimum size of a text cloud, bytes.
 const LEAST_TEXT_BYTES: u64 = 1000;
 
 fn is_something_else(name: &str, path: &Utf8Path) -> bool {
@@ -145,7 +145,7 @@ fn ending(name: &str) -> Option<String> {
     Utf8Path::new(name).extension().map(str::to_ascii_lowercase)
 }
 
-/// Names in a folder, sorted, without hidden files and `__MACOSX`.
+/// Returns the names in a folder, sorted, without hidden files and `__MACOSX`.
 fn names(folder: &Utf8Path) -> Result<Vec<String>, IngestError> {
     let io =
         |source| IngestError::Io { file: folder.file_name().unwrap_or("archive").into(), source };
@@ -160,7 +160,7 @@ fn names(folder: &Utf8Path) -> Result<Vec<String>, IngestError> {
     Ok(names)
 }
 
-/// A manifest may only name files of its own archive.
+/// Checks that a manifest only names files of its own archive.
 pub(super) fn inside(path: &Utf8Path, manifest: &'static str) -> Result<(), IngestError> {
     let plain =
         path.components().all(|c| matches!(c, Utf8Component::Normal(_) | Utf8Component::CurDir));

@@ -1,4 +1,4 @@
-//! Camera matrices in files of their own.
+//! Reads camera matrices from separate files.
 
 use super::files::FolderListing;
 use super::numbers::{parse, read_numbers};
@@ -9,7 +9,7 @@ use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;
 use uniground_geometry::scene::Intrinsics;
 
-/// Names that camera matrices of colour pictures go by, the most usual first.
+/// Usual names of color camera matrices, the most common first.
 const NAMES: [&str; 12] = [
     "intrinsic.txt",
     "intrinsics.txt",
@@ -26,7 +26,7 @@ const NAMES: [&str; 12] = [
 ];
 const MAX_JSON_BYTES: u64 = 64 << 10;
 
-/// Open3D's description of a camera; the matrix stands column by column.
+/// Open3D's description of a camera. The matrix is column-major.
 #[derive(Deserialize)]
 struct Open3d {
     width: u32,
@@ -34,12 +34,12 @@ struct Open3d {
     intrinsic_matrix: Vec<f32>,
 }
 
-/// The file with the colour camera's matrix.
+/// Returns the file with the color camera's matrix.
 pub(super) fn colour_file(folder: &FolderListing) -> Option<Utf8PathBuf> {
     folder.first_file(&NAMES)
 }
 
-/// The colour camera; matrices that do not say their size are for the first colour picture's.
+/// Reads the color camera. Matrices without a size apply to the size of the first color picture.
 pub(super) fn of_colour(
     folder: &FolderListing,
     first_colour: &Utf8Path,
@@ -50,8 +50,8 @@ pub(super) fn of_colour(
     }
 }
 
-/// A 3x3 or 4x4 matrix, four numbers `fx fy cx cy`, or Open3D's JSON. Without a size of its own it
-/// is the picture's.
+/// Reads a 3x3 or 4x4 matrix, four numbers `fx fy cx cy`, or Open3D's JSON. Without a size of its
+/// own, the picture's size is used.
 pub(super) fn of_file(
     root: &Utf8Path,
     file: &Utf8Path,
@@ -74,7 +74,7 @@ pub(super) fn of_file(
     of_values(root, file, &values, picture)
 }
 
-/// The same from numbers at hand.
+/// Builds the same from given numbers.
 pub(super) fn of_values(
     root: &Utf8Path,
     file: &Utf8Path,
@@ -98,7 +98,7 @@ pub(super) fn of_values(
     Ok(Intrinsics { width, height, fx, fy, cx, cy })
 }
 
-/// `width height fx fy cx cy`, as ARKitScenes writes it.
+/// Reads `width height fx fy cx cy`, the format of ARKitScenes.
 pub(super) fn of_pincam(root: &Utf8Path, file: &Utf8Path) -> Result<Intrinsics, IngestError> {
     let text = read_text(root, file, MAX_JSON_BYTES)?;
     let values = parse(&text)

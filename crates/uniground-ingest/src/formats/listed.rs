@@ -1,12 +1,12 @@
-//! Lists of frames in JSON files.
+//! Deserializes lists of frames in JSON files.
 
 use crate::MAX_FRAMES;
 use serde::de::{Deserialize, Deserializer, Error, SeqAccess, Visitor};
 use std::fmt;
 use std::marker::PhantomData;
 
-/// Deserialises a list with an entry for each frame. One that holds more than are read is given up
-/// on there, before the rest takes memory.
+/// Deserializes a list with one entry per frame. Stops with an error at the maximum number of
+/// frames, before the rest takes memory.
 pub(super) fn frames<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
     deserializer: D,
 ) -> Result<Vec<T>, D::Error> {

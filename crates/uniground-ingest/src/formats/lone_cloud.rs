@@ -1,4 +1,4 @@
-//! A cloud or a mesh and nothing else.
+//! A single cloud or mesh without frames.
 
 use super::color_depth_pose::CLOUD;
 use super::files::FolderListing;
@@ -11,7 +11,7 @@ pub(super) fn recognises(folder: &FolderListing) -> bool {
     !posed && !folder.clouds(&[]).is_empty()
 }
 
-/// The cloud called so, or the largest file.
+/// Reads the cloud with a preferred name, or the largest file.
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let clouds = folder.clouds(CLOUD);
     let Some(cloud) = clouds.first() else { return Err(IngestError::EmptyScene) };

@@ -1,6 +1,6 @@
-//! Layouts of scans. Each file knows one and describes it as a [`Scan`]; nothing is decoded here.
-//! They are recognised by which files are there, the most particular first; what is recognised and
-//! incomplete is refused with what it looks like and what is missing.
+//! Layouts of scans. Each file of this folder describes one layout as a [`Scan`]. Nothing is
+//! decoded here. Layouts are recognized by which files exist, the most specific first. A layout
+//! that is recognized but incomplete is refused with its name and what is missing.
 
 mod arkit_scenes;
 mod colmap;
@@ -31,13 +31,13 @@ use super::{IngestError, MAX_FRAMES};
 use camino::{Utf8Path, Utf8PathBuf};
 use files::FolderListing;
 
-/// One way to lay out a scan.
+/// A layout of a scan's files.
 struct Layout {
     recognises: fn(&FolderListing) -> bool,
     read: fn(&FolderListing) -> Result<Scan, IngestError>,
 }
 
-/// In the order they are tried.
+/// All layouts, in the order in which they are tried.
 const LAYOUTS: [Layout; 18] = [
     Layout { recognises: neutral::recognises, read: neutral::read },
     Layout { recognises: nerfstudio::recognises, read: nerfstudio::read },
@@ -59,13 +59,13 @@ const LAYOUTS: [Layout; 18] = [
     Layout { recognises: color_depth_pose::recognises, read: color_depth_pose::read },
 ];
 
-/// Folders one in another that an archive is stepped into.
+/// Maximum number of nested folders that are entered.
 const MAX_STEPS: usize = 6;
 
 /// Reads the layout below `folder` without checking it.
 ///
 /// # Errors
-/// [`IngestError`] naming the file, or what the folder holds instead of a scan.
+/// Returns an [`IngestError`] that names the file, or what the folder holds instead of a scan.
 pub(super) fn read(folder: &Utf8Path) -> Result<Scan, IngestError> {
     let mut folder = FolderListing::open(folder)?;
     for _ in 0..MAX_STEPS {
@@ -74,7 +74,7 @@ pub(super) fn read(folder: &Utf8Path) -> Result<Scan, IngestError> {
             check_frames(scan.format, scan.frames.len())?;
             return Ok(scan);
         }
-        // Archives are often made of one folder: step into it.
+        // Archives often consist of one folder: enter it.
         match folder.only_folder() {
             Some(inner) => folder = FolderListing::open(&folder.root.join(inner))?,
             None => break,
@@ -83,7 +83,7 @@ pub(super) fn read(folder: &Utf8Path) -> Result<Scan, IngestError> {
     Err(IngestError::UnknownLayout { found: folder.describe() })
 }
 
-/// Refuses a scan of more frames than are read.
+/// Refuses a scan with more than the maximum number of frames.
 fn check_frames(file: &str, frames: usize) -> Result<(), IngestError> {
     match frames > MAX_FRAMES {
         true => Err(IngestError::malformed(
@@ -94,12 +94,12 @@ fn check_frames(file: &str, frames: usize) -> Result<(), IngestError> {
     }
 }
 
-/// What is recognised and lacks something.
+/// Builds the error for a recognized layout with something missing.
 fn incomplete(looks_like: &'static str, missing: impl Into<String>) -> IngestError {
     IngestError::IncompleteLayout { looks_like, missing: missing.into() }
 }
 
-/// A path in a list of frames: a file, or one of the lines or entries of a file.
+/// Builds the path of a frame in a list: a file, followed by a line or an entry of that file.
 fn entry(file: &Utf8Path, entry: impl std::fmt::Display) -> Utf8PathBuf {
     format!("{file}, {entry}").into()
 }

@@ -1,6 +1,6 @@
-//! nerfstudio and instant-ngp: `transforms.json`, OpenGL cameras, intrinsics for all or for each
-//! frame, with a lens. Depth is optional there and needed here; without it the cloud that the file
-//! names is read alone.
+//! nerfstudio and instant-ngp: `transforms.json`, OpenGL cameras, shared or per-frame intrinsics
+//! with lens distortion. Depth is optional in this format and required here. Without it, only the
+//! cloud that the file names is read.
 
 use super::files::{FolderListing, inside};
 use super::numbers::matrix;
@@ -22,7 +22,7 @@ struct Transforms {
     camera_model: Option<String>,
     #[serde(flatten)]
     camera: Camera,
-    /// Metres per unit of depth (instant-ngp).
+    /// Meters per unit of depth (instant-ngp).
     integer_depth_scale: Option<f32>,
     ply_file_path: Option<Utf8PathBuf>,
     #[serde(default, deserialize_with = "super::listed::frames")]
@@ -39,9 +39,9 @@ struct Frame {
     camera: Camera,
 }
 
-/// Whole or in part: what a frame does not say is as for all.
+/// Complete or partial intrinsics. Values that a frame lacks are taken from the shared ones.
 #[derive(Deserialize, Clone, Copy, Default)]
-#[allow(clippy::struct_field_names)] // Theirs.
+#[allow(clippy::struct_field_names)] // The names are those of the format.
 struct Camera {
     fl_x: Option<f32>,
     fl_y: Option<f32>,
@@ -98,7 +98,7 @@ impl Camera {
 
     fn lens(&self) -> Option<Lens> {
         let or_zero = |k: Option<f32>| k.unwrap_or(0.0);
-        // k4 stands in the denominator here, and is nothing but fisheyes' there.
+        // Here, k4 is in the denominator. Only fisheye lenses use it otherwise.
         let (k1, k2, k3) = (or_zero(self.k1), or_zero(self.k2), or_zero(self.k3));
         Lens { k1, k2, k3, p1: or_zero(self.p1), p2: or_zero(self.p2), ..Lens::default() }.or_none()
     }
@@ -157,7 +157,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     for (i, frame) in transforms.frames.iter().enumerate() {
         scan.add(raw_frame(root, i, frame, transforms.camera))?;
     }
-    // The scale is one of integers.
+    // The scale applies to integer depth only.
     if usual_depth_scale_m(root, scan.frames.iter().map(|frame| &frame.depth)) == 1.0 {
         scan.depth_scale_m = 1.0;
     }
@@ -194,7 +194,7 @@ fn raw_frame(
     })
 }
 
-/// Paths may lack their ending and begin with `./`.
+/// Finds a picture. Paths may lack their extension and begin with `./`.
 fn picture(root: &Utf8Path, path: &Utf8Path) -> Result<Utf8PathBuf, IngestError> {
     inside(path, NAMED)?;
     let with_ending = ["png", "jpg"].map(|ending| Utf8PathBuf::from(format!("{path}.{ending}")));

@@ -16,10 +16,11 @@ use uniground_geometry::up_axis::UpAxis;
 
 const FILE: &str = "scene.json";
 const FORMAT: &str = "uniground-scene/1";
-/// What ScanNet's `.sens` files are unpacked as.
+/// Layout name of an unpacked ScanNet `.sens` file.
 const SENS: &str = "scannet-sens";
 const NAMED: &str = "named in scene.json points outside the archive";
-/// The most frames, each with cameras of its own and paths of everyday length.
+/// Maximum size of the manifest: the maximum number of frames, each with its own cameras and paths
+/// of usual length.
 const MAX_MANIFEST_BYTES: u64 = 16 << 20;
 
 #[derive(Deserialize)]
@@ -31,19 +32,19 @@ struct Manifest {
     cloud: Option<Utf8PathBuf>,
     intrinsics: Option<Intrinsics>,
     depth_intrinsics: Option<Intrinsics>,
-    /// Default: millimetres for integers, metres for floats.
+    /// Default: millimeters for integers, meters for floats.
     depth_scale_m: Option<f32>,
     #[serde(default = "opencv")]
     camera_axes: CameraAxes,
     #[serde(default = "camera_to_world")]
     pose: PoseConvention,
-    /// Lens of the colour pictures; of the depth pictures too, unless they have a camera of their
-    /// own.
+    /// Lens of the color pictures. Also used for the depth pictures unless they have their own
+    /// camera.
     distortion: Option<Lens>,
     depth_distortion: Option<Lens>,
-    /// Where the depth camera stands beside the colour camera: 4x4, row-major, metres.
+    /// Pose of the depth camera relative to the color camera: 4x4, row-major, meters.
     depth_to_color: Option<Vec<f64>>,
-    /// Layout that this one was converted from.
+    /// The layout that this one was converted from.
     source: Option<String>,
     #[serde(default, deserialize_with = "super::listed::frames")]
     frames: Vec<ManifestFrame>,
@@ -55,7 +56,7 @@ struct ManifestFrame {
     color: Utf8PathBuf,
     depth: Utf8PathBuf,
     pose: Utf8PathBuf,
-    /// Where one frame's camera differs from the scan's.
+    /// Values of one frame's camera that differ from the scan's.
     intrinsics: Option<Intrinsics>,
     depth_intrinsics: Option<Intrinsics>,
     confidence: Option<Utf8PathBuf>,
@@ -109,7 +110,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             IngestError::MissingIntrinsics { file: format!("scene.json, frame {i}").into() }
         })?;
         let depth_intrinsics = frame.depth_intrinsics.or(manifest.depth_intrinsics);
-        // Depth without a camera of its own is seen through the colour camera's lens.
+        // Depth without its own camera uses the color camera's lens.
         let shared = if depth_intrinsics.is_none() { manifest.distortion } else { None };
         let optics = Optics {
             colour_lens: manifest.distortion.and_then(Lens::or_none),

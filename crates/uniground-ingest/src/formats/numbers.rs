@@ -1,26 +1,26 @@
-//! Numbers, matrices and quaternions in text files.
+//! Reads numbers, matrices and quaternions from text files.
 
 use crate::IngestError;
 use crate::limited_reader::read_text;
 use camino::Utf8Path;
 use nalgebra::{Matrix4, Quaternion, UnitQuaternion};
 
-/// A matrix of 16 numbers is far shorter.
+/// Maximum size of a matrix file. A matrix of 16 numbers is far shorter.
 const MAX_MATRIX_BYTES: u64 = 16 << 10;
 
-/// Reads a short file of numbers between white space or commas.
+/// Reads a short file of numbers separated by white space or commas.
 pub(super) fn read_numbers(root: &Utf8Path, file: &Utf8Path) -> Result<Vec<f64>, IngestError> {
     let text = read_text(root, file, MAX_MATRIX_BYTES)?;
     parse(&text).map_err(|word| IngestError::malformed(file, format!("{word:?} is not a number")))
 }
 
-/// Numbers between white space or commas; what is none comes back.
+/// Parses numbers separated by white space or commas. Returns the first invalid word as an error.
 pub(super) fn parse(text: &str) -> Result<Vec<f64>, &str> {
     let words = text.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty());
     words.map(|word| word.parse().map_err(|_| word)).collect()
 }
 
-/// Reads a row-major 4x4 pose; 3x4 without its last row is fine.
+/// Reads a row-major 4x4 pose. A 3x4 matrix without the last row is accepted.
 pub(super) fn read_pose(root: &Utf8Path, file: &Utf8Path) -> Result<Matrix4<f64>, IngestError> {
     let values = read_numbers(root, file)?;
     matrix(&values).ok_or_else(|| {
@@ -31,7 +31,7 @@ pub(super) fn read_pose(root: &Utf8Path, file: &Utf8Path) -> Result<Matrix4<f64>
     })
 }
 
-/// 16 or 12 numbers, row-major.
+/// Builds a matrix from 16 or 12 numbers, row-major.
 pub(super) fn matrix(values: &[f64]) -> Option<Matrix4<f64>> {
     match values.len() {
         16 => Some(Matrix4::from_row_slice(values)),
@@ -40,8 +40,8 @@ pub(super) fn matrix(values: &[f64]) -> Option<Matrix4<f64>> {
     }
 }
 
-/// A pose of a position and a quaternion `x y z w`; NaN where the quaternion has no length, which
-/// is found out later, by name.
+/// Builds a pose from a position and a quaternion `x y z w`. Returns NaN for a quaternion of length
+/// zero: a later check reports it with the frame's name.
 pub(super) fn pose_of([x, y, z]: [f64; 3], [qx, qy, qz, qw]: [f64; 4]) -> Matrix4<f64> {
     let quaternion = Quaternion::new(qw, qx, qy, qz);
     if !(quaternion.norm() > 0.1 && quaternion.norm() < 10.0) {
@@ -51,7 +51,7 @@ pub(super) fn pose_of([x, y, z]: [f64; 3], [qx, qy, qz, qw]: [f64; 4]) -> Matrix
     Matrix4::new_translation(&nalgebra::Vector3::new(x, y, z)) * rotation
 }
 
-/// `key = values` lines, as ScanNet and 3RScan write them.
+/// Returns the values of `key` in `key = values` lines, as ScanNet and 3RScan write them.
 pub(super) fn values_of<'a>(text: &'a str, key: &str) -> Option<&'a str> {
     text.lines().find_map(|line| {
         let (name, value) = line.split_once('=')?;

@@ -1,6 +1,6 @@
-//! Open3D's reconstruction system: colour and depth pictures beside a trajectory log of five lines
-//! a pose (`trajectory.log`, `scene/integrated.log`), and the camera as JSON. Without one it is a
-//! PrimeSense sensor's, as in Open3D's own examples.
+//! Open3D's reconstruction system: color and depth pictures next to a trajectory log with five
+//! lines per pose (`trajectory.log`, `scene/integrated.log`), and the camera as JSON. Without a
+//! camera, a PrimeSense sensor is assumed, as in Open3D's own examples.
 
 use super::color_depth_pose::{
     FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames, own_cloud,

@@ -1,22 +1,22 @@
-//! Which pictures and poses belong together: by name, by number or by time.
+//! Matches pictures and poses by name, number or time.
 
 use camino::{Utf8Path, Utf8PathBuf};
 use std::collections::BTreeMap;
 
-/// Pictures of one moment are at most this far apart, seconds.
+/// Maximum time difference of pictures of the same moment, seconds.
 pub(super) const SAME_MOMENT_S: f64 = 0.02;
-/// What names say of a file's part and not of its moment.
+/// Parts of names that state a file's role and not its moment.
 const ROLES: [&str; 10] =
     ["color", "colour", "rgb", "depth", "pose", "image", "img", "conf", "confidence", "cam"];
 
-/// Sorts `10` after `9`: the number first, then the name.
+/// Sort key that puts `10` after `9`: the number first, then the name.
 pub(super) fn natural(file: &Utf8Path) -> (Option<u64>, String) {
     let stem = file.file_stem().unwrap_or_default();
     let digits: String = stem.chars().filter(char::is_ascii_digit).collect();
     (digits.parse().ok(), stem.to_owned())
 }
 
-/// The last number of a name.
+/// Returns the last number of a name.
 pub(super) fn number(file: &Utf8Path) -> Option<u64> {
     let stem = file.file_stem()?;
     let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
@@ -24,8 +24,8 @@ pub(super) fn number(file: &Utf8Path) -> Option<u64> {
     stem[start..end].parse().ok()
 }
 
-/// The time in a name, seconds: `1305031102.175304`, or nanoseconds, microseconds, milliseconds
-/// since 1970.
+/// Returns the time in a name, seconds: `1305031102.175304`, or nanoseconds, microseconds or
+/// milliseconds since 1970.
 pub(super) fn seconds(file: &Utf8Path) -> Option<f64> {
     let stem = file.file_stem()?;
     let text = stem.trim_matches(|c: char| !c.is_ascii_digit());
@@ -39,7 +39,7 @@ pub(super) fn seconds(file: &Utf8Path) -> Option<f64> {
     })
 }
 
-/// The name without what says which part it is.
+/// Returns the name without the parts that state its role.
 fn moment(file: &Utf8Path) -> String {
     let mut stem = file.file_stem().unwrap_or_default().to_ascii_lowercase();
     for role in ROLES {
@@ -48,8 +48,8 @@ fn moment(file: &Utf8Path) -> String {
     stem.trim_matches(|c: char| !c.is_alphanumeric()).to_owned()
 }
 
-/// For each of the first, its partner among the second: by name, number or time, whichever finds
-/// most.
+/// Finds for each file of `first` its match in `second`: by name, number or time, whichever gives
+/// the most matches.
 pub(super) fn partners(first: &[Utf8PathBuf], second: &[Utf8PathBuf]) -> Vec<Option<usize>> {
     let by_name = same(first, second, |file| Some(moment(file)).filter(|m| !m.is_empty()));
     let by_number = same(first, second, number);
@@ -74,7 +74,7 @@ fn same<K: Ord>(
     let mut at: BTreeMap<K, Option<usize>> = BTreeMap::new();
     for (i, file) in second.iter().enumerate() {
         if let Some(key) = key(file) {
-            // A name that two have is nobody's.
+            // A name that occurs twice matches neither.
             at.entry(key).and_modify(|only| *only = None).or_insert(Some(i));
         }
     }
@@ -86,7 +86,7 @@ fn same<K: Ord>(
     first.iter().map(&mut partner).collect()
 }
 
-/// For each of the first times the nearest of the second within reach, nobody twice.
+/// Finds for each of the first times the nearest of the second within reach. Uses none twice.
 pub(super) fn nearest(
     first: &[Option<f64>],
     second: &[Option<f64>],
@@ -98,7 +98,7 @@ pub(super) fn nearest(
         .filter_map(|(i, t)| Some((t.filter(|t| t.is_finite())?, i)))
         .collect();
     order.sort_by(|a, b| a.0.total_cmp(&b.0));
-    // The closest pairs first, as the authors of TUM's benchmark associate.
+    // The closest pairs are matched first, as in the association script of the TUM benchmark.
     let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
     for (i, time) in first.iter().enumerate() {
         let Some(time) = time.filter(|t| t.is_finite()) else { continue };

@@ -1,5 +1,5 @@
 //! Polycam raw data: `keyframes/` with `images/ cameras/ depth/ confidence/`, named by
-//! microseconds; `corrected_*` after its own optimisation. OpenGL cameras in a world that ARKit
+//! microseconds; `corrected_*` after its own optimization. OpenGL cameras in a world that ARKit
 //! made level, Y up.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;

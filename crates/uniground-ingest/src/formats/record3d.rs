@@ -1,5 +1,5 @@
-//! Record3D `.r3d`, unpacked: `rgbd/{i}.jpg|.depth|.conf` and `metadata`. Depth is LZFSE of 32-bit
-//! metres; OpenGL cameras; the first pose is the world, so nothing is level by itself.
+//! Record3D `.r3d`, unpacked: `rgbd/{i}.jpg|.depth|.conf` and `metadata`. Depth is LZFSE-compressed
+//! 32-bit meters. Cameras are OpenGL. The first pose defines the world, so the world is not level.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::FolderListing;
@@ -15,7 +15,7 @@ use uniground_geometry::scene::{Confidence, FrameIndex, Intrinsics, Optics};
 const LOOKS_LIKE: &str = "a Record3D recording";
 const FILE: &str = "metadata";
 const MAX_BYTES: u64 = 64 << 20;
-/// Depth pictures of phones, where the recording does not say.
+/// Size of a phone's depth pictures, used if the recording does not state it.
 const USUAL_DEPTH: (u32, u32) = (192, 256);
 
 #[derive(Deserialize)]
@@ -24,13 +24,13 @@ struct Metadata {
     h: u32,
     dw: Option<u32>,
     dh: Option<u32>,
-    /// 3x3, column by column.
+    /// 3x3, column-major.
     #[serde(rename = "K")]
     k: Vec<f32>,
     /// Quaternion x y z w, then the position.
     #[serde(deserialize_with = "super::listed::frames")]
     poses: Vec<[f64; 7]>,
-    /// `fx fy cx cy` of each frame, where the lens moves.
+    /// `fx fy cx cy` of each frame, if the intrinsics vary.
     #[serde(
         rename = "perFrameIntrinsicCoeffs",
         default,

@@ -1,5 +1,5 @@
-//! Replica as NICE-SLAM renders it: `results/frame*.jpg` and `depth*.png`, `traj.txt` with a pose a
-//! line, and `cam_params.json` here or one folder up.
+//! Replica as rendered by NICE-SLAM: `results/frame*.jpg` and `depth*.png`, `traj.txt` with one
+//! pose per line, and `cam_params.json` in the same folder or one folder up.
 
 use super::color_depth_pose::{FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames};
 use super::files::{DEPTHS, FolderListing, PICTURES};
@@ -31,11 +31,11 @@ struct Camera {
     scale: f32,
 }
 
-/// What all of its rooms are rendered with.
+/// The camera that all of Replica's rooms are rendered with.
 const USUAL: Camera =
     Camera { w: 1200, h: 680, fx: 600.0, fy: 600.0, cx: 599.5, cy: 339.5, scale: 6553.5 };
 
-/// The folder of the room: here, or the only one beside the camera's parameters.
+/// Returns the folder of the room: this one, or the only one next to the camera's parameters.
 fn room(folder: &FolderListing) -> Option<String> {
     if folder.has_folder("results") {
         return Some(String::new());

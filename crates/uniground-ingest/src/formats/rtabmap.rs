@@ -13,13 +13,13 @@ use uniground_geometry::scene::Intrinsics;
 const LOOKS_LIKE: &str = "an RTAB-Map export";
 const MAX_CALIBRATION_BYTES: u64 = 64 << 10;
 
-/// The folder called so, alone or after the database's name.
+/// Returns the folder with this name, alone or after the database's name.
 fn part(folder: &FolderListing, name: &str) -> Option<String> {
     let is = |other: &&str| *other == name || other.ends_with(&format!("_{name}"));
     folder.folders().find(is).map(str::to_owned)
 }
 
-/// Poses of the camera where they are there: those of the robot's base stand elsewhere.
+/// Returns the file of the camera's poses if it exists. The poses of the robot's base differ.
 fn poses_file(folder: &FolderListing) -> Option<Utf8PathBuf> {
     let ends = |ending: &str| {
         folder.names().iter().find(|name| name.ends_with(ending)).map(Utf8PathBuf::from)
@@ -62,8 +62,8 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     Ok(scan)
 }
 
-/// OpenCV's YAML: `image_width`, `image_height`, and the projection matrix, which is that of the
-/// rectified picture.
+/// Reads OpenCV's YAML: `image_width`, `image_height`, and the projection matrix, which is that of
+/// the rectified picture.
 fn camera(root: &Utf8Path, file: &Utf8Path) -> Result<Intrinsics, IngestError> {
     let text = read_text(root, file, MAX_CALIBRATION_BYTES)?;
     let missing =

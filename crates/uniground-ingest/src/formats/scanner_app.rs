@@ -57,7 +57,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             return Err(incomplete(LOOKS_LIKE, format!("{what} missing: export \"all data\"")));
         }
     }
-    // More poses than pictures are written; depth comes with pictures.
+    // The app writes more poses than pictures. Depth exists only for pictures.
     let (depth_of, taken_of, confidence_of) = (
         pairing::partners(&colour, &depth),
         pairing::partners(&colour, &taken),

@@ -1,6 +1,6 @@
-//! ScanNet as its own exporter writes it: `color/ depth/ pose/ intrinsic/`, with a depth camera of
-//! its own, beside the scan's mesh and `<scene>.txt`, whose axis alignment applies to poses and
-//! mesh. And the flat `posed_images/` of later toolboxes.
+//! ScanNet as written by its own exporter: `color/ depth/ pose/ intrinsic/`, with a separate depth
+//! camera, next to the scan's mesh and `<scene>.txt`, whose axis alignment applies to poses and
+//! mesh. Also the flat `posed_images/` of later toolboxes.
 
 use super::color_depth_pose::{FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames};
 use super::files::{DEPTHS, FolderListing, PICTURES};
@@ -23,7 +23,7 @@ pub(super) fn recognises(folder: &FolderListing) -> bool {
         || is_flat(folder)
 }
 
-/// `00000.jpg`, `00000.png` and `00000.txt` in one folder.
+/// Returns whether `00000.jpg`, `00000.png` and `00000.txt` are in one folder.
 fn is_flat(folder: &FolderListing) -> bool {
     let has = |ending: &str| {
         folder
@@ -83,7 +83,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     Ok(scan)
 }
 
-/// `axisAlignment` of the scene's own text file, unless it says nothing.
+/// Returns `axisAlignment` of the scene's own text file, unless it is the identity.
 fn alignment(folder: &FolderListing) -> Result<Option<(Matrix4<f64>, Utf8PathBuf)>, IngestError> {
     for name in folder
         .names()

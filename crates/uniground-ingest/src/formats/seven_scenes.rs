@@ -1,6 +1,6 @@
 //! 7-Scenes and 3RScan: `frame-000000.color.*`, `.depth.*` and `.pose.txt` in one folder. 3RScan
-//! says its cameras in `_info.txt`; 7-Scenes were taken with a Kinect whose depth stands beside its
-//! colour.
+//! states its cameras in `_info.txt`. 7-Scenes was recorded with a Kinect whose depth camera is
+//! offset from its color camera.
 
 use super::color_depth_pose::{FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames};
 use super::files::{DEPTHS, FolderListing, PICTURES};
@@ -15,13 +15,13 @@ use uniground_geometry::scene::Intrinsics;
 const LOOKS_LIKE: &str = "a 7-Scenes or 3RScan sequence";
 const INFO: &str = "_info.txt";
 const MAX_INFO_BYTES: u64 = 1 << 20;
-/// What the authors of 7-Scenes say of their Kinect, at 640x480.
+/// The Kinect according to the authors of 7-Scenes, at 640x480.
 const KINECT: Intrinsics =
     Intrinsics { width: 640, height: 480, fx: 585.0, fy: 585.0, cx: 320.0, cy: 240.0 };
 const CLOUDS: &[&str] =
     &["labels.instances.annotated.v2.ply", "mesh.refined.v2.obj", "mesh.refined.obj", "cloud.ply"];
 
-/// The folder of the frames, below the one that was opened.
+/// Returns the folder of the frames, below the one that was opened.
 fn frames_in(folder: &FolderListing) -> Option<&'static str> {
     let has = |names: &[String]| {
         names.iter().any(|name| {
@@ -96,8 +96,8 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     Ok(scan)
 }
 
-/// `m_colorWidth`, `m_colorHeight` and `m_calibrationColorIntrinsic`, or the same of the depth
-/// camera.
+/// Reads `m_colorWidth`, `m_colorHeight` and `m_calibrationColorIntrinsic`, or the same values of
+/// the depth camera.
 fn camera(info: &Utf8Path, text: &str, which: &str) -> Result<Intrinsics, IngestError> {
     let lower = which.to_ascii_lowercase();
     let missing =

@@ -1,5 +1,5 @@
 //! Stray Scanner: `depth/ confidence/ odometry.csv camera_matrix.csv` and a video. Videos are not
-//! decoded here: their frames are made with one command, which the refusal names.
+//! decoded here. One command extracts their frames, and the error message names it.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::{DEPTHS, FolderListing, PICTURES};
@@ -80,7 +80,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     Ok(scan)
 }
 
-/// `timestamp, frame, x, y, z, qx, qy, qz, qw`, by the frame's number.
+/// Reads `timestamp, frame, x, y, z, qx, qy, qz, qw`, by the frame's number.
 fn poses(root: &Utf8Path) -> Result<BTreeMap<u64, nalgebra::Matrix4<f64>>, IngestError> {
     let file = Utf8Path::new(ODOMETRY);
     let text = read_text(root, file, MAX_BYTES)?;

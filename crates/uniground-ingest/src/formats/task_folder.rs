@@ -1,4 +1,4 @@
-//! Task folders of the UniGround benchmark: `task.json` beside `full_pcd.ply`, whose height is z.
+//! Task folders of the UniGround benchmark: `task.json` next to `full_pcd.ply`, with Z up.
 
 use super::files::FolderListing;
 use super::incomplete;

@@ -1,5 +1,5 @@
-//! Files that hold all poses of a scan: a pose a line (4x4, 3x4, or a time with position and
-//! quaternion), or Open3D's log of five lines each.
+//! Files that hold all poses of a scan: one pose per line (4x4, 3x4, or a time with position and
+//! quaternion), or Open3D's log with five lines per pose.
 
 use super::numbers::{matrix, parse, pose_of};
 use crate::limited_reader::read_text;
@@ -7,18 +7,18 @@ use crate::{IngestError, MAX_FRAMES};
 use camino::Utf8Path;
 use nalgebra::Matrix4;
 
-/// The most poses, written with many decimals.
+/// Maximum size: the maximum number of poses, written with many decimals.
 const MAX_BYTES: u64 = 64 << 20;
 
 /// Poses in the order of the file.
 pub(super) enum Trajectory {
-    /// One a frame.
+    /// One pose per frame.
     Ordered(Vec<Matrix4<f64>>),
-    /// With the time of each, seconds.
+    /// Poses with the time of each, seconds.
     Timed(Vec<(f64, Matrix4<f64>)>),
 }
 
-/// Reads any of the kinds; which one shows in the number of values a line.
+/// Reads any of these formats. The number of values per line distinguishes them.
 pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, IngestError> {
     let text = read_text(root, file, MAX_BYTES)?;
     let mut rows: Vec<Vec<f64>> = Vec::new();
@@ -29,7 +29,7 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, Inges
         }
         match parse(line) {
             Ok(row) => rows.push(row),
-            // A heading names columns; anything later is damage.
+            // A heading may name the columns. Any later line without numbers is damage.
             Err(_) if rows.is_empty() => {}
             Err(word) => {
                 return Err(IngestError::malformed(
@@ -38,7 +38,8 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, Inges
                 ));
             }
         }
-        // The most poses, five lines each, and many more than that: mocap runs at 200 Hz.
+        // The maximum number of poses with five lines each, and many more than that: motion capture
+        // runs at 200 Hz.
         if rows.len() > 100 * MAX_FRAMES {
             return Err(IngestError::malformed(file, "it has too many lines"));
         }
@@ -65,7 +66,7 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, Inges
                 .collect::<Result<_, _>>()?;
             Ok(Trajectory::Ordered(poses))
         }
-        // A ninth number is somebody's index.
+        // A ninth number is an index of the writing program and is ignored.
         8 | 9 => {
             let timed = |row: &Vec<f64>| match row[..] {
                 [t, x, y, z, qx, qy, qz, qw, ..] => Ok((t, pose_of([x, y, z], [qx, qy, qz, qw]))),
@@ -77,7 +78,7 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, Inges
     }
 }
 
-/// Open3D: three numbers that are not needed, then a matrix.
+/// Parses Open3D's format: three numbers that are not needed, then a matrix.
 fn log(rows: &[Vec<f64>]) -> Option<Vec<Matrix4<f64>>> {
     rows.chunks(5)
         .map(|chunk| match chunk {
@@ -87,8 +88,8 @@ fn log(rows: &[Vec<f64>]) -> Option<Vec<Matrix4<f64>>> {
         .collect()
 }
 
-/// The pose at a time: between the two around it, when they are near enough; else the nearest
-/// within reach.
+/// Returns the pose at a time: interpolated between the two around it if they are close enough,
+/// otherwise the nearest one within reach.
 pub(super) fn at(poses: &[(f64, Matrix4<f64>)], time: f64, within_s: f64) -> Option<Matrix4<f64>> {
     let after = poses.partition_point(|(t, _)| *t < time);
     let near = |i: Option<usize>| {

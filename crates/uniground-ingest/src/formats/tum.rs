@@ -1,6 +1,6 @@
-//! TUM RGB-D: `rgb.txt`, `depth.txt` and `groundtruth.txt` list pictures and poses by time; depth
-//! is in 1/5000 m and lies on the colour picture. The cameras are known by the number of the
-//! Kinect, which stands in the sequence's name.
+//! TUM RGB-D: `rgb.txt`, `depth.txt` and `groundtruth.txt` list pictures and poses by time. Depth
+//! is in 1/5000 m and registered to the color picture. The cameras are known from the number of the
+//! Kinect in the sequence's name.
 
 use super::files::FolderListing;
 use super::trajectory::{self, Trajectory};
@@ -92,7 +92,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     }
 }
 
-/// A list of `time file`, and what its heading says.
+/// Reads a list of `time file`, and the text of its heading.
 fn pictures(root: &Utf8Path, name: &str) -> Result<(Vec<(f64, Utf8PathBuf)>, String), IngestError> {
     let file = Utf8Path::new(name);
     let text = read_text(root, file, MAX_LIST_BYTES)?;
@@ -118,7 +118,8 @@ fn pictures(root: &Utf8Path, name: &str) -> Result<(Vec<(f64, Utf8PathBuf)>, Str
     Ok((list, heading))
 }
 
-/// A camera matrix beside the lists; else that of the benchmark's Kinect, by name.
+/// Reads a camera matrix next to the lists. Otherwise returns that of the benchmark's Kinect, by
+/// name.
 fn camera(
     folder: &FolderListing,
     heading: &str,

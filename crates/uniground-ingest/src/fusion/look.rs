@@ -1,4 +1,4 @@
-//! What one frame says about the surfaces before it.
+//! What one frame measured of the surfaces in front of it.
 
 use std::collections::HashSet;
 use std::hash::BuildHasherDefault;
@@ -7,15 +7,14 @@ use uniground_geometry::voxels::{KeyHasher, VoxelKey};
 use uniground_geometry::{Point3, Vector3};
 use uniground_types::settings::FusionSettings;
 
-/// One frame, ready to be folded in: depth without its smeared rims, and how much each pixel
-/// counts.
+/// One frame, prepared for integration: depth without smeared edges, and a weight for each pixel.
 pub(super) struct FusionFrame {
     pub camera: Camera,
     width: u32,
     height: u32,
     /// Row-major, one per pixel of the depth picture.
     pixels: Vec<PixelSample>,
-    /// Largest depth of each tile of [`TILE`] by [`TILE`] pixels, row-major; unknown depth counts
+    /// Largest depth of each tile of [`TILE`] by [`TILE`] pixels, row-major. Unknown depth counts
     /// as 0.
     farthest_m: Vec<f32>,
     tiles_wide: u32,
@@ -23,14 +22,14 @@ pub(super) struct FusionFrame {
     pub blocks: Vec<VoxelKey>,
 }
 
-/// What one pixel measured.
+/// The measurement of one pixel.
 #[derive(Clone, Copy)]
 pub(super) struct PixelSample {
-    /// Along the optical axis, metres; 0 = nothing.
+    /// Depth along the optical axis, meters. 0: no measurement.
     pub depth_m: f32,
-    /// How much it counts: near and frontal looks most.
+    /// Weight of the measurement. Near and frontal views have the largest weight.
     pub weight: f32,
-    /// How much its colour counts: sharp pictures most.
+    /// Weight of the color. Sharp pictures have the largest weight.
     pub colour_weight: f32,
     pub colour: [u8; 3],
 }
@@ -80,7 +79,7 @@ impl FusionFrame {
         look
     }
 
-    /// What the pixel that holds this position measured; `None` outside the picture.
+    /// Returns the measurement of the pixel at this position, or `None` outside the picture.
     pub fn at(&self, u: f32, v: f32) -> Option<&PixelSample> {
         let (column, row) = ((u + 0.5) as i64, (v + 0.5) as i64);
         let inside =
@@ -88,8 +87,8 @@ impl FusionFrame {
         inside.then(|| &self.pixels[(row * i64::from(self.width) + column) as usize])
     }
 
-    /// Whether a ball, in camera axes, may be seen or have something seen behind it: neither
-    /// outside the picture nor hidden all over.
+    /// Returns whether a sphere, in camera axes, may be visible or have something visible behind
+    /// it. False if it is outside of the picture or fully hidden.
     pub fn may_reach(&self, center: &Point3<f32>, radius_m: f32) -> bool {
         let near_m = center.z - radius_m;
         if near_m <= 0.05 {
@@ -125,7 +124,7 @@ impl FusionFrame {
         let mut last = None;
         for (i, seen) in self.pixels.iter().enumerate().filter(|(_, seen)| seen.depth_m > 0.0) {
             let (u, v) = ((i as u32 % self.width) as f32, (i as u32 / self.width) as f32);
-            // Neighbouring pixels mostly fall into the same block: look there before hashing.
+            // Neighboring pixels mostly fall into the same block: compare with it before hashing.
             let here =
                 VoxelKey::of(&(to_world * camera.unproject(u, v, seen.depth_m)), block_m / 4.0);
             if last.replace(here) == Some(here) {
@@ -144,9 +143,10 @@ impl FusionFrame {
     }
 }
 
-/// Cosine between the view and the surface, by the depths around a pixel; at least a tenth.
+/// Returns the cosine between the view and the surface normal, from the depths around a pixel; at
+/// least 0.1.
 fn facing(frame: &Frame, u: u32, v: u32, z_m: f32) -> f32 {
-    /// Pixels to either side: next to each other, noise decides.
+    /// Distance of the neighboring pixels on either side. With adjacent pixels, noise dominates.
     const REACH: u32 = 3;
     let camera = frame.depth_camera.intrinsics;
     let (width, height) = (frame.depth.width, frame.depth.height);
@@ -161,8 +161,8 @@ fn facing(frame: &Frame, u: u32, v: u32, z_m: f32) -> f32 {
     (normal.dot(&ray).abs() / (normal.norm() * ray.norm()).max(f32::MIN_POSITIVE)).clamp(0.1, 1.0)
 }
 
-/// Mean difference of brightness between neighbouring pixels of a row: pictures taken in motion are
-/// even.
+/// Returns the mean difference of brightness between neighboring pixels of a row. Pictures with
+/// motion blur have small differences.
 fn sharpness(colours: &[[u8; 3]], width: u32) -> f32 {
     let brightness = |c: &[u8; 3]| c.iter().map(|&v| i32::from(v)).sum::<i32>();
     let differences = |row: &[[u8; 3]]| {

@@ -1,7 +1,7 @@
-//! A cloud from posed depth, for scans that bring none of their own: measurements are averaged
-//! along the view into a truncated signed distance volume (Curless and Levoy 1996), whose zero
-//! crossings are the points. Noise of a depth sensor lies along the view, so a wall becomes one
-//! thin sheet; averaging points where they fall keeps it as a skin of centimetres.
+//! Fuses a cloud from posed depth, for scans without a cloud of their own. Measurements are
+//! averaged along the view into a truncated signed distance volume (Curless and Levoy 1996), whose
+//! zero crossings are the points. The noise of a depth sensor lies along the view, so a wall
+//! becomes one thin sheet. Averaging the points themselves would leave a layer of some centimeters.
 
 mod look;
 mod volume;
@@ -13,15 +13,15 @@ use uniground_geometry::scene::{FrameError, FrameIndex, FrameRef, PointCloud, st
 use uniground_types::settings::FusionSettings;
 use volume::{Volume, VolumeFull};
 
-/// Where the scan is too large for its voxels they grow by this factor, until it fits.
+/// Factor by which voxels grow until a scan that is too large fits.
 const COARSER: f32 = 1.5;
 
-/// Fuses all frames, Z-up world, metres. Frames are folded in one by one in order, so the result
-/// does not depend on threads; one frame per thread and the volume (at most 2 GB) are in memory.
-/// The few that can not be decoded are taken out of `frames`, with a warning.
+/// Fuses all frames, Z-up world, meters. Frames are integrated one by one in order, so the result
+/// does not depend on the number of threads. One frame per thread and the volume (at most 2 GB) are
+/// in memory. The few frames that cannot be decoded are removed from `frames`, with a warning.
 ///
 /// # Errors
-/// [`IngestError`] for unreadable frames, cancellation, or frames that hold no depth at all.
+/// Returns an [`IngestError`] for unreadable frames, cancellation, or frames without any depth.
 pub fn fuse(
     frames: &mut Vec<FrameRef>,
     settings: &FusionSettings,
@@ -48,7 +48,7 @@ pub fn fuse(
     }
 }
 
-/// `None` when the scan does not fit into so many blocks.
+/// Fuses the frames. Returns `None` when the scan does not fit into `most_blocks` blocks.
 fn fused(
     frames: &[FrameRef],
     settings: &FusionSettings,
@@ -74,7 +74,7 @@ fn fused(
     Ok((!full).then(|| volume.surface()))
 }
 
-/// A tenth of the frames may be damaged; the first few are named.
+/// Removes damaged frames. At most a tenth may be damaged; the first few are named.
 fn leave_out(
     frames: &mut Vec<FrameRef>,
     damaged: Vec<(FrameIndex, FrameError)>,
@@ -111,8 +111,8 @@ mod tests {
 
     const SIZE: u32 = 64;
 
-    /// A frame that looks along +Y at a wall two metres ahead, from this place; its depth shakes by
-    /// `noise_mm` (uniform, to either side).
+    /// A frame that looks along +Y at a wall two meters ahead, from this position. Its depth has
+    /// uniform noise of `noise_mm` to either side.
     fn frame(
         folder: &Utf8Path,
         index: u32,
@@ -172,7 +172,7 @@ mod tests {
     fn what_others_look_through_is_carved() {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
-        // Somebody walks through one of eight pictures, a metre before the wall.
+        // A person walks through one of eight pictures, a meter in front of the wall.
         let blob = |u: u32, v: u32| {
             if (20..44).contains(&u) && (20..44).contains(&v) { 1000 } else { 2000 }
         };

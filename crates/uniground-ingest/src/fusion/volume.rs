@@ -10,20 +10,21 @@ use uniground_types::settings::FusionSettings;
 /// Voxels along the edge of a block.
 pub(super) const SIDE: usize = 8;
 const CELLS: usize = SIDE * SIDE * SIDE;
-/// Two gigabytes of blocks: 400 square metres of flat with its furniture at the default voxel.
+/// Two gigabytes of blocks: an apartment of 400 square meters with its furniture at the default
+/// voxel size.
 pub(super) const MAX_BLOCKS: usize = (2 << 30) / (CELLS * size_of::<Voxel>());
 
-/// Weighted means of what the frames measured at one place.
+/// Weighted means of the measurements at one voxel.
 #[derive(Clone, Copy, Default)]
 struct Voxel {
-    /// Signed distance to the surface along the view over the truncation distance, positive before
-    /// it, `-1..=1`.
+    /// Signed distance to the surface along the view, divided by the truncation distance. Positive
+    /// in front of the surface, `-1..=1`.
     distance: f32,
     weight: f32,
     colour_weight: f32,
-    /// In 256ths.
+    /// Color in 256ths.
     colour: [u16; 3],
-    /// Frames that saw a surface within the truncation distance.
+    /// Number of frames that saw a surface within the truncation distance.
     views: u16,
 }
 
@@ -32,7 +33,7 @@ struct Block {
     voxels: Box<[Voxel; CELLS]>,
 }
 
-/// There are as many blocks as fit into memory.
+/// The maximum number of blocks is reached.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct VolumeFull;
 
@@ -53,8 +54,8 @@ impl Volume {
         }
     }
 
-    /// Adds blocks where the frame measured something and folds the frame into all blocks it looks
-    /// at or through.
+    /// Allocates blocks where the frame measured something, and integrates the frame into all
+    /// blocks it looks at or through.
     pub fn integrate(&mut self, look: &FusionFrame) -> Result<(), VolumeFull> {
         for &key in &look.blocks {
             if !self.number_of.contains_key(&key) {
@@ -69,7 +70,7 @@ impl Volume {
         let block_m = SIDE as f32 * settings.voxel_m;
         let to_camera = look.camera.world_to_camera();
         self.blocks.par_iter_mut().with_min_len(64).for_each(|block| {
-            // Half a diagonal.
+            // Half of the diagonal of a block.
             let radius_m = 0.867 * block_m;
             let center = to_camera * block.key.center(block_m);
             if look.may_reach(&center, radius_m) {
@@ -79,7 +80,7 @@ impl Volume {
         Ok(())
     }
 
-    /// The zero crossings between neighbouring voxels, in order of block and voxel.
+    /// Returns the zero crossings between neighboring voxels, in order of block and voxel.
     pub fn surface(&self) -> PointCloud {
         let least = self.least_views();
         let mut order: Vec<&Block> = self.blocks.iter().collect();
@@ -94,7 +95,8 @@ impl Volume {
         cloud
     }
 
-    /// How many frames must have seen a place: a share of what is usual in this scan.
+    /// Returns the minimum number of frames that must have seen a voxel: a share of what is usual
+    /// in this scan.
     fn least_views(&self) -> u16 {
         let (mut views, mut voxels) = (0_u64, 0_u64);
         for voxel in self.blocks.iter().flat_map(|block| block.voxels.iter()) {
@@ -109,8 +111,8 @@ impl Volume {
 
     fn crossings(&self, block: &Block, least: u16) -> PointCloud {
         let voxel_m = self.settings.voxel_m;
-        // A surface seen from one side falls by a voxel per voxel; between the front of one and the
-        // back of another distances jump.
+        // On a surface seen from one side, the distance falls by a voxel per voxel. Between the
+        // front of one surface and the back of another, distances jump.
         let steepest = 3.0 * voxel_m / self.settings.truncation_m();
         let next: [Option<&Block>; 3] = std::array::from_fn(|axis| {
             let step = std::array::from_fn(|i| i64::from(i == axis));
@@ -146,7 +148,7 @@ impl Volume {
     }
 }
 
-/// Position of a voxel within its block along X, Y, Z.
+/// Returns the position of a voxel within its block along X, Y, Z.
 const fn place(i: usize) -> [usize; 3] {
     [i / (SIDE * SIDE), i / SIDE % SIDE, i % SIDE]
 }
@@ -185,10 +187,11 @@ impl Block {
 }
 
 impl Voxel {
-    /// `distance` in truncation distances, `-1` or more; `step` is one voxel in the same unit.
+    /// Adds a measurement. `distance` is in truncation distances, at least `-1`. `step` is one
+    /// voxel in that unit.
     fn fold(&mut self, seen: &PixelSample, distance: f32, step: f32) {
-        // Behind a surface nothing was measured: what is said there fades out, or the back of a
-        // thin thing would push its front away.
+        // Behind a surface nothing was measured, so the weight fades out. Otherwise the back of a
+        // thin object would push its front away.
         let weight =
             seen.weight * if distance < -step { (1.0 + distance) / (1.0 - step) } else { 1.0 };
         self.weight += weight;

@@ -1,27 +1,27 @@
-//! What cameras say of up: people hold them level, whatever they look at.
+//! Estimates up from the cameras: people hold them level, whatever they look at.
 
 use nalgebra::SymmetricEigen;
 use uniground_geometry::{Isometry3, Matrix3, Vector3};
 
-/// The direction that cameras hold upwards.
+/// The up direction according to the cameras.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct CamerasUp {
     /// Unit vector, in the world of the poses.
     pub up: Vector3<f32>,
-    /// Whether it is told by cameras without roll that look to several sides: then it does not
+    /// Whether up comes from cameras without roll that look in several directions. It then does not
     /// depend on how far down they looked.
     pub by_roll: bool,
 }
 
-/// Looking to several sides: the second least spread of the cameras' right is at least this share
-/// of all.
+/// Minimum share of the second smallest spread of the cameras' right axes in the total spread, for
+/// cameras that look in several directions.
 const SEVERAL_SIDES: f32 = 0.12;
-/// Without roll: the least spread is at most this share of all.
+/// Maximum share of the smallest spread in the total spread, for cameras without roll.
 const WITHOUT_ROLL: f32 = 0.06;
-/// Shorter than this, the mean of the cameras' own up says nothing.
+/// If the mean of the cameras' up axes is shorter than this, it is not used.
 const SHORTEST_MEAN: f32 = 0.3;
 
-/// `None` when the cameras do not agree on anything.
+/// Returns the up direction, or `None` when the cameras do not agree.
 pub(super) fn up(camera_to_world: &[Isometry3<f32>]) -> Option<CamerasUp> {
     let count = camera_to_world.len().max(1) as f32;
     let mean =
@@ -31,7 +31,7 @@ pub(super) fn up(camera_to_world: &[Isometry3<f32>]) -> Option<CamerasUp> {
         return None;
     }
     let mean = mean.normalize();
-    // Right of a camera without roll is level: up is what all of them are at right angles to.
+    // The right axis of a camera without roll is level. Up is perpendicular to all right axes.
     let spread = camera_to_world.iter().fold(Matrix3::zeros(), |sum, pose| {
         let right = pose.rotation * Vector3::x();
         sum + right * right.transpose()
@@ -52,7 +52,7 @@ mod tests {
     use super::*;
     use nalgebra::UnitQuaternion;
 
-    /// An OpenCV camera that looks along a yaw, so far down, in a world with Z up.
+    /// An OpenCV camera with this yaw, tilted down by `down`, in a world with Z up.
     fn camera(yaw: f32, down: f32) -> Isometry3<f32> {
         let (right, forward) =
             (Vector3::new(yaw.sin(), -yaw.cos(), 0.0), Vector3::new(yaw.cos(), yaw.sin(), 0.0));

@@ -1,14 +1,15 @@
-//! The direction that most surfaces are level or upright with (after Gupta, Arbelaez and Malik,
-//! CVPR 2013).
+//! Finds the direction that most surfaces are level or upright with (after Gupta, Arbelaez and
+//! Malik, CVPR 2013).
 //!
-//! From a first guess, surfaces that are nearly level and nearly upright with it are told apart;
-//! the direction that is best for both is the next guess. A wide cone first, a narrow one then.
+//! From a first guess, surfaces that are nearly level and nearly upright are separated. The
+//! direction that fits both best is the next guess. The first cones are wide, the later ones
+//! narrow.
 
 use super::surfaces::SurfacePatch;
 use nalgebra::SymmetricEigen;
 use uniground_geometry::{Matrix3, Vector3};
 
-/// What surfaces say of a direction.
+/// How well a direction fits the surfaces.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct UpFit {
     /// Unit vector.
@@ -17,26 +18,26 @@ pub(super) struct UpFit {
     pub level: f32,
     /// Share of the surfaces within [`CLOSE_DEG`] of upright, by area.
     pub upright: f32,
-    /// How clearly it is one direction and not a range of them, `0..=1`: a single wall leaves
-    /// upright open.
+    /// How clearly it is a single direction and not a range of them, `0..=1`. With a single wall,
+    /// upright is ambiguous.
     pub clearness: f32,
 }
 
 impl UpFit {
-    /// Share of the surfaces that the direction explains.
+    /// Returns the share of the surfaces that the direction explains.
     pub fn explained(&self) -> f32 {
         self.level + self.upright
     }
 }
 
-/// Angle to level or upright that counts as both.
+/// Maximum angle to level or upright, degrees.
 pub(super) const CLOSE_DEG: f32 = 7.0;
-/// Widths of the cones, degrees, each used a few times.
+/// Widths of the cones, degrees. Each is used a few times.
 const CONES_DEG: [f32; 4] = [40.0, 20.0, 10.0, 5.0];
 const ROUNDS: usize = 6;
 
-/// The direction nearest to a guess that the surfaces agree on; keeps the guess's sign.
-/// `widest_deg`: how far off the guess may be.
+/// Returns the direction nearest to a guess that the surfaces agree on. It keeps the guess's sign.
+/// `widest_deg` is the maximum error of the guess.
 pub(super) fn refine(surfaces: &[SurfacePatch], guess: &Vector3<f32>, widest_deg: f32) -> UpFit {
     let mut up = *guess;
     for cone_deg in CONES_DEG.into_iter().filter(|cone| *cone <= widest_deg) {
@@ -48,7 +49,7 @@ pub(super) fn refine(surfaces: &[SurfacePatch], guess: &Vector3<f32>, widest_deg
     measure(surfaces, &up)
 }
 
-/// One step; `None` where no surface lies within the cone.
+/// Performs one step. Returns `None` where no surface lies within the cone.
 fn improved(surfaces: &[SurfacePatch], up: &Vector3<f32>, cone_deg: f32) -> Option<Vector3<f32>> {
     let (matrix, weight) = scatter(surfaces, up, cone_deg);
     if weight <= 0.0 {
@@ -59,8 +60,9 @@ fn improved(surfaces: &[SurfacePatch], up: &Vector3<f32>, cone_deg: f32) -> Opti
     Some(if next.dot(up) < 0.0 { -next } else { next })
 }
 
-/// Upright normals spread away from the direction sought, level ones along it: it is the least axis
-/// of the first less the second.
+/// Accumulates the scatter matrix. Upright normals are perpendicular to the direction, level ones
+/// are parallel to it. The direction is the axis with the smallest eigenvalue of upright scatter
+/// minus level scatter.
 fn scatter(surfaces: &[SurfacePatch], up: &Vector3<f32>, cone_deg: f32) -> (Matrix3<f32>, f32) {
     let (level, upright) = (cone_deg.to_radians().cos(), cone_deg.to_radians().sin());
     let mut matrix = nalgebra::Matrix3::<f64>::zeros();
@@ -81,7 +83,7 @@ fn scatter(surfaces: &[SurfacePatch], up: &Vector3<f32>, cone_deg: f32) -> (Matr
     (matrix.cast(), weight)
 }
 
-/// How well a direction explains the surfaces.
+/// Measures how well a direction explains the surfaces.
 pub(super) fn measure(surfaces: &[SurfacePatch], up: &Vector3<f32>) -> UpFit {
     let (at_least, at_most) = (CLOSE_DEG.to_radians().cos(), CLOSE_DEG.to_radians().sin());
     let total = surfaces.iter().map(|s| s.weight).sum::<f32>().max(f32::MIN_POSITIVE);
@@ -108,11 +110,11 @@ mod tests {
     use proptest::prelude::*;
     use uniground_geometry::Point3;
 
-    /// A floor, two walls, and things that face anywhere.
+    /// A floor, two walls, and things that face in any direction.
     fn room(turn: &nalgebra::UnitQuaternion<f32>) -> Vec<SurfacePatch> {
         let mut surfaces = Vec::new();
         let mut push = |normal: Vector3<f32>, weight| {
-            surfaces.push(SurfacePatch { normal: turn * normal, at: Point3::origin(), weight })
+            surfaces.push(SurfacePatch { normal: turn * normal, at: Point3::origin(), weight });
         };
         for i in 0..200 {
             let shake = |k: i32| ((i * 37 + k * 101) % 21 - 10) as f32 * 0.004;

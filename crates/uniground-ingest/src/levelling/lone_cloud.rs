@@ -1,8 +1,8 @@
-//! Which way is up in a cloud that no camera tells of.
+//! Finds up in a cloud without cameras.
 //!
-//! Rooms are boxes: by their walls alone any side could be the floor. What tells the sides apart:
-//! floors are wide and rooms are low; things stand on the floor and not on the ceiling; chairs and
-//! open doors are turned about up and about nothing else.
+//! Rooms are boxes: judged by the walls alone, any side could be the floor. These clues separate
+//! the sides: floors are wide and rooms are low; things stand on the floor and not on the ceiling;
+//! chairs and open doors are rotated about up and about no other axis.
 
 use super::gravity::{UpFit, measure, refine};
 use super::surfaces::SurfacePatch;
@@ -13,29 +13,29 @@ use uniground_geometry::up_axis::UpAxis;
 use uniground_geometry::voxels::VoxelKey;
 use uniground_geometry::{Point3, Vector3};
 
-/// What speaks for a direction being up.
+/// A candidate for the up direction, with its evidence.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct UpCandidate {
-    /// What the surfaces come to with it.
+    /// How well the surfaces fit the direction.
     pub fit: UpFit,
-    /// Sum of what speaks for it; only differences mean anything.
+    /// Sum of the evidence for it. Only differences are meaningful.
     pub score: f32,
-    /// From the lowest to the highest point, metres.
+    /// Distance from the lowest to the highest point, meters.
     pub height_m: f32,
-    /// The narrowest side of the footprint, metres.
+    /// The narrowest side of the footprint, meters.
     pub width_m: f32,
 }
 
-/// Rooms are at least this wide and high, and no higher than that, metres. What is smaller is a
-/// view of something: a wall with a picture makes as good a floor as any.
+/// Minimum width and height of a room, and its maximum height, meters. A smaller cloud is a partial
+/// view: in it, a wall with a picture looks as much like a floor as any other surface.
 const ROOM_WIDTH_M: f32 = 2.2;
 const ROOM_HEIGHT_M: std::ops::Range<f32> = 1.5..8.0;
-/// By how much the best direction must be ahead.
+/// Minimum lead of the best direction.
 const AHEAD: f32 = 0.25;
-/// The same of a cloud that is no room: then only Z is believed, which most files have up.
+/// Minimum lead for a cloud that is not a room. Only Z is accepted then, the up axis of most files.
 const FAR_AHEAD: f32 = 0.6;
 
-/// The direction that is up, if it is clear; else the names of those it may be.
+/// Returns the up direction if it is clear. Otherwise returns the names of the possible directions.
 pub(super) fn choose(candidates: &[UpCandidate]) -> Result<&UpCandidate, String> {
     let Some(best) = candidates.first() else {
         return Err("the cloud has no flat surfaces to tell it by".into());
@@ -54,20 +54,20 @@ pub(super) fn choose(candidates: &[UpCandidate]) -> Result<&UpCandidate, String>
     Err(format!("{why} may be {}", names.join(" or ")))
 }
 
-/// Most directions that are looked at.
+/// Maximum number of directions that are examined.
 const MAX_DIRECTIONS: usize = 6;
-/// Directions nearer to each other than this are one.
+/// Directions closer to each other than this are merged, degrees.
 const SAME_DEG: f32 = 15.0;
-/// Points looked at.
+/// Maximum number of points that are examined.
 const MAX_POINTS: usize = 200_000;
-/// Cells that areas are counted in, metres.
+/// Size of the cells for measuring areas, meters.
 const CELL_M: f32 = 0.1;
-/// A floor or a ceiling lies this near to the end of the cloud, metres.
+/// Maximum distance of a floor or a ceiling from the end of the cloud, meters.
 const END_M: f32 = 0.25;
-/// Things that stand on a floor are found in this height over it, metres.
+/// Height range above a floor in which standing things are found, meters.
 const STANDING_M: std::ops::Range<f32> = 0.15..1.1;
 
-/// Directions that may be up, the best first.
+/// Returns the directions that may be up, the best first.
 pub(super) fn candidates(cloud: &PointCloud, surfaces: &[SurfacePatch]) -> Vec<UpCandidate> {
     let points: Vec<Point3<f32>> =
         cloud.positions.iter().step_by(cloud.len().div_ceil(MAX_POINTS).max(1)).copied().collect();
@@ -76,7 +76,7 @@ pub(super) fn candidates(cloud: &PointCloud, surfaces: &[SurfacePatch]) -> Vec<U
     let extents: Vec<f32> = axes.iter().map(|axis| shape.extent(axis)).collect();
     let mut all = Vec::new();
     for (i, axis) in axes.iter().enumerate() {
-        // The others that are at right angles to it: the walls' own directions, if it is up.
+        // The other directions perpendicular to it: the walls' own directions, if it is up.
         let across: Vec<Vector3<f32>> =
             axes.iter().filter(|other| other.dot(axis).abs() < 0.3).copied().collect();
         let narrowest = extents
@@ -102,12 +102,13 @@ pub(super) fn candidates(cloud: &PointCloud, surfaces: &[SurfacePatch]) -> Vec<U
     all
 }
 
-/// Most files have Z up: it says a little, where nothing else tells.
+/// Returns whether up is Z. Most files have Z up, which is weak evidence when others are missing.
 fn is_usual(up: &Vector3<f32>) -> bool {
     up.z > 0.985
 }
 
-/// Unsigned directions that many surfaces face, each refined to what is level and upright with it.
+/// Returns unsigned directions that many surfaces face, each refined with the surfaces that are
+/// level and upright to it.
 fn directions(surfaces: &[SurfacePatch]) -> Vec<Vector3<f32>> {
     let close = SAME_DEG.to_radians().cos();
     let step = surfaces.len().div_ceil(400).max(1);
@@ -143,13 +144,13 @@ impl CloudShape<'_> {
         self.points.iter().map(|p| p.coords.dot(up)).collect()
     }
 
-    /// From the lowest to the highest point along an axis, a few strays left out; metres.
+    /// Returns the extent along an axis without a few outliers, meters.
     fn extent(&self, axis: &Vector3<f32>) -> f32 {
         let mut heights = self.heights(axis);
         quantile(&mut heights, 0.995).unwrap_or(0.0) - quantile(&mut heights, 0.005).unwrap_or(0.0)
     }
 
-    /// The narrowest of a few directions across, metres.
+    /// Returns the smallest width in a few directions across, meters.
     fn width(&self, up: &Vector3<f32>) -> f32 {
         let (a, b) = across(up);
         let sides = (0..8).map(|k| {
@@ -159,8 +160,8 @@ impl CloudShape<'_> {
         sides.fold(f32::INFINITY, f32::min)
     }
 
-    /// How much of the footprint lies on a level sheet at the lower end, less the same of the upper
-    /// end when there is no floor; `-1..=1`.
+    /// Returns how much of the footprint is covered by a level surface at the lower end, minus the
+    /// same for the upper end when there is no floor; `-1..=1`.
     fn floor(&self, up: &Vector3<f32>) -> f32 {
         let mut heights = self.heights(up);
         let (low, high) = (
@@ -176,15 +177,15 @@ impl CloudShape<'_> {
             let on = self.surfaces.iter().filter(|s| {
                 s.normal.dot(up).abs() > 0.97 && (s.at.coords.dot(up) - level).abs() < END_M
             });
-            // A surface cell may be wider than a footprint cell: areas, not counts.
+            // A surface cell may be wider than a footprint cell: compare areas, not counts.
             (on.map(|s| s.weight).sum::<f32>() / (footprint * CELL_M * CELL_M)).min(1.0)
         };
         let (floor, ceiling) = (sheet(low), sheet(high));
         floor - if floor < 0.2 { 0.5 * ceiling } else { 0.0 }
     }
 
-    /// Things stand on floors: how much more there is just over the lower end than just under the
-    /// upper one; `-1..=1`.
+    /// Things stand on floors. Returns how much more there is just above the lower end than just
+    /// below the upper end; `-1..=1`.
     fn standing(&self, up: &Vector3<f32>) -> f32 {
         let mut heights = self.heights(up);
         let (low, high) = (
@@ -195,8 +196,8 @@ impl CloudShape<'_> {
             return 0.0;
         }
         let band = STANDING_M.start..STANDING_M.end.min((high - low) / 2.0);
-        // Level surfaces that face between the ends are seats, tables, shelves: nothing of the kind
-        // hangs from ceilings.
+        // Level surfaces that face between the ends are seats, tables or shelves. Such things do
+        // not hang from ceilings.
         let (mut standing, mut hanging) = (0.0, 0.0);
         for s in self.surfaces.iter().filter(|s| s.normal.dot(up).abs() > 0.9) {
             let h = s.at.coords.dot(up);
@@ -212,7 +213,8 @@ impl CloudShape<'_> {
         0.7 * level + 0.7 * (near - far) / (near + far).max(1.0)
     }
 
-    /// Share of surfaces that are upright with an axis and face none of the walls' directions.
+    /// Returns the share of surfaces that are upright to an axis and face none of the walls'
+    /// directions.
     fn turned_about(&self, axis: &Vector3<f32>, walls: &[Vector3<f32>]) -> f32 {
         let total = self.surfaces.iter().map(|s| s.weight).sum::<f32>().max(f32::MIN_POSITIVE);
         let turned = self.surfaces.iter().filter(|s| {
@@ -223,7 +225,7 @@ impl CloudShape<'_> {
     }
 }
 
-/// Two unit vectors at right angles to a direction and to each other.
+/// Returns two unit vectors perpendicular to a direction and to each other.
 fn across(up: &Vector3<f32>) -> (Vector3<f32>, Vector3<f32>) {
     let least = if up.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
     let a = up.cross(&least).normalize();
@@ -237,8 +239,8 @@ mod tests {
     use proptest::prelude::*;
     use uniground_geometry::Isometry3;
 
-    /// Sides of a block, a point every four centimetres; the top and the bottom only where they are
-    /// wanted.
+    /// The sides of a block, with a point every four centimeters. Top and bottom are included only
+    /// if requested.
     fn block(cloud: &mut PointCloud, low: [f32; 3], high: [f32; 3], ends: [bool; 2]) {
         let steps = |axis: usize| ((high[axis] - low[axis]) / 0.04).round().max(1.0) as u32;
         for x in 0..=steps(0) {

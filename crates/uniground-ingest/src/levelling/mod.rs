@@ -1,9 +1,9 @@
-//! Which way is up, and how far from level the world of the files is.
+//! Finds which way is up, and how far the world of the files is from level.
 //!
 //! Floors are level and walls are upright: the direction that explains most surfaces is up
-//! ([`gravity`]). Where it is sought comes from the files' word, from the cameras ([`cameras`]),
-//! or, for a cloud alone, from what stands on what ([`lone_cloud`]). Worlds that are level
-//! within [`LEVEL_DEG`] stay as they are, to the bit.
+//! ([`gravity`]). The search starts at the axis stated in the files, at the cameras' up
+//! ([`cameras`]), or, for a cloud alone, at the direction chosen by what stands on what
+//! ([`lone_cloud`]). Worlds that are level within [`LEVEL_DEG`] stay unchanged, bit by bit.
 
 mod cameras;
 mod gravity;
@@ -19,39 +19,39 @@ use uniground_geometry::up_axis::UpAxis;
 use uniground_geometry::{Isometry3, Vector3};
 use uniground_types::settings::LevellingChoice;
 
-/// Up, as found.
+/// The detected up direction.
 #[derive(Debug, Clone)]
 pub(super) struct UpDirection {
-    /// The axis of the files next to up.
+    /// The axis of the files closest to up.
     pub axis: UpAxis,
-    /// From the world of the files (metres) to a level one with Z up; a turn about the origin.
+    /// Rotation about the origin, from the world of the files (meters) to a level one with Z up.
     pub turn: Isometry3<f32>,
-    /// What was found out about tilt; `None` where nothing could be.
+    /// The measured tilt. `None` where it could not be measured.
     pub report: Option<Levelling>,
 }
 
-/// What is known of up before anything is looked at.
+/// What is known about up in advance.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct UpHint {
-    /// By the request or the files.
+    /// The axis stated by the request or the files.
     pub up: Option<UpAxis>,
-    /// Whether an inertial sensor made the world level: then surfaces are not asked.
+    /// Whether an inertial sensor made the world level. Surfaces are not examined then.
     pub by_gravity: bool,
     pub choice: LevellingChoice,
 }
 
-/// A world within this is level enough, degrees: surfaces tell up no better than by a degree or
-/// two.
+/// A world within this angle is level enough, degrees. Surfaces determine up only to within a
+/// degree or two.
 const LEVEL_DEG: f32 = 2.5;
-/// Surfaces are believed when they explain this share of what was looked at, this clearly, with
-/// something level among them.
+/// Surfaces are trusted when they explain this share of the examined area, this clearly, and some
+/// of them are level.
 const EXPLAINED: f32 = 0.4;
 const CLEARNESS: f32 = 0.06;
 const LEVEL_SHARE: f32 = 0.03;
-/// Surfaces and cameras that differ by more than this do not speak of the same up, degrees.
+/// Surfaces and cameras that differ by more than this disagree about up, degrees.
 const AGREEING_DEG: f32 = 25.0;
 
-/// Up of posed frames, whose poses are in the world of the files.
+/// Finds up of posed frames, whose poses are in the world of the files.
 pub(super) fn of_frames(
     frames: &[FrameRef],
     said: UpHint,
@@ -81,7 +81,7 @@ pub(super) fn of_frames(
         fit = gravity::refine(&surfaces, &cameras.up, 10.0);
     }
     let believed = is_clear(&fit);
-    // Cameras without roll tell up on their own, if not to the degree.
+    // Cameras without roll determine up on their own, although not exactly.
     let (up, evidence) = match cameras.filter(|c| c.by_roll && said.up.is_none()) {
         _ if believed => (fit.up, describe(&fit)),
         Some(cameras) => (cameras.up, "cameras held without roll; surfaces do not tell".to_owned()),
@@ -98,17 +98,17 @@ pub(super) fn of_frames(
     Ok(levelled(axis, &up, least_deg, fit.explained(), evidence, warnings))
 }
 
-/// Up of a cloud without cameras, in the world of the files.
+/// Finds up of a cloud without cameras, in the world of the files.
 ///
 /// # Errors
-/// [`IngestError::UpUnknown`] when nothing says it and the cloud does not show it.
+/// Returns [`IngestError::UpUnknown`] when up is not stated and the cloud does not show it.
 pub(super) fn of_cloud(
     cloud: &PointCloud,
     said: UpHint,
     warnings: &mut Vec<String>,
 ) -> Result<UpDirection, IngestError> {
     if said.choice == LevellingChoice::Off || (said.by_gravity && said.up.is_some()) {
-        // Who wants files as they are gets them so.
+        // The caller asked for the files' own axes, unchanged.
         return Ok(along(told(said.up, said, warnings), None));
     }
     let surfaces = surfaces::of_cloud(cloud);
@@ -142,7 +142,8 @@ fn describe(fit: &UpFit) -> String {
     )
 }
 
-/// The axis that was said or that the cameras hold up, without a closer look.
+/// Returns the stated axis, or the one that the cameras hold up, without examining surfaces. Falls
+/// back to Z. Adds a warning unless the axis was stated.
 fn told(axis: Option<UpAxis>, said: UpHint, warnings: &mut Vec<String>) -> UpAxis {
     let Some(axis) = axis else {
         warnings.push(
@@ -164,7 +165,7 @@ fn along(axis: UpAxis, report: Option<Levelling>) -> UpDirection {
     UpDirection { axis, turn: axis.to_z_up(), report }
 }
 
-/// Turned so that `up` is Z, unless the axis is as good.
+/// Rotates so that `up` is Z, unless the axis is accurate enough.
 fn levelled(
     axis: UpAxis,
     up: &Vector3<f32>,
@@ -180,7 +181,7 @@ fn levelled(
         Some(Levelling { tilt_deg, turned, confidence: confidence.clamp(0.0, 1.0), evidence }),
     );
     if turned {
-        // The shortest turn: headings stay as near to the files' as they can.
+        // The shortest rotation keeps headings as close to the files' as possible.
         let seen = upright.turn * up;
         let level = UnitQuaternion::rotation_between(&seen, &Vector3::z()).unwrap_or_default();
         upright.turn =

@@ -1,5 +1,5 @@
-//! Small flat patches of a scan: where they are and which way they face. What is level and what is
-//! upright shows in them.
+//! Small flat patches of a scan: their positions and normals. They show what is level and what is
+//! upright.
 
 use rayon::prelude::*;
 use uniground_geometry::least_axis::least_axis;
@@ -9,30 +9,30 @@ use uniground_geometry::scene::{FrameError, FrameRef, PointCloud, stream_frames}
 use uniground_geometry::voxels::{VoxelKey, typical_spacing_m};
 use uniground_geometry::{Point3, Vector3};
 
-/// A flat piece of surface; metres, in the world of whoever asked.
+/// A flat piece of surface, in meters, in the world of the caller.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SurfacePatch {
-    /// Unit length. Its sign says nothing.
+    /// Unit length. Its sign has no meaning.
     pub normal: Vector3<f32>,
     pub at: Point3<f32>,
-    /// About its area, square metres.
+    /// Approximate area, square meters.
     pub weight: f32,
 }
 
-/// Frames looked at: enough to have seen the room from everywhere.
+/// Maximum number of frames: enough to cover the room from everywhere.
 const MAX_FRAMES: usize = 48;
-/// Pixels of a depth picture that are looked at, along either side.
+/// Number of pixels of a depth picture that are examined, along either side.
 const GRID: u32 = 48;
-/// Depth beyond this is too rough to tell a direction, metres.
+/// Maximum depth, meters. Beyond it, depth is too noisy for a normal.
 const FARTHEST_M: f32 = 6.0;
-/// Points of a cloud that are looked at.
+/// Maximum number of points of a cloud.
 const MAX_POINTS: usize = 2_000_000;
-/// A cell of a cloud is flat when it is no thicker than this share of its width.
+/// Maximum thickness of a flat cell, as a share of its width.
 const FLAT: f32 = 0.12;
 const MIN_POINTS: usize = 8;
 
-/// Patches of a sample of depth pictures, in the frames' world. Pictures that can not be read are
-/// left out: others say so.
+/// Returns patches of a sample of depth pictures, in the frames' world. Unreadable pictures are
+/// left out: other checks report them.
 pub(super) fn of_frames(frames: &[FrameRef], progress: &Progress) -> Vec<SurfacePatch> {
     let sample: Vec<FrameRef> =
         frames.iter().step_by(frames.len().div_ceil(MAX_FRAMES).max(1)).cloned().collect();
@@ -45,7 +45,7 @@ pub(super) fn of_frames(frames: &[FrameRef], progress: &Progress) -> Vec<Surface
             Ok(())
         },
     );
-    // Called off: the next report says so.
+    // Cancelled: the next progress report returns the error.
     if looked.is_err() || progress.report("levelling", 1.0).is_err() {
         return Vec::new();
     }
@@ -55,8 +55,8 @@ pub(super) fn of_frames(frames: &[FrameRef], progress: &Progress) -> Vec<Surface
 fn of_frame(frame: &FrameRef) -> Result<Vec<SurfacePatch>, FrameError> {
     let depth = frame.decode_depth()?;
     let camera = frame.depth_intrinsics;
-    // To both sides of a pixel: far enough that noise does not decide, near enough to stay on one
-    // surface.
+    // Neighbors to both sides of a pixel: far enough apart that noise does not dominate, close
+    // enough to stay on one surface.
     let reach = (depth.width.min(depth.height) / 60).max(2);
     let point = |u: u32, v: u32| {
         let z = depth.at((u, v));
@@ -77,7 +77,7 @@ fn of_frame(frame: &FrameRef) -> Result<Vec<SurfacePatch>, FrameError> {
             let (Some(over), Some(under)) = (point(u, v - reach), point(u, v + reach)) else {
                 continue;
             };
-            // On one flat surface the middle lies between its neighbours.
+            // On a flat surface the middle lies between its neighbors.
             let slack = 0.004 + 0.004 * p.z * p.z;
             let bent = |a: &Point3<f32>, b: &Point3<f32>| {
                 ((a.coords + b.coords) / 2.0 - p.coords).norm() > 4.0 * slack
@@ -94,8 +94,8 @@ fn of_frame(frame: &FrameRef) -> Result<Vec<SurfacePatch>, FrameError> {
                 continue;
             };
             let facing = normal.dot(&p.coords.normalize()).abs();
-            // A pixel stands for more of a surface the farther and the flatter it is seen; at
-            // grazing angles that is noise.
+            // A pixel covers more of a surface the farther away and the more oblique it is. At
+            // grazing angles the normal is noise.
             if facing > 0.15 {
                 let area = p.z * p.z / facing.max(0.3) / (camera.fx * camera.fy);
                 let pixels = (depth.width * depth.height) as f32 / (GRID * GRID) as f32;
@@ -110,7 +110,7 @@ fn of_frame(frame: &FrameRef) -> Result<Vec<SurfacePatch>, FrameError> {
     Ok(surfaces)
 }
 
-/// Flat cells of a cloud.
+/// Returns the flat cells of a cloud.
 pub(super) fn of_cloud(cloud: &PointCloud) -> Vec<SurfacePatch> {
     let points: Vec<Point3<f32>> =
         cloud.positions.iter().step_by(cloud.len().div_ceil(MAX_POINTS).max(1)).copied().collect();
@@ -126,8 +126,8 @@ pub(super) fn of_cloud(cloud: &PointCloud) -> Vec<SurfacePatch> {
             let own: Vec<Point3<f32>> = cell.iter().map(|(_, i)| points[*i as usize]).collect();
             let Moments { mean, covariance } = Moments::of(&own);
             let (least, normal) = least_axis(&covariance);
-            // The middle eigenvalue, from the trace and the square of the matrix: of lines both
-            // smaller ones are small.
+            // The middle eigenvalue, from the trace and the square of the matrix. For lines, both
+            // smaller eigenvalues are small.
             let rest = covariance.trace() - least;
             let product = (covariance.norm_squared() - least * least - rest * rest) / -2.0;
             let middle = (rest - (rest * rest - 4.0 * product).max(0.0).sqrt()) / 2.0;

@@ -1,19 +1,19 @@
-//! Whether a picture file is whole, without decoding it: what was cut short decodes to grey, or
-//! fails in the middle of a parse.
+//! Checks whether a picture file is complete, without decoding it. A truncated file would decode to
+//! gray, or fail in the middle of a parse.
 
 use crate::IngestError;
 use camino::Utf8Path;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 
-/// Bytes at the end that the end mark stands in.
+/// Number of bytes at the end of a file in which the end marker must lie.
 const TAIL: u64 = 4096;
 const PNG: &[u8] = b"\x89PNG";
 const PNG_END: &[u8] = b"IEND";
 const JPEG: &[u8] = b"\xff\xd8";
 const JPEG_END: &[u8] = b"\xff\xd9";
 
-/// Refuses JPEG and PNG files without an end mark.
+/// Refuses JPEG and PNG files without an end marker.
 pub(super) fn check(root: &Utf8Path, file: &Utf8Path) -> Result<(), IngestError> {
     let (head, tail) =
         ends(&root.join(file)).map_err(|source| IngestError::reading(file, source))?;

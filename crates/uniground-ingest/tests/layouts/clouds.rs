@@ -10,7 +10,7 @@ use uniground_ingest::InspectedScan;
 fn xyz(points: &Points) -> Vec<u8> {
     let mut text = String::new();
     points.iter().for_each(|(p, [r, g, b])| {
-        writeln!(text, "{:.4} {:.4} {:.4} {r} {g} {b}", p.x, p.y, p.z).unwrap()
+        writeln!(text, "{:.4} {:.4} {:.4} {r} {g} {b}", p.x, p.y, p.z).unwrap();
     });
     text.into_bytes()
 }

@@ -315,9 +315,9 @@ fn what_lacks_something_is_told_what_it_looks_like() {
             write(out);
             let path = out.0.join(gone);
             if path.is_dir() {
-                fs::remove_dir_all(path).unwrap()
+                fs::remove_dir_all(path).unwrap();
             } else {
-                fs::remove_file(path).unwrap()
+                fs::remove_file(path).unwrap();
             }
         }
     };
@@ -346,16 +346,16 @@ fn what_lacks_something_is_told_what_it_looks_like() {
         out.put(
             "transforms.json",
             r#"{"fl_x": 100, "frames": [{"file_path": "a.png", "transform_matrix": []}]}"#,
-        )
+        );
     };
     imported(pictures_alone, |found| {
-        assert!(found.unwrap_err().to_string().contains("no depth_file_path"))
+        assert!(found.unwrap_err().to_string().contains("no depth_file_path"));
     });
     let fisheye = |out: &Out| {
         out.put(
             "transforms.json",
             r#"{"camera_model": "OPENCV_FISHEYE", "fl_x": 100, "frames": []}"#,
-        )
+        );
     };
     imported(fisheye, |found| assert!(found.unwrap_err().to_string().contains("OPENCV_FISHEYE")));
     let colmap = |out: &Out| out.put("sparse/0/cameras.bin", [0; 8]);

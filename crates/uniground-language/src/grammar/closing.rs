@@ -1,4 +1,4 @@
-//! Closing phrases: where each belongs, and what the whole comes to.
+//! Closes phrases: puts each where it belongs, and builds the query.
 
 use super::{Frame, ITSELF, Reader, Role};
 use crate::tokens::spelling;
@@ -12,7 +12,7 @@ use uniground_models::attributes::{Lexicon, WordNet};
 const SIT_ON: &str = "sit on";
 
 impl Reader {
-    /// The query, once every piece is read.
+    /// Returns the query after the last piece.
     pub(super) fn finish(mut self) -> ParsedQuery {
         let mut target = self.target.unwrap_or_default();
         target.other_things.append(&mut self.other_things);
@@ -28,11 +28,12 @@ impl Reader {
         if let Some(meant) = one_of(&target, self.query.viewpoint.as_ref()) {
             target.head.clone_from(&meant.head);
             target.uses.clone_from(&meant.uses);
-            // What it is one of is where it is, unless that is a thing of its own.
+            // The target belongs to the group, so the group is no anchor of it. Other anchors, such
+            // as the wall on which the group is, stay.
             target.relations.retain(|relation| !relation.anchors.contains(&meant));
             target.with.retain(|with| with.phrase != meant);
         }
-        // "counting from the left, the fourth": said after what it counts.
+        // "counting from the left, the fourth": the rank comes after the side to count from.
         if let (Some(rank), Some(superlative)) = (self.ordinal, &mut target.superlative)
             && superlative.rank == 1
         {
@@ -66,7 +67,8 @@ impl Reader {
         if let Some(rank) = self.ordinal.take() {
             self.query.not_understood.push(format!("number {rank}"));
         }
-        // To where somebody stands, else to the one who asks: the request may tell where that is.
+        // Relative to the viewer's position, otherwise to the observer; the request may give the
+        // position.
         if self.query.standpoint.is_none() {
             self.query.not_understood.extend(self.from_here.iter().map(|r| r.text.clone()));
         }
@@ -113,7 +115,7 @@ impl Reader {
         else {
             return;
         };
-        // "the nearer of the two": compared with what? With where somebody stands.
+        // "the nearer of the two" compares distances to the viewer's position.
         if matches!(role, Role::Anchor { .. })
             && phrase.is_empty()
             && unknown.is_empty()
@@ -167,8 +169,8 @@ impl Reader {
         }
     }
 
-    /// Where somebody stands and what they look at may both be told; what they look at gives the
-    /// direction.
+    /// Handles the end of a viewpoint phrase. A question may give both the viewer's position and
+    /// what the viewer looks at; the latter gives the direction.
     pub(super) fn looked(&mut self, look: Look, anchor: Phrase) {
         if look == Look::From {
             self.query.standpoint = Some(anchor.clone());
@@ -189,8 +191,8 @@ impl Reader {
         }
     }
 
-    /// A phrase without a known noun ends in a noun that is misspelt, or that nobody knows: "the
-    /// theremin".
+    /// Sets the noun of a phrase without a known one to its last word: a misspelled or unknown noun
+    /// ("the theremin").
     fn settle_head(&mut self, phrase: &mut Phrase, mut unknown: Vec<String>, role: Role) {
         if phrase.head.is_empty() && phrase.uses.is_empty() && role != Role::More {
             // "the cat sleeping on the sofa" is a cat.
@@ -220,15 +222,15 @@ impl Reader {
         self.query.not_understood.extend(phrase.unchecked.iter().cloned());
     }
 
-    /// A later sentence adds to the target ("it is brown"), or speaks of something that stands in a
+    /// Handles a later sentence: it adds to the target ("it is brown"), or describes something in a
     /// relation to it.
     fn add_to_target(&mut self, mut more: Phrase) {
         let Some(target) = &mut self.target else {
             self.target = Some(more);
             return;
         };
-        // "The grass is high again. Which machine do I take": nothing was named that anybody knows,
-        // and now something is.
+        // "The grass is high again. Which machine do I take": the first noun is unknown, and a
+        // known one follows.
         let of_it = more
             .relations
             .iter()
@@ -240,13 +242,13 @@ impl Reader {
             *target = more;
             return;
         }
-        // "over at the table, the chair": where it is was said first.
+        // "over at the table, the chair": the place came first.
         let unnamed = words::is_anything(&target.head) && target.uses.is_empty();
         let same = unnamed
             || words::is_anything(&more.head)
             || more.head == target.head
             || same_thing(&more, target);
-        // "the red stool, the green one wobbles" speaks of another.
+        // "the red stool, the green one wobbles" describes another stool.
         let of_another = same
             && !target.colours.is_empty()
             && !more.colours.is_empty()
@@ -287,8 +289,8 @@ impl Reader {
     }
 }
 
-/// What "the one on the right" is one of: of the wardrobes somebody faces, of the pictures on the
-/// wall it is on, of the group it is in.
+/// Returns the group that "the one on the right" belongs to: the wardrobes that the viewer faces,
+/// the pictures on the wall it is on, the group it is in.
 fn one_of(target: &Phrase, viewpoint: Option<&Viewpoint>) -> Option<Phrase> {
     let said = matches!(target.head.as_str(), "one" | "ones");
     if !(said || target.head.is_empty()) || !target.uses.is_empty() {
@@ -326,7 +328,8 @@ fn one_of(target: &Phrase, viewpoint: Option<&Viewpoint>) -> Option<Phrase> {
         .iter()
         .filter(|relation| relation.kind == RelationKind::Inside)
         .flat_map(|relation| &relation.anchors);
-    // "along the wall with five shelves it is the second": nobody said "the one with five shelves".
+    // "along the wall with five shelves it is the second": the question does not say "the one with
+    // five shelves".
     let own = || within(target).filter(|_| !said);
     anchors()
         .find_map(within)
@@ -335,7 +338,7 @@ fn one_of(target: &Phrase, viewpoint: Option<&Viewpoint>) -> Option<Phrase> {
         .filter(|_| picked)
 }
 
-/// Whether two phrases may name the same thing: "armchair" and "chair".
+/// Returns whether two phrases may name the same thing: "armchair" and "chair".
 fn same_thing(a: &Phrase, b: &Phrase) -> bool {
     match (a.meaning(), b.meaning()) {
         (Meaning::Nouns(a), Meaning::Nouns(b)) => match (a.first(), b.first()) {

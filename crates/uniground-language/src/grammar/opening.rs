@@ -1,5 +1,5 @@
-//! Words that open phrases, or say which of its like a thing is: what follows them, and what they
-//! belong to.
+//! Handles words that open phrases, or say which of its kind a thing is: what follows them, and
+//! what they belong to.
 
 use super::{Attach, Frame, MAX_RELATIONS, Reader, Role};
 use crate::pieces::{Piece, is_filler, structural};
@@ -9,7 +9,7 @@ use uniground_models::attributes::Lexicon;
 
 impl Reader {
     pub(super) fn relation(&mut self, kind: RelationKind, text: &str) {
-        // "between the sofa and next to the lamp", "on the": an anchor that never came.
+        // "between the sofa and next to the lamp", "on the": an anchor without a noun.
         while self.stack.len() > 1 && self.stack.last().is_some_and(Frame::is_empty) {
             let joined = self.stack.last().is_some_and(|f| f.role == Role::Anchor { joined: true });
             self.pop();
@@ -20,7 +20,7 @@ impl Reader {
         if self.stack.is_empty() {
             self.top();
         }
-        // The floor has no place of its own: "on the floor next to the sofa" speaks of the thing.
+        // The floor has no place of its own: "on the floor next to the sofa" describes the thing.
         if self
             .stack
             .last()
@@ -28,8 +28,8 @@ impl Reader {
         {
             self.unwind(1);
         }
-        // Comparisons single out the target; the rest belongs to the last thing, or to the target,
-        // by reading.
+        // Comparisons single out the target. Other relations belong to the last thing, or to the
+        // target, depending on the reading.
         let of_a_view = self.awaits_target()
             && self.stack[1..]
                 .iter()
@@ -57,11 +57,11 @@ impl Reader {
         }
     }
 
-    /// "facing the window, the curtain": how somebody looks; after a noun ("the chair facing the
-    /// window") a relation of that thing.
+    /// Handles "facing the window, the curtain": a viewpoint. After a noun ("the chair facing the
+    /// window") it is a relation of that thing.
     pub(super) fn view(&mut self, role: Role, text: &str) {
-        // "the chair facing the window", "the chair standing by the door": of the thing, not of
-        // somebody.
+        // "the chair facing the window", "the chair standing by the door": the thing is meant, not
+        // a viewer.
         let after_noun = self
             .stack
             .last()
@@ -96,10 +96,10 @@ impl Reader {
         self.push(role);
     }
 
-    /// "the tallest bookcase", "the one on the left": an extreme; with "of" some thing behind it,
-    /// the sides become relations.
+    /// Handles an extreme: "the tallest bookcase", "the one on the left". With "of" and a thing
+    /// after it, the sides become relations.
     pub(super) fn superlative(&mut self, measure: Measure, text: &str, rest: &[Piece]) {
-        // "not the middle one": all but that one may be meant.
+        // "not the middle one": any but that one may be meant.
         if std::mem::take(&mut self.negated) {
             return self.query.not_understood.push(format!("not {text}"));
         }
@@ -111,7 +111,7 @@ impl Reader {
         {
             return;
         }
-        // "the desk with two monitors on top": where those are.
+        // "the desk with two monitors on top": the place of the monitors.
         if text.ends_with("top")
             && self
                 .stack
@@ -123,7 +123,7 @@ impl Reader {
         let unnamed =
             self.stack.last().is_none_or(|f| f.phrase.head.is_empty() && f.role == Role::Target);
         let kind = match (measure, of) {
-            // "the higher of the shelves", "the box at the top of the stack": one of its like.
+            // "the higher of the shelves", "the box at the top of the stack": one of a group.
             (_, Some(Of::Group) | None) => None,
             (_, Some(Of::Several)) if unnamed => None,
             (Measure::Middle, Some(Of::Several)) => Some(RelationKind::Between),
@@ -139,7 +139,8 @@ impl Reader {
             return self.relation(kind, text);
         }
         let side = matches!(measure, Measure::Leftmost | Measure::Rightmost);
-        // "from the door, the first chair on the left": of those to the left, the one met first.
+        // "from the door, the first chair on the left": of those to the left, the one nearest to
+        // the door.
         if side
             && self.query.standpoint.is_some()
             && let Some(rank) = self.ordinal.take()
@@ -169,18 +170,18 @@ impl Reader {
         }
         let rank = self.ordinal.take().unwrap_or(1);
         let superlative = Some(Superlative { measure, rank });
-        // "the tallest bookcase" speaks of what follows, "the mug ... on the left" of the target.
+        // "the tallest bookcase" applies to the next noun, "the mug ... on the left" to the target.
         let of_what_follows = !IN_A_PLACE.iter().any(|begin| text.starts_with(begin))
             && self.stack.last().is_some_and(|f| f.phrase.head.is_empty());
         if of_what_follows {
-            self.top().phrase.superlative = superlative
+            self.top().phrase.superlative = superlative;
         } else {
-            self.bottom().superlative = superlative
+            self.bottom().superlative = superlative;
         }
     }
 }
 
-/// How extremes begin that tell where a thing is, not which of those that follow.
+/// How extremes begin that say where a thing is, not which of the following things it is.
 const IN_A_PLACE: [&str; 4] = ["on ", "in ", "at ", "to "];
 
 /// What follows "of" after an extreme.

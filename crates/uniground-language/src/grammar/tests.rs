@@ -3,7 +3,7 @@ use crate::Trait;
 use proptest::prelude::*;
 use uniground_geometry::colour::ColourName;
 
-/// A phrase in a compact notation: words; with; relations(anchors, nested in brackets);
+/// Writes a phrase in a compact notation: words; with; relations(anchors, nested in brackets);
 /// superlative.
 fn notation(phrase: &Phrase) -> String {
     let count = phrase.count.map_or_else(String::new, |n| format!("{n} "));
@@ -273,7 +273,7 @@ fn every_word_is_used_or_listed() {
     assert_eq!(parsed.target.head, "theremin");
     assert_eq!(parsed.not_understood, ["theremin", "shiny"]);
     assert_eq!(parsed.target.relations[0].anchors[0].head, "desk");
-    // Whatever the words: a noun of the parse, or on the list.
+    // Every word is either part of the parse or listed.
     for query in ["zorgle blip the chair", "the frobnicated chair", "qwerty"] {
         let parsed = parse(query);
         for word in query.split(' ').filter(|w| !["the", "chair"].contains(w)) {
@@ -300,7 +300,7 @@ fn contradictions_loops_and_crowds_are_read() {
     let many = format!("the mug {}", "near the chair ".repeat(50));
     let crowded = parse(&many);
     assert_eq!(crowded.target.head, "mug");
-    // What is one too many is listed, so that the work stays bounded.
+    // Words beyond the limit are listed, so that the work stays bounded.
     assert!(
         crowded.not_understood.iter().filter(|w| *w == "chair").count() >= 20,
         "{:?}",

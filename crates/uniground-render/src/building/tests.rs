@@ -6,18 +6,18 @@ use uniground_geometry::{Point3, Vector3};
 
 const CEILING: [u8; 3] = [200, 200, 255];
 const FLOOR: [u8; 3] = [120; 3];
-/// Faces west and faces east.
+/// The side that faces west, and the one that faces east.
 const INNER: [[u8; 3]; 2] = [[250, 0, 250], [150, 0, 150]];
 const RED: [u8; 3] = [255, 0, 0];
 const GREEN: [u8; 3] = [0, 255, 0];
-/// Each with the direction it lies in.
+/// Colors of the walls, each with its direction from the center.
 const WALLS: [([u8; 3], Vector3<f32>); 4] = [
     ([250, 250, 0], Vector3::new(-1.0, 0.0, 0.0)),
     ([0, 250, 250], Vector3::new(1.0, 0.0, 0.0)),
     ([250, 120, 0], Vector3::new(0.0, -1.0, 0.0)),
     ([0, 120, 250], Vector3::new(0.0, 1.0, 0.0)),
 ];
-/// A few points at the rims of a wall may stay.
+/// A few points at the rims of a wall may remain.
 const SLIVER_PX: usize = 30;
 const TILTS_DEG: [f32; 2] = [15.0, 35.0];
 const AZIMUTHS_DEG: [f32; 7] = [-90.0, -30.0, 0.0, 75.0, 120.0, 180.0, 240.0];
@@ -29,8 +29,8 @@ struct Scene {
 }
 
 impl Scene {
-    /// Points every 3 cm on what `at` makes of two shares of `sides`, metres; an instance where it
-    /// is a part of the building.
+    /// Adds a point every 3 cm: `at` maps two shares of `sides` (meters) to a position. Adds an
+    /// instance if it is a part of the building.
     fn sheet(
         &mut self,
         sides: [f32; 2],
@@ -42,7 +42,7 @@ impl Scene {
         let steps = sides.map(|side| (side / 0.03) as usize);
         for i in 0..=steps[0] {
             for j in 0..=steps[1] {
-                // A shake of a few millimetres, as scans have.
+                // Noise of a few millimeters, as in scans.
                 let shake =
                     Vector3::from_fn(|k, _| ((i * 31 + j * 57 + k * 17) % 13) as f32 * 1e-3 - 6e-3);
                 self.cloud
@@ -65,7 +65,7 @@ impl Scene {
         });
     }
 
-    /// The outside of a cube on the floor.
+    /// Adds the outside of a cube on the floor.
     fn cube(&mut self, center: [f32; 2], side: f32, colour: [u8; 3]) {
         let low = Point3::new(center[0] - side / 2.0, center[1] - side / 2.0, 0.0);
         let first = self.cloud.len();
@@ -82,9 +82,9 @@ impl Scene {
         self.instance(aabb, None, Support::Floor);
     }
 
-    /// A room of 6 by 4 m whose ceiling is `top(x)` high for x from -3, over the share `covered` of
-    /// its width. An inner wall 10 cm thick runs from the south wall to 1 m before the north
-    /// wall. A red and a green cube stand on its two sides.
+    /// A room of 6 by 4 m. Its ceiling is `top(x)` high for x from -3, over the share `covered` of
+    /// its width. An inner wall 10 cm thick runs from the south wall to 1 m before the north wall.
+    /// A red and a green cube stand on its two sides.
     fn room(top: impl Fn(f32) -> f32, covered: f32) -> Self {
         let mut scene = Self::default();
         scene.sheet([6.0, 4.0], FLOOR, Some(Structure::Floor), |u, v| {
@@ -126,7 +126,7 @@ impl Scene {
     }
 }
 
-/// Pixels of each colour from a side.
+/// Number of pixels of each color, seen from a side.
 fn counted(
     scene: &(RenderScene, Aabb),
     orbit: Orbit,
@@ -141,7 +141,7 @@ fn orbit(azimuth_deg: f32, tilt_deg: f32) -> Orbit {
     Orbit { width: 480, height: 480, azimuth_deg, tilt_deg }
 }
 
-/// From every side: things and the walls beyond are seen, the ceiling and the walls on this side
+/// From every side, things and the walls beyond are visible; the ceiling and the walls on this side
 /// are not.
 fn one_looks_in(scene: &Scene) {
     let rendered = scene.rendered();
@@ -158,8 +158,8 @@ fn one_looks_in(scene: &Scene) {
                 pixels(RED),
                 pixels(GREEN)
             );
-            // From steeply above, the eye may stand over the room: then no wall on its way turns
-            // away.
+            // From steeply above, the eye may be over the room: then no wall in its way has its
+            // back to it.
             let eye = orbit(azimuth_deg, tilt_deg).camera(&rendered.1).center();
             for (colour, side) in WALLS {
                 let outside_m =
@@ -171,9 +171,9 @@ fn one_looks_in(scene: &Scene) {
                         pixels(colour)
                     ),
                     outside if outside < -2.0 => {
-                        assert!(pixels(colour) > 500, "{from}: {} of {colour:?}", pixels(colour))
+                        assert!(pixels(colour) > 500, "{from}: {} of {colour:?}", pixels(colour));
                     }
-                    // A wall seen edge on is neither.
+                    // Walls seen edge on may be either.
                     _ => {}
                 }
             }
@@ -210,8 +210,8 @@ fn each_side_of_an_inner_wall_is_seen_from_its_own_room() {
     }
 }
 
-/// A cube close behind the inner wall, from far down: the wall goes where the cube is asked for,
-/// and only there.
+/// A cube close behind the inner wall, from far down: the wall is left out where the cube is a
+/// subject, and only there.
 #[test]
 fn a_wall_before_a_subject_is_left_out() {
     let mut scene = Scene::room(|_| 2.5, 1.0);
@@ -246,7 +246,7 @@ fn what_hangs_on_a_wall_goes_with_it_unless_it_is_meant() {
     assert!(from(-90.0, &[picture]) > 200);
 }
 
-/// Where nothing is known the paper's filter stands in, and it can be asked for.
+/// Without known parts of the building, the paper's filter is used. It can also be selected.
 #[test]
 fn the_paper_s_filter_is_at_hand() {
     let scene = Scene::room(|x| 2.6 + 0.3 * x, 1.0);
@@ -277,6 +277,6 @@ fn the_global_render_shows_the_room_under_its_ceiling() {
     };
     let [red, green, ceiling] = seen(Cutaway::Building);
     assert!(red > 3000 && green > 3000 && ceiling == 0, "{red} {green} {ceiling}");
-    // A level ceiling of more than 5 % of the points stays a lid with the paper's filter.
+    // With the paper's filter, a level ceiling of more than 5 % of the points still hides the room.
     assert!(seen(Cutaway::HighestPoints)[0] < red / 2);
 }

@@ -1,4 +1,4 @@
-//! What of a glTF file is read, and the numbers in its buffers.
+//! The parts of a glTF file that are read, and the numbers in its buffers.
 
 use crate::IngestError;
 use crate::clouds::obj::beside;
@@ -125,7 +125,8 @@ struct Buffer {
 }
 
 impl Document {
-    /// Nodes that stand in no other: those of the shown scene, or all there are.
+    /// Returns the nodes without a parent: those of the default scene, or of the whole file if it
+    /// has none.
     pub fn roots(&self) -> Vec<usize> {
         if let Some(scene) = self.scenes.get(self.scene.unwrap_or(0)) {
             return scene.nodes.clone();
@@ -136,7 +137,7 @@ impl Document {
     }
 }
 
-/// Bytes of all buffers, and the files images may lie in.
+/// Bytes of all buffers, and the files that may contain images.
 pub(super) struct Buffers<'a> {
     bytes: Vec<Vec<u8>>,
     root: &'a Utf8Path,
@@ -173,7 +174,7 @@ impl<'a> Buffers<'a> {
         Ok(own)
     }
 
-    /// Bytes within the text itself, or of a file beside it.
+    /// Returns bytes from a data URI, or of a file next to the document.
     fn uri(&self, uri: &str) -> Result<Vec<u8>, IngestError> {
         if let Some(data) = uri.strip_prefix("data:") {
             let text = data.split_once(";base64,").map(|(_, text)| text);
@@ -220,7 +221,7 @@ impl<'a> Buffers<'a> {
         ))
     }
 
-    /// Numbers of at least so many columns.
+    /// Returns numbers with at least `columns` columns.
     pub fn accessor(
         &self,
         document: &Document,
@@ -302,7 +303,7 @@ impl AccessorRows<'_> {
     }
 }
 
-/// RFC 4648, with or without padding.
+/// Decodes base64 (RFC 4648), with or without padding.
 fn base64(text: &str) -> Option<Vec<u8>> {
     let mut bytes = Vec::with_capacity(text.len() / 4 * 3);
     let (mut bits, mut held) = (0_u32, 0);

@@ -1,17 +1,17 @@
-//! Lengths that a LAZ file announces, held against the file before its reader makes room for them
-//! (LAS 1.4, sections 2.4 to 2.7, and `LASzip`).
+//! Compares the lengths that a LAZ file announces with the file's size before its reader allocates
+//! memory for them (LAS 1.4, sections 2.4 to 2.7, and `LASzip`).
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 
 const HEADER_1_4: usize = 375;
-/// Header of an extended variable length record.
+/// Size of the header of an extended variable length record.
 const EVLR_HEADER_BYTES: u64 = 60;
-/// A chunk begins with a point as it is, which has at least so many bytes.
+/// Minimum size of a chunk. It begins with an uncompressed point.
 const LEAST_CHUNK_BYTES: u64 = 20;
 
-/// Whether what a file announces can be in it: `Err` with a reason where not. `source` is left
-/// anywhere.
+/// Checks that the announced lengths fit into the file. The inner `Err` holds the reason if they do
+/// not. The position of `source` is undefined afterwards.
 pub(super) fn check(source: &mut File) -> io::Result<Result<(), &'static str>> {
     let bytes = source.metadata()?.len();
     let mut header = Vec::new();
@@ -29,7 +29,7 @@ pub(super) fn check(source: &mut File) -> io::Result<Result<(), &'static str>> {
     chunks_fit(source, u64::from(u32_at(&header, 96)), bytes)
 }
 
-/// Whether extended records, one after the other, lie within the file.
+/// Returns whether consecutive extended records lie within the file.
 fn records_fit(source: &mut File, first: u64, count: u32, bytes: u64) -> io::Result<bool> {
     let mut at = first;
     for _ in 0..count {
@@ -48,8 +48,8 @@ fn records_fit(source: &mut File, first: u64, count: u32, bytes: u64) -> io::Res
     Ok(true)
 }
 
-/// Whether there are no more chunks than there is room for. The points begin with where the table
-/// of chunks lies; -1: at the end of the file.
+/// Checks that the file has room for the number of chunks. The point data begins with the position
+/// of the chunk table; -1: the position is at the end of the file.
 fn chunks_fit(source: &mut File, points: u64, bytes: u64) -> io::Result<Result<(), &'static str>> {
     let mut eight = [0; 8];
     let mut i64_from = |from: u64| -> io::Result<Option<i64>> {
@@ -64,7 +64,7 @@ fn chunks_fit(source: &mut File, points: u64, bytes: u64) -> io::Result<Result<(
         Some(-1) => i64_from(bytes.saturating_sub(8))?,
         offset => offset,
     };
-    // Points without a table of chunks are read one after the other.
+    // Points without a chunk table are read one after another.
     let Some(table) =
         table.and_then(|table| u64::try_from(table).ok()).filter(|table| *table > points)
     else {
@@ -91,7 +91,7 @@ mod tests {
     use super::*;
     use std::io::Write;
 
-    /// A header of version 1.4 with points at its end, and what follows.
+    /// A version 1.4 header with points at its end, and the bytes after it.
     fn file(first_evlr: u64, evlrs: u32, rest: &[u8]) -> File {
         let mut bytes = vec![0; HEADER_1_4];
         bytes[..4].copy_from_slice(b"LASF");
@@ -112,7 +112,7 @@ mod tests {
         record
     }
 
-    /// Where the table of chunks lies, some points, and the table.
+    /// The position of the chunk table, some points, and the table.
     fn points(table: i64, chunks: u32) -> Vec<u8> {
         let mut bytes = table.to_le_bytes().to_vec();
         bytes.extend([0; 32]);

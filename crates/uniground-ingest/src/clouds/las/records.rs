@@ -7,26 +7,26 @@ use camino::Utf8Path;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 
-/// The header of version 1.0; of 1.4, with the 64-bit count.
+/// Header size of version 1.0, and of version 1.4 with its 64-bit count.
 const SHORT_HEADER: usize = 227;
 const LONG_HEADER: usize = 375;
 const BLOCK_BYTES: usize = 256 << 10;
 
-/// An opened file, at its first record.
+/// An opened file, positioned at its first record.
 pub(super) struct LasRecords {
     source: BufReader<File>,
     points: u64,
     bytes: usize,
-    /// Of the file, from its first record on.
+    /// Number of bytes of the file from its first record on.
     file_bytes: u64,
-    /// Where red, green and blue are, sixteen bits each.
+    /// Offset of red, green and blue, 16 bits each.
     colour: Option<usize>,
     scale: [f64; 3],
     offset: [f64; 3],
 }
 
 impl LasRecords {
-    /// `None` for a compressed file.
+    /// Opens a file. Returns `None` for a compressed one.
     pub fn open(root: &Utf8Path, file: &Utf8Path) -> Result<Option<Self>, IngestError> {
         let io = |source| IngestError::reading(file, source);
         let malformed = |reason: &str| IngestError::malformed(file, reason);
@@ -75,7 +75,7 @@ impl LasRecords {
         }))
     }
 
-    /// Whether as many points as are announced may be read, and can be there.
+    /// Checks that the announced number of points is allowed and fits into the file.
     pub fn check(&self, file: &Utf8Path, bounds: &CloudBounds) -> Result<(), IngestError> {
         bounds.check(file, self.points)?;
         match self.points.saturating_mul(self.bytes as u64) > self.file_bytes {
@@ -188,7 +188,7 @@ mod tests {
                 .to_string()
                 .contains("announces 900 points but has only 52 bytes")
         );
-        // Found by fuzzing: a count of version 1.4 that is no number of bytes any more.
+        // Found by fuzzing: a version 1.4 count whose size in bytes overflows.
         let mut endless = las();
         endless.splice(227..227, [0; 148]);
         endless[25] = 4;

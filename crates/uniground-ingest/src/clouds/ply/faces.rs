@@ -1,6 +1,6 @@
-//! Faces of a PLY file. Nearly all meshes of scans have a vertex every few centimetres, as exact as
-//! the scan: those are the cloud. A mesh that somebody modelled or simplified has corners only:
-//! most of its surface lies in large triangles, and the cloud is sampled from them.
+//! Faces of a PLY file. Nearly all meshes of scans have a vertex every few centimeters, as accurate
+//! as the scan: their vertices are the cloud. A modeled or simplified mesh has vertices only at its
+//! corners: most of its surface lies in large triangles, and the cloud is sampled from them.
 
 use super::rows::PlyRows;
 use crate::clouds::CloudBuilder;
@@ -9,12 +9,12 @@ use crate::guess_units;
 use std::io::{BufRead, Seek, SeekFrom};
 use uniground_geometry::scene::PointCloud;
 
-/// A triangle with a longer side than this is large, metres.
+/// Minimum length of the longest side of a large triangle, meters.
 const LARGE_M: f64 = 0.1;
 
-/// Puts points of the faces in the place of the vertices where more than half of the surface lies
-/// in large triangles. Faces are read twice and never held. Vertices that are thinned out, or lack
-/// some, stay as they are.
+/// Replaces the vertices by points on the faces if more than half of the surface lies in large
+/// triangles. Faces are read twice and never held in memory. Vertices that are thinned out or
+/// incomplete stay unchanged.
 pub(super) fn sample_if_sparse(
     rows: &PlyRows,
     source: &mut (impl BufRead + Seek),
@@ -49,7 +49,7 @@ pub(super) fn sample_if_sparse(
     Ok(())
 }
 
-/// Shows every triangle; polygons become fans.
+/// Calls a function with every triangle. Polygons are split into fans.
 fn triangles(
     rows: &PlyRows,
     source: &mut impl BufRead,
@@ -59,7 +59,7 @@ fn triangles(
 ) -> Result<(), String> {
     let corner = |index: f64| {
         let at = index as usize;
-        // Comparing back: what is negative, too large or no number names no vertex.
+        // The comparison detects indices that are negative, too large or not a number.
         let position = vertices.positions.get(at).filter(|_| at as f64 == index);
         let position =
             position.ok_or_else(|| format!("{index} names a vertex that is not there"))?;
@@ -103,8 +103,8 @@ mod tests {
         )
     }
 
-    /// A square metre as so many squares a side; half red, half blue. Faces are squares or
-    /// triangles, in ascii or binary.
+    /// A square meter divided into `steps` squares per side, half red, half blue. Faces are squares
+    /// or triangles, in ascii or binary.
     fn square(steps: usize, ascii: bool, faces: bool) -> Vec<u8> {
         let (corners, squares) = ((steps + 1) * (steps + 1), if faces { steps * steps } else { 0 });
         let encoding = if ascii { "ascii" } else { "binary_little_endian" };

@@ -1,4 +1,5 @@
-//! Rows of an element: of one size or with lists, in binary or ascii, one block or line at a time.
+//! Reads rows of an element: of fixed size or with lists, in binary or ascii, one block or line at
+//! a time.
 
 use super::{Field, Vertex};
 use crate::clouds::CloudBuilder;
@@ -6,26 +7,27 @@ use crate::limited_reader::read_line;
 use ply_rs_bw::ply::{ElementDef, Encoding, PropertyType, ScalarType};
 use std::io::{self, BufRead, Read};
 
-/// A line of an ascii file: one row.
+/// Maximum length of a line of an ascii file, which is one row.
 const MAX_LINE_BYTES: u64 = 64 << 10;
-/// Bytes of rows read at once.
+/// Number of bytes of rows that are read at once.
 const BLOCK_BYTES: usize = 64 << 10;
 
 /// A property of a row.
 enum PlyColumn {
     Scalar(ScalarType, Option<Field>),
-    /// Type of the count and of what follows; the list of a face's vertices is of interest.
+    /// A list: the type of its count, the type of its items, and whether it holds a face's
+    /// vertices.
     List(ScalarType, ScalarType, ListOf),
 }
 
 #[derive(Clone, Copy, PartialEq)]
 enum ListOf {
-    /// Places of vertices, from 0.
+    /// Indices of vertices, from 0.
     Corners,
     Other,
 }
 
-/// Corners of a face that are read; what has more of them is no face of a scan.
+/// Maximum number of corners of a face. Larger polygons do not occur in scans.
 const MAX_CORNERS: usize = 256;
 
 #[derive(Clone, Copy, PartialEq)]
@@ -34,12 +36,12 @@ enum ByteOrder {
     Big,
 }
 
-/// How the rows of an element are written.
+/// How the rows of an element are encoded.
 pub(super) struct PlyRows {
     columns: Vec<PlyColumn>,
-    /// Bytes of a row, where all have as many.
+    /// Bytes per row, if all rows have the same size.
     bytes: Option<usize>,
-    /// Of the bytes of a number; `None`: the file is ascii.
+    /// Byte order of numbers. `None`: the file is ascii.
     order: Option<ByteOrder>,
 }
 
@@ -70,7 +72,7 @@ impl PlyRows {
         Self { bytes: columns.iter().map(width).sum(), columns, order }
     }
 
-    /// Whether its rows are faces.
+    /// Returns whether the rows are faces.
     pub fn has_corners(&self) -> bool {
         self.columns.iter().any(|column| matches!(column, PlyColumn::List(_, _, ListOf::Corners)))
     }
@@ -101,7 +103,7 @@ impl PlyRows {
         })
     }
 
-    /// Shows the corners of every face.
+    /// Calls a function with the corners of every face.
     pub fn faces(
         &self,
         source: &mut impl BufRead,
@@ -111,7 +113,7 @@ impl PlyRows {
         self.each_uneven(source, count, |_, corners| face(corners))
     }
 
-    /// Shows what every row holds: ascii ones, and those with lists.
+    /// Calls a function with the values of every row. Used for ascii rows and rows with lists.
     fn each_uneven(
         &self,
         source: &mut impl BufRead,
@@ -151,7 +153,7 @@ impl PlyRows {
             let not_a_number = |word: &str| format!("row {row}: {word:?} is not a number");
             match column {
                 PlyColumn::Scalar(scalar, Some(field)) => {
-                    vertex.set(*field, word.parse().map_err(|_| not_a_number(word))?, scalar)
+                    vertex.set(*field, word.parse().map_err(|_| not_a_number(word))?, scalar);
                 }
                 PlyColumn::Scalar(_, None) => {}
                 PlyColumn::List(_, _, of) => {
@@ -168,8 +170,8 @@ impl PlyRows {
         Ok(())
     }
 
-    /// Rows of one size: a block at a time, and of it one column after the other, whose type is
-    /// then looked at once.
+    /// Reads rows of fixed size: one block at a time, column by column, so that a column's type is
+    /// checked once per block.
     fn read_even(
         &self,
         source: &mut impl BufRead,
@@ -198,7 +200,7 @@ impl PlyRows {
             for &(field, offset, scalar) in &fields {
                 let column = block.chunks_exact(bytes).map(|row| &row[offset..]);
                 numbers(column, scalar, order, vertices.iter_mut(), |vertex, value| {
-                    vertex.set(field, value, scalar)
+                    vertex.set(field, value, scalar);
                 });
             }
             vertices.iter().for_each(|vertex| vertex.hand_to(gathered));
@@ -207,7 +209,7 @@ impl PlyRows {
         Ok(())
     }
 
-    /// A binary row that holds lists.
+    /// Reads a binary row that contains lists.
     fn read_uneven(
         &self,
         source: &mut impl BufRead,
@@ -287,7 +289,7 @@ fn next_number(
     Ok(number)
 }
 
-/// Hands the number that each of these bytes begin with to its place.
+/// Decodes the number at the start of each chunk and passes it to its destination.
 #[inline]
 fn numbers<'a, P>(
     bytes: impl IntoIterator<Item = &'a [u8]>,
