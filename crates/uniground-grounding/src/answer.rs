@@ -1,4 +1,4 @@
-//! The answer: six fields, both boxes, status, and what led there.
+//! Builds the answer: six fields, both boxes, the status, and what led to the decision.
 
 use super::reasoner::Verdict;
 use super::shortlist;
@@ -14,7 +14,8 @@ use uniground_geometry::colour::ColourName;
 use uniground_geometry::scene::{Instance, Level};
 use uniground_language::{Meaning, ParsedQuery, Phrase, Quantity, Superlative};
 
-/// Milliseconds of each step; the arguments are the times from the start to the end of a step.
+/// Returns the duration of each step in milliseconds. The arguments are the times from the start to
+/// the end of each step.
 pub(super) fn timings(parsed: Duration, shortlisted: Duration, total: Duration) -> Timings {
     let ms = |d: Duration| (d.as_secs_f64() * 1e6).round() / 1e3;
     Timings {
@@ -26,56 +27,56 @@ pub(super) fn timings(parsed: Duration, shortlisted: Duration, total: Duration) 
     }
 }
 
-/// Everything stage 2 has to say about a question.
+/// Everything stage 2 returns for a question.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Grounding {
     /// The question as it was asked.
     pub query: String,
-    /// Only `grounded` and `uncertain` have a box.
+    /// The status. Only `grounded` and `uncertain` have a box.
     pub status: Status,
-    /// Why nothing is chosen; `None` unless `no_match`.
+    /// Why nothing was chosen; `None` unless the status is `no_match`.
     #[serde(default)]
     pub no_match_reason: Option<NoMatchReason>,
-    /// Where a vision-language model sees what no instance is; `None` unless the reason is
-    /// `not_listed`.
+    /// Where a vision-language model sees an object that is no instance; `None` unless the reason
+    /// is `not_listed`.
     #[serde(default)]
     pub seen: Option<Seen>,
     /// The paper's six fields (App. B.1).
     pub answer: SixFields,
-    /// Axis-aligned box of the answer; `null` unless `grounded` or `uncertain`.
+    /// Axis-aligned box of the answer; `None` unless the status is `grounded` or `uncertain`.
     #[serde(rename = "box")]
     pub aabb: Option<Aabb>,
-    /// Yaw-oriented box of the answer; `null` unless `grounded` or `uncertain`.
+    /// Yaw-oriented box of the answer; `None` unless the status is `grounded` or `uncertain`.
     pub oriented_box: Option<OrientedBox>,
-    /// Belief in the answer, `0..=1`; for `no_match`, the belief that nothing fits: 0.5 where it
-    /// is not known what is asked for.
+    /// Belief in the answer, `0..=1`. For `no_match`, the belief that nothing fits; 0.5 where the
+    /// noun asked for is unknown.
     pub confidence: f32,
     /// The best candidates, best first.
     pub candidates: Vec<Candidate>,
-    /// Other instances the question may mean, best first; for `ambiguous`, the tied ones are among
+    /// Other instances the question may mean, best first. For `ambiguous`, the tied ones are among
     /// them.
     pub alternatives: Vec<Alternative>,
-    /// All things the question means, best first: several where it asks for several, else the
-    /// answer's own or none.
+    /// All instances the question means, best first: several where it asks for several, otherwise
+    /// the answer itself or none.
     #[serde(default)]
     pub targets: Vec<Target>,
-    /// How many there are, where the question asks for several; for `no_match`, 0.
+    /// Number of matching instances, where the question asks for several; 0 for `no_match`.
     #[serde(default)]
     pub count: Option<u32>,
     /// How the question was read.
     pub parsed_query: ParsedQuerySummary,
-    /// What left, right, front and back go by: `paper`, `viewer`, or `observer` when the request
-    /// has one. Words of the question that tell ("facing the desk") override it.
+    /// The convention for left, right, front and back: `paper`, `viewer`, or `observer` when the
+    /// request has one. Words of the question ("facing the desk") override it.
     pub direction_convention: String,
-    /// Milliseconds; the time a model takes to review the answer counts as `reason`.
+    /// Milliseconds per step. The time a model takes to review the answer counts as `reason`.
     pub timings_ms: Timings,
 }
 
-/// Belief that nothing fits, where it is not known what is asked for.
+/// Belief that nothing fits, where the noun asked for is unknown.
 const NOBODY_KNOWS: f32 = 0.5;
-/// How many alternatives are told.
+/// Maximum number of alternatives in an answer.
 const MAX_ALTERNATIVES: usize = 5;
-/// Alternatives below this share of the belief are not worth telling.
+/// Alternatives with a smaller share of the belief are left out.
 const MIN_ALTERNATIVE: f32 = 0.05;
 
 pub(super) fn assemble(
@@ -165,7 +166,7 @@ pub(super) fn assemble(
 }
 
 impl Grounding {
-    /// Takes up as candidates what was found since the others were chosen.
+    /// Adds instances that were found after the candidates were chosen.
     pub(super) fn offer(&mut self, context: &PromptContext, instances: &[Instance]) {
         for (shown, rank) in context.candidates.iter().zip(1..) {
             let Some(instance) =
@@ -181,7 +182,7 @@ impl Grounding {
     }
 }
 
-/// An instance as a candidate.
+/// Converts an instance to a candidate.
 pub(super) fn candidate(instance: &Instance, rank: u32, score: f32) -> Candidate {
     let &Instance { id, aabb, oriented_box, .. } = instance;
     Candidate {
@@ -195,13 +196,13 @@ pub(super) fn candidate(instance: &Instance, rank: u32, score: f32) -> Candidate
     }
 }
 
-/// An instance as an alternative.
+/// Converts an instance to an alternative.
 pub(super) fn alternative(instance: &Instance, name: String, confidence: f32) -> Alternative {
     let &Instance { id, aabb, oriented_box, .. } = instance;
     Alternative { id, name, confidence, aabb, oriented_box: Some(oriented_box), view: None }
 }
 
-/// An instance as a target.
+/// Converts an instance to a target.
 pub(super) fn target(instance: &Instance, confidence: f32) -> Target {
     let &Instance { id, aabb, oriented_box, support, level, .. } = instance;
     let parent = instance.things.first().copied().filter(|_| level == Level::Part);
@@ -217,8 +218,7 @@ pub(super) fn target(instance: &Instance, confidence: f32) -> Target {
 }
 
 impl Grounding {
-    /// The same answer for somebody who acts only on a belief of at least `least`: what is less
-    /// likely is uncertain.
+    /// Makes the answer uncertain if its confidence is below `least`.
     pub(super) fn hold_to(&mut self, least: f32) {
         if self.status == Status::Grounded && self.confidence < least {
             self.status = Status::Uncertain;
@@ -226,7 +226,7 @@ impl Grounding {
     }
 }
 
-/// "red sofa": dominant colour and best name, whatever the question says.
+/// Returns dominant color and best name, such as "red sofa", whatever the question says.
 pub(super) fn described(instance: &Instance) -> String {
     let says_colour = |name: &String| {
         name.split_whitespace()
@@ -297,7 +297,7 @@ fn collect_anchors(phrase: &Phrase, summary: &mut ParsedQuerySummary) {
     within.for_each(|inner| collect_anchors(inner, summary));
 }
 
-/// "tallest", "leftmost, number 2"
+/// Returns a superlative in words: "tallest", "leftmost, number 2".
 pub(super) fn superlative_words(superlative: &Superlative) -> String {
     match superlative.rank {
         0 | 1 => superlative.measure.word().to_owned(),

@@ -1,6 +1,6 @@
-//! The words of one question compared with what every instance looks like.
+//! Compares the words of one question with the appearance of every instance.
 //!
-//! All texts are embedded before anything is decided, so a model can fail here but not during the
+//! All texts are embedded before anything is decided. So a model can fail here, but not during the
 //! decision.
 
 use std::collections::HashMap;
@@ -13,13 +13,14 @@ use uniground_types::question::{CandidateSource, QueryText};
 /// How a shortlist is made.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ShortlistScoring {
-    /// Who chooses; what follows is the encoder's part, where one has seen the scene.
+    /// Where candidates come from. The other fields configure the encoder's part, where an encoder
+    /// has embedded the scene.
     pub from: CandidateSource,
-    /// The words whose vector is compared with the instances.
+    /// The words whose embedding is compared with the instances.
     pub query_text: QueryText,
-    /// Compare the cosine with those of all nouns of the lexicon, so that an instance near every
-    /// word gains nothing by it (docs/METHOD.md, section 2); otherwise the plain cosine
-    /// counts.
+    /// Whether the cosine is compared with those of all nouns of the lexicon, so that an instance
+    /// close to every word gains nothing by it (docs/METHOD.md, section 2). Otherwise the plain
+    /// cosine counts.
     pub calibrated: bool,
 }
 
@@ -29,15 +30,16 @@ pub struct Appearance {
     logit_scale: f32,
     norms: Vec<Norms>,
     seen: Vec<bool>,
-    /// Cosines by word, then by instance index; words the text tower does not know are missing.
+    /// Cosines by word, then by instance index. Words that the text tower does not know are
+    /// missing.
     of_word: HashMap<String, Vec<f32>>,
     shortlist: Option<Vec<f32>>,
-    /// Whether the sentence is longer than the text tower reads.
+    /// Whether the sentence was truncated because it is longer than the text tower reads.
     pub cut: bool,
 }
 
 impl Appearance {
-    /// Looks up every noun of a question, and the question itself.
+    /// Embeds every noun of a question, and the question itself.
     ///
     /// # Errors
     /// [`ModelError`]: a failed call.
@@ -73,14 +75,14 @@ impl Appearance {
             false => cosines,
         };
         let seen: Vec<bool> = (0..embeddings.len()).map(|i| embeddings.is_seen(i)).collect();
-        // Without a single picture every cosine is zero, and names tell more.
+        // Without a single picture every cosine is zero. Names are more informative then.
         let vector = vector.filter(|_| seen.contains(&true));
         let shortlist = vector.map(|vector| calibrated(embeddings.cosines(&vector)));
         Ok(Self { logit_scale, norms, seen, of_word, shortlist, cut })
     }
 
-    /// Fit of a word to the instance at an index; `None` for an instance without pictures and for a
-    /// word the tower does not know.
+    /// Returns the fit of a word to the instance at an index; `None` for an instance without
+    /// pictures and for a word the tower does not know.
     pub(super) fn fit(&self, word: &str, index: usize, measured: Option<f32>) -> Option<f32> {
         if !*self.seen.get(index)? {
             return None;
@@ -93,14 +95,14 @@ impl Appearance {
         ))
     }
 
-    /// Scores of the shortlist, by index; `None` when the tower knows none of the words, or nothing
-    /// has been seen.
+    /// Returns the shortlist scores by index; `None` when the tower knows none of the words, or no
+    /// instance has pictures.
     pub(super) fn shortlist(&self) -> Option<&[f32]> {
         self.shortlist.as_deref()
     }
 }
 
-/// The nouns a phrase and the phrases within may mean.
+/// Collects the nouns that a phrase and the phrases within it may mean.
 fn nouns_within(phrase: &Phrase, words: &mut Vec<String>) {
     match phrase.meaning() {
         Meaning::Nouns(nouns) => words.extend(nouns.iter().map(|noun| noun.name.clone())),
@@ -116,8 +118,8 @@ fn nouns_within(phrase: &Phrase, words: &mut Vec<String>) {
         .for_each(|inner| nouns_within(inner, words));
 }
 
-/// The words the shortlist goes by as one unit vector, and whether the end of the sentence was not
-/// read.
+/// Embeds the words that the shortlist uses as one unit vector, and reports whether the end of the
+/// sentence was truncated.
 fn sentence(
     query: &str,
     target: &Phrase,

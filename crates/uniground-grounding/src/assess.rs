@@ -1,10 +1,10 @@
-//! How well every instance fits a whole phrase: the thing itself, what it carries, its relations,
-//! its place among its like.
+//! Scores how well every instance fits a whole phrase: the instance itself, what it carries, its
+//! relations, and its rank among instances of its kind.
 //!
 //! A phrase is a tree: its anchors are phrases with anchors of their own. The best score of an
 //! instance is its own fit times, for each relation, the best (fit of an anchor) x (geometry of the
-//! pair) over **all** other instances, computed from the leaves up: target and anchors are chosen
-//! together, not one after the other.
+//! pair) over **all** other instances, computed from the leaves up. So target and anchors are
+//! chosen together, not one after the other.
 
 mod carried;
 mod places;
@@ -23,37 +23,36 @@ use uniground_geometry::statistics::largest;
 use uniground_geometry::{Point2, Point3, Vector3};
 use uniground_language::{ME, Meaning, Phrase, Relation, RelationKind, zones};
 
-/// What a contradicted relation leaves of a score: geometry is noisy.
+/// Factor of a score when a relation is contradicted. Not 0, because geometry is noisy.
 const CONTRADICTED: f32 = 0.05;
-/// The same for relations that depend on who looks, and on what "between" or "in the corner" means
-/// to them.
+/// The same factor for relations that depend on the viewer, and on what people mean by "between" or
+/// "in the corner".
 const LOOSELY_CONTRADICTED: f32 = 0.2;
-/// How many anchors a relation tries, the best ones: this bounds the work in a scene of thousands
-/// of instances.
+/// How many anchors a relation tries, best first. This bounds the work in a scene of thousands of
+/// instances.
 const MAX_ANCHORS: usize = 64;
-/// The same for each anchor of "between", where pairs are looked at.
+/// The same for each anchor of "between", where pairs are tried.
 const MAX_ANCHORS_OF_A_PAIR: usize = 16;
-/// Instances that fit the thing itself worse than this are not looked at further.
+/// Instances whose own fit is lower than this are not examined further.
 const IMPOSSIBLE: f32 = 0.01;
-/// A phrase whose best fit is below this names nothing that was found in the room.
+/// A phrase whose best noun fit is below this names nothing that was found in the room.
 const FOUND: f32 = 0.05;
-/// Share of the best fit with which something else may be meant.
+/// Share of the best fit from which another instance may be meant too.
 const MAY_BE_MEANT: f32 = 0.5;
-/// Below this nothing carries what is asked for.
+/// Below this score, no instance carries what is asked for.
 const CARRIED: f32 = 0.25;
-/// What is left of a score when the other thing of a relation was not found: it may be there all
-/// the same.
+/// Factor of a score when the anchor of a relation was not found. It may exist all the same.
 const NOT_FOUND: f32 = 0.3;
 
-/// What stands on another or in it to this degree touches it; in an order by distance it comes
-/// after all that is apart, metres.
+/// An instance that stands on or in an anchor to at least this degree counts as touching it. In an
+/// order by distance it comes after all that are apart: distance in meters.
 const MOSTLY_HELD: f32 = 0.5;
 const HELD_M: f32 = 1e3;
 
-/// Share that "on the wall" keeps for what stands in front of it.
+/// Factor of "on the wall" for an instance that stands in front of the wall.
 const AT_THE_WALL: f32 = 0.3;
 
-/// An anchor chosen for one relation, with the score of the pair.
+/// The anchor chosen for one relation, with the score of the pair.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RelationMatch {
     pub score: f32,
@@ -62,32 +61,34 @@ pub struct RelationMatch {
 
 const NO_BOND: RelationMatch = RelationMatch { score: 0.0, anchor: None };
 
-/// A phrase against every instance; vectors are by index, scores in `0..=1`.
+/// A phrase scored against every instance. Vectors are by index, scores in `0..=1`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Assessment {
-    /// The noun alone.
+    /// Fit of the noun alone.
     pub nouns: Vec<f32>,
-    /// Names and attributes, with what the thing carries.
+    /// Fit of names and attributes, and of what the instance carries.
     pub own: Vec<f32>,
     /// For each relation of the phrase, the best anchors of every instance.
     pub bonds: Vec<Vec<RelationMatch>>,
-    /// Whose left and right the place among its like was told by; empty where none is asked for.
+    /// Whose left and right decided the rank among instances of the kind; empty where no rank is
+    /// asked for.
     pub place_seen_by: Vec<SeenBy>,
     pub total: Vec<f32>,
 }
 
-/// A scene, and how it is looked at.
+/// A scene with the directions that a question is read in.
 pub struct Assessor<'a> {
     pub scene: SceneView<'a>,
     pub solids: Vec<Solid>,
     pub directions: Directions,
-    /// Where the one who asks stands.
+    /// Position of the observer whom "me" refers to.
     pub observer: Option<Solid>,
-    /// Index of what somebody looks at: of things to the left and right, those near it are meant.
+    /// Index of the instance that the viewer faces: of instances to the left and right, those near
+    /// it are meant.
     pub looked_at: Option<usize>,
     room: OnceCell<Room>,
-    /// How somebody looks who faces an instance: it takes a look at all walls, and is asked for
-    /// with every other instance.
+    /// How a viewer faces each instance. Cached, because it needs all walls and is used with every
+    /// other instance.
     faced: Vec<OnceCell<Faced>>,
 }
 
@@ -105,7 +106,7 @@ impl<'a> Assessor<'a> {
         }
     }
 
-    /// The smallest rectangle around everything, and the walls.
+    /// Returns the smallest rectangle around everything, and the walls.
     pub fn room(&self) -> &Room {
         self.room.get_or_init(|| {
             let corners: Vec<Point2<f32>> = self.solids.iter().flat_map(|s| s.corners).collect();
@@ -158,8 +159,8 @@ impl<'a> Assessor<'a> {
         Assessment { nouns, own, bonds, place_seen_by, total }
     }
 
-    /// Fit of every instance to the noun alone, and to noun, colours, traits and carried things
-    /// together.
+    /// Returns the fit of every instance to the noun alone, and to noun, colors, traits and carried
+    /// things together.
     #[must_use]
     pub fn own_fits(&self, phrase: &Phrase) -> (Vec<f32>, Vec<f32>) {
         let instances = self.scene.instances;
@@ -174,8 +175,8 @@ impl<'a> Assessor<'a> {
         }
         for head in &phrase.other_things {
             let others = noun_fits(self.scene, &Phrase { head: head.clone(), ..Phrase::default() });
-            // Where all that may be meant is called so as well ("the football, not the basketball",
-            // and both are balls), names do not tell.
+            // Where all instances that may be meant have the excluded name too ("the football, not
+            // the basketball", and both are balls), names do not decide.
             let likely = most_plausible(&own, usize::MAX);
             let shared = likely.iter().map(|&(i, _)| others[i]).fold(1.0, f32::min);
             own.iter_mut()
@@ -188,14 +189,14 @@ impl<'a> Assessor<'a> {
         (nouns, own)
     }
 
-    /// The index of what a phrase most likely means.
+    /// Returns the index of the instance that a phrase most likely means.
     #[must_use]
     pub fn best(&self, phrase: &Phrase) -> Option<usize> {
         self.likely(phrase, 1).first().map(|&(index, _)| index)
     }
 
-    /// Indices of what a phrase may mean, and how well each fits against the best, at most so many,
-    /// best first: none that fits less than half as well.
+    /// Returns indices of the instances that a phrase may mean, best first, with their fits
+    /// relative to the best. Returns at most `most`, and none that fits less than half as well.
     #[must_use]
     pub fn likely(&self, phrase: &Phrase, most: usize) -> Vec<(usize, f32)> {
         let total = self.assess(phrase).total;
@@ -205,7 +206,7 @@ impl<'a> Assessor<'a> {
         shares.filter(|&(i, share)| total[i] > 0.0 && share >= MAY_BE_MEANT).collect()
     }
 
-    /// The middle of all that a phrase's own words may mean; metres.
+    /// Returns the mean position of all instances that a phrase's own words may mean; meters.
     #[must_use]
     pub fn middle_of(&self, phrase: &Phrase) -> Option<Point3<f32>> {
         let likely = most_plausible(&self.own_fits(phrase).1, MAX_ANCHORS);
@@ -227,7 +228,7 @@ impl<'a> Assessor<'a> {
         {
             return self.at_side(kind, target, a).0;
         }
-        // At most two anchors count. Slices on the stack: this runs once for every pair.
+        // At most two anchors count. Slices on the stack, because this runs once for every pair.
         match *anchors {
             [a, b, ..] => score(&[&self.solids[a], &self.solids[b]]),
             [a] => score(&[&self.solids[a]]),
@@ -235,7 +236,7 @@ impl<'a> Assessor<'a> {
         }
     }
 
-    /// How well a thing stands at a side of another, and by whose view.
+    /// Returns how well an instance stands at a side of another, and by whose view.
     #[must_use]
     pub fn at_side(&self, kind: RelationKind, target: usize, anchor: usize) -> (f32, SeenBy) {
         let (target, of) = (&self.solids[target], &self.solids[anchor]);
@@ -243,7 +244,7 @@ impl<'a> Assessor<'a> {
         relations::at_side(kind, target, of, &self.directions, faced)
     }
 
-    /// For every instance as target: its best anchors and how well the relation holds.
+    /// Returns, for every instance as target, its best anchors and how well the relation holds.
     fn bonds(&self, relation: &Relation, fits: &[f32]) -> Vec<RelationMatch> {
         let most = if relation.kind == RelationKind::Between {
             MAX_ANCHORS_OF_A_PAIR
@@ -258,7 +259,7 @@ impl<'a> Assessor<'a> {
         if let [anchor] = &relation.anchors[..]
             && anchor.head == ME
         {
-            // Nobody knows where the one who asks stands, unless the request says so.
+            // The observer's position is unknown unless the request gives it.
             let unknown = || vec![RelationMatch { score: 1.0, anchor: None }; fits.len()];
             return self
                 .observer
@@ -279,7 +280,7 @@ impl<'a> Assessor<'a> {
             (kind, _) if kind.is_of_the_room() => {
                 each(&|t| RelationMatch { score: self.geometry(kind, t, &[]), anchor: None })
             }
-            // "near" without an anchor: the parsed query tells of it, the decision leaves it out.
+            // "near" without an anchor: the parsed query reports it, the decision ignores it.
             (_, []) => vec![RelationMatch { score: 1.0, anchor: None }; fits.len()],
             (kind, all) if kind.is_comparison() => self.by_distance(relation, fits, all),
             (RelationKind::Between, [a, b, ..]) => each(&|t| self.between_pair(t, a, b)),
@@ -297,7 +298,7 @@ impl<'a> Assessor<'a> {
                 joint
             }),
         };
-        // "on a stand": where none of those that were found will do, it is another one.
+        // "on a stand": if none of the stands that were found holds it, it is on another one.
         let found =
             bonds.iter().zip(fits).any(|(bond, fit)| bond.score >= CARRIED && *fit >= IMPOSSIBLE);
         if !found && relation.anchors.iter().any(|anchor| anchor.indefinite) && !relation.negated {
@@ -311,8 +312,8 @@ impl<'a> Assessor<'a> {
         }
     }
 
-    /// A relation to a thing that is not known or was not found. "Right of the mantel": of its
-    /// like, the one on the right.
+    /// Scores a relation whose anchor is unknown or was not found. "Right of the mantel" then means
+    /// the rightmost of its kind.
     fn at_a_side(&self, relation: &Relation, fits: &[f32], share: f32) -> Vec<RelationMatch> {
         let side = match relation.kind {
             RelationKind::LeftOf => -self.directions.right,
@@ -329,8 +330,8 @@ impl<'a> Assessor<'a> {
         bonds
     }
 
-    /// How far each instance lies within the zone that things of these nouns make: near one of
-    /// them. Where there are none, anything may.
+    /// Returns how far each instance lies within the zone that instances of these nouns form: near
+    /// one of them. Where there are none, any instance may.
     fn within(&self, nouns: &[&str], fits: &[f32], negated: bool) -> Vec<RelationMatch> {
         const REACH_M: f32 = 1.5;
         let named = |noun: &&str| {
@@ -347,7 +348,7 @@ impl<'a> Assessor<'a> {
         let within = |t: usize| {
             let to = |&(i, fit): &(usize, f32)| {
                 let reaching = fit * relations::reaching(&self.solids[t], &self.solids[i], REACH_M);
-                // What stands behind the wall is in another room.
+                // An instance behind the wall is in another room.
                 if reaching > FOUND && self.room().apart_by_a_wall(&self.solids[t], &self.solids[i])
                 {
                     FOUND * fit
@@ -382,7 +383,8 @@ impl<'a> Assessor<'a> {
         anchors.iter().filter(|&&(a, _)| a != target).map(bond).fold(NO_BOND, better)
     }
 
-    /// What is on a wall hangs there: what stands on the floor or on a thing is only at it.
+    /// Something on a wall hangs there; an instance that stands on the floor or on another only
+    /// stands at the wall.
     fn hangs(&self, kind: RelationKind, target: usize, anchor: usize) -> f32 {
         let of = |i: usize| &self.scene.instances[i];
         let held_below = matches!(of(target).support, Support::Floor | Support::Instance { .. });
@@ -393,7 +395,7 @@ impl<'a> Assessor<'a> {
         }
     }
 
-    /// "On the left side of the desk" may be said of what stands on it, to the left.
+    /// "On the left side of the desk" may also mean on the desk, to the left.
     fn on_its_side(&self, relation: &Relation, target: usize, anchor: usize) -> f32 {
         let sign = match relation.kind {
             RelationKind::LeftOf => -1.0,
@@ -421,8 +423,8 @@ impl<'a> Assessor<'a> {
             .fold(NO_BOND, better)
     }
 
-    /// "closest to" compares the things the target may be: each place further down the list counts
-    /// less. Several anchors count by the sum of the distances to them.
+    /// Scores "closest to": compares the instances that the target may be, and each rank further
+    /// down counts less. Several anchors count by the sum of the distances to them.
     fn by_distance(
         &self,
         relation: &Relation,
@@ -440,7 +442,8 @@ impl<'a> Assessor<'a> {
         let apart = |t: usize, a: usize| {
             relations::apart(&self.solids[t], &self.solids[a], of_the_building(a), self.room())
         };
-        // What the anchor carries touches it: only where all of them do is one of them the closest.
+        // An instance that the anchor carries touches it. It can be the closest only if the anchor
+        // carries all of them.
         let held = |t: usize, a: usize| {
             relation.kind == RelationKind::Closest
                 && !of_the_building(a)
@@ -471,7 +474,7 @@ impl<'a> Assessor<'a> {
         bonds
     }
 
-    /// "closest to me", "in front of me".
+    /// Scores relations to the observer: "closest to me", "in front of me".
     fn to_observer(
         &self,
         relation: &Relation,
@@ -507,8 +510,8 @@ impl<'a> Assessor<'a> {
     }
 }
 
-/// What is left of a score where nothing can be measured: all of it when a word is not known,
-/// `share` when no such thing was found.
+/// Returns the factor of a score where nothing can be measured: 1 when a word is unknown, `share`
+/// when no such instance was found.
 fn unchecked(phrases: &[Phrase], found: &[Assessment], share: f32) -> Option<f32> {
     let shares = phrases.iter().zip(found).map(|(phrase, found)| {
         let there = found.nouns.iter().any(|fit| *fit >= FOUND);
@@ -521,8 +524,8 @@ fn unchecked(phrases: &[Phrase], found: &[Assessment], share: f32) -> Option<f32
     shares.reduce(f32::min).filter(|share| *share <= 1.0)
 }
 
-/// "The middle one of the three stools": the three that fit best are compared, and what fits as
-/// well as the third.
+/// "The middle one of the three stools": keeps the three that fit best, and those that fit as well
+/// as the third.
 fn leave_best(count: usize, scores: &mut [f32]) {
     const AS_WELL: f32 = 0.95;
     let mut best = scores.to_vec();
@@ -537,4 +540,672 @@ fn contradicted(kind: RelationKind) -> f32 {
 
 fn better(best: RelationMatch, other: RelationMatch) -> RelationMatch {
     if other.score > best.score { other } else { best }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::NameIndex;
+    use crate::direction::DirectionConvention;
+    use uniground_geometry::boxes::Aabb;
+    use uniground_geometry::colour::{ColourHistogram, ColourName};
+    use uniground_geometry::scene::Instance;
+    use uniground_language::{Measure, Superlative, Trait};
+    use uniground_testing::thing;
+
+    /// Something that somebody has named; `base` is the height of its underside.
+    fn named(id: u32, name: &str, at: [f32; 2], size: [f32; 3], base: f32) -> Instance {
+        let instance = thing(id, at, size, base, Support::Nothing, [90; 3]);
+        Instance { given_name: Some(name.into()), ..instance }
+    }
+
+    /// A lamp on the floor, 0.2 m wide.
+    fn lamp(id: u32, x: f32) -> Instance {
+        named(id, "lamp", [x, 0.0], [0.2, 0.2, 0.4], 0.0)
+    }
+
+    /// 0.6 m by 0.8 m, a diagonal of 1 m, and 1 m high.
+    fn desk(id: u32, x: f32) -> Instance {
+        named(id, "desk", [x, 0.0], [0.6, 0.8, 1.0], 0.0)
+    }
+
+    /// A lamp with its underside so far above a desk's top.
+    fn lamp_over(id: u32, x: f32, hovers: f32) -> Instance {
+        named(id, "lamp", [x, 0.0], [0.2, 0.2, 0.4], 1.0 + hovers)
+    }
+
+    fn wall(id: u32, x: f32) -> Instance {
+        let wall = named(id, "wall", [x, 0.0], [0.1, 6.0, 2.6], 0.0);
+        Instance { structure: Some(Structure::Wall), ..wall }
+    }
+
+    fn with_assessor<T>(instances: &[Instance], of: impl FnOnce(&mut Assessor) -> T) -> T {
+        let names = NameIndex::of(instances);
+        let extent =
+            Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(20.0, 9.0, 2.6) };
+        let scene = SceneView { instances, extent, names: &names, appearance: None };
+        of(&mut Assessor::new(scene, DirectionConvention::Viewer.into()))
+    }
+
+    fn said(head: &str) -> Phrase {
+        Phrase { head: head.into(), ..Phrase::default() }
+    }
+
+    fn relation(kind: RelationKind, anchors: &[&str]) -> Relation {
+        let anchors = anchors.iter().map(|head| said(head)).collect();
+        Relation { kind, text: kind.word().into(), anchors, negated: false, rank: 1 }
+    }
+
+    fn lamp_that(relations: Vec<Relation>) -> Phrase {
+        Phrase { relations, ..said("lamp") }
+    }
+
+    fn totals(instances: &[Instance], phrase: &Phrase) -> Vec<f32> {
+        with_assessor(instances, |assessor| assessor.assess(phrase).total)
+    }
+
+    fn scores(instances: &[Instance], relation: &Relation, fits: &[f32]) -> Vec<f32> {
+        with_assessor(instances, |assessor| {
+            assessor.bonds(relation, fits).iter().map(|bond| bond.score).collect()
+        })
+    }
+
+    fn anchors(instances: &[Instance], relation: &Relation, fits: &[f32]) -> Vec<Option<u32>> {
+        with_assessor(instances, |assessor| {
+            assessor.bonds(relation, fits).iter().map(|bond| bond.anchor.map(|id| id.0)).collect()
+        })
+    }
+
+    fn red(share: f32, instance: Instance) -> Instance {
+        let mut shares = [0.0; 12];
+        shares[ColourName::Red as usize] = share;
+        shares[ColourName::Green as usize] = 1.0 - share;
+        Instance { colours: ColourHistogram(shares), ..instance }
+    }
+
+    #[track_caller]
+    fn are(found: &[f32], by_hand: &[f32]) {
+        let same = found.len() == by_hand.len()
+            && found.iter().zip(by_hand).all(|(a, b)| (a - b).abs() < 2e-4);
+        assert!(same, "{found:?}, by hand {by_hand:?}");
+    }
+
+    #[test]
+    fn a_relation_that_does_not_hold_leaves_a_twentieth_or_a_fifth() {
+        // On the desk, 6 cm above it (a half), and elsewhere: 0.05 + 0.95 · bond.
+        let room = [
+            desk(1, 0.0),
+            desk(2, 3.0),
+            lamp_over(3, 0.0, 0.0),
+            lamp_over(4, 3.0, 0.06),
+            lamp(5, 8.0),
+        ];
+        let phrase = lamp_that(vec![relation(RelationKind::On, &["desk"])]);
+        are(&totals(&room, &phrase), &[0.0, 0.0, 1.0, 0.525, 0.05]);
+        // To the left, by who looks: 0.2 where it is to the right.
+        let room = [desk(1, 0.0), lamp(2, 3.0)];
+        let phrase = lamp_that(vec![relation(RelationKind::LeftOf, &["desk"])]);
+        are(&totals(&room, &phrase), &[0.0, 0.2]);
+        assert_eq!(contradicted(RelationKind::Near), 0.05);
+        assert_eq!(contradicted(RelationKind::Between), 0.2);
+    }
+
+    #[test]
+    fn several_relations_multiply() {
+        let room = [desk(1, 0.0), lamp_over(2, 0.0, 0.06), lamp(3, 8.0)];
+        let on = || relation(RelationKind::On, &["desk"]);
+        are(&totals(&room, &lamp_that(vec![on(), on()])), &[0.0, 0.525 * 0.525, 0.05 * 0.05]);
+        let found = with_assessor(&room, |assessor| assessor.assess(&lamp_that(vec![on()])));
+        are(&found.nouns, &[0.0, 1.0, 1.0]);
+        are(&found.own, &[0.0, 1.0, 1.0]);
+        assert_eq!(found.bonds.len(), 1);
+        assert_eq!(found.bonds[0][1].anchor, Some(InstanceId(1)));
+        assert!(found.place_seen_by.is_empty(), "{found:?}");
+    }
+
+    #[test]
+    fn comparisons_come_after_what_they_compare() {
+        // The closest to the door of those on the desk is the one on the desk.
+        let door = named(4, "door", [6.0, 0.0], [0.1, 0.9, 2.0], 0.0);
+        let room = [desk(1, 0.0), lamp_over(2, 0.0, 0.0), lamp(3, 5.0), door];
+        let closest = || relation(RelationKind::Closest, &["door"]);
+        let on = || relation(RelationKind::On, &["desk"]);
+        let by_hand = [0.0, 1.0, 0.05 * 0.05, 0.0];
+        are(&totals(&room, &lamp_that(vec![closest(), on()])), &by_hand);
+        are(&totals(&room, &lamp_that(vec![on(), closest()])), &by_hand);
+        // Of all lamps it is the second: 0.05 + 0.95 · 0.45.
+        are(&totals(&room, &lamp_that(vec![closest()])), &[0.0, 0.477_5, 1.0, 0.0]);
+    }
+
+    #[test]
+    fn of_so_many_only_these_are_compared() {
+        // Two red lamps and one of half of it, the largest of them.
+        let large = named(3, "lamp", [4.0, 0.0], [0.4, 0.4, 0.8], 0.0);
+        let door = named(4, "door", [6.0, 0.0], [0.1, 0.9, 2.0], 0.0);
+        let room = [red(1.0, lamp(1, 0.0)), red(1.0, lamp(2, 2.0)), red(0.3, large), door];
+        let largest = Some(Superlative { measure: Measure::Largest, rank: 1 });
+        let closest = [relation(RelationKind::Closest, &["door"])];
+        let asked = |count, superlative, relations: &[Relation]| {
+            let relations = relations.to_vec();
+            let colours = vec![ColourName::Red];
+            totals(&room, &Phrase { colours, count, superlative, ..lamp_that(relations) })
+        };
+        are(&asked(None, None, &[]), &[1.0, 1.0, 0.5, 0.0]);
+        are(&asked(Some(2), None, &[]), &[1.0, 1.0, 0.5, 0.0]);
+        for (superlative, relations) in [(largest, &[][..]), (None, &closest[..])] {
+            let all = asked(None, superlative, relations);
+            let one = asked(Some(1), superlative, relations);
+            let two = asked(Some(2), superlative, relations);
+            assert!(all[2] > 0.0 && one[2] == all[2], "{superlative:?} {all:?} {one:?}");
+            assert_eq!(two[2], 0.0, "{superlative:?} {two:?}");
+            assert!(two[0].max(two[1]) > 0.9, "{superlative:?} {two:?}");
+        }
+    }
+
+    #[test]
+    fn leave_best_keeps_what_fits_as_well_as_the_last_of_them() {
+        let left = |count, scores: &[f32]| {
+            let mut scores = scores.to_vec();
+            leave_best(count, &mut scores);
+            scores
+        };
+        // 0.95 · 0.86 = 0.817.
+        are(&left(2, &[0.9, 0.5, 0.86, 0.1]), &[0.9, 0.0, 0.86, 0.0]);
+        are(&left(2, &[0.9, 0.82, 0.86, 0.81]), &[0.9, 0.82, 0.86, 0.0]);
+        assert_eq!(left(2, &[1.0, 1.0, 0.95]), [1.0, 1.0, 0.95]);
+        are(&left(9, &[0.9, 0.1]), &[0.9, 0.1]);
+    }
+
+    #[test]
+    fn own_fits_multiply_noun_colours_and_traits() {
+        let small = named(3, "lamp", [4.0, 0.0], [0.1, 0.1, 0.2], 0.0);
+        let room = [red(1.0, lamp(1, 0.0)), red(0.3, lamp(2, 2.0)), red(0.3, small), desk(4, 9.0)];
+        let (colours, traits) = (vec![ColourName::Red], vec![Trait::Large]);
+        let of = |phrase: &Phrase| with_assessor(&room, |assessor| assessor.own_fits(phrase));
+        let (nouns, own) = of(&Phrase { colours: colours.clone(), ..said("lamp") });
+        are(&nouns, &[1.0, 1.0, 1.0, 0.0]);
+        are(&own, &[1.0, 0.5, 0.5, 0.0]);
+        // The small one is not large: 0.3.
+        are(&of(&Phrase { colours, traits, ..said("lamp") }).1, &[1.0, 0.5, 0.15, 0.0]);
+    }
+
+    #[test]
+    fn what_it_must_not_be_leaves_little_where_names_tell() {
+        // "The stool that is not the bar stool": the plain one is a bar stool by 0.7, so the other
+        // is one by 0.3 more, 1 - 0.95 · 0.3.
+        let stool = |id, name| named(id, name, [id as f32, 0.0], [0.4; 3], 0.0);
+        let room = [stool(1, "bar stool"), stool(2, "stool"), stool(3, "kettle")];
+        let phrase = Phrase { other_things: vec!["bar stool".into()], ..said("stool") };
+        let (nouns, own) = with_assessor(&room, |assessor| assessor.own_fits(&phrase));
+        are(&[own[0] / nouns[0], own[1] / nouns[1], own[2]], &[0.715, 1.0, 0.0]);
+        // All that may be meant are bar stools: names do not tell.
+        let room = [stool(1, "bar stool"), stool(2, "bar stool")];
+        let (nouns, own) = with_assessor(&room, |assessor| assessor.own_fits(&phrase));
+        assert_eq!(own, nouns);
+        // Something else altogether denies almost all: 1 - 0.95.
+        let room = [stool(1, "kettle"), stool(2, "lamp")];
+        let other = Phrase { other_things: vec!["kettle".into()], ..said("thing") };
+        let (nouns, own) = with_assessor(&room, |assessor| assessor.own_fits(&other));
+        are(&[own[0] / nouns[0], own[1] / nouns[1]], &[0.05, 1.0]);
+    }
+
+    #[test]
+    fn half_of_the_best_may_be_meant() {
+        let room = |shares: [f32; 3]| {
+            let [a, b, c] = shares;
+            [red(a, lamp(1, 0.0)), red(b, lamp(2, 2.0)), red(c, lamp(3, 4.0)), desk(4, 9.0)]
+        };
+        let asked = Phrase { colours: vec![ColourName::Red], ..said("lamp") };
+        let likely =
+            |shares, most| with_assessor(&room(shares), |assessor| assessor.likely(&asked, most));
+        // Fits of 0.5, 0.26667 and 0.23333: 0.53333 and 0.46667 of the best.
+        let found = likely([0.14, 0.3, 0.16], 9);
+        assert_eq!(found.iter().map(|f| f.0).collect::<Vec<_>>(), [1, 2], "{found:?}");
+        are(&[found[0].1, found[1].1], &[1.0, 0.533_333]);
+        assert_eq!(likely([0.14, 0.3, 0.16], 1), [(1, 1.0)]);
+        // Exactly half will do.
+        assert_eq!(likely([1.0, 0.3, 0.0], 9), [(0, 1.0), (1, 0.5)]);
+        let room = room([1.0, 0.3, 0.0]);
+        with_assessor(&room, |assessor| {
+            assert_eq!(assessor.best(&asked), Some(0));
+            assert_eq!(assessor.best(&said("desk")), Some(3));
+            assert_eq!(assessor.best(&said("piano")), None);
+            assert_eq!(assessor.likely(&said("piano"), 9), []);
+        });
+    }
+
+    #[test]
+    fn the_middle_of_several_is_the_mean_of_their_middles() {
+        let high = named(3, "lamp", [4.0, 3.0], [0.2, 0.2, 0.4], 3.0);
+        let room = [lamp(1, 0.0), lamp(2, 2.0), high, desk(4, 90.0)];
+        with_assessor(&room, |assessor| {
+            // (0 + 2 + 4) / 3, (0 + 0 + 3) / 3, (0.2 + 0.2 + 3.2) / 3.
+            let middle = assessor.middle_of(&said("lamp")).unwrap();
+            are(middle.coords.as_slice(), &[2.0, 1.0, 1.2]);
+            assert_eq!(assessor.middle_of(&said("piano")), None);
+        });
+    }
+
+    #[test]
+    fn the_room_has_the_walls_that_nobody_dismissed() {
+        let gone = Instance { dismissed: true, ..wall(2, 4.0) };
+        let floor = Instance {
+            structure: Some(Structure::Floor),
+            ..named(3, "floor", [0.0, 0.0], [8.0, 6.0, 0.1], 0.0)
+        };
+        let room = [wall(1, -4.0), gone, floor, lamp(4, 0.0)];
+        with_assessor(&room, |assessor| {
+            let room = assessor.room();
+            let walls: Vec<f32> = room.walls.iter().map(|wall| wall.center.x).collect();
+            assert_eq!(walls, [-4.0]);
+            // From -4.05 to 4.05, and as high as the scan.
+            let (long, short) = room.outline.sides();
+            are(&[long, short, room.outline.size[2]], &[8.1, 6.0, 2.6]);
+        });
+    }
+
+    #[test]
+    fn an_anchor_counts_by_the_root_of_its_fit_and_is_never_the_thing_itself() {
+        let room = [desk(1, 0.0), lamp_over(2, 0.0, 0.06), desk(3, 5.0)];
+        let on = relation(RelationKind::On, &["desk"]);
+        with_assessor(&room, |assessor| {
+            let bond = |anchors: &[(usize, f32)]| assessor.best_bond(&on, 1, anchors);
+            // √0.25 · 0.5.
+            let found = bond(&[(2, 1.0), (0, 0.25)]);
+            are(&[found.score], &[0.25]);
+            assert_eq!(found.anchor, Some(InstanceId(1)));
+            assert_eq!(bond(&[(1, 1.0)]), NO_BOND);
+            assert_eq!(bond(&[]), NO_BOND);
+        });
+        let (low, high) = (
+            RelationMatch { score: 0.2, anchor: None },
+            RelationMatch { score: 0.3, anchor: Some(InstanceId(7)) },
+        );
+        assert_eq!((better(low, high), better(high, low)), (high, high));
+        let other = RelationMatch { score: 0.3, anchor: None };
+        assert_eq!(better(high, other), high, "of equals the first");
+    }
+
+    #[test]
+    fn many_anchors_are_tried_and_fewer_where_pairs_are() {
+        // The lamp stands on the twentieth of twenty desks, and between it and the one before.
+        let mut room: Vec<Instance> = (1..=20).map(|id| desk(id, id as f32 * 4.0)).collect();
+        room.push(lamp_over(21, 80.0, 0.0));
+        room.push(lamp(22, 78.0));
+        let mut fits = vec![0.0; 20];
+        fits.extend([1.0, 1.0]);
+        let on = scores(&room, &relation(RelationKind::On, &["desk"]), &fits);
+        are(&on[20..], &[1.0, 0.0]);
+        let between = scores(&room, &relation(RelationKind::Between, &["desk"]), &fits);
+        // The sixteen first are looked at: the last of them is at 64 m.
+        assert!(between[21] < 0.2, "{between:?}");
+    }
+
+    #[test]
+    fn what_stands_in_front_of_a_wall_is_hardly_on_it() {
+        let supported = |id, support| Instance { support, ..lamp(id, 0.0) };
+        let room = [
+            wall(1, 0.1),
+            supported(2, Support::Floor),
+            supported(3, Support::Instance { id: InstanceId(6) }),
+            supported(4, Support::Wall { id: InstanceId(1) }),
+            supported(5, Support::Nothing),
+            desk(6, 0.0),
+        ];
+        with_assessor(&room, |assessor| {
+            let hangs = |kind, anchor: usize| [1, 2, 3, 4].map(|t| assessor.hangs(kind, t, anchor));
+            assert_eq!(hangs(RelationKind::On, 0), [0.3, 0.3, 1.0, 1.0]);
+            assert_eq!(hangs(RelationKind::On, 5), [1.0; 4]);
+            assert_eq!(hangs(RelationKind::Leaning, 0), [1.0; 4]);
+            // 0.9 for what is flat against it, and 0.3 of that.
+            let bond =
+                |t| assessor.best_bond(&relation(RelationKind::On, &["wall"]), t, &[(0, 1.0)]);
+            are(&[bond(1).score, bond(3).score], &[0.27, 0.9]);
+        });
+    }
+
+    #[test]
+    fn on_the_left_side_of_a_thing_may_be_on_it() {
+        // A quarter of the desk's width to the left of its middle: half of the way to its end, a
+        // half of which counts in full. 2 · 0.075 / 0.3.
+        let room = [desk(1, 0.0), lamp_over(2, -0.075, 0.0)];
+        let side = |kind, text: &str| {
+            let relation = Relation { text: text.into(), ..relation(kind, &["desk"]) };
+            with_assessor(&room, |assessor| {
+                let own = assessor.on_its_side(&relation, 1, 0);
+                (own, assessor.best_bond(&relation, 1, &[(0, 1.0)]).score)
+            })
+        };
+        let (own, bond) = side(RelationKind::LeftOf, "on the left side of");
+        are(&[own, bond], &[0.5, 0.5]);
+        let (own, bond) = side(RelationKind::RightOf, "on the right side of");
+        are(&[own, bond], &[0.0, 0.0]);
+        assert_eq!(side(RelationKind::LeftOf, "left of").0, 0.0);
+        assert_eq!(side(RelationKind::InFrontOf, "on the front side of").0, 0.0);
+        let room = [desk(1, 0.0), lamp_over(2, 0.075, 0.06)];
+        with_assessor(&room, |assessor| {
+            let text = "on the right of".to_owned();
+            let relation = Relation { text, ..relation(RelationKind::RightOf, &["desk"]) };
+            // Half on it: 0.5 · 0.5.
+            are(&[assessor.on_its_side(&relation, 1, 0)], &[0.25]);
+        });
+    }
+
+    #[test]
+    fn what_hardly_fits_has_no_bond() {
+        let room = [desk(1, 0.0), lamp_over(2, 0.0, 0.0), lamp_over(3, 0.0, 0.0)];
+        let on = relation(RelationKind::On, &["desk"]);
+        are(&scores(&room, &on, &[0.0, 0.01, 0.009_9]), &[0.0, 1.0, 0.0]);
+        assert_eq!(anchors(&room, &on, &[0.0, 0.01, 0.009_9]), [None, Some(1), None]);
+    }
+
+    #[test]
+    fn a_negated_relation_counts_what_is_missing() {
+        let room = [desk(1, 0.0), lamp_over(2, 0.0, 0.06), lamp(3, 5.0)];
+        let on = Relation { negated: true, ..relation(RelationKind::On, &["desk"]) };
+        are(&scores(&room, &on, &[0.0, 1.0, 1.0]), &[1.0, 0.5, 1.0]);
+    }
+
+    #[test]
+    fn several_anchors_must_all_hold() {
+        let shelf = named(2, "shelf", [0.0, 0.0], [0.6, 0.8, 0.97], 0.0);
+        let room = [desk(1, 0.0), shelf, lamp_over(3, 0.0, 0.0)];
+        // On the desk, and 3 cm above the shelf: 1 · 1 / (1 + 1/4).
+        let both = relation(RelationKind::On, &["desk", "shelf"]);
+        are(&scores(&room, &both, &[0.0, 0.0, 1.0]), &[0.0, 0.0, 0.8]);
+        assert_eq!(anchors(&room, &both, &[0.0, 0.0, 1.0]), [None, None, Some(1)]);
+    }
+
+    #[test]
+    fn between_takes_any_two_anchors_but_the_thing_itself() {
+        let room = [desk(1, 0.0), lamp(2, 2.0), named(3, "door", [4.0, 0.0], [0.6, 0.8, 1.0], 0.0)];
+        let between = relation(RelationKind::Between, &["desk", "door"]);
+        are(&scores(&room, &between, &[0.0, 1.0, 0.0]), &[0.0, 1.0, 0.0]);
+        assert_eq!(anchors(&room, &between, &[0.0, 1.0, 0.0]), [None, Some(1), None]);
+        let pair = |room: &[Instance], t, a: &[(usize, f32)], b: &[(usize, f32)]| {
+            with_assessor(room, |assessor| assessor.between_pair(t, a, b))
+        };
+        // √(0.25 · 1) · 1.
+        are(&[pair(&room, 1, &[(0, 0.25)], &[(2, 1.0)]).score], &[0.5]);
+        are(&[pair(&room, 1, &[(0, 0.25)], &[(2, 0.16)]).score], &[0.2]);
+        // Two of one kind: "between the desks".
+        let two = [desk(1, 0.0), lamp(2, 2.0), desk(3, 4.0)];
+        let of_one = relation(RelationKind::Between, &["desk"]);
+        are(&scores(&two, &of_one, &[0.0, 1.0, 0.0]), &[0.0, 1.0, 0.0]);
+        // 0.35 · 4 m + 0.2 m aside.
+        let aside = Instance {
+            given_name: Some("lamp".into()),
+            ..thing(2, [2.0, 1.6], [0.2, 0.2, 0.4], 0.0, Support::Floor, [90; 3])
+        };
+        are(&scores(&[desk(1, 0.0), aside, desk(3, 4.0)], &of_one, &[0.0, 1.0, 0.0])[1..2], &[0.5]);
+        // Of two anchors one is the thing: nothing is left to be between.
+        let near = [lamp(1, 0.0), lamp(2, 0.1), lamp(3, 4.0)];
+        let both = [(0, 1.0), (1, 1.0)];
+        assert_eq!(pair(&near, 1, &both, &both), NO_BOND);
+        assert_eq!(pair(&near, 1, &both[..1], &both[1..]), NO_BOND);
+        assert_eq!(pair(&near, 1, &both[1..], &both[..1]), NO_BOND);
+    }
+
+    #[test]
+    fn relations_to_the_room_have_no_anchor() {
+        // Between walls 10 m apart; 0.5 m to the one at +X: 1 / (1 + (0.5 / 0.3)²).
+        let room = [wall(1, -5.0), wall(2, 5.0), lamp(3, 5.0 - 0.05 - 0.5 - 0.1), lamp(4, 0.0)];
+        let against = relation(RelationKind::AgainstWall, &[]);
+        let found = scores(&room, &against, &[0.0, 0.0, 1.0, 0.0]);
+        are(&found, &[0.0, 0.0, 0.264_706, 0.0]);
+        assert_eq!(anchors(&room, &against, &[0.0, 0.0, 1.0, 0.0]), [None; 4]);
+        // "Near" without an anchor denies nothing.
+        are(&scores(&room, &relation(RelationKind::Near, &[]), &[0.0, 0.0, 1.0, 0.0]), &[1.0; 4]);
+    }
+
+    #[test]
+    fn what_can_not_be_checked_denies_nothing() {
+        let room = [desk(1, 0.0), lamp(2, 3.0)];
+        let of = |anchor: &str| scores(&room, &relation(RelationKind::On, &[anchor]), &[0.0, 1.0]);
+        are(&of("zorblax"), &[1.0, 1.0]);
+        are(&of("piano"), &[0.3, 0.3]);
+        are(&of("desk"), &[0.0, 0.0]);
+        // Of several the least sure.
+        let both = relation(RelationKind::On, &["zorblax", "piano"]);
+        are(&scores(&room, &both, &[0.0, 1.0]), &[0.3, 0.3]);
+    }
+
+    #[test]
+    fn unchecked_is_what_was_not_found_or_is_not_known() {
+        let found = |fit: f32| Assessment {
+            nouns: vec![0.0, fit],
+            own: Vec::new(),
+            bonds: Vec::new(),
+            place_seen_by: Vec::new(),
+            total: Vec::new(),
+        };
+        let share = |heads: &[&str], fits: &[f32]| {
+            let phrases: Vec<Phrase> = heads.iter().map(|head| said(head)).collect();
+            let assessed: Vec<Assessment> = fits.iter().map(|fit| found(*fit)).collect();
+            unchecked(&phrases, &assessed, 0.3)
+        };
+        assert_eq!(share(&["desk"], &[0.05]), None);
+        assert_eq!(share(&["desk"], &[0.049]), Some(0.3));
+        assert_eq!(share(&["zorblax"], &[0.049]), Some(1.0));
+        assert_eq!(share(&["zorblax"], &[0.05]), None);
+        assert_eq!(share(&["desk", "zorblax"], &[1.0, 0.0]), Some(1.0));
+        assert_eq!(share(&["desk", "zorblax"], &[0.0, 0.0]), Some(0.3));
+        assert_eq!(share(&[], &[]), None);
+    }
+
+    #[test]
+    fn a_stand_may_be_another_than_those_that_were_found() {
+        let on = |hovers: f32, indefinite, negated| {
+            let room = [desk(1, 0.0), lamp_over(2, 0.0, hovers), lamp(3, 6.0)];
+            let anchors = vec![Phrase { indefinite, ..said("desk") }];
+            let on = Relation { anchors, negated, ..relation(RelationKind::On, &[]) };
+            scores(&room, &on, &[0.0, 1.0, 1.0])
+        };
+        // 12 cm above: 0.2, which is none; 6 cm: a half, which is one.
+        are(&on(0.12, true, false), &[0.3; 3]);
+        are(&on(0.06, true, false), &[0.0, 0.5, 0.0]);
+        are(&on(0.12, false, false), &[0.0, 0.2, 0.0]);
+        are(&on(0.12, true, true), &[1.0, 0.8, 1.0]);
+    }
+
+    #[test]
+    fn left_of_what_was_not_found_is_the_left_of_its_like() {
+        let room = [lamp(1, 2.0), lamp(2, -1.0), lamp(3, 0.0), desk(4, -9.0)];
+        let fits = [1.0, 1.0, 1.0, 0.0];
+        let of = |kind, anchor: &str, negated| {
+            scores(&room, &Relation { negated, ..relation(kind, &[anchor]) }, &fits)
+        };
+        // Every place off leaves 0.45.
+        are(&of(RelationKind::LeftOf, "zorblax", false), &[0.202_5, 1.0, 0.45, 0.0]);
+        are(&of(RelationKind::RightOf, "zorblax", false), &[1.0, 0.202_5, 0.45, 0.0]);
+        are(&of(RelationKind::RightOf, "piano", false), &[0.3, 0.060_75, 0.135, 0.0]);
+        are(&of(RelationKind::RightOf, "piano", true), &[0.0, 0.239_25, 0.165, 0.0]);
+        are(&of(RelationKind::Behind, "piano", false), &[0.3; 4]);
+    }
+
+    #[test]
+    fn a_zone_is_near_what_makes_it() {
+        // Half at 1.5 m from the stove; surfaces touch at 0.3 m + 0.1 m.
+        let stove = |id, x| named(id, "stove", [x, 0.0], [0.6, 0.6, 0.9], 0.0);
+        let room = [stove(1, 0.0), lamp(2, 1.9), lamp(3, 3.4), lamp(4, 0.4)];
+        let kitchen =
+            |negated| Relation { negated, ..relation(RelationKind::Inside, &["kitchen"]) };
+        let fits = [0.0, 1.0, 1.0, 0.009];
+        are(&scores(&room, &kitchen(false), &fits), &[0.0, 0.5, 0.2, 0.0]);
+        are(&scores(&room, &kitchen(true), &fits), &[1.0, 0.5, 0.8, 1.0]);
+        are(&scores(&room, &kitchen(false), &[0.0, 0.01, 0.0, 0.0]), &[0.0, 0.5, 0.0, 0.0]);
+        // Of two the nearer one.
+        let room = [stove(1, 0.0), lamp(2, 1.9), stove(3, 2.3)];
+        are(&scores(&room, &kitchen(false), &[0.0, 1.0, 0.0])[1..2], &[1.0]);
+        // Where nothing makes one, it says nothing, denied or not.
+        let room = [desk(1, 0.0), lamp(2, 1.9)];
+        are(&scores(&room, &kitchen(false), &[0.0, 1.0]), &[1.0, 1.0]);
+        are(&scores(&room, &kitchen(true), &[0.0, 1.0]), &[1.0, 1.0]);
+    }
+
+    #[test]
+    fn behind_a_wall_is_another_room() {
+        let stove = named(1, "stove", [0.0, 0.0], [0.6, 0.6, 0.9], 0.0);
+        // Far away the gap is the one between circles: 7.914 - (0.8485 + 0.2828) / 2 = 7.3483 m,
+        // 1 / (1 + (7.3483 / 1.5)²) = 0.04, less than what a wall leaves.
+        let room = [stove, lamp(2, 1.9), lamp(3, 7.914), wall(4, 1.0)];
+        let kitchen = relation(RelationKind::Inside, &["kitchen"]);
+        let found = scores(&room, &kitchen, &[0.0, 1.0, 1.0, 0.0]);
+        are(&found, &[0.0, 0.05, 0.04, 0.0]);
+    }
+
+    #[test]
+    fn closest_and_farthest_are_places_in_an_order() {
+        let room = [desk(1, 0.0), lamp(2, 3.0), lamp(3, -2.0), lamp(4, 5.0)];
+        let of = |kind, rank| {
+            let relation = Relation { rank, ..relation(kind, &["desk"]) };
+            scores(&room, &relation, &[0.0, 1.0, 1.0, 1.0])
+        };
+        are(&of(RelationKind::Closest, 1), &[0.0, 0.45, 1.0, 0.202_5]);
+        are(&of(RelationKind::Closest, 2), &[0.0, 1.0, 0.45, 0.45]);
+        are(&of(RelationKind::Closest, 3), &[0.0, 0.45, 0.202_5, 1.0]);
+        are(&of(RelationKind::Closest, 0), &[0.0, 0.45, 1.0, 0.202_5]);
+        are(&of(RelationKind::Farthest, 1), &[0.0, 0.45, 0.202_5, 1.0]);
+        are(&of(RelationKind::Farthest, 2), &[0.0, 1.0, 0.45, 0.45]);
+    }
+
+    #[test]
+    fn the_closest_is_not_the_anchor_and_counts_by_the_root_of_its_fit() {
+        let room = [desk(1, 0.0), lamp(2, 3.0), lamp(3, 2.0)];
+        let closest = relation(RelationKind::Closest, &["desk"]);
+        with_assessor(&room, |assessor| {
+            let found = assessor.by_distance(&closest, &[1.0; 3], &[vec![(0, 0.25)]]);
+            // √0.25 · 1 and · 0.45.
+            are(&found.iter().map(|bond| bond.score).collect::<Vec<_>>(), &[0.0, 0.225, 0.5]);
+            assert_eq!(found[2].anchor, Some(InstanceId(1)));
+            assert_eq!(assessor.by_distance(&closest, &[1.0; 3], &[]), [NO_BOND; 3]);
+            // Another desk may be meant: the better of both counts.
+            let found =
+                assessor.by_distance(&closest, &[0.0, 1.0, 1.0], &[vec![(0, 0.25), (1, 1.0)]]);
+            are(&[found[2].score], &[1.0]);
+            assert_eq!(found[2].anchor, Some(InstanceId(2)));
+        });
+    }
+
+    #[test]
+    fn the_closest_to_several_has_the_least_sum() {
+        // From desks at 0 and 4: 3 + 3 for the one, 2 + 5 for the other.
+        let at = |id, x, y| named(id, "lamp", [x, y], [0.2, 0.2, 0.4], 0.0);
+        let room = [
+            desk(1, 0.0),
+            desk(2, 4.0),
+            at(3, 2.0, 2.236_068),
+            at(4, -0.625, 1.899_836),
+            desk(5, 40.0),
+        ];
+        let closest = relation(RelationKind::Closest, &["desk", "desk"]);
+        let of = |others: &[(usize, f32)]| {
+            let anchors = [vec![(0, 1.0)], others.to_vec()];
+            with_assessor(&room, |assessor| {
+                let found = assessor.by_distance(&closest, &[1.0, 1.0, 1.0, 1.0, 0.0], &anchors);
+                found.iter().map(|bond| bond.score).collect::<Vec<_>>()
+            })
+        };
+        are(&of(&[(1, 1.0)]), &[0.0, 0.0, 1.0, 0.45, 0.0]);
+        // The likeliest of the others counts, of equals the first.
+        are(&of(&[(1, 1.0), (4, 0.9)]), &[0.0, 0.0, 1.0, 0.45, 0.0]);
+        are(&of(&[(1, 1.0), (4, 1.0)]), &[0.0, 0.0, 1.0, 0.45, 0.0]);
+    }
+
+    #[test]
+    fn what_the_anchor_carries_is_the_closest_only_if_all_is() {
+        let room = [desk(1, 0.0), lamp_over(2, 0.0, 0.0), lamp(3, 2.0), lamp(4, 3.0)];
+        let of = |kind| scores(&room, &relation(kind, &["desk"]), &[0.0, 1.0, 1.0, 1.0]);
+        are(&of(RelationKind::Closest), &[0.0, 0.202_5, 1.0, 0.45]);
+        // The farthest of them all the same is the farthest.
+        are(&of(RelationKind::Farthest), &[0.0, 0.202_5, 0.45, 1.0]);
+        // Two on it: the nearer to its middle first.
+        let room = [desk(1, 0.0), lamp_over(2, 0.1, 0.0), lamp_over(3, 0.0, 0.0)];
+        let closest = relation(RelationKind::Closest, &["desk"]);
+        are(&scores(&room, &closest, &[0.0, 1.0, 1.0]), &[0.0, 0.45, 1.0]);
+        // Hardly on it, 12 cm above, is not carried.
+        let room = [desk(1, 0.0), lamp_over(2, 0.0, 0.12), lamp(3, 2.0)];
+        are(&scores(&room, &closest, &[0.0, 1.0, 1.0]), &[0.0, 1.0, 0.45]);
+        // What hangs on a wall touches it, and is the closest to it.
+        let picture = named(2, "lamp", [0.15, 2.5], [0.1, 0.4, 0.4], 1.0);
+        let room = [wall(1, 0.0), picture, lamp(3, 1.0)];
+        let closest = relation(RelationKind::Closest, &["wall"]);
+        are(&scores(&room, &closest, &[0.0, 1.0, 1.0]), &[0.0, 1.0, 0.45]);
+    }
+
+    #[test]
+    fn me_is_the_observer_or_nobody() {
+        let room = [lamp(1, 1.0), lamp(2, 3.0), lamp(3, -2.0), desk(4, 0.0)];
+        let fits = [1.0, 1.0, 1.0, 0.0];
+        let of = |kind, negated, observer: bool| {
+            with_assessor(&room, |assessor| {
+                // At the origin, looking along +X: left is +Y, what is ahead is at +X.
+                assessor.observer = observer.then(|| {
+                    Aabb { center: Point3::new(0.0, 0.0, 0.2), size: Vector3::zeros() }.into()
+                });
+                assessor.directions = Directions::looking_along(Vector3::x()).unwrap();
+                let relation = Relation { negated, ..relation(kind, &[ME]) };
+                assessor.bonds(&relation, &fits)
+            })
+        };
+        let scores = |kind, negated| {
+            let found = of(kind, negated, true);
+            assert!(found.iter().all(|bond| bond.anchor.is_none()), "{found:?}");
+            found.iter().map(|bond| bond.score).collect::<Vec<_>>()
+        };
+        assert_eq!(
+            of(RelationKind::Closest, false, false),
+            [RelationMatch { score: 1.0, anchor: None }; 4]
+        );
+        are(&scores(RelationKind::Closest, false), &[1.0, 0.202_5, 0.45, 0.0]);
+        are(&scores(RelationKind::Closest, true), &[0.0, 0.797_5, 0.55, 1.0]);
+        are(&scores(RelationKind::Farthest, false), &[0.202_5, 1.0, 0.45, 0.0]);
+        // The first is 0.9 m ahead; near halves at 0.3 m + 0.25 · 0.2828 m / 2 = 0.335355 m:
+        // 1 / (1 + 7.2022) = 0.121918; 0.4 + 0.6 · 0.121918.
+        let ahead = scores(RelationKind::InFrontOf, false);
+        are(&[ahead[0], ahead[2], ahead[3]], &[0.473_151, 0.0, 0.0]);
+        let back = scores(RelationKind::Behind, false);
+        are(&back[..2], &[0.0, 0.0]);
+        assert!(back[2] > 0.4 && back[3] == 0.0, "{back:?}");
+    }
+
+    #[test]
+    fn what_hardly_fits_is_nowhere_to_the_observer() {
+        let room = [lamp(1, 1.0), lamp(2, 1.0)];
+        with_assessor(&room, |assessor| {
+            assessor.directions = Directions::looking_along(Vector3::x()).unwrap();
+            let me = Aabb { center: Point3::new(0.0, 0.0, 0.2), size: Vector3::zeros() }.into();
+            let ahead = relation(RelationKind::InFrontOf, &[ME]);
+            let found = assessor.to_observer(&ahead, &me, &[0.01, 0.009_9]);
+            are(&[found[0].score, found[1].score], &[0.473_151, 0.0]);
+        });
+    }
+
+    #[test]
+    fn a_side_of_an_instance_is_told_with_whose_view_it_is() {
+        // By the viewer's convention, from the open middle of the room: straight to the right.
+        let room = [desk(1, 0.0), lamp(2, 2.0)];
+        with_assessor(&room, |assessor| {
+            assessor.directions = Directions::looking_along(Vector3::y()).unwrap();
+            let (right, by) = assessor.at_side(RelationKind::RightOf, 1, 0);
+            assert!(right > 0.4 && by == SeenBy::Directions, "{right} {by:?}");
+            assert_eq!(assessor.at_side(RelationKind::RightOf, 0, 1).0, 0.0);
+            assert_eq!(assessor.geometry(RelationKind::RightOf, 1, &[0]), right);
+            assert_eq!(assessor.id(1), InstanceId(2));
+        });
+    }
+
+    #[test]
+    fn a_superlative_multiplies_the_total() {
+        let large = named(2, "lamp", [4.0, 0.0], [0.4, 0.4, 0.8], 0.0);
+        let room = [red(0.3, lamp(1, 0.0)), red(0.3, large), desk(3, 9.0)];
+        let superlative = Some(Superlative { measure: Measure::Largest, rank: 1 });
+        let phrase = Phrase { colours: vec![ColourName::Red], superlative, ..said("lamp") };
+        with_assessor(&room, |assessor| {
+            let found = assessor.assess(&phrase);
+            are(&found.own, &[0.5, 0.5, 0.0]);
+            are(&found.total, &[0.225, 0.5, 0.0]);
+            assert_eq!(found.place_seen_by, [SeenBy::Directions; 3]);
+        });
+    }
 }

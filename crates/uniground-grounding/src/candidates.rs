@@ -1,10 +1,10 @@
-//! Which instances a question's candidates are: what a vision-language model is shown and may
+//! Chooses the candidates of a question: the instances a vision-language model is shown and may
 //! choose from.
 //!
-//! Three ways ([`CandidateSource`]). The fused one asks everybody who knows something: names
-//! somebody gave, the encoder, measures, and the geometry of relations. What is called the right
-//! thing comes before what only stands in the right place; among those, place counts more
-//! than colour; what nobody speaks for by name is ordered by rank fusion.
+//! There are three ways ([`CandidateSource`]). The fused one combines all sources: given names, the
+//! encoder, measures, and the geometry of relations. An instance with the right name comes before
+//! one that only stands in the right place. Among those with the right name, place counts more than
+//! color. Instances that no name supports are ordered by rank fusion.
 
 use super::answer::candidate;
 use super::assess::{Assessment, Assessor};
@@ -14,20 +14,20 @@ use super::{Appearance, Candidate, CandidateSource};
 use uniground_geometry::statistics::largest;
 use uniground_language::{Meaning, ParsedQuery, Phrase};
 
-/// Names that fit the noun at least this well make their bearers members of the class.
+/// An instance whose name fits the noun at least this well is a member of the class.
 const CALLED_SO: f32 = 0.3;
 /// How soon a lower rank counts little (rank fusion: `1 / (RANK + rank)`).
 const RANK: f32 = 5.0;
-/// Weights of the rankings that are fused: the thing and its relations together, the thing itself,
-/// its looks beside the whole question, and its place alone.
+/// Weights of the fused rankings: the instance and its relations together, the instance itself, its
+/// appearance compared with the whole question, and its place alone.
 const WEIGHTS: [f32; 4] = [1.0, 1.0, 1.0, 0.5];
-/// What a colour that is not there leaves of a member's place: colours are the least certain.
+/// Factor for a member of the class without the requested color: colors are the least certain.
 const WITHOUT_COLOUR: f32 = 0.4;
-/// Things with no side of this length are specks, metres.
+/// Instances with no side of this length are specks, meters.
 const SPECK_M: f32 = 0.04;
 
-/// The `top_k` candidates of a question, best first; `scores` are the built-in reasoner's, by
-/// index, and told as the candidates' own.
+/// Returns the `top_k` candidates of a question, best first. `scores` are the built-in reasoner's,
+/// by index, and become the candidates' scores.
 pub(super) fn choose(
     assessor: &Assessor,
     parsed: &ParsedQuery,
@@ -48,8 +48,8 @@ pub(super) fn choose(
         .collect()
 }
 
-/// How alike an instance's looks and the question's words are, by index, one instance for each
-/// place; names and measures where no encoder has seen the scene.
+/// Returns the similarity of each instance's appearance to the question's words, by index, one
+/// instance for each place. Uses names and measures where no encoder has embedded the scene.
 pub(super) fn looks(assessor: &Assessor, target: &Phrase) -> Vec<f32> {
     let scene = assessor.scene;
     let Some(looks) = scene.appearance.and_then(Appearance::shortlist) else {
@@ -60,12 +60,13 @@ pub(super) fn looks(assessor: &Assessor, target: &Phrase) -> Vec<f32> {
     looks
 }
 
-/// Indices of what scores anything, best first.
+/// Returns indices of the instances with a score above 0, best first.
 fn best(scores: &[f32], top_k: usize) -> Vec<usize> {
     largest(scores, top_k).into_iter().filter(|&i| scores[i] > 0.0).collect()
 }
 
-/// What fits the whole question, then what stands where it says, whatever it is called.
+/// Returns the instances that fit the whole question, then those that stand where it says, whatever
+/// their names.
 fn reasoned(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: usize) -> Vec<usize> {
     let mut order = best(scores, top_k);
     let placed = assessor.assess(&unnamed(&parsed.target)).total;
@@ -77,7 +78,7 @@ fn reasoned(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: us
     order
 }
 
-/// A phrase without its noun.
+/// Returns a phrase without its noun.
 fn unnamed(target: &Phrase) -> Phrase {
     Phrase { head: String::new(), could_be: Vec::new(), uses: Vec::new(), ..target.clone() }
 }
@@ -126,7 +127,7 @@ fn fused(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: usize
     best(&worth, top_k)
 }
 
-/// Worth of a member of the class, `0..=1`: name and relations, then colours.
+/// Returns the worth of a member of the class, `0..=1`: name and relations, then colors.
 fn member(read: &Assessment, i: usize) -> f32 {
     let colour = if read.nouns[i] > 0.0 { read.own[i] / read.nouns[i] } else { 0.0 };
     let related = if read.own[i] > 0.0 { read.total[i] / read.own[i] } else { 0.0 };
@@ -144,7 +145,7 @@ mod tests {
     use uniground_models::attributes::name_guesses;
     use uniground_testing::thing;
 
-    /// Things of one size in a row, named; a wall behind them.
+    /// Named instances of one size in a row, with a wall behind them.
     fn room(names: &[&str]) -> Vec<Instance> {
         let named = |(i, name): (usize, &&str)| {
             let at = [i as f32, 0.0];

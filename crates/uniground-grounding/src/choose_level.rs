@@ -1,18 +1,17 @@
-//! One place, one candidate: a thing, its parts and the wholes it belongs to overlap, and a
+//! Keeps one candidate per place. A thing, its parts and the wholes it belongs to overlap, and a
 //! question means one of them.
 
 use uniground_geometry::scene::{Instance, InstanceId, Level};
 
-/// A part or a whole is what a question means only if it fits clearly better than the things it
-/// overlaps.
+/// A question means a part or a whole only if it fits clearly better than the things it overlaps.
 const NOT_A_THING: f32 = 0.9;
 /// Two parts of a thing are beside each other when their boxes share no more than this (IoU).
 const BESIDE: f32 = 0.1;
 
-/// Of everything in one place only the best fit stays; the others fit nothing, nor does what
-/// somebody has dismissed. `fits` are by index.
+/// Keeps only the best fit of all instances in one place and sets the others to 0. Dismissed
+/// instances get 0 too. `fits` are by index.
 pub(super) fn one_per_place(instances: &[Instance], fits: &mut [f32]) {
-    // Parts and wholes of nothing but junk are junk.
+    // Parts and wholes that consist only of dismissed things are dismissed too.
     let is_junk = |i: &Instance| {
         i.dismissed
             || !i.things.is_empty()
@@ -38,7 +37,7 @@ pub(super) fn one_per_place(instances: &[Instance], fits: &mut [f32]) {
         .collect();
     rivals.sort_by(|&a, &b| fits[b].total_cmp(&fits[a]).then(a.cmp(&b)));
     rivals.dedup();
-    // What stays, by thing.
+    // The instances that stay, by thing.
     let mut taken: Vec<Vec<usize>> = vec![Vec::new(); instances.len()];
     for i in rivals {
         let own = thing_ids(i);

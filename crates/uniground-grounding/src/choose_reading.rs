@@ -1,32 +1,33 @@
-//! Which of several readings of a question is meant: the first that the scene bears out.
+//! Chooses among several readings of a question: the first that the scene supports.
 //!
 //! "Scrape the plate into the red bin" may ask for a plate or for a bin, and "my back hurts, I'll
-//! take the wooden chair" names a back before the chair. Words alone can not tell; what the room
-//! has can.
+//! take the wooden chair" names a back before the chair. Words alone cannot decide; the contents of
+//! the room can.
 
 use super::SceneView;
 use super::assess::Assessor;
 use super::direction::DirectionConvention;
 use uniground_language::{ParsedQuery, Phrase};
 
-/// Something is called what is asked for when its name fits this well.
+/// An instance has the requested name when its name fits this well.
 const CALLED: f32 = 0.35;
-/// And is meant when this is left of that by its looks and by where it is.
+/// The instance is meant when its attributes and its place leave at least this share of that fit.
 const BORNE_OUT: f32 = 0.2;
 
-/// The reading to answer, of a question's likeliest one and its [later](ParsedQuery::later) ones;
-/// the likeliest where none is borne out.
+/// Returns the reading to answer: the first of a question's likeliest one and its
+/// [later](ParsedQuery::later) ones that the scene supports. Returns the likeliest where none is
+/// supported.
 #[must_use]
 pub fn choose_reading(scene: SceneView, parsed: ParsedQuery) -> ParsedQuery {
     if parsed.later.is_empty() || parsed.foreign {
         return parsed;
     }
-    // Names and measures decide: an encoder is asked for the words of one reading only.
+    // Names and measures decide, because an encoder has embedded the words of one reading only.
     let assessor = Assessor::new(
         SceneView { appearance: None, ..scene },
         DirectionConvention::default().into(),
     );
-    // Words without any noun fit something everywhere.
+    // Words without any noun fit something in every scene.
     let is_named = !(parsed.target.head.is_empty() && parsed.target.uses.is_empty());
     if is_named && is_borne_out(&assessor, &parsed.target) {
         return parsed;
@@ -74,7 +75,7 @@ mod tests {
         assert_eq!(head(&["chair", "basket"], put), "basket");
         // A towel that does not lie in the basket yet is to be put there.
         assert_eq!(head(&["towel", "basket"], put), "basket");
-        // Neither is there: the likeliest reading is denied.
+        // Neither is in the scene: the answer says that the likeliest reading is not there.
         assert_eq!(head(&["chair", "lamp"], put), "towel");
         assert_eq!(
             head(&["chair", "desk"], "fetch the towel off the desk"),

@@ -1,23 +1,23 @@
-//! Direction words as data: what "left" and "in front" mean in the world.
+//! Directions as data: what "left" and "in front" mean in the world.
 
 use super::solid::Solid;
 use uniground_geometry::{Point3, Vector3};
 use uniground_language::Look;
 pub use uniground_types::question::{DirectionConvention, Observer};
 
-/// The horizontal directions a query's words are read in.
+/// The horizontal directions that a query is read in.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Directions {
-    /// Where something stands that is "to the right"; left is the opposite. Unit length, world
-    /// frame.
+    /// The direction of "to the right"; left is the opposite. Unit length, world frame.
     pub right: Vector3<f32>,
-    /// Where something stands that is "in front": towards the viewer; back is the opposite. Unit
-    /// length, world frame.
+    /// The direction of "in front": towards the viewer; back is the opposite. Unit length, world
+    /// frame.
     pub front: Vector3<f32>,
-    /// Whether this is somebody's view (an observer's, or told by the question) and not a
+    /// Whether this is a viewer's perspective (an observer's, or given by the question) and not a
     /// convention.
     pub of_somebody: bool,
-    /// Whether nobody chose them: what people see from where they would stand comes first.
+    /// Whether these are the default directions. Then the view from where people would stand takes
+    /// precedence.
     pub by_default: bool,
 }
 
@@ -41,8 +41,8 @@ impl From<DirectionConvention> for Directions {
 }
 
 impl Directions {
-    /// As seen by somebody who looks along `forward` (only its horizontal part counts); `None` when
-    /// it points straight up or down.
+    /// Returns the directions as seen along `forward` (only its horizontal part counts); `None`
+    /// when it points straight up or down.
     #[must_use]
     pub fn looking_along(forward: Vector3<f32>) -> Option<Self> {
         let forward = Vector3::new(forward.x, forward.y, 0.0).try_normalize(1e-3)?;
@@ -54,7 +54,7 @@ impl Directions {
         })
     }
 
-    /// As seen by an observer; only the yaw counts, not where the observer stands.
+    /// Returns the directions as seen by an observer. Only the yaw counts, not the position.
     #[must_use]
     pub fn of_observer(observer: &Observer) -> Self {
         let forward = Vector3::new(observer.yaw_rad.cos(), observer.yaw_rad.sin(), 0.0);
@@ -66,8 +66,9 @@ impl Directions {
         }
     }
 
-    /// As seen by a person in the room who looks as the words say. Things that are longer than deep
-    /// are faced squarely: a window across the wall, a desk across its long side.
+    /// Returns the directions of a person in the room who looks as the words say. Instances that
+    /// are longer than deep are faced squarely: a window across the wall, a desk across its long
+    /// side.
     #[must_use]
     pub fn of_look(look: Look, anchor: &Solid, room_center: &Point3<f32>) -> Option<Self> {
         let towards = anchor.center - room_center;
@@ -80,8 +81,8 @@ impl Directions {
     }
 }
 
-/// The direction across a long thing, on the side `towards` points to; `None` for things about as
-/// deep as long, or seen end on.
+/// Returns the direction across a long instance, on the side `towards` points to; `None` for an
+/// instance about as deep as long, or seen end on.
 fn squarely(anchor: &Solid, towards: &Vector3<f32>) -> Option<Vector3<f32>> {
     const LONGER_THAN_DEEP: f32 = 1.3;
     const MIN_SQUARE: f32 = 0.35;

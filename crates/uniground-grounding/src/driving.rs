@@ -1,5 +1,5 @@
-//! Poses against what is drawn from there: in annotated rooms a robot is asked for things, stands
-//! where it is told to, and looks.
+//! Checks approach poses against renders: in annotated rooms a robot is asked for things, stands at
+//! the returned pose, and looks.
 
 use super::memory_scene::{MemoryScene, SceneAlbum};
 use super::pipeline::{Ask, answer};
@@ -21,39 +21,40 @@ use uniground_render::{RenderScene, simulated_frame};
 use uniground_types::approach::{FloorPoint, Robot, StandingPose};
 use uniground_types::settings::ParseSettings;
 
-/// As wide as robots made for homes, and wider: rooms full of furniture fall apart into corners for
-/// that one.
+/// Radius of a typical home robot, and a larger one. For the larger one, furnished rooms break up
+/// into disconnected corners.
 const RADII_M: [f32; 2] = [0.17, 0.25];
 const HEIGHT_M: f32 = 1.3;
 const EYE_HEIGHT_M: f32 = 1.2;
-/// An answer is right from this overlap with the annotated box on.
+/// An answer is right if its overlap with the annotated box is at least this.
 const RIGHT_IOU: f32 = 0.25;
-/// Points of the target that are as far as what was drawn there are in sight, metres.
+/// A point of the target is in sight if its depth and the rendered depth differ by no more than
+/// this, meters.
 const DEPTH_SLACK_M: f32 = 0.06;
-/// It is in the picture where so many of its points are in sight; a closed thing hides half of
-/// itself.
+/// The target is in the picture if at least this share of its points is in sight; a closed object
+/// hides half of itself.
 const IN_SIGHT: f32 = 0.1;
-/// A path over cells is exact to half of a cell's diagonal, metres.
+/// A path over cells is exact to half of a cell's diagonal, meters.
 const PATH_SLACK_M: f32 = 0.036;
 
-/// A parsed room, and what is asked in it.
+/// A parsed room and the questions about it.
 struct DrivingScene {
     scan: ParsedScan,
     occupancy: Occupancy,
     questions: Vec<(String, Aabb)>,
 }
 
-/// Numbers of questions.
+/// Counts of questions.
 #[derive(Debug, Default, Clone, Copy)]
 struct Tally {
     asked: usize,
-    /// Answered right.
+    /// Answered correctly.
     right: usize,
-    /// Of these, with a place to stand.
+    /// Of these, with an approach pose.
     told: usize,
-    /// From the first of which the thing is in the picture.
+    /// Of these, with the target in the picture from the first pose.
     seen: usize,
-    /// With something within the robot's radius, there or on the way.
+    /// Of these, with an obstacle within the robot's radius at the pose or on the path.
     hit: usize,
 }
 
@@ -106,8 +107,8 @@ fn room(folder: &Utf8Path, name: &str) -> DrivingScene {
 }
 
 impl DrivingScene {
-    /// Where a robot sets out. Who held the camera stood in corners that it does not get out of:
-    /// where most of the room can be reached.
+    /// Returns where a robot starts: the camera position from which most of the room can be
+    /// reached. The person with the camera also stood in corners that a robot cannot leave.
     fn start(&self, radius_m: f32) -> Option<FloorPoint> {
         let frames = self.scan.frames.iter().map(|frame| frame.camera_to_world.translation.vector);
         let reaches = |at: &FloorPoint| {
@@ -126,7 +127,7 @@ impl DrivingScene {
     }
 }
 
-/// The points of an instance, as drawn.
+/// Returns the points of an instance, as rendered.
 fn points_of(scan: &ParsedScan, id: InstanceId) -> Vec<Point3<f32>> {
     let (scene, instance) = (&scan.scene, &scan.scene.instances[id.0 as usize - 1]);
     let own = scene.instance_of_point.iter().map(|of| *of == id || instance.things.contains(of));
@@ -135,7 +136,7 @@ fn points_of(scan: &ParsedScan, id: InstanceId) -> Vec<Point3<f32>> {
     points.map(|(p, _)| *p).collect()
 }
 
-/// Share of the target's points that are in the picture, at the depth that was drawn.
+/// Returns the share of the target's points that are in the picture, at the rendered depth.
 fn share_in_picture(
     render_scene: &RenderScene,
     pose: &StandingPose,
@@ -156,7 +157,8 @@ fn share_in_picture(
     points.iter().filter(is_seen).count() as f32 / points.len() as f32
 }
 
-/// How near the cloud comes to the robot's middle, metres: where it stands, and on its way there.
+/// Returns how near the cloud comes to the robot's middle, meters: at the pose, and on the path to
+/// it.
 fn room_around(asked: &DrivingScene, pose: &StandingPose) -> [f32; 2] {
     let from_floor = |p: &&Point3<f32>| {
         let height = p.z - asked.occupancy.floor_z_m();
@@ -181,7 +183,7 @@ fn room_around(asked: &DrivingScene, pose: &StandingPose) -> [f32; 2] {
     ]
 }
 
-/// One tally for each radius.
+/// Returns one tally for each radius.
 fn drive(folder: &Utf8Path, name: &str) -> [Tally; 2] {
     let asked = room(folder, name);
     let parsed = &asked.scan.scene;
@@ -240,7 +242,7 @@ fn in_the_sample_room_what_is_driven_to_is_seen_and_nothing_is_hit() {
     }
 }
 
-/// Rooms that lie beside the checkout where this project is built; `UNIGROUND_REQUIRE_SHARED=1`
+/// The rooms lie beside the checkout where this project is built. `UNIGROUND_REQUIRE_SHARED=1`
 /// makes missing ones a failure.
 #[test]
 fn in_annotated_rooms_what_is_driven_to_is_seen_and_nothing_is_hit() {

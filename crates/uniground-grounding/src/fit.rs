@@ -1,5 +1,5 @@
-//! How well instances fit what a phrase says of the thing itself: noun x colours x traits.
-//! Relations are [`assess`](super::assess)'s.
+//! Scores how well instances fit what a phrase says of the target itself: noun x colors x traits.
+//! Relations are scored by [`assess`](super::assess).
 
 use super::SceneView;
 use super::choose_level::one_per_place;
@@ -13,43 +13,43 @@ use uniground_geometry::scene::{Instance, Level, Support};
 use uniground_language::{Meaning, Phrase, Trait};
 use uniground_models::attributes::{self, Noun, noun_fit};
 
-/// A name seldom says all that can be said.
+/// Factor for a word that a name does not contain. A name seldom says everything.
 const UNSAID: f32 = 0.8;
-/// How much a colour that somebody has seen counts beside the one that was measured: a scan's light
-/// is seldom white.
+/// Weight of a color that the name gives against the measured one: a scan's light is seldom white.
 const SEEN_COLOUR: f32 = 0.67;
-/// What is left where a name says another colour.
+/// Factor where a name gives another color.
 const NAMED_OTHERWISE: f32 = 0.25;
-/// Something of any size is among the parts and wholes of a room: where only measures tell what
-/// they are, they are a last resort.
+/// Factor for parts and wholes without a name. A room has some of any size, so where only measures
+/// tell what they are, they are a last resort.
 const GUESSED: f32 = 0.55;
-/// How well "thing" and "one" fit everything.
+/// Fit of "thing" and "one" to every instance.
 const ANYTHING: f32 = 0.8;
-/// A fit by measures that says something.
+/// A fit by measures from which it is meaningful.
 const LIKELY: f32 = 0.35;
-/// What the fit of the others counts where something is called by the noun.
+/// Factor for the fits of other instances where some instance has the noun as its name.
 const NOT_CALLED_SO: f32 = 0.85;
-/// A fit of something that is called by the noun itself.
+/// Fit from which an instance counts as named by the noun itself.
 const CALLED_SO: f32 = 0.95;
-/// Smaller things are seldom meant by "thing", metres.
+/// Smaller instances are seldom meant by "thing", meters.
 const NOTABLE_M: f32 = 0.1;
-/// A colour that is not there at all leaves this: the scan's light may be odd.
+/// Factor for a color that is not there at all. Not 0, because the scan's light may be odd.
 const WRONG_COLOUR: f32 = 0.02;
-/// The same for a colour that is only likened: people say "pinkish" of a brown chair.
+/// The same factor for an approximate color: people say "pinkish" of a brown chair.
 const NEAR_COLOUR: f32 = 0.3;
-/// Words for wood, and the colours it mostly has.
+/// Words for wood, and the colors it mostly has.
 const WOOD: [&str; 6] = ["wooden", "wood", "oak", "pine", "walnut", "timber"];
 const WOODEN: [ColourName; 4] =
     [ColourName::Brown, ColourName::Orange, ColourName::Beige, ColourName::Yellow];
-/// What is left of what is said to be of wood and has none of these: it may be painted.
+/// Factor for an instance that is said to be of wood and has none of these colors: it may be
+/// painted.
 const PAINTED: f32 = 0.5;
 /// An instance may be meant when its fit is at least this share of the best fit.
 pub(super) const PLAUSIBLE: f32 = 0.3;
-/// What is left at the wrong end of a comparison: of the smallest thing when "large" is asked for.
+/// Factor at the wrong end of a comparison: for the smallest instance when "large" is asked for.
 const OPPOSITE_TRAIT: f32 = 0.3;
 
-/// Fit of every instance to a phrase's noun, or to another it may be called by, `0..=1`, by index;
-/// one instance for each place.
+/// Returns the fit of every instance to a phrase's noun, or to another noun it may have, `0..=1`,
+/// by index. Keeps one instance for each place.
 #[must_use]
 pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
     let readings = Readings::of(phrase);
@@ -58,7 +58,7 @@ pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
         let read = fits_of_reading(scene, phrase, meaning);
         let is_there = read.iter().any(|fit| *fit >= CALLED_SO);
         fits.iter_mut().zip(read).for_each(|(best, fit)| *best = best.max(weight * share * fit));
-        // The room has what was said: it is seldom another thing that is meant.
+        // The room has the noun that was said, so another noun is seldom meant.
         share = if is_there { NOT_CALLED_SO } else { share };
     }
     one_per_place(scene.instances, &mut fits);
@@ -73,7 +73,7 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
     let by_appearance = |word: &str, index: usize, measured| {
         scene.appearance.and_then(|appearance| appearance.fit(word, index, measured))
     };
-    // The same for all instances: of a purpose there are dozens of nouns.
+    // Computed once for all instances: a purpose has dozens of nouns.
     let (breadths, names): (Vec<f32>, HashSet<&str>) = match meaning {
         Meaning::Nouns(nouns) => nouns
             .iter()
@@ -83,7 +83,7 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
         _ => Default::default(),
     };
     let unnamed = |(index, instance): (usize, &Instance)| match meaning {
-        // A word without measures: only its looks tell.
+        // A word without measures: only the appearance tells.
         Meaning::Unknown if instance.structure.is_none() => {
             by_appearance(&phrase.head, index, None).unwrap_or(0.0)
         }
@@ -107,7 +107,7 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
                     .map(|fit| by_looks.map_or(fit * breadth, |best| best.max(fit * breadth)))
                     .or(by_looks);
             }
-            // Looks have been weighed against all other names, measures have not.
+            // Appearance has been weighed against all other names already, measures have not.
             let guessed = if instance.level == Level::Thing { 1.0 } else { GUESSED };
             by_looks.unwrap_or_else(|| {
                 guessed * by_measure * among_names(by_measure, &names, instance).sqrt()
@@ -119,7 +119,7 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
             name.fit(phrase, meaning) * said(name, phrase)
         }
         (Some(name), Meaning::Anything) if !name.is_thing() => 0.0,
-        // Planes were measured; a name tells of stretches that were not.
+        // Planes were measured; a name also covers stretches that were not.
         (Some(name), Meaning::Structure(_)) => {
             unnamed((index, instance)).max(name.fit(phrase, meaning))
         }
@@ -128,20 +128,20 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
     scene.instances.iter().enumerate().map(fit).collect()
 }
 
-/// What is left where a name does not say what is said of the thing: "leather", "kitchen".
+/// Returns the factor for words such as "leather" or "kitchen" that a name does not contain.
 fn said(name: &GivenName, phrase: &Phrase) -> f32 {
     phrase.unchecked.iter().map(|word| if name.says(word) { 1.0 } else { UNSAID }).product()
 }
 
-/// "What is on my right?" asks for something one would name, not for a speck or a sliver: by the
-/// second of its three sides.
+/// Returns how notable an instance is, by the second of its three sides. "What is on my right?"
+/// asks for an object one would name, not for a speck or a sliver.
 fn notable(instance: &Instance) -> f32 {
     let mut sides = instance.aabb.size;
     sides.as_mut_slice().sort_by(f32::total_cmp);
     (sides[1] / NOTABLE_M).clamp(0.3, 1.0)
 }
 
-/// How likely an instance is called one of `names` rather than what its other guesses say: a table
+/// Returns how likely an instance has one of `names` rather than one of its other guesses: a table
 /// may have a sofa's size.
 fn among_names(fit: f32, names: &HashSet<&str>, instance: &Instance) -> f32 {
     let (mut own, mut others) = (0.0, 0.0);
@@ -152,7 +152,7 @@ fn among_names(fit: f32, names: &HashSet<&str>, instance: &Instance) -> f32 {
     if own > 0.0 { own / (own + others) } else { 0.0 }
 }
 
-/// Where something is called by the noun before anything else, what may be one too comes after it.
+/// Where some instance has the noun as its first guess, lowers the fit of all others.
 fn called_so_first(nouns: &[&Noun], instances: &[Instance], fits: &mut [f32]) {
     let called = |i: &Instance| {
         i.structure.is_none()
@@ -167,7 +167,7 @@ fn called_so_first(nouns: &[&Noun], instances: &[Instance], fits: &mut [f32]) {
     }
 }
 
-/// Fit of the instance at an index to a phrase's colours, `0..=1`.
+/// Returns the fit of the instance at an index to a phrase's colors, `0..=1`.
 #[must_use]
 pub fn colours_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
     let instance = &scene.instances[index];
@@ -179,15 +179,15 @@ pub fn colours_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
         measured + SEEN_COLOUR * (seen - measured)
     };
     let least = if phrase.roughly { NEAR_COLOUR } else { WRONG_COLOUR };
-    // Two colours share the surface: each needs to be there, neither needs to rule.
+    // Two colors share the surface: each has to be there, neither has to dominate.
     let n = phrase.colours.len().max(1) as f32;
     let wanted = phrase.colours.iter().map(|&c| (colour_fit(c) * n.sqrt()).clamp(least, 1.0));
     let unwanted = phrase.other_than.iter().map(|&c| (1.0 - colour_fit(c)).max(WRONG_COLOUR));
     wanted.chain(unwanted).product::<f32>() * wooden_fit(scene, phrase, index)
 }
 
-/// How well the colour of the instance at an index goes with wood, where a phrase says so and no
-/// colour; 1 where a name says the same.
+/// Returns how well the color of the instance at an index matches wood, where a phrase says wood
+/// and no color; 1 where a name says wood too.
 fn wooden_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
     let is_said = phrase.unchecked.iter().any(|word| WOOD.contains(&word.as_str()));
     let is_named =
@@ -200,8 +200,8 @@ fn wooden_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
     PAINTED + (1.0 - PAINTED) * seen.min(1.0)
 }
 
-/// Fit of every instance to a trait, `0..=1`. "Large" and "dark" compare it with the other things
-/// the noun may mean; "round" looks at its box alone.
+/// Returns the fit of every instance to a trait, `0..=1`. "Large" and "dark" compare it with the
+/// other instances the noun may mean; "round" depends on its box alone.
 #[must_use]
 pub fn trait_fits(
     instances: &[Instance],
@@ -211,8 +211,8 @@ pub fn trait_fits(
 ) -> Vec<f32> {
     let squareness = |solid: &Solid| solid.sides().1 / solid.sides().0.max(1e-3);
     let lightness = |i: usize| lab_of_srgb(instances[i].mean_rgb).x;
-    // Of pictures and shelves on a wall "the high one" hangs high; of what stands on the floor it
-    // is tall.
+    // For pictures and shelves on a wall "the high one" means the one that hangs high; for
+    // instances on the floor it means the tall one.
     let hanging = |i: usize| matches!(instances[i].support, Support::Wall { .. });
     let off_the_floor = (0..nouns.len()).filter(|&i| nouns[i] >= PLAUSIBLE).all(hanging);
     let height = |i: usize| if off_the_floor { solids[i].top } else { solids[i].size[2] };
@@ -241,8 +241,8 @@ pub fn trait_fits(
         }
         _ => {}
     }
-    // Of two sofas of nearly one size both are large: 0 at half as large, 1 at nine tenths.
-    // Lightness is no size.
+    // Of two sofas of nearly one size both are large: 0 at half as large, 1 at nine tenths. Does
+    // not apply to lightness.
     let nearly = |measured: f32, utmost: f32| match asked {
         Trait::Light | Trait::Dark => 0.0,
         _ => {
@@ -269,8 +269,8 @@ pub fn trait_fits(
     (0..nouns.len()).map(place).collect()
 }
 
-/// Indices that may be meant, with their fit: the best `limit` of those above [`PLAUSIBLE`], in
-/// order of index.
+/// Returns indices that may be meant, with their fit: the best `limit` of those above
+/// [`PLAUSIBLE`], in order of index.
 pub(super) fn most_plausible(fits: &[f32], limit: usize) -> Vec<(usize, f32)> {
     let best = fits.iter().copied().fold(0.0, f32::max);
     let mut plausible: Vec<(usize, f32)> = fits
@@ -290,6 +290,434 @@ pub(super) fn most_plausible(fits: &[f32], limit: usize) -> Vec<(usize, f32)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::NameIndex;
+    use proptest::prelude::*;
+    use uniground_geometry::boxes::Aabb;
+    use uniground_geometry::colour::ColourHistogram;
+    use uniground_geometry::scene::{InstanceId, NameGuess, Structure};
+    use uniground_geometry::{Point3, Vector3};
+    use uniground_models::attributes::Lexicon;
+    use uniground_testing::thing;
+
+    /// A box of nothing in particular, standing on the floor.
+    fn sized(id: u32, size: [f32; 3]) -> Instance {
+        thing(id, [id as f32 * 3.0, 0.0], size, 0.0, Support::Floor, [90; 3])
+    }
+
+    fn named(id: u32, name: &str) -> Instance {
+        Instance { given_name: Some(name.into()), ..sized(id, [0.5; 3]) }
+    }
+
+    /// As large as a chair.
+    fn chair(id: u32) -> Instance {
+        sized(id, [0.5, 0.5, 0.9])
+    }
+
+    /// As large as a stool.
+    fn stool(id: u32) -> Instance {
+        sized(id, [0.38, 0.38, 0.5])
+    }
+
+    fn guessed(instance: Instance, names: &[(&str, f32)]) -> Instance {
+        let guess = |&(name, score): &(&str, f32)| NameGuess { name: name.to_owned(), score };
+        Instance { names: names.iter().map(guess).collect(), ..instance }
+    }
+
+    fn coloured(instance: Instance, shares: &[(ColourName, f32)]) -> Instance {
+        let mut all = [0.0; 12];
+        shares.iter().for_each(|&(name, share)| all[name as usize] = share);
+        Instance { colours: ColourHistogram(all), ..instance }
+    }
+
+    fn with_scene<T>(instances: &[Instance], of: impl FnOnce(SceneView) -> T) -> T {
+        let names = NameIndex::of(instances);
+        let extent = Aabb { center: Point3::origin(), size: Vector3::repeat(9.0) };
+        of(SceneView { instances, extent, names: &names, appearance: None })
+    }
+
+    fn said_as(head: &str) -> Phrase {
+        Phrase { head: head.into(), ..Phrase::default() }
+    }
+
+    fn read(instances: &[Instance], phrase: &Phrase) -> Vec<f32> {
+        with_scene(instances, |scene| fits_of_reading(scene, phrase, &phrase.meaning()))
+    }
+
+    #[track_caller]
+    fn are(found: &[f32], by_hand: &[f32]) {
+        let same = found.len() == by_hand.len()
+            && found.iter().zip(by_hand).all(|(a, b)| (a - b).abs() < 1e-4);
+        assert!(same, "{found:?}, by hand {by_hand:?}");
+    }
+
+    #[test]
+    fn anything_means_things_one_would_name() {
+        let wall = Instance { structure: Some(Structure::Wall), ..sized(5, [3.0, 0.1, 2.5]) };
+        let room = [
+            sized(1, [0.05, 0.2, 0.3]),
+            sized(2, [0.05, 0.3, 0.02]), // its second side: 0.05 / 0.1
+            sized(3, [0.01, 0.01, 0.3]), // 0.1, and no less than 0.3
+            sized(4, [0.3, 0.1, 0.1]),
+            wall,
+        ];
+        are(&read(&room, &said_as("thing")), &[0.8, 0.4, 0.24, 0.8, 0.0]);
+        // A name that says it is no thing comes first.
+        let room = [named(1, "not a thing"), named(2, "red chair"), named(3, "beige wall section")];
+        are(&read(&room, &said_as("thing")), &[0.0, 0.8, 0.0]);
+    }
+
+    #[test]
+    fn parts_of_the_building_are_measured_or_named() {
+        let wall = |id, structure| Instance { structure, ..sized(id, [3.0, 0.1, 2.5]) };
+        let room = [
+            wall(1, Some(Structure::Wall)),
+            wall(2, Some(Structure::Floor)),
+            wall(3, None),
+            named(4, "beige wall section"),
+            named(5, "chair"),
+            Instance { given_name: Some("chair".into()), ..wall(6, Some(Structure::Wall)) },
+        ];
+        are(&read(&room, &said_as("wall")), &[1.0, 0.0, 0.0, 1.0, 0.0, 1.0]);
+        are(&read(&room, &said_as("floor")), &[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn an_unknown_word_fits_only_what_is_called_so() {
+        let room = [named(1, "old zorblax"), named(2, "chair"), chair(3)];
+        let asked = said_as("zorblax");
+        assert_eq!(asked.meaning(), Meaning::Unknown);
+        let found = read(&room, &asked);
+        assert!(found[0] > 0.8 && found[1..] == [0.0, 0.0], "{found:?}");
+    }
+
+    #[test]
+    fn measures_fit_a_noun_by_the_best_of_its_meanings() {
+        let asked = said_as("chair");
+        let Meaning::Nouns(nouns) = asked.meaning() else { panic!("a chair is a noun") };
+        for instance in [chair(1), stool(1), sized(1, [0.65, 0.6, 1.0])] {
+            let best = nouns
+                .iter()
+                .enumerate()
+                .map(|(i, noun)| noun_fit(noun, &instance) * breadth(&asked, noun, i))
+                .fold(0.0, f32::max);
+            assert!(best > 0.05, "{:?}: {best}", instance.aabb.size);
+            are(&read(std::slice::from_ref(&instance), &asked), &[best]);
+            // A part or a whole is a guess.
+            let part = Instance { level: Level::Part, ..instance };
+            are(&read(&[part], &asked), &[0.55 * best]);
+        }
+    }
+
+    #[test]
+    fn other_names_a_thing_may_have_leave_the_root_of_its_own_share() {
+        let own = noun_fit(Lexicon::get().find("chair").unwrap(), &chair(1));
+        assert!(own > 0.7, "{own}");
+        let guesses = guessed(chair(1), &[("chair", 0.2), ("suitcase", 0.5), ("crate", 0.1)]);
+        // Its own fit is more than the guess of 0.2.
+        are(&read(&[guesses], &said_as("chair")), &[own * (own / (own + 0.6)).sqrt()]);
+    }
+
+    #[test]
+    fn among_names_is_the_share_of_those_asked_for() {
+        let names = HashSet::from(["chair", "armchair"]);
+        let guesses = [("chair", 0.2), ("stool", 0.6), ("armchair", 0.1)];
+        let instance = guessed(chair(1), &guesses);
+        are(&[among_names(0.1, &names, &instance)], &[0.3 / 0.9]);
+        are(&[among_names(0.3, &names, &instance)], &[0.3 / 0.9]);
+        are(&[among_names(0.6, &names, &instance)], &[0.6 / 1.2]);
+        assert_eq!(among_names(0.0, &HashSet::new(), &instance), 0.0);
+        assert_eq!(among_names(0.0, &names, &chair(1)), 0.0, "no name at all");
+        assert_eq!(among_names(0.4, &names, &chair(1)), 1.0);
+    }
+
+    #[test]
+    fn a_name_keeps_eight_tenths_for_each_word_it_does_not_say() {
+        let room = [named(1, "brown leather chair"), named(2, "chair"), named(3, "striped chair")];
+        let asked = |words: &[&str]| Phrase {
+            unchecked: words.iter().map(|word| (*word).to_owned()).collect(),
+            ..said_as("chair")
+        };
+        are(&read(&room, &asked(&[])), &[1.0, 1.0, 1.0]);
+        are(&read(&room, &asked(&["leather"])), &[1.0, 0.8, 0.8]);
+        are(&read(&room, &asked(&["leather", "striped"])), &[0.8, 0.64, 0.8]);
+    }
+
+    #[test]
+    fn later_nouns_count_less_and_less_where_the_room_has_the_first() {
+        let asked = |head: &str, could_be: &[&str]| Phrase {
+            could_be: could_be.iter().map(|noun| (*noun).to_owned()).collect(),
+            ..said_as(head)
+        };
+        let fits =
+            |room: &[Instance], phrase: &Phrase| with_scene(room, |scene| noun_fits(scene, phrase));
+        let piano = asked("piano", &["kettle", "sofa"]);
+        // 0.95, and 0.95² after it.
+        are(&fits(&[named(1, "sofa")], &piano), &[0.902_5]);
+        are(&fits(&[named(1, "kettle")], &piano), &[0.95]);
+        // The room has a piano: 0.85 of them. Once: a kettle besides makes no difference.
+        let room = [named(1, "piano"), named(2, "kettle"), named(3, "sofa")];
+        are(&fits(&room, &piano), &[1.0, 0.807_5, 0.767_125]);
+        // It has a kettle: that leaves the piano's part alone.
+        are(&fits(&room[1..2], &piano), &[0.95]);
+        let room = [named(1, "kettle"), named(2, "sofa")];
+        are(&fits(&room, &piano), &[0.95, 0.767_125]);
+        // "Couch" for a sofa is another word for it, 0.95, and that is called so.
+        let room = [named(1, "sofa"), named(2, "kettle")];
+        are(&fits(&room, &asked("couch", &["kettle"])), &[0.95, 0.807_5]);
+    }
+
+    #[test]
+    fn what_is_called_so_comes_before_what_may_be_one() {
+        let nouns = [Lexicon::get().find("chair").unwrap()];
+        let first = |mut room: [Instance; 2], fits: [f32; 2], structure| {
+            room[0].structure = structure;
+            let mut fits = fits;
+            called_so_first(&nouns, &room, &mut fits);
+            fits
+        };
+        let room = || {
+            let other = guessed(stool(2), &[("stool", 0.8), ("chair", 0.7)]);
+            [guessed(chair(1), &[("chair", 0.8), ("stool", 0.1)]), other]
+        };
+        are(&first(room(), [0.9, 0.8], None), &[0.9, 0.68]);
+        // A fit of 0.35 says something, one below it nothing.
+        are(&first(room(), [0.35, 0.8], None), &[0.35, 0.68]);
+        are(&first(room(), [0.349, 0.8], None), &[0.349, 0.8]);
+        // A wall is called nothing.
+        are(&first(room(), [0.9, 0.8], Some(Structure::Wall)), &[0.9, 0.8]);
+        let mut unnamed = room();
+        unnamed[0].names.clear();
+        are(&first(unnamed, [0.9, 0.8], None), &[0.9, 0.8]);
+    }
+
+    #[test]
+    fn of_a_use_nothing_is_called_first() {
+        let room = [guessed(chair(1), &[("chair", 0.9)]), stool(2)];
+        let fits = |phrase: &Phrase| with_scene(&room, |scene| noun_fits(scene, phrase));
+        let asked = said_as("chair");
+        let read_as = read(&room, &asked);
+        are(&fits(&asked), &[read_as[0], 0.85 * read_as[1]]);
+        assert!(read_as[1] > 0.0, "{read_as:?}");
+        let to_sit_on = Phrase { uses: vec!["sit on".into()], ..Phrase::default() };
+        let read_as = read(&room, &to_sit_on);
+        assert!(read_as.iter().all(|fit| *fit > 0.3), "{read_as:?}");
+        are(&fits(&to_sit_on), &read_as);
+    }
+
+    #[test]
+    fn what_was_dismissed_fits_nothing() {
+        let room = [named(1, "chair"), Instance { dismissed: true, ..named(2, "chair") }];
+        are(&with_scene(&room, |scene| noun_fits(scene, &said_as("chair"))), &[1.0, 0.0]);
+    }
+
+    fn colour_of(instance: &Instance, phrase: &Phrase) -> f32 {
+        with_scene(std::slice::from_ref(instance), |scene| colours_fit(scene, phrase, 0))
+    }
+
+    fn in_colour(colours: &[ColourName], other_than: &[ColourName]) -> Phrase {
+        let (colours, other_than) = (colours.to_vec(), other_than.to_vec());
+        Phrase { colours, other_than, ..said_as("chair") }
+    }
+
+    #[test]
+    fn a_colour_counts_as_far_as_it_is_there() {
+        use ColourName::{Blue, Green, Red};
+        // 60 % are all of it: 0.3 / 0.6.
+        let half_red = coloured(chair(1), &[(Red, 0.3), (Green, 0.7)]);
+        let cases: [(&[ColourName], &[ColourName], f32); 9] = [
+            (&[], &[], 1.0),
+            (&[Green], &[], 1.0),
+            (&[Red], &[], 0.5),
+            (&[Blue], &[], 0.02),
+            // Two share the surface: 0.5 · √2, and 1.
+            (&[Red, Green], &[], std::f32::consts::FRAC_1_SQRT_2),
+            (&[], &[Red], 0.5),
+            (&[], &[Green], 0.02),
+            (&[], &[Blue], 1.0),
+            (&[Green], &[Red], 0.5),
+        ];
+        for (colours, other_than, by_hand) in cases {
+            let found = colour_of(&half_red, &in_colour(colours, other_than));
+            assert!(
+                (found - by_hand).abs() < 1e-4,
+                "{colours:?} not {other_than:?}: {found}, by hand {by_hand}"
+            );
+        }
+        // "Bluish" leaves more where it is not, and changes nothing where it is.
+        let roughly = |colour| Phrase { roughly: true, ..in_colour(&[colour], &[]) };
+        are(&[colour_of(&half_red, &roughly(Blue))], &[0.3]);
+        are(&[colour_of(&half_red, &roughly(Red))], &[0.5]);
+    }
+
+    #[test]
+    fn a_colour_that_somebody_has_seen_counts_two_thirds() {
+        use ColourName::{Green, Red};
+        let half_red = |name: &str| coloured(named(1, name), &[(Red, 0.3), (Green, 0.7)]);
+        let red = in_colour(&[Red], &[]);
+        // 0.5 + 0.67 · (1 - 0.5), and 0.5 + 0.67 · (0.25 - 0.5).
+        are(&[colour_of(&half_red("red chair"), &red)], &[0.835]);
+        are(&[colour_of(&half_red("blue chair"), &red)], &[0.332_5]);
+        // A name without a colour says nothing of it.
+        are(&[colour_of(&half_red("chair"), &red)], &[0.5]);
+        are(&[colour_of(&half_red("red chair"), &in_colour(&[], &[Red]))], &[0.165]);
+    }
+
+    #[test]
+    fn what_is_said_to_be_of_wood_and_has_no_colour_of_wood_keeps_half() {
+        use ColourName::{Brown, Green};
+        let wooden = |word: &str, colours: &[ColourName]| Phrase {
+            unchecked: vec![word.into()],
+            ..in_colour(colours, &[])
+        };
+        let green = coloured(chair(1), &[(Green, 1.0)]);
+        are(&[colour_of(&green, &wooden("wooden", &[]))], &[0.5]);
+        are(&[colour_of(&green, &wooden("oak", &[]))], &[0.5]);
+        are(&[colour_of(&green, &wooden("leather", &[]))], &[1.0]);
+        // A colour that is said counts instead.
+        are(&[colour_of(&green, &wooden("wooden", &[Green]))], &[1.0]);
+        are(&[colour_of(&coloured(chair(1), &[(Brown, 1.0)]), &wooden("wooden", &[]))], &[1.0]);
+        // 0.15 brown: brown by 0.25, orange and beige by half of 0.15 each; 0.5 + 0.5 · 0.4.
+        let hardly = coloured(chair(1), &[(Brown, 0.15), (Green, 0.85)]);
+        are(&[colour_of(&hardly, &wooden("wooden", &[]))], &[0.7]);
+        // A name that says it is enough.
+        for (name, by_hand) in [("wooden chair", 1.0), ("oak chair", 1.0), ("chair", 0.5)] {
+            let found =
+                colour_of(&coloured(named(1, name), &[(Green, 1.0)]), &wooden("wooden", &[]));
+            assert!((found - by_hand).abs() < 1e-4, "{name}: {found}, by hand {by_hand}");
+        }
+    }
+
+    fn trait_of(instances: &[Instance], nouns: &[f32], asked: Trait) -> Vec<f32> {
+        let solids: Vec<Solid> = instances.iter().map(Solid::from).collect();
+        trait_fits(instances, &solids, nouns, asked)
+    }
+
+    #[test]
+    fn large_is_by_rank_or_by_the_ratio_to_the_largest() {
+        // 1, 0.74 and 0.2 m³: the middle one has half of the places below it, and
+        // (0.74 - 0.5) / 0.4 = 0.6 of the largest; 0.3 + 0.7 · 0.6.
+        let room = [sized(1, [1.0; 3]), sized(2, [1.0, 1.0, 0.74]), sized(3, [1.0, 1.0, 0.2])];
+        are(&trait_of(&room, &[1.0; 3], Trait::Large), &[1.0, 0.72, 0.3]);
+        // Small the other way round, by rank: 0.2 / 0.74 and 0.2 / 1 are below a half.
+        are(&trait_of(&room, &[1.0; 3], Trait::Small), &[0.3, 0.65, 1.0]);
+        // Of two of nearly one size: 0.2 / 0.25 = 0.8, 0.3 / 0.4; 0.3 + 0.7 · 0.75.
+        let room = [sized(1, [1.0, 1.0, 0.25]), sized(2, [1.0, 1.0, 0.2])];
+        are(&trait_of(&room, &[1.0; 2], Trait::Small), &[0.825, 1.0]);
+        are(&trait_of(&room, &[1.0; 2], Trait::Large), &[1.0, 0.825]);
+        // Nine tenths are as large.
+        let room = [sized(1, [1.0; 3]), sized(2, [1.0, 1.0, 0.91])];
+        are(&trait_of(&room, &[1.0; 2], Trait::Large), &[1.0, 1.0]);
+    }
+
+    #[test]
+    fn a_trait_compares_what_the_noun_may_mean() {
+        let room = [sized(1, [1.0; 3]), sized(2, [0.5; 3]), sized(3, [2.0; 3])];
+        // Alone of its kind it is as large as can be, and where nothing is meant, too.
+        are(&trait_of(&room, &[0.0, 1.0, 0.0], Trait::Large), &[1.0, 1.0, 1.0]);
+        are(&trait_of(&room, &[0.0; 3], Trait::Large), &[1.0, 1.0, 1.0]);
+        // 0.3 of the best fit is enough: 1 m³ and 0.125 m³ are compared, 8 m³ is no rival.
+        are(&trait_of(&room, &[1.0, 0.3, 0.29], Trait::Large), &[1.0, 0.3, 1.0]);
+        are(&trait_of(&room, &[1.0, 0.29, 0.29], Trait::Large), &[1.0, 1.0, 1.0]);
+        are(&trait_of(&room, &[0.6, 0.2, 0.1], Trait::Large), &[1.0, 0.3, 1.0]);
+        // And with it the third: ranks of 0.5, 0 and 1.
+        are(&trait_of(&room, &[0.6, 0.2, 0.2], Trait::Large), &[0.65, 0.3, 1.0]);
+    }
+
+    #[test]
+    fn tall_and_long_are_measured_along_their_sides() {
+        let room = [sized(1, [0.4, 2.0, 0.5]), sized(2, [1.0, 1.0, 2.0])];
+        are(&trait_of(&room, &[1.0; 2], Trait::Tall), &[0.3, 1.0]);
+        are(&trait_of(&room, &[1.0; 2], Trait::Low), &[1.0, 0.3]);
+        are(&trait_of(&room, &[1.0; 2], Trait::Long), &[1.0, 0.3]);
+        // 1.6 m of 2 m: (0.8 - 0.5) / 0.4 = 0.75.
+        let room = [sized(1, [0.4, 2.0, 0.5]), sized(2, [1.6, 1.0, 2.0])];
+        are(&trait_of(&room, &[1.0; 2], Trait::Long), &[1.0, 0.825]);
+    }
+
+    #[test]
+    fn of_what_hangs_on_walls_the_tall_one_hangs_high() {
+        let hung = |id, base: f32, height: f32, support| {
+            thing(id, [id as f32, 0.0], [0.5, 0.1, height], base, support, [90; 3])
+        };
+        let wall = Support::Wall { id: InstanceId(9) };
+        // Tops at 1 m and 2 m, heights of 0.5 m and 0.3 m.
+        let room = |support| [hung(1, 0.5, 0.5, wall), hung(2, 1.7, 0.3, support)];
+        are(&trait_of(&room(wall), &[1.0; 2], Trait::Tall), &[0.3, 1.0]);
+        are(&trait_of(&room(wall), &[1.0; 2], Trait::Low), &[1.0, 0.3]);
+        // One of them stands: heights count. 0.3 / 0.5: (0.6 - 0.5) / 0.4 = 0.25.
+        are(&trait_of(&room(Support::Floor), &[1.0; 2], Trait::Tall), &[1.0, 0.475]);
+        are(&trait_of(&room(Support::Floor), &[1.0, 0.3], Trait::Tall), &[1.0, 0.475]);
+        // What stands is hardly meant: only what hangs is compared.
+        are(&trait_of(&room(Support::Floor), &[0.9, 0.28], Trait::Tall), &[0.3, 1.0]);
+    }
+
+    #[test]
+    fn light_and_dark_go_by_rank_alone() {
+        let room = [200_u8, 190, 20].map(|grey| Instance { mean_rgb: [grey; 3], ..chair(1) });
+        are(&trait_of(&room, &[1.0; 3], Trait::Light), &[1.0, 0.65, 0.3]);
+        are(&trait_of(&room, &[1.0; 3], Trait::Dark), &[0.3, 0.65, 1.0]);
+    }
+
+    #[test]
+    fn round_and_rectangular_go_by_the_sides_of_the_footprint() {
+        let sides = [1.0, 0.875, 0.85, 0.75, 0.675, 0.5, 0.4];
+        let room = sides.map(|short| sized(1, [short, 1.0, 0.3]));
+        // (share - 0.5) / 0.35, from 0.3 to 1.
+        let round = [1.0, 1.0, 1.0, 0.714_286, 0.5, 0.3, 0.3];
+        are(&trait_of(&room, &[1.0; 7], Trait::Round), &round);
+        are(&trait_of(&room, &[1.0; 7], Trait::Square), &round);
+        // (1 - share) / 0.25.
+        let long = [0.3, 0.5, 0.6, 1.0, 1.0, 1.0, 1.0];
+        are(&trait_of(&room, &[1.0; 7], Trait::Rectangular), &long);
+    }
+
+    #[test]
+    fn three_tenths_of_the_best_may_be_meant() {
+        assert_eq!(most_plausible(&[1.0, 0.3, 0.299], usize::MAX), [(0, 1.0), (1, 0.3)]);
+        assert_eq!(most_plausible(&[0.5, 0.16, 0.14], usize::MAX), [(0, 0.5), (1, 0.16)]);
+        // As many as are asked for: all stay, in order of index.
+        assert_eq!(most_plausible(&[0.4, 0.5], 2), [(0, 0.4), (1, 0.5)]);
+        assert_eq!(most_plausible(&[], 2), []);
+    }
+
+    proptest! {
+        /// The larger of two is never less large, and no fit leaves its range.
+        #[test]
+        fn the_larger_is_larger(heights in prop::collection::vec(0.05_f32..2.0, 1..8)) {
+            let room: Vec<Instance> =
+                (1..).zip(&heights).map(|(id, h)| sized(id, [0.5, 0.5, *h])).collect();
+            let nouns = vec![1.0; room.len()];
+            for (asked, sign) in
+                [(Trait::Large, 1.0), (Trait::Small, -1.0), (Trait::Tall, 1.0), (Trait::Low, -1.0)]
+            {
+                let fits = trait_of(&room, &nouns, asked);
+                prop_assert!(fits.iter().all(|fit| (0.3..=1.0001).contains(fit)), "{fits:?}");
+                for (a, b) in heights.iter().zip(&fits) {
+                    for (c, d) in heights.iter().zip(&fits) {
+                        let ordered = sign * (a - c) < 1e-3 || *b >= *d - 1e-3;
+                        prop_assert!(ordered, "{asked:?} {heights:?} {fits:?}");
+                    }
+                }
+            }
+        }
+
+        /// However many colours are said, a fit is one.
+        #[test]
+        fn colour_fits_are_shares(
+            shares in prop::array::uniform12(0.0_f32..1.0),
+            wanted in prop::collection::vec(0_usize..12, 0..4),
+            unwanted in prop::collection::vec(0_usize..12, 0..3),
+        ) {
+            let sum: f32 = shares.iter().sum::<f32>().max(1e-3);
+            let colours = ColourHistogram(shares.map(|share| share / sum));
+            let of = |which: &[usize]| {
+                which.iter().map(|&i| ColourName::ALL[i]).collect::<Vec<_>>()
+            };
+            let phrase = in_colour(&of(&wanted), &of(&unwanted));
+            let fit = colour_of(&Instance { colours, ..chair(1) }, &phrase);
+            prop_assert!(fit > 0.0 && fit <= 1.0, "{fit} {phrase:?}");
+        }
+    }
 
     #[test]
     fn only_the_best_few_are_looked_at() {

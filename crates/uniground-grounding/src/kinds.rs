@@ -1,29 +1,28 @@
-//! How well one noun stands for another: synonyms, broader and narrower words, things that serve
-//! the same use.
+//! Scores how well one noun stands for another: synonyms, broader and narrower words, things that
+//! serve the same use.
 
 use uniground_language::{Meaning, Phrase};
 use uniground_models::attributes::{Kinship, Lexicon, Noun, WordNet};
 
-/// A broader word ("seat" for a sofa) fits a little less than the thing's own name.
+/// Fit of a broader word ("seat" for a sofa): a little less than that of the thing's own name.
 const BROADER_WORD: f32 = 0.9;
-/// How much less a kind fits a broader word that is hardly ever met, against one that is met
-/// everywhere.
+/// How much less a rare kind fits a broader word than a common one.
 const EXOTIC: f32 = 0.125;
-/// A thing that was given a broader name than the one asked for may be meant.
+/// Fit of a thing whose given name is broader than the requested one: it may be meant.
 pub(super) const BROADER_NAME: f32 = 0.5;
-/// The same where the name is the last word of what is asked for: "stool" for a bar stool.
+/// The same where the name is the last word of the requested one: "stool" for a bar stool.
 const ITS_LAST_WORD: f32 = 0.7;
-/// The same where the name says what else it is for: a "salad bowl" for a dog bowl; "picture frame"
+/// The same where the name states another purpose: a "salad bowl" for a dog bowl; "picture frame"
 /// and "photo frame" may be one.
 const OTHER_COMPOUND: f32 = 0.3;
-/// Another word for the name that was given.
+/// Fit of a synonym of the given name.
 const SYNONYM: f32 = 0.95;
-/// A thing that serves a use as others do; one that is named after the use has 1.
+/// Fit of a thing that serves a use as others do; one that is named after the use has 1.
 const SERVES_ALIKE: f32 = 0.93;
 
-/// Weight of the `i`-th meaning of a phrase's noun: 1 for the thing of that name, less for things
-/// it is a broader word for, the less the more seldom they are met. Things that serve a use weigh
-/// the same, except those named after it: tea is poured from a teapot.
+/// Returns the weight of the `i`-th meaning of a phrase's noun: 1 for the thing of that name, less
+/// for its narrower kinds, and less the rarer they are. Things that serve a use weigh the same,
+/// except those named after it: tea is poured from a teapot.
 pub(super) fn breadth(phrase: &Phrase, noun: &Noun, i: usize) -> f32 {
     let names =
         || std::iter::once(&noun.name).chain(&noun.synonyms).flat_map(|name| name.split(' '));
@@ -35,10 +34,10 @@ pub(super) fn breadth(phrase: &Phrase, noun: &Noun, i: usize) -> f32 {
     }
 }
 
-/// How well a noun that names a thing fits the noun asked for: the same thing in other words fits
-/// fully, a broader word a little less.
+/// Returns how well a thing's noun fits the requested noun: a synonym fits fully, a broader word a
+/// little less.
 pub(super) fn kind_fit(given: &str, phrase: &Phrase, meaning: &Meaning) -> f32 {
-    // "kitchen chair" is one name where somebody gave it.
+    // "kitchen chair" may be given as one name.
     if phrase.unchecked.iter().any(|before| {
         given.strip_suffix(&phrase.head).and_then(|rest| rest.strip_suffix(' ')) == Some(before)
     }) {
@@ -47,7 +46,7 @@ pub(super) fn kind_fit(given: &str, phrase: &Phrase, meaning: &Meaning) -> f32 {
     let fit = match (meaning, Lexicon::get().find(given)) {
         (Meaning::Nouns(asked), Some(own)) => {
             match asked.iter().position(|noun| noun.name == own.name) {
-                // The very word is meant before its synonyms.
+                // The exact word takes precedence over its synonyms.
                 Some(i) => {
                     breadth(phrase, own, i)
                         * if i > 0
@@ -92,10 +91,10 @@ fn last(words: &str) -> Option<&str> {
     words.split_whitespace().next_back()
 }
 
-/// The same for words that the lexicon does not put together.
+/// Returns the fit by `WordNet` kinship, for words that the lexicon does not relate.
 fn kinship_fit(given: &str, asked: &str) -> f32 {
-    // Of a compound that the lexicon tells from others, the last word alone says too little: a high
-    // chair is no dining chair.
+    // Of a compound that the lexicon distinguishes from others, the last word alone is not enough:
+    // a high chair is no dining chair.
     if Lexicon::get().knows(asked) && !WordNet::get().names(asked) {
         return 0.0;
     }
@@ -127,7 +126,7 @@ mod tests {
             fit("trash can", "dustbin") >= SYNONYM
                 && fit("acoustic guitar", "musical instrument") > 0.5
         );
-        // Of kinds as near, what people speak of comes first.
+        // Of equally close kinds, the more common one comes first.
         assert!(
             fit("fedora", "hat") > 1.02 * fit("deerstalker", "hat"),
             "{}",

@@ -1,9 +1,9 @@
-//! Stage 2, Contextual Precision Grounding: instances and a question to six fields and a box
-//! (paper, section 3.3; docs/METHOD.md, sections 2 to 4).
+//! Stage 2, Contextual Precision Grounding: turns instances and a question into six fields and a
+//! box (paper, section 3.3; docs/METHOD.md, sections 2 to 4).
 //!
 //! [`pipeline`] is the whole way from words to an answer. No model is needed: the built-in reasoner
-//! scores names, attributes and relations by geometry, and a vision-language model, where there is
-//! one, reviews what it found. The language never changes the geometry.
+//! scores names, attributes and relations by geometry. A vision-language model, where one is
+//! configured, reviews the result. Language never changes the geometry.
 
 #![warn(missing_docs)]
 
@@ -53,14 +53,14 @@ use uniground_geometry::scene::Instance;
 /// A parsed scene as stage 2 needs it.
 #[derive(Debug, Clone, Copy)]
 pub struct SceneView<'a> {
-    /// In order of id, which counts from 1.
+    /// In order of id; ids count from 1.
     pub instances: &'a [Instance],
-    /// Box of all points, metres, world frame (Z up).
+    /// Box of all points, meters, world frame (Z up).
     pub extent: Aabb,
-    /// The names that somebody who has seen them gave the instances, read.
+    /// The parsed names that a person or a vision-language model gave the instances.
     pub names: &'a NameIndex,
-    /// How the question's words compare with what the instances look like; `None` where no encoder
-    /// has seen them.
+    /// Similarity of the question's words to the appearance of the instances; `None` where no
+    /// encoder has embedded them.
     pub appearance: Option<&'a Appearance>,
 }
 
@@ -69,26 +69,27 @@ pub struct SceneView<'a> {
 pub struct Question {
     /// What to find, in plain English.
     pub query: String,
-    /// How many candidates to keep (paper: 5 for `ScanRefer`, 10 for `EmbodiedScan`).
+    /// Number of candidates (paper: 5 for `ScanRefer`, 10 for `EmbodiedScan`).
     pub top_k: usize,
-    /// What left, right, front and back mean, unless there is an observer or the words tell
-    /// ("facing the desk").
+    /// Convention for left, right, front and back. An observer or the words ("facing the desk")
+    /// override it.
     pub convention: DirectionConvention,
-    /// Whose left, right, front and back are meant, and who "me" is; overrides `convention`.
+    /// The observer whose left, right, front and back are meant and who is "me"; overrides
+    /// `convention`.
     pub observer: Option<Observer>,
-    /// The target's class, where it is given with the question: only in an evaluation done the
-    /// paper's way.
+    /// The target's class, where it is given with the question: only in an evaluation that follows
+    /// the paper.
     pub target_name: Option<String>,
-    /// Who chooses what a vision-language model is shown.
+    /// How the candidates for a vision-language model are chosen.
     pub candidates: CandidateSource,
-    /// Which words are compared with the instances' looks.
+    /// Which words are compared with the instances' appearance.
     pub query_text: QueryText,
-    /// Least belief for an answer, `0..=1`; below it the answer is uncertain.
+    /// Minimum confidence of an answer, `0..=1`; below it the answer is uncertain.
     pub min_confidence: f32,
 }
 
 impl Question {
-    /// A question with the paper's five candidates and directions.
+    /// Returns a question with the paper's five candidates and directions.
     #[must_use]
     pub fn of(query: impl Into<String>) -> Self {
         Self {
@@ -104,8 +105,8 @@ impl Question {
     }
 }
 
-/// The `top_k` best candidates for a question, without a decision (paper, section 3.2: by the
-/// encoder).
+/// Returns the `top_k` best candidates for a question, without a decision (paper, section 3.2: by
+/// the encoder).
 #[must_use]
 pub fn rank_candidates(
     scene: SceneView,
@@ -129,7 +130,7 @@ pub fn ground(scene: SceneView, question: &Question) -> Grounding {
     ground_read(scene, question, parsed, start.elapsed())
 }
 
-/// Answers a question that has been read already; `reading` is how long that took.
+/// Answers a question that is already parsed; `reading` is how long parsing took.
 #[must_use]
 pub fn ground_read(
     scene: SceneView,
@@ -140,8 +141,8 @@ pub fn ground_read(
     decided(scene, question, choose_reading(scene, parsed), reading).1
 }
 
-/// Answers a question, and gathers what a vision-language model is told so that it can decide
-/// better. The answer has the `top_k` candidates that the question's [`CandidateSource`] chooses.
+/// Answers a question, and collects the context for a vision-language model that reviews the
+/// answer. The answer has the `top_k` candidates that the question's [`CandidateSource`] chooses.
 #[must_use]
 pub fn ground_with_context(
     scene: SceneView,
@@ -161,7 +162,7 @@ pub fn ground_with_context(
     (grounding, context)
 }
 
-/// What led to a decision.
+/// The intermediate results of a decision.
 struct Decided<'a> {
     assessor: Assessor<'a>,
     parsed: uniground_language::ParsedQuery,

@@ -1,5 +1,5 @@
-//! A parsed scene in memory as the question pipeline sees it: for evaluation, and for a robot's own
-//! process.
+//! A parsed scene in memory as a source for the question pipeline: for evaluation, and for a
+//! robot's own process.
 
 use super::names::NameIndex;
 use super::picture_cache::PictureCache;
@@ -17,30 +17,30 @@ use uniground_parsing::scan::ParsedScan;
 use uniground_render::{RenderScene, Shot};
 use uniground_types::settings::ParsingSettings;
 
-/// What all questions about a scene share.
+/// The data that all questions about a scene share.
 pub struct SceneAlbum {
-    /// Box of all points, metres, world frame (Z up).
+    /// Box of all points, meters, world frame (Z up).
     pub extent: Aabb,
-    /// The cloud, ready to be drawn.
+    /// The cloud, ready to be rendered.
     pub render_scene: Arc<RenderScene>,
-    /// The encoder that has seen the scene, and what it saw; `None` without an encoder.
+    /// The encoder that embedded the scene, and its embeddings; `None` without an encoder.
     pub seen: Option<(Arc<DualEncoder>, Embeddings)>,
-    /// Name and version of the encoder that has seen the instances, or of the built-in attributes
+    /// Name and version of the encoder that embedded the instances, or of the built-in attributes
     /// in its place.
     pub encoder: String,
-    /// What frames look like as a whole to that encoder, where it has looked at them.
+    /// That encoder's embeddings of whole frames, where it computed them.
     pub frame_embeddings: Option<FrameEmbeddings>,
     /// The scan's frames. Their picture files must stay in place as long as a model may be shown
     /// them.
     pub frames: Vec<FrameRef>,
-    /// Cuts out what a model saw in a photograph; `None`: the built-in masks do.
+    /// Segments an object that a model saw in a photograph; `None`: the built-in masks are used.
     pub segmenter: Option<Arc<Segmenter>>,
     pictures: PictureCache,
-    /// Names a model gave.
+    /// Names that a model gave.
     names: Mutex<BTreeMap<u32, String>>,
 }
 
-/// An album with the instances that a question is about.
+/// An album with the instances of one question.
 pub struct MemoryScene {
     album: Arc<SceneAlbum>,
     instances: Arc<[Instance]>,
@@ -48,8 +48,8 @@ pub struct MemoryScene {
 }
 
 impl SceneAlbum {
-    /// An album without pictures and names yet: questions add them. Arguments are the fields of the
-    /// same names.
+    /// Creates an album without pictures and names; questions add them. The arguments are the
+    /// fields of the same names.
     #[must_use]
     pub fn new(
         extent: Aabb,
@@ -73,19 +73,19 @@ impl SceneAlbum {
         }
     }
 
-    /// With a segmenter that cuts out what a model saw in a photograph.
+    /// Sets the segmenter for objects that a model saw in a photograph.
     #[must_use]
     pub fn with_segmenter(self, segmenter: Option<Arc<Segmenter>>) -> Self {
         Self { segmenter, ..self }
     }
 
-    /// With what an encoder has seen of frames as a whole.
+    /// Sets the encoder's embeddings of whole frames.
     #[must_use]
     pub fn with_frame_embeddings(self, frame_embeddings: Option<FrameEmbeddings>) -> Self {
         Self { frame_embeddings, ..self }
     }
 
-    /// These instances in this album.
+    /// Combines these instances with this album.
     #[must_use]
     pub fn scene(self: &Arc<Self>, instances: Arc<[Instance]>) -> Arc<MemoryScene> {
         Arc::new(MemoryScene {
@@ -97,7 +97,7 @@ impl SceneAlbum {
 }
 
 impl MemoryScene {
-    /// A scan as it was parsed, with these models.
+    /// Creates a scene from a parsed scan and the models used to parse it.
     #[must_use]
     pub fn of(scan: ParsedScan, models: &Models) -> Arc<Self> {
         let ParsedScan { scene, frames, models: used, .. } = scan;
@@ -179,8 +179,8 @@ impl SceneSource for MemoryScene {
         Ok(pointing.find(place, &self.instances, is_not)?)
     }
 
-    /// For this question only: what one question finds does not change what another is answered in
-    /// an evaluation.
+    /// Applies to this question only: in an evaluation, an instance found for one question must not
+    /// change the answer to another.
     async fn keep_found(
         self: &Arc<Self>,
         found: Instance,
@@ -190,7 +190,7 @@ impl SceneSource for MemoryScene {
         Ok((self.album.scene(instances.into()), id))
     }
 
-    /// At once, on the thread that drives the question.
+    /// Runs at once, on the thread that drives the question.
     async fn compute<T: Send + 'static>(
         self: &Arc<Self>,
         work: impl FnOnce(&Self) -> Result<T, QuestionError> + Send + 'static,

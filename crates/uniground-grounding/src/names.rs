@@ -1,5 +1,6 @@
-//! Names that somebody who has seen the instances gave them, as an index: free phrases ("lime green
-//! bean bag chair"), read by the grammar once and compared with what a question asks for.
+//! An index of the names that a person or a vision-language model gave the instances: free phrases
+//! ("lime green bean bag chair"), parsed by the grammar once and compared with what a question asks
+//! for.
 
 use super::kinds::kind_fit;
 use uniground_geometry::colour::ColourName;
@@ -15,7 +16,7 @@ pub struct NameIndex {
 }
 
 impl NameIndex {
-    /// Reads the names that the instances were given.
+    /// Parses the names that the instances were given.
     #[must_use]
     pub fn of(instances: &[Instance]) -> Self {
         if instances.iter().all(|i| i.given_name.is_none()) {
@@ -29,20 +30,20 @@ impl NameIndex {
         }
     }
 
-    /// The name of the instance at an index.
+    /// Returns the name of the instance at an index.
     #[must_use]
     pub fn get(&self, index: usize) -> Option<&GivenName> {
         self.of.get(index)?.as_ref()
     }
 
-    /// Whether nothing has a name.
+    /// Returns whether no instance has a name.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.of.is_empty()
     }
 }
 
-/// What a name says of its bearer.
+/// The kind of object that a name describes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Thing,
@@ -54,24 +55,24 @@ enum Kind {
     NotAThing,
 }
 
-/// A name, read.
+/// A parsed name.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GivenName {
     kind: Kind,
-    /// What it names: of a part, the thing it belongs to.
+    /// What it names; for a part, the thing it belongs to.
     phrase: Phrase,
     /// The words that name the thing itself, in the singular, before any that lead elsewhere ("on
     /// the desk").
     words: Vec<String>,
 }
 
-/// What a part of a thing is of the thing.
+/// Fit of a part to a question for the thing it belongs to.
 const PART: f32 = 0.35;
-/// A name that has all words asked for, its noun among them.
+/// Fit of a name that has all requested words, its noun among them.
 const SAME_WORDS: f32 = 0.9;
-/// A name that has all words asked for beside its noun: a "bean bag chair" for "bean bag".
+/// Fit of a name that has all requested words beside its noun: a "bean bag chair" for "bean bag".
 const WORDS_BESIDE_ITS_NOUN: f32 = 0.6;
-/// Words after which a name speaks of other things.
+/// Words after which a name describes other things.
 const ELSEWHERE: [&str; 17] = [
     "with", "under", "on", "in", "near", "next", "behind", "beside", "above", "below", "against",
     "at", "by", "beneath", "of", "from", "holding",
@@ -94,7 +95,7 @@ const UNCLEAR: [&str; 7] = [
 ];
 
 impl GivenName {
-    /// Reads a name; `None` where it says that its giver could not tell.
+    /// Parses a name; `None` where it says that the thing could not be recognized.
     #[must_use]
     pub fn read(text: &str) -> Option<Self> {
         let text = text.trim().trim_end_matches('.').to_lowercase();
@@ -120,7 +121,7 @@ impl GivenName {
         Some(Self { kind, phrase: uniground_language::parse(named).target, words })
     }
 
-    /// How well the name fits the noun asked for, `0..=1`.
+    /// Returns how well the name fits the requested noun, `0..=1`.
     #[must_use]
     pub fn fit(&self, asked: &Phrase, meaning: &Meaning) -> f32 {
         match (self.kind, meaning) {
@@ -140,8 +141,8 @@ impl GivenName {
         if by_noun > 0.0 { by_noun } else { self.by_words(asked) }
     }
 
-    /// Its noun: the last words that a dictionary knows together, the most of them; what the
-    /// grammar takes for it where none does.
+    /// Returns its noun: the last words that a dictionary knows together, as many as possible; the
+    /// grammar's noun where no dictionary knows any.
     fn noun(&self) -> Option<String> {
         let known =
             |words: &String| Lexicon::get().find(words).is_some() || WordNet::get().names(words);
@@ -153,7 +154,7 @@ impl GivenName {
             .or_else(|| Some(self.phrase.head.clone()).filter(|head| !head.is_empty()))
     }
 
-    /// By the words alone, where no dictionary helps.
+    /// Returns the fit by the words alone, where no dictionary helps.
     fn by_words(&self, asked: &Phrase) -> f32 {
         let wanted: Vec<&str> = asked.head.split_whitespace().map(singular).collect();
         if wanted.is_empty() || !wanted.iter().all(|word| self.words.iter().any(|own| own == word))
@@ -167,7 +168,8 @@ impl GivenName {
         }
     }
 
-    /// Whether it says that its bearer carries what is asked for: "candlestick with pink candle".
+    /// Returns whether the name says that the instance carries what is asked for: "candlestick with
+    /// pink candle".
     #[must_use]
     pub fn carries(&self, asked: &Phrase, meaning: &Meaning) -> bool {
         let carried = self.phrase.with.iter().filter(|with| !with.absent);
@@ -175,19 +177,19 @@ impl GivenName {
             && carried.into_iter().any(|with| kind_fit(&with.phrase.head, asked, meaning) > 0.0)
     }
 
-    /// Whether it is a thing at all, rather than a stretch of a wall or noise.
+    /// Returns whether it names a thing, rather than a stretch of a wall or noise.
     #[must_use]
     pub fn is_thing(&self) -> bool {
         matches!(self.kind, Kind::Thing | Kind::Part)
     }
 
-    /// Colours it says.
+    /// Returns the colors in the name.
     #[must_use]
     pub fn colours(&self) -> &[ColourName] {
         &self.phrase.colours
     }
 
-    /// Whether it has a word: "leather", "striped".
+    /// Returns whether the name has a word: "leather", "striped".
     #[must_use]
     pub fn says(&self, word: &str) -> bool {
         let word = singular(word);
@@ -195,7 +197,7 @@ impl GivenName {
     }
 }
 
-/// The part of the building that a name is a stretch of: "beige wall section", "ceiling".
+/// Returns the part of the building that a name is a stretch of: "beige wall section", "ceiling".
 fn structure_in(words: &[String]) -> Option<Structure> {
     let end = words.iter().rposition(|word| !STRETCH.contains(&word.as_str()))?;
     match words[end].as_str() {
@@ -206,8 +208,8 @@ fn structure_in(words: &[String]) -> Option<Structure> {
     }
 }
 
-/// Words of a name up to the first that leads to another thing; "and" does, but for one between
-/// colours.
+/// Returns the words of a name up to the first that leads to another thing. "and" leads to another
+/// thing, except between colors.
 fn main_words(name: &str) -> impl Iterator<Item = String> {
     let is_colour = |word: &String| ColourName::ALL.iter().any(|colour| colour.word() == word);
     let mut words: Vec<String> = Vec::new();

@@ -1,21 +1,21 @@
-//! Pictures that stay in memory, so that a question does not wait for the renderer.
+//! Caches rendered pictures in memory, so that a question does not wait for the renderer.
 
 use uniground_geometry::lru_cache::LruCache;
 use uniground_models::chat::Picture;
 
-/// Pictures drawn before, shared by all questions about all scenes.
+/// Rendered pictures, shared by all questions about all scenes.
 pub struct PictureCache {
-    /// By scene and what is drawn.
+    /// By scene and subjects.
     pub(super) globals: LruCache<Picture>,
     /// By scene and instance.
     pub(super) collages: LruCache<Picture>,
 }
 
-/// Bytes of pictures that stay in memory, of each kind.
+/// Maximum size of each kind of pictures in memory, bytes.
 const PICTURE_BYTES: usize = 64 << 20;
 
 impl PictureCache {
-    /// How often a picture was found, and how often not.
+    /// Returns the number of cache hits and of cache misses.
     #[must_use]
     pub fn looks(&self) -> (u64, u64) {
         let ((hits, misses), (more_hits, more_misses)) =

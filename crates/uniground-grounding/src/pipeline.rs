@@ -1,13 +1,15 @@
-//! One question, from words to an answer: the only way there, for the service, for evaluation and
-//! for a robot's own process.
+//! Answers one question, from words to an answer. The service, the evaluation and a robot's own
+//! process all use this pipeline.
 //!
 //! ```text
-//! read -> settle -> appearance -> decide -> evidence -> review -> answer
-//!         \_______ one step of computing _____/   \_ where a vision-language model reviews _/
+//! read -> choose -> appearance -> decide -> evidence -> review -> answer
+//!         \______ one compute step ____/    \_ with a model _/
 //! ```
-//! The pipeline is a future that its caller drives; it needs no runtime of its own. Where a scene's
-//! pictures, embeddings and names come from, and on which threads computing happens, is the
-//! business of a [`SceneSource`].
+//! Evidence and review run only where a vision-language model is configured.
+//!
+//! The pipeline is a future that its caller drives; it needs no runtime of its own. A
+//! [`SceneSource`] provides a scene's pictures, embeddings and names, and the threads for
+//! computing.
 
 use super::appearance::{Appearance, ShortlistScoring};
 use super::reasoner::builtin;
@@ -30,32 +32,32 @@ use uniground_models::attributes;
 use uniground_models::chat::{Budget, CallRecord, ChatModel, Session};
 use uniground_models::neural::DualEncoder;
 
-/// What happens when a chat model can not be used.
+/// What happens when a chat model cannot be used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WithoutModel {
-    /// Grammar and geometry do its part; the answer says so.
+    /// Grammar and geometry replace the model; the answer is marked as degraded.
     BuiltIn,
-    /// There is no answer.
+    /// The question fails.
     Fail,
 }
 
-/// A question, and who takes part in answering it.
+/// A question, and the components that answer it.
 pub struct Ask {
-    /// The words, and how they are to be taken.
+    /// The words, and how to interpret them.
     pub question: Question,
-    /// Who reads the question.
+    /// The parser of the question.
     pub parser: Arc<dyn QueryParser>,
-    /// What happens when `parser` can not use its model.
+    /// What happens when `parser` cannot use its model.
     pub without_parser: WithoutModel,
-    /// Where the encoder fails, or is not the one that has seen the scene, names and measures
-    /// answer; the answer says so.
+    /// Whether names and measures may answer where the encoder fails, or is not the one that
+    /// embedded the scene. The answer then says so.
     pub allow_builtin_encoder: bool,
-    /// A vision-language model that reviews what geometry has found.
+    /// A vision-language model that reviews the result of the geometry.
     pub review: Option<Review>,
 }
 
 impl Ask {
-    /// A question for grammar, geometry and what the encoder has seen, without a chat model.
+    /// Returns a question for grammar, geometry and the encoder's embeddings, without a chat model.
     #[must_use]
     pub fn of(question: Question) -> Self {
         let (parser, without_parser) = (Arc::new(BuiltinParser), WithoutModel::BuiltIn);
@@ -63,46 +65,46 @@ impl Ask {
     }
 }
 
-/// A vision-language model and how it is asked.
+/// A vision-language model and its prompt settings.
 pub struct Review {
-    /// The model that is shown the candidates.
+    /// The model that sees the candidates.
     pub model: Arc<dyn ChatModel>,
-    /// What pays for its calls: every call is charged to each of these.
+    /// Budgets of its calls: every call is charged to each of these.
     pub budgets: Vec<Budget>,
     /// How the prompt is built: ablation, pictures, format.
     pub options: Options,
-    /// What happens when the model can not be asked.
+    /// What happens when the model cannot be asked.
     pub without_model: WithoutModel,
 }
 
-/// What came of a question, and how.
+/// The answer to a question, with its record.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Answered {
     /// Six fields, boxes, status and candidates.
     pub grounding: Grounding,
-    /// What was understood of the question.
+    /// The parsed question.
     pub parsed: ParsedQuery,
-    /// Name and version of who read the question.
+    /// Name and version of the parser of the question.
     pub parser: String,
     /// Name and version of what compared pictures and words: an encoder, or the built-in
     /// attributes.
     pub encoder: String,
-    /// Name and version of who decided: the built-in reasoner, or the model with its prompt.
+    /// Name and version of what decided: the built-in reasoner, or the model with its prompt.
     pub reasoner: String,
-    /// A built-in part took the place of a model that was counted on and could not be used, or
-    /// that never chose a candidate; `corrections` says why.
+    /// Whether a built-in part replaced a model that was requested and could not be used, or that
+    /// never chose a candidate. `corrections` gives the reason.
     pub degraded: bool,
-    /// What went wrong on the way, in order.
+    /// Problems on the way, in order.
     pub corrections: Vec<String>,
-    /// Every call of a model, in order: at most [`MAX_CALLS`], and one more where the model saw
-    /// what was not listed.
+    /// Every call of a model, in order: at most [`MAX_CALLS`], and one more where the model saw an
+    /// object that was not listed.
     pub calls: Vec<CallRecord>,
 }
 
 /// Answers a question.
 ///
 /// # Errors
-/// Those of the source; [`QuestionError`] where a model was demanded that can not be used.
+/// Those of the source; [`QuestionError`] where a required model cannot be used.
 pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answered, S::Error> {
     let Ask { question, parser, without_parser, allow_builtin_encoder, review } = ask;
     let least = question.min_confidence;
@@ -112,7 +114,7 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
     let Reading { parsed, by, mut calls, fell_back } = parser.read(&question.query, grammar).await;
     let (mut corrections, mut degraded) = (Vec::new(), false);
     if let Some(FellBack { why, was_demanded }) = fell_back {
-        // A model that said something nobody can use was asked all the same.
+        // A model with an unusable reply was asked all the same.
         let was_asked = calls.iter().any(|call| call.outcome.is_ok());
         if without_parser == WithoutModel::Fail && !was_asked {
             return Err(QuestionError::Unread(why).into());
@@ -162,7 +164,7 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
     Ok(answered)
 }
 
-/// Shows the model what geometry has found, hears it out, and makes what it says the answer.
+/// Shows the candidates to the model, and applies its decision to the answer.
 async fn reviewed<S: SceneSource>(
     source: &Arc<S>,
     answered: &mut Answered,
@@ -257,8 +259,9 @@ struct Shown<S> {
 }
 
 impl<S: SceneSource> Shown<S> {
-    /// Where a model saw in a photograph what was not listed: that place as an instance, and the
-    /// model asked again with it. What was decided before stands where nothing comes of that.
+    /// Looks up an object that the model saw in a photograph and that was not listed: turns its
+    /// place into an instance and asks the model again with it. If that fails, the earlier decision
+    /// stands.
     async fn looked_up(
         &mut self,
         decision: Decision,
@@ -290,7 +293,7 @@ impl<S: SceneSource> Shown<S> {
         }
     }
 
-    /// Asks again with an instance that was found; what was decided before stands where the model
+    /// Asks again with an instance that was found. The earlier decision stands where the model
     /// chooses nothing of the list.
     async fn asked_again(
         &mut self,
@@ -325,9 +328,9 @@ impl<S: SceneSource> Shown<S> {
     }
 }
 
-/// The first of two steps: the candidates that remain when the model has seen one photograph of
-/// each. A call that fails is told by the next one, which will fail as well; where the model finds
-/// none, the best ones remain.
+/// The first of two steps: returns the candidates that remain after the model has seen one
+/// photograph of each. A failed call is not reported here, because the next call will fail as well.
+/// Where the model finds no candidate, the best ones remain.
 async fn narrowed<S: SceneSource>(
     source: &Arc<S>,
     context: vlm::PromptContext,
@@ -347,7 +350,7 @@ async fn narrowed<S: SceneSource>(
     Ok(context.narrowed_to(&ids))
 }
 
-/// A scene as stage 2 needs it.
+/// Returns a scene as stage 2 needs it.
 fn scene_view<'a, S: SceneSource>(
     source: &'a S,
     appearance: Option<&'a Appearance>,
@@ -360,15 +363,16 @@ fn scene_view<'a, S: SceneSource>(
     }
 }
 
-/// Who compared pictures and words.
+/// The encoder or attributes that compared pictures and words.
 struct UsedEncoder {
     name: String,
-    /// Why it is not the encoder that has seen the scene; `None` when it is, or none has.
+    /// Why it is not the encoder that embedded the scene; `None` when it is, or when no encoder
+    /// embedded it.
     missing: Option<String>,
 }
 
-/// The question's words beside what the instances look like; nothing where no encoder has seen
-/// them.
+/// Compares the question's words with the appearance of the instances; returns nothing where no
+/// encoder has embedded them.
 fn appearance<S: SceneSource>(
     source: &S,
     query: &str,
@@ -398,11 +402,12 @@ pub struct Shortlist {
     pub candidates: Vec<Candidate>,
     /// Name and version of what compared them.
     pub encoder: String,
-    /// The sentence is longer than the encoder reads: its end does not count.
+    /// Whether the sentence is longer than the encoder reads, so that its end is ignored.
     pub cut: bool,
 }
 
-/// The `top_k` best candidates for a query (paper: by the encoder), read by the built-in grammar.
+/// Returns the `top_k` best candidates for a query (paper: by the encoder), read by the built-in
+/// grammar.
 ///
 /// # Errors
 /// Those of the source; [`QuestionError::Encoder`].
@@ -421,7 +426,7 @@ pub async fn shortlist<S: SceneSource>(
         .await
 }
 
-/// The `top_k` best candidates for a query that has been read already; computed on the calling
+/// Returns the `top_k` best candidates for a query that is already parsed. Computes on the calling
 /// thread.
 ///
 /// # Errors

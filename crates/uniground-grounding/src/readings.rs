@@ -1,23 +1,22 @@
-//! What a phrase's thing may be called: its noun, and other nouns that a reader who knows the world
-//! says for it ("it wakes me every morning": alarm clock, clock, radio). The scene decides which of
+//! The nouns that a phrase's target may have: its own noun, and others from a parser with world
+//! knowledge ("it wakes me every morning": alarm clock, clock, radio). The scene decides which of
 //! them it has.
 
 use super::GivenName;
 use uniground_language::{Meaning, Phrase};
 use uniground_models::attributes::Noun;
 
-/// What a noun counts beside the one before it.
+/// Weight of a noun relative to the one before it.
 const LATER_NOUN: f32 = 0.95;
 
-/// What a phrase says of the kind of thing it means, under each noun it may be called by, the
-/// likeliest first.
+/// What a phrase says of the kind of its target, under each noun it may have, the likeliest first.
 pub(super) struct Readings(Vec<Reading>);
 
-/// One of them.
+/// One of these nouns.
 pub(super) struct Reading {
-    /// What it counts, `0..=1`.
+    /// Weight of the noun, `0..=1`.
     pub weight: f32,
-    /// Noun, uses and words in front of it: nothing else of the phrase.
+    /// Noun, uses and words in front of the noun; nothing else of the phrase.
     pub phrase: Phrase,
     pub meaning: Meaning,
 }
@@ -46,12 +45,12 @@ impl Readings {
         self.0.iter()
     }
 
-    /// How well a given name fits under any of the nouns, `0..=1`.
+    /// Returns how well a given name fits under any of the nouns, `0..=1`.
     pub fn called(&self, name: &GivenName) -> f32 {
         self.0.iter().map(|reading| reading.fit(name)).fold(0.0, f32::max)
     }
 
-    /// The noun that a given name fits best, the first of equals.
+    /// Returns the noun that a given name fits best, the first of equals.
     pub fn best_noun(&self, name: &GivenName) -> &str {
         let best = self
             .0
@@ -62,7 +61,7 @@ impl Readings {
 }
 
 impl Reading {
-    /// Nouns of the lexicon it may mean.
+    /// Returns the nouns of the lexicon it may mean.
     pub fn nouns(&self) -> &[&'static Noun] {
         if let Meaning::Nouns(nouns) = &self.meaning { nouns } else { &[] }
     }
@@ -110,7 +109,7 @@ mod tests {
         let found = fits(&["radio", "kettle"], &asked);
         assert!(found[0] > 0.9 && found[1] == 0.0, "{found:?}");
         let found = fits(&["radio", "alarm clock"], &asked);
-        // What the room has by the first noun comes before what it has by another.
+        // An instance with the first noun comes before one with another noun.
         assert!(found[1] > 0.9 && (0.7..0.9).contains(&found[0]), "{found:?}");
         assert_eq!(fits(&["kettle"], &asked), [0.0]);
         let radio = GivenName::read("old radio").unwrap();

@@ -1,5 +1,5 @@
-//! What a model sees in a photograph and nobody has listed: the place becomes an instance
-//! (docs/METHOD.md, section 4, "Not listed").
+//! Looks up an object that a model sees in a photograph and that is not listed: its place becomes
+//! an instance (docs/METHOD.md, section 4, "Not listed").
 
 use super::Seen;
 use super::scene_source::SceneSource;
@@ -7,16 +7,16 @@ use super::vlm::{PictureSettings, PromptContext, VisualEvidence};
 use uniground_geometry::scene::{Instance, InstanceId};
 use uniground_parsing::pointed::known_as;
 
-/// What lies where a model saw something.
+/// What lies at the place where a model saw an object.
 pub(super) enum Found {
-    /// An instance of the scene, which was not offered.
+    /// An instance of the scene that was not offered.
     Known(InstanceId),
-    /// A thing that stage 1 has not cut out.
+    /// A thing that stage 1 has not segmented.
     New(Box<Instance>),
 }
 
-/// Cuts out what a model saw; `None` where it did not point into a photograph, or nothing can be
-/// cut out there.
+/// Segments the object that a model saw; `None` where it did not point into a photograph, or
+/// nothing can be segmented there.
 ///
 /// # Errors
 /// Those of the source.
@@ -28,7 +28,7 @@ pub(super) fn look_up<S: SceneSource>(
     settings: &PictureSettings,
 ) -> Result<Option<Found>, S::Error> {
     let Some(place) = evidence.place(source, seen, settings)? else { return Ok(None) };
-    // What was listed is not meant, as the model says.
+    // The model says that no listed instance is meant.
     let listed: Vec<InstanceId> = context.shown().collect();
     let Some(found) = source.cut_out(place, &listed)? else { return Ok(None) };
     if let Some(known) = known_as(source.instances(), &found) {

@@ -1,7 +1,7 @@
-//! Relations as geometry: soft scores in `0..=1` of upright boxes against upright boxes.
+//! Relations as geometry: soft scores in `0..=1` for pairs of upright boxes.
 //!
-//! Distances are measured between surfaces and in units of the things' own sizes, so that "next to"
-//! means centimetres for mugs and half a metre for sofas. Turning the world about Z changes no
+//! Distances are measured between surfaces and in units of the things' own sizes. So "next to"
+//! means centimeters for mugs and half a meter for sofas. Turning the world about Z changes no
 //! score, as long as the directions turn with it.
 
 use super::direction::Directions;
@@ -10,11 +10,11 @@ use super::solid::Solid;
 use uniground_geometry::Vector3;
 use uniground_language::RelationKind;
 
-/// Score of `target` standing in a relation to `anchors`; [`RelationKind::Between`] takes two, the
-/// room relations none, all others one.
+/// Returns the score of `target` in a relation to `anchors`. [`RelationKind::Between`] takes two
+/// anchors, the room relations none, all others one.
 ///
-/// Comparisons among several targets (closest, farthest) are the reasoner's: here they score like
-/// near and far.
+/// Comparisons among several targets (closest, farthest) are done by the reasoner; here they score
+/// like near and far.
 #[must_use]
 pub fn score(
     kind: RelationKind,
@@ -41,18 +41,18 @@ pub fn score(
     }
 }
 
-/// Whose left, right, front and back a side was told by.
+/// Whose left, right, front and back decided a side.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SeenBy {
-    /// The directions in force: somebody's whom the words or the request tell of, or the
-    /// convention's.
+    /// The directions in force: those of a viewer given by the words or the request, or of the
+    /// convention.
     Directions,
-    /// Somebody who faces the anchor.
+    /// A viewer who faces the anchor.
     WhoFacesIt,
 }
 
-/// Score of `target` at a side of the anchor, and by whose view; `faced` tells how somebody looks
-/// who faces the anchor, and is asked only where nobody's view is meant.
+/// Returns the score of `target` at a side of the anchor, and by whose view. `faced` returns how a
+/// viewer faces the anchor; it is called only where no viewer is given.
 #[must_use]
 pub fn at_side(
     kind: RelationKind,
@@ -84,8 +84,8 @@ pub fn at_side(
     if faced > viewed { (faced, SeenBy::WhoFacesIt) } else { (viewed, SeenBy::Directions) }
 }
 
-/// Score of `target` standing in a relation to somebody whose directions these are: what is in
-/// front of them lies ahead.
+/// Returns the score of `target` in a relation to an observer with these directions. In front of
+/// the observer means ahead.
 #[must_use]
 pub fn to_observer(
     kind: RelationKind,
@@ -103,8 +103,9 @@ pub fn to_observer(
     }
 }
 
-/// How near two things are as people mean it: by the gap between their surfaces and by their
-/// middles on the ground plan. What stands on a thing or in it is hardly meant by "next to" it.
+/// Returns how near two things are as people mean it: by the gap between their surfaces and by the
+/// distance of their middles on the ground plan. A thing that stands on or in another is hardly
+/// meant by "next to" it.
 #[must_use]
 pub fn close(a: &Solid, b: &Solid) -> f32 {
     const BY_MIDDLES: f32 = 0.5;
@@ -115,7 +116,7 @@ pub fn close(a: &Solid, b: &Solid) -> f32 {
     near(a, b) * (1.0 - BY_MIDDLES + BY_MIDDLES * by_middles) * (1.0 - NOT_BESIDE * held)
 }
 
-/// Whether a thing stands on another, or in it, `0..=1`.
+/// Returns to which degree a thing stands on or in another, `0..=1`.
 #[must_use]
 pub fn holds(holder: &Solid, held: &Solid) -> f32 {
     on(held, holder).max(inside(held, holder))
@@ -144,22 +145,22 @@ fn pairwise(kind: RelationKind, target: &Solid, anchor: &Solid) -> f32 {
     }
 }
 
-/// What a look from the middle of the room counts against the convention.
+/// Weight of the view from the middle of the room, relative to the convention.
 const FROM_THE_MIDDLE: f32 = 0.85;
-/// What the convention's front counts where the thing has a front of its own.
+/// Weight of the convention's front where the thing has a front of its own.
 const AGAINST_OWN_FRONT: f32 = 0.5;
 
-/// What is left of being near where a wall stands between the two.
+/// Factor of nearness where a wall stands between the two.
 const THROUGH_A_WALL: f32 = 0.4;
 
-/// 1 at zero, one half at `half`, towards 0 beyond.
+/// Returns 1 at zero, one half at `half`, and falls towards 0 beyond.
 pub(super) fn fade(distance: f32, half: f32) -> f32 {
     1.0 / (1.0 + (distance.max(0.0) / half).powi(2))
 }
 
-/// How far two things are apart as people compare it, metres: between their middles on the ground
-/// plan. Boxes of things that reach far, walls and floors, say little by their middles: there it is
-/// the gap that counts. Who is behind a wall has to walk around it.
+/// Returns how far apart two things are as people compare it, meters: between their middles on the
+/// ground plan. The middles of large building parts such as walls and floors tell little, so their
+/// gap counts instead. A wall between the two adds the way around it.
 #[must_use]
 pub fn apart(target: &Solid, anchor: &Solid, of_the_building: bool, room: &Room) -> f32 {
     const AROUND_A_WALL_M: f32 = 2.0;
@@ -171,69 +172,69 @@ pub fn apart(target: &Solid, anchor: &Solid, of_the_building: bool, room: &Room)
     }
 }
 
-/// 1 where surfaces touch, falling with the gap: one half at 0.3 m plus a quarter of the mean
-/// footprint diagonal.
+/// Returns 1 where surfaces touch, falling with the gap: one half at 0.3 m plus a quarter of the
+/// mean footprint diagonal.
 #[must_use]
 pub fn near(a: &Solid, b: &Solid) -> f32 {
     let reach = 0.3 + 0.25 * (a.diagonal() + b.diagonal()) / 2.0;
     fade(a.gap(b), reach)
 }
 
-/// 1 where footprints touch, one half at a gap of `reach_m`.
+/// Returns 1 where footprints touch, one half at a gap of `reach_m`.
 #[must_use]
 pub fn reaching(target: &Solid, anchor: &Solid, reach_m: f32) -> f32 {
     fade(target.horizontal_gap(anchor), reach_m)
 }
 
-/// Beside the anchor at its own height: chairs around a table. One half at a gap of 0.3 m plus a
-/// quarter of the anchor's diagonal.
+/// Scores a target beside the anchor at its own height: chairs around a table. One half at a gap of
+/// 0.3 m plus a quarter of the anchor's diagonal.
 #[must_use]
 pub fn around(target: &Solid, anchor: &Solid) -> f32 {
     fade(target.horizontal_gap(anchor), 0.3 + 0.25 * anchor.diagonal())
         * fade(target.vertical_gap(anchor), 0.3)
 }
 
-/// On the side of the anchor that `direction` (unit, horizontal) points to: how well the line
-/// between the centres follows it, times how near it is. Within 45 degrees it is fully that side,
-/// beyond 80 not at all.
+/// Scores a target on the side of the anchor that `direction` (unit, horizontal) points to: how
+/// well the line between the centers follows it, times how near it is. Within 45 degrees it is
+/// fully that side, beyond 80 not at all.
 #[must_use]
 pub fn beside(target: &Solid, anchor: &Solid, direction: &Vector3<f32>) -> f32 {
     let Some(unit) = horizontal(target, anchor) else { return 0.0 };
     let aligned = ((unit.dot(direction) - 0.2) / 0.5).clamp(0.0, 1.0);
-    // What stands on the other or hangs above it is not beside it.
+    // A target that stands on the anchor or hangs above it is not beside it.
     let stacked = target.footprint_overlap(anchor).max(anchor.footprint_overlap(target));
     aligned * (1.0 - stacked) * (0.4 + 0.6 * near(target, anchor))
 }
 
-/// The horizontal direction from the anchor's centre to the target's.
+/// Returns the horizontal direction from the anchor's center to the target's.
 fn horizontal(target: &Solid, anchor: &Solid) -> Option<Vector3<f32>> {
     horizontal_between(anchor, target)
 }
 
-/// The horizontal direction from one centre to another.
+/// Returns the horizontal direction from one center to another.
 fn horizontal_between(from: &Solid, to: &Solid) -> Option<Vector3<f32>> {
     let between = to.center - from.center;
     Vector3::new(between.x, between.y, 0.0).try_normalize(1e-4)
 }
 
-/// Higher, and over the anchor's footprint.
+/// Scores a target that is higher than the anchor and over its footprint.
 #[must_use]
 pub fn above(upper: &Solid, lower: &Solid) -> f32 {
     let reach = 0.15 + 0.25 * upper.diagonal().min(lower.diagonal());
     let over = upper.footprint_overlap(lower).max(lower.footprint_overlap(upper));
-    // Straight above; aside, a picture above a sofa, a little less.
+    // Straight above counts fully; to the side, like a picture above a sofa, a little less.
     let aside = ((over / 0.3).min(1.0)).max(0.7 * fade(upper.horizontal_gap(lower), reach));
     let higher = ((upper.center.z - lower.center.z)
         / (0.5 * (upper.size[2] + lower.size[2])).max(0.05))
     .clamp(0.0, 1.0);
-    // Overlapping in height is not above; touching is.
+    // A target that overlaps in height is not above; one that touches is.
     let sunk = (-upper.vertical_gap(lower)).max(0.0);
     let clear = fade(sunk - 0.1 * upper.size[2], 0.1 + 0.3 * upper.size[2]);
     higher * clear * aside
 }
 
-/// Resting on: over the footprint, the underside at the anchor's top, or on a board inside it
-/// (shelves); or flat against it (walls).
+/// Scores a target that rests on the anchor: over the footprint, with its underside at the anchor's
+/// top, or on a board inside it (shelves); or flat against it (walls).
 #[must_use]
 pub fn on(target: &Solid, anchor: &Solid) -> f32 {
     let over = (target.footprint_overlap(anchor) / 0.5).min(1.0);
@@ -255,7 +256,7 @@ fn is_upright_plane(solid: &Solid) -> bool {
     short < 0.15 && solid.size[2] > 1.0 && long > 0.8
 }
 
-/// Share of the target's volume within the anchor.
+/// Returns the share of the target's volume within the anchor.
 #[must_use]
 pub fn inside(target: &Solid, anchor: &Solid) -> f32 {
     let height =
@@ -263,8 +264,8 @@ pub fn inside(target: &Solid, anchor: &Solid) -> f32 {
     target.footprint_overlap(anchor) * if target.size[2] < 1e-3 { 1.0 } else { height }
 }
 
-/// Near the middle of the line between the anchors' centres, on the ground plan, no storey above or
-/// below both, and not what carries them.
+/// Scores a target near the middle of the line between the anchors' centers, on the ground plan. It
+/// must not be a story above or below both, nor carry them.
 #[must_use]
 pub fn between(target: &Solid, a: &Solid, b: &Solid) -> f32 {
     let line = (b.center - a.center).xy();
@@ -284,7 +285,7 @@ pub fn between(target: &Solid, a: &Solid, b: &Solid) -> f32 {
     on_the_line * fade(off_their_height, 1.0) * (1.0 - 0.8 * carries_them)
 }
 
-/// On the other side, vis-à-vis: apart, and in line with one of the anchor's axes.
+/// Scores a target on the opposite side: apart, and in line with one of the anchor's axes.
 #[must_use]
 pub fn opposite(target: &Solid, anchor: &Solid) -> f32 {
     let Some(unit) = horizontal(target, anchor) else { return 0.0 };
@@ -294,8 +295,8 @@ pub fn opposite(target: &Solid, anchor: &Solid) -> f32 {
     in_line * (1.0 - 0.8 * near(target, anchor))
 }
 
-/// Turned towards: boxes have no front, so any of the four sides counts that the anchor lies
-/// straight ahead of; nearer is likelier.
+/// Scores a target that is turned towards the anchor. Boxes have no front, so any of the four sides
+/// counts that the anchor lies straight ahead of; nearer is likelier.
 #[must_use]
 pub fn facing(target: &Solid, anchor: &Solid) -> f32 {
     let Some(unit) = horizontal(anchor, target) else { return 0.0 };
@@ -304,7 +305,7 @@ pub fn facing(target: &Solid, anchor: &Solid) -> f32 {
     ((along.max(across) - 0.7) / 0.25).clamp(0.0, 1.0) * (0.5 + 0.5 * fade(target.gap(anchor), 1.5))
 }
 
-/// Touching it from the side, at about the same height.
+/// Scores a target that touches the anchor from the side, at about the same height.
 #[must_use]
 pub fn leaning(target: &Solid, anchor: &Solid) -> f32 {
     fade(target.horizontal_gap(anchor), 0.15) * fade(target.vertical_gap(anchor), 0.1)
@@ -317,7 +318,7 @@ mod tests {
     use crate::solid::tests::{any_solid, turned};
     use proptest::prelude::*;
     use uniground_geometry::Point3;
-    use uniground_geometry::boxes::Aabb;
+    use uniground_geometry::boxes::{Aabb, OrientedBox};
 
     fn boxed(center: [f32; 3], size: [f32; 3]) -> Solid {
         Aabb { center: Point3::from(center), size: Vector3::from(size) }.into()
@@ -448,6 +449,627 @@ mod tests {
             .collect();
         assert!(scores.windows(2).all(|w| w[0] >= w[1]), "{scores:?}");
         assert_eq!(scores[0], 1.0);
+    }
+
+    /// A box of no size: every distance to it is one to its middle.
+    fn dot(x: f32, y: f32, z: f32) -> Solid {
+        boxed([x, y, z], [0.0; 3])
+    }
+
+    fn turned_dot(x: f32, y: f32, yaw_rad: f32) -> Solid {
+        let center = Point3::new(x, y, 0.0);
+        OrientedBox { center, size: Vector3::zeros(), yaw_rad }.into()
+    }
+
+    /// A footprint of 0.6 m by 0.8 m: its diagonal is 1 m.
+    fn stool(x: f32, z: f32) -> Solid {
+        boxed([x, 0.0, z], [0.6, 0.8, 0.5])
+    }
+
+    /// A footprint of 1.2 m by 1.6 m: its diagonal is 2 m.
+    fn desk() -> Solid {
+        boxed([0.0, 0.0, 0.25], [1.2, 1.6, 0.5])
+    }
+
+    /// A metre high, from the floor, its diagonal 1 m.
+    fn crate_1m() -> Solid {
+        boxed([0.0, 0.0, 0.5], [0.6, 0.8, 1.0])
+    }
+
+    /// Somebody who looks along +Y: +X is to the right, -Y in front.
+    fn looking_north() -> Directions {
+        Directions::looking_along(Vector3::y()).unwrap()
+    }
+
+    #[track_caller]
+    fn is(score: f32, by_hand: f32) {
+        assert!((score - by_hand).abs() < 2e-4, "{score}, by hand {by_hand}");
+    }
+
+    #[test]
+    fn fade_halves_at_the_half_distance_and_falls_with_the_square() {
+        // 1 / (1 + (d / h)²)
+        for (distance, half, by_hand) in [
+            (0.0, 0.3, 1.0),
+            (0.1, 0.3, 0.9), // 1 / (1 + 1/9)
+            (0.3, 0.3, 0.5),
+            (0.6, 0.3, 0.2), // 1 / (1 + 4)
+            (0.9, 0.3, 0.1), // 1 / (1 + 9)
+            (0.3, 0.6, 0.8), // 1 / (1 + 1/4)
+            (-2.0, 0.3, 1.0),
+        ] {
+            let found = fade(distance, half);
+            assert!((found - by_hand).abs() < 1e-5, "{distance} {half}: {found}, not {by_hand}");
+        }
+    }
+
+    #[test]
+    fn near_halves_at_the_half_distance() {
+        // 0.3 m + 0.25 · (1 m + 2 m) / 2 = 0.675 m; surfaces touch at 0.3 m + 0.6 m = 0.9 m.
+        is(near(&stool(0.9, 0.25), &desk()), 1.0);
+        is(near(&stool(0.9 + 0.225, 0.25), &desk()), 0.9); // a third of it: 1 / (1 + 1/9)
+        is(near(&stool(0.9 + 0.675, 0.25), &desk()), 0.5);
+        is(near(&stool(0.9 + 1.35, 0.25), &desk()), 0.2); // twice: 1 / (1 + 4)
+        // Aside and above count together: 0.405² + 0.54² = 0.675².
+        is(near(&stool(0.9 + 0.405, 0.75 + 0.54), &desk()), 0.5);
+    }
+
+    #[test]
+    fn next_to_goes_half_by_the_gap_and_half_by_the_middles() {
+        // The middles 1.575 m apart, half at 0.6 m + 1.5 m = 2.1 m: 1 / (1 + 0.75²) = 0.64.
+        // 0.5 (near) · (0.5 + 0.5 · 0.64) = 0.5 · 0.82.
+        is(close(&stool(1.575, 0.25), &desk()), 0.41);
+        is(close(&desk(), &stool(1.575, 0.25)), 0.41);
+        // Heights are the gap's alone: near is a half as above, the middles are 1.305 m apart on
+        // the ground: 1 / (1 + (1.305 / 2.1)²) = 0.721405; 0.5 · (0.5 + 0.5 · 0.721405).
+        is(close(&stool(1.305, 1.29), &desk()), 0.430_353);
+    }
+
+    #[test]
+    fn what_stands_on_a_thing_keeps_seven_tenths_of_next_to_it() {
+        // Touching, middle over middle, resting: 1 · 1 · (1 - 0.3 · 1).
+        let cup = boxed([0.0, 0.0, 1.05], [0.3, 0.4, 0.1]);
+        is(close(&cup, &crate_1m()), 0.7);
+        is(close(&crate_1m(), &cup), 0.7);
+    }
+
+    #[test]
+    fn a_crate_holds_the_ball_and_the_ball_no_crate() {
+        let (big, ball) = (boxed([0.0, 0.0, 0.5], [1.0; 3]), cube(0.0, 0.0, 0.5, 0.2));
+        is(holds(&big, &ball), 1.0);
+        // 0.04 of the crate's footprint, and of its height the 0.6 m up to the ball's top.
+        is(holds(&ball, &big), 0.6 * 0.04);
+        is(score(RelationKind::Carrying, &big, &[&ball], &looking_north(), &room()), 1.0);
+        is(score(RelationKind::Carrying, &ball, &[&big], &looking_north(), &room()), 0.024);
+    }
+
+    #[test]
+    fn around_goes_by_the_anchor_s_size_and_height() {
+        // Half at 0.3 m + 0.25 · 2 m = 0.8 m from the desk, at 0.3 m above or below it.
+        is(around(&stool(0.9, 0.25), &desk()), 1.0);
+        is(around(&stool(0.9 + 0.8, 0.25), &desk()), 0.5);
+        is(around(&stool(0.9 + 0.8, 0.75 + 0.3), &desk()), 0.25);
+        is(around(&stool(0.9, 0.75 + 0.6), &desk()), 0.2);
+        // Of the stool it is half at 0.3 m + 0.25 · 1 m = 0.55 m, and 1 / (1 + 4) at 1.1 m.
+        is(around(&desk(), &stool(0.9 + 0.55, 0.25)), 0.5);
+        is(around(&desk(), &stool(0.9 + 1.1, 0.25)), 0.2);
+    }
+
+    #[test]
+    fn reaching_halves_at_the_reach_whatever_the_height() {
+        is(reaching(&stool(0.9 + 0.8, 0.25), &desk(), 0.8), 0.5);
+        is(reaching(&stool(0.9 + 0.8, 9.0), &desk(), 0.8), 0.5);
+        is(reaching(&stool(0.9 + 0.8, 0.25), &desk(), 1.6), 0.8); // 1 / (1 + 1/4)
+        is(reaching(&stool(0.9 + 0.8, 0.25), &desk(), 0.4), 0.2); // 1 / (1 + 4)
+    }
+
+    #[test]
+    fn a_side_is_full_to_45_degrees_and_nothing_beyond_80() {
+        let (here, right) = (dot(0.0, 0.0, 0.0), Vector3::x());
+        // Half a metre away, near is half at 0.3 m: 1 / (1 + 25/9) = 9/34; 0.4 + 0.6 · 9/34.
+        let nearness = 0.558_824;
+        for (x, y, aligned) in [
+            (0.5, 0.0, 1.0),
+            (0.4, 0.3, 1.0),     // cosine 0.8: (0.8 - 0.2) / 0.5 = 1.2
+            (0.3, 0.4, 0.8),     // cosine 0.6: 0.4 / 0.5
+            (0.14, 0.48, 0.16),  // cosine 0.28: 0.08 / 0.5
+            (0.09, 0.4918, 0.0), // cosine 0.18
+            (0.0, 0.5, 0.0),
+            (-0.4, 0.3, 0.0),
+        ] {
+            let found = beside(&dot(x, y, 0.0), &here, &right);
+            assert!((found - aligned * nearness).abs() < 1e-3, "{x} {y}: {found}");
+        }
+        // Height counts for near, not for the direction: 0.3² + 0.4² aside and 1.2 m above are
+        // 1.3 m away, 1 / (1 + (13/3)²) = 0.050562.
+        is(beside(&dot(0.3, 0.4, 1.2), &here, &right), 0.8 * (0.4 + 0.6 * 0.050_562));
+        is(beside(&here, &here, &right), 0.0);
+    }
+
+    #[test]
+    fn a_side_keeps_four_tenths_where_nothing_is_near() {
+        // Near is a half, straight to the right: 0.4 + 0.6 · 0.5.
+        is(beside(&stool(1.575, 0.25), &desk(), &Vector3::x()), 0.7);
+        is(beside(&desk(), &stool(1.575, 0.25), &Vector3::x()), 0.0);
+        is(beside(&desk(), &stool(1.575, 0.25), &-Vector3::x()), 0.7);
+        // 30 m are a hundred times the half distance: 0.4 + 0.6 / 10001.
+        is(beside(&dot(30.0, 0.0, 0.0), &dot(0.0, 0.0, 0.0), &Vector3::x()), 0.400_06);
+    }
+
+    #[test]
+    fn what_stands_on_the_other_is_not_beside_it() {
+        // Touching: 1 · (1 - share of the footprint over the other's) · (0.4 + 0.6).
+        let big = boxed([0.0, 0.0, 0.5], [1.0; 3]);
+        is(beside(&boxed([0.5, 0.0, 1.5], [1.0; 3]), &big, &Vector3::x()), 0.5);
+        // Half of the small one is over the big one, and 0.08 of the big one under it.
+        let small = boxed([0.5, 0.0, 1.2], [0.4; 3]);
+        is(beside(&small, &big, &Vector3::x()), 0.5);
+        is(beside(&big, &small, &-Vector3::x()), 0.5);
+    }
+
+    #[test]
+    fn each_side_has_its_direction() {
+        // Ahead to the right of somebody: cosine 0.6 to the right, 0.8 behind what is looked at.
+        let (to_the_right, behind) = (0.8 * 0.558_824, 0.558_824);
+        let here = dot(0.0, 0.0, 0.0);
+        let of = |kind, thing: &Solid| score(kind, thing, &[&here], &looking_north(), &room());
+        let thing = dot(0.3, 0.4, 0.0);
+        is(of(RelationKind::RightOf, &thing), to_the_right);
+        is(of(RelationKind::LeftOf, &thing), 0.0);
+        is(of(RelationKind::Behind, &thing), behind);
+        is(of(RelationKind::InFrontOf, &thing), 0.0);
+        let other = dot(-0.3, -0.4, 0.0);
+        is(of(RelationKind::RightOf, &other), 0.0);
+        is(of(RelationKind::LeftOf, &other), to_the_right);
+        is(of(RelationKind::Behind, &other), 0.0);
+        is(of(RelationKind::InFrontOf, &other), behind);
+    }
+
+    #[test]
+    fn somebody_s_view_asks_nobody_who_faces_the_thing() {
+        let unasked = || unreachable!("nobody faces it");
+        let (thing, here) = (dot(0.3, 0.4, 0.0), dot(0.0, 0.0, 0.0));
+        let (found, seen_by) =
+            at_side(RelationKind::RightOf, &thing, &here, &looking_north(), unasked);
+        is(found, 0.447_059);
+        assert_eq!(seen_by, SeenBy::Directions);
+    }
+
+    #[test]
+    fn without_somebody_the_likelier_of_convention_and_facing_counts() {
+        // The viewer's convention: right is +X, front is -Y. Who faces the thing looks along -Y:
+        // their right is -X, their front +Y.
+        let (thing, here) = (dot(0.3, 0.4, 0.0), dot(0.0, 0.0, 0.0));
+        let (aside, ahead) = (0.447_059, 0.558_824);
+        let south = Some(-Vector3::y());
+        let north = Some(Vector3::y());
+        let directions: Directions = DirectionConvention::Viewer.into();
+        use RelationKind::{Behind, InFrontOf, LeftOf, RightOf};
+        for (kind, ahead_is, has_a_front, by_hand, seen_by) in [
+            (RightOf, None, false, aside, SeenBy::Directions),
+            (RightOf, None, true, aside, SeenBy::Directions),
+            (RightOf, south, true, aside, SeenBy::Directions),
+            (LeftOf, south, false, 0.85 * aside, SeenBy::WhoFacesIt),
+            (LeftOf, south, true, 0.85 * aside, SeenBy::WhoFacesIt),
+            (LeftOf, None, false, 0.0, SeenBy::Directions),
+            // In front: from the middle of the room 0.85, from its own front all of it.
+            (InFrontOf, south, false, 0.85 * ahead, SeenBy::WhoFacesIt),
+            (InFrontOf, south, true, ahead, SeenBy::WhoFacesIt),
+            // Behind by the convention: all of it, and half where the thing has its own front.
+            (Behind, south, false, ahead, SeenBy::Directions),
+            (Behind, south, true, 0.5 * ahead, SeenBy::Directions),
+            // Both say the same: 0.85 of it is less than all, all is more than half.
+            (Behind, north, false, ahead, SeenBy::Directions),
+            (Behind, north, true, ahead, SeenBy::WhoFacesIt),
+            // Neither says it.
+            (LeftOf, north, false, 0.0, SeenBy::Directions),
+        ] {
+            let faced = || Faced { ahead: ahead_is, has_a_front };
+            let found = at_side(kind, &thing, &here, &directions, faced);
+            assert!(
+                (found.0 - by_hand).abs() < 1e-4 && found.1 == seen_by,
+                "{kind:?} {ahead_is:?} {has_a_front}: {found:?}, not {by_hand} {seen_by:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn in_front_of_somebody_lies_ahead_of_them() {
+        let (me, ahead, back) = (dot(0.0, 0.0, 0.0), dot(0.3, 0.4, 0.0), dot(-0.3, -0.4, 0.0));
+        let of = |kind, thing: &Solid| to_observer(kind, thing, &me, &looking_north(), &room());
+        is(of(RelationKind::InFrontOf, &ahead), 0.558_824);
+        is(of(RelationKind::Opposite, &ahead), 0.558_824);
+        is(of(RelationKind::Behind, &ahead), 0.0);
+        is(of(RelationKind::InFrontOf, &back), 0.0);
+        is(of(RelationKind::Opposite, &back), 0.0);
+        is(of(RelationKind::Behind, &back), 0.558_824);
+        is(of(RelationKind::RightOf, &ahead), 0.447_059);
+        is(of(RelationKind::LeftOf, &ahead), 0.0);
+    }
+
+    #[test]
+    fn a_wall_between_leaves_four_tenths_of_near_and_around() {
+        let wall = boxed([0.75, 0.0, 1.3], [0.02, 5.0, 2.6]);
+        let outline = boxed([0.0, 0.0, 1.3], [6.0, 5.0, 2.6]);
+        let (open, two) = (Room::new(outline, vec![]), Room::new(outline, vec![wall]));
+        let (thing, anchor) = (stool(1.575, 0.25), desk());
+        let of = |kind, room: &Room| score(kind, &thing, &[&anchor], &looking_north(), room);
+        // Next to: 0.41, as above. Around: 0.675 m of 0.8 m, 1 / (1 + 0.84375²) = 0.584142.
+        is(of(RelationKind::Near, &open), 0.41);
+        is(of(RelationKind::Near, &two), 0.4 * 0.41);
+        is(of(RelationKind::Around, &open), 0.584_142);
+        is(of(RelationKind::Around, &two), 0.4 * 0.584_142);
+        // Comparisons walk around the wall instead; far is far.
+        is(of(RelationKind::Closest, &two), 0.41);
+        is(of(RelationKind::Far, &two), 0.59);
+        is(of(RelationKind::Farthest, &two), 0.59);
+    }
+
+    #[test]
+    fn apart_counts_middles_and_two_metres_for_a_wall_and_gaps_to_the_building() {
+        let wall = boxed([0.75, 0.0, 1.3], [0.02, 5.0, 2.6]);
+        let outline = boxed([0.0, 0.0, 1.3], [6.0, 5.0, 2.6]);
+        let (open, two) = (Room::new(outline, vec![]), Room::new(outline, vec![wall]));
+        let (thing, anchor) = (stool(1.575, 0.25), desk());
+        is(apart(&thing, &anchor, false, &open), 1.575);
+        is(apart(&thing, &anchor, false, &two), 3.575);
+        // The gap, and a twentieth of the middles: 0.675 + 0.05 · 1.575.
+        is(apart(&thing, &anchor, true, &open), 0.753_75);
+        is(apart(&thing, &anchor, true, &two), 0.753_75);
+        // Higher up it is as far by the middles: hypot(0.675, 1) + 0.07875 by the gap.
+        is(apart(&stool(1.575, 1.75), &anchor, false, &open), 1.575);
+        is(apart(&stool(1.575, 1.75), &anchor, true, &open), 1.285_24);
+    }
+
+    #[test]
+    fn every_kind_scores_its_own_geometry() {
+        // A box leans half over a crate's rim, 0.3 m deep in it.
+        let (thing, anchor) = (boxed([0.3, 0.1, 0.95], [0.3, 0.4, 0.5]), crate_1m());
+        let of = |kind, x: &Solid, y: &Solid| score(kind, x, &[y], &looking_north(), &room());
+        for (kind, expected) in [
+            (RelationKind::Near, close(&thing, &anchor)),
+            (RelationKind::Closest, close(&thing, &anchor)),
+            (RelationKind::Between, close(&thing, &anchor)),
+            (RelationKind::Far, 1.0 - close(&thing, &anchor)),
+            (RelationKind::Farthest, 1.0 - close(&thing, &anchor)),
+            (RelationKind::Around, around(&thing, &anchor)),
+            (RelationKind::Above, above(&thing, &anchor)),
+            (RelationKind::Below, above(&anchor, &thing)),
+            (RelationKind::On, on(&thing, &anchor)),
+            (RelationKind::Carrying, holds(&thing, &anchor)),
+            (RelationKind::Opposite, opposite(&thing, &anchor)),
+            (RelationKind::Facing, facing(&thing, &anchor)),
+            (RelationKind::Leaning, leaning(&thing, &anchor)),
+        ] {
+            let found = of(kind, &thing, &anchor);
+            assert!((found - expected).abs() < 1e-6, "{kind:?}: {found}, not {expected}");
+        }
+        assert!(above(&thing, &anchor) > 0.1 && above(&anchor, &thing) == 0.0, "above is one way");
+        // On the crate counts 0.8 of inside where that is more: resting, it is not inside at all.
+        let cup = boxed([0.0, 0.0, 1.05], [0.3, 0.4, 0.1]);
+        is(of(RelationKind::Inside, &cup, &anchor), 0.8);
+        is(of(RelationKind::Inside, &cube(0.0, 0.0, 0.5, 0.2), &anchor), 1.0);
+    }
+
+    #[test]
+    fn relations_to_the_room_take_no_anchor_and_others_need_one() {
+        let of = |kind, thing: &Solid| score(kind, thing, &[], &looking_north(), &room());
+        let thing = boxed([2.0, 0.0, 0.25], [0.5; 3]);
+        // 0.75 m to the side at +X: 1 / (1 + (0.75 / 0.3)²).
+        is(of(RelationKind::AgainstWall, &thing), 0.137_931);
+        // 1 / (1 + (0.75 / 0.5)²) · 1 / (1 + (2.25 / 0.5)²) = 0.307692 · 0.047059.
+        is(of(RelationKind::InCorner, &thing), 0.014_480);
+        // 4.75 m on one side, 0.75 m on the other, of 6 m: 1 / (1 + (4 / 6 / 0.45)²).
+        is(of(RelationKind::InMiddle, &thing), 0.313_012);
+        for kind in RelationKind::ALL.into_iter().filter(|kind| !kind.is_of_the_room()) {
+            assert_eq!(of(kind, &thing), 0.0, "{kind:?}");
+        }
+        // More anchors than one: the first counts, but for between.
+        let (here, there) = (stool(1.575, 0.25), stool(9.0, 0.25));
+        let near = score(RelationKind::Near, &here, &[&desk(), &there], &looking_north(), &room());
+        is(near, 0.41);
+    }
+
+    #[test]
+    fn straight_above_is_higher_by_half_of_both_heights() {
+        let picture = |z: f32| boxed([0.0, 0.0, z], [0.3, 0.4, 0.5]);
+        // Touching: 0.75 m between the middles, half of 1 m + 0.5 m.
+        is(above(&picture(1.25), &crate_1m()), 1.0);
+        is(above(&picture(3.0), &crate_1m()), 1.0);
+        is(above(&crate_1m(), &picture(1.25)), 0.0);
+        // Sunk by 0.3 m: 0.45 / 0.75 = 0.6 of the height; 0.3 m - 0.1 · 0.5 m = 0.25 m of
+        // 0.1 m + 0.3 · 0.5 m = 0.25 m leaves a half.
+        is(above(&picture(0.95), &crate_1m()), 0.3);
+        // Sunk by 0.05 m, a tenth of its height, is not sunk: 0.7 / 0.75.
+        is(above(&picture(1.2), &crate_1m()), 0.933_333);
+        // The thin: no less than 5 cm count as a full step, 0.03 / 0.05.
+        let sheet = |z: f32| boxed([0.0, 0.0, z], [0.3, 0.4, 0.02]);
+        is(above(&sheet(1.03), &sheet(1.0)), 0.6);
+    }
+
+    #[test]
+    fn aside_and_above_counts_seven_tenths_at_most() {
+        // Half at 0.15 m + 0.25 · 0.5 m, the smaller diagonal: 0.275 m aside of 0.3 m + 0.15 m.
+        let picture = |x: f32| boxed([x, 0.0, 2.0], [0.3, 0.4, 0.5]);
+        is(above(&picture(0.45 + 0.275), &crate_1m()), 0.35);
+        is(above(&picture(0.45 + 0.55), &crate_1m()), 0.14); // 0.7 / (1 + 4)
+        is(above(&picture(0.449), &crate_1m()), 0.7);
+        // A shelf aside of a small thing has the small one's reach as well.
+        let low = |x: f32| boxed([x, 0.0, 0.25], [0.3, 0.4, 0.5]);
+        is(above(&boxed([0.0, 0.0, 2.0], [0.6, 0.8, 1.0]), &low(0.45 + 0.275)), 0.35);
+        // Over 0.24 of it: 0.24 / 0.3; from 0.3 on it is straight above. Half of 0.6 m and of
+        // 0.5 m are 0.55 m; 0.12 m and 0.15 m of 0.5 m overlap.
+        let box_at = |x: f32, z: f32| boxed([x, 0.0, z], [0.5, 0.5, 0.5]);
+        is(above(&box_at(0.43, 2.0), &crate_1m()), 0.8);
+        is(above(&box_at(0.39, 2.0), &crate_1m()), 1.0);
+        // And a wide one over 0.24 of a small one.
+        is(above(&boxed([0.43, 0.0, 2.0], [0.6, 0.8, 1.0]), &box_at(0.0, 0.25)), 0.8);
+    }
+
+    #[test]
+    fn on_halves_six_centimetres_above_the_top() {
+        let cup = |x: f32, bottom: f32| boxed([x, 0.0, bottom + 0.05], [0.3, 0.4, 0.1]);
+        is(on(&cup(0.0, 1.0), &crate_1m()), 1.0);
+        is(on(&cup(0.0, 1.06), &crate_1m()), 0.5);
+        is(on(&cup(0.0, 1.12), &crate_1m()), 0.2);
+        // A quarter of its footprint over it counts a half, half of it all: the rim is at 0.3 m,
+        // half of the cup 0.15 m.
+        is(on(&cup(0.3 + 0.15 - 0.075, 1.0), &crate_1m()), 0.5);
+        is(on(&cup(0.3, 1.0), &crate_1m()), 1.0);
+        is(on(&cup(0.2, 1.0), &crate_1m()), 1.0);
+        // A quarter of a table top over a small column: the column's share does not count.
+        let (top, column) =
+            (boxed([0.0, 0.0, 1.05], [1.0, 1.0, 0.1]), boxed([0.0, 0.0, 0.5], [0.5, 0.5, 1.0]));
+        is(on(&top, &column), 0.5);
+        is(on(&column, &top), 0.0);
+    }
+
+    #[test]
+    fn on_a_board_within_is_half_at_four_tenths_of_the_height() {
+        let cup = |bottom: f32| boxed([0.0, 0.0, bottom + 0.05], [0.3, 0.4, 0.1]);
+        // Sunk by up to 5 cm it rests on top.
+        is(on(&cup(0.95), &crate_1m()), 1.0);
+        // 1 m - 0.55 m - 0.05 m = 0.4 m, of 0.4 · 1 m.
+        is(on(&cup(0.55), &crate_1m()), 0.5);
+        // 0.85 m: 1 / (1 + 2.125²) = 0.181303. In the lowest 0.3 m it may stand under it:
+        // (0.1 m + 0.02 m) / 0.3 m = 0.4.
+        is(on(&cup(0.1), &crate_1m()), 0.072_521);
+        // The same a metre higher up.
+        let shelf = boxed([0.0, 0.0, 1.5], [0.6, 0.8, 1.0]);
+        is(on(&cup(1.1), &shelf), 0.072_521);
+        is(on(&cup(0.9), &shelf), 0.0);
+        // Thin ones have at least 4 cm and 2 cm for the two: 0.01 / 0.04 is 1 / (1 + 1/16), times
+        // (0.07 - 0.08 + 0.02) / 0.02. From 0.08 m to 0.13 m; the cup 0.06 m below its top.
+        let plate = boxed([0.0, 0.0, 0.105], [0.6, 0.8, 0.05]);
+        is(on(&cup(0.07), &plate), 0.941_176 * 0.5);
+    }
+
+    #[test]
+    fn on_a_wall_is_flat_against_it() {
+        let wall = boxed([0.0, 0.0, 2.0], [6.0, 0.1, 2.0]);
+        // A picture 4 cm thick; 7 cm from the wall's middle its back touches it.
+        let picture = |gap: f32, z: f32| boxed([1.0, 0.07 + gap, z], [0.5, 0.04, 0.4]);
+        is(on(&picture(0.0, 2.0), &wall), 0.9);
+        is(on(&picture(0.119, 2.0), &wall), 0.9);
+        is(on(&picture(0.121, 2.0), &wall), 0.0);
+        // The wall begins at 1 m: what has its middle there or below does not hang on it.
+        is(on(&picture(0.05, 1.01), &wall), 0.9);
+        is(on(&picture(0.05, 1.0), &wall), 0.0);
+        is(on(&picture(0.05, 0.99), &wall), 0.0);
+        is(on(&wall, &picture(0.05, 2.0)), 0.0);
+    }
+
+    #[test]
+    fn an_upright_plane_is_thin_high_and_long() {
+        for (size, expected) in [
+            ([0.81, 0.14, 1.01], true),
+            ([0.14, 0.81, 1.01], true),
+            ([0.81, 0.15, 1.01], false),
+            ([0.81, 0.14, 1.0], false),
+            ([0.8, 0.14, 1.01], false),
+            ([0.81, 0.3, 1.01], false),
+            ([0.81, 0.14, 0.5], false),
+            ([0.5, 0.14, 1.01], false),
+        ] {
+            assert_eq!(is_upright_plane(&boxed([0.0; 3], size)), expected, "{size:?}");
+        }
+    }
+
+    #[test]
+    fn inside_is_the_share_of_the_volume() {
+        let ball = |x: f32, z: f32| cube(x, 0.0, z, 0.2);
+        is(inside(&ball(0.0, 0.5), &crate_1m()), 1.0);
+        is(inside(&ball(0.0, 1.0), &crate_1m()), 0.5);
+        is(inside(&ball(0.3, 0.5), &crate_1m()), 0.5);
+        is(inside(&ball(0.3, 1.0), &crate_1m()), 0.25);
+        is(inside(&ball(0.0, 1.1), &crate_1m()), 0.0);
+        is(inside(&ball(0.0, 1.5), &crate_1m()), 0.0);
+        // The crate's footprint is 0.48 m², the ball's 0.04 m²; 0.6 m of the crate's height are
+        // counted from its bottom to the ball's top.
+        is(inside(&crate_1m(), &ball(0.0, 0.5)), 0.6 * 0.04 / 0.48);
+        // The flat have no height to share: their footprint counts.
+        is(inside(&boxed([0.3, 0.0, 0.5], [0.2, 0.2, 0.0]), &crate_1m()), 0.5);
+        is(inside(&boxed([0.0, 0.0, 0.5], [0.2, 0.2, 0.0]), &crate_1m()), 1.0);
+        let film = inside(&boxed([0.0, 0.0, 1.0], [0.2, 0.2, 1e-3]), &crate_1m());
+        assert!((film - 0.5).abs() < 1e-2, "half of a millimetre: {film}");
+    }
+
+    #[test]
+    fn between_is_full_in_the_middle_three_fifths_of_the_line() {
+        let (a, b) = (dot(0.0, 0.0, 0.0), dot(4.0, 0.0, 0.0));
+        let at = |x: f32, y: f32, z: f32| between(&dot(x, y, z), &a, &b);
+        is(at(2.0, 0.0, 0.0), 1.0);
+        is(at(3.2, 0.0, 0.0), 1.0); // 0.3 of the length from the middle
+        is(at(3.8, 0.0, 0.0), 0.5); // 0.15 more
+        is(at(0.2, 0.0, 0.0), 0.5);
+        is(at(4.4, 0.0, 0.0), 0.2); // 0.3 more
+        // Aside it halves at 0.35 · 4 m + 0.2 m = 1.6 m.
+        is(at(2.0, 1.6, 0.0), 0.5);
+        is(at(2.0, -1.6, 0.0), 0.5);
+        is(at(2.0, 3.2, 0.0), 0.2);
+        is(at(3.8, 1.6, 0.0), 0.25);
+        // Along a line of 3, 4 and 5 that begins at (1, 1), 0.35 · 5 m + 0.2 m = 1.95 m aside:
+        // (2.5, 3) + 1.95 · (-0.8, 0.6).
+        let (c, d) = (dot(1.0, 1.0, 0.0), dot(4.0, 5.0, 0.0));
+        is(between(&dot(2.5, 3.0, 0.0), &c, &d), 1.0);
+        is(between(&dot(0.94, 4.17, 0.0), &c, &d), 0.5);
+        is(between(&dot(0.94, 4.17, 0.0), &d, &c), 0.5);
+        // 0.95 of the way, and 0.05 of it.
+        is(between(&dot(3.85, 4.8, 0.0), &c, &d), 0.5);
+        is(between(&dot(1.15, 1.2, 0.0), &c, &d), 0.5);
+        // Nothing is between a thing and itself, or what is hardly apart from it.
+        is(between(&a, &a, &a), 0.0);
+        is(between(&a, &a, &dot(0.0005, 0.0, 0.0)), 0.0);
+        let of = score(
+            RelationKind::Between,
+            &a,
+            &[&b, &dot(-4.0, 0.0, 0.0)],
+            &looking_north(),
+            &room(),
+        );
+        is(of, 1.0);
+    }
+
+    #[test]
+    fn between_halves_a_metre_above_or_below_both() {
+        let (a, b) = (dot(0.0, 0.0, 0.0), dot(4.0, 0.0, 1.0));
+        let at = |z: f32| between(&dot(2.0, 0.0, z), &a, &b);
+        is(at(0.0), 1.0);
+        is(at(1.0), 1.0);
+        is(at(2.0), 0.5);
+        is(at(-1.0), 0.5);
+        is(at(3.0), 0.2);
+    }
+
+    #[test]
+    fn what_carries_one_of_them_is_hardly_between() {
+        let board = boxed([2.0, 0.0, 0.5], [5.0, 1.0, 1.0]);
+        let cup = |x: f32, z: f32| boxed([x, 0.0, z], [0.2, 0.2, 0.1]);
+        // 1 - 0.8 · 1, on whichever end it stands.
+        is(between(&board, &cup(0.0, 1.05), &cup(4.0, 1.05)), 0.2);
+        is(between(&cup(2.0, 1.05), &cup(0.0, 1.05), &cup(4.0, 1.05)), 1.0);
+        // Half of what it carries: 6 cm above it, 1 - 0.8 · 0.5.
+        is(between(&board, &cup(0.0, 1.11), &cup(4.0, 1.11)), 0.6 / (1.0 + 0.06 * 0.06));
+    }
+
+    #[test]
+    fn opposite_is_in_line_with_the_anchor_and_apart() {
+        let here = dot(0.0, 0.0, 0.0);
+        // Half a metre away near is 9/34: 1 - 0.8 · 9/34.
+        let apart = 0.788_235;
+        is(opposite(&dot(0.5, 0.0, 0.0), &here), apart);
+        is(opposite(&dot(0.0, -0.5, 0.0), &here), apart);
+        is(opposite(&dot(0.4, 0.3, 0.0), &here), 0.4 * apart); // (0.8 - 0.7) / 0.25
+        is(opposite(&dot(-0.3, 0.4, 0.0), &here), 0.4 * apart);
+        is(opposite(&dot(0.353_553, 0.353_553, 0.0), &here), 0.028_427 * apart);
+        is(opposite(&here, &here), 0.0);
+        // In line with an axis of the anchor, not with one of its own: (0.8, 0.6) and (-0.6, 0.8).
+        let yaw = 0.6_f32.atan2(0.8);
+        is(opposite(&dot(0.4, 0.3, 0.0), &turned_dot(0.0, 0.0, yaw)), apart);
+        is(opposite(&dot(-0.3, 0.4, 0.0), &turned_dot(0.0, 0.0, yaw)), apart);
+        is(opposite(&turned_dot(0.4, 0.3, yaw), &here), 0.4 * apart);
+    }
+
+    #[test]
+    fn facing_is_in_line_with_the_thing_and_likelier_nearby() {
+        let here = dot(0.0, 0.0, 0.0);
+        // Half a metre of 1.5 m: 0.5 + 0.5 / (1 + 1/9) = 0.95.
+        is(facing(&dot(0.5, 0.0, 0.0), &here), 0.95);
+        is(facing(&dot(0.0, 1.5, 0.0), &here), 0.75); // 0.5 + 0.5 · 0.5
+        is(facing(&dot(3.0, 0.0, 0.0), &here), 0.6); // 0.5 + 0.5 · 0.2
+        is(facing(&dot(0.4, 0.3, 0.0), &here), 0.4 * 0.95);
+        is(facing(&dot(-0.3, 0.4, 0.0), &here), 0.4 * 0.95);
+        is(facing(&here, &here), 0.0);
+        // In line with an axis of its own, not with one of the anchor.
+        let yaw = 0.6_f32.atan2(0.8);
+        is(facing(&turned_dot(0.4, 0.3, yaw), &here), 0.95);
+        is(facing(&turned_dot(-0.3, 0.4, yaw), &here), 0.95);
+        is(facing(&dot(0.4, 0.3, 0.0), &turned_dot(0.0, 0.0, yaw)), 0.4 * 0.95);
+    }
+
+    #[test]
+    fn leaning_halves_15_centimetres_aside_and_10_above() {
+        let here = dot(0.0, 0.0, 0.0);
+        is(leaning(&here, &here), 1.0);
+        is(leaning(&dot(0.15, 0.0, 0.0), &here), 0.5);
+        is(leaning(&dot(0.0, 0.3, 0.0), &here), 0.2);
+        is(leaning(&dot(0.0, 0.0, 0.1), &here), 0.5);
+        is(leaning(&dot(0.15, 0.0, 0.1), &here), 0.25);
+    }
+
+    /// The same in a mirror along X.
+    fn mirrored(solid: &Solid) -> Solid {
+        let center = Point3::new(-solid.center.x, solid.center.y, solid.center.z);
+        let yaw_rad = -solid.axis.y.atan2(solid.axis.x);
+        OrientedBox { center, size: Vector3::from(solid.size), yaw_rad }.into()
+    }
+
+    fn moved(solid: &Solid, by: Vector3<f32>) -> Solid {
+        let yaw_rad = solid.axis.y.atan2(solid.axis.x);
+        let center = solid.center + by;
+        OrientedBox { center, size: Vector3::from(solid.size), yaw_rad }.into()
+    }
+
+    proptest! {
+        /// In a mirror left is right, and nothing else changes.
+        #[test]
+        fn a_mirror_swaps_left_and_right_alone(
+            a in any_solid(), b in any_solid(), c in any_solid()
+        ) {
+            let outline = boxed([0.0, 0.0, 1.3], [9.0, 9.0, 2.6]);
+            let room = Room::new(outline, vec![]);
+            let of = |kind, x: &Solid, y: &Solid, z: &Solid| {
+                score(kind, x, &[y, z], &looking_north(), &room)
+            };
+            for kind in RelationKind::ALL {
+                let swapped = match kind {
+                    RelationKind::LeftOf => RelationKind::RightOf,
+                    RelationKind::RightOf => RelationKind::LeftOf,
+                    kind => kind,
+                };
+                let plain = of(kind, &a, &b, &c);
+                let mirror = of(swapped, &mirrored(&a), &mirrored(&b), &mirrored(&c));
+                prop_assert!((plain - mirror).abs() < 0.01, "{kind:?} {plain} {mirror}");
+            }
+        }
+
+        /// Where in the world two things are makes no difference.
+        #[test]
+        fn moving_both_changes_nothing(
+            a in any_solid(), b in any_solid(), c in any_solid(),
+            by in prop::array::uniform3(-2.0_f32..2.0)
+        ) {
+            let by = Vector3::from(by);
+            let (ma, mb, mc) = (moved(&a, by), moved(&b, by), moved(&c, by));
+            for (name, plain, there) in [
+                ("close", close(&a, &b), close(&ma, &mb)),
+                ("around", around(&a, &b), around(&ma, &mb)),
+                ("above", above(&a, &b), above(&ma, &mb)),
+                ("inside", inside(&a, &b), inside(&ma, &mb)),
+                ("between", between(&a, &b, &c), between(&ma, &mb, &mc)),
+                ("opposite", opposite(&a, &b), opposite(&ma, &mb)),
+                ("facing", facing(&a, &b), facing(&ma, &mb)),
+                ("leaning", leaning(&a, &b), leaning(&ma, &mb)),
+            ] {
+                prop_assert!((plain - there).abs() < 0.01, "{name} {plain} {there}");
+            }
+        }
+
+        /// Farther away along a line nothing is nearer, more around, or leans more.
+        #[test]
+        fn farther_is_never_nearer(a in any_solid(), far in 0.0_f32..2.0, more in 0.01_f32..2.0) {
+            let from = |x: f32| moved(&a, Vector3::new(x - a.center.x, 0.0, 0.0));
+            let (here, there) = (from(far), from(far + more));
+            let anchor = boxed([0.0, a.center.y, a.center.z], [1.0; 3]);
+            for (name, nearer, farther) in [
+                ("near", near(&here, &anchor), near(&there, &anchor)),
+                ("around", around(&here, &anchor), around(&there, &anchor)),
+                ("leaning", leaning(&here, &anchor), leaning(&there, &anchor)),
+                ("reaching", reaching(&here, &anchor, 1.5), reaching(&there, &anchor, 1.5)),
+            ] {
+                prop_assert!(nearer + 1e-3 >= farther, "{name} {nearer} {farther}");
+            }
+        }
     }
 
     proptest! {

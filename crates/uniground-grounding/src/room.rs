@@ -1,14 +1,14 @@
-//! The room that a thing stands in: walls around it, corners, the middle, and which way its own
-//! front looks.
+//! The room that a thing stands in: walls around it, corners, the middle, and the direction of its
+//! own front.
 //!
-//! A scan may hold several rooms, or one with a recess: what bounds a thing is the next wall on
-//! each of its four sides, or the outline of everything where no wall comes before it.
+//! A scan may hold several rooms, or one with a recess. A thing is bounded by the next wall on each
+//! of its four sides, or by the outline of everything where no wall comes before it.
 
 use super::relations::fade;
 use super::solid::Solid;
 use uniground_geometry::{Point2, Vector2, Vector3};
 
-/// What relations to the room itself are measured against.
+/// The room that relations to the room are measured against.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Room {
     /// The smallest upright box around everything.
@@ -19,18 +19,18 @@ pub struct Room {
     corners: Vec<(usize, usize)>,
 }
 
-/// How somebody looks who faces a thing.
+/// How a viewer faces a thing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Faced {
-    /// Horizontal, away from who looks; `None` right in the middle of a room.
+    /// Horizontal direction away from the viewer; `None` right in the middle of a room.
     pub ahead: Option<Vector3<f32>>,
-    /// The thing has its back to a wall. In the open nobody tells from where: people look from the
-    /// middle of the room.
+    /// Whether the thing has its back to a wall. In the open no side is the front, so people look
+    /// from the middle of the room.
     pub has_a_front: bool,
 }
 
 impl Room {
-    /// A room with this outline and these walls.
+    /// Creates a room with this outline and these walls.
     #[must_use]
     pub fn new(outline: Solid, walls: Vec<Solid>) -> Self {
         const MEET_M: f32 = 0.4;
@@ -43,14 +43,14 @@ impl Room {
         Self { outline, walls, corners }
     }
 
-    /// Close to a wall, or to one side of the room, `0..=1`.
+    /// Returns how close a thing is to a wall, or to one side of the room, `0..=1`.
     #[must_use]
     pub fn against_wall(&self, thing: &Solid) -> f32 {
         let walls = self.walls.iter().map(|wall| fade(thing.horizontal_gap(wall), 0.25));
         self.gaps(thing).into_iter().map(|gap| fade(gap, 0.3)).chain(walls).fold(0.0, f32::max)
     }
 
-    /// Close to two sides of the room, or two walls, that meet, `0..=1`.
+    /// Returns how close a thing is to two sides of the room, or two walls, that meet, `0..=1`.
     #[must_use]
     pub fn in_corner(&self, thing: &Solid) -> f32 {
         let [a, b, c, d] = self.gaps(thing).map(|gap| fade(gap, 0.5));
@@ -59,7 +59,7 @@ impl Room {
         meeting.max(a.max(b) * c.max(d))
     }
 
-    /// Near the middle of the room, measured by the room's size, `0..=1`.
+    /// Returns how near a thing is to the middle of the room, relative to the room's size, `0..=1`.
     #[must_use]
     pub fn in_middle(&self, thing: &Solid) -> f32 {
         let gaps = self.gaps(thing);
@@ -71,7 +71,7 @@ impl Room {
         fade(aside(0), 0.45) * fade(aside(1), 0.45)
     }
 
-    /// How somebody looks who faces a thing.
+    /// Returns how a viewer faces a thing.
     #[must_use]
     pub fn faced(&self, thing: &Solid) -> Faced {
         let front = self.own_front(thing);
@@ -88,8 +88,8 @@ impl Room {
         }
     }
 
-    /// Away from the wall a thing stands against, a side of the room or a wall within; `None` in
-    /// the open and, unless the thing is long, in corners.
+    /// Returns the direction away from the wall that a thing stands against: a side of the room or
+    /// a wall within. `None` in the open and, unless the thing is long, in corners.
     #[must_use]
     pub fn own_front(&self, thing: &Solid) -> Option<Vector3<f32>> {
         const AT_THE_WALL_M: f32 = 0.35;
@@ -109,20 +109,20 @@ impl Room {
             .map(|(gap, _)| *gap)
             .fold(f32::INFINITY, f32::min);
         let flat = thing.sides().0 > 2.0 * thing.sides().1;
-        // In a corner only a long thing tells which wall it has at its back.
+        // In a corner only the shape of a long thing shows which wall it has at its back.
         let clear = other > gap + NEXT_WALL_M || flat && thing.along().dot(&front).abs() < 0.3;
         (gap <= AT_THE_WALL_M && clear).then(|| Vector3::new(front.x, front.y, 0.0))
     }
 
-    /// Whether somebody who stands at the one thing has to leave the room for the other: a wall
-    /// crosses the line between their middles.
+    /// Returns whether a person at one thing has to leave the room for the other: a wall crosses
+    /// the line between their middles.
     #[must_use]
     pub fn apart_by_a_wall(&self, a: &Solid, b: &Solid) -> bool {
         self.walls.iter().any(|wall| crosses(wall, a, b))
     }
 
-    /// How much of the room lies on the side of a thing that `direction` (horizontal, unit) points
-    /// to, metres: up to the next wall.
+    /// Returns how much of the room lies on the side of a thing that `direction` (horizontal, unit)
+    /// points to, meters: up to the next wall.
     #[must_use]
     pub fn depth(&self, thing: &Solid, direction: &Vector2<f32>) -> f32 {
         let [a, b] = self.axes();
@@ -132,8 +132,8 @@ impl Room {
             .map_or(0.0, |(_, gap)| gap)
     }
 
-    /// How far it is from a thing to what bounds its room, on both sides along each of
-    /// [`axes`](Self::axes); metres.
+    /// Returns the distances from a thing to the bounds of its room, on both sides along each of
+    /// [`axes`](Self::axes); meters.
     fn gaps(&self, thing: &Solid) -> [f32; 4] {
         let mut gaps = [0.0; 4];
         for (i, axis) in self.axes().into_iter().enumerate() {
@@ -160,15 +160,15 @@ impl Room {
         gaps
     }
 
-    /// Directions of the outline's sides.
+    /// Returns the directions of the outline's sides.
     fn axes(&self) -> [Vector2<f32>; 2] {
         [self.outline.axis, perpendicular(self.outline.axis)]
     }
 }
 
-/// Whether a wall stands between the middles of two things, and as high as they are.
+/// Returns whether a wall stands between the middles of two things, and is as high as they are.
 fn crosses(wall: &Solid, a: &Solid, b: &Solid) -> bool {
-    /// What is nearer to the middle of a wall is in it, or hangs on it.
+    /// A thing nearer to the middle of a wall is in it, or hangs on it.
     const IN_THE_WALL_M: f32 = 0.15;
     let along = wall.along();
     let place = |p: Point2<f32>| {
@@ -238,13 +238,13 @@ mod tests {
 
     #[test]
     fn of_two_rooms_each_has_its_middle_and_its_walls() {
-        // A wall across at x = 1: rooms of 4 and of 2 metres.
+        // A wall across at x = 1: rooms of 4 and of 2 meters.
         let two = Room::new(outline(), vec![boxed([1.0, 0.0, 1.3], [0.1, 5.0, 2.6])]);
         assert!(two.in_middle(&cube(-1.0, 0.0)) > 0.95 && two.in_middle(&cube(2.0, 0.0)) > 0.95);
         assert!(two.in_middle(&cube(0.6, 0.0)) < 0.3 && two.against_wall(&cube(0.6, 0.0)) > 0.7);
         let chair = cube(-2.0, 0.5);
-        // Who stands in the middle of the chair's room looks along -X and +Y at it; in that of the
-        // whole outline too, but less aside.
+        // A viewer in the middle of the chair's room sees it along -X and +Y; from the middle of
+        // the whole outline too, but less to the side.
         let ahead = two.faced(&chair).ahead.unwrap();
         assert!((ahead - Vector3::new(-1.0, 0.5, 0.0).normalize()).norm() < 0.1, "{ahead}");
     }
@@ -255,7 +255,8 @@ mod tests {
         let two = Room::new(outline(), vec![boxed([1.0, 1.0, 1.3], [0.1, 3.0, 2.6]), low]);
         assert!(two.apart_by_a_wall(&cube(0.5, 0.5), &cube(1.5, 0.5)));
         assert!(!two.apart_by_a_wall(&cube(0.5, 0.5), &cube(0.0, 0.0)));
-        // What hangs on the wall is in both rooms; past its end and over a low one, one sees.
+        // An object that hangs on the wall is in both rooms; one can see past its end and over a
+        // low wall.
         assert!(!two.apart_by_a_wall(&boxed([0.94, 0.5, 1.5], [0.02, 0.4, 0.4]), &cube(1.5, 0.5)));
         let lamp = |x: f32| boxed([x, -1.5, 1.6], [0.3; 3]);
         assert!(

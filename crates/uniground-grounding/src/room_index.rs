@@ -1,6 +1,6 @@
-//! What a room is known by among many: what its things are called, and their colours. Little enough
-//! to be kept of a million rooms, it tells which of them are worth a look; what is in those, their
-//! instances tell.
+//! An index of a room for the search among many rooms: the names of its things, and their colors.
+//! Small enough to store for a million rooms, it tells which of them to look at; their instances
+//! tell the rest.
 
 use super::names::GivenName;
 use super::readings::Readings;
@@ -10,37 +10,37 @@ use uniground_geometry::scene::{Instance, Level};
 use uniground_language::{ME, Meaning, Phrase, parse};
 use uniground_models::attributes::colour_fit;
 
-/// Of guesses so many count: later ones tell what a thing might be mistaken for.
+/// Number of guesses that count: later ones say what a thing might be mistaken for.
 const GUESSES: usize = 3;
-/// A guess that is believed less says nothing.
+/// A guess with a lower belief is ignored.
 const LEAST_GUESS: f32 = 0.05;
-/// Something of any size is among the parts and wholes of a room.
+/// Factor for parts and wholes: a room has some of any size.
 const NOT_A_THING: f32 = 0.55;
-/// A colour that describes a thing less is none of its own.
+/// A color that fits less than this does not describe the thing.
 const LEAST_COLOUR: f32 = 0.2;
-/// Nor is one that describes it so much less than another: those are its kin.
+/// The same for a color that fits less than this share of the best: it is only similar to it.
 const OF_THE_BEST: f32 = 0.6;
-/// What carries the thing that is asked for, as far as its name says.
+/// Fit of a thing that carries the requested one, as far as its name says.
 const CARRIES: f32 = 0.6;
-/// What is left of a fit where the colour is another, or not known.
+/// Factor of a fit where the color is another, or unknown.
 const OTHER_COLOUR: f32 = 0.4;
-/// What is left of a room in which what stands beside the thing was not found, or the thing itself.
+/// Factors of a room in which an anchor of the target was not found, or the target itself.
 const WITHOUT_ANCHOR: f32 = 0.3;
 const WITHOUT_TARGET: f32 = 0.02;
 
-/// Things of a room that have a name and a colour in common.
+/// Things of a room that have a name and a color in common.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Entry {
-    /// In lower case, as somebody gave it or the naming guessed it.
+    /// The name in lower case, as given or guessed.
     pub name: String,
-    /// One that describes it; `None` where no colour does.
+    /// A color that describes the things; `None` where no color does.
     pub colour: Option<ColourName>,
-    /// How much the best of them is believed to be called so, `0..=1`.
+    /// The highest belief that one of them has this name, `0..=1`.
     pub weight: f32,
 }
 
-/// What a room's things are known by, in order of name and colour. The building itself is in every
-/// room and tells nothing.
+/// Returns the entries of a room's things, in order of name and color. The building itself is in
+/// every room, so it is left out.
 #[must_use]
 pub fn entries(instances: &[Instance]) -> Vec<Entry> {
     let mut best: BTreeMap<(String, Option<&'static str>), Entry> = BTreeMap::new();
@@ -66,7 +66,7 @@ fn names_of(instance: &Instance) -> Vec<(String, f32)> {
     guesses.map(|guess| (guess.name.to_lowercase(), believed * guess.score)).collect()
 }
 
-/// Its colours; at least one entry, which may be none.
+/// Returns the colors of an instance: at least one entry, which may be `None`.
 fn colours_of(instance: &Instance) -> Vec<Option<ColourName>> {
     let fits = ColourName::ALL.map(|colour| colour_fit(colour, instance));
     let least = LEAST_COLOUR.max(OF_THE_BEST * fits.into_iter().fold(0.0, f32::max));
@@ -75,13 +75,13 @@ fn colours_of(instance: &Instance) -> Vec<Option<ColourName>> {
     if colours.is_empty() { vec![None] } else { colours }
 }
 
-/// What a question asks a room for: its thing, and what that stands beside.
+/// What a question looks for in a room: its target, and the anchors of the target.
 pub struct Sought {
     phrases: Vec<SoughtPhrase>,
-    /// The first of them is the thing itself: not where it is called nothing ("what is next to the
-    /// piano").
+    /// Whether the first of them is the target itself. False where the target has no noun ("what is
+    /// next to the piano").
     has_target: bool,
-    /// The thing in words, for an encoder.
+    /// The target in words, for an encoder.
     pub target: String,
 }
 
@@ -91,7 +91,7 @@ struct SoughtPhrase {
 }
 
 impl Sought {
-    /// Reads a question by the grammar.
+    /// Reads a question with the grammar.
     #[must_use]
     pub fn of(query: &str) -> Self {
         let parsed = parse(query);
@@ -114,19 +114,19 @@ impl Sought {
         Self { phrases, has_target, target: target.text() }
     }
 
-    /// How many things it speaks of by a name.
+    /// Returns how many things the question names.
     #[must_use]
     pub fn len(&self) -> usize {
         self.phrases.len()
     }
 
-    /// Whether it names nothing.
+    /// Returns whether the question names nothing.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.phrases.is_empty()
     }
 
-    /// How well a name fits the thing at an index, `0..=1`.
+    /// Returns how well a name fits the thing at an index, `0..=1`.
     #[must_use]
     pub fn fit(&self, at: usize, name: &GivenName) -> f32 {
         let SoughtPhrase { phrase, readings } = &self.phrases[at];
@@ -134,13 +134,14 @@ impl Sought {
         if called == 0.0 && name.carries(phrase, &phrase.meaning()) { CARRIES } else { called }
     }
 
-    /// Colours that the thing at an index has.
+    /// Returns the colors of the thing at an index.
     #[must_use]
     pub fn colours(&self, at: usize) -> &[ColourName] {
         &self.phrases[at].phrase.colours
     }
 
-    /// What an entry of a room counts for the thing at an index, whose name fits it so well.
+    /// Returns the weight of a room's entry for the thing at an index; `fit` is how well its name
+    /// fits.
     #[must_use]
     pub fn weigh_entry(&self, at: usize, fit: f32, colour: Option<ColourName>, weight: f32) -> f32 {
         let colours = self.colours(at);
@@ -149,8 +150,8 @@ impl Sought {
         fit * weight * if has_colour { 1.0 } else { OTHER_COLOUR }
     }
 
-    /// How likely a room has it, by what its best entries count for each of the things; only to be
-    /// compared with others.
+    /// Returns how likely a room has what is sought, given the weights of its best entries for each
+    /// of the things. Only for comparison with other rooms.
     #[must_use]
     pub fn weigh_room(&self, entries: &[f32]) -> f32 {
         let of = |(at, found): (usize, &f32)| match at {
@@ -189,7 +190,7 @@ mod tests {
             known,
             [("desk lamp".into(), Some("blue"), 1.0), ("mug".into(), Some("red"), 1.0)]
         );
-        // What only guesses tell is believed as far as they are.
+        // A guessed name counts as far as the guess is believed.
         let guessed = Instance { given_name: None, ..named(1, "", [90; 3]) };
         let guessed =
             Instance { names: uniground_models::attributes::name_guesses(&guessed), ..guessed };
@@ -218,7 +219,7 @@ mod tests {
         let rooms =
             [[1.0, 1.0], [1.0, 0.0], [0.0, 1.0], [0.0, 0.0]].map(|found| sought.weigh_room(&found));
         assert!(rooms.is_sorted_by(|a, b| a > b), "{rooms:?}");
-        // Of what has no name only what it stands beside is sought.
+        // For a target without a name only its anchors are sought.
         let nameless = Sought::of("what is next to the piano");
         assert!(nameless.len() == 1 && nameless.weigh_room(&[1.0]) > nameless.weigh_room(&[0.0]));
         assert!(Sought::of("the thing").is_empty());

@@ -1,4 +1,4 @@
-//! What the question pipeline needs of a scene, wherever it comes from.
+//! What the question pipeline needs from a scene, wherever the scene comes from.
 
 use super::names::NameIndex;
 use super::picture_cache::PictureCache;
@@ -14,81 +14,80 @@ use uniground_parsing::ParseError;
 use uniground_parsing::pointed::PhotographPoint;
 use uniground_render::{RenderScene, Shot, close_ups};
 
-/// Where a question finds its scene: a stored parse of the service, the album of an evaluation, a
+/// The source of a question's scene: a stored parse of the service, the album of an evaluation, a
 /// scene in memory.
 pub trait SceneSource: Send + Sync + Sized + 'static {
     /// Why there is no answer: the source's own failures, and [`QuestionError`].
     type Error: From<QuestionError> + Display + Send + 'static;
 
-    /// In order of id, which counts from 1.
+    /// Returns the instances in order of id; ids count from 1.
     fn instances(&self) -> &[Instance];
 
-    /// The names the instances were given, read.
+    /// Returns the parsed names that the instances were given.
     fn name_index(&self) -> &NameIndex;
 
-    /// Box of all points, metres, world frame.
+    /// Returns the box of all points, meters, world frame.
     fn extent(&self) -> Aabb;
 
-    /// Name and version of the encoder that has seen the instances, or of the built-in attributes
-    /// in its place.
+    /// Returns name and version of the encoder that embedded the instances, or of the built-in
+    /// attributes in its place.
     fn encoder_name(&self) -> String;
 
-    /// What an encoder has seen of the instances, and that encoder; `None` where only measures were
+    /// Returns the embeddings of the instances and their encoder; `None` where only measures were
     /// taken.
     ///
     /// # Errors
-    /// The encoder that has seen the scene is not at hand.
+    /// The encoder that embedded the scene is not available.
     fn embeddings(&self) -> Result<Option<(&DualEncoder, &Embeddings)>, Self::Error>;
 
-    /// What frames look like as a whole, to the encoder that has seen the instances; `None` where
-    /// it has not looked at them.
+    /// Returns that encoder's embeddings of whole frames; `None` where it did not compute them.
     fn frame_embeddings(&self) -> Option<&FrameEmbeddings>;
 
-    /// A frame's picture as it was taken; `None` where it can not be read.
+    /// Returns a frame's original picture; `None` where it cannot be read.
     fn photograph(&self, frame: FrameIndex) -> Option<RgbImage>;
 
-    /// The cloud, ready to be drawn.
+    /// Returns the cloud, ready to be rendered.
     ///
     /// # Errors
-    /// It can not be read.
+    /// The cloud cannot be read.
     fn render_scene(&self) -> Result<Arc<RenderScene>, Self::Error>;
 
-    /// At most `most` photographs that show an instance, best first. One that can not be read gives
-    /// its place to the next.
+    /// Returns at most `most` photographs that show an instance, best first. One that cannot be
+    /// read is replaced by the next.
     fn photographs(&self, instance: &Instance, most: usize) -> Vec<Shot>;
 
-    /// The cache of pictures drawn for earlier questions, and what this scene is called in it.
+    /// Returns the cache of rendered pictures, and the key of this scene in it.
     fn pictures(&self) -> (&PictureCache, &str);
 
-    /// Names that the reviewing model gave before without having heard a question, by id; "" for
-    /// what it could not name.
+    /// Returns the names that the reviewing model gave independently of any question, by id; "" for
+    /// an instance that it could not name.
     fn names(&self) -> impl Future<Output = Result<BTreeMap<u32, String>, Self::Error>> + Send;
 
-    /// Keeps such names; those given before stay.
+    /// Stores such names; existing ones stay.
     fn keep_names(
         &self,
         names: &BTreeMap<u32, String>,
     ) -> impl Future<Output = Result<(), Self::Error>> + Send;
 
-    /// What lies at a place of a photograph, cut out as the next of the instances, and is none of
-    /// these; `None` where nothing can be.
+    /// Segments the object at a place of a photograph as the next of the instances. It must be none
+    /// of `is_not`; `None` where nothing can be segmented.
     ///
     /// # Errors
-    /// A photograph can not be read, or a segmenter fails.
+    /// A photograph cannot be read, or a segmenter fails.
     fn cut_out(
         &self,
         place: PhotographPoint,
         is_not: &[InstanceId],
     ) -> Result<Option<Instance>, Self::Error>;
 
-    /// Keeps an instance that was found for a question: the scene with it, in which it is the last,
-    /// or the one that was kept for the same thing meanwhile; and its id.
+    /// Stores an instance that was found for a question. Returns the scene in which it is the last,
+    /// or in which the same thing was stored meanwhile; and its id.
     fn keep_found(
         self: &Arc<Self>,
         found: Instance,
     ) -> impl Future<Output = Result<(Arc<Self>, InstanceId), Self::Error>> + Send;
 
-    /// Runs a step of computing, on a thread that it may keep busy.
+    /// Runs a compute step, on a thread that it may block.
     ///
     /// # Errors
     /// Those of `work`, or that it could not be run.
@@ -97,7 +96,8 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
         work: impl FnOnce(&Self) -> Result<T, Self::Error> + Send + 'static,
     ) -> impl Future<Output = Result<T, Self::Error>> + Send;
 
-    /// At most `most` photographs of an instance, or views of the cloud where there are none.
+    /// Returns at most `most` photographs of an instance, or views of the cloud where there are
+    /// none.
     fn shots(&self, id: InstanceId, most: usize, render_scene: &RenderScene) -> Vec<Shot> {
         let instance = (id.0 as usize).checked_sub(1).and_then(|at| self.instances().get(at));
         let Some(instance) = instance else { return Vec::new() };
@@ -110,19 +110,19 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
     }
 }
 
-/// Why there is no answer, whatever the scene comes from.
+/// Why there is no answer, whatever the source of the scene.
 #[derive(Debug, thiserror::Error)]
 pub enum QuestionError {
     /// The encoder failed.
     #[error(transparent)]
     Encoder(#[from] ModelError),
-    /// What a model saw in a photograph could not be looked up.
+    /// The object that a model saw in a photograph could not be looked up.
     #[error(transparent)]
     Photograph(#[from] ParseError),
     /// The reviewing model could not be asked.
     #[error(transparent)]
     Review(#[from] AskError),
-    /// The model that should have read the question could not be asked.
+    /// The model that should have parsed the question could not be asked.
     #[error("the question could not be read: {0}")]
     Unread(String),
 }

@@ -1,10 +1,10 @@
-//! Candidates by score: top-k, ties by id.
+//! Ranks candidates by score: top-k, ties by id.
 
 use super::answer::candidate;
 use super::{Candidate, SceneView};
 use uniground_geometry::statistics::largest;
 
-/// The `top_k` best instances by `scores` (by index); instances that score nothing are no
+/// Returns the `top_k` best instances by `scores` (by index). Instances with a score of 0 are no
 /// candidates.
 pub(super) fn rank(scene: SceneView, scores: &[f32], top_k: usize) -> Vec<Candidate> {
     largest(scores, top_k)

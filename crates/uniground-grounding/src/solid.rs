@@ -1,14 +1,14 @@
 //! An instance as relations see it: an upright box with a yaw, and distances that do not depend on
-//! how the world is turned.
+//! the orientation of the world.
 
 use uniground_geometry::boxes::{Aabb, OrientedBox};
 use uniground_geometry::scene::Instance;
 use uniground_geometry::{Point2, Point3, Vector2, Vector3};
 
-/// An upright box. Metres, world frame (Z up).
+/// An upright box. Meters, world frame (Z up).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Solid {
-    /// Centre of the box.
+    /// Center of the box.
     pub center: Point3<f32>,
     /// Extents along the box's own two horizontal axes, and up.
     pub size: [f32; 3],
@@ -57,31 +57,31 @@ impl From<OrientedBox> for Solid {
 }
 
 impl Solid {
-    /// Length of the footprint's diagonal, metres.
+    /// Returns the length of the footprint's diagonal, meters.
     #[must_use]
     pub fn diagonal(&self) -> f32 {
         self.size[0].hypot(self.size[1])
     }
 
-    /// Of the footprint, square metres.
+    /// Returns the area of the footprint, square meters.
     #[must_use]
     pub fn area(&self) -> f32 {
         self.size[0] * self.size[1]
     }
 
-    /// Cubic metres; 0 for a flat box.
+    /// Returns the volume in cubic meters; 0 for a flat box.
     #[must_use]
     pub fn volume(&self) -> f32 {
         self.area() * self.size[2]
     }
 
-    /// Long and short side of the footprint, metres.
+    /// Returns the long and the short side of the footprint, meters.
     #[must_use]
     pub fn sides(&self) -> (f32, f32) {
         (self.size[0].max(self.size[1]), self.size[0].min(self.size[1]))
     }
 
-    /// The direction of the longer side, unit length.
+    /// Returns the direction of the longer side, unit length.
     #[must_use]
     pub fn along(&self) -> Vector2<f32> {
         if self.size[0] >= self.size[1] {
@@ -91,7 +91,7 @@ impl Solid {
         }
     }
 
-    /// From where to where the footprint reaches along a horizontal direction (unit), metres from
+    /// Returns the range that the footprint covers along a horizontal direction (unit), meters from
     /// the world's origin.
     #[must_use]
     pub fn span(&self, direction: &Vector2<f32>) -> (f32, f32) {
@@ -102,8 +102,9 @@ impl Solid {
         )
     }
 
-    /// How far a point is from the middle towards the end of the footprint along `direction`
-    /// (unit): 0 at the middle and beyond on the other side, 1 from half the way on.
+    /// Returns how far a point is from the middle towards the end of the footprint along
+    /// `direction` (unit): 0 at the middle and beyond it on the other side, 1 from half of the way
+    /// on.
     #[must_use]
     pub fn share_along(&self, point: &Point3<f32>, direction: &Vector3<f32>) -> f32 {
         let along = |p: &Point2<f32>| (p - self.center.xy()).dot(&direction.xy());
@@ -111,22 +112,22 @@ impl Solid {
         (2.0 * along(&point.xy()) / half).clamp(0.0, 1.0)
     }
 
-    /// Shortest distance between the surfaces, metres; 0 when they touch or overlap.
+    /// Returns the shortest distance between the surfaces, meters; 0 when they touch or overlap.
     #[must_use]
     pub fn gap(&self, other: &Self) -> f32 {
         self.horizontal_gap(other).hypot(self.vertical_gap(other).max(0.0))
     }
 
-    /// Height between the two, metres; negative by the depth of the overlap.
+    /// Returns the vertical distance between the two, meters; negative by the depth of the overlap.
     #[must_use]
     pub fn vertical_gap(&self, other: &Self) -> f32 {
         (self.bottom - other.top).max(other.bottom - self.top)
     }
 
-    /// Shortest distance between the footprints, metres; 0 when they touch or overlap.
+    /// Returns the shortest distance between the footprints, meters; 0 when they touch or overlap.
     #[must_use]
     pub fn horizontal_gap(&self, other: &Self) -> f32 {
-        // Far apart, the gap between the circles around the two is exact enough.
+        // Far apart, the gap between the circumscribed circles is exact enough.
         let circles = (self.center - other.center).xy().norm()
             - f32::midpoint(self.diagonal(), other.diagonal());
         if circles > 4.0 * (self.diagonal() + other.diagonal()) {
@@ -146,7 +147,7 @@ impl Solid {
         to_edges(self, other).min(to_edges(other, self))
     }
 
-    /// Whether the footprints overlap: no edge of either separates them.
+    /// Returns whether the footprints overlap: no edge of either separates them.
     fn overlaps(&self, other: &Self) -> bool {
         let apart = |a: &Self, b: &Self| {
             [a.axis, Vector2::new(-a.axis.y, a.axis.x)].into_iter().zip(a.size).any(
@@ -166,13 +167,13 @@ impl Solid {
         !apart(self, other) && !apart(other, self)
     }
 
-    /// Share of this footprint that lies over the other's, in `0..=1`.
+    /// Returns the share of this footprint that lies over the other's, in `0..=1`.
     #[must_use]
     pub fn footprint_overlap(&self, other: &Self) -> f32 {
         if !self.overlaps(other) {
             return 0.0;
         }
-        // Four cuts of a quadrilateral leave at most eight corners.
+        // Clipping a quadrilateral four times leaves at most eight corners.
         let mut polygon: Vec<Point2<f32>> = Vec::with_capacity(8);
         polygon.extend(self.corners);
         let mut cut = Vec::with_capacity(8);

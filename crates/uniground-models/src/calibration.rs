@@ -1,9 +1,8 @@
-//! Calibration: how well words fit an instance by what it looks like and what it measures,
-//! together.
+//! Calibration: combines appearance and measures into how well words fit an instance.
 //!
-//! A cosine says little by itself: some instances are near every word, some words near every
-//! instance. Likelihoods over a vocabulary, the lexicon's nouns, make cosines comparable; sizes and
-//! supports rule out what pictures confuse.
+//! A cosine alone is not comparable: some instances are close to every word, some words to every
+//! instance. Likelihoods over a vocabulary, the lexicon's nouns, make cosines comparable. Sizes and
+//! supports rule out confusions of the pictures.
 
 use super::attributes::{self, Lexicon, Noun};
 use super::neural::{DualEncoder, ModelError};
@@ -11,26 +10,27 @@ use rayon::prelude::*;
 use std::sync::Arc;
 use uniground_geometry::scene::{Embeddings, Instance, NameGuess, Norms};
 
-/// How many names an instance keeps.
+/// Maximum number of names of an instance.
 const KEPT_NAMES: usize = 5;
-/// Names below this share of the belief are not worth telling.
+/// Minimum share of the total likelihood of a name that is reported.
 const MIN_NAME_SHARE: f32 = 0.02;
-/// Weight of the logarithm of the fit of measures, beside the scaled cosine.
+/// Weight of the logarithm of the measures' fit, relative to the scaled cosine.
 const MEASURES_WEIGHT: f32 = 2.0;
-/// A misfit can not speak louder: boxes are never exact.
+/// Lower bound of the fit. It limits the penalty, because boxes are never exact.
 const LEAST_FIT: f32 = 0.02;
-/// What measures say about a word of which none are known.
+/// Fit of a word without known measures.
 const UNKNOWN_FIT: f32 = 0.3;
-/// Likelihoods are as sharp as the tower was trained to be; names that come close count as well.
+/// Divisor of logits. Without it, likelihoods would be as sharp as in the tower's training. With
+/// it, names that come close count as well.
 const TEMPERATURE: f32 = 4.0;
 
-/// How well measures fit, as a summand beside a scaled cosine.
+/// Returns how well measures fit, as a summand to a scaled cosine.
 fn measured(fit: Option<f32>) -> f32 {
     MEASURES_WEIGHT * fit.unwrap_or(UNKNOWN_FIT).max(LEAST_FIT).ln()
 }
 
-/// Fit of a word to an instance, `0..=1`: 1 when nothing in the vocabulary fits better. `fit` is
-/// that of its measures, where the lexicon knows them.
+/// Returns the fit of a word to an instance, `0..=1`: 1 when nothing in the vocabulary fits better.
+/// `fit` is the fit of its measures, if the lexicon has them.
 #[must_use]
 pub fn fit(cosine: f32, logit_scale: f32, fit: Option<f32>, norms: Norms) -> f32 {
     ((logit_scale * cosine + measured(fit) - norms.joint) / TEMPERATURE).exp().min(1.0)
@@ -39,7 +39,7 @@ pub fn fit(cosine: f32, logit_scale: f32, fit: Option<f32>, norms: Norms) -> f32
 /// A noun and its vector.
 type Word = (&'static Noun, Arc<[f32]>);
 
-/// Every noun of the lexicon that the text tower knows, as a vector.
+/// Returns the vectors of all nouns of the lexicon that the text tower knows.
 fn vocabulary(encoder: &DualEncoder) -> Result<Vec<Word>, ModelError> {
     let embedded = |noun: &'static Noun| Ok((noun, encoder.embed_name(&noun.name)?.vector));
     let embedded: Vec<_> =
@@ -47,11 +47,11 @@ fn vocabulary(encoder: &DualEncoder) -> Result<Vec<Word>, ModelError> {
     Ok(embedded.into_iter().filter_map(|(noun, vector)| Some((noun, vector?))).collect())
 }
 
-/// Names what was seen by appearance and measures; what was not keeps the names its measures gave
-/// it. `rows` holds one unit vector per instance, zero for what was not seen.
+/// Names instances with pictures by appearance and measures. Instances without pictures keep the
+/// names from their measures. `rows` holds one unit vector per instance, or zero without pictures.
 ///
 /// # Errors
-/// [`ModelError`]: a failed call.
+/// Returns a [`ModelError`]: a failed call.
 pub fn name_all(
     instances: &mut [Instance],
     encoder: &DualEncoder,
@@ -110,7 +110,8 @@ fn log_sum(logits: &[f32]) -> f32 {
 mod tests {
     use super::*;
     use crate::neural::tests::tiny_encoder;
-    use uniground_geometry::scene::Support;
+    use proptest::prelude::*;
+    use uniground_geometry::scene::{Structure, Support};
     use uniground_testing::thing;
 
     #[test]
@@ -130,5 +131,166 @@ mod tests {
         assert!(norms.joint <= norms.appearance, "a misfit only takes away");
         assert_eq!(fit(1.0, 100.0, Some(1.0), Norms { appearance: 0.0, joint: 10.0 }), 1.0);
         assert!(fit(0.2, 100.0, Some(0.1), norms) < fit(0.2, 100.0, Some(0.9), norms));
+    }
+
+    #[track_caller]
+    fn assert_near(found: f32, expected: f32, what: &str) {
+        assert!((found - expected).abs() < 1e-4, "{what}: {found} and not {expected}");
+    }
+
+    #[test]
+    fn measures_speak_by_twice_their_logarithm_and_a_misfit_not_too_loud() {
+        let e = std::f32::consts::E;
+        assert_near(measured(Some(1.0)), 0.0, "a perfect fit takes nothing away");
+        assert_near(measured(Some(1.0 / e)), -2.0, "2 ln (1/e)");
+        assert_near(measured(Some(0.5)), -1.386_294, "2 ln 0.5");
+        assert_near(measured(None), -2.407_946, "2 ln 0.3: nothing is known");
+        // 2 ln 0.02 at the least.
+        for fit in [0.02, 0.019, 1e-6, 0.0] {
+            assert_near(measured(Some(fit)), -7.824_046, &format!("{fit}"));
+        }
+        assert!(measured(Some(0.021)) > -7.73, "2 ln 0.021 = -7.7265");
+    }
+
+    #[test]
+    fn a_fit_is_the_quarter_power_of_its_share() {
+        let norms = Norms { appearance: 1000.0, joint: 38.0 };
+        // exp((100 * 0.3 + 0 - 38) / 4) = exp(-2).
+        assert_near(fit(0.3, 100.0, Some(1.0), norms), (-2.0_f32).exp(), "appearance alone");
+        // exp((30 - 2 - 38) / 4) = exp(-2.5).
+        let misfit = Some(1.0 / std::f32::consts::E);
+        assert_near(fit(0.3, 100.0, misfit, norms), (-2.5_f32).exp(), "with measures");
+        // exp((30 - 2.407946 - 38) / 4) = exp(-2.6019865).
+        assert_near(fit(0.3, 100.0, None, norms), (-2.601_986_5_f32).exp(), "measures unknown");
+        // A cosine below zero: exp((-1 + 0 - 3) / 4) = exp(-1).
+        let norms = Norms { appearance: 0.0, joint: 3.0 };
+        assert_near(fit(-0.1, 10.0, Some(1.0), norms), (-1.0_f32).exp(), "turned away");
+        // As good as all the vocabulary together, and better: not above 1.
+        assert_eq!(fit(0.3, 10.0, Some(1.0), norms), 1.0);
+        assert_eq!(fit(0.9, 10.0, Some(1.0), norms), 1.0);
+        assert!(fit(0.29, 10.0, Some(1.0), norms) < 1.0);
+    }
+
+    #[test]
+    fn log_sum_is_the_logarithm_of_the_sum_of_exponentials() {
+        let of_shares =
+            |shares: &[f32]| log_sum(&shares.iter().map(|share| share.ln()).collect::<Vec<_>>());
+        assert_near(of_shares(&[1.0, 2.0, 3.0]), 6.0_f32.ln(), "1 + 2 + 3");
+        assert_near(of_shares(&[0.5, 0.25]), 0.75_f32.ln(), "1/2 + 1/4");
+        assert_near(log_sum(&[7.5]), 7.5, "one alone");
+        assert_near(log_sum(&[0.0; 8]), 8.0_f32.ln(), "eight ones");
+        // Far from zero nothing overflows or vanishes.
+        assert_near(log_sum(&[100.0, 100.0]), 100.0 + 2.0_f32.ln(), "large");
+        assert_near(log_sum(&[-100.0, -100.0]), -100.0 + 2.0_f32.ln(), "small");
+        assert_near(log_sum(&[-200.0, 100.0]), 100.0, "far apart");
+    }
+
+    /// The first nouns of the lexicon; what vector they have does not matter here.
+    fn words(count: usize) -> Vec<Word> {
+        Lexicon::get().nouns()[..count].iter().map(|noun| (noun, Arc::from([0.0; 2]))).collect()
+    }
+
+    #[test]
+    fn the_best_five_names_are_kept_with_their_shares() {
+        let vocabulary = words(8);
+        let name = |i: usize| vocabulary[i].0.name.clone();
+        let told = |shares: [f32; 8], norm: f32| {
+            let logits = shares.map(|share| share.ln() + 3.0);
+            let names = best_names(&vocabulary, &logits, norm);
+            names.into_iter().map(|guess| (guess.name, guess.score)).collect::<Vec<_>>()
+        };
+        let found = told([0.1, 0.3, 0.05, 0.2, 0.04, 0.15, 0.1, 0.06], 3.0);
+        // Of the two with 0.1 the first comes first; the other three are too many.
+        let expected = [(1, 0.3), (3, 0.2), (5, 0.15), (0, 0.1), (6, 0.1)];
+        assert_eq!(found.len(), expected.len(), "{found:?}");
+        for ((word, score), (i, share)) in found.iter().zip(expected) {
+            assert_eq!(*word, name(i), "{found:?}");
+            assert_near(*score, share, word);
+        }
+        // Below 2 % there is no name.
+        let found = told([0.019, 0.5, 0.021, 0.01, 0.4, 1e-3, 1e-4, 0.018], 3.0);
+        let found: Vec<String> = found.into_iter().map(|(word, _)| word).collect();
+        assert_eq!(found, [name(1), name(4), name(2)]);
+        // A share never is above 1.
+        let found = told([0.5, 4.0, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3], 3.0);
+        assert_eq!(found[0], (name(1), 1.0));
+        assert_near(found[1].1, 0.5, "the other one");
+        assert!(told([1e-3; 8], 3.0).is_empty());
+        assert!(best_names(&[], &[], 0.0).is_empty());
+    }
+
+    #[test]
+    fn parts_of_the_building_keep_their_names_and_have_norms_like_others() {
+        let encoder = tiny_encoder();
+        let mut instances: Vec<Instance> = (1..=3)
+            .map(|id| thing(id, [0.0, 0.0], [2.1, 0.9, 0.8], 0.0, Support::Floor, [120; 3]))
+            .collect();
+        let given = vec![NameGuess { name: "given".into(), score: 0.5 }];
+        instances.iter_mut().for_each(|instance| instance.names.clone_from(&given));
+        instances[1].structure = Some(Structure::Wall);
+        let seen = encoder.embed_text("a sofa").unwrap().vector.unwrap();
+        let unseen = vec![0.0; encoder.dim()];
+        let rows = [&seen[..], &seen[..], &unseen[..]].concat();
+        let embeddings = name_all(&mut instances, &encoder, &rows).unwrap();
+        assert_ne!(instances[0].names, given, "seen, and a thing");
+        assert_eq!(instances[1].names, given, "seen, and a wall");
+        assert_eq!(instances[2].names, given, "not seen");
+
+        // What the norms are, in double precision and from each noun's own vector.
+        let nouns = Lexicon::get().nouns();
+        let words: Vec<_> = nouns
+            .iter()
+            .map(|noun| encoder.embed_name(&noun.name).unwrap().vector.unwrap())
+            .collect();
+        let norms_of = |i: usize| {
+            let row = embeddings.row(i);
+            let (mut appearance, mut joint) = (0.0_f64, 0.0_f64);
+            for (noun, word) in nouns.iter().zip(&words) {
+                let cosine: f64 = row.iter().zip(&**word).map(|(a, b)| f64::from(a * b)).sum();
+                let likelihood = (f64::from(encoder.logit_scale()) * cosine).exp();
+                let fit = f64::from(attributes::noun_fit(noun, &instances[i]));
+                appearance += likelihood;
+                joint += likelihood * fit.max(0.02).powi(2);
+            }
+            [appearance.ln(), joint.ln()]
+        };
+        for i in 0..3 {
+            let Norms { appearance, joint } = embeddings.norms()[i];
+            let expected = norms_of(i).map(|norm| norm as f32);
+            for (found, expected) in [appearance, joint].into_iter().zip(expected) {
+                assert!((found - expected).abs() < 1e-2, "{i}: {found} and not {expected}");
+            }
+        }
+        // Where nothing was seen every cosine is 0: the number of nouns.
+        assert_near(embeddings.norms()[2].appearance, (nouns.len() as f32).ln(), "not seen");
+    }
+
+    proptest! {
+        #[test]
+        fn a_better_cosine_and_a_better_measure_never_fit_worse(
+            cosines in prop::array::uniform2(-1.0_f32..1.0),
+            fits in prop::array::uniform2(0.0_f32..=1.0),
+            joint in -10.0_f32..120.0,
+        ) {
+            let norms = Norms { appearance: 0.0, joint };
+            let fit = |cosine, by_size| fit(cosine, 100.0, Some(by_size), norms);
+            let (low, high) = (cosines[0].min(cosines[1]), cosines[0].max(cosines[1]));
+            let (bad, good) = (fits[0].min(fits[1]), fits[0].max(fits[1]));
+            prop_assert!((0.0..=1.0).contains(&fit(low, bad)), "{}", fit(low, bad));
+            prop_assert!(fit(low, bad) <= fit(high, bad), "{low} {high}");
+            prop_assert!(fit(low, bad) <= fit(low, good), "{bad} {good}");
+        }
+
+        #[test]
+        fn log_sum_moves_along_and_lies_between_the_most_and_all_the_most(
+            logits in prop::collection::vec(-30.0_f32..30.0, 1..20),
+            by in -50.0_f32..50.0,
+        ) {
+            let sum = log_sum(&logits);
+            let most = logits.iter().copied().fold(f32::MIN, f32::max);
+            prop_assert!(most <= sum && sum <= most + (logits.len() as f32).ln() + 1e-4, "{sum}");
+            let moved: Vec<f32> = logits.iter().map(|logit| logit + by).collect();
+            prop_assert!((log_sum(&moved) - sum - by).abs() < 1e-3, "{} {sum}", log_sum(&moved));
+        }
     }
 }

@@ -1,10 +1,10 @@
-//! Words that name a mask source or an encoder in settings and reports.
+//! Names of mask sources and encoders in settings and reports.
 
-/// The bundle that works of those in the folder of bundles, or else what is built in.
+/// Selects the working bundle in the folder of bundles, or else the built-in implementation.
 pub const AUTO: &str = "auto";
-/// The mask source or encoder that needs no model.
+/// Selects the built-in mask source or encoder, which needs no model.
 pub const BUILTIN: &str = "builtin";
-/// The name of the mask source that needs no model.
+/// The name of the built-in mask source, which needs no model.
 pub const BUILTIN_MASKS: &str = "rgbd";
-/// The name of the encoder that needs no model.
+/// The name of the built-in encoder, which needs no model.
 pub const BUILTIN_ENCODER: &str = "attributes";

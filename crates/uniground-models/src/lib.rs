@@ -1,4 +1,4 @@
-//! What knows words and pictures: the built-in lexicon (`attributes`), neural networks (`neural`),
+//! Models of words and pictures: the built-in lexicon (`attributes`), neural networks (`neural`),
 //! chat models (`chat`).
 
 #![warn(missing_docs)]
@@ -9,7 +9,7 @@ pub mod chat;
 pub mod choice;
 pub mod neural;
 
-/// An error with what caused it: the outermost alone seldom says it.
+/// Formats an error with its causes. The outermost error alone often does not explain the failure.
 #[must_use]
 pub fn with_causes(error: &dyn std::error::Error) -> String {
     let causes = std::iter::successors(Some(error), |e| e.source());

@@ -1,13 +1,13 @@
-//! Affinity between neighbouring superpoints (paper, Eq. 1).
+//! Affinity between neighboring superpoints (paper, Eq. 1).
 //!
 //! Two superpoints belong together when the cameras that see both also put them in the same 2D
 //! masks. Input: the visibility tables of [`lifting`](super::lifting). Output: one weight per edge
 //! of the superpoint graph, in 0..=1, which [`merging`](super::merging) grows regions along.
 //!
 //! The printed equation averages `visibility * consistency` and so never exceeds the mean
-//! visibility; [`Normalisation::Normalised`] divides by the summed visibility instead and is the
-//! default. Where no camera sees both, geometry alone decides: neighbours of one colour on one even
-//! surface belong together.
+//! mean visibility; [`Normalisation::Normalised`] divides by the summed visibility instead and is
+//! the default. Where no camera sees both, the weight comes from geometry alone: neighbors of one
+//! color on one flat surface get a high weight.
 
 use super::lifting::{FrameVisibility, VisibleSuperpoint};
 use super::superpoints::Patch;
@@ -20,18 +20,18 @@ use uniground_types::settings::Normalisation;
 /// An edge of the graph with its affinity, `a < b`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Edge {
-    /// The lower superpoint, or region in later stages of merging.
+    /// The lower superpoint id; a region id in later stages of merging.
     pub a: u32,
-    /// The higher one.
+    /// The higher id.
     pub b: u32,
-    /// Borders crossed on the way from one to the other: 1 = adjacent.
+    /// Number of borders crossed between the two: 1 = adjacent.
     pub hop: u32,
-    /// `0..=1`, by Eq. 1; by geometry where no frame sees both.
+    /// In `0..=1`: Eq. 1, or geometry where no frame sees both.
     pub affinity: f32,
 }
 
-/// A way from one superpoint to another does not pass through one with more neighbours than this:
-/// over the floor everything would be near everything.
+/// Paths between superpoints do not pass through one with more neighbors than this. Otherwise the
+/// floor would make everything a neighbor of everything.
 const HUB: usize = 64;
 
 /// The edges `(a, b, hop)` of a graph over `0..count`: all pairs up to `max_hop` borders apart, `a
@@ -79,7 +79,7 @@ pub fn pairs_within(
     Ok(around.concat())
 }
 
-/// Eq. (1) for every pair.
+/// Computes Eq. (1) for every pair.
 ///
 /// # Errors
 /// [`Cancelled`].
@@ -90,7 +90,7 @@ pub fn compute(
     normalisation: Normalisation,
     progress: &Progress,
 ) -> Result<Vec<Edge>, Cancelled> {
-    // Row of each superpoint per frame, so that a pair is two look-ups.
+    // Row of each superpoint per frame, so that a pair costs two look-ups.
     const ABSENT: u32 = u32::MAX;
     let rows: Vec<Vec<u32>> = tables
         .par_iter()
@@ -132,7 +132,8 @@ pub fn compute(
         .collect()
 }
 
-/// Cosine of two mask histograms; `None` when one of them has no masked point, which says nothing.
+/// Cosine of two mask histograms. `None` when one of them has no masked point, since then there is
+/// no evidence.
 fn cosine(a: &VisibleSuperpoint, b: &VisibleSuperpoint) -> Option<f32> {
     let norm = |row: &VisibleSuperpoint| {
         row.masks.iter().map(|&(_, n)| (n as f32).powi(2)).sum::<f32>().sqrt()
@@ -156,12 +157,12 @@ fn cosine(a: &VisibleSuperpoint, b: &VisibleSuperpoint) -> Option<f32> {
     Some((dot / norms).min(1.0))
 }
 
-/// CIELAB distance and angle at which geometry alone is half sure that two patches are different
-/// things.
+/// CIELAB distance and angle at which geometry alone gives a probability of one half that two
+/// patches are different things.
 const HALF_COLOUR: f32 = 18.0;
 const HALF_ANGLE_RAD: f32 = 0.6;
 
-/// Affinity of two patches no camera sees together: high for one colour on one even surface.
+/// Affinity of two patches that no camera sees together: high for one color on one flat surface.
 fn by_geometry(a: &Patch, b: &Patch) -> f32 {
     let colour = (a.lab - b.lab).norm() / HALF_COLOUR;
     let bend = a.normal.dot(&b.normal).abs().min(1.0).acos() / HALF_ANGLE_RAD;
@@ -171,6 +172,7 @@ fn by_geometry(a: &Patch, b: &Patch) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
     use uniground_geometry::colour::Lab;
     use uniground_geometry::scene::FrameIndex;
     use uniground_geometry::{Point3, Vector3};
@@ -259,5 +261,334 @@ mod tests {
     fn hops_count_borders() {
         let pairs = pairs_within(&[(0, 1), (1, 2), (2, 3)], 4, 2, &Progress::silent()).unwrap();
         assert_eq!(pairs, [(0, 1, 1), (0, 2, 2), (1, 2, 1), (1, 3, 2), (2, 3, 1)]);
+    }
+
+    /// The affinity of superpoints 0 and 1.
+    fn affinity(points: [u32; 2], tables: &[FrameVisibility], by: Normalisation) -> f32 {
+        compute(&[(0, 1, 1)], &points.map(patch), tables, by, &Progress::silent()).unwrap()[0]
+            .affinity
+    }
+
+    #[track_caller]
+    fn assert_near(found: f32, expected: f32, what: &str) {
+        assert!((found - expected).abs() < 1e-5, "{what}: {found} and not {expected}");
+    }
+
+    #[test]
+    fn affinity_multiplies_both_visibilities() {
+        // The frame sees 3 of the 4 points of superpoint 0 and 5 of the 20 of superpoint 1, all in
+        // one mask: (3 / 4) (5 / 20) 1 = 3 / 16. Without the first visibility it would be 1 / 4,
+        // without the second 3 / 4.
+        let tables = [table(&[(0, 3, &[(1, 3)]), (1, 5, &[(1, 5)])])];
+        assert_near(affinity([4, 20], &tables, Normalisation::Literal), 3.0 / 16.0, "3/4 of 5/20");
+        // Now 0 is seen little and 1 almost whole: (1 / 4) (18 / 20) 1 = 9 / 40.
+        let tables = [table(&[(0, 1, &[(1, 1)]), (1, 18, &[(1, 18)])])];
+        assert_near(affinity([4, 20], &tables, Normalisation::Literal), 9.0 / 40.0, "1/4 of 18/20");
+        // Of one frame alone the normalized affinity is the similarity, however little it sees.
+        assert_near(affinity([4, 20], &tables, Normalisation::Normalised), 1.0, "one mask");
+    }
+
+    #[test]
+    fn a_frame_weighs_by_the_visibilities_of_both() {
+        // Frame 1: w = (3 / 4) (5 / 20) = 3 / 16, s = (3, 0) . (3, 4) / (3 * 5) = 3 / 5.
+        // Frame 2: w = (4 / 4) (2 / 20) = 1 / 10, s = 1.
+        // Normalized: (3/16 * 3/5 + 1/10) / (3/16 + 1/10) = (9/80 + 8/80) / (23/80) = 17 / 23.
+        // Literal: (9/80 + 8/80) / 2 = 17 / 160.
+        let tables = [
+            table(&[(0, 3, &[(1, 3)]), (1, 5, &[(1, 3), (2, 4)])]),
+            table(&[(0, 4, &[(7, 4)]), (1, 2, &[(7, 2)])]),
+        ];
+        assert_near(affinity([4, 20], &tables, Normalisation::Normalised), 17.0 / 23.0, "mean");
+        assert_near(affinity([4, 20], &tables, Normalisation::Literal), 17.0 / 160.0, "as printed");
+    }
+
+    #[test]
+    fn a_frame_that_sees_one_of_the_two_says_nothing() {
+        let both = table(&[(0, 2, &[(1, 2)]), (1, 4, &[(1, 4)])]);
+        let alone = [
+            table(&[(0, 4, &[(1, 4)])]),
+            table(&[(1, 4, &[(1, 4)])]),
+            // Another superpoint is none of the two.
+            table(&[(0, 4, &[(1, 4)]), (2, 4, &[(1, 4)])]),
+            table(&[]),
+        ];
+        // (2 / 4) (4 / 4) 1 in one frame, whatever others see of one alone.
+        for other in alone {
+            let tables = [other.clone(), both.clone(), other];
+            let patches = [patch(4), patch(4), patch(4)];
+            let edges = compute(
+                &[(0, 1, 1)],
+                &patches,
+                &tables,
+                Normalisation::Literal,
+                &Progress::silent(),
+            );
+            assert_near(edges.unwrap()[0].affinity, 0.5, &format!("{:?}", tables[0].rows));
+        }
+    }
+
+    #[test]
+    fn edges_keep_the_order_and_the_hops_of_their_pairs() {
+        let tables = [table(&[
+            (0, 4, &[(1, 4)]),
+            (1, 4, &[(1, 3), (2, 4)]),
+            // Seen whole, in a mask of its own.
+            (2, 4, &[(3, 4)]),
+        ])];
+        let edges = compute(
+            &[(0, 2, 2), (0, 1, 1), (1, 2, 3)],
+            &[patch(4), patch(4), patch(4)],
+            &tables,
+            Normalisation::Normalised,
+            &Progress::silent(),
+        )
+        .unwrap();
+        // (1, 0) and (3 / 5, 4 / 5) have the cosine 3 / 5.
+        let expected = [
+            Edge { a: 0, b: 2, hop: 2, affinity: 0.0 },
+            Edge { a: 0, b: 1, hop: 1, affinity: 0.6 },
+            Edge { a: 1, b: 2, hop: 3, affinity: 0.0 },
+        ];
+        for (edge, expected) in edges.iter().zip(&expected) {
+            assert_near(edge.affinity, expected.affinity, &format!("{edge:?}"));
+            assert_eq!(Edge { affinity: 0.0, ..*edge }, Edge { affinity: 0.0, ..*expected });
+        }
+        assert_eq!(edges.len(), 3);
+    }
+
+    fn histogram(masks: &[(u16, u32)]) -> VisibleSuperpoint {
+        VisibleSuperpoint { superpoint: 0, visible: 1, masks: masks.to_vec() }
+    }
+
+    #[test]
+    fn similarity_is_the_cosine_of_the_mask_histograms() {
+        type Masks = &'static [(u16, u32)];
+        let cases: [(Masks, Masks, f32); 7] = [
+            // (3 * 12 + 4 * 5) / (5 * 13) = 56 / 65.
+            (&[(1, 3), (2, 4)], &[(1, 12), (2, 5)], 56.0 / 65.0),
+            // Only mask 2 is common: 4 * 5 / (5 * 13) = 4 / 13.
+            (&[(1, 3), (2, 4)], &[(2, 5), (3, 12)], 4.0 / 13.0),
+            // Masks 3 and 5 are common: (3 * 2 + 6 * 10) / (7 * 11) = 66 / 77; 7 is the root of
+            // 4 + 9 + 36, 11 that of 1 + 4 + 16 + 100.
+            (&[(1, 2), (3, 3), (5, 6)], &[(2, 1), (3, 2), (4, 4), (5, 10)], 66.0 / 77.0),
+            // Nothing in common, whichever ends first.
+            (&[(1, 3)], &[(2, 3)], 0.0),
+            (&[(1, 3), (9, 1)], &[(2, 3)], 0.0),
+            // However many points, the share per mask counts.
+            (&[(4, 1), (6, 2)], &[(4, 100), (6, 200)], 1.0),
+            (&[(4, 1)], &[(4, 70_000)], 1.0),
+        ];
+        for (a, b, expected) in cases {
+            let (there, back) =
+                (cosine(&histogram(a), &histogram(b)), cosine(&histogram(b), &histogram(a)));
+            assert_near(there.unwrap(), expected, &format!("{a:?} and {b:?}"));
+            assert_eq!(there, back, "{a:?} and {b:?}");
+        }
+        for (a, b) in [(&[(1, 3)][..], &[][..]), (&[], &[(1, 3)]), (&[], &[])] {
+            assert_eq!(cosine(&histogram(a), &histogram(b)), None, "{a:?} and {b:?}");
+        }
+    }
+
+    /// One plane and one color, but for what is told.
+    fn geometry(normal: Vector3<f32>, lab: Lab) -> Patch {
+        Patch { normal, lab, ..patch(1) }
+    }
+
+    #[test]
+    fn where_no_frame_sees_both_color_and_bend_decide() {
+        let lab = Lab::new(50.0, 10.0, -20.0);
+        let tilted = |angle: f32| Vector3::new(angle.sin(), 0.0, angle.cos());
+        let from = geometry(Vector3::z(), lab);
+        // 1 / (1 + (color distance / 18)^2 + (angle / 0.6)^2).
+        let cases = [
+            (0.0, 0.0, 1.0),
+            (18.0, 0.0, 1.0 / 2.0),
+            (36.0, 0.0, 1.0 / 5.0),
+            (0.0, 0.6, 1.0 / 2.0),
+            (0.0, 1.2, 1.0 / 5.0),
+            (18.0, 0.6, 1.0 / 3.0),
+            // 1 + 1/4 + 4 = 21/4.
+            (9.0, 1.2, 4.0 / 21.0),
+            // 1 + 1/9 + 1/4 = 49/36.
+            (6.0, 0.3, 36.0 / 49.0),
+        ];
+        for (distance, angle, expected) in cases {
+            // Along (2, 2, 1) / 3, so that each axis counts.
+            let lab = lab + Lab::new(2.0, 2.0, 1.0) * (distance / 3.0);
+            let to = geometry(tilted(angle), lab);
+            let what = format!("{distance} apart, bent by {angle}");
+            assert!((by_geometry(&from, &to) - expected).abs() < 1e-3, "{what}");
+            assert_eq!(by_geometry(&from, &to), by_geometry(&to, &from), "{what}");
+            let other_side = Patch { normal: -to.normal, ..to };
+            assert_eq!(
+                by_geometry(&from, &to),
+                by_geometry(&from, &other_side),
+                "{what}: the sign of a normal is arbitrary"
+            );
+        }
+    }
+
+    #[test]
+    fn geometry_decides_only_where_no_frame_sees_both_in_masks() {
+        // 18 apart on one plane: 1 / 2 by geometry.
+        let patches = [patch(4), Patch { lab: Lab::new(18.0, 0.0, 0.0), ..patch(4) }];
+        let found = |tables: &[FrameVisibility], by| {
+            compute(&[(0, 1, 1)], &patches, tables, by, &Progress::silent()).unwrap()[0].affinity
+        };
+        let apart = [table(&[(0, 4, &[(1, 4)])]), table(&[(1, 4, &[(1, 4)])])];
+        let without_masks = [table(&[(0, 4, &[]), (1, 4, &[(1, 4)])])];
+        let seen = [table(&[(0, 4, &[(1, 4)]), (1, 4, &[(2, 4)])])];
+        for by in [Normalisation::Normalised, Normalisation::Literal] {
+            assert_near(found(&[], by), 0.5, "no frame at all");
+            assert_near(found(&apart, by), 0.5, "never in one frame");
+            assert_near(found(&without_masks, by), 0.5, "one of them under no mask");
+            assert_near(found(&seen, by), 0.0, "seen together, in different masks");
+        }
+    }
+
+    #[test]
+    fn affinities_and_pairs_stop_when_they_are_cancelled() {
+        let cancelled = Progress::new(|_, _| {}, || true);
+        assert_eq!(pairs_within(&[(0, 1)], 2, 1, &cancelled), Err(Cancelled));
+        let patches = [patch(1), patch(1)];
+        let edges = compute(&[(0, 1, 1)], &patches, &[], Normalisation::Literal, &cancelled);
+        assert_eq!(edges, Err(Cancelled));
+    }
+
+    #[test]
+    fn a_way_may_begin_and_end_at_a_hub_but_not_pass_through_it() {
+        // 65 neighbors around the last superpoint, and a tail at neighbor 0: 0 .. 64, hub 65, tail
+        // 66.
+        let mut adjacent: Vec<(u32, u32)> = (0..65).map(|i| (i, 65)).collect();
+        adjacent.push((0, 66));
+        let pairs = pairs_within(&adjacent, 67, 2, &Progress::silent()).unwrap();
+        let hops = |hop: u32| pairs.iter().filter(move |pair| pair.2 == hop).copied();
+        assert_eq!(hops(1).count(), 66, "{pairs:?}");
+        // The hub reaches the tail through 0, and nobody another neighbor through the hub.
+        assert_eq!(hops(2).collect::<Vec<_>>(), [(65, 66, 2)]);
+    }
+
+    #[test]
+    fn without_hops_and_without_borders_there_are_no_pairs() {
+        assert_eq!(pairs_within(&[(0, 1)], 2, 0, &Progress::silent()), Ok(vec![]));
+        assert_eq!(pairs_within(&[], 3, 2, &Progress::silent()), Ok(vec![]));
+        assert_eq!(pairs_within(&[], 0, 2, &Progress::silent()), Ok(vec![]));
+    }
+
+    /// What frames see of two superpoints of 40 points each, in four masks: at most 8 points in
+    /// each of them and up to 8 in none.
+    fn frames() -> impl Strategy<Value = Vec<FrameVisibility>> {
+        let row = || (prop::array::uniform4(0_u32..=8), 0_u32..=8);
+        prop::collection::vec((row(), row()), 1..6).prop_map(|frames| {
+            let row_of = |superpoint, (counts, bare): ([u32; 4], u32)| {
+                let masks: Vec<(u16, u32)> = (1..).zip(counts).filter(|mask| mask.1 > 0).collect();
+                let visible = counts.iter().sum::<u32>() + bare;
+                VisibleSuperpoint { superpoint, visible, masks }
+            };
+            let seen = |(a, b)| {
+                let rows = vec![row_of(0, a), row_of(1, b)];
+                let rows = rows.into_iter().filter(|row| row.visible > 0).collect();
+                FrameVisibility { frame: FrameIndex(0), layer: 0, masks: 4, rows }
+            };
+            frames.into_iter().map(seen).collect()
+        })
+    }
+
+    /// Superpoint 0 called 1, and 1 called 0.
+    fn exchanged(tables: &[FrameVisibility]) -> Vec<FrameVisibility> {
+        let other = |row: &VisibleSuperpoint| VisibleSuperpoint {
+            superpoint: 1 - row.superpoint,
+            ..row.clone()
+        };
+        let of_table = |table: &FrameVisibility| FrameVisibility {
+            rows: table.rows.iter().rev().map(other).collect(),
+            ..*table
+        };
+        tables.iter().map(of_table).collect()
+    }
+
+    proptest! {
+        #[test]
+        fn affinity_is_a_share_and_the_printed_one_is_never_larger(tables in frames()) {
+            let normalized = affinity([40, 40], &tables, Normalisation::Normalised);
+            let literal = affinity([40, 40], &tables, Normalisation::Literal);
+            prop_assert!((0.0..=1.0 + 1e-5).contains(&normalized), "{normalized}");
+            prop_assert!((0.0..=normalized + 1e-5).contains(&literal), "{literal} {normalized}");
+        }
+
+        #[test]
+        fn affinity_is_the_same_both_ways(tables in frames()) {
+            for by in [Normalisation::Normalised, Normalisation::Literal] {
+                let there = affinity([40, 40], &tables, by);
+                prop_assert_eq!(there, affinity([40, 40], &exchanged(&tables), by));
+            }
+        }
+
+        #[test]
+        fn the_order_of_the_frames_does_not_matter(tables in frames()) {
+            let reversed: Vec<FrameVisibility> = tables.iter().rev().cloned().collect();
+            for by in [Normalisation::Normalised, Normalisation::Literal] {
+                let (one, other) =
+                    (affinity([40, 40], &tables, by), affinity([40, 40], &reversed, by));
+                prop_assert!((one - other).abs() < 1e-5, "{one} {other}");
+            }
+        }
+
+        /// The printed affinity halves when one of the two has twice the points, unseen.
+        #[test]
+        fn unseen_points_of_either_lower_the_printed_affinity(tables in frames()) {
+            let all = affinity([40, 40], &tables, Normalisation::Literal);
+            let is_seen = tables.iter().any(|table| {
+                table.rows.len() == 2 && table.rows.iter().all(|row| !row.masks.is_empty())
+            });
+            prop_assume!(is_seen);
+            for points in [[80, 40], [40, 80]] {
+                let fewer = affinity(points, &tables, Normalisation::Literal);
+                prop_assert!((fewer - all / 2.0).abs() < 1e-5, "{fewer} of {all}: {points:?}");
+                // The factor is the same in every frame: it drops out of a weighted mean.
+                let (one, other) = (
+                    affinity([40, 40], &tables, Normalisation::Normalised),
+                    affinity(points, &tables, Normalisation::Normalised),
+                );
+                prop_assert!((one - other).abs() < 1e-5, "{one} {other}: {points:?}");
+            }
+        }
+
+        /// Against shortest ways found by trying every stop in between.
+        #[test]
+        fn pairs_are_those_within_so_many_borders(
+            borders in prop::collection::btree_set((0_usize..9, 0_usize..9), 0..16),
+            max_hop in 0_u32..4,
+        ) {
+            let borders: Vec<(usize, usize)> =
+                borders.into_iter().filter(|(a, b)| a < b).collect();
+            let mut hops = [[99_u32; 9]; 9];
+            for &(a, b) in &borders {
+                (hops[a][b], hops[b][a]) = (1, 1);
+            }
+            for stop in 0..9 {
+                for a in 0..9 {
+                    for b in 0..9 {
+                        hops[a][b] = hops[a][b].min(hops[a][stop] + hops[stop][b]);
+                    }
+                }
+            }
+            let mut expected = Vec::new();
+            for a in 0..9_u32 {
+                for b in a + 1..9 {
+                    let hop = hops[a as usize][b as usize];
+                    if hop <= max_hop {
+                        expected.push((a, b, hop));
+                    }
+                }
+            }
+            let mut adjacent: Vec<(u32, u32)> =
+                borders.iter().map(|&(a, b)| (a as u32, b as u32)).collect();
+            let found = pairs_within(&adjacent, 9, max_hop, &Progress::silent()).unwrap();
+            prop_assert_eq!(&found, &expected);
+            adjacent.reverse();
+            let found = pairs_within(&adjacent, 9, max_hop, &Progress::silent()).unwrap();
+            prop_assert_eq!(&found, &expected, "in another order of borders");
+        }
     }
 }

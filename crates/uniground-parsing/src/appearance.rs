@@ -1,4 +1,4 @@
-//! Appearance: each instance as one vector, the mean over crops of several views (paper:
+//! Appearance embeddings: one vector per instance, the mean over crops of several views (paper:
 //! multi-scale crops, 5 levels, 10 views).
 
 use super::ParseError;
@@ -13,11 +13,11 @@ use uniground_geometry::scene::{FrameIndex, FrameRef, Instance, InstanceId, Leve
 use uniground_models::neural::DualEncoder;
 use uniground_types::settings::AppearanceSettings;
 
-/// Tight boxes in colour pictures, by frame and instance: left, top, right, bottom, pixels.
+/// Tight boxes in color pictures, by frame and instance: left, top, right, bottom, pixels.
 pub type FrameBoxes = BTreeMap<FrameIndex, BTreeMap<InstanceId, [u32; 4]>>;
 
-/// The frames each instance is looked at in, with its projected box there: parts and wholes in half
-/// as many as things, which they overlap.
+/// Returns the frames in which each instance is embedded, with its projected box in each. Parts and
+/// wholes get half as many frames as things, because they overlap them.
 #[must_use]
 pub fn choose(
     instances: &[Instance],
@@ -46,20 +46,20 @@ pub fn choose(
     boxes
 }
 
-/// A segmenter to be asked for outlines, and those known already.
+/// A segmenter that corrects outlines, and the masks that are already known.
 #[derive(Clone, Copy)]
 pub struct Correction<'a> {
-    /// Who is asked.
+    /// Asks the segmenter.
     pub corrector: &'a Corrector<'a>,
     /// The id images of each frame.
     pub known: &'a MasksOfFrames,
 }
 
-/// What a segmenter found of instances in pictures, by frame and instance.
+/// Outlines that a segmenter found for instances, by frame and instance.
 pub type Outlines = BTreeMap<FrameIndex, BTreeMap<InstanceId, Outline>>;
 
-/// One vector per instance, row after row (none without an encoder), and what a segmenter
-/// corrected. An encoder looks at corrected boxes.
+/// Returns one vector per instance, row after row (none without an encoder), and the outlines that
+/// a segmenter corrected. The encoder sees the corrected boxes.
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, a model that fails, cancellation.
@@ -108,8 +108,8 @@ pub fn look(
     Ok((if dim > 0 { finish(&sums, dim) } else { Vec::new() }, outlines))
 }
 
-/// One vector per instance, row after row, for instances whose points are known already; projected
-/// boxes are not corrected.
+/// Returns one vector per instance, row after row, for instances whose points are already known.
+/// Projected boxes are not corrected.
 ///
 /// # Errors
 /// As [`look`].
@@ -126,7 +126,7 @@ pub fn of_known(
     Ok(look(frames, instances, &boxes, labelled, (None, Some(encoder)), settings, &quiet)?.0)
 }
 
-/// Of instances with projected boxes, the masks that agree with the projection.
+/// For instances with projected boxes, returns the masks that agree with the projection.
 fn correct(
     frame: &FrameRef,
     picture: &RgbImage,
@@ -150,7 +150,8 @@ fn correct(
         if !boxes.contains_key(&instance) {
             continue;
         }
-        // The draws of the corrector follow the picture, whatever the order of the cloud.
+        // Sorted, so that the corrector's random draws depend on the picture and not on the order
+        // of the cloud.
         let mut pixels: Vec<(f32, f32)> = of_instance.iter().map(|point| point.at).collect();
         pixels.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
         let projection = Projection { instance, frame: frame.index, pixels: &pixels };
@@ -170,7 +171,7 @@ fn correct(
     Ok(outlines)
 }
 
-/// Sums of unit vectors over the crops of each box of one picture.
+/// Sums the unit vectors over the crops of each box of one picture.
 fn embed(
     picture: &RgbImage,
     boxes: &BTreeMap<InstanceId, [u32; 4]>,
@@ -196,7 +197,7 @@ fn embed(
     Ok(boxes.keys().copied().zip(vectors.chunks(levels).map(summed)).collect())
 }
 
-/// The box and its surroundings, level by level, clipped to the picture.
+/// Returns the box with its surroundings, level by level, clipped to the picture.
 fn crops(
     picture: &RgbImage,
     [left, top, right, bottom]: [u32; 4],
@@ -212,7 +213,7 @@ fn crops(
     })
 }
 
-/// Sums to unit length; what was never seen stays zero.
+/// Scales sums to unit length; instances that were never seen stay zero.
 fn finish(sums: &[f64], dim: usize) -> Vec<f32> {
     let mut rows = Vec::with_capacity(sums.len());
     for sum in sums.chunks_exact(dim) {

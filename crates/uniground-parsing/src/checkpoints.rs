@@ -1,9 +1,9 @@
-//! Work of a parse that is done, kept so that the next attempt does not repeat it.
+//! Checkpoints: finished work of a parse, stored so that the next attempt does not repeat it.
 //!
-//! One append-only log per stage, named by a hash of everything the stage depends on: a parse that
-//! was cancelled goes on where it stopped, and one with other merging settings starts from the
-//! lifted masks. Losing a log costs time, never a result: whatever can not be read is computed
-//! again, and whatever can not be written is a line in the server's log.
+//! One append-only log per stage, named by a hash of everything the stage depends on. A cancelled
+//! parse continues where it stopped, and a parse with other merging settings starts from the lifted
+//! masks. Losing a log costs time, never a result: what cannot be read is computed again, and what
+//! cannot be written is logged as a warning.
 
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Serialize;
@@ -13,7 +13,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufReader, Read, Write};
 use std::marker::PhantomData;
 
-/// Where the logs of one scan lie, if anywhere.
+/// Location of the logs of one scan, if they are stored at all.
 #[derive(Debug, Clone, Default)]
 pub struct Checkpoints {
     location: Option<CheckpointLocation>,
@@ -22,19 +22,19 @@ pub struct Checkpoints {
 #[derive(Debug, Clone)]
 struct CheckpointLocation {
     folder: Utf8PathBuf,
-    /// What every stage depends on: the scan, how it was imported, the version of the code.
+    /// Inputs of every stage: the scan, how it was imported, the version of the code.
     origin: String,
 }
 
 impl Checkpoints {
-    /// Nothing is kept.
+    /// Stores no checkpoints.
     #[must_use]
     pub fn none() -> Self {
         Self::default()
     }
 
-    /// Logs in `folder`, which exists; valid for this `origin` only. Once the folder is gone
-    /// nothing more is kept.
+    /// Stores logs in `folder`, which must exist. They are valid for this `origin` only. Once the
+    /// folder has been deleted, nothing more is stored.
     #[must_use]
     pub fn kept_in(folder: &Utf8Path, origin: &str) -> Self {
         Self {
@@ -45,13 +45,15 @@ impl Checkpoints {
         }
     }
 
-    /// Where logs are kept, if anywhere: on the disk that has room for what a parse needs.
+    /// The folder of the logs, if they are stored. It is on the disk that has room for what a parse
+    /// needs.
     #[must_use]
     pub fn folder(&self) -> Option<&Utf8Path> {
         self.location.as_ref().map(|location| location.folder.as_path())
     }
 
-    /// The same place for what depends on more than the scan it began with.
+    /// Returns checkpoints at the same location for stages that depend on more than the original
+    /// scan.
     #[must_use]
     pub fn depending_on(&self, more: &str) -> Self {
         let location = self.location.as_ref();
@@ -63,8 +65,8 @@ impl Checkpoints {
         }
     }
 
-    /// The log of a stage that depends on these settings. Logs of the stage under other settings
-    /// are removed.
+    /// Opens the log of a stage that depends on these settings. Removes logs of the same stage with
+    /// other settings.
     pub fn log<T: Serialize + DeserializeOwned>(
         &self,
         stage: &str,
@@ -80,11 +82,11 @@ impl Checkpoints {
         })
     }
 
-    /// The result of a stage: kept from before, or computed and kept. The flag tells which: `true`
-    /// = kept.
+    /// Returns the result of a stage: loaded from its checkpoint, or computed and stored. The flag
+    /// is `true` when it was loaded.
     ///
     /// # Errors
-    /// Those of `compute`.
+    /// Errors of `compute`.
     pub fn once<T: Serialize + DeserializeOwned, E>(
         &self,
         stage: &str,
@@ -108,11 +110,11 @@ fn key(origin: &str, depends_on: &impl Serialize) -> io::Result<String> {
     Ok(hasher.finalize().iter().take(8).map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// Records of one stage in the order they were made.
+/// The records of one stage in the order they were written.
 pub struct StageLog<T> {
     file: Option<File>,
     kept: Vec<T>,
-    /// Where each kept record ends in the file.
+    /// End offset of each stored record in the file.
     ends: Vec<u64>,
     records: PhantomData<T>,
 }
@@ -133,17 +135,17 @@ impl<T: Serialize + DeserializeOwned> StageLog<T> {
         let file =
             OpenOptions::new().read(true).append(true).create(true).open(folder.join(name))?;
         let (kept, ends) = read_records(&file);
-        // What a crash left half written is cut off.
+        // Truncates a record that a crash left half written.
         file.set_len(ends.last().copied().unwrap_or(0))?;
         Ok(Self { file: Some(file), kept, ends, records: PhantomData })
     }
 
-    /// The records of earlier attempts; a second call has none.
+    /// Takes the records of earlier attempts; a second call returns none.
     pub fn kept(&mut self) -> Vec<T> {
         std::mem::take(&mut self.kept)
     }
 
-    /// Forgets all records after the first `count`, the only ones that fit the work at hand.
+    /// Drops all records after the first `count`, because only those match the current work.
     pub fn forget_after(&mut self, count: usize) {
         let Some(file) = &self.file else { return };
         if count < self.ends.len() {
@@ -156,8 +158,7 @@ impl<T: Serialize + DeserializeOwned> StageLog<T> {
         }
     }
 
-    /// Adds a finished record to the file. When that fails, a warning is logged and nothing more is
-    /// kept.
+    /// Appends a finished record to the file. On failure, logs a warning and stores nothing more.
     pub fn append(&mut self, record: &T) {
         let Some(file) = &mut self.file else { return };
         let written = postcard::to_stdvec(record).map_err(io::Error::other).and_then(|bytes| {
@@ -174,10 +175,10 @@ impl<T: Serialize + DeserializeOwned> StageLog<T> {
     }
 }
 
-/// Length and CRC-32 of a record, before its bytes.
+/// Size of the header before each record: length and CRC-32.
 const HEADER: usize = 12;
 
-/// All whole records from the start, and where each ends.
+/// Reads all complete records from the start, with the end offset of each.
 fn read_records<T: DeserializeOwned>(file: &File) -> (Vec<T>, Vec<u64>) {
     let mut reader = BufReader::new(file);
     let (mut records, mut ends, mut end) = (Vec::new(), Vec::new(), 0);
@@ -195,7 +196,7 @@ fn read_record<T: DeserializeOwned>(reader: &mut impl Read) -> Option<(T, u64)> 
     let length = u64::from_le_bytes(header[..8].try_into().ok()?);
     let crc = u32::from_le_bytes(header[8..].try_into().ok()?);
     let mut bytes = Vec::new();
-    // Read what is there rather than believe the length.
+    // Reads what exists instead of allocating by the stored length.
     reader.take(length).read_to_end(&mut bytes).ok()?;
     (bytes.len() as u64 == length && crc32fast::hash(&bytes) == crc).then_some(())?;
     Some((postcard::from_bytes(&bytes).ok()?, HEADER as u64 + length))

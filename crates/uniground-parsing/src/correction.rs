@@ -1,7 +1,7 @@
-//! Defect correction: an instance's projection into a picture may miss parts of it and take in
-//! parts of others; a promptable segmenter finds its true outline (paper: 10 rounds of 5 random
-//! visible pixels). Where the frame has a mask that agrees well with the projection already, that
-//! is its outline.
+//! Defect correction: the projection of an instance into a picture may miss parts of it and include
+//! parts of others. A promptable segmenter finds its true outline (paper: 10 rounds of 5 random
+//! visible pixels). If the frame already has a mask that agrees well with the projection, that mask
+//! is used.
 
 use super::masks::IdRuns;
 use super::masks::sam::EncodedFrames;
@@ -10,31 +10,32 @@ use uniground_geometry::scene::{FrameIndex, FrameRef, InstanceId};
 use uniground_models::neural::{Encoded, ModelError, Prompt};
 use uniground_types::settings::CorrectionSettings;
 
-/// Cells a projected point stands for, each way: points of a cloud are sparser than pixels.
+/// Cells around a projected point that it covers, each way: points of a cloud are sparser than
+/// pixels.
 const REACH: i32 = 3;
-/// Pixels looked at for agreement, spread over all.
+/// Maximum number of pixels sampled to measure agreement, spread over all.
 const MAX_PIXELS: usize = 2000;
 
-/// Asks a segmenter what an instance looks like in a frame.
+/// Asks a segmenter for the outline of an instance in a frame.
 pub struct Corrector<'a> {
     /// The segmenter, and the pictures it has encoded.
     pub frames: &'a EncodedFrames,
-    /// How often and with how many points it is asked.
+    /// Number of rounds, and of points per round.
     pub settings: CorrectionSettings,
 }
 
-/// The pixels of an instance that a frame sees: positions in its colour picture.
+/// The pixels at which a frame sees an instance: positions in its color picture.
 pub struct Projection<'a> {
-    /// With `frame`, the seed of the random prompts.
+    /// Together with `frame`, the seed of the random prompts.
     pub instance: InstanceId,
     /// The frame that sees it.
     pub frame: FrameIndex,
-    /// Column and row; fractions of a pixel count.
+    /// Column and row; fractions of a pixel matter.
     pub pixels: &'a [(f32, f32)],
 }
 
 impl Corrector<'_> {
-    /// A mask the frame has already, where one agrees well enough.
+    /// Returns a mask that the frame already has, if one agrees well enough.
     #[must_use]
     pub fn known_outline(
         &self,
@@ -53,7 +54,8 @@ impl Corrector<'_> {
             .flatten()
     }
 
-    /// The mask that fits best. `None` when none agrees with the projection.
+    /// Asks the segmenter and returns the mask that fits best. `None` when none agrees with the
+    /// projection.
     ///
     /// # Errors
     /// [`ModelError`]: a failed call.
@@ -81,8 +83,8 @@ impl Corrector<'_> {
             let agreement = covered.agreement(|cell| mask.logits[cell] > segmenter.threshold());
             (agreement, mask)
         });
-        // The model alone often picks the wrong one of its masks, so the projection has a say in
-        // it.
+        // The model alone often picks the wrong one of its masks, so agreement with the projection
+        // counts as well.
         let best = judged
             .filter(|(agreement, _)| *agreement >= self.settings.min_agreement)
             .max_by(|(a, x), (b, y)| (a * x.predicted_iou).total_cmp(&(b * y.predicted_iou)));
@@ -92,7 +94,7 @@ impl Corrector<'_> {
     }
 }
 
-/// The masks a frame has from before, on a grid over its colour picture.
+/// The existing masks of a frame, on a grid over its color picture.
 pub struct KnownMasks {
     /// Row-major, [`Self::SIZE`] squared; 0 = none.
     ids: Vec<u16>,
@@ -102,7 +104,7 @@ impl KnownMasks {
     /// Cells per side.
     const SIZE: usize = 256;
 
-    /// Looks the middle of each cell up in the masks, which lie on the depth image.
+    /// Samples the masks, which lie on the depth image, at the center of each cell.
     #[must_use]
     pub fn of(masks: &IdRuns, frame: &FrameRef) -> Self {
         let masks = masks.unpacked();
@@ -128,7 +130,7 @@ impl KnownMasks {
         Self { ids }
     }
 
-    /// The mask most of these cells lie in.
+    /// The mask that most of these cells lie in.
     fn commonest(&self, cells: &[usize]) -> Option<u16> {
         let mut ids: Vec<u16> =
             cells.iter().map(|cell| self.ids[*cell]).filter(|id| *id != 0).collect();
@@ -137,9 +139,9 @@ impl KnownMasks {
     }
 }
 
-/// The cells of a mask that the projection covers.
+/// The cells that a projection covers, for comparison with masks.
 struct MaskCoverage {
-    /// Cells of the points looked at, at most [`MAX_PIXELS`].
+    /// Cells of the sampled points, at most [`MAX_PIXELS`].
     hit: Vec<usize>,
     /// Cells near a point.
     near: Vec<bool>,
@@ -162,7 +164,7 @@ impl MaskCoverage {
         Self { hit, near }
     }
 
-    /// F-score of a mask: the share of the projection it holds, and the share of it that lies at
+    /// F-score of a mask: the share of the projection inside the mask, and the share of the mask at
     /// the projection.
     fn agreement(&self, inside: impl Fn(usize) -> bool) -> f32 {
         let held =
@@ -177,7 +179,7 @@ impl MaskCoverage {
     }
 }
 
-/// A mask with its tight box in the picture, whose cells are `scale` to a pixel.
+/// Returns a mask with its tight box in the picture. `scale` is cells per pixel.
 fn outlined(
     inside: impl Fn(usize) -> bool,
     size: usize,
@@ -189,8 +191,8 @@ fn outlined(
     Some(Outline::of_picture(box_px, |(x, y)| inside(cell(y, scale.1) * size + cell(x, scale.0))))
 }
 
-/// The tight box of a mask in the picture. The outermost 0.5 % of its area on each side are crumbs
-/// and left out.
+/// Returns the tight box of a mask in the picture. The outermost 0.5 % of its area on each side are
+/// fragments and left out.
 fn bounds(
     inside: impl Fn(usize) -> bool,
     size: usize,
@@ -226,8 +228,8 @@ fn bounds(
     Some([left, top, right, bottom])
 }
 
-/// Random numbers that depend on instance and frame alone (splitmix64): the same whatever else is
-/// looked at.
+/// Random numbers that depend only on instance and frame (splitmix64): the same whatever else is
+/// computed.
 struct SeededRandom(u64);
 
 impl SeededRandom {
@@ -255,7 +257,7 @@ mod tests {
 
     const SIZE: usize = 64;
 
-    /// A mask of so many cells each way, by column and row.
+    /// A mask of `SIZE` cells each way, by column and row.
     fn mask(inside: impl Fn(usize, usize) -> bool) -> impl Fn(usize) -> bool {
         move |cell| inside(cell % SIZE, cell / SIZE)
     }
@@ -281,8 +283,8 @@ mod tests {
         assert_eq!(bounds(mask(|_, _| false), SIZE, (0.1, 0.2), (640, 320)), None);
     }
 
-    /// A mask from before over columns 20 to 60 and rows 10 to 40 of a picture twice as large as
-    /// its depth image.
+    /// An existing mask over columns 20 to 60 and rows 10 to 40 of a picture twice as large as its
+    /// depth image.
     #[test]
     fn a_mask_from_before_is_believed_where_it_agrees() {
         let frames = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 0).unwrap();

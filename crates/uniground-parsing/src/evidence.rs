@@ -1,16 +1,16 @@
-//! Evidence pictures for people: of every view a crop and the full frame with a red box, the
-//! instance outlined in both (paper: candidate visual evidence). Nobody looks at all of them, so
-//! each is drawn when somebody does. Models get collages, whose outlines are drawn at their own
-//! size: [`uniground_render::Shot::of_view`].
+//! Evidence pictures for people: for every view a crop, and the full frame with a red box; the
+//! instance is outlined in both (paper: candidate visual evidence). Few of them are ever looked at,
+//! so each is drawn on request. Models get collages, whose outlines are drawn at their own size:
+//! [`uniground_render::Shot::of_view`].
 
 use image::{Rgb, RgbImage};
 use uniground_geometry::scene::{CellMask, View};
 use uniground_render::{Surroundings, crop_area, cut, draw_outline, jpeg, outline_reach, shares};
 
-/// Which of the two pictures of a view.
+/// Selects one of the two pictures of a view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Picture {
-    /// The instance and a little around it: outlined, its surroundings dimmed.
+    /// The instance with a small margin: outlined, its surroundings dimmed.
     Crop,
     /// The whole photograph, with a red box around the outlined instance.
     Frame,
@@ -18,7 +18,7 @@ pub enum Picture {
 
 const RED: Rgb<u8> = Rgb([230, 20, 20]);
 
-/// One picture of a view, from the photograph it is of: a JPEG file.
+/// Draws one evidence picture of a view from its photograph, as JPEG.
 #[must_use]
 pub fn picture(colour: &RgbImage, seen: &View, picture: Picture) -> Vec<u8> {
     let mask = seen.mask.as_ref().and_then(CellMask::unpacked);
@@ -32,7 +32,7 @@ pub fn picture(colour: &RgbImage, seen: &View, picture: Picture) -> Vec<u8> {
         draw_outline(&mut drawn, whole, mask, shares(seen.box_px, area), around);
     }
     if picture == Picture::Frame {
-        // The box leaves room for the outline.
+        // Enlarges the box so that the outline fits inside.
         let room = if mask.is_some() { outline_reach(whole.2, whole.3) } else { 0 };
         let [left, top, right, bottom] = seen.box_px;
         let boxed = [
@@ -46,7 +46,7 @@ pub fn picture(colour: &RgbImage, seen: &View, picture: Picture) -> Vec<u8> {
     jpeg(&drawn)
 }
 
-/// A red outline just outside the box, three pixels wide, clipped to the picture.
+/// Draws a red outline just outside the box, three pixels wide, clipped to the picture.
 fn draw_box(image: &mut RgbImage, [left, top, right, bottom]: [u32; 4]) {
     const WIDTH: i64 = 3;
     let (w, h) = (i64::from(image.width()), i64::from(image.height()));
@@ -58,7 +58,7 @@ fn draw_box(image: &mut RgbImage, [left, top, right, bottom]: [u32; 4]) {
     };
     for k in 1..=WIDTH {
         for x in l - k..r + k {
-            // At the picture's rim the outline moves inside, so that it stays visible.
+            // At the picture's border the outline moves inside, so that it stays visible.
             put(x, (t - k).max(WIDTH - k));
             put(x, (b - 1 + k).min(h - 1 - (WIDTH - k)));
         }

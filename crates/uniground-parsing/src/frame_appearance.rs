@@ -1,8 +1,8 @@
-//! Appearance of frames as a whole, so that words find the photographs that may show what is in no
+//! Embeddings of whole frames, so that a text query can find photographs of objects that are in no
 //! instance.
 //!
-//! Small things vanish in one vector of a photograph: beside the whole of it six crops that overlap
-//! are looked at, three beside each other in two rows.
+//! Small things vanish in one vector of a photograph. So six overlapping crops are embedded besides
+//! the whole, in two rows of three.
 
 use super::{ParseError, frame_sampling};
 use image::{RgbImage, imageops};
@@ -11,8 +11,8 @@ use uniground_geometry::scene::{FrameEmbeddings, FrameRef, stream_frames};
 use uniground_models::neural::DualEncoder;
 use uniground_types::settings::{AppearanceSettings, FrameSamplingSettings};
 
-/// The vectors of some of these frames, spread along the camera's way; `None` where none are wanted
-/// or there are none.
+/// Embeds some of these frames, spread along the camera's path. `None` where no frame embeddings
+/// are configured or there are no frames.
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, an encoder that fails, cancellation.
@@ -51,8 +51,8 @@ pub fn look(
     Ok(Some(FrameEmbeddings::new(encoder.dim(), of_row, &rows)))
 }
 
-/// The whole picture, and crops of half its width and two thirds of its height that overlap by
-/// half.
+/// Returns the whole picture, and crops of half its width and two thirds of its height that overlap
+/// by half.
 fn crops(picture: &RgbImage) -> Vec<RgbImage> {
     let (width, height) = picture.dimensions();
     let (w, h) = ((width / 2).max(1), (height * 2 / 3).max(1));

@@ -1,9 +1,10 @@
-//! Which frames are looked at.
+//! Selects the frames that a parse uses.
 
 use uniground_geometry::scene::FrameRef;
 use uniground_types::settings::FrameSamplingSettings;
 
-/// The frames to use, in order (paper: stride `max(1, floor(N_f / 1000))`), then the budget.
+/// Returns the frames to use, in order: first the stride (paper: `max(1, floor(N_f / 1000))`), then
+/// the budget.
 #[must_use]
 pub fn sample(frames: &[FrameRef], settings: &FrameSamplingSettings) -> Vec<FrameRef> {
     let stride = (frames.len() / settings.stride_frames.max(1) as usize).max(1);
@@ -14,13 +15,13 @@ pub fn sample(frames: &[FrameRef], settings: &FrameSamplingSettings) -> Vec<Fram
     }
 }
 
-/// `budget` frames at equal steps of the distance travelled, so that a camera that stands still
-/// does not eat the budget.
+/// Picks `budget` frames at equal steps of the distance traveled, so that a camera that stands
+/// still does not use up the budget.
 fn spread_along_path(frames: &[FrameRef], budget: usize) -> Vec<FrameRef> {
     let mut travelled = vec![0.0_f32];
     for pair in frames.windows(2) {
         let step = pair[0].camera_to_world.inverse() * pair[1].camera_to_world;
-        // A turn shows new things as much as a step does: one radian counts as one metre.
+        // A turn shows new things as much as a step does: one radian counts as one meter.
         let last = travelled[travelled.len() - 1];
         travelled.push(last + step.translation.vector.norm() + step.rotation.angle());
     }
@@ -79,7 +80,7 @@ mod tests {
 
     #[test]
     fn a_camera_that_stands_still_does_not_eat_the_budget() {
-        // 90 frames at the start, then ten steps of a metre.
+        // 90 frames at the start, then ten steps of one meter.
         let frames = path((0..90).map(|_| 0.0).chain((1..=10).map(|i| i as f32)));
         let chosen =
             sample(&frames, &FrameSamplingSettings { stride_frames: 1000, max_frames: Some(11) });

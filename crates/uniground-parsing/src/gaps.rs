@@ -1,8 +1,9 @@
-//! Gaps: neighbours that do not touch, and what cameras have seen between them.
+//! Gaps: superpoints that are neighbors without touching, and what cameras saw between them.
 //!
-//! A scan has holes where nothing could be measured, in what is black, shiny or thin, so
-//! superpoints are neighbours over small gaps too. But where frames have measured something behind
-//! the gap there is a depth edge: the two end there, and are two things as far as anybody can tell.
+//! A scan has holes where nothing could be measured: on black, shiny or thin surfaces. So
+//! superpoints count as neighbors over small gaps too. But where frames measured something behind
+//! the gap, there is a depth edge: both surfaces end there, so the two are treated as different
+//! things.
 
 use super::ParseError;
 use super::superpoints::{Superpoints, WIDEST_RING};
@@ -14,19 +15,20 @@ use uniground_geometry::scene::{Camera, DepthImage, FrameRef, PointCloud, stream
 use uniground_geometry::voxels::VoxelGrid;
 use uniground_geometry::{Point3, Vector3};
 
-/// What lies this far behind the middle of a gap is no part of what is around it, metres.
+/// A measurement this far behind the middle of a gap is behind it, not part of its surroundings;
+/// meters.
 const BEHIND_M: f32 = 0.05;
 
-/// Two neighbours that do not touch.
+/// A gap between two neighbors that do not touch.
 struct DepthGap {
     pair: (u32, u32),
-    /// Where they come nearest to each other, metres, world frame.
+    /// The midpoint between their nearest points, meters, world frame.
     middle: Point3<f32>,
 }
 
-/// The pairs of neighbours without those over a gap that more frames see through than see something
-/// in. `voxel_m` is the edge of the voxels that superpoints were made of: they touch where two of
-/// their voxels meet. `depth_tolerance` is relative, as in
+/// Returns the pairs of neighbors, without those over a gap that more frames see through than
+/// measure something in. `voxel_m` is the edge of the voxels that superpoints were made of: two
+/// superpoints touch where two of their voxels meet. `depth_tolerance` is relative, as in
 /// [`Visibility::new`](super::visibility::Visibility::new).
 ///
 /// # Errors
@@ -67,8 +69,8 @@ pub fn without_depth_edges(
     Ok(superpoints.adjacent.iter().copied().filter(|pair| !apart.contains(pair)).collect())
 }
 
-/// 1 where a frame sees through at a point, -1 where it sees something there, 0 where it does not
-/// know.
+/// Returns 1 where a frame sees through at a point, -1 where it measured something there, 0 where
+/// it has no evidence.
 fn vote(point: &Point3<f32>, camera: &Camera, depth: &DepthImage, tolerance: f32) -> i32 {
     let Some(pixel) = camera.project(point) else { return 0 };
     let depth_m = depth.at(pixel.cell());
@@ -80,10 +82,10 @@ fn vote(point: &Point3<f32>, camera: &Camera, depth: &DepthImage, tolerance: f32
     }
 }
 
-/// Neighbours of which no voxels meet.
+/// Finds the neighbors whose voxels do not meet.
 fn gaps(cloud: &PointCloud, superpoints: &Superpoints, voxel_m: f32) -> Vec<DepthGap> {
     let grid = VoxelGrid::new(&cloud.positions, voxel_m);
-    // A voxel is of one superpoint; where a scene has grown, of that of its last point.
+    // A voxel belongs to one superpoint; in a scene that has grown, to that of its last point.
     let mut superpoint_of = vec![0; grid.len()];
     let mut sums = vec![(Vector3::zeros(), 0.0); grid.len()];
     for ((p, &voxel), &superpoint) in
@@ -124,11 +126,11 @@ fn gaps(cloud: &PointCloud, superpoints: &Superpoints, voxel_m: f32) -> Vec<Dept
         .collect()
 }
 
-/// The middle between the two points, one of each, that are nearest to each other; `None` beyond
-/// the reach.
+/// Returns the midpoint between the nearest pair of points, one of each set; `None` beyond the
+/// reach.
 fn middle_between(one: &[Point3<f32>], other: &[Point3<f32>], reach_m: f32) -> Option<Point3<f32>> {
     let (few, many) = if one.len() <= other.len() { (one, other) } else { (other, one) };
-    // Of a long wall only what is beside a small thing can be nearest to it.
+    // Of a long wall, only the part beside a small thing can be nearest to it.
     let mut around = Aabb::around(few)?;
     around.size = around.size.add_scalar(2.0 * reach_m);
     let near: Vec<&Point3<f32>> = many.iter().filter(|p| around.contains(p)).collect();
@@ -152,8 +154,8 @@ mod tests {
         Intrinsics { width: 64, height: 48, fx: 40.0, fy: 40.0, cx: 31.5, cy: 23.5 };
     const VOXEL_M: f32 = 0.025;
 
-    /// Two squares of 20 cm, one metre before a camera at the origin, this far apart: neighbours
-    /// for whoever found them.
+    /// Two squares of 20 cm, one meter before a camera at the origin, `apart_m` apart, marked as
+    /// neighbors.
     fn two_squares(apart_m: f32) -> (PointCloud, Superpoints) {
         let square = |left: f32| {
             (0..400_u16).map(move |i| {
@@ -198,7 +200,7 @@ mod tests {
         );
     }
 
-    /// A frame that measured so much everywhere, metres.
+    /// A frame that measured `depth_m` everywhere, meters.
     fn frame(folder: &Utf8Path, index: u32, depth_m: f32) -> FrameRef {
         let depth = folder.join(format!("{index}.png"));
         let millimetres = Luma([(depth_m * 1e3) as u16]);

@@ -1,9 +1,11 @@
-//! Parts and wholes: what masks show besides the things that a scene is cut into. Not in the paper.
+//! Parts and wholes: what masks show besides the things that a scene is segmented into. Not in the
+//! paper.
 //!
-//! No single cut suits every question: a bed may have been found as blanket and headboard, a
-//! dresser without its drawers. What merging had on its way are parts; things that one mask holds,
-//! and neighbours two by two, are wholes. Those that masks show best are offered beside the things,
-//! by the same measure that tells things from leftovers.
+//! No single segmentation suits every question: a bed may be found as blanket and headboard, or a
+//! dresser without its drawers. Intermediate regions of merging are candidates for parts. Things
+//! inside one mask, and pairs of neighbors, are candidates for wholes. The candidates that masks
+//! show best are added beside the things, ranked by the same measure that separates things from
+//! leftovers.
 
 use super::lifting::{FrameVisibility, coarsen};
 use super::merging::Regions;
@@ -20,25 +22,25 @@ use uniground_types::settings::ParsingSettings;
 pub struct Proposal {
     /// [`Level::Part`] or [`Level::Whole`].
     pub level: Level,
-    /// Superpoints it is made of, ascending.
+    /// The superpoints it consists of, ascending.
     pub superpoints: Vec<u32>,
-    /// The region a part lies in; those a whole is made of, ascending.
+    /// For a part: the region it lies in. For a whole: the regions it consists of, ascending.
     pub regions: Vec<u32>,
-    /// How well masks show it: IoU of its visible points and those of the best mask, mean over
-    /// frames by visible points, `0..=1`.
+    /// How well masks show it: IoU of its visible points and the best mask, averaged over frames
+    /// weighted by visible points, `0..=1`.
     pub agreement: f32,
 }
 
-/// Two that share this much of their points (IoU) are one.
+/// Two candidates with at least this IoU of their points are the same.
 const SAME: f32 = 0.85;
-/// A mask holds a region when this share of the region's visible points lies in it; it is filled by
-/// regions when this share of its own points lies in those it holds.
+/// A mask holds a region when this share of the region's visible points lies in it. Regions fill a
+/// mask when this share of the mask's points lies in the regions it holds.
 const HELD: f32 = 0.7;
-/// A mask that holds more regions than this shows a corner of the room.
+/// A mask that holds more regions than this shows a corner of the room, not a thing.
 const MOST_REGIONS: usize = 12;
 
-/// Parts and wholes, best shown first: at most as many for each region as the settings allow.
-/// `levels` are the steps of merging that led to `region_of` (both by superpoint), `tables` what
+/// Returns parts and wholes, best shown first: at most as many per region as the settings allow.
+/// `levels` are the steps of merging that led to `region_of` (both by superpoint); `tables` is what
 /// the frames see of the superpoints.
 ///
 /// # Errors
@@ -92,7 +94,7 @@ pub fn propose(
     Ok(kept)
 }
 
-/// Superpoints of each region, ascending.
+/// The superpoints of each region, ascending.
 fn members(region_of: &[u32]) -> Vec<Vec<u32>> {
     let mut members = vec![Vec::new(); region_of.iter().max().map_or(0, |&r| r as usize + 1)];
     (0..)
@@ -101,13 +103,13 @@ fn members(region_of: &[u32]) -> Vec<Vec<u32>> {
     members
 }
 
-/// What two ascending lists share.
+/// The intersection of two ascending lists.
 fn shared(a: &[u32], b: &[u32]) -> Vec<u32> {
     a.iter().copied().filter(|s| b.binary_search(s).is_ok()).collect()
 }
 
-/// Regions on the way to those of `region_of` that lie in one of them: what stood in a table was
-/// set free of it since.
+/// Returns intermediate regions that lie inside one region of `region_of`. Not all do: things that
+/// stood on a piece of furniture may have been split off it since.
 fn parts(levels: &Regions, region_of: &[u32], tables: &[FrameVisibility]) -> Vec<Proposal> {
     let mut found: BTreeMap<Vec<u32>, f32> = BTreeMap::new();
     for level in &levels.levels {
@@ -126,7 +128,7 @@ fn parts(levels: &Regions, region_of: &[u32], tables: &[FrameVisibility]) -> Vec
     found.into_iter().filter_map(of).collect()
 }
 
-/// Regions that one mask holds and that fill it, and neighbours two by two.
+/// Returns the sets of regions that one mask holds and that fill it, and pairs of neighbors.
 fn wholes(
     superpoints: &Superpoints,
     region_of: &[u32],
@@ -151,9 +153,9 @@ fn wholes(
     unions.into_iter().zip(agreements).map(whole).collect()
 }
 
-/// For each mask the regions it holds, where they fill it.
+/// For each mask, the regions it holds, if they fill it.
 fn held_together(table: &FrameVisibility) -> Vec<Vec<u32>> {
-    // Points of each mask, those of regions it holds, and these regions.
+    // Per mask: its points, the points of the regions it holds, and these regions.
     let mut of_mask: BTreeMap<u16, (u32, u32, Vec<u32>)> = BTreeMap::new();
     for row in &table.rows {
         for &(mask, n) in &row.masks {
@@ -186,7 +188,7 @@ fn agreements(tables: &[FrameVisibility], unions: &[Vec<u32>]) -> Vec<f32> {
     unions.par_iter().map(agreement).collect()
 }
 
-/// One frame.
+/// The masks of one frame.
 struct FrameMasks<'a> {
     /// One table for each id image.
     images: &'a [FrameVisibility],
@@ -205,8 +207,8 @@ impl<'a> FrameMasks<'a> {
         Self { images, points: images.iter().map(points).collect() }
     }
 
-    /// IoU of the visible points of a union and those of the mask that fits them best, and how many
-    /// points are visible.
+    /// Returns the IoU of a union's visible points and the best fitting mask, and the number of
+    /// visible points.
     fn agreement(&self, union: &[u32]) -> (f32, f32) {
         let (mut best, mut visible) = (0.0_f32, 0);
         for (table, points) in self.images.iter().zip(&self.points) {
@@ -239,8 +241,8 @@ mod tests {
     use uniground_geometry::{Point3, Vector3};
     use uniground_types::settings::InstanceSettings;
 
-    /// A chest of two superpoints and a lamp on it; one mask shows the drawer, superpoint 1,
-    /// another chest and lamp together.
+    /// A chest of two superpoints with a lamp on it. One mask shows the drawer, superpoint 1;
+    /// another shows chest and lamp together.
     #[test]
     fn what_masks_show_beside_the_cut_is_proposed() {
         let patch = Patch {

@@ -1,4 +1,5 @@
-//! Which instances each point belongs to: one thing or none, and the parts and wholes that hold it.
+//! The instances each point belongs to: at most one thing, and the parts and wholes that contain
+//! it.
 
 use super::hierarchy::Proposal;
 use super::superpoints::Superpoints;
@@ -10,31 +11,31 @@ use uniground_geometry::scene::{InstanceId, Level};
 pub struct Compound {
     /// [`Level::Part`] or [`Level::Whole`].
     pub level: Level,
-    /// The thing a part lies in; the things a whole is made of. Ascending.
+    /// For a part: the thing it lies in. For a whole: the things it consists of. Ascending.
     pub things: Vec<InstanceId>,
-    /// Superpoints a part is made of, ascending; its points are those that belong to its thing.
-    /// None for a whole: it has all points of its things.
+    /// Superpoints of a part, ascending; its points are those that belong to its thing. Empty for a
+    /// whole, which has all points of its things.
     pub superpoints: Vec<u32>,
 }
 
-/// The instances of each point. Ids count things from 1, then compounds in order.
+/// The instances of each point. Ids number the things from 1, then the compounds in order.
 #[derive(Debug, Clone)]
 pub struct Labels<'a> {
-    /// One per point; 0: none.
+    /// The thing of each point; 0: none.
     pub thing_of_point: Cow<'a, [InstanceId]>,
     /// Parts and wholes.
     pub compounds: Vec<Compound>,
-    /// How many things there are: the id of the last.
+    /// Number of things, which is the id of the last one.
     pub things: u32,
     superpoint_of_point: &'a [u32],
-    /// By superpoint: a thing, and its part there.
+    /// By superpoint: a thing, and its part at this superpoint.
     parts_at: Vec<Vec<(InstanceId, InstanceId)>>,
     /// By thing id.
     wholes_of: Vec<Vec<InstanceId>>,
 }
 
 impl<'a> Labels<'a> {
-    /// Things alone, one id per point; 0: none.
+    /// Labels with things only, one id per point; 0: none.
     #[must_use]
     pub fn of_things(thing_of_point: &'a [InstanceId]) -> Self {
         Self::new(Cow::Borrowed(thing_of_point), &[], Vec::new())
@@ -70,8 +71,8 @@ impl<'a> Labels<'a> {
         Self { thing_of_point, compounds, things, superpoint_of_point, parts_at, wholes_of }
     }
 
-    /// Regions as numbered things-to-be, with parts and wholes of them: ids count from 1 in falling
-    /// order of points; ties by the region's first point.
+    /// Numbers regions as candidate things, with their parts and wholes. Ids count from 1 in
+    /// descending order of points; ties are broken by the region's first point.
     #[must_use]
     pub fn of_regions(
         region_of: &[u32],
@@ -79,7 +80,7 @@ impl<'a> Labels<'a> {
         proposals: Vec<Proposal>,
     ) -> Self {
         let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
-        // Points of each region, and the first.
+        // Number of points of each region, and its first point.
         let mut sizes = vec![(0_u32, 0_u32); count];
         for (i, &region) in region_of.iter().enumerate().rev() {
             let (points, first) = &mut sizes[region as usize];
@@ -90,7 +91,7 @@ impl<'a> Labels<'a> {
         let mut ids = vec![InstanceId(0); count];
         (1..).zip(order).for_each(|(id, region)| ids[region] = InstanceId(id));
         let compound = |Proposal { level, superpoints, regions, .. }: Proposal| {
-            // A region may have lost its last point to others since it was proposed.
+            // A region may have lost its last point to others since the proposal.
             let id = |&r: &u32| ids.get(r as usize).copied().filter(|id| id.0 != 0);
             let mut things: Vec<InstanceId> = regions.iter().map(id).collect::<Option<_>>()?;
             things.sort_unstable();
@@ -105,7 +106,8 @@ impl<'a> Labels<'a> {
         )
     }
 
-    /// The instances a point belongs to: its thing, the wholes of that, its parts there.
+    /// The instances a point belongs to: its thing, the wholes of that thing, its parts at this
+    /// point.
     pub fn of(&self, point: usize) -> impl Iterator<Item = InstanceId> + '_ {
         let thing = self.thing_of_point[point];
         let wholes = self.wholes_of.get(thing.0 as usize).into_iter().flatten().copied();
@@ -115,7 +117,7 @@ impl<'a> Labels<'a> {
         (thing.0 != 0).then_some(thing).into_iter().chain(wholes).chain(parts)
     }
 
-    /// How many of the chosen points each instance has, by id less 1.
+    /// Number of the chosen points that each instance has, by id minus 1.
     #[must_use]
     pub fn counts(&self, chosen: impl Fn(u32) -> bool) -> Vec<u32> {
         let mut counts = vec![0; self.len()];
@@ -125,7 +127,7 @@ impl<'a> Labels<'a> {
         counts
     }
 
-    /// How many instances there are.
+    /// Number of instances.
     #[must_use]
     pub fn len(&self) -> usize {
         self.things as usize + self.compounds.len()
@@ -137,8 +139,8 @@ impl<'a> Labels<'a> {
         self.len() == 0
     }
 
-    /// The same with new ids, by old one; 0: dropped. Those that stay keep their order; a compound
-    /// stays only with all its things.
+    /// Returns the labels with new ids, by old one; 0: dropped. The remaining ones must keep their
+    /// order. A compound remains only with all its things.
     #[must_use]
     pub fn renumbered(self, new_id: &[InstanceId]) -> Self {
         let renamed = |id: &InstanceId| new_id[id.0 as usize];
@@ -175,8 +177,8 @@ mod tests {
         assert_eq!((labels.things, labels.len()), (4, 4));
     }
 
-    /// Three regions over four superpoints; a whole of the first two, a part of the last, and one
-    /// of a region that is gone.
+    /// Three regions over four superpoints: a whole of the first two, a part of the last, and a
+    /// part of a region that no longer exists.
     #[test]
     fn a_point_belongs_to_its_thing_the_wholes_of_that_and_its_parts() {
         let superpoints = Superpoints {
@@ -194,7 +196,7 @@ mod tests {
             proposal(Level::Part, &[2], &[3]),
             proposal(Level::Whole, &[0, 9], &[0, 7]),
         ];
-        // The last point of superpoint 1 went over to region 2 when borders were refined.
+        // The last point of superpoint 1 moved to region 2 during refinement.
         let labels = Labels::of_regions(&[0, 0, 0, 1, 2, 2, 2], &superpoints, proposals);
         let of = |labels: &Labels, point| labels.of(point).map(|id| id.0).collect::<Vec<_>>();
         assert_eq!((labels.things, labels.compounds.len()), (3, 2));

@@ -3,11 +3,12 @@
 //!
 //! ```text
 //! cloud  -> superpoints -> planes ─┐
-//! frames -> masks -> lifting -> affinity -> merging -> part merging -> refinement -> views -> instances -> appearance -> names
+//! frames -> masks -> lifting -> affinity -> merging -> part merging -> refinement -> views
+//!        -> instances -> appearance -> names
 //! ```
-//! Frames pass four times, decoded a few at a time: for masks and lifting, and their depth for
-//! gaps, for refinement and for the views; where networks take part, the chosen views pass once
-//! more. Same input and settings give the same instances, whatever the number of threads.
+//! Frames are read four times, decoded a few at a time: for masks and lifting, for gaps (depth
+//! only), for refinement and for the views. Where networks take part, the chosen views are read
+//! once more. Same input and settings give the same instances, whatever the number of threads.
 
 #![warn(missing_docs)]
 
@@ -68,16 +69,16 @@ pub use uniground_types::settings::ParsingSettings;
 use views::LabelledPoints;
 use visibility::Visibility;
 
-/// Why a scene could not be cut into instances.
+/// Why a scene could not be parsed into instances.
 #[derive(Debug, thiserror::Error)]
 pub enum ParseError {
-    /// A picture of a frame can not be read.
+    /// A picture of a frame cannot be read.
     #[error(transparent)]
     Frame(#[from] FrameError),
     /// A segmenter or encoder failed.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// There is nothing to cut.
+    /// The cloud is empty.
     #[error("the cloud has no points")]
     NoPoints,
     /// The caller asked to stop.
@@ -85,18 +86,18 @@ pub enum ParseError {
     Cancelled(#[from] Cancelled),
 }
 
-/// What looks at pictures.
+/// The models and built-in methods that interpret pictures.
 pub struct Perception<'a> {
-    /// Who cuts frames into masks.
+    /// Segments frames into masks.
     pub masks: &'a dyn MaskSource,
-    /// A segmenter to be asked about single instances; `None`: projected boxes stand.
+    /// Corrects outlines of single instances; `None`: projected boxes are used.
     pub corrector: Option<Corrector<'a>>,
-    /// A model that compares pictures and words; `None`: the built-in attributes name instances.
+    /// Compares pictures and words; `None`: the built-in attributes name instances.
     pub encoder: Option<&'a DualEncoder>,
 }
 
 impl<'a> Perception<'a> {
-    /// Masks from this source, names from the built-in attributes, no correction.
+    /// Uses masks of this source, names from the built-in attributes, and no correction.
     #[must_use]
     pub fn with_masks(masks: &'a dyn MaskSource) -> Self {
         Self { masks, corrector: None, encoder: None }
@@ -111,9 +112,10 @@ impl<'a> Perception<'a> {
         superpoints / masks
     }
 
-    /// Where stages end, as shares of the whole: superpoints, masks, planes, merging, part merging,
-    /// refinement, views, instances; appearance comes last and ends at 1. Where networks take
-    /// part they take nearly all of the time. The time left is estimated from these.
+    /// Returns the progress at which each stage ends, as a share of the whole: superpoints, masks,
+    /// planes, merging, part merging, refinement, views, instances. Appearance comes last and ends
+    /// at 1. Where networks take part, they take nearly all of the time. The remaining time is
+    /// estimated from these.
     fn ends(&self) -> [f32; 8] {
         match (self.corrector.is_some(), self.encoder.is_some()) {
             (false, false) => [0.3, 0.67, 0.72, 0.79, 0.81, 0.88, 0.98, 1.0],
@@ -123,10 +125,11 @@ impl<'a> Perception<'a> {
     }
 }
 
-/// Where appearance ends and that of frames begins, as a share of the whole.
+/// Progress at which the embeddings of instances end and those of frames begin, as a share of the
+/// whole.
 const FRAMES_LOOKED_AT: f32 = 0.97;
 
-/// Cuts a scene into instances. Stages found in `checkpoints` are taken from there.
+/// Parses a scene into instances. Stages found in `checkpoints` are loaded from there.
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame (named), an empty cloud, or cancellation.
@@ -283,7 +286,7 @@ pub fn parse(
     })
 }
 
-/// A scan in superpoints, and what its frames show of them.
+/// A scan in superpoints, with what its frames show of them.
 #[derive(Clone, Copy)]
 struct ScanObservations<'a> {
     cloud: &'a PointCloud,
@@ -294,16 +297,16 @@ struct ScanObservations<'a> {
     masks_of: &'a MasksOfFrames,
 }
 
-/// The points of a scan in regions, each a candidate for an instance.
+/// The points of a scan grouped into regions, each a candidate for an instance.
 struct RegionGrouping {
     planes: Planes,
     /// One region per point of the cloud.
     region_of: Vec<u32>,
-    /// Parts of regions, and wholes of several.
+    /// Parts of regions, and wholes of several regions.
     proposals: Vec<Proposal>,
 }
 
-/// Planes, and the merging that turns superpoints into regions.
+/// Finds planes and merges superpoints into regions.
 fn group(
     seen: ScanObservations,
     perception: &Perception,
@@ -387,12 +390,12 @@ fn group(
     Ok(RegionGrouping { planes, region_of, proposals })
 }
 
-/// Where the cameras stood, metres, world frame.
+/// Camera positions, meters, world frame.
 fn centers(frames: &[FrameRef]) -> Vec<Point3<f32>> {
     frames.iter().map(|frame| frame.camera_to_world.translation.vector.into()).collect()
 }
 
-/// What the one who reads the report should know, given the frames that see no point of the cloud.
+/// Returns the warnings for the report, given the frames that see no point of the cloud.
 fn warnings(frames: usize, blind: &[String]) -> Vec<String> {
     let mut warnings = Vec::new();
     if frames == 0 {
@@ -414,7 +417,7 @@ fn shortened(names: &[String]) -> String {
     if names.len() > SHOWN { format!("{shown}, ...") } else { shown }
 }
 
-/// How many labels `0..n` there are.
+/// Number of labels `0..n`.
 fn count(labels: &[u32]) -> usize {
     labels.iter().max().map_or(0, |&l| l as usize + 1)
 }

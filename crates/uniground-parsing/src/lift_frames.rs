@@ -1,6 +1,6 @@
-//! What is looked at once: the cloud in superpoints, and the masks of every frame lifted to them. A
-//! scan that has grown is taken part by part, each frame lifted to the cloud of its time, so that
-//! what was done for the parts before is there already.
+//! Divides the cloud into superpoints and lifts the masks of every frame to them. A scan that has
+//! grown is processed part by part, each frame lifted to the cloud of its time. So the work for
+//! earlier parts comes from checkpoints.
 
 use super::checkpoints::Checkpoints;
 use super::frame_sampling;
@@ -15,20 +15,20 @@ use uniground_types::settings::{
     FrameSamplingSettings, ParsingSettings, RgbdSettings, SamSettings, SuperpointSettings,
 };
 
-/// A scan in superpoints, and what its frames show of them.
+/// A scan in superpoints, with what its frames show of them.
 pub(super) struct LiftedFrames {
-    /// With everything that was added.
+    /// The cloud with everything that was added.
     pub cloud: PointCloud,
-    /// Those that were looked at.
+    /// The frames that were used.
     pub frames: Vec<FrameRef>,
     pub superpoints: Superpoints,
     /// One per frame, in order.
     pub lifted: Vec<Lifted>,
-    /// Where stages that depend on the whole scan are kept.
+    /// Checkpoints for stages that depend on the whole scan.
     pub checkpoints: Checkpoints,
 }
 
-/// What lifted masks depend on.
+/// The inputs that lifted masks depend on.
 pub(super) fn lifted_with<'a>(
     masks: &'a dyn MaskSource,
     settings: &'a ParsingSettings,
@@ -44,7 +44,7 @@ type LiftedWith<'a> = (
     f32,
 );
 
-/// Superpoints of a scan's cloud, and the masks of its frames lifted to them.
+/// Computes the superpoints of a scan's cloud, and the masks of its frames lifted to them.
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, a mask source that fails, or cancellation.

@@ -12,10 +12,11 @@ use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::union_find::UnionFind;
 use uniground_types::settings::MergeSettings;
 
-/// Regions of superpoints, level by level, each made of whole regions of the one before.
+/// Regions of superpoints, level by level. Each level consists of whole regions of the previous
+/// one.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Regions {
-    /// Region `0..n` of each superpoint: after every stage, and at last with the small ones
+    /// Region `0..n` of each superpoint: one level per stage, and a last one with small regions
     /// absorbed.
     pub levels: Vec<Vec<u32>>,
 }
@@ -72,14 +73,15 @@ pub fn merge(
     Ok(Regions { levels })
 }
 
-/// The label in `coarse` of each label `0..n` in `fine`, of which `coarse` is made.
+/// Maps each label `0..n` in `fine` to its label in `coarse`, which must consist of whole `fine`
+/// regions.
 fn relation(fine: &[u32], coarse: &[u32]) -> Vec<u32> {
     let mut of = vec![0; fine.iter().max().map_or(0, |&r| r as usize + 1)];
     fine.iter().zip(coarse).for_each(|(&fine, &coarse)| of[fine as usize] = coarse);
     of
 }
 
-/// The primitives of one stage.
+/// The primitives of one stage and their edges.
 struct SuperpointGraph {
     patches: Vec<Patch>,
     adjacent: Vec<(u32, u32)>,
@@ -94,7 +96,7 @@ impl SuperpointGraph {
         affinity::compute(&pairs, &self.patches, &self.tables, settings.normalisation, progress)
     }
 
-    /// The graph whose primitives are the regions of this one.
+    /// Returns the graph whose primitives are the regions of this one.
     fn coarsened(self, region_of: &[u32]) -> Self {
         let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
         Self {
@@ -113,9 +115,9 @@ impl SuperpointGraph {
     }
 }
 
-/// One stage: regions grow from the largest primitives and take a neighbour whose point-weighted
-/// mean affinity to the members within reach passes the threshold. Returns regions numbered in
-/// order of their seeds.
+/// Runs one stage: regions grow from the largest primitives. A neighbor is added if its
+/// point-weighted mean affinity to the members within reach passes the threshold. Returns regions
+/// numbered in order of their seeds.
 fn grow(
     patches: &[Patch],
     edges: &[Edge],
@@ -133,7 +135,8 @@ fn grow(
         if region[seed as usize] != NONE {
             continue;
         }
-        // Weighted affinity of each outsider to the region so far, and the sum of the weights.
+        // Weighted affinity of each outside primitive to the region so far, and the sum of the
+        // weights.
         let mut bond: BTreeMap<u32, (f32, f32)> = BTreeMap::new();
         let mut queue = VecDeque::new();
         let mut newcomer = Some(seed);
@@ -176,8 +179,8 @@ fn neighbour_lists(count: usize, edges: &[Edge]) -> Vec<Vec<(u32, u32, f32)>> {
     neighbours
 }
 
-/// Regions below `min_points` join their most affine adjacent neighbour, smallest first; returns
-/// labels `0..n`.
+/// Merges regions below `min_points` into their most affine adjacent neighbor, smallest first.
+/// Returns labels `0..n`.
 fn absorb_small(patches: &[Patch], edges: &[Edge], min_points: u32) -> Vec<u32> {
     let neighbours = neighbour_lists(patches.len(), edges);
     let mut sets = UnionFind::new(patches.len());
@@ -208,7 +211,12 @@ fn absorb_small(patches: &[Patch], edges: &[Edge], min_points: u32) -> Vec<u32> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lifting::VisibleSuperpoint;
+    use crate::planes::Plane;
+    use proptest::prelude::*;
+    use std::sync::{Arc, Mutex};
     use uniground_geometry::colour::Lab;
+    use uniground_geometry::scene::{FrameIndex, Structure};
     use uniground_geometry::{Point3, Vector3};
 
     fn patches(points: &[u32]) -> Vec<Patch> {
@@ -259,5 +267,391 @@ mod tests {
         );
         assert_eq!(labels, [0, 1, 1, 1]);
         assert_eq!(absorb_small(&patches(&[500, 3]), &[], 50), [0, 1]);
+    }
+
+    fn silently(
+        points: &[u32],
+        edges: &[Edge],
+        threshold: f32,
+        hop_decay: f32,
+    ) -> Result<Vec<u32>, Cancelled> {
+        grow(&patches(points), edges, threshold, hop_decay, &Progress::silent())
+    }
+
+    #[test]
+    fn an_affinity_at_the_threshold_joins_and_one_below_does_not() {
+        let joined = |affinity: f32, threshold: f32| {
+            silently(&[64, 32], &[edge(0, 1, affinity)], threshold, 0.5) == Ok(vec![0, 0])
+        };
+        // Halves and quarters are exact.
+        for threshold in [0.5, 0.625, 0.75, 0.875] {
+            assert!(joined(threshold, threshold), "at {threshold}");
+            assert!(joined(threshold + 1e-3, threshold), "just above {threshold}");
+            assert!(!joined(threshold - 1e-3, threshold), "just below {threshold}");
+            assert!(!joined(0.9 * threshold, threshold), "a tenth below {threshold}");
+        }
+        assert!(joined(0.0, 0.0));
+    }
+
+    #[test]
+    fn the_bond_to_a_region_is_a_mean_weighed_by_points_and_hops() {
+        // 1 joins 0. Then 2 has the affinity 1/4 to 0, two borders away, and 3/4 to 1 beside it:
+        // weights 100 * 0.5 = 50 and 50 * 1 = 50, mean (50 / 4 + 50 * 3 / 4) / 100 = 1/2. Without
+        // the decay it would be (100 / 4 + 150 / 4) / 150 = 5/12, without the points
+        // (0.5 / 4 + 3 / 4) / 1.5 = 7/12.
+        let edges =
+            [edge(0, 1, 1.0), edge(1, 2, 0.75), Edge { a: 0, b: 2, hop: 2, affinity: 0.25 }];
+        let regions = |threshold| silently(&[100, 50, 10], &edges, threshold, 0.5);
+        assert_eq!(regions(0.5), Ok(vec![0, 0, 0]));
+        assert_eq!(regions(0.501), Ok(vec![0, 0, 1]));
+    }
+
+    #[test]
+    fn three_borders_away_weighs_decay_squared() {
+        // 2 to 0 over three borders with the affinity 0, to 1 with 3/4: weights 64 / 16 = 4 and
+        // 12, mean (0 + 12 * 3 / 4) / 16 = 9/16.
+        let edges = [edge(0, 1, 1.0), edge(1, 2, 0.75), Edge { a: 0, b: 2, hop: 3, affinity: 0.0 }];
+        let regions = |threshold| silently(&[64, 12, 10], &edges, threshold, 0.25);
+        assert_eq!(regions(0.5625), Ok(vec![0, 0, 0]));
+        assert_eq!(regions(0.563), Ok(vec![0, 0, 1]));
+    }
+
+    #[test]
+    fn with_a_decay_of_zero_only_what_is_adjacent_counts() {
+        // 2 is no kin of 0 two borders away; only its affinity to 1 beside it counts.
+        let edges = [edge(0, 1, 1.0), edge(1, 2, 0.75), Edge { a: 0, b: 2, hop: 2, affinity: 0.0 }];
+        assert_eq!(silently(&[64, 32, 8], &edges, 0.75, 0.0), Ok(vec![0, 0, 0]));
+        assert_eq!(silently(&[64, 32, 8], &edges, 0.75, 1.0), Ok(vec![0, 0, 1]));
+    }
+
+    #[test]
+    fn a_region_grows_only_across_borders() {
+        let far = [Edge { a: 0, b: 1, hop: 2, affinity: 1.0 }];
+        assert_eq!(silently(&[64, 32], &far, 0.5, 1.0), Ok(vec![0, 1]));
+    }
+
+    #[test]
+    fn regions_are_numbered_by_their_seeds_the_largest_first() {
+        assert_eq!(silently(&[10, 100, 50, 100], &[], 0.5, 0.5), Ok(vec![3, 0, 2, 1]));
+        // The small one between two large ones goes to the larger, and does not bring the other.
+        let edges = [edge(0, 1, 1.0), edge(1, 2, 1.0), Edge { a: 0, b: 2, hop: 2, affinity: 0.0 }];
+        assert_eq!(silently(&[100, 10, 90], &edges, 0.5, 0.5), Ok(vec![0, 0, 1]));
+        assert_eq!(silently(&[90, 10, 100], &edges, 0.5, 0.5), Ok(vec![1, 0, 0]));
+    }
+
+    #[test]
+    fn growing_stops_when_it_is_cancelled() {
+        let cancelled = Progress::new(|_, _| {}, || true);
+        assert_eq!(grow(&patches(&[1]), &[], 0.5, 0.5, &cancelled), Err(Cancelled));
+    }
+
+    #[test]
+    fn what_has_enough_points_is_not_absorbed() {
+        let absorbed = |min_points| {
+            absorb_small(&patches(&[500, 50]), &[edge(0, 1, 0.1)], min_points) == [0, 0]
+        };
+        assert_eq!([49, 50, 51].map(absorbed), [false, false, true]);
+    }
+
+    #[test]
+    fn a_crumb_joins_only_what_it_touches() {
+        let far = Edge { a: 0, b: 2, hop: 2, affinity: 0.9 };
+        assert_eq!(absorb_small(&patches(&[500, 400, 3]), &[far], 50), [0, 1, 2]);
+        let edges = [far, edge(1, 2, 0.1)];
+        assert_eq!(absorb_small(&patches(&[500, 400, 3]), &edges, 50), [0, 1, 1]);
+    }
+
+    #[test]
+    fn of_neighbors_that_are_as_affine_the_first_takes_a_crumb() {
+        let edges = [edge(1, 2, 0.5), edge(0, 2, 0.5)];
+        assert_eq!(absorb_small(&patches(&[500, 600, 3]), &edges, 50), [0, 1, 0]);
+    }
+
+    #[test]
+    fn crumbs_that_are_enough_together_stay_for_themselves() {
+        // 2 joins 1: 30 + 25 = 55 points.
+        let edges = [edge(0, 1, 0.1), edge(1, 2, 0.9)];
+        assert_eq!(absorb_small(&patches(&[500, 30, 25]), &edges, 55), [0, 1, 1]);
+        assert_eq!(absorb_small(&patches(&[500, 30, 25]), &edges, 56), [0, 0, 0]);
+        // 10 + 8 = 18 is too few, though 10 * 8 = 80 would do.
+        assert_eq!(absorb_small(&patches(&[500, 10, 8]), &edges, 50), [0, 0, 0]);
+    }
+
+    #[test]
+    fn the_smallest_crumb_goes_first() {
+        // 2 joins 1, both together 0. If 1 went first, the two would join 3 over the affinity of 2.
+        let edges = [edge(0, 1, 0.1), edge(1, 2, 0.9), edge(2, 3, 0.5)];
+        assert_eq!(absorb_small(&patches(&[500, 10, 3, 500]), &edges, 50), [0, 0, 0, 1]);
+        // Of as many points each, the first goes first.
+        assert_eq!(absorb_small(&patches(&[500, 10, 10, 500]), &edges, 50), [0, 1, 1, 1]);
+    }
+
+    #[test]
+    fn a_relation_tells_the_coarse_label_of_each_fine_one() {
+        assert_eq!(relation(&[0, 1, 1, 3, 2], &[4, 0, 0, 1, 4]), [4, 0, 4, 1]);
+        assert!(relation(&[], &[]).is_empty());
+    }
+
+    #[test]
+    fn a_coarsened_graph_has_the_regions_for_its_primitives() {
+        let row = |superpoint, visible, masks: &[(u16, u32)]| VisibleSuperpoint {
+            superpoint,
+            visible,
+            masks: masks.to_vec(),
+        };
+        let table = |rows| FrameVisibility { frame: FrameIndex(2), layer: 0, masks: 1, rows };
+        let graph = SuperpointGraph {
+            patches: patches(&[10, 20, 40]),
+            adjacent: vec![(0, 1), (0, 2), (1, 2)],
+            plane_of: vec![None, Some(3), None],
+            tables: vec![table(vec![
+                row(0, 1, &[(1, 1)]),
+                row(1, 2, &[(1, 2)]),
+                row(2, 4, &[(1, 4)]),
+            ])],
+        };
+        let coarse = graph.coarsened(&[1, 0, 1]);
+        assert_eq!(coarse.patches.iter().map(|patch| patch.points).collect::<Vec<_>>(), [20, 50]);
+        assert_eq!((coarse.adjacent, coarse.plane_of), (vec![(0, 1)], vec![Some(3), None]));
+        assert_eq!(coarse.tables, [table(vec![row(0, 2, &[(1, 2)]), row(1, 5, &[(1, 5)])])]);
+    }
+
+    /// Superpoints of so many points, neighbors of the next one each, and one frame that sees all
+    /// of them in these masks.
+    fn chain(points: &[u32], masks: &[&[(u16, u32)]]) -> (Superpoints, [FrameVisibility; 1]) {
+        let count = points.len() as u32;
+        let rows = (0..).zip(points).zip(masks);
+        let rows = rows.map(|((superpoint, &visible), masks)| VisibleSuperpoint {
+            superpoint,
+            visible,
+            masks: masks.to_vec(),
+        });
+        let table =
+            FrameVisibility { frame: FrameIndex(0), layer: 0, masks: 9, rows: rows.collect() };
+        let superpoints = Superpoints {
+            of_point: (0..count).collect(),
+            patches: patches(points),
+            adjacent: (1..count).map(|i| (i - 1, i)).collect(),
+            roughness_m: vec![0.0; points.len()],
+        };
+        (superpoints, [table])
+    }
+
+    fn without_planes(count: usize) -> Planes {
+        Planes { planes: Vec::new(), of_superpoint: vec![None; count] }
+    }
+
+    fn settings(thresholds: &[f32], min_points: u32) -> MergeSettings {
+        MergeSettings {
+            thresholds: thresholds.to_vec(),
+            min_points,
+            keep_planes_apart: false,
+            ..MergeSettings::default()
+        }
+    }
+
+    #[test]
+    fn each_stage_merges_what_reaches_its_threshold() {
+        // 0 and 1 lie in one mask: affinity 1. 2 lies in it by 3 parts of (3, 4): affinity 3/5 to
+        // either, and to both together.
+        let (superpoints, tables) =
+            chain(&[40, 30, 20], &[&[(1, 40)], &[(1, 30)], &[(1, 12), (2, 16)]]);
+        let told = Arc::new(Mutex::new(Vec::new()));
+        let sink = told.clone();
+        let progress =
+            Progress::new(move |stage, done| sink.lock().unwrap().push((stage, done)), || false);
+        let levels = |thresholds: &[f32], progress: &Progress| {
+            merge(&superpoints, &without_planes(3), &tables, &settings(thresholds, 0), progress)
+                .unwrap()
+                .levels
+        };
+        let (apart, all) = (vec![0, 0, 1], vec![0, 0, 0]);
+        assert_eq!(
+            levels(&[0.9, 0.65, 0.59, 0.1], &progress),
+            [apart.clone(), apart.clone(), all.clone(), all.clone(), all]
+        );
+        assert_eq!(
+            *told.lock().unwrap(),
+            [("merge", 0.0), ("merge", 0.25), ("merge", 0.5), ("merge", 0.75)]
+        );
+        // 3/5 is within a tenth of .65, and below it.
+        assert_eq!(levels(&[0.65], &Progress::silent()), [apart.clone(), apart]);
+        assert_eq!(levels(&[], &Progress::silent()), [vec![0, 1, 2]], "no stage merges nothing");
+    }
+
+    #[test]
+    fn at_last_small_regions_join_their_neighbor() {
+        // In masks of their own: nothing merges. 2 has 9 points and joins 1.
+        let (superpoints, tables) = chain(&[40, 30, 9], &[&[(1, 40)], &[(2, 30)], &[(3, 9)]]);
+        let merged = |min_points| {
+            merge(
+                &superpoints,
+                &without_planes(3),
+                &tables,
+                &settings(&[0.5], min_points),
+                &Progress::silent(),
+            )
+            .unwrap()
+        };
+        assert_eq!(merged(10).levels, [vec![0, 1, 2], vec![0, 1, 1]]);
+        assert_eq!(merged(9).levels, [vec![0, 1, 2], vec![0, 1, 2]]);
+        assert_eq!(merged(10).last(), [0, 1, 1]);
+        assert!(Regions { levels: Vec::new() }.last().is_empty());
+    }
+
+    #[test]
+    fn what_lies_on_different_planes_is_kept_apart() {
+        // All in one mask: affinity 1.
+        let (superpoints, tables) =
+            chain(&[40, 30, 20, 10], &[&[(1, 40)], &[(1, 30)], &[(1, 20)], &[(1, 10)]]);
+        let merged = |of_superpoint: [Option<u32>; 4], keep_planes_apart| {
+            let planes = Planes { planes: Vec::new(), of_superpoint: of_superpoint.to_vec() };
+            let settings = MergeSettings { keep_planes_apart, ..settings(&[0.5], 0) };
+            merge(&superpoints, &planes, &tables, &settings, &Progress::silent()).unwrap().levels
+        };
+        let planes = [Some(0), Some(0), Some(1), None];
+        assert_eq!(merged(planes, true), [vec![0, 0, 1, 2], vec![0, 0, 1, 2]]);
+        assert_eq!(merged(planes, false), [vec![0; 4], vec![0; 4]]);
+        // What is on no plane may join what is on none.
+        let before_a_plane = vec![0, 1, 1, 1];
+        assert_eq!(
+            merged([Some(0), None, None, None], true),
+            [before_a_plane.clone(), before_a_plane]
+        );
+    }
+
+    #[test]
+    fn a_small_patch_returns_to_its_plane_before_crumbs_are_absorbed() {
+        // 0 is a wall of 1000 points, 1 a patch of it in a mask of its own, 10 of 1010 points of 10
+        // square meters: 0.099. 2 is a crumb before the patch, 3 a large thing before the crumb.
+        let (superpoints, tables) =
+            chain(&[1000, 10, 5, 400], &[&[(1, 1000)], &[(2, 10)], &[(2, 3), (3, 4)], &[(4, 400)]]);
+        let planes = Planes {
+            planes: vec![Plane {
+                structure: Structure::Wall,
+                normal: Vector3::x(),
+                middle: Point3::origin(),
+                area_m2: 10.0,
+            }],
+            of_superpoint: vec![Some(0), Some(0), None, None],
+        };
+        let merged = |keep_planes_apart| {
+            let settings = MergeSettings { keep_planes_apart, ..settings(&[0.9], 6) };
+            merge(&superpoints, &planes, &tables, &settings, &Progress::silent()).unwrap().levels
+        };
+        // Regions by size: 0, 3, 1, 2. The patch is the wall's again, and takes the crumb along.
+        assert_eq!(merged(true), [vec![0, 2, 3, 1], vec![0, 0, 0, 1]]);
+        // Else the patch stays, and has the crumb.
+        assert_eq!(merged(false), [vec![0, 2, 3, 1], vec![0, 2, 2, 1]]);
+    }
+
+    #[test]
+    fn merging_nothing_gives_nothing_and_a_wish_to_stop_is_heard() {
+        let (superpoints, tables) = chain(&[], &[]);
+        let merged = |progress: &Progress| {
+            merge(&superpoints, &without_planes(0), &tables, &settings(&[0.5], 9), progress)
+        };
+        let nothing = Regions { levels: vec![vec![], vec![]] };
+        assert_eq!(merged(&Progress::silent()), Ok(nothing));
+        assert_eq!(merged(&Progress::new(|_, _| {}, || true)), Err(Cancelled));
+    }
+
+    /// Sizes of superpoints and edges between them, with affinities in 64ths.
+    fn graphs() -> impl Strategy<Value = (Vec<u32>, Vec<Edge>)> {
+        let border = (0_u32..8, 0_u32..8, 1_u32..3, 0_u32..=64);
+        let borders = prop::collection::vec(border, 0..20);
+        (prop::collection::vec(1_u32..100, 8), borders).prop_map(|(points, borders)| {
+            let borders = borders.into_iter().filter(|border| border.0 < border.1);
+            let edges: BTreeMap<(u32, u32), Edge> = borders
+                .map(|(a, b, hop, share)| {
+                    ((a, b), Edge { a, b, hop, affinity: share as f32 / 64.0 })
+                })
+                .collect();
+            (points, edges.into_values().collect())
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn two_join_exactly_from_the_threshold_on(
+            points in prop::array::uniform2(0_u32..10),
+            affinity in 0_u32..=64,
+            threshold in 0_u32..=64,
+        ) {
+            // Powers of two and 64ths: nothing is rounded.
+            let share = |of_64: u32| of_64 as f32 / 64.0;
+            let edges = [edge(0, 1, share(affinity))];
+            let found = silently(&points.map(|n| 1 << n), &edges, share(threshold), 0.5).unwrap();
+            prop_assert_eq!(found[0] == found[1], affinity >= threshold, "{:?}", found);
+        }
+
+        /// Every region is connected by borders, and numbers have no gaps.
+        #[test]
+        fn regions_are_connected_and_numbered_without_gaps(
+            (points, edges) in graphs(),
+            threshold in 0.0_f32..1.0,
+        ) {
+            let region = silently(&points, &edges, threshold, 0.5).unwrap();
+            let mut sets = UnionFind::new(8);
+            let inner = |edge: &&Edge| {
+                edge.hop == 1 && region[edge.a as usize] == region[edge.b as usize]
+            };
+            edges.iter().filter(inner).for_each(|edge| {
+                sets.union(edge.a, edge.b);
+            });
+            let regions = region.iter().max().unwrap() + 1;
+            let (_, connected) = sets.into_labels();
+            prop_assert_eq!(connected, regions as usize, "{:?}", region);
+            let largest = |r: u32| {
+                (0..8).filter(|&i| region[i] == r).map(|i| points[i]).max().unwrap_or(0)
+            };
+            prop_assert!((1..regions).all(|r| 0 < largest(r) && largest(r) <= largest(r - 1)));
+        }
+
+        /// Nobody joins below the least affinity of all, everybody at it.
+        #[test]
+        fn thresholds_beyond_all_affinities_merge_nothing_or_all_that_touches(
+            (points, edges) in graphs(),
+        ) {
+            let region = silently(&points, &edges, 1.01, 0.5).unwrap();
+            prop_assert_eq!(region.iter().max(), Some(&7));
+            let region = silently(&points, &edges, 0.0, 0.5).unwrap();
+            let touching = edges.iter().filter(|edge| edge.hop == 1);
+            for edge in touching {
+                prop_assert_eq!(region[edge.a as usize], region[edge.b as usize], "{:?}", edge);
+            }
+        }
+
+        #[test]
+        fn the_order_of_the_edges_does_not_matter_to_crumbs(
+            (points, edges) in graphs(),
+            min_points in 0_u32..120,
+        ) {
+            let mut reversed = edges.clone();
+            reversed.reverse();
+            let absorbed = |edges: &[Edge]| absorb_small(&patches(&points), edges, min_points);
+            prop_assert_eq!(absorbed(&edges), absorbed(&reversed));
+        }
+
+        /// What is left small after absorbing touches nobody.
+        #[test]
+        fn after_absorbing_small_regions_touch_nobody(
+            (points, edges) in graphs(),
+            min_points in 0_u32..120,
+        ) {
+            let label = absorb_small(&patches(&points), &edges, min_points);
+            let size = |of: u32| {
+                (0..8).filter(|&i| label[i] == of).map(|i| points[i]).sum::<u32>()
+            };
+            let big = (0..8).all(|i| points[i] >= min_points);
+            prop_assert!(!big || label == [0, 1, 2, 3, 4, 5, 6, 7], "{:?}", label);
+            // A crumb that was alone looked at all its own neighbors.
+            for i in (0..8).filter(|&i| points[i] < min_points && size(label[i]) == points[i]) {
+                let touches = |edge: &&Edge| {
+                    edge.hop == 1 && (edge.a as usize == i || edge.b as usize == i)
+                };
+                prop_assert_eq!(edges.iter().find(touches), None, "{} of {:?}", i, label);
+            }
+        }
     }
 }

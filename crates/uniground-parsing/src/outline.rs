@@ -1,36 +1,37 @@
-//! What of a picture shows an instance: its projected points closed and filled, or a mask that a
-//! segmenter found.
+//! Which pixels of a picture show an instance: its projected points, closed and filled, or a mask
+//! that a segmenter found.
 
 use uniground_geometry::scene::CellMask;
 
-/// A tight box in a colour picture, and what of it shows the instance.
+/// A tight box in a color picture, and the cells in it that show the instance.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Outline {
     /// Left, top, right, bottom, pixels.
     pub box_px: [u32; 4],
-    /// Over that box.
+    /// Covers that box.
     pub mask: CellMask,
 }
 
-/// A cell holds so many points where the instance is: fewer, and there would be holes.
+/// Average number of points per cell on the instance. With fewer there would be holes.
 const POINTS_PER_CELL: f32 = 2.5;
-/// Points looked at, spread over all: more would not make a finer mask.
+/// Maximum number of points used, spread over all: more would not make a finer mask.
 const MAX_POINTS: usize = 4000;
-/// Points may fill little of their box: what they fill tells better how far they are apart.
+/// Rounds of estimating the cell size. Points may fill little of their box; the area they fill
+/// gives a better estimate of their spacing.
 const ROUNDS: usize = 3;
-/// Pieces of a smaller share of the mask are noise at the rims of what lies before or behind.
+/// Pieces below this share of the mask are noise at the rims of what lies in front or behind.
 const CRUMB_SHARE: f32 = 0.03;
 
 impl Outline {
-    /// A mask from points: they are sparser than pixels, so cells are as large as points are apart,
-    /// and gaps are closed.
+    /// Builds a mask from points. They are sparser than pixels, so cells are as large as the
+    /// spacing of points, and gaps are closed.
     #[must_use]
     pub fn of_points(pixels: &[(f32, f32)], box_px: [u32; 4]) -> Self {
         let mask = cells(pixels, box_px, ROUNDS).closed().filled().without_crumbs(CRUMB_SHARE);
         Self { box_px, mask }
     }
 
-    /// A mask that is known by pixel: `inside` tells of a position in the picture.
+    /// Builds a mask known by pixel: `inside` tests a position in the picture.
     #[must_use]
     pub fn of_picture(box_px: [u32; 4], inside: impl Fn((f32, f32)) -> bool) -> Self {
         let [left, top, right, bottom] = box_px;
@@ -46,7 +47,7 @@ impl Outline {
         Self { box_px, mask: mask.closed().filled().without_crumbs(CRUMB_SHARE) }
     }
 
-    /// Pixels of the picture that show the instance.
+    /// Number of pixels of the picture that show the instance.
     #[must_use]
     pub fn covered_px(&self) -> f32 {
         let [left, top, right, bottom] = self.box_px;
@@ -54,7 +55,8 @@ impl Outline {
     }
 }
 
-/// The cells of a box that hold points; so large that those of an even surface leave none empty.
+/// The cells of a box that contain points. Cells are so large that an even surface leaves none
+/// empty.
 fn cells(pixels: &[(f32, f32)], [left, top, right, bottom]: [u32; 4], rounds: usize) -> CellMask {
     let (width, height) = ((right - left).max(1) as f32, (bottom - top).max(1) as f32);
     let finest = (width.max(height) / CellMask::MAX_CELLS as f32).max(1.0);
@@ -83,10 +85,10 @@ fn cells(pixels: &[(f32, f32)], [left, top, right, bottom]: [u32; 4], rounds: us
 }
 
 /// Share of an instance's silhouette that nothing hides, `0..=1`: of the cells that hold its
-/// points, those that show some.
+/// points, those with visible ones.
 ///
-/// Points at its own far side lie behind what is seen of it and count for nothing. Positions are
-/// pixels of one picture.
+/// Points on the instance's far side lie behind its visible side and do not count as hidden.
+/// Positions are pixels of one picture.
 #[must_use]
 pub fn unoccluded(visible: &[(f32, f32)], hidden: &[(f32, f32)]) -> f32 {
     if hidden.is_empty() || visible.is_empty() {
@@ -119,7 +121,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Points every so many pixels over columns and rows.
+    /// Points every `step` pixels over columns and rows.
     fn grid(
         columns: std::ops::Range<u16>,
         rows: std::ops::Range<u16>,
@@ -132,7 +134,8 @@ mod tests {
     }
 
     proptest! {
-        /// However far apart the points of an even surface are, its mask has neither holes nor much beyond it.
+        /// Whatever the spacing of points on an even surface, its mask has no holes and reaches
+        /// little beyond them.
         #[test]
         fn the_mask_of_a_surface_is_the_surface(step in 1_usize..12, width in 60_u16..200, height in 60_u16..200) {
             let outline = Outline::of_points(&grid(40..40 + width, 50..50 + height, step), [40, 50, 40 + u32::from(width), 50 + u32::from(height)]);

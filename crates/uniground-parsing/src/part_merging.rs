@@ -1,11 +1,14 @@
-//! Part merging: what furniture is made of joins again.
+//! Part merging: joins the parts of a piece of furniture.
 //!
-//! Masks cut a chair where its seat and back meet in a valley, a bookcase at its boards and a table
-//! off its legs. Four things hold in any room and need no model: what touches above and below
-//! within the same outline is one stack, be it a bookcase or a refrigerator; what is slender and
-//! carries something is a leg or a pole of it; a plate that stands on the rim of something
-//! as wide as itself is its back; what ends close under something larger and does not stick out is
-//! its foot. Leaves make a plant, with the pot they grow out of.
+//! Masks cut a chair where its seat and back meet in a valley, a bookcase at its boards, and a
+//! table off its legs. Five rules hold in any room and need no model:
+//!
+//! - Parts that touch above and below within the same outline are one stack, such as a bookcase or
+//!   a refrigerator.
+//! - A slender part that carries something is a leg or pole of it.
+//! - A plate that stands on the rim of something as wide as itself is its back.
+//! - A part that ends close under something larger and does not stick out is its foot.
+//! - Leaves form a plant, together with the pot they grow out of.
 
 mod foliage;
 
@@ -23,7 +26,7 @@ use uniground_geometry::union_find::UnionFind;
 use uniground_geometry::{Point3, Vector3};
 use uniground_types::settings::PartMergingSettings;
 
-/// What is known of a region: a part, or a whole so far.
+/// Facts about a region, which is a part or an already merged whole.
 #[derive(Debug, Clone)]
 struct RegionFacts {
     points: f32,
@@ -31,16 +34,16 @@ struct RegionFacts {
     footprint: OrientedBox,
     /// Whether some of it lies on a plane of the building.
     is_structural: bool,
-    /// Extents along the principal axes, falling, metres.
+    /// Extents along the principal axes, descending, meters.
     extents: [f32; 3],
     /// Direction of the smallest extent.
     normal: Vector3<f32>,
 }
 
-/// Vertical gap or overlap up to which two parts count as touching, metres.
+/// Vertical gap or overlap up to which two parts count as touching, meters.
 const CONTACT_M: f32 = 0.1;
 
-/// Joins regions that are parts of one thing; returns the region `0..n` of each superpoint.
+/// Joins regions that are parts of one thing. Returns the region `0..n` of each superpoint.
 ///
 /// # Errors
 /// [`Cancelled`].
@@ -73,7 +76,7 @@ pub fn join(
     Ok(region_of)
 }
 
-/// Whether a region is a part of another.
+/// Whether the first region is a part of the second.
 type PartRule<'a> = dyn Fn(&RegionFacts, &RegionFacts) -> bool + 'a;
 
 struct PartMerger<'a> {
@@ -85,9 +88,9 @@ struct PartMerger<'a> {
 }
 
 impl PartMerger<'_> {
-    /// `rule(part, whole)` says which neighbours a region is a part of; it joins the one of them
-    /// with which it shares most border. Answers the new regions, and what is known of those
-    /// that are as they were.
+    /// Joins each region with the neighbor it is a part of: `rule(part, whole)` decides. Of several
+    /// such neighbors, it joins the one with which it shares most border. Returns the new regions,
+    /// and the facts of those that did not change.
     fn join_by(
         &self,
         region_of: Vec<u32>,
@@ -119,7 +122,7 @@ impl PartMerger<'_> {
         united(sets, region_of, parts)
     }
 
-    /// What every region is like, given what is known of some.
+    /// Computes the facts of every region, given those already known.
     fn parts(
         &self,
         region_of: &[u32],
@@ -147,7 +150,7 @@ impl PartMerger<'_> {
     }
 }
 
-/// The regions that sets of them make, and what is known of those that are as they were.
+/// Joins sets of regions. Returns the new regions, and the facts of those that did not change.
 fn united(
     sets: UnionFind,
     region_of: Vec<u32>,
@@ -165,15 +168,15 @@ fn united(
     (region_of.into_iter().map(|r| labels[r as usize]).collect(), known)
 }
 
-/// Above or below the other, of the same outline, and neither is far from it nor reaches far into
-/// it. The smaller joins the larger. What leaves a rim free all around stands there as a thing of
-/// its own.
+/// Whether the part is directly above or below the other with the same outline, neither far from it
+/// nor reaching far into it. The smaller joins the larger. A part that leaves a rim free all around
+/// stands there as a separate thing.
 fn is_storey(settings: &PartMergingSettings, part: &RegionFacts, whole: &RegionFacts) -> bool {
-    /// Share of both outlines together that both have, along each axis of the larger.
+    /// Minimum intersection over union of both outlines along each axis of the larger one.
     const SAME_OUTLINE: f32 = 0.75;
-    /// Gap or overlap in height, as a share of both together.
+    /// Maximum gap or overlap in height, as a share of both together.
     const APART: f32 = 0.4;
-    /// A rim is at least so wide, metres.
+    /// Minimum width of a rim, meters.
     const RIM_M: f32 = 0.03;
     if part.is_structural || whole.is_structural || part.points > whole.points {
         return false;
@@ -201,10 +204,10 @@ fn is_leg(settings: &PartMergingSettings, part: &RegionFacts) -> bool {
     wide <= settings.leg_thickness_m && long >= SLENDER * wide
 }
 
-/// Upright, thin, no taller than furniture, as wide as the other, and at its rim.
+/// Whether it is upright, thin, no taller than furniture, as wide as the seat, and at its rim.
 fn is_back(settings: &PartMergingSettings, part: &RegionFacts, seat: &RegionFacts) -> bool {
     const TALLEST_M: f32 = 1.0;
-    /// How far from upright a plate may lean: 35 degrees.
+    /// Maximum lean of a plate from upright: sine of 35 degrees.
     const UPRIGHT: f32 = 0.57;
     let stands_on = (part.aabb.min().z - seat.aabb.max().z).abs() <= 1.5 * CONTACT_M;
     if part.extents[2] > settings.plate_thickness_m
@@ -222,13 +225,13 @@ fn is_back(settings: &PartMergingSettings, part: &RegionFacts, seat: &RegionFact
         && offset >= 0.25 * seat.width(&across)
 }
 
-/// The other begins where this one ends.
+/// Whether the other begins where this part ends.
 fn carries(part: &RegionFacts, other: &RegionFacts) -> bool {
     other.aabb.center.z > part.aabb.center.z
         && (other.aabb.min().z - part.aabb.max().z).abs() <= 1.5 * CONTACT_M
 }
 
-/// Smaller, below, and not sticking out.
+/// Whether the part is smaller, below the other, and does not stick out.
 fn is_foot(part: &RegionFacts, other: &RegionFacts) -> bool {
     const UNDER: f32 = 0.8;
     part.points < 0.5 * other.points
@@ -240,7 +243,7 @@ fn is_foot(part: &RegionFacts, other: &RegionFacts) -> bool {
 
 impl RegionFacts {
     fn of(positions: &[Point3<f32>]) -> Self {
-        /// Share of the points left out at either end: strays must not make a leg thick.
+        /// Share of the points ignored at either end, so that outliers do not make a leg thick.
         const TRIM: f32 = 0.02;
         let axes = SymmetricEigen::new(Moments::of(positions).covariance).eigenvectors;
         let range = |of: &dyn Fn(&Point3<f32>) -> f32| {
@@ -273,8 +276,7 @@ impl RegionFacts {
         }
     }
 
-    /// From where to where the footprint reaches along the two axes of a world turned by `yaw_rad`
-    /// about Z, metres.
+    /// Range of the footprint along the two axes of a world rotated by `yaw_rad` about Z, meters.
     fn outline(&self, yaw_rad: f32) -> [(f32, f32); 2] {
         let OrientedBox { center, size, yaw_rad: own_rad } = self.footprint;
         let (sin, cos) = yaw_rad.sin_cos();
@@ -285,11 +287,11 @@ impl RegionFacts {
         [(x - half_x, x + half_x), (y - half_y, y + half_y)]
     }
 
-    /// Extent of the footprint along a horizontal direction, metres.
+    /// Extent of the footprint along a horizontal direction, meters.
     fn width(&self, direction: &nalgebra::Vector2<f32>) -> f32 {
         let (sin, cos) = self.footprint.yaw_rad.sin_cos();
         let (u, v) = (cos * direction.x + sin * direction.y, cos * direction.y - sin * direction.x);
-        // Along an oblique direction a rectangle is as wide as the chord through its middle.
+        // Along an oblique direction, a rectangle is as wide as the chord through its center.
         let (x, y) = (self.footprint.size.x, self.footprint.size.y);
         (x / u.abs().max(1e-6)).min(y / v.abs().max(1e-6))
     }
@@ -301,10 +303,10 @@ mod tests {
     use crate::superpoints::Patch;
     use uniground_geometry::colour::Lab;
 
-    /// A block from corner to corner, metres, sampled every two centimetres.
+    /// A block from corner to corner, meters, sampled every two centimeters.
     type Block = ([f32; 3], [f32; 3]);
 
-    /// Joins blocks of which these pairs touch; returns the whole of each.
+    /// Joins blocks, given the pairs that touch. Returns the whole that each belongs to.
     fn joined(blocks: &[Block], adjacent: &[(u32, u32)]) -> Vec<u32> {
         let (mut cloud, mut of_point) = (PointCloud::default(), Vec::new());
         for (i, (low, high)) in blocks.iter().enumerate() {

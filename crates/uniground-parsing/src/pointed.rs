@@ -1,10 +1,10 @@
-//! What somebody points at in a photograph, as an instance: for things that stage 1 has not cut out
-//! by themselves.
+//! Finds the object that a user points at in a photograph, for things that stage 1 did not segment.
 //!
-//! The place may mean several masks: those of a promptable segmenter, or the built-in ones from
-//! whole things down to even patches. Each takes the points of the cloud that its frame shows under
-//! it. Frames that see these are asked at their middle, and the mask on which they agree best is
-//! meant. Then points vote, and what hangs together around the place is the thing.
+//! The place may belong to several masks: those of a promptable segmenter, or the built-in ones
+//! from whole things down to even patches. Each mask selects the points of the cloud that its frame
+//! shows under it. The segmenter is then prompted at the middle of these points in other frames
+//! that see them. The mask on which the frames agree best is chosen. Then the frames vote on
+//! points, and the connected piece around the place is the object.
 
 use super::masks::IdImage;
 use super::masks::rgbd::RgbdMasks;
@@ -21,53 +21,54 @@ use uniground_geometry::{Point3, Vector3};
 use uniground_models::neural::{Encoded, LowMask, Prompt, Segmenter};
 use uniground_types::settings::ParsingSettings;
 
-/// A scan, and who cuts its photographs.
+/// A scan, and what segments its photographs.
 pub struct PointedObjectFinder<'a> {
     /// The points of the scan.
     pub cloud: &'a PointCloud,
     /// Its frames, with their picture files in place.
     pub frames: &'a [FrameRef],
-    /// Cuts out what lies at a place; `None`: the built-in masks.
+    /// Segments at a prompt; `None`: the built-in masks are used.
     pub segmenter: Option<&'a Segmenter>,
-    /// As stage 1 was done with.
+    /// The settings that stage 1 used.
     pub settings: &'a ParsingSettings,
 }
 
 /// A place in a photograph.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PhotographPoint {
-    /// The frame it is taken with.
+    /// The photograph's frame.
     pub frame: FrameIndex,
-    /// Column and row in its colour picture, pixels.
+    /// Column and row in its color picture, pixels.
     pub at: (f32, f32),
 }
 
-/// Points fewer than these are no thing that anybody could tell.
+/// Minimum number of points of an object.
 const LEAST_POINTS: usize = 20;
-/// Further frames that are asked.
+/// Maximum number of further frames that are checked.
 const MORE_FRAMES: usize = 4;
-/// A frame votes whose best mask has this IoU with what it sees of the thing.
+/// A frame votes if its best mask has this IoU with what it sees of the object.
 const AGREES: f32 = 0.5;
-/// What a mask counts for that no further frame sees.
+/// Agreement assumed for a mask that no further frame sees.
 const ALONE: f32 = 0.3;
-/// Built-in patches may also be so many times as uneven as those that things are made of.
+/// Unevenness factors of the built-in masks, relative to those that things consist of.
 const UNEVEN: [f32; 3] = [1.0, 4.0, 16.0];
-/// Of the frames that see a point so many must have it in their masks.
+/// Minimum share of the frames that see a point that must have it in their masks.
 const VOTES: f32 = 0.5;
-/// Points hang together within so many times their typical spacing, at least [`LEAST_GAP_M`].
+/// Maximum gap between connected points, in multiples of their typical spacing; at least
+/// [`LEAST_GAP_M`].
 const GAP_SPACINGS: f32 = 3.0;
 const LEAST_GAP_M: f32 = 0.03;
-/// Pixels around a place in which a mask is looked for where the place itself has none.
+/// Radius in pixels in which the nearest mask is searched if the place itself has none.
 const AROUND_PX: i32 = 6;
-/// A mask shows an instance when so much of what its frame sees under it, or in the instance's box,
-/// is both (IoU).
+/// A mask shows a known instance if the points under the mask and those in the instance's box have
+/// this IoU.
 const SHOWN: f32 = 0.6;
-/// Boxes that overlap by this much are one thing.
+/// Boxes with this IoU are one thing.
 const SAME_THING: f32 = 0.5;
-/// Views an instance is shown by (paper: 3).
+/// Number of views of an instance (paper: 3).
 const VIEWS: usize = 3;
 
-/// The instance among the known ones that a thing is, if it is one.
+/// Returns the known instance that a thing is identical with, if any.
 #[must_use]
 pub fn known_as<'a>(known: &'a [Instance], found: &Instance) -> Option<&'a Instance> {
     let overlap = |i: &Instance| i.aabb.iou(&found.aabb);
@@ -76,10 +77,9 @@ pub fn known_as<'a>(known: &'a [Instance], found: &Instance) -> Option<&'a Insta
 }
 
 impl PointedObjectFinder<'_> {
-    /// The thing at a place: one of the instances that are known, where a mask shows just that,
-    /// else as the next of them; not one of those it is known not to be, and no part of the
-    /// building. `None` where nothing else can be cut out there.
-    ///
+    /// Returns the object at a place: a known instance if a mask shows exactly that, otherwise a
+    /// new instance with the next id. Instances that were ruled out and parts of the building are
+    /// not returned. `None` where nothing else can be segmented there.
     /// # Errors
     /// [`ParseError`]: an unreadable frame, or a segmenter that fails.
     pub fn find(
@@ -114,7 +114,7 @@ impl PointedObjectFinder<'_> {
         else {
             return Ok(None);
         };
-        // As many as stage 1 looked at: somebody waits.
+        // As many as stage 1 used, because a user waits for the result.
         let frames = frame_sampling::sample(self.frames, &self.settings.frame_sampling);
         let further = self.further(&frames, least, place.frame, &visibility)?;
         let mut best: Option<(f32, MaskVotes, &MaskHypothesis)> = None;
@@ -142,8 +142,8 @@ impl PointedObjectFinder<'_> {
         }))
     }
 
-    /// The instance that a mask shows best, if one does: what the frame sees of its box is what it
-    /// sees under the mask.
+    /// Returns the known instance that a mask shows best, if any. Compares the points that the
+    /// frame sees in the instance's box with those under the mask.
     fn shown<'i>(
         &self,
         looked: &FrameLookup,
@@ -189,8 +189,8 @@ impl PointedObjectFinder<'_> {
         Ok(FrameLookup { frame, seen, cut })
     }
 
-    /// The masks that a place of a frame's colour picture may mean, each with what its maker thinks
-    /// of it, `0..=1`.
+    /// Returns the masks that may be meant by a place in a frame's color picture, each with the
+    /// confidence of its source, `0..=1`.
     fn masks_at(
         &self,
         looked: &FrameLookup,
@@ -216,7 +216,8 @@ impl PointedObjectFinder<'_> {
         }
     }
 
-    /// The frames that see most of these points, but for the one they were found in, best first.
+    /// Returns the frames that see most of these points, best first, without the frame they were
+    /// found in.
     fn further(
         &self,
         frames: &[FrameRef],
@@ -250,16 +251,16 @@ impl PointedObjectFinder<'_> {
         .collect()
     }
 
-    /// Where the rest of a thing may be of which a frame sees these points: as far again as half
-    /// its largest side.
+    /// The box in which the rest of an object may be, given the points that one frame sees:
+    /// extended on each side by half its largest extent.
     fn reach(&self, seed: &[u32]) -> Aabb {
         let around = Aabb::around(seed.iter().map(|&point| &self.cloud.positions[point as usize]));
         let around = around.unwrap_or(Aabb { center: Point3::origin(), size: Vector3::zeros() });
         Aabb { size: around.size.add_scalar(around.size.max()), ..around }
     }
 
-    /// Mean IoU of the best masks that further frames have at the middle of a seed with what they
-    /// see of it; those that agree vote.
+    /// Mean IoU, over further frames, of what each sees of the seed with its best mask at the
+    /// seed's middle. Frames that agree vote.
     fn agreement(
         &self,
         seed: &[u32],
@@ -267,8 +268,8 @@ impl PointedObjectFinder<'_> {
         votes: &mut MaskVotes,
     ) -> Result<f32, ParseError> {
         let of_seed: HashSet<u32> = seed.iter().copied().collect();
-        // What the first frame sees outside of its mask is something else, and so is what lies far
-        // from that.
+        // Points that the first frame sees outside of its mask belong to something else, and so do
+        // points far from the seed.
         let first_seen = votes.seen.clone();
         let reach = self.reach(seed);
         let is_other = |point: &FramePoint| {
@@ -306,7 +307,7 @@ impl PointedObjectFinder<'_> {
         Ok(if count == 0 { ALONE } else { sum / count as f32 })
     }
 
-    /// The largest piece of these points that has some of the seed.
+    /// Returns the largest connected piece of these points that contains part of the seed.
     fn hanging_together(&self, points: &[u32], seed: &[u32]) -> Vec<u32> {
         let spacing = typical_spacing_m(&self.cloud.positions);
         let edge_m = (GAP_SPACINGS * spacing).max(LEAST_GAP_M);
@@ -335,7 +336,7 @@ impl PointedObjectFinder<'_> {
         best
     }
 
-    /// The frames that show most of these points.
+    /// Returns the frames that show most of these points, as views.
     fn views_of(&self, frames: &[FrameRef], points: &[u32]) -> Result<Vec<View>, ParseError> {
         let of_thing = CloudSubset::of(self.cloud, points);
         let frames: Vec<FrameRef> =
@@ -363,7 +364,7 @@ impl PointedObjectFinder<'_> {
     }
 }
 
-/// A frame, what it shows of the cloud, and what masks are made from.
+/// A frame, the points of the cloud it shows, and the input of its masks.
 struct FrameLookup {
     frame: Frame,
     seen: Vec<FramePoint>,
@@ -371,9 +372,9 @@ struct FrameLookup {
 }
 
 enum FrameSegmentation {
-    /// For a segmenter's decoder.
+    /// Input of a segmenter's decoder.
     Encoded(Encoded),
-    /// Built-in masks, coarse to fine.
+    /// Built-in masks, from coarse to fine.
     Images(Vec<IdImage>),
 }
 
@@ -384,7 +385,7 @@ impl FrameLookup {
     }
 }
 
-/// What a place may mean.
+/// A mask that may be the one the user means.
 struct MaskHypothesis {
     mask: Mask,
     quality: f32,
@@ -392,11 +393,11 @@ struct MaskHypothesis {
     seed: Vec<u32>,
 }
 
-/// What was cut out of a frame.
+/// A mask of a frame.
 enum Mask {
-    /// One of the frame's built-in masks, on its depth image.
+    /// A built-in mask, on the frame's depth image.
     Cut { level: usize, id: u16 },
-    /// A segmenter's, over the colour picture.
+    /// A segmenter's mask, over the color picture.
     Decoded { mask: LowMask, scale: (f32, f32), threshold: f32 },
 }
 
@@ -414,7 +415,7 @@ impl Mask {
     }
 }
 
-/// By point of the cloud: frames that show it, and frames that have it in their masks.
+/// By point of the cloud: number of frames that show it, and of frames that have it in their masks.
 struct MaskVotes {
     seen: Vec<u8>,
     inside: Vec<u8>,
@@ -428,7 +429,7 @@ impl MaskVotes {
         }
     }
 
-    /// Points most of the frames that see them have in their masks.
+    /// Returns the points that most of the frames that see them have in their masks.
     fn carried(&self) -> Vec<u32> {
         let carried = |point: &u32| {
             let (seen, inside) = (self.seen[*point as usize], self.inside[*point as usize]);
@@ -438,7 +439,7 @@ impl MaskVotes {
     }
 }
 
-/// Some points of a cloud, ready to be looked up in frames.
+/// Some points of a cloud, prepared for look-ups in frames.
 struct CloudSubset {
     points: PointCloud,
     middle: Point3<f32>,
@@ -476,12 +477,12 @@ impl CloudSubset {
     }
 }
 
-/// Where a point of the cloud is in a frame's colour picture; `None` outside.
+/// Position of a point of the cloud in a frame's color picture; `None` outside.
 fn colour_pixel(frame: &Frame, point: &FramePoint) -> Option<(f32, f32)> {
     frame.colour_camera.project(&point.position).map(|pixel| (pixel.u, pixel.v))
 }
 
-/// The mask at a place of the colour picture, or the nearest one to it.
+/// The mask at a position of the color picture, or the nearest one to it.
 fn nearest_mask(ids: &IdImage, frame: &Frame, (x, y): (f32, f32)) -> Option<u16> {
     let (depth, colour) = (&frame.depth_camera.intrinsics, &frame.colour_camera.intrinsics);
     let column = ((x - colour.cx) / colour.fx * depth.fx + depth.cx).round() as i32;
@@ -497,7 +498,7 @@ fn nearest_mask(ids: &IdImage, frame: &Frame, (x, y): (f32, f32)) -> Option<u16>
     near.into_iter().find_map(id)
 }
 
-/// Of some positions the one nearest to the middle of all.
+/// The position that is nearest to the middle of all.
 fn medoid(pixels: &[(f32, f32)]) -> Option<(f32, f32)> {
     let count = pixels.len() as f32;
     let middle = pixels.iter().fold((0.0, 0.0), |(x, y), p| (x + p.0 / count, y + p.1 / count));
@@ -505,7 +506,7 @@ fn medoid(pixels: &[(f32, f32)]) -> Option<(f32, f32)> {
     pixels.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).copied()
 }
 
-/// A frame's view of what covers these pixels of its colour picture.
+/// A frame's view of an object that covers these pixels of its color picture.
 fn view(frame: &FrameRef, pixels: &[(f32, f32)]) -> Option<View> {
     let span = |of: fn(&(f32, f32)) -> f32, length: u32| {
         let low = pixels.iter().map(of).fold(f32::INFINITY, f32::min);

@@ -1,9 +1,9 @@
-//! Refinement: points at the border of a region go where the masks put them.
+//! Refinement: moves points at the border of a region to the region that masks assign them to.
 //!
-//! A superpoint is a few centimetres wide and belongs to one region as a whole: the rim of wall
-//! around a picture comes along with it, and a box is only as good as its outermost points. Masks
-//! end where things end, to a pixel. Every frame that tells a region from its surroundings votes on
-//! the region's points.
+//! A superpoint is a few centimeters wide and belongs to one region as a whole. So a picture
+//! includes a rim of the wall around it, and a box is only as good as its outermost points. Masks
+//! end where things end, to a pixel. Every frame that separates a region from its surroundings
+//! votes on the region's points.
 
 use super::ParseError;
 use super::lifting::MasksOfFrames;
@@ -14,14 +14,14 @@ use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{FrameRef, PointCloud, stream_frames};
 use uniground_geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap};
 
-/// A point moves only to a region that comes this near, metres.
+/// A point moves only to a region that comes within this distance, meters.
 const REACH_M: f32 = 0.05;
 
-/// What the frames say of one point.
+/// The votes of frames on one point.
 #[derive(Clone, Copy, Default)]
 struct PointVotes {
     own: u16,
-    /// The region that leads among the others (majority vote of Boyer and Moore), and by how much.
+    /// The leading other region (majority vote of Boyer and Moore), and its lead.
     other: u32,
     lead: u16,
 }
@@ -39,7 +39,8 @@ impl PointVotes {
     }
 }
 
-/// The region of each point, given that of its superpoint. `masks` are those of `frames`, in order.
+/// Returns the region of each point, given that of its superpoint. `masks` are those of `frames`,
+/// in the same order.
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, or cancellation.
@@ -97,18 +98,18 @@ pub fn refine(
     Ok(region_of)
 }
 
-/// The region each visible point belongs to by the masks of one frame, for points of regions that
-/// this frame tells from others.
+/// The region that the masks of one frame assign to each visible point, for points of regions that
+/// this frame separates from others.
 fn told(hits: &[(u32, u16)], region_of: &[u32]) -> Vec<(u32, u32)> {
     let region = |&(point, _): &(u32, u16)| region_of[point as usize];
-    // Neighbours mostly agree: what is alike in a row is looked up once.
+    // Neighbors mostly agree, so equal ones in a row are looked up once.
     let runs = || hits.chunk_by(|a, b| a.1 == b.1 && region(a) == region(b));
     let mut shared: BTreeMap<(u16, u32), u32> = BTreeMap::new();
     for run in runs() {
         *shared.entry((run[0].1, region(&run[0]))).or_default() += run.len() as u32;
     }
-    // Mask: points in all, and the region with most of them. Region: the mask with most of its
-    // points, no mask included.
+    // Per mask: its number of points, and the region with most of them. Per region: the mask with
+    // most of its points, including no mask.
     let mut masks: BTreeMap<u16, (u32, u32, u32)> = BTreeMap::new();
     let mut regions: BTreeMap<u32, (u32, u16)> = BTreeMap::new();
     for (&(mask, region), &n) in &shared {
@@ -145,8 +146,8 @@ mod tests {
 
     #[test]
     fn the_rim_that_came_along_goes_back() {
-        // A picture (points 0 to 5) took two points of its wall (4, 5) along: masks 1 and 2 end
-        // where the picture ends.
+        // A picture (points 0 to 5) includes two points of its wall (4, 5). Masks 1 and 2 end where
+        // the picture ends.
         let region_of = [0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1];
         let hits: Vec<(u32, u16)> = (0..11).map(|i| (i, if i < 4 { 1 } else { 2 })).collect();
         let told = told(&hits, &region_of);

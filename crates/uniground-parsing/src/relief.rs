@@ -1,11 +1,10 @@
-//! Relief: how far what lies flat on a plane of the building stands out from it, measured frame by
-//! frame.
+//! Relief: how far a flat thing stands out from its plane of the building, measured frame by frame.
 //!
-//! A picture is a few centimetres thick, a rug one. Noise blurs that, and where poses drift the
-//! cloud holds a wall twice: the points of a picture then fill ten times its thickness. But within
-//! one frame thing and wall are off by the same. Heights over the plane as the same frame sees it
-//! around the thing, gathered from all frames in cells along the plane, are free of drift, and of
-//! noise once they are many.
+//! A picture is a few centimeters thick, a rug one. Noise blurs that, and where poses drift the
+//! cloud contains a wall twice: the points of a picture then fill ten times its thickness. But
+//! within one frame, the thing and the wall have the same error. So heights are measured above the
+//! plane as the same frame sees it around the thing. Collected from all frames in cells along the
+//! plane, they are free of drift, and with enough of them free of noise.
 
 use super::labels::Labels;
 use super::planes::Planes;
@@ -18,20 +17,20 @@ use uniground_geometry::statistics::{median, quantile};
 use uniground_geometry::{Point3, Vector3};
 use uniground_types::settings::InstanceSettings;
 
-/// Where a flat thing begins and ends over its plane.
+/// Where a flat thing begins and ends above its plane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FlatRelief {
-    /// Unit length, from the plane towards the cameras.
+    /// Unit length, from the plane toward the cameras.
     pub normal: Vector3<f32>,
-    /// A point of the plane, as the cloud has it around the thing, metres, world frame.
+    /// A point of the plane, as the cloud shows it around the thing, meters, world frame.
     pub base: Point3<f32>,
-    /// From where to where the thing stands out, metres over the plane.
+    /// Heights above the plane at which the thing begins and ends, meters.
     pub span_m: (f32, f32),
 }
 
 impl FlatRelief {
-    /// These points without what noise and drift did to them along the normal: each as a pair,
-    /// where the thing begins and where it ends.
+    /// Removes noise and drift along the normal from these points. Each becomes a pair: where the
+    /// thing begins and where it ends.
     #[must_use]
     pub fn flattened(&self, positions: &[Point3<f32>]) -> Vec<Point3<f32>> {
         let at = |p: &Point3<f32>, height: f32| {
@@ -42,46 +41,46 @@ impl FlatRelief {
     }
 }
 
-/// How far behind its plane and before it the points of a flat thing may lie in a cloud that
-/// drifts, metres,
+/// Range of heights above its plane for the points of a flat thing, in a cloud that drifts, meters.
 const IN_CLOUD_M: std::ops::Range<f32> = -0.08..0.12;
-/// and what share of them does.
+/// Minimum share of a flat thing's points in [`IN_CLOUD_M`].
 const FLAT: f32 = 0.9;
-/// A flat thing is thinner than this share of its smaller extent along the plane: shoes are none.
+/// Maximum thickness of a flat thing as a share of its smaller extent along the plane: shoes are
+/// not flat.
 const THIN: f32 = 0.25;
-/// The plane is measured up to so far around the thing, metres.
+/// Maximum distance from the thing at which the plane is measured, meters.
 const AROUND_M: f32 = 0.25;
-/// A frame that shows fewer points of the thing, or of the plane around it, tells nothing.
+/// Minimum number of points of the thing, and of the plane around it, for a frame to count.
 const MIN_POINTS: usize = 30;
-/// Edge of the cells along the plane, metres.
+/// Edge of the cells along the plane, meters.
 const CELL_M: f32 = 0.03;
-/// Cells with fewer heights are left out,
+/// Minimum number of heights in a cell.
 const MIN_HEIGHTS: u32 = 4;
-/// and things with fewer cells.
+/// Minimum number of cells of a thing.
 const MIN_CELLS: usize = 4;
-/// Share of the cells that are left out at either end: rims are part thing, part plane.
+/// Share of the cells left out at either end, because rims are part thing, part plane.
 const TRIM: f32 = 0.1;
-/// What does not stand out by more is the plane itself, or let into it like a door, metres.
+/// Minimum relief, meters. Anything flatter is the plane itself, or set into it like a door.
 const LEAST_M: f32 = 0.003;
-/// What nowhere comes nearer to its wall hangs before it, like a curtain; the rest is as thick as
-/// it is high, metres.
+/// A thing whose lowest height exceeds this hangs before its wall, like a curtain. Any other thing
+/// starts at the plane. Meters.
 const HANGS_M: f32 = 0.065;
 
 /// A thing that may lie flat on a plane.
 struct FlatCandidate {
     id: InstanceId,
     plane: u32,
-    /// Unit length, towards the cameras; two directions along the plane.
+    /// Unit length: the normal toward the cameras, and two directions along the plane.
     axes: [Vector3<f32>; 3],
-    /// A point of the plane as the cloud has it around the thing, metres.
+    /// A point of the plane as the cloud shows it around the thing, meters.
     base: Point3<f32>,
-    /// The thing along the plane, metres from there: lows and highs.
+    /// Bounds of the thing along the plane, meters from `base`: lows and highs.
     low: [f32; 2],
     high: [f32; 2],
 }
 
 impl FlatCandidate {
-    /// Height over the plane and place along it, metres.
+    /// Height above the plane and position along it, meters.
     fn place(&self, p: &Point3<f32>) -> (f32, [f32; 2]) {
         let [height, a, b] = self.axes.map(|axis| (p - self.base).dot(&axis));
         (height, [a, b])
@@ -98,16 +97,17 @@ pub struct FlatCandidates<'a> {
     planes: &'a Planes,
     labels: &'a Labels<'a>,
     things: Vec<FlatCandidate>,
-    /// Place in `things`, by id.
+    /// Index in `things`, by id.
     of_id: Vec<Option<u32>>,
 }
 
-/// Sum and number of the heights in a cell of a flat thing: its place among them, the cell.
+/// Sum and number of the heights in each cell of a flat thing. Key: index of the thing, cell.
 type HeightCells = BTreeMap<(u32, [i32; 2]), (f32, u32)>;
 
 impl<'a> FlatCandidates<'a> {
-    /// What has its points close to a plane, and points of the plane around them; nothing where the
-    /// settings have nothing thin. `cameras` are centres of cameras, metres.
+    /// Finds the things whose points are close to a plane, and points of the plane around them.
+    /// Finds nothing where the settings treat nothing as thin. `cameras` are camera centers,
+    /// meters.
     #[must_use]
     pub fn of(
         cloud: &PointCloud,
@@ -130,7 +130,7 @@ impl<'a> FlatCandidates<'a> {
                 on_plane[plane as usize].push(point);
             }
         }
-        // Floor and walls themselves: most of what frames see.
+        // Excludes floor and walls themselves, which are most of what frames see.
         let whose = |points: &Vec<u32>| {
             let mut things: Vec<InstanceId> =
                 points.iter().map(|&point| labels.thing_of_point[point as usize]).collect();
@@ -199,7 +199,7 @@ impl<'a> FlatCandidates<'a> {
         Self { superpoints, planes, labels, things, of_id }
     }
 
-    /// What one frame tells, given its depth, the camera of that, and the points it shows.
+    /// Measures one frame, given its depth, the depth camera, and the points it shows.
     #[must_use]
     pub fn heights(
         &self,
@@ -211,8 +211,8 @@ impl<'a> FlatCandidates<'a> {
             return FlatHeights::default();
         }
         let to_world = camera.world_to_camera().inverse();
-        // By flat thing: heights of the plane around; place along the plane and height of its own
-        // points.
+        // By flat thing: heights of the plane around it; positions along the plane and heights of
+        // its own points.
         let mut around: Vec<Vec<f32>> = vec![Vec::new(); self.things.len()];
         let mut own: Vec<Vec<([i32; 2], f32)>> = vec![Vec::new(); self.things.len()];
         for seen in points.iter().filter(|seen| seen.sight == PointVisibility::Visible) {
@@ -254,7 +254,7 @@ impl<'a> FlatCandidates<'a> {
         FlatHeights(cells)
     }
 
-    /// What lies flat, given what all frames tell.
+    /// Returns the reliefs of flat things, given the heights from all frames.
     #[must_use]
     pub fn reliefs(&self, heights: FlatHeights) -> BTreeMap<InstanceId, FlatRelief> {
         let mut of_flat: Vec<Vec<f32>> = vec![Vec::new(); self.things.len()];
@@ -269,7 +269,7 @@ impl<'a> FlatCandidates<'a> {
             }
             let (from, to) = (quantile(&mut heights, TRIM)?, quantile(&mut heights, 1.0 - TRIM)?);
             let extent = (0..2).map(|i| flat.high[i] - flat.low[i]).fold(f32::INFINITY, f32::min);
-            // Nothing floats over a floor.
+            // Nothing hovers above a floor.
             let hangs = from > HANGS_M
                 && self.planes.planes[flat.plane as usize].structure != Structure::Floor;
             let span_m = (if hangs { from } else { 0.0 }, to);
@@ -280,12 +280,12 @@ impl<'a> FlatCandidates<'a> {
     }
 }
 
-/// Heights of flat things over their planes.
+/// Heights of flat things above their planes.
 #[derive(Debug, Default)]
 pub struct FlatHeights(HeightCells);
 
 impl FlatHeights {
-    /// Takes those of another frame in.
+    /// Adds the heights of another frame.
     pub fn gather(&mut self, other: Self) {
         other.0.into_iter().for_each(|(cell, heights)| add(&mut self.0, cell, heights));
     }
@@ -309,9 +309,9 @@ mod tests {
         Intrinsics { width: 64, height: 48, fx: 40.0, fy: 40.0, cx: 31.5, cy: 23.5 };
     const WALL_Z: f32 = 2.0;
 
-    /// What is found of a square thing so high over a plane two metres before a camera, so wide, in
-    /// a cloud of five noisy frames that drift to and fro by `drift_m`; and the box of the
-    /// thing's points in the cloud.
+    /// Measures a square thing in a cloud of five noisy frames, which drift to and fro by
+    /// `drift_m`. The thing's plane is two meters before a camera. Returns the relief, and the box
+    /// of the thing's points in the cloud.
     fn found(
         height_m: f32,
         width_m: f32,
@@ -365,7 +365,7 @@ mod tests {
         );
         let mut heights = FlatHeights::default();
         depths.iter().for_each(|depth| {
-            heights.gather(flats.heights(&camera, depth, &visibility.around_frame(&camera, depth)))
+            heights.gather(flats.heights(&camera, depth, &visibility.around_frame(&camera, depth)));
         });
         let thing = cloud
             .positions
@@ -373,7 +373,7 @@ mod tests {
             .zip(&region_of)
             .filter(|(_, region)| **region == 1)
             .map(|(p, _)| p);
-        // The wall has more points and so the first id.
+        // The wall has more points and so has the first id.
         (flats.reliefs(heights).get(&InstanceId(2)).copied(), Aabb::around(thing).unwrap())
     }
 

@@ -1,5 +1,5 @@
-//! Pictures of a parse, so that a person can see what went wrong: the cloud by superpoint and by
-//! instance, and instances over a few frames.
+//! Pictures of a parse for diagnosis: the cloud by superpoint and by instance, and the instances
+//! drawn over a few frames.
 
 use super::ParseError;
 use rayon::prelude::*;
@@ -14,19 +14,20 @@ use uniground_render::{Orbit, ROOM_VIEW, RenderScene, frame_overlay, jpeg, scene
 pub struct ReportPicture {
     /// `superpoints`, `instances`, `frame-1`, ...
     pub name: String,
-    /// What it shows, for people.
+    /// Description for people.
     pub title: String,
     /// The encoded file.
     pub jpeg: Vec<u8>,
 }
 
-/// Frames shown.
+/// Maximum number of frames shown.
 const FRAMES: usize = 3;
 const STRUCTURE_GREY: [u8; 3] = [200, 200, 200];
-/// Of points that belong to nothing.
+/// Color of points that belong to no instance.
 const DROPPED_GREY: [u8; 3] = [90, 90, 90];
 
-/// Renders the pictures: two of the cloud, and one each of up to three frames spread over the scan.
+/// Renders the pictures: two of the cloud, and one for each of up to three frames spread over the
+/// scan.
 ///
 /// # Errors
 /// [`ParseError`] for unreadable frames and cancellation.
@@ -81,15 +82,15 @@ pub fn render(
         .collect()
 }
 
-/// The room in its own colours, small: what a list of rooms shows. JPEG.
+/// Renders a thumbnail of the room in its own colors, for lists of rooms. JPEG.
 #[must_use]
 pub fn thumbnail(render_scene: &RenderScene, extent: &Aabb) -> Vec<u8> {
     let small = Orbit { width: 320, height: 240, ..ROOM_VIEW };
     jpeg(&scene_picture(render_scene, extent, &small, &[]))
 }
 
-/// A photograph with the instances it shows in their colours, half transparent; parts of the
-/// building are grey. `shown_as` tells of each point's thing which one it is to be shown as.
+/// Draws the instances in a photograph in their colors, half transparent; parts of the building are
+/// gray. `shown_as` returns the instance as which each point is drawn.
 ///
 /// # Errors
 /// An unreadable photograph.

@@ -1,5 +1,4 @@
-//! Stage 1 from end to end: an unpacked scan to a [`ParsedScene`], with the models that are at
-//! hand.
+//! Stage 1 from end to end: an unpacked scan to a [`ParsedScene`], with the configured models.
 
 use crate::checkpoints::Checkpoints;
 use crate::correction::Corrector;
@@ -20,7 +19,8 @@ use uniground_types::settings::{
     ImportSettings, ModelChoice, ParseModels, ParseSettings, PartChoice,
 };
 
-/// Raised when stage 1 changes what it computes: older parses are kept, but not taken for new ones.
+/// Version of stage 1, raised when its results change: older parses stay stored but are not reused
+/// as new ones.
 pub const STAGE_1_VERSION: u32 = 9;
 
 /// Why a scan could not be parsed. Messages name the file, frame or model at fault.
@@ -32,21 +32,21 @@ pub enum ScanError {
     /// Stage 1 failed or was cancelled.
     #[error(transparent)]
     Parse(#[from] ParseError),
-    /// A working folder for encoded pictures could not be made.
+    /// A temporary folder for encoded pictures could not be created.
     #[error("a file of the parse could not be read or written")]
     Io(#[from] std::io::Error),
-    /// The import is not stored: it has to be made.
+    /// The import has no checkpoint and must be made first.
     #[error("the scan's import is not stored")]
     NotImported,
 }
 
-/// Of the models at hand, those that the settings let take part.
+/// Returns the available models that the settings enable.
 #[must_use]
 pub fn chosen(choice: ModelChoice, models: &Models) -> Models {
     models.only(choice.masks == PartChoice::Configured, choice.encoder == PartChoice::Configured)
 }
 
-/// Name and version of what takes part: models, or the built-in parts in their place.
+/// Name and version of the models in use, or of the built-in methods in their place.
 #[must_use]
 pub fn names_of(models: &Models) -> ParseModels {
     ParseModels {
@@ -55,7 +55,7 @@ pub fn names_of(models: &Models) -> ParseModels {
     }
 }
 
-/// A scan brought in and cut into instances.
+/// A scan after import and parsing.
 pub struct ParsedScan {
     /// What the import found and did.
     pub import: ImportReport,
@@ -63,15 +63,15 @@ pub struct ParsedScan {
     pub frames: Vec<FrameRef>,
     /// Cloud, instances and embeddings.
     pub scene: ParsedScene,
-    /// Name and version of the mask source and the encoder that made it.
+    /// Name and version of the mask source and encoder that were used.
     pub models: ParseModels,
 }
 
 const BUILTIN: ModelChoice =
     ModelChoice { masks: PartChoice::Builtin, encoder: PartChoice::Builtin, allow_builtin: false };
 
-/// Import and stage 1 of an unpacked scan; blocks, and uses the threads of the rayon pool it is
-/// called in.
+/// Imports an unpacked scan and runs stage 1. Blocks, and uses the threads of the current rayon
+/// pool.
 ///
 /// # Errors
 /// [`ScanError`], also when the work was cancelled.
@@ -87,28 +87,27 @@ pub fn parse_scan(
     cut_scan(scan, settings, models, checkpoints, &progress.part(imported, 1.0))
 }
 
-/// How much of the time of a parse with these models goes into the import: networks take nearly all
-/// of it where they take part.
+/// The share of a parse's time that the import takes with these models. Networks, if used, take
+/// nearly all of the time.
 #[must_use]
 pub fn share_of_import(models: &Models) -> f32 {
     if models.loaded.is_empty() { 0.25 } else { 0.01 }
 }
 
-/// A scan that was brought in, to be cut into instances.
+/// An imported scan, ready to be parsed.
 pub struct ImportedScan {
     bundle: SceneBundle,
     stages: Vec<StageReport>,
 }
 
-/// Bytes that stage 1 takes for a point, beside the point itself: measured with clouds of one to
-/// eight million (105 at most).
+/// Memory that stage 1 takes per point, bytes, besides the point itself. Measured with clouds of
+/// one to eight million points (105 at most).
 const BYTES_PER_POINT: u64 = 120;
-/// Bytes it takes for a pixel of a frame that is looked at, one a thread.
+/// Memory per pixel of a frame in process, bytes; one frame per thread.
 const BYTES_PER_PIXEL: u64 = 64;
 
 impl ImportedScan {
-    /// What cutting it will take in the present pool of threads, bytes, without what networks take:
-    /// an estimate.
+    /// Estimates the memory that parsing takes in the current thread pool, bytes, without networks.
     #[must_use]
     pub fn memory_wanted(&self) -> u64 {
         let (_, frames) = self.bundle.in_all();
@@ -120,28 +119,28 @@ impl ImportedScan {
             + largest * BYTES_PER_PIXEL * rayon::current_num_threads() as u64
     }
 
-    /// What the import took, for the report of the parse.
+    /// Time and memory of the import, for the report of the parse.
     #[must_use]
     pub fn stages(&self) -> &[StageReport] {
         &self.stages
     }
 
-    /// The same scan with the stages of an import that another process has made.
+    /// Returns the same scan with the stage reports of an import that another process has made.
     #[must_use]
     pub fn with_stages(self, stages: Vec<StageReport>) -> Self {
         Self { stages, ..self }
     }
 
-    /// Decodes every picture that the import has not decoded and lets go of it. Pictures that are
-    /// damaged are no error: stage 1 names those it meets. Run where a fault does no harm, this
-    /// shows that none of them crashes its decoder or takes too much memory.
+    /// Decodes every picture that the import has not decoded, and discards it. Damaged pictures are
+    /// no error: stage 1 names those it meets. Run this in an isolated process to verify that no
+    /// picture crashes its decoder or takes too much memory.
     ///
     /// # Errors
     /// [`ScanError::Ingest`] when the work was cancelled.
     pub fn try_pictures(&self, progress: &Progress) -> Result<(), ScanError> {
         let SceneBundle { frames, report, .. } = &self.bundle;
-        // Without a cloud of its own the scan was fused from all its frames, and so was what was
-        // added.
+        // A scan without its own cloud was fused from all its frames, as were additions: those are
+        // already decoded.
         let frames = if report.cloud_points.is_some() { &frames[..] } else { &[] };
         let all = frames.len().max(1) as f32;
         stream_frames(
@@ -157,8 +156,8 @@ impl ImportedScan {
     }
 }
 
-/// Import of an unpacked scan: reads or fuses its cloud, and checks that cloud, poses and depth
-/// agree; blocks.
+/// Imports an unpacked scan: reads or fuses its cloud, and checks that cloud, poses and depth
+/// agree. Blocks.
 ///
 /// # Errors
 /// [`ScanError::Ingest`], also when the work was cancelled.
@@ -171,11 +170,11 @@ pub fn import_scan(
     timed_import(content, settings, checkpoints, progress, MissingStage::Made)
 }
 
-/// The import of a scan as it is stored in its checkpoints; `None` where it is not. Nothing of the
-/// scan itself is decoded.
+/// Loads the import of a scan from its checkpoints; `None` if it is not stored. Decodes nothing of
+/// the scan itself.
 ///
 /// # Errors
-/// [`ScanError::Ingest`] where the list of a scan's parts can not be read.
+/// [`ScanError::Ingest`] if the list of a scan's parts cannot be read.
 pub fn stored_import(
     content: &Utf8Path,
     settings: &ImportSettings,
@@ -188,7 +187,7 @@ pub fn stored_import(
     }
 }
 
-/// What happens to a part of an import that no checkpoint holds.
+/// What to do with a part of an import that has no checkpoint.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum MissingStage {
     Made,
@@ -211,8 +210,7 @@ fn timed_import(
     Ok(ImportedScan { bundle, stages: watch.stages })
 }
 
-/// Stage 1 of a scan that was brought in; blocks, and uses the threads of the rayon pool it is
-/// called in.
+/// Runs stage 1 of an imported scan. Blocks, and uses the threads of the current rayon pool.
 ///
 /// # Errors
 /// [`ScanError`], also when the work was cancelled.
@@ -244,7 +242,7 @@ pub fn cut_scan(
     Ok(scan)
 }
 
-/// A scan and what was added to it since; the flag tells whether all of it was kept from before.
+/// Imports a scan and its additions. The flag is `true` if all of it came from checkpoints.
 fn import(
     content: &Utf8Path,
     settings: &ImportSettings,
@@ -258,7 +256,7 @@ fn import(
         .map_or_else(Vec::new, |grown| grown.parts.into_iter().skip(1).collect());
     let first = if added.is_empty() { content.to_owned() } else { part_folder(content, 0) };
     let share = |parts: usize| parts as f32 / (added.len() + 1) as f32;
-    // Kept with paths relative to the folder, which may lie elsewhere tomorrow.
+    // Stored with paths relative to the folder, which may be elsewhere next time.
     let below =
         |folder: &Utf8Path, path: &Utf8Path| path.strip_prefix(folder).unwrap_or(path).to_owned();
     let load = || {
@@ -314,7 +312,7 @@ fn cut_with(
     let names = names_of(models);
     let parsing = &settings.parsing;
     let rgbd = RgbdMasks { settings: parsing.rgbd_masks };
-    // Encoded pictures are kept for correction alone.
+    // Only correction needs encoded pictures.
     let corrects = parsing.correction.rounds > 0;
     let max_bytes = if corrects { u64::from(parsing.sam_masks.cache_mb) << 20 } else { 0 };
     let encoded = models

@@ -1,5 +1,5 @@
-//! How sharp each part of a photograph is: frames taken on the move are blurred, and no evidence of
-//! anything.
+//! Measures how sharp each part of a photograph is: frames taken in motion are blurred and poor
+//! evidence.
 
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
@@ -11,27 +11,27 @@ use uniground_geometry::scene::FrameIndex;
 pub struct Sharpness {
     /// Size of the photograph, pixels.
     size: (u32, u32),
-    /// [`GRID`] squared, row-major.
+    /// [`GRID`] squared tiles, row-major.
     tiles: Vec<f32>,
 }
 
 /// The sharpness of each frame.
 pub type SharpnessOfFrames = BTreeMap<FrameIndex, Sharpness>;
 
-/// Tiles each way.
+/// Number of tiles each way.
 const GRID: u32 = 16;
-/// Every so many pixels each way is looked at, beside its neighbours.
+/// Distance between sampled pixels, each way; each is compared with its neighbors.
 const STEP: usize = 2;
 
 impl Sharpness {
-    /// Looks at a photograph.
+    /// Measures a photograph.
     #[must_use]
     pub fn of(photograph: &RgbImage) -> Self {
         let (width, height) = photograph.dimensions();
         let (mut sums, mut counts) =
             ([0_u64; (GRID * GRID) as usize], [0_u64; (GRID * GRID) as usize]);
         let row_bytes = width as usize * 3;
-        // The green channel is most of what brightness is.
+        // The green channel contributes most of the brightness.
         let green = |row: &[u8], column: usize| i64::from(row[column * 3 + 1]);
         let bytes = photograph.as_raw();
         for y in (1..(height as usize).saturating_sub(1)).step_by(STEP) {

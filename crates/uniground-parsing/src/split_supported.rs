@@ -1,8 +1,8 @@
-//! Standing: what masks leave in the table it stands on is set free.
+//! Splits things off the surface that supports them, where masks did not separate the two.
 //!
-//! A lamp on a desk of its own colour is hardly told from it in any mask, so the last and loosest
-//! stages of merging take it in. But a table top is level, and what stands on it is above it, hangs
-//! together without it, and is much smaller: that can be told from the points alone.
+//! A lamp on a desk of its own color is hardly visible in any mask, so the last and loosest stages
+//! of merging absorb it. But a table top is level, and a thing on it is above it, connected without
+//! it, and much smaller. The points alone show that.
 
 use super::planes::Planes;
 use super::superpoints::{Patch, Superpoints};
@@ -13,31 +13,32 @@ use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::PointCloud;
 use uniground_geometry::statistics::quantile;
 
-/// Edge of the cells footprints are measured in, metres.
+/// Edge of the cells footprints are measured in, meters.
 const CELL_M: f32 = 0.04;
-/// Cosine of 11 degrees: how level a superpoint of a top is.
+/// Cosine of 11 degrees: maximum tilt of a superpoint of a top.
 const LEVEL: f32 = 0.98;
-/// Level superpoints of one top follow each other in height within this, metres.
+/// Maximum height step between consecutive level superpoints of one top, meters.
 const TOP_STEP_M: f32 = 0.02;
-/// Nothing can stand on less, square metres.
+/// Minimum area of a top, square meters.
 const MIN_TOP_M2: f32 = 0.1;
-/// What stands on a top has its middle this far over it, metres: less is noise.
+/// Minimum height of a thing's middle above its top, meters: less is noise.
 const OVER_M: f32 = 0.03;
-/// It rises this far over the top, metres.
+/// Minimum rise of a thing above its top, meters.
 const MIN_RISE_M: f32 = 0.05;
-/// And begins within this over it, metres: its lowest points are often taken for the top's.
+/// Maximum gap between a top and the lowest point of a thing, meters: its lowest points are often
+/// assigned to the top.
 const CONTACT_M: f32 = 0.08;
-/// Share of the top's rectangle that it covers at most: what is wider is a back, a side or a shelf.
+/// Maximum share of the top's rectangle that a thing covers; a wider one is a back, a side or a
+/// shelf.
 const MAX_COVERED: f32 = 0.4;
-/// Share of its own footprint that lies over that rectangle at least.
+/// Minimum share of a thing's own footprint over that rectangle.
 const OVER_TOP: f32 = 0.7;
-/// Share of the region's points that it has at most: what most of a thing stands on is its foot, as
-/// a screen's is.
+/// Maximum share of the region's points in one thing. If most of the region stands on the surface,
+/// the surface is its foot, as with a screen.
 const MAX_OF_REGION: f32 = 0.5;
 
-/// Gives what stands on a level part of a region a region of its own, if it has `min_points`;
-/// returns the region `0..n` of each superpoint. What lies on planes of the building is left as it
-/// is.
+/// Gives each thing on a level part of a region its own region, if it has `min_points`. Returns the
+/// region `0..n` of each superpoint. Superpoints on planes of the building do not change.
 ///
 /// # Errors
 /// [`Cancelled`].
@@ -100,10 +101,10 @@ pub fn set_free(
     Ok(region_of)
 }
 
-/// What is known of a superpoint.
+/// Facts about a superpoint.
 struct SuperpointFacts {
     points: u32,
-    /// Heights below which a twentieth, half, and all but a twentieth of its points lie, metres.
+    /// Heights of the 5th, 50th and 95th percentile of its points, meters.
     low_z: f32,
     middle_z: f32,
     high_z: f32,
@@ -129,7 +130,7 @@ impl SuperpointFacts {
     }
 }
 
-/// Cells from a least column and row to the last ones.
+/// A range of cells: lowest column and row, highest column and row.
 #[derive(Clone, Copy)]
 struct CellRect([i32; 4]);
 
@@ -146,14 +147,14 @@ impl CellRect {
         (right - left + 1) as f32 * (far - near + 1) as f32
     }
 
-    /// Or next to a cell that it holds.
+    /// Whether it contains a cell, or one next to it.
     fn holds(self, (x, y): (i32, i32)) -> bool {
         let Self([left, near, right, far]) = self;
         (left - 1..=right + 1).contains(&x) && (near - 1..=far + 1).contains(&y)
     }
 }
 
-/// A level part of a region.
+/// A level part of a region that may support things.
 struct SupportSurface {
     z: f32,
     members: BTreeSet<u32>,
@@ -184,7 +185,7 @@ fn footprint(members: &[u32], pieces: &[SuperpointFacts]) -> BTreeSet<(i32, i32)
     members.iter().flat_map(|&s| pieces[s as usize].footprint.iter().copied()).collect()
 }
 
-/// The tops of a region, largest first.
+/// The level surfaces of a region, largest first.
 fn tops(pieces: &[SuperpointFacts], members: &[u32]) -> Vec<SupportSurface> {
     let height = |&s: &u32| pieces[s as usize].middle_z;
     let mut level: Vec<u32> =
@@ -209,7 +210,7 @@ fn tops(pieces: &[SuperpointFacts], members: &[u32]) -> Vec<SupportSurface> {
     tops
 }
 
-/// These superpoints in sets that are connected by themselves.
+/// Groups these superpoints into connected sets.
 fn hanging_together(mut left: BTreeSet<u32>, neighbours: &[Vec<u32>]) -> Vec<Vec<u32>> {
     let mut sets = Vec::new();
     while let Some(first) = left.pop_first() {
@@ -229,10 +230,11 @@ mod tests {
     use uniground_geometry::Vector3;
     use uniground_geometry::colour::Lab;
 
-    /// A block from corner to corner, metres, sampled every two centimetres, and its normal.
+    /// A block from corner to corner, meters, sampled every two centimeters, and its normal.
     type Block = ([f32; 3], [f32; 3], Vector3<f32>);
 
-    /// The regions that one region of these blocks becomes, of which these pairs touch.
+    /// Splits one region of these blocks, given the pairs that touch. Returns the region of each
+    /// block.
     fn freed(blocks: &[Block], adjacent: &[(u32, u32)], plane: Option<u32>) -> Vec<u32> {
         let (mut cloud, mut of_point, mut patches) =
             (PointCloud::default(), Vec::new(), Vec::new());

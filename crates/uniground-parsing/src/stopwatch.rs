@@ -1,4 +1,4 @@
-//! What each stage took, for the report only: nothing is decided by it.
+//! Measures the time and memory of each stage. Only for the report: no decision depends on it.
 
 use std::fs;
 use std::time::Instant;
@@ -7,24 +7,24 @@ use uniground_geometry::scene::StageReport;
 /// Collects one [`StageReport`] per stage.
 #[derive(Default)]
 pub struct Stopwatch {
-    /// In the order they were run; failed ones are left out.
+    /// In the order they ran; failed stages are left out.
     pub stages: Vec<StageReport>,
 }
 
-/// What a stage says about itself.
+/// The outcome that a stage reports.
 #[derive(Default)]
 pub struct StageOutcome {
-    /// How many things came out of the stage.
+    /// Number of items that the stage produced.
     pub produced: usize,
-    /// Whether they were kept from an earlier attempt.
+    /// Whether they came from a checkpoint.
     pub reused: bool,
 }
 
 impl Stopwatch {
-    /// Runs a stage and notes its time and memory.
+    /// Runs a stage and records its time and memory.
     ///
     /// # Errors
-    /// Those of `work`.
+    /// Errors of `work`.
     pub fn time<T, E>(
         &mut self,
         stage: &str,
@@ -45,14 +45,14 @@ impl Stopwatch {
     }
 }
 
-/// Makes the kernel count the peak memory from here on; others who read `VmHWM` of this process see
-/// the same. Where the kernel does not allow it, the peak is that since the process began.
+/// Resets the kernel's peak memory counter of this process; other readers of its `VmHWM` see the
+/// same. If the kernel does not allow it, the peak since process start is reported.
 fn forget_peak_memory() {
     let _ = fs::write("/proc/self/clear_refs", "5");
 }
 
-/// Largest resident memory of the process since it was last forgotten, MB; `None` where the system
-/// does not tell.
+/// Largest resident memory of the process since the last reset, MB; `None` where the system does
+/// not report it.
 fn peak_memory_mb() -> Option<u32> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;

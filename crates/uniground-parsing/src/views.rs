@@ -19,7 +19,7 @@ use uniground_geometry::scene::{
 use uniground_geometry::statistics::{median, quantile};
 use uniground_types::settings::ViewSettings;
 
-/// The points of a scene by instance, ready to be looked up in frames.
+/// The points of a scene by instance, prepared for look-ups in frames.
 #[derive(Clone, Copy)]
 pub struct LabelledPoints<'a> {
     /// The instances of each point.
@@ -28,42 +28,43 @@ pub struct LabelledPoints<'a> {
     pub visibility: &'a Visibility,
 }
 
-/// One frame's sight of one instance.
+/// The visibility of one instance in one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sighting {
-    /// What is seen.
+    /// The visible instance.
     pub instance: InstanceId,
-    /// The frame, how many points it shows, the box around them and what of it shows the instance.
+    /// The frame, the number of points it shows, the box around them, and the pixels that show the
+    /// instance.
     pub view: View,
-    /// Share of the instance that is in the picture and hidden by nothing else, `0..=1`.
+    /// Share of the instance that is in the picture and not hidden by anything else, `0..=1`.
     pub whole: f32,
-    /// Pixels that show it.
+    /// Number of pixels that show it.
     pub covered_px: f32,
-    /// IoU of the points it shows and those of the mask that fits them best; 0 without masks.
+    /// IoU of its visible points and the mask that fits them best; 0 without masks.
     pub agreement: f32,
 }
 
-/// What the frames show of the instances-to-be.
+/// What the frames show of the candidate instances.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct InstanceViews {
-    /// In order of frames.
+    /// Sorted by frame.
     pub sightings: Vec<Sighting>,
-    /// Of what lies flat on a plane.
+    /// Reliefs of things that lie flat on a plane.
     pub reliefs: BTreeMap<InstanceId, FlatRelief>,
 }
 
-/// A point of an instance in the pictures of a frame.
+/// A point of an instance, as pixels of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InstancePixel {
-    /// What it belongs to.
+    /// The instance it belongs to.
     pub instance: InstanceId,
-    /// Column and row in the colour picture.
+    /// Column and row in the color picture.
     pub at: (f32, f32),
     /// Pixel of the depth image.
     pub cell: (u32, u32),
 }
 
-/// The visible points of every instance this frame shows, sorted by instance.
+/// Returns the visible points of every instance this frame shows, sorted by instance.
 #[must_use]
 pub fn visible_pixels(
     labelled: LabelledPoints,
@@ -74,13 +75,12 @@ pub fn visible_pixels(
         .0
 }
 
-/// Points of instances that lie in a picture unseen.
+/// Points of instances that lie inside the picture but are not visible.
 #[derive(Default)]
 struct UnseenPoints {
-    /// Those behind something, with their column and row in the colour picture, sorted by
-    /// instance.
+    /// Hidden points, with their column and row in the color picture, sorted by instance.
     hidden: Vec<(InstanceId, (f32, f32))>,
-    /// How many there are of each instance where nothing is known, by id less 1.
+    /// Number of points per instance whose visibility is unknown, by id minus 1.
     unknown: Vec<u32>,
 }
 
@@ -92,7 +92,7 @@ impl UnseenPoints {
     }
 }
 
-/// Points as pixels of the colour picture, once for each instance they belong to: the visible ones
+/// Projects points into the color picture, once for each instance they belong to: the visible ones,
 /// sorted by instance, and the others.
 fn by_instance(
     labels: &Labels,
@@ -109,13 +109,13 @@ fn by_instance(
         let (instances, at) = (labels.of(point as usize), (pixel.u, pixel.v));
         match sight {
             PointVisibility::Visible => {
-                pixels.extend(instances.map(|instance| InstancePixel { instance, at, cell }))
+                pixels.extend(instances.map(|instance| InstancePixel { instance, at, cell }));
             }
             PointVisibility::Hidden => {
-                unseen.hidden.extend(instances.map(|instance| (instance, at)))
+                unseen.hidden.extend(instances.map(|instance| (instance, at)));
             }
             PointVisibility::Unknown => {
-                instances.for_each(|instance| unseen.unknown[instance.0 as usize - 1] += 1)
+                instances.for_each(|instance| unseen.unknown[instance.0 as usize - 1] += 1);
             }
         }
     }
@@ -124,9 +124,9 @@ fn by_instance(
     (pixels, unseen)
 }
 
-/// Every instance this frame shows, in order of id, given its
-/// [`around_frame`](Visibility::around_frame); `masks` are the frame's id images, `sampled` counts
-/// the points of each instance that are told of where they are not visible.
+/// Returns every instance this frame shows, in order of id, given the frame's
+/// [`around_frame`](Visibility::around_frame). `masks` are the frame's id images. `sampled` counts
+/// the points of each instance that are also reported where they are not visible.
 ///
 /// The box in the picture is robust: the outermost 1 % of the visible points at each side are left
 /// out.
@@ -176,7 +176,7 @@ fn sightings(
 
 /// Share of an instance that is in the picture, times the share of that which nothing else hides.
 ///
-/// Of points that are not visible a sample is known, `sampled` in all.
+/// Points that are not visible are known only for a sample of `sampled` points.
 fn whole(
     visible: &[(f32, f32)],
     hidden: &[(InstanceId, (f32, f32))],
@@ -184,7 +184,7 @@ fn whole(
     sampled: u32,
 ) -> f32 {
     let hidden: Vec<(f32, f32)> = hidden.iter().map(|(_, at)| *at).collect();
-    // As few of the visible ones.
+    // Thins out the visible points to the same sampling rate.
     let visible: Vec<(f32, f32)> = visible.iter().step_by(SAMPLED as usize).copied().collect();
     let in_picture = visible.len() as f32 + hidden.len() as f32 + unknown as f32;
     (in_picture / sampled.max(1) as f32).min(1.0) * unoccluded(&visible, &hidden)
@@ -198,8 +198,8 @@ struct InstanceInFrame {
     masks: Vec<(u16, u32)>,
 }
 
-/// For each instance the best IoU of its visible points with those of a mask. Things have ids up to
-/// `things`; the others overlap them.
+/// For each instance, the best IoU of its visible points and a mask. Things have ids up to
+/// `things`; the other instances overlap them.
 fn agreements(hits: &[InstancePixel], things: u32, masks: &[IdRuns]) -> BTreeMap<InstanceId, f32> {
     let mut best: BTreeMap<InstanceId, f32> = BTreeMap::new();
     for ids in masks.iter().map(IdRuns::unpacked) {
@@ -231,8 +231,8 @@ fn agreements(hits: &[InstancePixel], things: u32, masks: &[IdRuns]) -> BTreeMap
 
 const TRIM: f32 = 0.01;
 
-/// The [`sightings`] of all frames, in order; only their depth is decoded. Frames that have no
-/// `masks` agree with nothing.
+/// Computes the [`sightings`] of all frames, in order; decodes only their depth. Frames without
+/// `masks` have zero agreement.
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, or cancellation.
@@ -245,7 +245,7 @@ pub fn all_sightings(
     Ok(all_sighted(labelled, None, frames, masks, progress)?.sightings)
 }
 
-/// As [`all_sightings`], and what the frames tell of what lies flat.
+/// Same as [`all_sightings`], plus the reliefs of flat things.
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, or cancellation.
@@ -282,8 +282,8 @@ pub fn all_sighted(
     })
 }
 
-/// Gives each instance its views: the best first, then the farthest camera centre among those that
-/// show it well.
+/// Chooses the views of each instance: the best first, then those with the farthest camera centers
+/// among the frames that show it well.
 pub fn choose(
     instances: &mut [Instance],
     sightings: Vec<Sighting>,
@@ -304,7 +304,7 @@ pub fn choose(
     });
 }
 
-/// Takes over what a segmenter has corrected.
+/// Applies the outlines that a segmenter has corrected.
 pub fn tighten(instances: &mut [Instance], outlines: &Outlines) {
     for instance in instances {
         for view in &mut instance.views {
@@ -318,20 +318,20 @@ pub fn tighten(instances: &mut [Instance], outlines: &Outlines) {
     }
 }
 
-/// Beyond so many pixels the size of a picture matters less than how much of the thing it shows:
-/// collages and sheets show no more of them.
+/// Picture size beyond which size matters less than how much of the thing is shown: collages and
+/// sheets show no more pixels.
 const ENOUGH_PX: f32 = 96.0 * 96.0;
 /// A view counts as blurred below this share of the median sharpness of all views of the same
-/// thing, and for less in proportion.
+/// thing, and its score decreases in proportion.
 const BLURRED: f32 = 0.5;
-/// The least a blurred view counts for.
+/// Minimum factor for a blurred view.
 const LEAST_SHARP: f32 = 0.3;
 
-/// The views of one instance with what each is worth, `0..=1`: how much of it is in the picture and
-/// unhidden, how large it is, how sharp.
+/// Scores the views of one instance, `0..=1`: by how much of it is in the picture and not hidden,
+/// how large it is, and how sharp.
 ///
-/// The first counts squared: half a thing is no more than a quarter as good to know it by, however
-/// large.
+/// The first counts squared: with half of a thing in view, it is at most a quarter as easy to
+/// recognize, however large.
 fn judged(seen: Vec<Sighting>, sharpness: &SharpnessOfFrames) -> Vec<(f32, View)> {
     let sharp: Vec<Option<f32>> =
         seen.iter().map(|s| Some(sharpness.get(&s.view.frame)?.within(s.view.box_px))).collect();
@@ -347,7 +347,7 @@ fn judged(seen: Vec<Sighting>, sharpness: &SharpnessOfFrames) -> Vec<(f32, View)
     seen.into_iter().zip(sharp).map(worth).collect()
 }
 
-/// The best view and those from far away, of views with what each is worth.
+/// Selects the best view and distant ones from scored views.
 fn spread(
     mut seen: Vec<(f32, View)>,
     settings: &ViewSettings,
@@ -392,8 +392,8 @@ mod tests {
 
     #[test]
     fn the_best_view_comes_first_and_the_next_from_far_away() {
-        // Cameras stand on a line at x = frame number; frame 9 hardly shows the thing; 0 and 2 are
-        // as far from 1, 2 shows more.
+        // Cameras stand on a line at x = frame number. Frame 9 hardly shows the thing. Frames 0 and
+        // 2 are equally far from 1, and 2 shows more.
         let seen = [(0.8, 0), (1.0, 1), (0.9, 2), (0.7, 6), (0.1, 9)]
             .map(|(worth, frame)| (worth, view(frame)))
             .to_vec();
@@ -445,7 +445,7 @@ mod tests {
 
     #[test]
     fn an_instance_agrees_with_the_mask_that_shows_just_it() {
-        // Six pixels in a row: instance 1 on four, 2 on two. Mask 5 is instance 1 less a pixel;
+        // Six pixels in a row: instance 1 on four, 2 on two. Mask 5 is instance 1 minus a pixel;
         // mask 7 the rest.
         let hits: Vec<InstancePixel> = (0..6)
             .map(|i| InstancePixel {

@@ -1,8 +1,8 @@
-//! Which points of the cloud a frame shows (paper: visible when it projects inside, in front, and
-//! fits the measured depth).
+//! Determines which points of the cloud a frame shows (paper: visible when it projects inside, in
+//! front, and fits the measured depth).
 //!
-//! A frame shows a small share of a room. Points are kept in clusters of a fixed size, so that most
-//! are passed over at one look.
+//! A frame shows a small share of a room. Points are stored in clusters of a fixed size, so that
+//! most are skipped with one test.
 
 use rayon::prelude::*;
 use uniground_geometry::Point3;
@@ -10,14 +10,14 @@ use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{Camera, DepthImage, PointCloud};
 use uniground_geometry::voxels::VoxelKey;
 
-/// Edge of the cubes that clusters lie in, metres.
+/// Edge of the cubes that contain one cluster each, meters.
 const CLUSTER_M: f32 = 0.5;
 
-/// A cloud made ready to be looked up in frames.
+/// A cloud prepared for look-ups in frames.
 pub struct Visibility {
-    /// Share of the measured depth by which a visible point may miss it.
+    /// Maximum error of a visible point's depth, as a share of the measured depth.
     depth_tolerance: f32,
-    /// Points with their numbers in the cloud, by cluster.
+    /// Points with their index in the cloud, by cluster.
     points: Vec<(Point3<f32>, u32)>,
     clusters: Vec<PointCluster>,
 }
@@ -29,45 +29,45 @@ struct PointCluster {
     points: std::ops::Range<usize>,
 }
 
-/// What a frame tells about a point that projects into it.
+/// What a frame shows at the position of a point that projects into it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PointVisibility {
-    /// It fits the measured depth.
+    /// The point fits the measured depth.
     Visible,
-    /// Something was measured in front of it.
+    /// Something was measured in front of the point.
     Hidden,
-    /// Nothing was measured there, or only something behind it.
+    /// Nothing was measured there, or only something behind the point.
     Unknown,
 }
 
 /// A point of the cloud that projects into a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FramePoint {
-    /// Its number in the cloud.
+    /// Index of the point in the cloud.
     pub point: u32,
-    /// Where it is, metres, world frame (Z up).
+    /// Position, meters, world frame (Z up).
     pub position: Point3<f32>,
     /// Column and row of the depth image.
     pub cell: (u32, u32),
-    /// Whether the frame shows it.
+    /// Whether the frame shows the point.
     pub sight: PointVisibility,
 }
 
-/// Of points that are not visible, one in so many is looked up: they only tell how much of a thing
-/// is covered.
+/// One in this many invisible points is reported: they only measure how much of a thing is hidden.
 pub const SAMPLED: u32 = 4;
 
-/// Whether a point is among those of which [`Visibility::around_frame`] also tells that they are
-/// not visible.
+/// Whether [`Visibility::around_frame`] also reports this point when it is not visible.
 #[must_use]
 pub fn is_sampled(point: u32) -> bool {
     point.is_multiple_of(SAMPLED)
 }
 
 impl Visibility {
-    /// `group_of` has a number for each point, by which [`in_frame`](Self::in_frame) sorts what is
-    /// visible: its superpoint, say.
+    /// Prepares a cloud. `group_of` has a number for each point, such as its superpoint, by which
+    /// [`in_frame`](Self::in_frame) sorts the visible points.
     ///
+    /// `depth_tolerance` is relative: a point at depth `z` is visible when `|z - d| <= tolerance *
+    /// d`. A hole in the depth is unknown, so nothing is visible there.
     /// `depth_tolerance` is relative: a point at depth `z` is visible when `|z - d| <= tolerance *
     /// d`. A hole in the depth is unknown, hence nothing is visible there.
     #[must_use]
@@ -98,15 +98,15 @@ impl Visibility {
         Self { depth_tolerance, points, clusters }
     }
 
-    /// The points that a frame shows, by group, with those of a group in no particular, but always
-    /// the same order.
+    /// Returns the points that a frame shows, sorted by group. The order within a group is
+    /// unspecified but always the same.
     #[must_use]
     pub fn in_frame(&self, camera: &Camera, depth: &DepthImage) -> Vec<FramePoint> {
         self.look(camera, depth, |_, sight| sight == PointVisibility::Visible)
     }
 
-    /// As [`in_frame`](Self::in_frame), and with them a sample of those that lie within the picture
-    /// unseen; see [`is_sampled`].
+    /// Same as [`in_frame`](Self::in_frame), plus a sample of the points that are inside the
+    /// picture but not visible; see [`is_sampled`].
     #[must_use]
     pub fn around_frame(&self, camera: &Camera, depth: &DepthImage) -> Vec<FramePoint> {
         self.look(camera, depth, |point, sight| {
@@ -148,7 +148,7 @@ mod tests {
     use uniground_geometry::Isometry3;
     use uniground_geometry::scene::Intrinsics;
 
-    /// A camera at the origin looking along +Z at a wall two metres away, with a hole in its last
+    /// A camera at the origin looking along +Z at a wall two meters away, with a hole in its last
     /// row.
     fn look() -> (Camera, DepthImage) {
         let intrinsics = Intrinsics { width: 4, height: 4, fx: 4.0, fy: 4.0, cx: 1.5, cy: 1.5 };

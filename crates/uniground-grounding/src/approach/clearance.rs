@@ -1,11 +1,11 @@
-//! Distances on the grid: exact, in time linear in its cells (Felzenszwalb and Huttenlocher,
-//! Distance Transforms of Sampled Functions).
+//! Exact distance transform on the grid, in time linear in its cells (Felzenszwalb and
+//! Huttenlocher, Distance Transforms of Sampled Functions).
 
 use rayon::prelude::*;
 use std::f32::consts::FRAC_1_SQRT_2;
 
-/// From the middle of a cell to the middle of the nearest of the `sites`, in cells; infinite where
-/// there are none.
+/// Returns the distance from the middle of each cell to the middle of the nearest of the `sites`,
+/// in cells; infinite where there are none.
 pub(super) fn distances(width: usize, height: usize, sites: impl Fn(usize) -> bool) -> Vec<f32> {
     let mut along_y: Vec<f32> =
         (0..width * height).map(|cell| if sites(cell) { 0.0 } else { f32::INFINITY }).collect();
@@ -19,11 +19,11 @@ pub(super) fn distances(width: usize, height: usize, sites: impl Fn(usize) -> bo
     along_y
 }
 
-/// Of a row of distances along the other axis, the distances over both: the lower envelope of a
-/// parabola for each cell.
+/// Turns a row of distances along the other axis into distances over both axes: the lower envelope
+/// of one parabola per cell.
 fn across(row: &mut [f32]) {
     let square = |x: usize, row: &[f32]| f64::from(row[x]) * f64::from(row[x]);
-    // Apex of each parabola of the envelope, and where it begins to be the lowest.
+    // Apex of each parabola of the envelope, and where it starts to be the lowest.
     let mut envelope: Vec<(usize, f64)> = Vec::new();
     for apex in (0..row.len()).filter(|&x| row[x].is_finite()) {
         let mut begins = f64::NEG_INFINITY;
@@ -51,8 +51,8 @@ fn across(row: &mut [f32]) {
     }
 }
 
-/// What is surely free around the middle of a cell, metres: an obstacle may reach out to the
-/// corners of its own cell.
+/// Returns the distance that is certainly free around the middle of a cell, meters. An obstacle may
+/// reach out to the corners of its own cell.
 pub(super) fn clearance_m(distance_cells: f32, cell_m: f32) -> f32 {
     ((distance_cells - FRAC_1_SQRT_2) * cell_m).max(0.0)
 }

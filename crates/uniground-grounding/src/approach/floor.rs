@@ -1,48 +1,48 @@
-//! Which cells of the floor are free, and the map of them.
+//! Classifies the cells of the floor as free, occupied or unknown, and draws the map of them.
 
 use super::occupancy::{BELOW_FLOOR_M, Grid, LAYER_M, LAYERS, Occupancy, layer_of};
 use image::{GrayImage, Luma};
 use uniground_types::approach::FloorMap;
 
-/// What is lower than this a robot rolls over: rugs, sills, the noise of a depth camera. Metres.
+/// A robot rolls over anything lower than this: rugs, sills, the noise of a depth camera. Meters.
 const STEP_M: f32 = 0.05;
-/// What begins exactly at the robot's height does not touch it, metres.
+/// An obstacle that begins exactly at the robot's height does not touch it: tolerance, meters.
 const SLACK_M: f32 = 1e-4;
-/// A cell without points is floor where so many of the eight around it are: a hole between points,
-/// and no place that was never seen.
+/// A cell without points counts as floor where at least this many of the eight around it are floor.
+/// It is then a hole between points, not an area that was never seen.
 const CLOSING_NEIGHBOURS: usize = 6;
-/// Shades of `map_server`: 254 is below its threshold for free, 0 above that for occupied, 205 in
-/// between.
+/// Gray values of `map_server`: 254 is below its threshold for free, 0 is above that for occupied,
+/// 205 is in between.
 const FREE: Luma<u8> = Luma([254]);
 const OCCUPIED: Luma<u8> = Luma([0]);
 const UNKNOWN: Luma<u8> = Luma([205]);
-/// Of `map_server`, with which 205 is unknown: at 0.25, the default of newer ones, it would be
-/// free.
+/// Thresholds of `map_server`. With this one, 205 is unknown; with 0.25, the default of newer
+/// versions, it would be free.
 const FREE_THRESHOLD: f32 = 0.196;
 const OCCUPIED_THRESHOLD: f32 = 0.65;
 
-/// What is known of a cell.
+/// Classification of a cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Cell {
     /// Floor was seen, and nothing above it that is lower than the robot.
     Floor,
-    /// Something stands there or hangs too low.
+    /// An object stands there or hangs too low.
     Obstacle,
     /// Neither: never seen, or no floor.
     Unknown,
 }
 
-/// The floor for a robot of some height.
+/// The floor, classified for a robot of some height.
 pub struct Floor {
     pub(super) grid: Grid,
     pub(super) cells: Vec<Cell>,
     height_m: f32,
-    /// Height of it, metres, world frame.
+    /// Height of the floor, meters, world frame.
     z_m: f32,
 }
 
 impl Floor {
-    /// Reads the columns up to a height above the floor, metres.
+    /// Classifies the columns up to a height above the floor, meters.
     #[must_use]
     pub fn of(occupancy: &Occupancy, height_m: f32) -> Self {
         let grid = occupancy.grid;
@@ -60,7 +60,7 @@ impl Floor {
         Self { grid, cells, height_m, z_m: occupancy.floor_z_m }
     }
 
-    /// The map, and its picture: its first row is the greatest y.
+    /// Returns the map and its picture. The picture's first row is the greatest y.
     #[must_use]
     pub fn map(&self) -> (FloorMap, GrayImage) {
         let (width, height) = (self.grid.width as u32, self.grid.height as u32);
@@ -89,7 +89,7 @@ impl Floor {
     }
 }
 
-/// Bits of the layers from one to another, both included.
+/// Returns the bits of a range of layers, both ends included.
 pub(super) fn layers(from: i32, to: i32) -> u128 {
     let (from, to) = (from.max(0), to.min(LAYERS - 1));
     if from > to { 0 } else { (u128::MAX >> (LAYERS - 1 - to + from)) << from }

@@ -1,13 +1,14 @@
-//! From an instance to a place to stand: where a robot sees it, reaches it, and gets to.
+//! Approach poses: where a robot can stand to see or reach an instance, and the path to get there.
 //!
-//! [`Occupancy`] is made once per parse: the cloud in columns of voxels above a 5 cm grid. For a
-//! robot, [`Floor`] reads of it which cells are floor, obstacle or unknown; cells at least its
-//! radius away from obstacles (`clearance`) are free. Of the free cells around the
-//! `target`, `poses` keeps those within reach and with a way to them (`path`), looks at the thing
-//! from there (`visibility`), and tells the best, apart from each other. What a thing stands on is
-//! an obstacle like any other: for a mug on a table one stands at the table.
+//! [`Occupancy`] is computed once per parse: the cloud in columns of voxels above a 5 cm grid. For
+//! a robot, [`Floor`] classifies its cells as floor, obstacle or unknown. Cells at least the
+//! robot's radius away from obstacles (`clearance`) are free. Of the free cells around the
+//! `target`, `poses` keeps those within reach and with a path to them (`path`), checks the view of
+//! the object from there (`visibility`), and returns the best ones, apart from each other. The
+//! support of an object is an obstacle like any other: for a mug on a table the robot stands at the
+//! table.
 //!
-//! Nothing is supposed of what was not seen: a robot never stands on unknown floor, nor drives over
+//! Nothing is assumed about unseen areas: a robot never stands on unknown floor, nor drives over
 //! it.
 
 mod clearance;
@@ -26,8 +27,8 @@ use target::Target;
 use uniground_geometry::scene::{Instance, InstanceId, Support};
 use uniground_types::approach::{CellCounts, FailedCondition, StandingPose};
 
-/// Finds places to stand for an instance. `instances` are those of the parse, as corrected, in
-/// order of id; `None` where there is no such instance.
+/// Finds approach poses for an instance. `instances` are those of the parse, as corrected, in order
+/// of id. Returns `None` where there is no such instance.
 #[must_use]
 pub fn approach(
     occupancy: &Occupancy,
@@ -53,7 +54,7 @@ pub fn approach(
     Some(places)
 }
 
-/// What a thing stands or hangs on, as an addition to its name.
+/// Returns what an instance stands or hangs on, as an addition to its name.
 fn place_of(instance: &Instance, instances: &[Instance]) -> String {
     let name = |id: InstanceId| {
         instances.get((id.0 as usize).wrapping_sub(1)).map_or("object", Instance::label)
@@ -78,7 +79,7 @@ fn why(pose: &StandingPose, name: &str, place: &str) -> String {
     )
 }
 
-/// Why there is no place to stand, in words.
+/// Explains in words why there is no approach pose.
 #[must_use]
 pub fn explanation(failed: FailedCondition, name: &str, cells: &CellCounts) -> String {
     let CellCounts { near, floor, clear, connected, in_reach, looked_from, visible: _ } = cells;

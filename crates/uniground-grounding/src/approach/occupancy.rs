@@ -1,5 +1,5 @@
-//! What of a room is occupied: the cloud in columns of voxels above a 5 cm grid of the floor. Made
-//! once per parse; every question about places to stand reads it.
+//! Occupied space of a room: the cloud in columns of voxels above a 5 cm grid of the floor.
+//! Computed once per parse; every request for approach poses reads it.
 
 use rayon::prelude::*;
 use std::collections::BTreeSet;
@@ -8,31 +8,33 @@ use uniground_geometry::statistics::quantile;
 use uniground_geometry::voxels::typical_spacing_m;
 use uniground_geometry::{Point2, Point3};
 
-/// Side of a cell, metres; larger in steps of it where points lie further apart, or the scan is too
-/// large.
+/// Side of a cell, meters. Multiples of it are used where points lie further apart, or the scan is
+/// too large.
 const CELL_M: f32 = 0.05;
-/// A cell is so many times as wide as points lie apart: else floors would have holes.
+/// Width of a cell in multiples of the point spacing. Smaller cells would leave holes in floors.
 const POINTS_PER_CELL_SIDE: f32 = 1.5;
-/// Height of a voxel, metres: half as much as its side, as eyes graze the tops of tables.
+/// Height of a voxel, meters: half of its side, because the eyes look over table tops at grazing
+/// angles.
 pub(super) const LAYER_M: f32 = 0.025;
 /// Layers of a column.
 pub(super) const LAYERS: i32 = 128;
-/// Columns begin this far below the floor, metres.
+/// Columns begin this far below the floor, meters.
 pub(super) const BELOW_FLOOR_M: f32 = 0.1;
-/// Most cells of a grid: 100 x 100 m at 5 cm.
+/// Maximum number of cells of a grid: 100 x 100 m at 5 cm.
 const MAX_CELLS: usize = 4_000_000;
-/// Where a scan reaches further than [`MAX_CELLS`], this share of its points is left out on every
-/// side: strays.
+/// Where a scan needs more than [`MAX_CELLS`], this share of its points is left out on every side
+/// as strays.
 const STRAY_SHARE: f32 = 0.001;
-/// Points that quantiles are taken of.
+/// Number of points that quantiles are computed from.
 const SAMPLE: usize = 200_000;
-/// Where no floor is known it is the fullest layer so far above the lowest points, metres.
+/// Where no floor was recognized, the fullest layer within this height above the lowest points
+/// counts as floor, meters.
 const FLOOR_SEARCH_M: f32 = 0.5;
 
-/// Cells of the floor, in rows from the least y on. The outermost hold no points.
+/// Cells of the floor, in rows that start at the least y. The outermost cells hold no points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Grid {
-    /// Corner of the first cell, metres, world frame.
+    /// Corner of the first cell, meters, world frame.
     pub origin: Point2<f32>,
     pub cell_m: f32,
     pub width: usize,
@@ -40,7 +42,7 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// The grid around points; larger cells where there would be too many.
+    /// Builds the grid around points, with larger cells where there would be too many.
     fn around(positions: &[Point3<f32>], cell_m: f32) -> Self {
         let all = positions
             .par_iter()
@@ -68,13 +70,13 @@ impl Grid {
         while !fits(cells(low, high, cell_m)) {
             cell_m *= 2.0;
         }
-        // On whole cells, so that the grid of a scan that grows stays where it is.
+        // Aligned to whole cells, so that the grid stays in place when the scan grows.
         let origin = low.map(|c| ((c / cell_m).floor() - 1.0) * cell_m);
         let (width, height) = cells(origin, high, cell_m);
         Self { origin, cell_m, width, height }
     }
 
-    /// Column and row of a place; `None` outside.
+    /// Returns column and row of a position; `None` outside.
     pub fn at(&self, x: f32, y: f32) -> Option<(usize, usize)> {
         let [column, row] =
             [x - self.origin.x, y - self.origin.y].map(|c| (c / self.cell_m).floor());
@@ -83,17 +85,17 @@ impl Grid {
         inside.then_some((column as usize, row as usize))
     }
 
-    /// The cell of a place; `None` outside.
+    /// Returns the cell of a position; `None` outside.
     pub fn cell(&self, x: f32, y: f32) -> Option<usize> {
         self.at(x, y).map(|(column, row)| row * self.width + column)
     }
 
-    /// Column and row of a cell.
+    /// Returns column and row of a cell.
     pub fn place(&self, cell: usize) -> (usize, usize) {
         (cell % self.width, cell / self.width)
     }
 
-    /// Middle of a cell, metres, world frame.
+    /// Returns the middle of a cell, meters, world frame.
     pub fn center(&self, cell: usize) -> Point2<f32> {
         let (column, row) = self.place(cell);
         Point2::new(
@@ -125,10 +127,10 @@ impl Voxel {
     }
 }
 
-/// The columns of a scene, and which instance its voxels belong to.
+/// The columns of a scene, and the instance that each voxel belongs to.
 pub struct Occupancy {
     pub(super) grid: Grid,
-    /// Height of the floor, metres, world frame.
+    /// Height of the floor, meters, world frame.
     pub(super) floor_z_m: f32,
     /// One bit for each layer, the lowest first.
     pub(super) columns: Vec<u128>,
@@ -137,7 +139,7 @@ pub struct Occupancy {
 }
 
 impl Occupancy {
-    /// Bins a parsed cloud. `instance_of_point` has the thing of every point, 0 for none;
+    /// Bins a parsed cloud. `instance_of_point` has the instance of every point, 0 for none.
     /// `instances` tell where the floor is.
     #[must_use]
     pub fn of(
@@ -152,8 +154,8 @@ impl Occupancy {
             .par_iter()
             .enumerate()
             .filter_map(|(point, p)| {
-                // What is higher than columns reach lies in their last layer: above every robot,
-                // and still to be looked at.
+                // Points above the top of the columns go to the last layer: that is above every
+                // robot, and they can still be looked at.
                 let layer = layer_of(p.z - floor_z_m).min(LAYERS - 1);
                 let cell = grid.cell(p.x, p.y).filter(|_| layer >= 0)?;
                 Some((
@@ -172,20 +174,20 @@ impl Occupancy {
         Self { grid, floor_z_m, columns, voxels }
     }
 
-    /// Height of the floor, metres, world frame.
+    /// Returns the height of the floor, meters, world frame.
     #[must_use]
     pub fn floor_z_m(&self) -> f32 {
         self.floor_z_m
     }
 
-    /// Bytes it takes in memory.
+    /// Returns the size in memory, bytes.
     #[must_use]
     pub fn bytes(&self) -> usize {
         self.columns.len() * size_of::<u128>()
             + self.voxels.len() * size_of::<(InstanceId, Voxel)>()
     }
 
-    /// The voxels that hold points of an instance, ascending.
+    /// Returns the voxels that hold points of an instance, ascending.
     pub(super) fn of_instance(&self, id: InstanceId) -> impl Iterator<Item = Voxel> {
         let from = self.voxels.partition_point(|(other, _)| *other < id);
         self.voxels[from..]
@@ -194,7 +196,7 @@ impl Occupancy {
             .map(|(_, voxel)| *voxel)
     }
 
-    /// Middle of a voxel, metres, world frame.
+    /// Returns the middle of a voxel, meters, world frame.
     pub(super) fn center(&self, voxel: Voxel) -> Point3<f32> {
         let at = self.grid.center(voxel.cell());
         Point3::new(
@@ -205,13 +207,13 @@ impl Occupancy {
     }
 }
 
-/// The layer at a height above the floor; outside of `0..LAYERS` there is none.
+/// Returns the layer at a height above the floor. Layers outside of `0..LAYERS` do not exist.
 pub(super) fn layer_of(above_floor_m: f32) -> i32 {
     ((above_floor_m + BELOW_FLOOR_M) / LAYER_M).floor() as i32
 }
 
-/// The middle of the points of the floor; where none was recognised, of the fullest layer near the
-/// lowest points.
+/// Returns the median height of the floor's points. Where no floor was recognized, uses the fullest
+/// layer near the lowest points.
 fn floor_height(
     positions: &[Point3<f32>],
     instance_of_point: &[InstanceId],

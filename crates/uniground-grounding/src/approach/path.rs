@@ -1,32 +1,32 @@
-//! Shortest ways over free cells: eight neighbours, never diagonally past a corner.
+//! Shortest paths over free cells: eight neighbors, never diagonally past a corner.
 //!
-//! One search from the start (Dijkstra's, with buckets for its whole costs) gives the ways to all
-//! poses at once and tells what can not be reached; a search per pose would look at the same cells
-//! again. Costs are whole numbers, so that nothing depends on rounding.
+//! One search from the start (Dijkstra, with a bucket queue for its integer costs) gives the paths
+//! to all poses at once and shows which cells cannot be reached. A search per pose would visit the
+//! same cells again. Costs are integers, so that nothing depends on rounding.
 
 use super::occupancy::Grid;
 
-/// Costs of a step along an axis and of a diagonal one: 99 / 70 is the square root of 2 to 5
+/// Costs of a step along an axis and of a diagonal one. 99 / 70 is the square root of 2 to 5
 /// digits.
 const STRAIGHT: u32 = 70;
 const DIAGONAL: u32 = 99;
 const BUCKETS: usize = 128;
 
-/// Free cells; those at the rim of the grid are never free.
+/// Free cells. Cells at the rim of the grid are never free.
 pub(super) struct FreeCells<'a> {
     pub grid: &'a Grid,
     pub free: Vec<bool>,
 }
 
-/// What every cell costs to get to from one.
+/// Cost of the path from one start cell to every cell.
 pub(super) struct Ways {
     costs: Vec<u32>,
-    /// The cell before it on the way.
+    /// The previous cell on the path.
     before: Vec<u32>,
 }
 
 impl FreeCells<'_> {
-    /// Cells a step away, and what the step costs.
+    /// Returns the cells one step away, and the cost of the step.
     fn steps(&self, cell: usize) -> impl Iterator<Item = (usize, u32)> {
         let width = self.grid.width;
         let [east, west, north, south] = [cell + 1, cell - 1, cell + width, cell - width];
@@ -42,7 +42,7 @@ impl FreeCells<'_> {
             .map(|(to, _, cost)| (to, cost))
     }
 
-    /// All ways from a free cell.
+    /// Computes all paths from a free cell.
     pub fn ways_from(&self, start: usize) -> Ways {
         let mut ways = Ways {
             costs: vec![u32::MAX; self.free.len()],
@@ -72,9 +72,9 @@ impl FreeCells<'_> {
         ways
     }
 
-    /// The largest area of free cells that hang together and hold one of `wanted`, as flags by
-    /// cell; the first of equals. None of them where that is less than `least` cells and the
-    /// room has a larger one elsewhere: a pocket that nobody gets into.
+    /// Returns the largest connected area of free cells that holds one of `wanted`, as flags by
+    /// cell; the first of equals. All flags are false where that area is smaller than `least` cells
+    /// and the room has a larger one elsewhere: it is then a pocket that no robot can enter.
     pub fn largest_area(&self, wanted: &[usize], least: usize) -> Vec<bool> {
         let mut area_of = vec![u32::MAX; self.free.len()];
         let mut sizes: Vec<usize> = Vec::new();
@@ -87,8 +87,8 @@ impl FreeCells<'_> {
             area_of[seed] = number;
             while let Some(cell) = open.pop() {
                 size += 1;
-                // A diagonal step goes past two free cells, so these four tell the same areas
-                // apart.
+                // A diagonal step passes two free cells, so these four directions find the same
+                // areas.
                 for to in [cell + 1, cell - 1, cell + self.grid.width, cell - self.grid.width] {
                     if self.free[to] && area_of[to] == u32::MAX {
                         area_of[to] = number;
@@ -105,7 +105,7 @@ impl FreeCells<'_> {
         area_of.into_iter().map(|area| area != u32::MAX && Some(area) == best).collect()
     }
 
-    /// Whether the straight line between the middles of two cells touches free cells only.
+    /// Returns whether the straight line between the middles of two cells touches free cells only.
     fn is_straight(&self, from: usize, to: usize) -> bool {
         let place = |cell| {
             let (column, row) = self.grid.place(cell);
@@ -126,15 +126,14 @@ impl FreeCells<'_> {
             match error.signum() {
                 1 => (x, error) = (x + step_x, error - 2 * dy),
                 -1 => (y, error) = (y + step_y, error + 2 * dx),
-                // Through a corner: both cells beside it are touched.
+                // Through a corner: the line touches both cells beside it.
                 _ if !free(x + step_x, y) || !free(x, y + step_y) => return false,
                 _ => (x, y, error) = (x + step_x, y + step_y, error + 2 * (dx - dy)),
             }
         }
     }
 
-    /// A way with its corners only: what lies on a straight line between two of its cells is left
-    /// out.
+    /// Reduces a path to its corners: cells on a straight line between two others are left out.
     pub fn corners(&self, way: &[usize]) -> Vec<usize> {
         let mut corners: Vec<usize> = way.first().copied().into_iter().collect();
         let mut at = 0;
@@ -148,17 +147,17 @@ impl FreeCells<'_> {
 }
 
 impl Ways {
-    /// Whether there is a way.
+    /// Returns whether there is a path to the cell.
     pub fn reaches(&self, cell: usize) -> bool {
         self.costs[cell] != u32::MAX
     }
 
-    /// Length of the way over cells, metres.
+    /// Returns the length of the path over cells, meters.
     pub fn length_m(&self, cell: usize, grid: &Grid) -> f32 {
         self.costs[cell] as f32 / STRAIGHT as f32 * grid.cell_m
     }
 
-    /// The cells from the start to one that is reached.
+    /// Returns the cells from the start to a reachable one.
     pub fn way_to(&self, cell: usize) -> Vec<usize> {
         let before = |cell: &usize| {
             self.before

@@ -1,4 +1,4 @@
-//! Places to stand: which cells are left by each condition, and which of them are best.
+//! Approach poses: which cells remain after each condition, and which of them are best.
 
 use super::clearance::{clearance_m, distances};
 use super::floor::{Cell, Floor};
@@ -13,55 +13,58 @@ use uniground_types::approach::{
     CellCounts, FailedCondition, FloorPoint, Robot, StandingPose, Start,
 };
 
-/// Points of the target that are looked at from every candidate, and from those that are told.
+/// Number of points of the target that are checked from every candidate, and from those that are
+/// returned.
 const SAMPLE: usize = 64;
 const FINE_SAMPLE: usize = 400;
-/// A place from which less of the thing is in sight shows nothing of it.
+/// A pose with a smaller visible share counts as not seeing the object.
 const LEAST_VISIBLE: f32 = 0.1;
-/// How far a start that is not free may be from a place that is, metres.
+/// Maximum distance from a start that is not free to the nearest free cell, meters.
 const START_SEARCH_M: f32 = 0.5;
-/// A free area smaller than this, shut off from a larger one, is a pocket behind furniture, square
-/// metres.
+/// A free area smaller than this, separated from a larger one, is a pocket behind furniture, square
+/// meters.
 const POCKET_M2: f32 = 0.5;
-/// Of so many by so many cells the clearest is looked from: eyes 5 cm apart see the same.
+/// Side of a block of cells of which only the clearest is checked: views from 5 cm apart are the
+/// same.
 const BLOCK: usize = 3;
-/// Poses are apart by this and by the robot's own width, metres: others are no choice.
+/// Poses are apart by this and by the robot's own width, meters. Closer ones are no real
+/// alternatives.
 const APART_M: f32 = 0.6;
 
-/// What a metre to the thing, the whole thing hidden, and a metre of room missing cost, in metres
-/// to drive. A metre to the thing costs more than a metre of driving: else a robot would stop at
-/// the first place with a view.
+/// Costs of a meter to the object, of the object being entirely hidden, and of a meter of missing
+/// clearance, in meters to drive. A meter to the object costs more than a meter of driving;
+/// otherwise a robot would stop at the first place with a view.
 const NEARNESS: f32 = 2.5;
 const HIDDEN: f32 = 3.0;
 const TIGHTNESS: f32 = 2.0;
-/// More room around the robot than this is worth nothing, metres.
+/// More clearance around the robot than this adds nothing, meters.
 const ROOMY_M: f32 = 0.3;
 
-/// Where to stand, and for what.
+/// A request for approach poses.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wish {
-    /// Who is to stand there.
+    /// The robot that will stand there.
     pub robot: Robot,
-    /// Where it is.
+    /// The robot's current position.
     pub from: Option<FloorPoint>,
-    /// Least and greatest horizontal distance to the thing, metres.
+    /// Least and greatest horizontal distance to the object, meters.
     pub distances_m: [f32; 2],
-    /// Most poses told.
+    /// Maximum number of poses to return.
     pub max_poses: usize,
 }
 
-/// What came of it.
+/// The approach poses of a request.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Places {
     /// Best first; or the condition that left none.
     pub poses: Result<Vec<StandingPose>, FailedCondition>,
-    /// Where the robot sets out.
+    /// Where the robot starts.
     pub start: Option<Start>,
-    /// What each condition left.
+    /// Number of cells that each condition left.
     pub cells: CellCounts,
 }
 
-/// A cell to stand in, by what is known of it before anybody looks.
+/// A cell to stand in, with everything known of it before the visibility check.
 #[derive(Debug, Clone, Copy)]
 struct Candidate {
     cell: usize,
@@ -71,7 +74,7 @@ struct Candidate {
     clearance_m: f32,
 }
 
-/// The room as a robot finds it.
+/// The room, with the clearance for one robot.
 struct Room<'a> {
     occupancy: &'a Occupancy,
     target: &'a Target,
@@ -81,7 +84,7 @@ struct Room<'a> {
     free: FreeCells<'a>,
 }
 
-/// Finds places to stand.
+/// Finds approach poses.
 pub(super) fn places(occupancy: &Occupancy, target: &Target, wish: &Wish) -> Places {
     let grid = &occupancy.grid;
     let floor = Floor::of(occupancy, wish.robot.height_m);
@@ -150,7 +153,7 @@ impl Room<'_> {
         Places { poses, start, cells }
     }
 
-    /// All cells within the limits of distance.
+    /// Returns all cells within the distance limits.
     fn near(&self) -> Vec<Candidate> {
         let (grid, [least, most]) = (&self.occupancy.grid, self.wish.distances_m);
         let window = self.target.distances(self.occupancy, most);
@@ -170,7 +173,7 @@ impl Room<'_> {
         cells.filter_map(candidate).collect()
     }
 
-    /// Where the robot sets out: the cell it is in, or the nearest free one.
+    /// Returns where the robot starts: the cell it is in, or the nearest free one.
     fn start(&self, from: FloorPoint) -> Option<(usize, Start)> {
         let grid = &self.occupancy.grid;
         let from = Point2::new(from.x as f32, from.y as f32);
@@ -192,10 +195,10 @@ impl Room<'_> {
         Some((cell, Start { x: at.x, y: at.y, moved_m: away(cell), was_free: own.is_some() }))
     }
 
-    /// Measures what an arm has to reach, and leaves out from where it does not.
+    /// Measures the distance an arm has to reach, and removes cells that are out of reach.
     fn measure_reach(&self, candidates: &mut Vec<Candidate>) {
         let (robot, grid) = (&self.wish.robot, &self.occupancy.grid);
-        // No nearer than that, whatever the height.
+        // The reach is never less than this, whatever the height.
         candidates.retain(|candidate| {
             robot.reach_m.is_none_or(|reach| candidate.distance_m - robot.radius_m <= reach)
         });
@@ -212,7 +215,7 @@ impl Room<'_> {
             let across = |metres: f32| (metres - robot.radius_m).max(0.0);
             let squares =
                 above.iter().map(|(part, up_m)| across((part - at).norm()).powi(2) + up_m * up_m);
-            // Where nothing is higher than the robot the nearest part is the one that was measured.
+            // Where no part is higher than the robot, the nearest part is the one already measured.
             candidate.reach_m = if is_low {
                 across(candidate.distance_m)
             } else {
@@ -222,7 +225,7 @@ impl Room<'_> {
         candidates.retain(|candidate| robot.reach_m.is_none_or(|reach| candidate.reach_m <= reach));
     }
 
-    /// Of every few cells the clearest, in order of cell.
+    /// Keeps the clearest cell of each block, in order of cell.
     fn clearest(&self, candidates: Vec<Candidate>) -> Vec<Candidate> {
         let mut blocks: BTreeMap<(usize, usize), Candidate> = BTreeMap::new();
         for candidate in candidates {
@@ -235,13 +238,14 @@ impl Room<'_> {
         blocks.into_values().collect()
     }
 
-    /// Whether there are places with the thing in sight and in reach, to which there is no way.
+    /// Returns whether there are cells with the object in sight and in reach that cannot be reached
+    /// by a path.
     fn is_seen_from(&self, mut beyond: Vec<Candidate>) -> bool {
         self.measure_reach(&mut beyond);
         !self.looked_from(self.clearest(beyond), None).is_empty()
     }
 
-    /// Those with the thing in sight.
+    /// Returns the candidates from which the object is in sight.
     fn looked_from(&self, candidates: Vec<Candidate>, ways: Option<&Ways>) -> Vec<Ranked> {
         let sample = self.target.sample(SAMPLE);
         let ranked = candidates.into_par_iter().map(|candidate| {
@@ -254,7 +258,7 @@ impl Room<'_> {
         ranked.filter(|one| one.visible_share >= LEAST_VISIBLE).collect()
     }
 
-    /// In metres to drive.
+    /// Returns the cost of a pose, in meters to drive.
     fn cost(&self, candidate: &Candidate, visible_share: f32, path_m: f32) -> f32 {
         let room_m = candidate.clearance_m - self.wish.robot.radius_m;
         path_m
@@ -268,8 +272,8 @@ impl Room<'_> {
         Point3::new(at.x, at.y, self.occupancy.floor_z_m + self.wish.robot.eye_height_m)
     }
 
-    /// The best ones, none near another. They are looked from once more, closer: what few rays took
-    /// for enough may be too little.
+    /// Returns the best poses, each apart from the others. They are checked once more with more
+    /// rays, because few rays may overestimate the visible share.
     fn spread(&self, ranked: &[Ranked], ways: Option<&Ways>) -> Vec<StandingPose> {
         let (grid, apart_m) = (&self.occupancy.grid, APART_M.max(2.0 * self.wish.robot.radius_m));
         let fine = self.target.sample(FINE_SAMPLE);
@@ -319,7 +323,7 @@ impl Room<'_> {
     }
 }
 
-/// A candidate after a look.
+/// A candidate after the visibility check.
 #[derive(Debug, Clone, Copy)]
 struct Ranked {
     candidate: Candidate,

@@ -1,4 +1,4 @@
-//! The voxels of what is approached.
+//! The voxels of the instance to approach.
 
 use super::clearance::distances;
 use super::occupancy::{LAYER_M, LAYERS, Occupancy, Voxel};
@@ -7,16 +7,16 @@ use uniground_geometry::Point3;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{Instance, InstanceId, Level};
 
-/// Cells without a voxel of the thing.
+/// Value for cells without a voxel of the instance.
 const NONE: u128 = 0;
 
 /// An instance as voxels.
 pub(super) struct Target {
     /// Ascending; never empty.
     pub voxels: Vec<Voxel>,
-    /// Layers of the thing by cell, over the rectangle of its cells.
+    /// Layers of the instance by cell, over the bounding rectangle of its cells.
     own: Window<u128>,
-    /// Cells it stands above, each with the height of its lowest point above the floor, metres.
+    /// Cells below the instance, each with the height of its lowest point above the floor, meters.
     pub footprint: Vec<(usize, f32)>,
 }
 
@@ -30,7 +30,7 @@ pub(super) struct Window<V> {
 }
 
 impl<V: Copy> Window<V> {
-    /// Of a cell by column and row; `None` outside.
+    /// Returns the value of a cell by column and row; `None` outside.
     pub fn at(&self, column: usize, row: usize) -> Option<V> {
         let (x, y) = (column.checked_sub(self.column)?, row.checked_sub(self.row)?);
         if x < self.width && y < self.height {
@@ -42,13 +42,13 @@ impl<V: Copy> Window<V> {
 }
 
 impl Target {
-    /// The voxels of an instance as it is after corrections; `None` where it has none: below the
-    /// floor.
+    /// Returns the voxels of an instance after corrections; `None` where it has none because it
+    /// lies below the floor.
     pub fn of(occupancy: &Occupancy, instances: &[Instance], id: InstanceId) -> Option<Self> {
         let instance = instances.get((id.0 as usize).checked_sub(1)?)?;
         let voxels = voxels_of(occupancy, instances, instance);
         let grid = &occupancy.grid;
-        // Ascending, so that the first of a cell is its lowest.
+        // Ascending, so that the first voxel of a cell is its lowest.
         let mut lowest = voxels.clone();
         lowest.dedup_by_key(|voxel| voxel.cell());
         let places: Vec<(usize, usize)> =
@@ -70,19 +70,19 @@ impl Target {
         Some(Self { voxels, own, footprint })
     }
 
-    /// Layers of the thing in a cell: they hide nothing of it.
+    /// Returns the layers of the target in a cell. They do not hide the target.
     pub fn own_layers(&self, column: usize, row: usize) -> u128 {
         self.own.at(column, row).unwrap_or(NONE)
     }
 
-    /// An even sample of its points, world frame: always the same.
+    /// Returns an even sample of its voxels, always the same.
     pub fn sample(&self, most: usize) -> Vec<Voxel> {
         let count = self.voxels.len().min(most);
         (0..count).map(|i| self.voxels[i * self.voxels.len() / count]).collect()
     }
 
-    /// Horizontal distance to the nearest of its cells, in cells, for all cells not much further
-    /// than `most_m`.
+    /// Returns the horizontal distance to the nearest of its cells, in cells, for all cells not
+    /// much further than `most_m`.
     pub fn distances(&self, occupancy: &Occupancy, most_m: f32) -> Window<f32> {
         let grid = &occupancy.grid;
         let around = (most_m / grid.cell_m).ceil() as usize + 1;
@@ -95,10 +95,10 @@ impl Target {
     }
 }
 
-/// Things have points of their own; wholes those of their things, merged things those of their
-/// members; of parts and of what was found later only boxes are known.
+/// Things have points of their own, wholes those of their things, merged things those of their
+/// members. Of parts and of instances found later only boxes are known.
 fn voxels_of(occupancy: &Occupancy, instances: &[Instance], instance: &Instance) -> Vec<Voxel> {
-    // Strays lie on other things.
+    // Strays lie on other objects.
     let within = |voxels: &[Voxel], grown_m: f32| -> Vec<Voxel> {
         let inside = |voxel: &Voxel| holds(&instance.aabb, grown_m, &occupancy.center(*voxel));
         voxels.iter().copied().filter(inside).collect()
@@ -112,7 +112,7 @@ fn voxels_of(occupancy: &Occupancy, instances: &[Instance], instance: &Instance)
     if part.is_empty() { occupied_in(occupancy, &instance.aabb) } else { part }
 }
 
-/// Voxels of instances and of what they are made of, ascending.
+/// Returns the voxels of instances and of their members, ascending.
 fn voxels_of_members(
     occupancy: &Occupancy,
     instances: &[Instance],

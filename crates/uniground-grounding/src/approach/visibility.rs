@@ -1,20 +1,20 @@
-//! What of a thing is in sight from a place: rays through the columns of the scene.
+//! Which part of an object is in sight from a position: rays through the columns of the scene.
 
 use super::floor::layers;
 use super::occupancy::{Occupancy, Voxel, layer_of};
 use super::target::Target;
 use uniground_geometry::Point3;
 
-/// What a look from somewhere came to.
+/// The visible part of a target.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Look {
-    /// Share of the points looked at that nothing else hides.
+    /// Share of the sampled points that nothing else hides.
     pub visible_share: f32,
-    /// The middle of those in sight, world frame; of all where none is.
+    /// The middle of the visible points, world frame; of all points where none is visible.
     pub middle: Point3<f32>,
 }
 
-/// Looks from a point at a sample of the target.
+/// Casts rays from a point to a sample of the target.
 pub(super) fn look(
     occupancy: &Occupancy,
     target: &Target,
@@ -35,17 +35,16 @@ pub(super) fn look(
     Look { visible_share: seen as f32 / sample.len().max(1) as f32, middle: Point3::from(middle) }
 }
 
-/// Whether nothing but the target itself lies on the way to one of its voxels.
+/// Returns whether nothing but the target itself lies between the eye and one of its voxels.
 ///
-/// What touches the voxel does not count: a mug's lowest points share voxels with the table they
+/// Neighbors of the voxel do not count: a mug's lowest points share voxels with the table they
 /// stand on.
 fn is_visible(occupancy: &Occupancy, target: &Target, eye: &Point3<f32>, voxel: Voxel) -> bool {
     let grid = &occupancy.grid;
     let (to, end) = (occupancy.center(voxel), grid.place(voxel.cell()));
     let Some(mut at) = grid.at(eye.x, eye.y) else { return false };
     let (from, along) = (eye, to - eye);
-    // Share of the way at which the next border of a cell is crossed, and the share between two
-    // borders.
+    // Share of the ray at which the next cell border is crossed, and the share between two borders.
     let crossing = |axis: usize, place: usize| {
         let border = grid.origin[axis]
             + (place as f32 + if along[axis] > 0.0 { 1.0 } else { 0.0 }) * grid.cell_m;
@@ -73,7 +72,7 @@ fn is_visible(occupancy: &Occupancy, target: &Target, eye: &Point3<f32>, voxel: 
         }
         let axis = usize::from(next[1] < next[0]);
         let place = if axis == 0 { &mut at.0 } else { &mut at.1 };
-        // The rim of the grid holds no points: a ray between two cells of it never leaves it.
+        // The rim of the grid holds no points, so a ray between two cells of it never leaves it.
         *place = if along[axis] > 0.0 { *place + 1 } else { place.saturating_sub(1) };
         share = until;
         next[axis] += per_cell[axis];

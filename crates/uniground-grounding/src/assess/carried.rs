@@ -1,18 +1,18 @@
-//! What a thing carries, lacks or has as a part: "with the book on it", "without books", "with the
-//! orange seat".
+//! Scores what an instance carries, lacks or has as a part: "with the book on it", "without books",
+//! "with the orange seat".
 
 use super::{Assessor, CARRIED, MAX_ANCHORS, unchecked};
 use crate::fit::{colours_fit, most_plausible};
 use crate::relations;
 use uniground_language::{Phrase, With};
 
-/// Share of its score that a thing keeps when it lacks what it should carry.
+/// Factor of a score when the instance lacks what it should carry.
 const NOT_CARRIED: f32 = 0.1;
-/// The same for what a thing should carry or have: small things and parts are seldom found.
+/// The same factor for a small object or a part that should be there: they are seldom found.
 const SMALL_NOT_FOUND: f32 = 0.6;
 
-/// Parts of things ("the stool with the orange seat" speaks of the stool's own colour), each with
-/// the nouns known for it; none: any thing.
+/// Parts of things ("the stool with the orange seat" describes the stool's own color), each with
+/// the nouns known to have it. No nouns: any thing.
 const PARTS: &[(&str, &[&str])] = &[
     ("seat", &[]),
     ("back", &[]),
@@ -49,13 +49,14 @@ const PARTS: &[(&str, &[&str])] = &[
     ("panel", &[]),
     ("fabric", &[]),
 ];
-/// Share of its score that a thing keeps when a part is asked for that it is not known for.
+/// Factor of a score when the phrase asks for a part that the instance is not known to have.
 const ODD_PART: f32 = 0.4;
-/// The same where a part has a colour that was not seen on the thing: parts are small.
+/// The same factor where a part has a color that was not measured on the instance: parts are small.
 const PART_OF_OTHER_COLOUR: f32 = 0.25;
 
 impl Assessor<'_> {
-    /// "with the book on it", "with four chairs", "without books", "with the orange seat".
+    /// Multiplies scores by how well each instance has (or lacks) what the phrase says: "with the
+    /// book on it", "with four chairs", "without books", "with the orange seat".
     pub(super) fn apply_with(&self, With { phrase, absent }: &With, scores: &mut [f32]) {
         let singular =
             |part: &str| phrase.head == part || phrase.head.strip_suffix('s') == Some(part);
@@ -92,7 +93,7 @@ impl Assessor<'_> {
             let others = || things.iter().filter(|(t, _)| *t != i);
             match phrase.count {
                 None => others().map(|t| t.1 * carried(t)).fold(0.0, f32::max),
-                // What stands around counts when it stands close.
+                // An instance that stands around counts when it stands close.
                 Some(count) => {
                     let found: f32 = others()
                         .map(|t| t.1 / best * ((carried(t) - 0.3) / 0.2).clamp(0.0, 1.0))
@@ -103,8 +104,8 @@ impl Assessor<'_> {
         };
         let fits: Vec<(usize, f32)> =
             most_plausible(scores, usize::MAX).into_iter().map(|(i, _)| (i, fit_of(i))).collect();
-        // Where none carries such a thing, it was missed: books on a shelf are seldom found one by
-        // one.
+        // Where no instance carries such an object, detection missed it: books on a shelf are
+        // seldom found one by one.
         let missed = !absent && fits.iter().all(|(_, fit)| *fit < CARRIED);
         let mut shares = vec![NOT_CARRIED; scores.len()];
         for (i, fit) in fits {
@@ -130,7 +131,196 @@ impl Assessor<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::direction::DirectionConvention;
+    use crate::{NameIndex, SceneView};
+    use uniground_geometry::boxes::Aabb;
+    use uniground_geometry::colour::{ColourHistogram, ColourName};
+    use uniground_geometry::scene::{Instance, NameGuess, Support};
+    use uniground_geometry::{Point3, Vector3};
     use uniground_models::attributes;
+    use uniground_testing::thing;
+
+    /// 0.6 m by 0.8 m, a diagonal of 1 m, and 1 m high.
+    fn desk(id: u32, x: f32) -> Instance {
+        named("desk", thing(id, [x, 0.0], [0.6, 0.8, 1.0], 0.0, Support::Floor, [90; 3]))
+    }
+
+    fn lamp(id: u32, x: f32, base: f32) -> Instance {
+        named("lamp", thing(id, [x, 0.0], [0.2, 0.2, 0.4], base, Support::Floor, [90; 3]))
+    }
+
+    /// A lamp so far from the side of a desk at `x`.
+    fn lamp_beside(id: u32, x: f32, gap: f32) -> Instance {
+        lamp(id, x + 0.3 + 0.1 + gap, 0.0)
+    }
+
+    fn named(name: &str, instance: Instance) -> Instance {
+        Instance { given_name: Some(name.into()), ..instance }
+    }
+
+    fn red(share: f32, instance: Instance) -> Instance {
+        let mut shares = [0.0; 12];
+        shares[ColourName::Red as usize] = share;
+        shares[ColourName::Green as usize] = 1.0 - share;
+        Instance { colours: ColourHistogram(shares), ..instance }
+    }
+
+    fn with_assessor<T>(instances: &[Instance], of: impl FnOnce(&Assessor) -> T) -> T {
+        let names = NameIndex::of(instances);
+        let extent = Aabb { center: Point3::origin(), size: Vector3::repeat(20.0) };
+        let scene = SceneView { instances, extent, names: &names, appearance: None };
+        of(&Assessor::new(scene, DirectionConvention::Viewer.into()))
+    }
+
+    fn said(head: &str) -> Phrase {
+        Phrase { head: head.into(), ..Phrase::default() }
+    }
+
+    /// What is left of the scores of things that should carry this, or lack it.
+    fn left(instances: &[Instance], scores: &[f32], phrase: Phrase, absent: bool) -> Vec<f32> {
+        let mut scores = scores.to_vec();
+        with_assessor(instances, |assessor| {
+            assessor.apply_with(&With { phrase, absent }, &mut scores);
+        });
+        scores
+    }
+
+    #[track_caller]
+    fn are(found: &[f32], by_hand: &[f32]) {
+        let same = found.len() == by_hand.len()
+            && found.iter().zip(by_hand).all(|(a, b)| (a - b).abs() < 5e-4);
+        assert!(same, "{found:?}, by hand {by_hand:?}");
+    }
+
+    #[test]
+    fn what_lacks_what_it_should_carry_keeps_a_tenth() {
+        let room = [desk(1, 0.0), desk(2, 60.0), lamp(3, 0.0, 1.0)];
+        // 0.1 + 0.9 · fit, or 1 + 0.1 less that.
+        are(&left(&room, &[1.0, 0.5, 0.0], said("lamp"), false), &[1.0, 0.05, 0.0]);
+        are(&left(&room, &[1.0, 0.5, 0.0], said("lamp"), true), &[0.1, 0.5, 0.0]);
+        // What hardly fits is not looked at: a tenth of it.
+        are(&left(&room, &[0.2, 1.0, 0.0], said("lamp"), true), &[0.02, 1.0, 0.0]);
+    }
+
+    #[test]
+    fn what_stands_around_counts_six_tenths() {
+        // Around a desk halves at 0.3 m + 0.25 · 1 m = 0.55 m: 0.6 · 0.5; 0.1 + 0.9 · 0.3.
+        let room = [desk(1, 0.0), desk(2, 60.0), lamp_beside(3, 0.0, 0.55)];
+        are(&left(&room, &[1.0, 1.0, 0.0], said("lamp"), false), &[0.37, 0.1, 0.0]);
+        are(&left(&room, &[1.0, 1.0, 0.0], said("lamp"), true), &[0.73, 1.0, 0.0]);
+        // Inside counts as on: a whole lamp in a wardrobe 1 m high.
+        let room = [desk(1, 0.0), desk(2, 60.0), lamp(3, 0.0, 0.3)];
+        are(&left(&room, &[1.0, 1.0, 0.0], said("lamp"), false), &[1.0, 0.1, 0.0]);
+    }
+
+    #[test]
+    fn where_none_carries_it_it_was_missed() {
+        // 0.6 · 0.4 = 0.24 is none, 0.6 · 0.43333 = 0.26 is one: 0.55 m · √1.5 and · √1.30769.
+        let left = |gap: f32, absent| {
+            let room = [desk(1, 0.0), lamp_beside(2, 0.0, gap)];
+            left(&room, &[1.0, 0.0], said("lamp"), absent)
+        };
+        are(&left(0.673_61, false), &[0.6, 0.0]);
+        are(&left(0.628_95, false), &[0.334, 0.0]);
+        // What lacks it as it should is not missed: 1.1 - (0.1 + 0.9 · 0.24).
+        are(&left(0.673_61, true), &[0.784, 0.0]);
+    }
+
+    #[test]
+    fn carried_things_count_as_far_as_they_are_what_is_said() {
+        // A lamp that is half red: 0.1 + 0.9 · 0.5.
+        let room = [desk(1, 0.0), desk(2, 60.0), red(0.3, lamp(3, 0.0, 1.0))];
+        let phrase = Phrase { colours: vec![ColourName::Red], ..said("lamp") };
+        are(&left(&room, &[1.0, 1.0, 0.0], phrase, false), &[0.55, 0.1, 0.0]);
+    }
+
+    #[test]
+    fn nothing_carries_itself() {
+        let room = [desk(1, 0.0), lamp(2, 0.0, 1.0), lamp(3, 9.0, 0.0)];
+        are(&left(&room, &[0.0, 1.0, 1.0], said("lamp"), false), &[0.0, 0.6, 0.6]);
+    }
+
+    #[test]
+    fn so_many_things_are_counted() {
+        let lamps = |count: Option<u32>| Phrase { count, ..said("lamp") };
+        let two = [desk(1, 0.0), lamp(2, -0.15, 1.0), lamp(3, 0.15, 1.0), desk(4, 9.0)];
+        let one = [desk(1, 0.0), lamp(2, -0.15, 1.0), desk(3, 9.0)];
+        // As many as there are: all. One off: 1 / (1 + (1 / 0.6)²) = 0.264706; 0.1 + 0.9 of it.
+        are(&left(&two, &[1.0, 0.0, 0.0, 0.0], lamps(Some(2)), false)[..1], &[1.0]);
+        are(&left(&one, &[1.0, 0.0, 0.0], lamps(Some(2)), false)[..1], &[0.338_235]);
+        are(&left(&two, &[1.0, 0.0, 0.0, 0.0], lamps(Some(1)), false)[..1], &[0.338_235]);
+        are(&left(&one, &[1.0, 0.0, 0.0], lamps(Some(1)), false)[..1], &[1.0]);
+        // Half red both: each is as good as the best of them, and that fits by a half.
+        let two = two.map(|thing| red(0.3, thing));
+        let red_ones = Phrase { colours: vec![ColourName::Red], ..lamps(Some(2)) };
+        are(&left(&two, &[1.0, 0.0, 0.0, 0.0], red_ones, false)[..1], &[0.55]);
+    }
+
+    #[test]
+    fn what_stands_around_is_counted_where_it_stands_close() {
+        let count = Phrase { count: Some(1), ..said("lamp") };
+        let left = |gap: f32| {
+            let room = [desk(1, 0.0), lamp_beside(2, 0.0, gap)];
+            left(&room, &[1.0, 0.0], count.clone(), false)[0]
+        };
+        // Carried by 0.4: (0.4 - 0.3) / 0.2 = 0.5 of one. 0.6 / (1 + (gap / 0.55)²) is 0.4 at
+        // 0.55 m · √0.5; 1 / (1 + (0.5 / 0.6)²) = 0.590164, and 0.1 + 0.9 of it.
+        are(&[left(0.388_91)], &[0.631_148]);
+        // From 0.5 on it is one: √0.2 · 0.55 m.
+        are(&[left(0.245_97)], &[1.0]);
+        are(&[left(0.05)], &[1.0]);
+        // Below 0.3 it is none: 0.338235 would be more than missed.
+        are(&[left(0.6)], &[0.338_235]);
+    }
+
+    #[test]
+    fn what_was_not_found_leaves_six_tenths_and_denies_nothing() {
+        let room = [desk(1, 0.0), lamp(2, 0.0, 1.0)];
+        are(&left(&room, &[1.0, 0.5], said("piano"), false), &[0.6, 0.3]);
+        are(&left(&room, &[1.0, 0.5], said("piano"), true), &[1.0, 0.5]);
+        are(&left(&room, &[1.0, 0.5], said("zorblax"), false), &[1.0, 0.5]);
+    }
+
+    #[test]
+    fn a_part_s_colour_is_looked_for_on_the_thing() {
+        let room = [red(1.0, desk(1, 0.0)), red(0.3, desk(2, 3.0)), red(0.0, desk(3, 6.0))];
+        let seat = |head: &str| Phrase { colours: vec![ColourName::Red], ..said(head) };
+        // Parts are small: where it is not seen a quarter is left.
+        for head in ["seat", "seats"] {
+            are(&left(&room, &[1.0, 0.8, 1.0], seat(head), false), &[1.0, 0.4, 0.25]);
+        }
+        are(&left(&room, &[1.0, 0.8, 1.0], seat("seat"), true), &[1.0, 0.8, 1.0]);
+        are(&left(&room, &[1.0, 0.0, 1.0], said("seat"), false), &[1.0, 0.0, 1.0]);
+    }
+
+    #[test]
+    fn a_part_of_what_does_not_have_it_leaves_four_tenths() {
+        let room = [desk(1, 0.0), lamp(2, 5.0, 0.0)];
+        are(&left(&room, &[1.0, 1.0], said("drawer"), false), &[1.0, 0.4]);
+        // Without drawers: what is known for them hardly, all else is as it was.
+        are(&left(&room, &[1.0, 1.0], said("drawer"), true), &[0.4, 1.0]);
+        // Any thing may have a frame.
+        are(&left(&room, &[1.0, 1.0], said("frame"), false), &[1.0, 1.0]);
+        are(&left(&room, &[1.0, 1.0], said("frame"), true), &[1.0, 1.0]);
+        let red_drawer = Phrase { colours: vec![ColourName::Red], ..said("drawers") };
+        let room = [red(0.3, desk(1, 0.0)), red(0.3, lamp(2, 5.0, 0.0))];
+        are(&left(&room, &[1.0, 1.0], red_drawer, false), &[0.5, 0.2]);
+    }
+
+    #[test]
+    fn without_a_given_name_the_guesses_tell_what_has_parts() {
+        let guess = |name: &str| vec![NameGuess { name: name.into(), score: 0.5 }];
+        let plain = |id, name| Instance { given_name: None, names: guess(name), ..desk(id, 0.0) };
+        let room = [plain(1, "desk"), plain(2, "sofa")];
+        with_assessor(&room, |assessor| {
+            assert!(assessor.is_named(0, "desk") && !assessor.is_named(1, "desk"));
+        });
+        let room = [named("sofa", plain(1, "desk")), desk(2, 5.0)];
+        with_assessor(&room, |assessor| {
+            assert!(!assessor.is_named(0, "desk"), "the name that somebody gave comes first");
+            assert!(assessor.is_named(1, "desk") && !assessor.is_named(1, "sofa"));
+        });
+    }
 
     #[test]
     fn things_with_parts_are_names_of_the_lexicon() {

@@ -1,4 +1,4 @@
-//! Places in an order: "the second closest", "the leftmost", "the third from the door".
+//! Scores ranks in an order: "the second closest", "the leftmost", "the third from the door".
 
 use super::Assessor;
 use crate::direction::Directions;
@@ -7,35 +7,34 @@ use crate::relations::{self, SeenBy};
 use uniground_geometry::{Vector2, Vector3};
 use uniground_language::{Measure, Relation, RelationKind, Superlative};
 
-/// Each place further from the asked extreme multiplies the score by this.
+/// Each rank away from the requested one multiplies the score by this.
 const NEXT_BEST: f32 = 0.45;
-/// Power of a fit when things are ranked: what hardly fits the noun hardly takes up a place in the
-/// ranking.
+/// Power of a fit when instances are ranked: one that hardly fits the noun hardly takes up a rank.
 const PRESENCE_POWER: i32 = 4;
-/// Windows, doors, screens and pictures are thinner, metres.
+/// Windows, doors, screens and pictures are thinner than this, meters.
 const THIN_M: f32 = 0.2;
-/// What stands on the floor begins below, metres.
+/// An instance that stands on the floor begins below this height, meters.
 const OFF_THE_FLOOR_M: f32 = 0.4;
-/// At this gap from what is looked at a thing is half in view, metres.
+/// An instance at this gap from the one that the viewer faces is half in view, meters.
 const LOOKED_AT_REACH_M: f32 = 1.5;
 
-/// What a place counts by the convention nobody chose where things stand in a row that somebody
-/// would look at from its free side.
+/// Factor of a rank by the default convention, where instances stand in a row that a viewer would
+/// look at from its free side.
 const NOT_FROM_BEFORE_THE_ROW: f32 = 0.85;
-/// What fits this share of the best is one of a row.
+/// An instance with at least this share of the best fit belongs to the row.
 const OF_THE_ROW: f32 = 0.5;
-/// More than these in a line are counted by nobody.
+/// Maximum length of a row: people do not count more instances in a line.
 const LONGEST_ROW: usize = 12;
-/// Share of a row's length that its things stand aside of the line at most.
+/// Maximum distance of an instance from the line, as a share of the row's length.
 const ASIDE: f32 = 0.3;
-/// Where less than this is free, nobody stands to look at a row, metres.
+/// A viewer needs at least this much free space to look at a row, meters.
 const NOBODY_STANDS_M: f32 = 0.6;
-/// What stands as near as this to a thing of a row stands in front of it or behind it, metres.
+/// An instance this close to one of the row stands in front of it or behind it, meters.
 const IN_THE_WAY_M: f32 = 0.5;
 
 impl Assessor<'_> {
-    /// "the largest", "the second from the left"; for each instance, by whose view its place was
-    /// told.
+    /// Applies a superlative ("the largest", "the second from the left") to the scores. Returns,
+    /// for each instance, by whose view its rank was decided.
     pub(super) fn apply_superlative(
         &self,
         superlative: Superlative,
@@ -67,7 +66,7 @@ impl Assessor<'_> {
         seen_by
     }
 
-    /// How well each instance has the asked place, `0..=1`.
+    /// Returns how well each instance has the requested rank, `0..=1`.
     fn places(
         &self,
         superlative: Superlative,
@@ -88,7 +87,7 @@ impl Assessor<'_> {
             Measure::Frontmost => along(i, directions.front),
             Measure::Backmost => -along(i, directions.front),
         };
-        // Who faces a window or a picture has the whole room in view.
+        // A viewer who faces a window or a picture has the whole room in view.
         let floor_z = self.scene.extent.min().z;
         let stands_free = |i: &usize| {
             self.solids[*i].sides().1 > THIN_M && self.solids[*i].bottom < floor_z + OFF_THE_FLOOR_M
@@ -118,9 +117,9 @@ impl Assessor<'_> {
         factors
     }
 
-    /// How somebody looks at the things that may be meant, where these stand in a row and nobody
-    /// tells from where: they stand on its free side, where the room goes on and nothing is in
-    /// the way.
+    /// Returns the directions of a viewer of the instances that may be meant, where these stand in
+    /// a row and the question gives no viewpoint. The viewer stands on the row's free side, where
+    /// the room continues and nothing is in the way.
     fn before_the_row(&self, measure: Measure, scores: &[f32]) -> Option<Directions> {
         let best = scores.iter().copied().fold(0.0, f32::max);
         let row: Vec<usize> = (0..scores.len())
@@ -147,8 +146,8 @@ impl Assessor<'_> {
         Directions::looking_along(Vector3::new(ahead.x, ahead.y, 0.0))
     }
 
-    /// How far it is from a thing of a row to the next thing on one of its sides, or to the wall;
-    /// metres.
+    /// Returns the distance from an instance of a row to the next instance on one of its sides, or
+    /// to the wall; meters.
     fn free(&self, thing: usize, row: &[usize], side: &Vector2<f32>) -> f32 {
         let own = &self.solids[thing];
         let in_the_way = |i: &usize| {
@@ -173,7 +172,7 @@ fn is_sideways(measure: Measure) -> bool {
     matches!(measure, Measure::Leftmost | Measure::Rightmost | Measure::Middle)
 }
 
-/// The direction of the line that points of the ground plan lie on, if they do.
+/// Returns the direction of the line that points of the ground plan lie on, if they lie on one.
 fn line_through(points: &[Vector2<f32>]) -> Option<Vector2<f32>> {
     let middle = points.iter().sum::<Vector2<f32>>() / points.len() as f32;
     let farthest = points
@@ -192,7 +191,7 @@ fn line_through(points: &[Vector2<f32>]) -> Option<Vector2<f32>> {
     points.iter().all(|p| aside(p) <= ASIDE * (ends.1 - ends.0)).then_some(line)
 }
 
-/// How well each instance has the asked place of an order by distance.
+/// Returns how well each instance has the requested rank in an order by distance.
 pub(super) fn ranked(
     relation: &Relation,
     order: &mut [(f32, usize)],
@@ -205,11 +204,11 @@ pub(super) fn ranked(
     nearness_to(&soft_places(order, fits), (relation.rank.max(1) - 1) as f32)
 }
 
-/// For each instance of an order: its index, its place from 0, and how surely it is what is asked
-/// for, `0..=1`.
+/// Returns, for each instance of an order, its index, its rank from 0, and how surely it is what is
+/// asked for, `0..=1`.
 ///
-/// Those ahead count towards the place only as far as they fit themselves: the largest thing that
-/// might be a table is seldom a table.
+/// Instances ahead count towards the rank only as far as they fit themselves: the largest instance
+/// that might be a table is seldom a table.
 fn soft_places(order: &[(f32, usize)], fits: &[f32]) -> Vec<(usize, f32, f32)> {
     let best = order.iter().map(|&(_, t)| fits[t]).fold(f32::EPSILON, f32::max);
     let mut ahead = 0.0;
@@ -221,8 +220,8 @@ fn soft_places(order: &[(f32, usize)], fits: &[f32]) -> Vec<(usize, f32, f32)> {
     order.iter().map(place).collect()
 }
 
-/// How near each instance stands to the asked place (from 0), weighed by how surely it is what is
-/// asked for; scaled so that the best has 1.
+/// Returns how near each instance is to the requested rank (from 0), weighted by how surely it is
+/// what is asked for. Scaled so that the best has 1.
 fn nearness_to(places: &[(usize, f32, f32)], asked: f32) -> Vec<(usize, f32)> {
     let factor = |&(t, place, presence): &(usize, f32, f32)| {
         (t, presence * NEXT_BEST.powf((place - asked).abs()))
@@ -234,12 +233,316 @@ fn nearness_to(places: &[(usize, f32, f32)], asked: f32) -> Vec<(usize, f32)> {
 
 #[cfg(test)]
 mod tests {
+    use super::*;
     use crate::direction::DirectionConvention;
     use crate::{NameIndex, Question, SceneView, ground};
+    use uniground_geometry::Point3;
     use uniground_geometry::boxes::Aabb;
     use uniground_geometry::scene::{Instance, Structure, Support};
-    use uniground_geometry::{Point3, Vector3};
     use uniground_testing::thing;
+
+    fn stool(id: u32, at: [f32; 2]) -> Instance {
+        let stool = thing(id, at, [0.4, 0.4, 0.45], 0.0, Support::Floor, [90, 60, 40]);
+        Instance { given_name: Some("stool".into()), ..stool }
+    }
+
+    /// Far apart: there is room on all sides of what stands in the middle.
+    fn posts(first: u32) -> [Instance; 4] {
+        [(0, [-8.0, -8.0]), (1, [8.0, -8.0]), (2, [-8.0, 8.0]), (3, [8.0, 8.0])]
+            .map(|(i, at)| thing(first + i, at, [0.2, 0.2, 2.6], 0.0, Support::Floor, [90; 3]))
+    }
+
+    fn with_assessor<T>(instances: &[Instance], of: impl FnOnce(&mut Assessor) -> T) -> T {
+        let names = NameIndex::of(instances);
+        let extent =
+            Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(17.0, 17.0, 2.6) };
+        let scene = SceneView { instances, extent, names: &names, appearance: None };
+        of(&mut Assessor::new(scene, DirectionConvention::Viewer.into()))
+    }
+
+    #[track_caller]
+    fn are(found: &[f32], by_hand: &[f32]) {
+        let same = found.len() == by_hand.len()
+            && found.iter().zip(by_hand).all(|(a, b)| (a - b).abs() < 2e-4);
+        assert!(same, "{found:?}, by hand {by_hand:?}");
+    }
+
+    /// Scores of 1 after a superlative.
+    fn placed(instances: &[Instance], measure: Measure, rank: u32) -> Vec<f32> {
+        let mut scores = vec![1.0; instances.len()];
+        with_assessor(instances, |assessor| {
+            let seen = assessor.apply_superlative(Superlative { measure, rank }, &mut scores);
+            assert_eq!(seen, vec![SeenBy::Directions; instances.len()]);
+        });
+        scores
+    }
+
+    #[test]
+    fn every_measure_has_its_own_order() {
+        let sized = |id, at, size, base| thing(id, at, size, base, Support::Nothing, [90; 3]);
+        // Volumes of 0.5, 0.08 and 0.25 m³, heights of 0.5, 2 and 1 m, middles at 1.25, 1 and
+        // 2.5 m; from the left the third, the first, the second; from the front (-Y) the second,
+        // the third, the first.
+        let room = [
+            sized(1, [0.0, 2.0], [1.0, 1.0, 0.5], 1.0),
+            sized(2, [1.0, 0.0], [0.2, 0.2, 2.0], 0.0),
+            sized(3, [-1.0, 1.0], [0.5, 0.5, 1.0], 2.0),
+        ];
+        let (first, second, third) = (1.0, 0.45, 0.202_5);
+        for (measure, by_hand) in [
+            (Measure::Largest, [first, third, second]),
+            (Measure::Smallest, [third, first, second]),
+            (Measure::Tallest, [third, first, second]),
+            (Measure::Shortest, [first, third, second]),
+            (Measure::Highest, [second, third, first]),
+            (Measure::Lowest, [second, first, third]),
+            (Measure::Leftmost, [second, third, first]),
+            (Measure::Rightmost, [second, first, third]),
+            (Measure::Frontmost, [third, first, second]),
+            (Measure::Backmost, [first, third, second]),
+            (Measure::Middle, [1.0, 0.45, 0.45]),
+        ] {
+            let found = placed(&room, measure, 1);
+            assert!(
+                found.iter().zip(by_hand).all(|(a, b)| (a - b).abs() < 1e-4),
+                "{measure:?}: {found:?}, by hand {by_hand:?}"
+            );
+        }
+        // The second from the left is the first of them.
+        are(&placed(&room, Measure::Leftmost, 2), &[1.0, 0.45, 0.45]);
+        are(&placed(&room, Measure::Leftmost, 3), &[0.45, 1.0, 0.202_5]);
+        are(&placed(&room, Measure::Leftmost, 0), &[0.45, 0.202_5, 1.0]);
+    }
+
+    #[test]
+    fn a_place_off_leaves_45_hundredths_and_doubt_counts() {
+        let of = |places: &[(usize, f32, f32)], asked| {
+            let mut factors = nearness_to(places, asked);
+            factors.sort_by_key(|f| f.0);
+            factors.into_iter().map(|f| f.1).collect::<Vec<_>>()
+        };
+        are(&of(&[(0, 0.0, 1.0), (1, 1.0, 1.0), (2, 2.0, 0.25)], 1.0), &[0.45, 1.0, 0.112_5]);
+        // The best of them has all of it: 0.5 / 0.5, and 0.25 · 0.45 / 0.5.
+        are(&of(&[(0, 0.0, 0.5), (1, 1.0, 0.25)], 0.0), &[1.0, 0.225]);
+        // Half a place is √0.45.
+        are(&of(&[(0, 0.0, 1.0), (1, 0.5, 1.0)], 0.0), &[1.0, 0.670_82]);
+        assert!(of(&[], 0.0).is_empty());
+    }
+
+    #[test]
+    fn what_hardly_fits_hardly_takes_a_place() {
+        // Of the best, 0.8, the others have a half: 0.5⁴ = 0.0625 of a place, sure by 0.5².
+        let found = soft_places(&[(9.0, 2), (5.0, 0), (1.0, 1)], &[0.8, 0.4, 0.4]);
+        assert_eq!(found, [(2, 0.0, 0.25), (0, 0.0625, 1.0), (1, 1.0625, 0.25)]);
+    }
+
+    #[test]
+    fn ranks_count_from_the_nearest_or_the_farthest() {
+        let ranked_as = |kind, rank| {
+            let relation =
+                Relation { kind, text: String::new(), anchors: vec![], negated: false, rank };
+            let mut order = [(2.0, 1), (1.0, 0), (2.0, 2)];
+            let mut found = ranked(&relation, &mut order, &[1.0; 3]);
+            found.sort_by_key(|f| f.0);
+            found.into_iter().map(|f| f.1).collect::<Vec<_>>()
+        };
+        // As far: the first of them comes first, and last from the other end.
+        are(&ranked_as(RelationKind::Closest, 1), &[1.0, 0.45, 0.202_5]);
+        are(&ranked_as(RelationKind::Closest, 2), &[0.45, 1.0, 0.45]);
+        are(&ranked_as(RelationKind::Closest, 0), &[1.0, 0.45, 0.202_5]);
+        are(&ranked_as(RelationKind::Farthest, 1), &[0.202_5, 0.45, 1.0]);
+    }
+
+    #[test]
+    fn sideways_what_is_looked_at_draws_to_it() {
+        // A table, and stools at its side and 1.5 m to the left of it, which halves it.
+        let side_table = |size, base| thing(1, [0.0, 0.0], size, base, Support::Floor, [90; 3]);
+        let room = |table| [table, stool(2, [-0.5 - 1.5 - 0.2, 0.0]), stool(3, [0.7, 0.0])];
+        let of = |table: Instance, measure, looked_at| {
+            let mut scores = [0.0, 1.0, 1.0];
+            with_assessor(&room(table), |assessor| {
+                assessor.looked_at = looked_at;
+                assessor.apply_superlative(Superlative { measure, rank: 1 }, &mut scores);
+            });
+            scores
+        };
+        let table = || side_table([1.0, 1.0, 0.7], 0.0);
+        are(&of(table(), Measure::Leftmost, None), &[0.0, 1.0, 0.45]);
+        // 0.5 + 0.5 · 0.5 = 0.75 of it: it takes 0.75⁴ = 0.316406 of a place and is sure by
+        // 0.75² = 0.5625; the other has 0.45^0.316406 = 0.776735. 0.75 · 0.5625 / 0.776735.
+        are(&of(table(), Measure::Leftmost, Some(0)), &[0.0, 0.543_14, 1.0]);
+        // By height it makes no difference.
+        are(&of(table(), Measure::Frontmost, Some(0)), &of(table(), Measure::Frontmost, None));
+        // Who faces a window (thin), or what is off the floor, has the whole room in view.
+        for (size, base, in_view) in [
+            ([1.0, 0.2, 0.7], 0.0, true),
+            ([1.0, 0.21, 0.7], 0.0, false),
+            ([1.0, 1.0, 0.7], 0.41, true),
+            ([1.0, 1.0, 0.7], 0.39, false),
+        ] {
+            let found = of(side_table(size, base), Measure::Leftmost, Some(0));
+            assert_eq!(found[1] > found[2], in_view, "{size:?} {base}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn points_are_in_a_line_up_to_three_tenths_of_its_length() {
+        let line = |points: &[[f32; 2]]| {
+            line_through(&points.iter().map(|p| Vector2::from(*p)).collect::<Vec<_>>())
+        };
+        let along = line(&[[1.0, 1.0], [4.0, 5.0], [2.5, 3.0]]).unwrap();
+        assert!(along.perp(&Vector2::new(0.6, 0.8)).abs() < 1e-5, "{along}");
+        // 4 m long: 1.2 m aside.
+        assert!(line(&[[-2.0, 0.0], [2.0, 0.0], [-1.0, 1.19], [1.0, -1.19]]).is_some());
+        assert!(line(&[[-2.0, 0.0], [2.0, 0.0], [-1.0, 1.21], [1.0, -1.21]]).is_none());
+        // All in one place is no line: within 0.1 m of its middle.
+        assert!(line(&[[3.0, 1.0], [3.0, 1.18]]).is_none());
+        assert!(line(&[[3.0, 1.0], [3.0, 1.22]]).is_some());
+    }
+
+    /// Which way somebody looks at the first things of a room, as a row; `None` where nobody does.
+    fn looks(instances: &[Instance], row: usize) -> Option<[i32; 2]> {
+        let mut scores = vec![0.0; instances.len()];
+        scores[..row].fill(1.0);
+        with_assessor(instances, |assessor| {
+            assessor.directions = DirectionConvention::Paper.into();
+            let seen = assessor.before_the_row(Measure::Leftmost, &scores)?;
+            let ahead = -seen.front;
+            Some([ahead.x.round() as i32, ahead.y.round() as i32])
+        })
+    }
+
+    fn row_of(count: u32, at: impl Fn(f32) -> [f32; 2]) -> Vec<Instance> {
+        (1..=count).map(|id| stool(id, at(id as f32 - f32::midpoint(count as f32, 1.0)))).collect()
+    }
+
+    fn block(id: u32, at: [f32; 2], size: [f32; 3], base: f32) -> Instance {
+        thing(id, at, size, base, Support::Floor, [90; 3])
+    }
+
+    #[test]
+    fn nobody_looks_at_a_row_from_where_they_can_not_stand() {
+        let beside = |y: f32, base: f32| {
+            let mut room = row_of(3, |x| [x, 0.0]);
+            room.push(block(4, [0.0, y], [0.5, 0.5, 1.0], base));
+            room.extend(posts(5));
+            looks(&room, 3)
+        };
+        // A block 0.3 m behind the middle one, from 0.2 m to 0.25 m before its middle.
+        assert_eq!(beside(0.75, 0.0), Some([0, 1]));
+        assert_eq!(beside(-0.75, 0.0), Some([0, -1]));
+        // 0.49 m is in the way, 0.51 m is not, nor what hangs above.
+        assert_eq!(beside(0.45 + 0.49, 0.0), Some([0, 1]));
+        assert_eq!(beside(0.45 + 0.51, 0.0), None);
+        assert_eq!(beside(0.75, 0.5), None);
+        // A deep one reaches as near, though its middle is 2 m away.
+        let mut room = row_of(3, |x| [x, 0.0]);
+        room.push(block(4, [0.0, 2.0], [0.5, 3.0, 1.0], 0.0));
+        room.extend(posts(5));
+        assert_eq!(looks(&room, 3), Some([0, 1]));
+        // A row along a diagonal, something across it.
+        let mut room = row_of(3, |x| [x, x]);
+        room.push(block(4, [-0.6, 0.6], [0.5, 0.5, 1.0], 0.0));
+        room.extend(posts(5));
+        assert_eq!(looks(&room, 3), Some([-1, 1]));
+        // On both sides something: nobody stands anywhere.
+        let mut room = row_of(3, |x| [x, 0.0]);
+        room.push(block(4, [0.0, 0.75], [0.5, 0.5, 1.0], 0.0));
+        room.push(block(5, [0.0, -0.75], [0.5, 0.5, 1.0], 0.0));
+        room.extend(posts(6));
+        assert_eq!(looks(&room, 3), None);
+        // A row along Y, something at +X.
+        let mut room = row_of(3, |y| [0.0, y]);
+        room.push(block(4, [0.75, 0.0], [0.5, 0.5, 1.0], 0.0));
+        room.extend(posts(5));
+        assert_eq!(looks(&room, 3), Some([1, 0]));
+    }
+
+    #[test]
+    fn only_what_stands_across_a_row_is_in_its_way() {
+        let beside = |offset: [f32; 2], structure| {
+            let mut room = row_of(2, |x| [2.0 * x, 0.0]);
+            let at = [1.0 + offset[0], offset[1]];
+            room.push(Instance { structure, ..block(3, at, [0.1, 0.1, 1.0], 0.0) });
+            room.extend(posts(4));
+            looks(&room, 2)
+        };
+        // Within 45 degrees of straight behind it: 0.4 of 0.5 m, more than 0.7; 0.3 is less.
+        assert_eq!(beside([0.3, 0.4], None), Some([0, 1]));
+        assert_eq!(beside([0.4, 0.3], None), None);
+        // A part of the building is the room's.
+        assert_eq!(beside([0.3, 0.4], Some(Structure::Ceiling)), None);
+    }
+
+    #[test]
+    fn a_row_is_two_to_twelve_things_by_default_and_sideways() {
+        let behind = |count: u32| {
+            let mut room = row_of(count, |x| [x, 0.0]);
+            // Behind every one of them.
+            room.extend((1..=count).map(|id| {
+                let x = id as f32 - f32::midpoint(count as f32, 1.0);
+                block(count + id, [x, 0.75], [0.5, 0.5, 1.0], 0.0)
+            }));
+            room.extend(posts(2 * count + 1));
+            looks(&room, count as usize)
+        };
+        let found = [1, 2, 3, 12, 13].map(behind);
+        assert_eq!(found, [None, Some([0, 1]), Some([0, 1]), Some([0, 1]), None]);
+        let mut room = row_of(3, |x| [x, 0.0]);
+        room.push(block(4, [0.0, 0.75], [0.5, 0.5, 1.0], 0.0));
+        room.extend(posts(5));
+        with_assessor(&room, |assessor| {
+            let of = |assessor: &Assessor, measure, scores: [f32; 8]| {
+                assessor.before_the_row(measure, &scores).is_some()
+            };
+            let row = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+            assert!(!of(assessor, Measure::Leftmost, row), "a convention was chosen");
+            assessor.directions = DirectionConvention::Paper.into();
+            for measure in Measure::ALL {
+                let sideways =
+                    matches!(measure, Measure::Leftmost | Measure::Rightmost | Measure::Middle);
+                assert_eq!(of(assessor, measure, row), sideways, "{measure:?}");
+            }
+            // The block is one of the row by half of the best fit: nothing is in the way then.
+            let with_block = |fit| [0.8, 0.8, 0.8, fit, 0.0, 0.0, 0.0, 0.0];
+            assert!(of(assessor, Measure::Leftmost, with_block(0.39)));
+            assert!(!of(assessor, Measure::Leftmost, with_block(0.4)));
+            assert!(!of(assessor, Measure::Leftmost, [0.0; 8]));
+        });
+    }
+
+    #[test]
+    fn before_the_row_the_convention_counts_85_hundredths() {
+        // Something behind three stools: who looks along +Y has -X to the left, the paper +X.
+        let mut room = row_of(3, |x| [x, 0.0]);
+        room.push(block(4, [0.0, 0.75], [0.5, 0.5, 1.0], 0.0));
+        room.extend(posts(5));
+        with_assessor(&room, |assessor| {
+            assessor.directions = DirectionConvention::Paper.into();
+            let mut scores = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+            let leftmost = Superlative { measure: Measure::Leftmost, rank: 1 };
+            let seen = assessor.apply_superlative(leftmost, &mut scores);
+            // From before them 1, 0.45, 0.2025; by the paper 0.85 of 0.2025, 0.45, 1.
+            are(&scores, &[1.0, 0.45, 0.85, 0.0, 0.0, 0.0, 0.0, 0.0]);
+            let by = [SeenBy::WhoFacesIt, SeenBy::WhoFacesIt, SeenBy::Directions];
+            assert_eq!(seen[..3], by);
+        });
+    }
+
+    #[test]
+    fn what_is_free_ends_at_the_next_thing_or_at_the_room() {
+        let mut room = row_of(2, |x| [2.0 * x, 0.0]);
+        room.push(block(3, [1.0, 0.75], [0.5, 0.5, 1.0], 0.0));
+        room.extend(posts(4));
+        with_assessor(&room, |assessor| {
+            let free = |thing, side: Vector2<f32>| assessor.free(thing, &[0, 1], &side);
+            // The posts reach 8.1 m, a stool 0.2 m.
+            are(&[free(1, Vector2::y()), free(1, -Vector2::y())], &[0.3, 7.9]);
+            are(&[free(0, Vector2::y()), free(0, Vector2::x())], &[7.9, 8.9]);
+            // One of the row itself is never in the way.
+            are(&[assessor.free(1, &[0, 1, 2], &Vector2::y())], &[7.9]);
+        });
+    }
 
     #[test]
     fn a_row_is_counted_from_its_free_side() {

@@ -1,8 +1,9 @@
-//! The scene graph: what stands how to what, by the same geometry that answers questions.
+//! The scene graph: spatial relations between instances, by the same geometry that answers
+//! questions.
 //!
-//! Support and parts are what the parse says; `inside`, `above` and `next_to` are the reasoner's
-//! scores ([`relations`]) held against a threshold. Relations that depend on who looks (left of,
-//! behind) are no part of it.
+//! Support and parts come from the parse. `inside`, `above` and `next_to` are the reasoner's scores
+//! ([`relations`]) compared with a threshold. The graph has no relations that depend on the viewer
+//! (left of, behind).
 
 mod written;
 mod zones;
@@ -18,26 +19,26 @@ use uniground_geometry::scene::{Instance, InstanceId, Level, Structure, Support}
 use uniground_types::graph::{GraphEdge, GraphNode, GraphRelation, NodeKind};
 use uniground_types::instances::Levels;
 
-/// A relation of a lesser score is none.
+/// A relation with a lower score does not hold.
 const HOLDS: f32 = 0.5;
-/// A thing is inside another from this share of its volume on.
+/// An instance is inside another from this share of its volume on.
 const MOSTLY: f32 = 0.7;
-/// What holds something is larger than it by this.
+/// A container is larger than its content by at least this factor.
 const HOLDER_VOLUME: f32 = 2.0;
-/// What is higher than another by more than this is not beside it, metres.
+/// An instance that is higher than another by more than this is not beside it, meters.
 const STEP_M: f32 = 0.1;
-/// Two things are told as neighbours where each is among so many nearest of the other, and the
-/// nearest always: in a full shelf everything is near everything, and near a wardrobe stands the
-/// whole room.
+/// Two instances are neighbors where each is among this many nearest of the other, and the nearest
+/// one always is. Otherwise everything in a full shelf would be near everything, and the whole room
+/// would be near a wardrobe.
 const NEIGHBOURS: usize = 4;
 
-/// Where names come from that nobody has given.
+/// Where the guessed names come from, for instances without a given name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Guessed {
-    /// An encoder has seen the things.
+    /// An encoder has embedded the instances.
     ByLooks,
-    /// By sizes and places alone: good enough to choose among what fits a question, not to say what
-    /// a room is.
+    /// From sizes and places alone. Good enough to choose among instances that fit a question, not
+    /// to say what a room is.
     ByMeasures,
 }
 
@@ -51,8 +52,8 @@ pub struct Graph {
 }
 
 impl Graph {
-    /// The graph of a scene: of its things and what the building is made of, with [`Levels::All`]
-    /// of parts and wholes as well. What was dismissed is left out.
+    /// Builds the graph of a scene from its things and structural elements, with [`Levels::All`]
+    /// from parts and wholes as well. Dismissed instances are left out.
     #[must_use]
     pub fn of(scene: SceneView, levels: Levels, guessed: Guessed) -> Self {
         let is_listed = |i: &&Instance| {
@@ -87,8 +88,8 @@ impl Graph {
         Self { nodes, edges }
     }
 
-    /// An instance and what it stands in a relation to, alone; `None` where it is none of the
-    /// graph's.
+    /// Returns the graph of one instance and those it is related to; `None` where the graph does
+    /// not have the instance.
     #[must_use]
     pub fn around(mut self, id: InstanceId) -> Option<Self> {
         let middle = node_id(id);
@@ -119,7 +120,7 @@ fn node(instance: &Instance) -> GraphNode {
     GraphNode {
         id: node_id(instance.id),
         kind,
-        // What people call it is not added to.
+        // A given name is used as it is.
         name: match (instance.structure, &instance.given_name) {
             (None, None) => described(instance),
             _ => instance.label().to_owned(),
@@ -153,7 +154,7 @@ struct Relating<'a> {
 }
 
 impl Relating<'_> {
-    /// What the parse itself says: what is part of what, what carries what.
+    /// Returns the relations of the parse itself: part of, carried by.
     fn told(&self, listed: &[&Instance]) -> Vec<Edge> {
         let mut edges = Vec::new();
         for instance in listed {
@@ -188,14 +189,14 @@ impl Relating<'_> {
         edges.into_iter().flatten().collect()
     }
 
-    /// What is measured between things neither of which carries the other.
+    /// Returns the relations measured between things neither of which carries the other.
     fn measured(
         &self,
         things: &[&Instance],
         carried: &BTreeSet<(InstanceId, InstanceId)>,
     ) -> Vec<Edge> {
         let mut edges = Vec::new();
-        // By thing, what it is above and what it is next to.
+        // By thing: what it is above, and what it is next to.
         let mut below: BTreeMap<InstanceId, Vec<(f32, InstanceId)>> = BTreeMap::new();
         let mut beside: BTreeMap<InstanceId, Vec<(f32, InstanceId)>> = BTreeMap::new();
         for (at, a) in things.iter().map(|thing| thing.id).enumerate() {
@@ -205,10 +206,10 @@ impl Relating<'_> {
                 }
                 match measure(&self.solids[&a], &self.solids[&b]) {
                     Some(Measured::Inside(score)) => {
-                        edges.push(self.edge(a, b, GraphRelation::Inside, score))
+                        edges.push(self.edge(a, b, GraphRelation::Inside, score));
                     }
                     Some(Measured::Around(score)) => {
-                        edges.push(self.edge(b, a, GraphRelation::Inside, score))
+                        edges.push(self.edge(b, a, GraphRelation::Inside, score));
                     }
                     Some(Measured::Above(score)) => below.entry(a).or_default().push((score, b)),
                     Some(Measured::Below(score)) => below.entry(b).or_default().push((score, a)),
@@ -249,7 +250,8 @@ impl Relating<'_> {
         edges.into_iter().flatten().collect()
     }
 
-    /// The floor under the middle of a thing: of several the one that more of it stands over.
+    /// Returns the floor under the middle of an instance. Of several, returns the one that more of
+    /// it stands over.
     fn floor_below(&self, instance: &Instance) -> Option<InstanceId> {
         let own = &self.solids[&instance.id];
         let floors = self
@@ -261,7 +263,7 @@ impl Relating<'_> {
         over.max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1))).map(|(_, floor)| floor)
     }
 
-    /// An edge between two that are both known.
+    /// Returns an edge if the graph has both instances.
     fn edge(
         &self,
         from: InstanceId,
@@ -274,7 +276,7 @@ impl Relating<'_> {
     }
 }
 
-/// How one thing stands to another, with its score.
+/// The measured relation of one instance to another, with its score.
 enum Measured {
     Inside(f32),
     Around(f32),
@@ -283,7 +285,7 @@ enum Measured {
     Beside(f32),
 }
 
-/// The one relation of two things that says most.
+/// Returns the most specific relation of two instances.
 fn measure(a: &Solid, b: &Solid) -> Option<Measured> {
     // No relation reaches further than this, and most pairs of a hall are further apart.
     let reach_m = a.diagonal() + b.diagonal() + 1.0;
@@ -297,8 +299,8 @@ fn measure(a: &Solid, b: &Solid) -> Option<Measured> {
             0.0
         }
     };
-    // What is beside something shares some of its height, or nearly: a lamp at the ceiling is next
-    // to no chair.
+    // Instances that are beside each other overlap in height, or nearly: a lamp at the ceiling is
+    // not next to a chair.
     if a.vertical_gap(b) <= STEP_M {
         return match (inside(a, b), inside(b, a), relations::near(a, b)) {
             (score, _, _) if score >= MOSTLY => Some(Measured::Inside(score)),
@@ -313,7 +315,7 @@ fn measure(a: &Solid, b: &Solid) -> Option<Measured> {
     }
 }
 
-/// The best of others, in falling order.
+/// Returns the best of others, in descending order.
 fn best(
     mut others: Vec<(f32, InstanceId)>,
     most: usize,

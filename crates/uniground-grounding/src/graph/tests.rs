@@ -143,7 +143,7 @@ fn scene_graph(Graph { nodes, edges }: Graph) -> SceneGraph {
     SceneGraph { scene_id: "018f".into(), parse_version: 1, frame, nodes, edges }
 }
 
-/// What measures make of a box is no reason to call a room a kitchen; what an encoder has seen is.
+/// Guesses from measures must not make a room a kitchen; those from an encoder may.
 #[test]
 fn guesses_by_measures_make_no_zone() {
     let mut room = room();
@@ -210,7 +210,8 @@ fn as_graphml_names_are_escaped() {
 }
 
 proptest! {
-    /// Whatever stands wherever: edges join nodes, no pair is next to each other twice, and the same room gives the same graph.
+    /// For any arrangement: edges join nodes, no pair is next to each other twice, and the same
+    /// room gives the same graph.
     #[test]
     fn graphs_hang_together(boxes in prop::collection::vec((-3.0_f32..3.0, -3.0_f32..3.0, 0.05_f32..1.5, 0.05_f32..1.5, 0.0_f32..1.5), 1..25)) {
         let things: Vec<Instance> = boxes

@@ -1,11 +1,11 @@
-//! A scene graph as `GraphML`, and as lines for a language model.
+//! Writes a scene graph as `GraphML`, and as lines for a language model.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use uniground_types::geometry::boxes::Aabb;
 use uniground_types::graph::{GraphEdge, GraphNode, GraphRelation, NodeKind, SceneGraph};
 
-/// `GraphML` (graphml.graphdrawing.org): nodes with kind, name, centre and size, edges with
+/// Returns `GraphML` (graphml.graphdrawing.org): nodes with kind, name, center and size, edges with
 /// relation, score and distance.
 #[must_use]
 pub fn graphml(graph: &SceneGraph) -> String {
@@ -58,7 +58,7 @@ pub fn graphml(graph: &SceneGraph) -> String {
     xml
 }
 
-/// Text within XML. Characters that no XML may hold are left out.
+/// Escapes text for XML. Leaves out characters that XML does not allow.
 fn escaped(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
     for c in text.chars() {
@@ -68,7 +68,7 @@ fn escaped(text: &str) -> String {
             '&' => safe.push_str("&amp;"),
             '"' => safe.push_str("&quot;"),
             '\t' | '\n' | '\r' | ' '..='\u{d7ff}' | '\u{e000}'..='\u{fffd}' | '\u{10000}'.. => {
-                safe.push(c)
+                safe.push(c);
             }
             _ => {}
         }
@@ -76,8 +76,8 @@ fn escaped(text: &str) -> String {
     safe
 }
 
-/// A line for each node, with what it stands in a relation to; each relation is said once, where it
-/// begins.
+/// Returns a line for each node, with its relations. Each relation is written once, at the node
+/// where it begins.
 #[must_use]
 pub fn text(graph: &SceneGraph) -> String {
     let mut lines = String::from("metres, z up; [id] name (middle; size): relations\n");
@@ -129,8 +129,8 @@ pub fn text(graph: &SceneGraph) -> String {
     lines
 }
 
-/// Names that people give may hold anything; a line is a line, and what stands in brackets is an
-/// id.
+/// Makes a name safe for one line: names that people give may contain anything, and only ids may
+/// stand in square brackets.
 fn one_line(name: &str) -> String {
     let words: Vec<&str> = name.split_whitespace().collect();
     words.join(" ").replace('[', "(").replace(']', ")")

@@ -1,4 +1,4 @@
-//! Zones of a scene, by what stands in them.
+//! Finds the zones of a scene by the things that stand in them.
 
 use super::{Guessed, node_id};
 use crate::SceneView;
@@ -11,17 +11,18 @@ use uniground_language::Phrase;
 use uniground_language::zones;
 use uniground_types::graph::{GraphEdge, GraphNode, GraphRelation, NodeKind};
 
-/// Things of a zone stand no further apart, and other things no further from one of them, metres.
+/// Things that make a zone stand no further apart than this, and other members no further from one
+/// of them, meters.
 const REACH_M: f32 = 1.5;
-/// A given name that fits a noun as well as this says it.
+/// A given name that fits a noun at least this well counts as that noun.
 const SAYS: f32 = 0.8;
 
 /// A zone that was found.
 pub(super) struct Zone {
     name: &'static str,
-    /// The things that make it.
+    /// The things that make the zone.
     makers: Vec<InstanceId>,
-    /// Around these.
+    /// Box around these things.
     aabb: Aabb,
     members: Vec<Member>,
 }
@@ -30,7 +31,7 @@ pub(super) struct Zone {
 struct Member {
     id: InstanceId,
     score: f32,
-    /// From what makes the zone, metres.
+    /// Distance from the things that make the zone, meters.
     distance_m: f32,
 }
 
@@ -57,7 +58,7 @@ impl Zone {
         self.members.iter().map(edge).collect()
     }
 
-    /// How surely a thing is in it, and how far it is from what makes it.
+    /// Returns how surely a thing is in the zone, and how far it is from the things that make it.
     fn holding(&self, id: InstanceId, solids: &BTreeMap<InstanceId, Solid>) -> Member {
         let own = &solids[&id];
         let makers = || self.makers.iter().map(|maker| &solids[maker]);
@@ -69,8 +70,8 @@ impl Zone {
     }
 }
 
-/// The zones of a scene: where two kinds of things that make one stand together. Every thing is in
-/// one at most: the one it makes, else the nearest.
+/// Returns the zones of a scene: where two kinds of things that make one stand together. A thing is
+/// in at most one zone: the one it makes, otherwise the nearest.
 pub(super) fn of(
     scene: SceneView,
     things: &[&Instance],
@@ -90,7 +91,7 @@ pub(super) fn of(
                 .filter(|thing| makers.contains(&thing.id))
                 .flat_map(|thing| thing.aabb.corners())
                 .collect();
-            // One desk is no study, nor a door a hallway; a dining table alone tells.
+            // One desk does not make a study, nor a door a hallway; a dining table alone is enough.
             let Some(aabb) = Aabb::around(&corners).filter(|_| kinds.len() > 1 || nouns.len() == 1)
             else {
                 continue;
@@ -111,8 +112,8 @@ pub(super) fn of(
     zones
 }
 
-/// Whether a thing is called by a noun: by the name it was given, else by its best one where it was
-/// seen.
+/// Returns whether a thing has a noun as its name: the given name, otherwise its best guess where
+/// an encoder embedded it.
 fn is_called(scene: SceneView, thing: &Instance, noun: &str, guessed: Guessed) -> bool {
     match scene.names.get(thing.id.0 as usize - 1) {
         Some(name) => {
@@ -127,7 +128,7 @@ fn is_called(scene: SceneView, thing: &Instance, noun: &str, guessed: Guessed) -
     }
 }
 
-/// What stands together: each within reach of another.
+/// Returns the groups of things that stand together: each within reach of another.
 fn clusters(
     makers: &[(InstanceId, usize)],
     solids: &BTreeMap<InstanceId, Solid>,

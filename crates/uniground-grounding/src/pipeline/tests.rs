@@ -1,5 +1,4 @@
-//! The pipeline from end to end over a few things in memory, with a model that says what it is told
-//! to.
+//! Tests of the whole pipeline over a few instances in memory, with a scripted model.
 
 use super::*;
 use crate::Status;
@@ -21,7 +20,7 @@ use uniground_render::RenderScene;
 use uniground_testing::thing;
 use uniground_testing::tiny_encoder;
 
-/// Answers in order, the last one for ever; `None`: it can not be asked.
+/// A model that replies in order and repeats the last reply; `None`: the call fails.
 struct Scripted {
     replies: Mutex<Vec<Option<&'static str>>>,
     asked: Mutex<u32>,
@@ -84,7 +83,7 @@ impl ChatModel for Scripted {
     }
 }
 
-/// Two red chairs of which one stands by the table.
+/// Two red chairs, one of which stands by the table.
 fn room() -> Arc<MemoryScene> {
     let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
     Arc::new(SceneAlbum::new(
@@ -137,8 +136,8 @@ fn the_model_has_the_last_word() {
     assert!(answered.reasoner.starts_with("scripted") && !answered.degraded, "{answered:?}");
 }
 
-/// Reading the question counts: whoever reads with the model and hears only nonsense afterwards has
-/// asked three times, not four.
+/// Parsing the question counts as a call: parsing with the model and getting only unusable replies
+/// afterwards makes three calls, not four.
 #[test]
 fn three_calls_are_made_at_most_reading_included() {
     for (with_parser, replies) in [
@@ -157,7 +156,7 @@ fn three_calls_are_made_at_most_reading_included() {
             "{:?}",
             answered.corrections
         );
-        // What geometry has found stands.
+        // The geometry's result stands.
         assert_eq!(
             (answered.grounding.answer.predicted_id, answered.degraded),
             (Some(InstanceId(2)), true)
@@ -183,7 +182,7 @@ fn a_model_that_can_not_be_asked_is_replaced_or_told() {
     let parser = Arc::new(VlmParser { model: model.clone(), budgets: Vec::new() });
     let unread = Ask { parser, without_parser: WithoutModel::Fail, ..Ask::of(Question::of(QUERY)) };
     assert!(matches!(block_on(answer(&room(), unread)), Err(QuestionError::Unread(_))));
-    // What it said can not be used, but it was asked: the grammar reads.
+    // The reply is unusable, but the model was asked: the grammar parses.
     let model = Scripted::new(&[Some("no JSON")]);
     let parser = Arc::new(VlmParser { model, budgets: Vec::new() });
     let misread =
@@ -193,8 +192,7 @@ fn a_model_that_can_not_be_asked_is_replaced_or_told() {
 
 const READS_A_CHAIR: &str = r#"{"target": {"noun": "chair", "relations": [{"kind": "near", "words": "by", "anchors": [{"noun": "table"}]}]}}"#;
 
-/// "perched" means nothing to the grammar: whoever reads by themselves where they can wants help
-/// with it.
+/// The grammar does not know "perched", so the automatic parser asks the model.
 #[test]
 fn a_model_reads_what_the_grammar_is_in_doubt_about() {
     let asked = |query: &str, replies: &[Option<&'static str>], without_parser| {
@@ -215,7 +213,7 @@ fn a_model_reads_what_the_grammar_is_in_doubt_about() {
     );
     assert!(read.corrections.is_empty() && !read.degraded, "{read:?}");
 
-    // Nobody was promised a model: what the grammar read stands, and that is told.
+    // No model was required: the grammar's reading stands, and the answer reports it.
     for reply in [None, Some("no JSON")] {
         let (stood, calls) = asked(doubtful, &[reply], WithoutModel::BuiltIn);
         let stood = stood.unwrap();
@@ -226,19 +224,19 @@ fn a_model_reads_what_the_grammar_is_in_doubt_about() {
             "{stood:?}"
         );
     }
-    // How many are asked for is no part of what a model says.
+    // The model's reply does not say how many are asked for.
     let (counted, _) = asked(
         "how many chairs are perched by the table",
         &[Some(READS_A_CHAIR)],
         WithoutModel::BuiltIn,
     );
     assert_eq!(counted.unwrap().grounding.count, Some(1));
-    // A measurement wants to know.
+    // An evaluation must see the failure.
     let (failed, _) = asked(doubtful, &[None], WithoutModel::Fail);
     assert!(matches!(failed, Err(QuestionError::Unread(_))), "{failed:?}");
 }
 
-/// The room with a photograph that an encoder has seen, without having seen the things.
+/// The room with a photograph that an encoder embedded, without having embedded the instances.
 fn photographed(folder: &Utf8Path) -> Arc<MemoryScene> {
     let colour = folder.join("0.png");
     RgbImage::from_pixel(1600, 1200, image::Rgb([10, 200, 30])).save(&colour).unwrap();

@@ -1,6 +1,6 @@
-//! The built-in reasoner: deterministic, milliseconds, no model.
+//! The built-in reasoner: deterministic, takes milliseconds, uses no model.
 //!
-//! Scores come from [`assess`](crate::assess); here they become a decision: the best
+//! [`assess`](crate::assess) computes the scores. This module turns them into a decision: the best
 //! instance, a tie, or nothing.
 
 use super::Verdict;
@@ -18,34 +18,34 @@ use uniground_models::attributes::Noun;
 /// Name and version, recorded with answers.
 pub const NAME: &str = "builtin-3";
 
-/// Below this, the best instance is nothing that the target's noun may mean.
+/// Below this fit, the best instance is not what the target's noun may mean.
 const MIN_FIT: f32 = 0.25;
-/// The same for an instance none of whose names is the one asked for.
+/// The same for an instance none of whose names is the requested one.
 const MIN_UNNAMED_FIT: f32 = 0.35;
-/// Below this, no likely thing has the colour asked for.
+/// Below this, no likely instance has the requested color.
 const MIN_COLOUR: f32 = 0.42;
 /// Below this, the best instance contradicts the relations.
 const MIN_SCORE: f32 = 0.12;
-/// Share of the belief that is left where words of the question could not be used: they may have
-/// told the thing from its like.
+/// Factor of the belief where words of the question could not be used: they may have distinguished
+/// the target from its kind.
 const NOT_ALL_UNDERSTOOD: f32 = 0.6;
-/// The same where no noun tells what the thing is: anything may stand there.
+/// The same where no noun says what the target is: it may be anything.
 const NO_NOUN: f32 = 0.6;
-/// The same where what somebody called the thing is only a broader word for what is asked for: a
-/// "pot" for a frying pan.
+/// The same where the given name is only a broader word for the requested one: a "pot" for a frying
+/// pan.
 const CALLED_BROADER: f32 = 0.6;
-/// A measured relation that holds less than this does not hold.
+/// A measured relation with a lower score does not hold.
 const PLAINLY_AGAINST: f32 = 0.15;
-/// A rival this close in score is as good.
+/// An instance with at least this share of the best score is tied with it.
 const TIE: f32 = 0.97;
-/// Where several are asked for, a thing with this share of the best score is one of them.
+/// Where several are asked for, an instance with this share of the best score is one of them.
 const ALSO_MEANT: f32 = 0.5;
 /// Weight of a score under the less likely reading of the words; the other has 1.
 const OTHER_READING: f32 = 0.92;
-/// Power of the scores that share the belief: the higher, the more the best one has.
+/// Power of the scores that share the belief: the higher, the larger the share of the best.
 const BELIEF_POWER: i32 = 4;
 
-/// Decides for one question.
+/// Decides one question.
 #[must_use]
 pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     if parsed.foreign {
@@ -59,7 +59,7 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         .collect();
     let mut order: Vec<usize> = (0..scores.len()).collect();
     order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
-    // The view that won is the one to explain, and that others are told of.
+    // The view with the best score is the one to explain and to compare with others.
     let score_of_best = |read: &Read| order.first().map_or(0.0, |&best| read.score(best));
     let won = (0..read.len()).reduce(|best, next| {
         if score_of_best(&read[next]) > score_of_best(&read[best]) { next } else { best }
@@ -82,8 +82,8 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         let why = format!("No {} stands in the relations asked for.", parsed.target.text());
         return no_match(scores, NoMatchReason::Elsewhere, why);
     }
-    // Green and of some size, but nothing that measures like a fridge, and what may be one is
-    // called otherwise first. An encoder has weighed the names already.
+    // An instance may have the color and some size, yet not the measures of a fridge, and what may
+    // be one has another name first. An encoder has weighed the names already.
     let is_named = name_matches(assessor.scene, &parsed.target, best)
         && is_called(&parsed.target, assessor.scene)(best);
     if assessor.scene.appearance.is_none() && assessment.nouns[best] < MIN_UNNAMED_FIT && !is_named
@@ -96,7 +96,7 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         order.iter().copied().take_while(|&i| scores[i] >= TIE * scores[best]).collect();
     let status =
         if several.is_empty() && tied.len() > 1 { Status::Ambiguous } else { Status::Grounded };
-    // The reading that won is the one to explain.
+    // The reading with the best score is the one to explain.
     let (phrase, assessed) = match (&parsed.other_reading, other) {
         (Some(phrase), Some(other))
             if counts[1] * other.total[best] > counts[0] * assessment.total[best] =>
@@ -110,7 +110,7 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         _ if several.len() > 1 => explain_several(assessor.scene, &parsed.target, &several),
         _ => explain(assessor, phrase, assessed, best, &looked_by(view, &read)),
     };
-    // Several do not share one belief.
+    // Several instances do not share one belief.
     let mut beliefs =
         if parsed.quantity == Quantity::One { beliefs(&scores) } else { scores.clone() };
     let understood = if parsed.not_understood.is_empty() { 1.0 } else { NOT_ALL_UNDERSTOOD };
@@ -142,7 +142,7 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     }
 }
 
-/// Whether any of the things that may be meant has the colours asked for; a related colour alone
+/// Returns whether any instance that may be meant has the requested colors. A related color alone
 /// ("orange" for yellow) is not enough.
 fn colours_agree(assessment: &Assessment, target: &Phrase, scene: SceneView) -> bool {
     let likely = most_plausible(&assessment.nouns, usize::MAX);
@@ -151,13 +151,13 @@ fn colours_agree(assessment: &Assessment, target: &Phrase, scene: SceneView) -> 
         || likely.iter().any(|&(i, _)| colours_fit(scene, target, i) >= MIN_COLOUR)
 }
 
-/// A question, read from one view.
+/// A question, assessed from one view.
 struct Read {
     view: View,
     assessment: Assessment,
-    /// By the second reading of its words.
+    /// Assessment under the second reading of its words.
     other: Option<Assessment>,
-    /// What the scores under the first and the second reading count.
+    /// Weights of the scores under the first and the second reading.
     counts: [f32; 2],
     scores: Vec<f32>,
 }
@@ -177,19 +177,19 @@ impl Read {
         Self { view, assessment, other, counts, scores }
     }
 
-    /// What speaks for an instance if it is this view that is meant, and how sure that is.
+    /// Returns the score of an instance from this view, weighted by how likely the view is.
     fn score(&self, index: usize) -> f32 {
         self.view.sure * self.scores[index]
     }
 }
 
-/// Indices of the things that somebody may look by, that of the view that won first.
+/// Returns indices of the instances that define the views, that of the chosen view first.
 fn looked_by(won: &View, read: &[Read]) -> Vec<usize> {
     let others = read.iter().filter_map(|read| read.view.by).filter(|by| Some(*by) != won.by);
     won.by.into_iter().chain(others).collect()
 }
 
-/// The better of the two readings, instance by instance.
+/// Returns the better of the two readings for each instance.
 fn joint_scores(first: &Assessment, other: Option<&Assessment>, counts: [f32; 2]) -> Vec<f32> {
     match other {
         None => first.total.clone(),
@@ -202,8 +202,8 @@ fn joint_scores(first: &Assessment, other: Option<&Assessment>, counts: [f32; 2]
     }
 }
 
-/// "The thing with candles between the till and the door": of candles that nobody found there,
-/// where they are tells nothing.
+/// Returns whether a phrase's relations belong to an object that was not found. "The thing with
+/// candles between the till and the door": if no candles were found, their place tells nothing.
 fn says_it_of_nothing(assessor: &Assessor, phrase: &Phrase) -> bool {
     let anchors = phrase.relations.iter().flat_map(|relation| &relation.anchors);
     let mut related = phrase
@@ -215,8 +215,8 @@ fn says_it_of_nothing(assessor: &Assessor, phrase: &Phrase) -> bool {
     related.any(|said| assessor.assess(said).total.iter().all(|score| *score < MIN_FIT))
 }
 
-/// Whether what can be measured for sure speaks against an instance: where it rests and what it
-/// touches, not what depends on who looks.
+/// Returns whether a reliable measurement contradicts an instance: its support and what it touches,
+/// not relations that depend on the viewer.
 fn contradicted(target: &Phrase, read: &Assessment, instance: usize) -> bool {
     let measured = target
         .relations
@@ -228,8 +228,8 @@ fn contradicted(target: &Phrase, read: &Assessment, instance: usize) -> bool {
     against || read.own[instance] < MIN_SCORE * read.nouns[instance]
 }
 
-/// All things that are meant where several are asked for: those whose score comes near the best,
-/// best first; where some are called what is asked for before anything else, only those.
+/// Returns all instances that are meant where several are asked for: those whose score comes near
+/// the best, best first. Where some have the requested noun as their first name, only those.
 fn several(
     scores: &[f32],
     order: &[usize],
@@ -270,8 +270,8 @@ fn beliefs(scores: &[f32]) -> Vec<f32> {
         .collect()
 }
 
-/// Whether the name of the instance at an index, or one of its guesses, is what the phrase may
-/// mean.
+/// Returns whether the name of the instance at an index, or one of its guesses, is what the phrase
+/// may mean.
 fn name_matches(scene: SceneView, target: &Phrase, index: usize) -> bool {
     match (target.meaning(), scene.names.get(index)) {
         (Meaning::Anything, _) => true,
@@ -292,7 +292,7 @@ fn name_matches(scene: SceneView, target: &Phrase, index: usize) -> bool {
     }
 }
 
-/// Whether the name of the instance at an index, given or first among its guesses, is what the
+/// Returns whether the name of the instance at an index, given or its first guess, is what the
 /// phrase may mean.
 fn is_called<'a>(target: &Phrase, scene: SceneView<'a>) -> impl Fn(usize) -> bool + 'a {
     let nouns: Vec<&Noun> =
@@ -395,7 +395,7 @@ mod tests {
 
     #[test]
     fn what_an_answer_stands_on_is_told_where_it_is_called_otherwise() {
-        // No cabinet is there: the table has the size of one.
+        // There is no cabinet: the table has the size of one.
         let answer = ask("the blue mug on the cabinet").answer;
         assert_eq!(
             (answer.predicted_id, answer.anchor_id),
@@ -410,8 +410,8 @@ mod tests {
 
     #[test]
     fn whose_left_is_meant_is_told_where_it_is_not_the_convention_s() {
-        // By the paper's convention +X is left; who faces the table from the middle of the room has
-        // +X on the right.
+        // By the paper's convention +X is left. For a viewer who faces the table from the middle of
+        // the room, +X is on the right.
         for (query, faced) in
             [("the red sofa left of the table", true), ("the red sofa right of the table", false)]
         {
@@ -455,7 +455,8 @@ mod tests {
             predicted(ask_with("the leftmost mug", DirectionConvention::Viewer, None)),
             Some(4)
         );
-        // Nobody chose a convention, and nobody stands behind the table, where the room ends.
+        // The convention is the default one, and no viewer stands behind the table, where the room
+        // ends.
         assert_eq!(
             predicted(ask_with("the leftmost mug", DirectionConvention::Paper, None)),
             Some(4)
@@ -539,7 +540,7 @@ mod tests {
 
     #[test]
     fn the_place_by_a_thing_on_it_and_a_seat_at_it() {
-        // Sitting at the table on the only seat, which is behind it, +X is on the left.
+        // Seen from the only seat at the table, which is behind it, +X is on the left.
         let mut instances = room();
         let chair = thing(7, [0.0, 2.3], [0.45, 0.45, 0.9], 0.0, Support::Floor, [90, 60, 40]);
         instances.push(chair);
@@ -560,7 +561,7 @@ mod tests {
             "from the middle of the room"
         );
         assert_eq!(id("facing the table, the mug on the left side of the table"), Some(4));
-        // A piano is nowhere: whoever faces it looks at the mugs.
+        // There is no piano: the viewer is taken to face the mugs.
         assert_eq!(id("facing the piano, the mug on the left"), Some(4));
     }
 

@@ -1,25 +1,25 @@
-//! How often an answer of a belief is right: beliefs come from scores, and scores from different
-//! sources of names deserve different trust.
+//! Calibrates confidence: how often an answer with a given belief is right. Beliefs come from
+//! scores, and scores from different sources of names deserve different trust.
 //!
-//! `confidence.tsv` is fitted by `scripts/fit-confidence.py` to the answers of `uniground eval`.
+//! `scripts/fit-confidence.py` fits `confidence.tsv` to the answers of `uniground eval`.
 
 use crate::SceneView;
 use std::sync::LazyLock;
 
-/// Who tells what a thing is called.
+/// The source of a thing's name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum NamesFrom {
-    /// Sizes, places and colours.
+    /// Sizes, places and colors.
     Measures,
     /// An image and text encoder.
     Encoder,
-    /// Somebody who looked: a person, or a vision-language model. Their beliefs are kept as they
-    /// are.
+    /// A person or a vision-language model that looked at the instance. These beliefs are not
+    /// changed.
     Given,
 }
 
 impl NamesFrom {
-    /// Of the instance at an index.
+    /// Returns the source for the instance at an index.
     pub fn of(scene: SceneView, index: usize) -> Self {
         match scene.names.get(index) {
             Some(_) => Self::Given,
@@ -39,7 +39,7 @@ impl NamesFrom {
     }
 }
 
-/// Belief and share of right answers, of one source.
+/// Reads belief and share of right answers of one source.
 fn read(source: &str) -> Vec<(f32, f32)> {
     let lines = include_str!("confidence.tsv").lines();
     let of_source =
@@ -49,7 +49,7 @@ fn read(source: &str) -> Vec<(f32, f32)> {
         .collect()
 }
 
-/// The share of answers of this belief that are right.
+/// Returns the share of answers with this belief that are right.
 pub(super) fn share_right(belief: f32, names: NamesFrom) -> f32 {
     let curve = names.curve();
     let after = curve.partition_point(|(at, _)| *at <= belief);

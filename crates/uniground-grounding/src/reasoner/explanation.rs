@@ -1,4 +1,4 @@
-//! Why, in words a person can check against the room.
+//! Explains decisions in words that a person can check against the room.
 
 use crate::SceneView;
 use crate::answer::{described, superlative_words};
@@ -11,9 +11,9 @@ use uniground_geometry::scene::Instance;
 use uniground_language::{Meaning, ParsedQuery, Phrase, Relation, RelationKind};
 use uniground_models::attributes;
 
-/// "Instance 13 (brown chair, 0.45 x 0.48 x 0.90 m) is taken for "chair" (0.93), is brown (0.80);
-/// closest to instance 2 (brown table), 0.40 m apart, of 4 chairs (1.00)."
-// Writing to a String can not fail.
+/// Explains a choice: "Instance 13 (brown chair, 0.45 x 0.48 x 0.90 m) is taken for "chair" (0.93),
+/// is brown (0.80); closest to instance 2 (brown table), 0.40 m apart, of 4 chairs (1.00)."
+// Writing to a String cannot fail.
 pub(super) fn explain(
     assessor: &Assessor,
     phrase: &Phrase,
@@ -72,7 +72,7 @@ pub(super) fn explain(
                 let anchor = &instances[a];
                 let gap = assessor.solids[best].gap(&assessor.solids[a]);
                 let (name, score) = (described(anchor), bond.score);
-                // "(grey wall, taken for "door")": whoever reads it sees what the answer stands on.
+                // "(gray wall, taken for "door")" shows the reader what the answer is based on.
                 let mistaken = relation.anchors.first().filter(|said| {
                     assessor.scene.names.get(a).is_none() && !is_called(anchor, said)
                 });
@@ -88,7 +88,7 @@ pub(super) fn explain(
                     anchor.id
                 );
             }
-            // Said of nothing: it can not have decided.
+            // A relation without an anchor cannot have decided.
             None if relation.anchors.is_empty() && !relation.kind.is_of_the_room() => {}
             None => {
                 let _ = write!(text, "; {not}{} ({:.2})", relation.text, bond.score);
@@ -129,7 +129,7 @@ pub(super) fn explain(
     text
 }
 
-/// "further away" is further away from something.
+/// Returns a relation in words: "further away" becomes "further away from".
 fn in_words(relation: &Relation) -> String {
     let preposition = match relation.kind {
         RelationKind::Closest => " to",
@@ -140,7 +140,7 @@ fn in_words(relation: &Relation) -> String {
     format!("{}{}", relation.text, if ends { "" } else { preposition })
 }
 
-/// Whether measures call a thing what a phrase says, before anything else.
+/// Returns whether the measures' first guess for an instance is what a phrase says.
 fn is_called(instance: &Instance, said: &Phrase) -> bool {
     match said.meaning() {
         Meaning::Anything | Meaning::Unknown => true,
@@ -180,7 +180,7 @@ pub(super) fn why_nothing_fits(parsed: &ParsedQuery) -> String {
     }
 }
 
-/// The relations in the question's words; `None` when it has none.
+/// Returns the relations in the question's words; `None` when it has none.
 pub(super) fn relation_words(phrase: &Phrase) -> Option<String> {
     let relations = phrase.relations.iter().map(|r| {
         let anchors: Vec<String> = r.anchors.iter().map(Phrase::text).collect();

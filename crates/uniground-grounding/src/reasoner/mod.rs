@@ -1,4 +1,4 @@
-//! Who decides among the candidates. Built in: names, attributes and relations scored by geometry.
+//! Decides among the candidates. Built in: names, attributes and relations scored by geometry.
 
 pub mod builtin;
 mod confidence;
@@ -8,24 +8,24 @@ mod views;
 use super::{NoMatchReason, Status};
 use uniground_geometry::scene::InstanceId;
 
-/// A decision, before it is made an answer. Vectors are by instance index.
+/// A decision of a reasoner, from which the answer is built. Vectors are by instance index.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Verdict {
     /// `ambiguous` when the best are tied.
     pub status: Status,
-    /// Why nothing is chosen; `None` unless `no_match`.
+    /// Why nothing was chosen; `None` unless the status is `no_match`.
     pub reason: Option<NoMatchReason>,
     /// Fit of each instance to the whole question, `0..=1`.
     pub scores: Vec<f32>,
-    /// How sure each instance is, `0..=1`: where one is asked for, they share the belief; 0 for
+    /// Belief in each instance, `0..=1`. Where one is asked for, they share the belief; 0 for
     /// `no_match`.
     pub beliefs: Vec<f32>,
-    /// Indices of all things a question for several means, best first; empty where one is asked
-    /// for.
+    /// Indices of all instances that a question for several means, best first; empty where one is
+    /// asked for.
     pub several: Vec<usize>,
-    /// Why, in words a person can check against the room.
+    /// The reason, in words that a person can check against the room.
     pub explanation: String,
-    /// The first anchor of its relations, else the viewpoint's; `None` without either, and for
+    /// The first anchor of its relations, otherwise the viewpoint's; `None` without either, and for
     /// `no_match`.
     pub anchor: Option<InstanceId>,
     /// Relations and superlative in the question's words; `None` when it has none, and for

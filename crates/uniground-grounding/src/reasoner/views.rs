@@ -1,30 +1,30 @@
-//! Who looks: somebody that a question tells of, and whom else it may mean. "Facing the desk" is as
-//! many views as there are desks to face.
+//! The views a question may be asked from. "Facing the desk" has as many views as there are desks
+//! to face.
 
 use crate::assess::Assessor;
 use crate::direction::Directions;
 use uniground_language::{Look, ParsedQuery, Phrase, Viewpoint};
 
-/// Somebody who may be meant.
+/// A possible view.
 pub(super) struct View {
-    /// Their left, right, front and back.
+    /// Left, right, front and back of this view.
     pub directions: Directions,
-    /// Index of the thing they look at, look from or have at their back; `None` where the question
-    /// tells of nobody, or nothing is it.
+    /// Index of the instance that the viewer looks at, looks from or has behind; `None` where the
+    /// question gives no viewpoint, or nothing matches it.
     pub by: Option<usize>,
-    /// Whether they look at that thing.
+    /// Whether the viewer looks at that instance.
     is_looked_at: bool,
-    /// How sure it is that they are meant, against the surest, `0..=1`.
+    /// How likely this view is relative to the likeliest, `0..=1`.
     pub sure: f32,
 }
 
-/// How many things somebody may look by are tried.
+/// How many instances are tried as the viewpoint.
 const MOST_VIEWS: usize = 3;
-/// What a view counts beside the surest, however alike the things are.
+/// Maximum weight of a view relative to the likeliest, however alike the instances are.
 const LATER_VIEW: f32 = 0.9;
 /// Headings closer than this, by the cosine, are one view: "facing the two desks".
 const SAME_HEADING: f32 = 0.85;
-/// A seat this near to a table is one at it, metres.
+/// A seat this near to a table is at the table, meters.
 const SEAT_REACH_M: f32 = 1.0;
 
 impl View {
@@ -32,14 +32,14 @@ impl View {
         Self { directions, by: None, is_looked_at: false, sure: 1.0 }
     }
 
-    /// Turns the directions to this view's.
+    /// Sets the assessor's directions to this view's.
     pub fn take(&self, assessor: &mut Assessor) {
         assessor.directions = self.directions;
         assessor.looked_at = self.by.filter(|_| self.is_looked_at);
     }
 }
 
-/// The views a question may be asked from, the surest first; never none.
+/// Returns the views a question may be asked from, the likeliest first; never empty.
 pub(super) fn views(assessor: &Assessor, parsed: &ParsedQuery) -> Vec<View> {
     let Some(viewpoint) = &parsed.viewpoint else {
         return vec![View::of_nobody(assessor.directions)];
@@ -68,14 +68,14 @@ pub(super) fn views(assessor: &Assessor, parsed: &ParsedQuery) -> Vec<View> {
     if views.is_empty() { vec![View::of_nobody(assessor.directions)] } else { views }
 }
 
-/// The directions of somebody who looks by a thing.
+/// Returns the directions of a viewer who looks at, from or away from an instance.
 fn look(
     assessor: &Assessor,
     viewpoint: &Viewpoint,
     standpoint: Option<&Phrase>,
     anchor: usize,
 ) -> Option<Directions> {
-    // Somebody who stands at a thing and looks at another looks along the line between the two.
+    // A viewer who stands at one thing and looks at another looks along the line between the two.
     let at_hand = |phrase: &Phrase, s: usize| {
         phrase.uses.is_empty() || assessor.solids[s].gap(&assessor.solids[anchor]) < SEAT_REACH_M
     };
@@ -87,7 +87,8 @@ fn look(
     Directions::of_look(viewpoint.look, &assessor.solids[anchor], &from)
 }
 
-/// What somebody faces was not found: it is where the things asked for are.
+/// Returns the directions where the thing that the viewer faces was not found: the viewer is taken
+/// to look towards the requested things.
 fn towards_the_target(
     assessor: &Assessor,
     viewpoint: &Viewpoint,

@@ -1,4 +1,4 @@
-//! Whether names and decision agree (paper: MATCHTARGET, INCONSISTENT).
+//! Checks whether names and decision agree (paper: MATCHTARGET, INCONSISTENT).
 
 use super::PromptContext;
 use super::reply::Reply;
@@ -7,20 +7,20 @@ use crate::readings::Readings;
 use std::collections::{BTreeMap, BTreeSet};
 use uniground_language::{Meaning, Phrase};
 
-/// Whether a name somebody gave means what a phrase asks for: "window with an air conditioner" is a
+/// Returns whether a given name means what a phrase asks for: "window with an air conditioner" is a
 /// window.
 pub(super) fn matches(name: &str, target: &Phrase) -> bool {
     target.meaning() == Meaning::Anything
         || GivenName::read(name).is_some_and(|name| Readings::of(target).called(&name) > 0.0)
 }
 
-/// Candidates whose names match the target.
+/// Returns the candidates whose names match the target.
 fn matching(target: &Phrase, names: &BTreeMap<u32, String>) -> Vec<u32> {
     names.iter().filter(|(_, name)| matches(name, target)).map(|(id, _)| *id).collect()
 }
 
-/// Why the chosen candidate's name speaks against it; `None` when nothing does. Where no name
-/// matches at all, the target is found by its anchor, and no name can object.
+/// Returns why the chosen candidate's name contradicts the choice; `None` when it does not. Where
+/// no name matches at all, the target is identified by its anchor, and no name can contradict.
 pub(super) fn disagreement(
     target: &Phrase,
     names: &BTreeMap<u32, String>,
@@ -52,12 +52,12 @@ pub(super) fn disagreement(
     })
 }
 
-/// Best candidates looked at when no name matches.
+/// Number of best candidates whose photographs are shown when no name matches.
 const LOOKED_AT_WITHOUT_NAME: usize = 3;
 
-/// Candidates whose photographs are needed beside their names: those without a name, and those that
-/// the question can not tell apart by name. Relations and comparisons tell namesakes apart by where
-/// they are; colours, traits and parts do not.
+/// Returns the candidates whose photographs are needed beside their names: those without a name,
+/// and those that the question cannot distinguish by name. Relations and comparisons distinguish
+/// namesakes by their places; colors, traits and parts do not.
 pub(super) fn to_be_looked_at(
     context: &PromptContext,
     names: &BTreeMap<u32, String>,
@@ -77,7 +77,7 @@ pub(super) fn to_be_looked_at(
     needed
 }
 
-/// Whether a question tells namesakes apart without a look at them.
+/// Returns whether a question distinguishes namesakes without photographs of them.
 fn told_apart(target: &Phrase, namesakes: &[u32], names: &BTreeMap<u32, String>) -> bool {
     let by_place = !target.relations.is_empty() || target.superlative.is_some();
     let looks: Vec<&str> = target
@@ -103,6 +103,14 @@ fn told_apart(target: &Phrase, namesakes: &[u32], names: &BTreeMap<u32, String>)
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ParsedQuerySummary;
+    use crate::direction::DirectionConvention;
+    use crate::vlm::PromptCandidate;
+    use uniground_geometry::boxes::Aabb;
+    use uniground_geometry::colour::ColourName;
+    use uniground_geometry::scene::InstanceId;
+    use uniground_geometry::{Point3, Vector3};
+    use uniground_language::{Trait, With};
 
     fn target(query: &str) -> Phrase {
         uniground_language::parse(query).target
@@ -143,5 +151,135 @@ mod tests {
         // It says itself that the name does not match, and another's does.
         let both = names(&[(1, "window"), (2, "window")]);
         assert!(disagreement(&asked, &both, 1, &reply(Some(false))).is_some());
+    }
+
+    fn phrase(head: &str) -> Phrase {
+        Phrase { head: head.into(), ..Phrase::default() }
+    }
+
+    fn context(query: &str, ids: &[u32]) -> PromptContext {
+        let aabb = Aabb { center: Point3::origin(), size: Vector3::repeat(1.0) };
+        let candidate =
+            |id: &u32| PromptCandidate { id: InstanceId(*id), score: 0.5, belief: 0.5, aabb };
+        PromptContext {
+            query: query.into(),
+            summary: ParsedQuerySummary {
+                target: String::new(),
+                attributes: Vec::new(),
+                anchors: Vec::new(),
+                relations: Vec::new(),
+                not_understood: Vec::new(),
+            },
+            target: target(query),
+            candidates: ids.iter().map(candidate).collect(),
+            anchors: Vec::new(),
+            shown_anchors: Vec::new(),
+            boxes: Vec::new(),
+            directions: DirectionConvention::Paper.into(),
+            seen_by: String::new(),
+        }
+    }
+
+    #[test]
+    fn any_name_is_a_thing_and_none_that_nobody_could_give_a_window() {
+        assert!(matches("beige wall section", &target("the thing by the door")));
+        assert!(matches("unclear", &target("the thing by the door")));
+        assert!(!matches("unclear", &target("the window")));
+        let of = names(&[(3, "window"), (5, "lamp"), (7, "window with air conditioner")]);
+        assert_eq!(matching(&target("the window"), &of), [3, 7]);
+    }
+
+    #[test]
+    fn a_name_speaks_against_a_choice_only_where_another_s_speaks_for_it() {
+        let asked = target("the window above the dresser");
+        let reply = |matches| Reply { target_name_matches: matches, ..Reply::default() };
+        let of = |named: &[(u32, &str)], chosen, matches| {
+            disagreement(&asked, &names(named), chosen, &reply(matches))
+        };
+        let wall = [(7, "beige wall section"), (22, "window"), (23, "tall window")];
+        for said in [None, Some(true)] {
+            assert_eq!(
+                of(&wall, 7, said).as_deref(),
+                Some(
+                    "it is named \"beige wall section\" and \"window\" is asked for, while ID 22 \
+                     is named \"window\" and ID 23 is named \"tall window\""
+                )
+            );
+            assert_eq!(of(&wall, 22, said), None);
+        }
+        // The model itself says that the name does not match.
+        for (chosen, other) in [(7, "ID 22 is named \"window\" and ID 23"), (22, "ID 23")] {
+            let told = of(&wall, chosen, Some(false)).unwrap();
+            let begins = format!(
+                "says itself that its name does not match \"window\", while {other} is named"
+            );
+            let begins = begins.trim_end_matches(" is named");
+            assert!(told.starts_with(begins), "{told:?} begins with {begins:?}");
+        }
+        // No other fits, or the choice has no name: nothing objects.
+        assert_eq!(of(&[(7, "lamp"), (22, "window")], 22, Some(false)), None);
+        assert_eq!(of(&[(22, "window")], 7, Some(false)), None);
+    }
+
+    #[test]
+    fn who_has_no_name_is_looked_at() {
+        let needed = |query: &str, ids: &[u32], named: &[(u32, &str)]| {
+            let needed = to_be_looked_at(&context(query, ids), &names(named));
+            needed.into_iter().collect::<Vec<_>>()
+        };
+        let one = [(4, "chair"), (5, "lamp")];
+        assert_eq!(needed("the chair", &[4, 5, 6], &one), [6]);
+        assert_eq!(needed("the chair", &[4, 5], &one), [0_u32; 0]);
+        // Nobody has the name: the first three, and who has none.
+        let none = [(4, "lamp"), (9, "lamp"), (5, "lamp"), (2, "lamp")];
+        assert_eq!(needed("the chair", &[9, 4, 5, 2, 3], &none), [3, 4, 5, 9]);
+        // Namesakes, unless the question tells where theirs is.
+        let two = [(4, "chair"), (5, "chair"), (6, "lamp")];
+        assert_eq!(needed("the chair", &[4, 5, 6], &two), [4, 5]);
+        assert_eq!(needed("the chair by the lamp", &[4, 5, 6], &two), [0_u32; 0]);
+        // A namesake that can not be chosen is none.
+        assert_eq!(needed("the chair", &[4, 6], &two), [0_u32; 0]);
+        assert_eq!(needed("the chair", &[6], &two), [6]);
+    }
+
+    #[test]
+    fn place_tells_namesakes_apart_and_looks_only_by_their_names() {
+        let place = || target("the chair by the desk").relations;
+        let largest = || target("the largest chair").superlative;
+        assert!(place().len() == 1 && largest().is_some());
+        let green = || Phrase { colours: vec![ColourName::Green], ..phrase("chair") };
+        let with = || vec![With { phrase: phrase("cushion"), absent: false }];
+        let one = ["green chair", "blue chair"];
+        let both = ["green chair", "green chair"];
+        let neither = ["blue chair", "chair"];
+        for (asked, names_are, expected) in [
+            (phrase("chair"), one, false),
+            (Phrase { relations: place(), ..phrase("chair") }, one, true),
+            (Phrase { superlative: largest(), ..phrase("chair") }, one, true),
+            // One name says the colour, both say it, none says it.
+            (green(), one, true),
+            (green(), both, false),
+            (green(), neither, false),
+            (Phrase { relations: place(), ..green() }, one, true),
+            (Phrase { relations: place(), ..green() }, both, true),
+            (Phrase { relations: place(), ..green() }, neither, false),
+            (Phrase { traits: vec![Trait::Large], ..phrase("chair") }, one, false),
+            (Phrase { traits: vec![Trait::Large], ..green() }, one, false),
+            (
+                Phrase { traits: vec![Trait::Large], ..green() },
+                ["large green chair", "green chair"],
+                true,
+            ),
+            // What it is not and what it has, no name says.
+            (Phrase { other_than: vec![ColourName::Blue], ..phrase("chair") }, one, false),
+            (Phrase { other_than: vec![ColourName::Blue], ..green() }, one, false),
+            (Phrase { with: with(), ..phrase("chair") }, one, false),
+            (Phrase { with: with(), ..green() }, one, false),
+            (Phrase { with: with(), relations: place(), ..phrase("chair") }, one, false),
+        ] {
+            let named = names(&[(1, names_are[0]), (2, names_are[1])]);
+            let found = told_apart(&asked, &[1, 2], &named);
+            assert_eq!(found, expected, "{asked:?} of {names_are:?}");
+        }
     }
 }

@@ -1,4 +1,4 @@
-//! What came of a conversation, and the answer it makes.
+//! The result of a conversation with a model, and how it changes the answer.
 
 use super::consistency::matches;
 use super::reply::{Choice, Field, Reply, SeenAt};
@@ -9,50 +9,50 @@ use std::collections::BTreeMap;
 use uniground_geometry::scene::{Instance, InstanceId};
 use uniground_models::chat::AskError;
 
-/// What a model has decided.
+/// The decision of a model.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Outcome {
     /// The model chose this candidate.
     Chosen(InstanceId),
     /// The model says that nothing fits.
     Nothing,
-    /// The model sees the object, but not among what it may choose; the decision's `seen` says
-    /// where, if it told.
+    /// The model sees the object, but not among the candidates. The decision's `seen` says where,
+    /// if the model said so.
     NotListed,
-    /// The model never chose a candidate, however often it was asked; what it meant is taken for
-    /// this one (Algorithm 1, line 13).
+    /// The model never chose a candidate, however often it was asked. Its choice was projected to
+    /// this candidate (Algorithm 1, line 13).
     Projected(InstanceId),
-    /// The model never said anything that can be used: the geometry's answer stands.
+    /// The model never gave a usable reply: the geometry's answer stands.
     #[default]
     Unknown,
 }
 
-/// A decision and how it came about.
+/// A decision and its record.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Decision {
     /// What was decided, and by whom.
     pub outcome: Outcome,
-    /// The last reply that could be used, or the last one.
+    /// The last usable reply, or the last one.
     pub reply: Reply,
-    /// What each candidate is called, by id; later names replace earlier ones.
+    /// The name of each candidate, by id; later names replace earlier ones.
     pub names: BTreeMap<u32, String>,
-    /// Names given without regard to the question, to be kept.
+    /// Names given independently of the question, to be stored.
     pub new_names: BTreeMap<u32, String>,
-    /// Where the object is seen that is not listed.
+    /// Where the model sees the object that is not listed.
     pub seen: Option<Seen>,
-    /// What was wrong on the way, in order.
+    /// Problems on the way, in order.
     pub corrections: Vec<String>,
 }
 
-/// What a model's word weighs beside the geometry's in the confidence: when it held together at
-/// once, and after a correction.
+/// Weight of the model's decision against the geometry's in the confidence: when its first reply
+/// was consistent, and after a correction.
 const SURE: f32 = 0.7;
 const CORRECTED: f32 = 0.4;
-/// Boxes that overlap by this much are the same thing.
+/// Boxes with at least this overlap are the same thing.
 const SAME_THING: f32 = 0.25;
 
 impl Decision {
-    /// Takes a reply in, if it says more than what is known.
+    /// Applies a reply, if it says more than what is known.
     pub(super) fn take(&mut self, reply: Reply, context: &PromptContext, sent: &[String]) {
         let outcome = match reply.predicted {
             Choice::Id(id) if context.is_candidate(id) => Outcome::Chosen(InstanceId(id)),
@@ -73,20 +73,20 @@ impl Decision {
         }
     }
 
-    /// What was seen, but not listed, is this instance of the scene.
+    /// Sets an instance of the scene as the choice: the object that was seen but not listed.
     #[must_use]
     pub fn found(self, id: InstanceId, why: String) -> Self {
         Self { outcome: Outcome::Chosen(id), seen: None, ..self.noted(why) }
     }
 
-    /// With one more thing that happened on the way.
+    /// Adds a note on what happened.
     #[must_use]
     pub fn noted(mut self, why: String) -> Self {
         self.corrections.push(why);
         self
     }
 
-    /// What was decided after this, and what was wrong on the way to both.
+    /// Returns the later decision, with the notes on both.
     #[must_use]
     pub fn replaced_by(self, mut later: Self) -> Self {
         later.corrections.splice(0..0, self.corrections);
@@ -94,7 +94,7 @@ impl Decision {
         later
     }
 
-    /// A further call failed: whether what was said before is enough.
+    /// Handles the failure of a further call. Returns whether the earlier replies are enough.
     pub(super) fn settle(&mut self, error: &AskError) -> bool {
         let enough = self.outcome != Outcome::Unknown;
         if enough {
@@ -104,8 +104,8 @@ impl Decision {
     }
 
     /// Projects a choice outside of the candidates onto them (paper: PROJECTTOCANDIDATES): the same
-    /// thing under another id, or the only candidate with a fitting name. Where there is
-    /// neither, the geometry's own answer stands, and is not passed off as the model's.
+    /// thing under another id, or the only candidate with a fitting name. Where there is neither,
+    /// the geometry's own answer stands, and is not attributed to the model.
     pub(super) fn project(&mut self, context: &PromptContext) {
         if self.outcome != Outcome::Unknown {
             return;
@@ -135,11 +135,11 @@ impl Decision {
             None => "the built-in reasoner answered".into(),
         };
         self.corrections.push(format!("the model never chose a candidate; {what_then}"));
-        // The reply was about something else.
+        // The reply was about another object.
         self.reply = Reply::default();
     }
 
-    /// Makes the decision the answer: fields, boxes, status, confidence.
+    /// Writes the decision into the answer: fields, boxes, status, confidence.
     pub fn apply(
         &self,
         grounding: &mut Grounding,
@@ -205,7 +205,7 @@ impl Decision {
             Some(instance) => weight + (1.0 - weight) * belief(instance.id),
             None => weight.max(1.0 - grounding.candidates.first().map_or(0.0, |best| best.score)),
         };
-        // Several are told as they were found; the model chose the first of them.
+        // Several targets stay as they were found; the model chose the first of them.
         let own = chosen.map(|instance| target(instance, grounding.confidence));
         grounding.targets.retain(|target| {
             grounding.count.is_some() && own.as_ref().is_some_and(|own| own.id != target.id)
@@ -226,5 +226,409 @@ impl Decision {
         rivals.sort_by(|a, b| b.confidence.total_cmp(&a.confidence).then(a.id.cmp(&b.id)));
         rivals.retain(|r| r.confidence > 0.0);
         grounding.alternatives = rivals;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::answer::candidate;
+    use crate::direction::DirectionConvention;
+    use crate::vlm::reply;
+    use crate::{ParsedQuerySummary, SixFields, Timings};
+    use uniground_geometry::boxes::Aabb;
+    use uniground_geometry::scene::Support;
+    use uniground_geometry::{Point3, Vector3};
+    use uniground_testing::thing;
+
+    fn cube_at(x: f32) -> Aabb {
+        Aabb { center: Point3::new(x, 0.0, 0.5), size: Vector3::repeat(1.0) }
+    }
+
+    fn summary() -> ParsedQuerySummary {
+        ParsedQuerySummary {
+            target: "chair".into(),
+            attributes: Vec::new(),
+            anchors: Vec::new(),
+            relations: Vec::new(),
+            not_understood: Vec::new(),
+        }
+    }
+
+    /// Cubes of a metre, 10 m apart, with ids from 1; so much belief in each is a candidate's.
+    fn context(beliefs: &[f32]) -> PromptContext {
+        let candidates = beliefs.iter().zip(1..).map(|(belief, id)| PromptCandidate {
+            id: InstanceId(id),
+            score: 0.0,
+            belief: *belief,
+            aabb: cube_at(id as f32 * 10.0),
+        });
+        PromptContext {
+            query: "the chair".into(),
+            summary: summary(),
+            target: uniground_language::parse("the chair").target,
+            candidates: candidates.collect(),
+            anchors: Vec::new(),
+            shown_anchors: Vec::new(),
+            boxes: (1..=9).map(|id| cube_at(id as f32 * 10.0)).collect(),
+            directions: DirectionConvention::Paper.into(),
+            seen_by: String::new(),
+        }
+    }
+
+    fn instances() -> Vec<Instance> {
+        (1..=9)
+            .map(|id| thing(id, [id as f32 * 10.0, 0.0], [1.0; 3], 0.0, Support::Floor, [90; 3]))
+            .collect()
+    }
+
+    /// What the geometry said: of so many candidates the first has this score.
+    fn grounding(candidates: u32, best_score: f32) -> Grounding {
+        let of = |id: u32| candidate(&instances()[id as usize - 1], id, best_score / id as f32);
+        Grounding {
+            query: "the chair".into(),
+            status: Status::Ambiguous,
+            no_match_reason: None,
+            seen: None,
+            answer: SixFields {
+                predicted_id: None,
+                explanation: "by geometry".into(),
+                candidate_names: (1..=candidates).map(|id| (id, "grey object".into())).collect(),
+                target_name_matches: None,
+                anchor_id: Some(InstanceId(9)),
+                relation_used: Some("under".into()),
+            },
+            aabb: None,
+            oriented_box: None,
+            confidence: 0.123,
+            candidates: (1..=candidates).map(of).collect(),
+            alternatives: Vec::new(),
+            targets: Vec::new(),
+            count: None,
+            parsed_query: summary(),
+            direction_convention: "paper".into(),
+            timings_ms: Timings::default(),
+        }
+    }
+
+    fn said(predicted: Choice) -> Reply {
+        Reply { predicted, ..Reply::default() }
+    }
+
+    fn chosen(id: u32) -> Decision {
+        let reply = said(Choice::Id(id));
+        Decision { outcome: Outcome::Chosen(InstanceId(id)), reply, ..Decision::default() }
+    }
+
+    fn applied(decision: &Decision, beliefs: &[f32], mut grounding: Grounding) -> Grounding {
+        decision.apply(&mut grounding, &context(beliefs), &instances());
+        grounding
+    }
+
+    #[track_caller]
+    fn is(found: f32, by_hand: f32) {
+        assert!((found - by_hand).abs() < 1e-5, "{found}, by hand {by_hand}");
+    }
+
+    #[test]
+    fn a_reply_decides_if_it_names_a_candidate_or_says_that_there_is_none() {
+        let context = context(&[0.5, 0.3]);
+        for (said_first, expected) in [
+            (Choice::Id(2), Outcome::Chosen(InstanceId(2))),
+            (Choice::Id(3), Outcome::Unknown),
+            (Choice::Nothing, Outcome::Nothing),
+            (Choice::NotListed, Outcome::NotListed),
+            (Choice::Contradiction(1, 2), Outcome::Unknown),
+            (Choice::Missing, Outcome::Unknown),
+        ] {
+            let mut decision = Decision::default();
+            decision.take(said(said_first), &context, &[]);
+            assert_eq!(decision.outcome, expected, "{said_first:?}");
+            assert_eq!(decision.reply.predicted, said_first);
+        }
+    }
+
+    #[test]
+    fn a_reply_that_says_nothing_replaces_none_that_does() {
+        let context = context(&[0.5, 0.3]);
+        let after = |replies: &[Choice]| {
+            let mut decision = Decision::default();
+            replies.iter().for_each(|choice| decision.take(said(*choice), &context, &[]));
+            (decision.outcome, decision.reply.predicted)
+        };
+        let (one, two) = (Outcome::Chosen(InstanceId(1)), Outcome::Chosen(InstanceId(2)));
+        assert_eq!(after(&[Choice::Id(1), Choice::Missing]), (one, Choice::Id(1)));
+        assert_eq!(after(&[Choice::Id(1), Choice::Id(2)]), (two, Choice::Id(2)));
+        assert_eq!(after(&[Choice::Missing, Choice::Id(2)]), (two, Choice::Id(2)));
+        assert_eq!(after(&[Choice::Missing, Choice::Id(7)]), (Outcome::Unknown, Choice::Id(7)));
+        assert_eq!(after(&[Choice::Id(1), Choice::Nothing]), (Outcome::Nothing, Choice::Nothing));
+    }
+
+    #[test]
+    fn pictures_are_counted_from_one() {
+        let context = context(&[0.5]);
+        let sent = ["global", "candidate-1"].map(str::to_owned);
+        let seen = |image| {
+            let seen_at = Some(reply::SeenAt { image, at: [0.25, 0.5], name: "clock".into() });
+            let mut decision = Decision::default();
+            decision.take(Reply { seen_at, ..said(Choice::NotListed) }, &context, &sent);
+            decision.seen
+        };
+        let at = |picture: &str| {
+            Some(Seen { picture: picture.into(), at: [0.25, 0.5], name: "clock".into() })
+        };
+        assert_eq!([1, 2, 3].map(seen), [at("global"), at("candidate-1"), None]);
+    }
+
+    #[test]
+    fn what_happened_on_the_way_is_kept_in_order() {
+        let names = BTreeMap::from([(1, "chair".to_owned())]);
+        let seen = Some(Seen { picture: "global".into(), at: [0.0; 2], name: "chair".into() });
+        let first = Decision {
+            outcome: Outcome::NotListed,
+            new_names: names.clone(),
+            seen,
+            corrections: vec!["one".into()],
+            ..Decision::default()
+        };
+        let found = first.clone().found(InstanceId(4), "two".into());
+        assert_eq!((found.outcome, found.seen), (Outcome::Chosen(InstanceId(4)), None));
+        assert_eq!(found.corrections, ["one", "two"]);
+        assert_eq!(found.new_names, names);
+        let noted = first.noted("two".into());
+        assert_eq!(
+            (noted.outcome, &noted.corrections[..]),
+            (Outcome::NotListed, &["one".to_owned(), "two".into()][..])
+        );
+        let later = Decision {
+            new_names: BTreeMap::from([(2, "lamp".to_owned())]),
+            ..chosen(7).noted("three".into())
+        };
+        let both = noted.replaced_by(later);
+        assert_eq!(both.outcome, Outcome::Chosen(InstanceId(7)));
+        assert_eq!(both.corrections, ["one", "two", "three"]);
+        assert_eq!(both.new_names, names, "names that were paid for first");
+    }
+
+    #[test]
+    fn a_call_that_failed_is_no_loss_where_something_was_decided() {
+        let error = AskError::CallsUsedUp { most: 3 };
+        let mut nothing_said = Decision::default();
+        assert!(!nothing_said.settle(&error));
+        assert_eq!(nothing_said.corrections, [""; 0]);
+        let mut decided = chosen(1);
+        assert!(decided.settle(&error));
+        assert_eq!(
+            decided.corrections,
+            ["asking again failed: no more than 3 calls are made for one question"]
+        );
+    }
+
+    #[test]
+    fn what_was_meant_is_the_candidate_whose_box_it_has_by_a_quarter() {
+        // Two cubes of a metre, d apart, share (1 - d) / (1 + d): a quarter at 0.6 m.
+        let projected = |id: u32, apart: &[f32]| {
+            let mut context = context(&vec![0.1; apart.len()]);
+            for (candidate, apart) in context.candidates.iter_mut().zip(apart) {
+                candidate.aabb = cube_at(70.0 + apart);
+            }
+            let mut decision = Decision { reply: said(Choice::Id(id)), ..Decision::default() };
+            decision.project(&context);
+            assert_eq!(decision.reply, Reply::default(), "it was about something else");
+            (decision.outcome, decision.corrections.join("; "))
+        };
+        let told = |what: &str| format!("the model never chose a candidate; {what}");
+        let nothing = (Outcome::Unknown, told("the built-in reasoner answered"));
+        let has_it = |id: u32| {
+            let why = format!("ID {id} has the box of what the model chose");
+            (Outcome::Projected(InstanceId(id)), told(&why))
+        };
+        assert_eq!(projected(7, &[0.59]), has_it(1));
+        assert_eq!(projected(7, &[0.61]), nothing);
+        assert_eq!(projected(7, &[0.5, 0.1, 0.3]), has_it(2));
+        assert_eq!(projected(6, &[0.0]), nothing);
+        // Ids of nothing.
+        assert_eq!((projected(0, &[0.0]), projected(99, &[0.0])), (nothing.clone(), nothing));
+    }
+
+    #[test]
+    fn else_the_only_candidate_with_a_fitting_name_was_meant() {
+        let projected = |names: &[(u32, &str)], predicted| {
+            let names = names.iter().map(|(id, name)| (*id, (*name).to_owned())).collect();
+            let mut decision = Decision { names, reply: said(predicted), ..Decision::default() };
+            decision.project(&context(&[0.5, 0.3, 0.2]));
+            (decision.outcome, decision.corrections)
+        };
+        let (outcome, why) =
+            projected(&[(1, "lamp"), (2, "red chair"), (8, "chair")], Choice::Missing);
+        assert_eq!(outcome, Outcome::Projected(InstanceId(2)));
+        let told =
+            "the model never chose a candidate; ID 2 is the only candidate with a fitting name";
+        assert_eq!(why, [told]);
+        let two = [(1, "chair"), (2, "red chair")];
+        assert_eq!(projected(&two, Choice::Missing).0, Outcome::Unknown);
+        assert_eq!(projected(&[(1, "lamp")], Choice::Missing).0, Outcome::Unknown);
+        // The box comes first: what it called 3 is the third candidate.
+        let outcome = projected(&[(2, "chair")], Choice::Id(3)).0;
+        assert_eq!(outcome, Outcome::Projected(InstanceId(3)));
+    }
+
+    #[test]
+    fn what_was_decided_is_not_projected() {
+        for outcome in [Outcome::Chosen(InstanceId(1)), Outcome::Nothing, Outcome::NotListed] {
+            let decision = Decision { outcome, reply: said(Choice::Id(2)), ..Decision::default() };
+            let mut after = decision.clone();
+            after.project(&context(&[0.5, 0.3]));
+            assert_eq!(after, decision);
+        }
+    }
+
+    #[test]
+    fn confidence_is_the_model_s_word_and_the_rest_the_geometry_s_belief() {
+        let beliefs = [0.5, 0.3];
+        let of = |decision: &Decision| applied(decision, &beliefs, grounding(2, 0.9)).confidence;
+        is(of(&chosen(1)), 0.85); // 0.7 + 0.3 · 0.5
+        is(of(&chosen(2)), 0.79); // 0.7 + 0.3 · 0.3
+        is(of(&chosen(1).noted("it was asked again".into())), 0.7); // 0.4 + 0.6 · 0.5
+        let projected = Decision {
+            outcome: Outcome::Projected(InstanceId(1)),
+            ..chosen(1).noted("it has the box".into())
+        };
+        is(of(&projected), 0.5);
+        // What is no candidate has no belief.
+        is(of(&chosen(5)), 0.7);
+    }
+
+    #[test]
+    fn that_nothing_fits_is_as_sure_as_the_model_or_as_the_best_is_bad() {
+        let nothing = Decision { outcome: Outcome::Nothing, ..Decision::default() };
+        let of = |decision: &Decision, best, count| {
+            applied(decision, &[0.5, 0.3], grounding(count, best)).confidence
+        };
+        is(of(&nothing, 0.9, 2), 0.7);
+        is(of(&nothing, 0.2, 2), 0.8); // 1 - 0.2
+        is(of(&nothing, 0.2, 0), 1.0);
+        is(of(&nothing.noted("it was asked again".into()), 0.9, 2), 0.4);
+    }
+
+    #[test]
+    fn a_choice_has_its_box_and_rivals_share_what_is_left() {
+        let beliefs = [0.5, 0.2, 0.0, 0.3, 0.2];
+        let of = |decision: &Decision| applied(decision, &beliefs, grounding(5, 0.9));
+        let rivals = |answer: &Grounding| {
+            answer.alternatives.iter().map(|a| (a.id.0, a.confidence)).collect::<Vec<_>>()
+        };
+        let answer = of(&chosen(1));
+        let own = &instances()[0];
+        assert_eq!((answer.status, answer.answer.predicted_id), (Status::Grounded, Some(own.id)));
+        assert_eq!((answer.aabb, answer.oriented_box), (Some(own.aabb), Some(own.oriented_box)));
+        assert_eq!((answer.no_match_reason, answer.seen.clone(), answer.count), (None, None, None));
+        assert_eq!(answer.targets.iter().map(|t| t.id.0).collect::<Vec<_>>(), [1]);
+        is(answer.targets[0].confidence, 0.85);
+        // 0.3 of their beliefs, those without any left out; of equals the first.
+        let found = rivals(&answer);
+        assert_eq!(found.iter().map(|rival| rival.0).collect::<Vec<_>>(), [4, 2, 5]);
+        is(found[0].1, 0.09);
+        is(found[1].1, 0.06);
+        // 0.6 of them after a correction.
+        is(rivals(&of(&chosen(1).noted("it was asked again".into())))[0].1, 0.18);
+        let nothing = of(&Decision { outcome: Outcome::Nothing, ..Decision::default() });
+        assert_eq!(
+            (nothing.status, nothing.no_match_reason, nothing.answer.predicted_id),
+            (Status::NoMatch, Some(NoMatchReason::NoneSeen), None)
+        );
+        assert_eq!((nothing.aabb, nothing.oriented_box), (None, None));
+        assert_eq!((rivals(&nothing), nothing.targets.len()), (vec![], 0));
+    }
+
+    #[test]
+    fn only_what_is_not_listed_has_a_place_in_a_picture() {
+        let seen = Some(Seen { picture: "global".into(), at: [0.1, 0.2], name: "clock".into() });
+        let of = |outcome| {
+            let decision = Decision { outcome, seen: seen.clone(), ..Decision::default() };
+            let answer = applied(&decision, &[0.5], grounding(1, 0.5));
+            (answer.no_match_reason, answer.seen)
+        };
+        assert_eq!(of(Outcome::NotListed), (Some(NoMatchReason::NotListed), seen.clone()));
+        assert_eq!(of(Outcome::Nothing), (Some(NoMatchReason::NoneSeen), None));
+        assert_eq!(of(Outcome::Chosen(InstanceId(1))), (None, None));
+    }
+
+    #[test]
+    fn of_several_the_choice_comes_first_and_is_counted_once() {
+        let several = |ids: &[usize], count: Option<u32>, decision: &Decision| {
+            let targets = ids.iter().map(|id| target(&instances()[id - 1], 0.4)).collect();
+            let before = Grounding { targets, count, ..grounding(3, 0.9) };
+            let after = applied(decision, &[0.5, 0.3, 0.1], before);
+            let ids = |ids: Vec<InstanceId>| ids.iter().map(|id| id.0).collect::<Vec<_>>();
+            (
+                ids(after.targets.iter().map(|t| t.id).collect()),
+                after.count,
+                ids(after.alternatives.iter().map(|a| a.id).collect()),
+            )
+        };
+        assert_eq!(several(&[2, 3], Some(2), &chosen(1)), (vec![1, 2, 3], Some(3), vec![]));
+        assert_eq!(several(&[2, 1], Some(2), &chosen(1)), (vec![1, 2], Some(2), vec![3]));
+        assert_eq!(several(&[2, 3], None, &chosen(1)), (vec![1], None, vec![2, 3]));
+        let nothing = Decision { outcome: Outcome::Nothing, ..Decision::default() };
+        assert_eq!(several(&[2, 3], Some(2), &nothing), (vec![], Some(0), vec![]));
+    }
+
+    #[test]
+    fn names_are_kept_of_what_the_answer_tells_of() {
+        let names = [(1, "red chair"), (7, "lamp")].map(|(id, name)| (id, name.to_owned()));
+        let decision = Decision { names: BTreeMap::from(names), ..chosen(1) };
+        let answer = applied(&decision, &[0.5, 0.3], grounding(2, 0.9));
+        let told = [(1, "red chair"), (2, "grey object")].map(|(id, name)| (id, name.to_owned()));
+        assert_eq!(answer.answer.candidate_names, BTreeMap::from(told));
+        let names: Vec<&str> = answer.candidates.iter().map(|c| c.name.as_str()).collect();
+        assert_eq!(names, ["red chair", "grey object"]);
+    }
+
+    #[test]
+    fn fields_that_could_not_be_read_stay_the_geometry_s() {
+        let of = |outcome, reply: Reply| {
+            let corrections = vec!["it has the box".to_owned()];
+            let decision = Decision { outcome, reply, corrections, ..Decision::default() };
+            let answer = applied(&decision, &[0.5, 0.3], grounding(2, 0.9)).answer;
+            (
+                answer.anchor_id.map(|id| id.0),
+                answer.relation_used,
+                answer.explanation,
+                answer.target_name_matches,
+            )
+        };
+        let reply = |anchor_id, not_read: &[Field]| Reply {
+            anchor_id,
+            relation_used: Some("above".into()),
+            explanation: Some("it fits".into()),
+            target_name_matches: Some(true),
+            not_read: not_read.iter().map(|field| field.title()).collect(),
+            ..said(Choice::Id(1))
+        };
+        let one = Outcome::Chosen(InstanceId(1));
+        let (above, under) = (Some("above".to_owned()), Some("under".to_owned()));
+        let fits = || "it fits".to_owned();
+        let yes = Some(true);
+        assert_eq!(of(one, reply(Some(2), &[])), (Some(2), above.clone(), fits(), yes));
+        let without = |field| of(one, reply(Some(2), &[field]));
+        assert_eq!(without(Field::AnchorId), (Some(9), above.clone(), fits(), yes));
+        assert_eq!(without(Field::RelationUsed), (Some(2), under.clone(), fits(), yes));
+        // A thing is no anchor of itself, and what is none of the scene is none.
+        for anchor in [None, Some(1), Some(0), Some(10), Some(4000)] {
+            assert_eq!(of(one, reply(anchor, &[])).0, None, "{anchor:?}");
+        }
+        assert_eq!(of(Outcome::Nothing, reply(Some(1), &[])), (Some(1), above, fits(), None));
+        // A projected choice is not what the reply was about.
+        let projected = of(Outcome::Projected(InstanceId(1)), reply(Some(2), &[]));
+        assert_eq!(projected, (Some(9), under, "it has the box".into(), yes));
+        let silent = of(one, said(Choice::Id(1)));
+        assert_eq!(silent, (None, None, "The model gave no explanation.".into(), None));
+    }
+
+    #[test]
+    fn where_nothing_was_decided_the_geometry_s_answer_stands() {
+        let before = grounding(2, 0.9);
+        assert_eq!(applied(&Decision::default(), &[0.5, 0.3], before.clone()), before);
     }
 }

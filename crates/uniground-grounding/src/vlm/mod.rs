@@ -2,12 +2,12 @@
 //! (paper, Algorithm 1; docs/METHOD.md, section 4).
 //!
 //! ```text
-//! context (candidates, anchors, directions) -> evidence (render, collages) -> prompt -> model -> reply -> checks
-//!                                                                              ^------- what was wrong -----|
+//! context -> evidence (render, collages) -> prompt -> model -> reply -> checks
+//!                                           ^------ what was wrong -------|
 //! ```
-//! The built-in reasoner has run before: candidates, anchors and directions come from it. The model
-//! decides. Its reply is checked, and where the reply does not hold together the model is asked
-//! again. Every call is remembered by its [`Session`].
+//! The built-in reasoner runs first: candidates, anchors and directions come from it. The model
+//! decides. Its reply is checked, and an inconsistent reply makes the model be asked again. The
+//! [`Session`] records every call.
 
 mod consistency;
 mod decision;
@@ -30,30 +30,30 @@ use reply::{Choice, Reply};
 use std::collections::BTreeMap;
 use uniground_models::chat::{AskError, ChatRequest, Part, Picture, Session};
 
-/// Calls one question may take, reading it included (docs/METHOD.md, section 4).
+/// Maximum number of calls for one question, parsing it included (docs/METHOD.md, section 4).
 pub const MAX_CALLS: u32 = 3;
 
-/// How a model is asked.
+/// Options of the prompt.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Options {
-    /// Which part of the paper's prompt is left out (App. C.3).
+    /// The part of the paper's prompt that is left out (App. C.3).
     pub ablation: Ablation,
     /// Whether photographs of all candidates are sent, or names in their place.
     pub evidence: EvidenceMode,
-    /// What the model is told.
+    /// The version of the prompt.
     pub prompt: PromptVersion,
-    /// Ask for JSON by schema instead of six lines.
+    /// Whether to ask for JSON by schema instead of six lines.
     pub json: bool,
 }
 
-/// What one question is decided from.
+/// The input of one decision.
 #[derive(Debug, Clone)]
 pub struct Conversation<'a> {
-    /// What the prompt tells.
+    /// The content of the prompt.
     pub context: &'a PromptContext,
-    /// All pictures at hand; ablation and names decide which of them are sent.
+    /// All available pictures; ablation and names decide which of them are sent.
     pub evidence: &'a VisualEvidence,
-    /// How the model is asked.
+    /// Options of the prompt.
     pub options: Options,
     /// Names that were given before, by id.
     pub names: BTreeMap<u32, String>,
@@ -62,21 +62,21 @@ pub struct Conversation<'a> {
     pub unnamed: Option<(Picture, Vec<u32>)>,
 }
 
-/// Why the model could not decide, with the names that were paid for before that.
+/// Why the model could not decide, with the names that it gave before.
 #[derive(Debug, thiserror::Error)]
 #[error("{error}")]
 pub struct Undecided {
     /// Why the call failed or was not made.
     #[source]
     pub error: AskError,
-    /// Names to keep, by id; "" for what the model did not name.
+    /// Names to store, by id; "" for an instance that the model did not name.
     pub new_names: BTreeMap<u32, String>,
 }
 
-/// Asks until the answer holds together, at most as often as the session allows.
+/// Asks until the reply is consistent, at most as often as the session allows.
 ///
 /// # Errors
-/// [`Undecided`] when a call fails and no reply before it can be used.
+/// [`Undecided`] when a call fails and no earlier reply is usable.
 pub async fn decide(
     conversation: &Conversation<'_>,
     session: &mut Session<'_>,
@@ -90,7 +90,7 @@ pub async fn decide(
         decision.new_names = naming::read(&text, &ids);
         names.extend(decision.new_names.clone());
     }
-    // What could not be named is shown instead.
+    // An instance that could not be named is shown instead.
     names.retain(|_, name| options.uses_names() && !name.is_empty());
     let shown = conversation.shown(&names);
     let mut request = prompt::spatial(conversation, &shown, &names);
@@ -137,22 +137,22 @@ pub async fn decide(
 }
 
 impl Options {
-    /// Whether names take part. They stand for photographs, so the ablation that leaves those out
-    /// leaves out names as well.
+    /// Returns whether names are used. They replace photographs, so the ablation that leaves out
+    /// photographs leaves out names as well.
     #[must_use]
     pub fn uses_names(self) -> bool {
         self.evidence == EvidenceMode::CachedNames
             && !matches!(self.ablation, Ablation::NoCandidate | Ablation::RawRender)
     }
 
-    /// Whether the prompt is the paper's bare one.
+    /// Returns whether the prompt is the paper's bare one.
     fn is_simple(self) -> bool {
         matches!(self.ablation, Ablation::SimplePrompt | Ablation::RawRender)
     }
 }
 
 impl Conversation<'_> {
-    /// The first request for a decision, with the names that were known before.
+    /// Returns the first request for a decision, with the names that were known before.
     #[must_use]
     pub fn first_request(&self) -> ChatRequest {
         let mut names = self.names.clone();
@@ -160,7 +160,7 @@ impl Conversation<'_> {
         prompt::spatial(self, &self.shown(&names), &names)
     }
 
-    /// The pictures of the first call.
+    /// Returns the pictures of the first call.
     fn shown(&self, names: &BTreeMap<u32, String>) -> VisualEvidence {
         let mut shown = self.evidence.clone();
         match self.options.ablation {
@@ -179,8 +179,8 @@ impl Conversation<'_> {
         shown
     }
 
-    /// The pictures of another call. Paper: the renders and the images of the candidate that was
-    /// chosen.
+    /// Returns the pictures of another call. Paper: the renders and the images of the chosen
+    /// candidate.
     fn shown_again(&self, correction: &Correction, shown: &VisualEvidence) -> VisualEvidence {
         match correction {
             Correction::Inconsistent { id, .. } => {
@@ -195,7 +195,7 @@ impl Conversation<'_> {
     }
 }
 
-/// Names of the pictures in a request, in order.
+/// Returns the names of the pictures in a request, in order.
 fn pictures_of(request: &ChatRequest) -> Vec<String> {
     let name = |part: &Part| match part {
         Part::Picture(picture) => Some(picture.name.clone()),
@@ -204,7 +204,7 @@ fn pictures_of(request: &ChatRequest) -> Vec<String> {
     request.user.iter().filter_map(name).collect()
 }
 
-/// Asks which of many candidates, shown on contact sheets, may be meant: at most three, the
+/// Asks which of many candidates, shown on contact sheets, may be meant. Returns at most three, the
 /// likeliest first.
 ///
 /// # Errors
@@ -220,7 +220,7 @@ pub async fn narrow(
     Ok(ids)
 }
 
-/// What is to be asked again, and why.
+/// Returns what to ask again, and why.
 fn wrong_with(
     reply: &Reply,
     context: &PromptContext,
@@ -255,7 +255,7 @@ impl Correction {
     }
 }
 
-/// For the trace.
+/// Describes a correction for the trace.
 fn told(correction: &Correction) -> String {
     match correction {
         Correction::OutOfSet { id } => format!("the model answered ID {id}, which is no candidate"),

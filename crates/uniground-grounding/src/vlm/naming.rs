@@ -1,4 +1,4 @@
-//! Names that do not depend on any question: asked for once, from photographs alone, and kept.
+//! Names that do not depend on any question: requested once, from photographs alone, and stored.
 
 use super::reply;
 use super::visual_evidence::encoded;
@@ -9,11 +9,10 @@ use uniground_geometry::scene::InstanceId;
 use uniground_models::chat::{ChatRequest, Part, Picture};
 use uniground_render::{Shot, Tile, mosaic, mosaic_tiles};
 
-/// Raised when what models are told to name instances changes: names given before are asked for
-/// again.
+/// Version of the naming prompt. Raising it makes models name all instances again.
 pub const NAMING_VERSION: u32 = 2;
 
-/// Name and version of a model as it names instances, recorded with answers.
+/// Returns name and version of a model as it names instances, recorded with answers.
 #[must_use]
 pub fn namer(model: &str) -> String {
     format!("{model} (naming {NAMING_VERSION})")
@@ -25,17 +24,17 @@ const COLUMNS: u32 = 4;
 const TILE_PX: u32 = 256;
 
 const SYSTEM: &str = "You name objects in photographs.";
-/// Longer names are descriptions.
+/// Longer names are descriptions, and are ignored.
 const MAX_NAME_CHARS: usize = 80;
 
-/// What covers fewer pixels of its best photograph nobody can name.
+/// An instance that covers fewer pixels of its best photograph cannot be named.
 const LEAST_PX: f32 = 12.0 * 12.0;
 
-/// A sheet of instances to be named, and the ids on it: those that can be seen well enough. `None`
-/// where none can.
+/// Returns a sheet of instances to be named, and the ids on it: those that are visible enough.
+/// `None` where none is.
 ///
 /// # Errors
-/// The cloud can not be read.
+/// The cloud cannot be read.
 pub fn sheet_of<S: SceneSource>(
     source: &S,
     number: usize,
@@ -44,7 +43,7 @@ pub fn sheet_of<S: SceneSource>(
     contact_sheet(source, format!("names-{number}"), ids)
 }
 
-/// One photograph of each instance on a sheet of this name, and the ids on it.
+/// Returns a sheet of this name with one photograph of each instance, and the ids on it.
 pub(super) fn contact_sheet<S: SceneSource>(
     source: &S,
     name: String,
@@ -58,14 +57,14 @@ pub(super) fn contact_sheet<S: SceneSource>(
     Ok((!shots.is_empty()).then(|| (sheet(name, &shots), seen)))
 }
 
-/// Where the photographs are on the sheet of these instances, all of which are on it.
+/// Returns where the photographs are on the sheet of these instances, all of which are on it.
 pub(super) fn tiles<S: SceneSource>(source: &S, ids: &[InstanceId]) -> Result<Vec<Tile>, S::Error> {
     let shots = shots_of(source, ids)?;
     let shots: Vec<&Shot> = shots.iter().map(|(_, shot)| shot).collect();
     Ok(mosaic_tiles(&shots, columns(shots.len()), TILE_PX))
 }
 
-/// One photograph of each instance that can be seen well enough.
+/// Returns one photograph of each instance that is visible enough.
 fn shots_of<S: SceneSource>(
     source: &S,
     ids: &[InstanceId],
@@ -86,7 +85,7 @@ fn sheet(name: String, shots: &[(InstanceId, Shot)]) -> Picture {
     encoded(name, &mosaic(&tiles, columns(tiles.len()), TILE_PX))
 }
 
-/// The question for one sheet.
+/// Returns the request for one sheet.
 #[must_use]
 pub fn request(sheet: Picture, ids: &[u32]) -> ChatRequest {
     let list = ids.iter().map(|id| format!("ID {id}")).collect::<Vec<_>>().join(", ");
@@ -105,13 +104,13 @@ ID -> name"
     }
 }
 
-/// The names in a reply, of those that were asked for. What a reply passes over has the name "": it
-/// is not asked about again, and its photographs are shown instead.
+/// Returns the names in a reply, of the requested ids. An id that the reply skips gets the name "":
+/// the model is not asked about it again, and its photographs are shown instead.
 #[must_use]
 pub fn read(text: &str, ids: &[u32]) -> BTreeMap<u32, String> {
     let mut names = reply::names_in(text);
     names.retain(|id, name| ids.contains(id) && name.chars().count() <= MAX_NAME_CHARS);
-    // Who can not tell has said so: no name.
+    // A reply that the object is unclear is no name.
     names.values_mut().filter(|name| GivenName::read(name).is_none()).for_each(String::clear);
     if !names.is_empty() {
         for id in ids {

@@ -1,5 +1,5 @@
-//! Photographs that are offered without being asked for: where no candidate fits, what is meant may
-//! be in no instance, and yet in a picture.
+//! Offers photographs without being asked: where no candidate fits, the target may be in no
+//! instance, and yet in a picture.
 
 use super::prompt_context::PromptContext;
 use super::visual_evidence::{Photograph, encoded};
@@ -8,16 +8,17 @@ use crate::pipeline::QuestionError;
 use crate::scene_source::SceneSource;
 use image::{RgbImage, imageops};
 
-/// Photographs offered; each costs as much as a candidate's collage.
+/// Number of photographs offered; each costs as much as a candidate's collage.
 const OFFERED: usize = 2;
-/// The longer side of a photograph that is offered, pixels.
+/// Maximum size of the longer side of an offered photograph, pixels.
 const MOST_PX: u32 = 768;
-/// Candidates that fit worse than this, the best one of them included, do not fit. Where rooms 1
-/// and 2 list the target the best one is above it nine times in ten.
+/// Photographs are offered if the best candidate fits worse than this. In rooms 1 and 2, where the
+/// target is listed, the best candidate is above it nine times in ten.
 const FITS: f32 = 0.5;
 
-/// The photographs of a scene that look most like the target, where no candidate fits it and the
-/// model may say what is not listed; none where no encoder has seen the frames.
+/// Returns the photographs of a scene that look most like the target, where no candidate fits it
+/// and the prompt lets the model answer "not listed". Returns none where no encoder has embedded
+/// the frames.
 ///
 /// # Errors
 /// The encoder fails.
@@ -29,7 +30,7 @@ pub fn offered<S: SceneSource>(
     let may_be_told = options.prompt == PromptVersion::Revised
         && !matches!(options.ablation, Ablation::SimplePrompt | Ablation::RawRender);
     let fits = context.candidates.iter().any(|candidate| candidate.score >= FITS);
-    // Without the encoder that has seen the scene the answer says so already.
+    // Without the encoder that embedded the scene, the answer says so already.
     let (Some(frames), Ok(Some((encoder, _)))) = (source.frame_embeddings(), source.embeddings())
     else {
         return Ok(Vec::new());
@@ -49,7 +50,7 @@ pub fn offered<S: SceneSource>(
     Ok(offered.collect())
 }
 
-/// A picture of at most [`MOST_PX`] along its longer side.
+/// Returns a picture of at most [`MOST_PX`] along its longer side.
 fn smaller(picture: RgbImage) -> RgbImage {
     let (width, height) = picture.dimensions();
     let longer = width.max(height);

@@ -1,5 +1,5 @@
 //! The prompt, block by block in the paper's order (appendix, "Details of Textual Prompt Design").
-//! A block whose input is absent is left out; that is all the ablations do.
+//! A block whose input is absent is left out; the ablations do nothing else.
 
 use super::prompt_context::{PromptAnchor, PromptCandidate, PromptContext, axis};
 use super::reply::Field;
@@ -11,8 +11,8 @@ use std::fmt::Write;
 use uniground_geometry::boxes::Aabb;
 use uniground_models::chat::{ChatRequest, Part};
 
-/// Name of a model as it reasons, with the number of its prompt, recorded with answers. A number is
-/// raised when what models are told changes.
+/// Returns the name of a model as it reasons, with the number of its prompt, recorded with answers.
+/// Raise the number of a prompt when its text changes.
 #[must_use]
 pub fn reasoner_name(model: &str, prompt: PromptVersion) -> String {
     let number = match prompt {
@@ -27,21 +27,21 @@ const SYSTEM: &str =
 const SIMPLE_SYSTEM: &str =
     "You are a helpful assistant. Identify the object ID that matches the description.";
 
-/// Candidates that remain after the first step of two.
+/// Candidates that remain after the first of the two steps.
 pub const REMAINING: usize = 3;
 
 /// Why a model is asked once more.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Correction {
-    /// The id is none of the candidates'.
+    /// The id belongs to no candidate.
     OutOfSet { id: u32 },
-    /// No id, or two.
+    /// The reply has no id, or two.
     Unreadable { why: String },
-    /// The name of the chosen candidate and the question disagree.
+    /// The name of the chosen candidate contradicts the question.
     Inconsistent { id: u32, why: String },
 }
 
-/// The first question about a scene.
+/// Returns the first request of a question.
 pub(super) fn spatial(
     conversation: &Conversation,
     shown: &VisualEvidence,
@@ -50,7 +50,7 @@ pub(super) fn spatial(
     request(conversation, shown, names, None)
 }
 
-/// The question again, saying what was wrong.
+/// Returns the repeated request, with what was wrong.
 pub(super) fn corrected(
     conversation: &Conversation,
     shown: &VisualEvidence,
@@ -110,12 +110,12 @@ fn request(
     ChatRequest { system: SYSTEM.into(), user, schema }
 }
 
-/// A question as one line between quotes: it can not pass for lines of the prompt.
+/// Returns a question as one line between quotes, so that it cannot imitate lines of the prompt.
 fn quoted(query: &str) -> String {
     Value::from(query.split_whitespace().collect::<Vec<_>>().join(" ")).to_string()
 }
 
-/// What each picture is.
+/// Lists what each picture shows.
 fn images(context: &PromptContext, shown: &VisualEvidence) -> String {
     let mut text = String::new();
     let mut next = 1;
@@ -172,7 +172,7 @@ fn images(context: &PromptContext, shown: &VisualEvidence) -> String {
     text.trim().to_owned()
 }
 
-/// The convention in force, the same words as in the render.
+/// Returns the convention in force, in the same words as in the render.
 fn directions(context: &PromptContext, prompt: PromptVersion) -> String {
     let meaning =
         |(word, direction): (&str, uniground_geometry::Vector3<f32>)| match axis(direction) {
@@ -226,7 +226,7 @@ fn candidates(
 ) -> String {
     let line = |c: &PromptCandidate| {
         let name = names.get(&c.id.0).map_or(String::new(), |name| format!(", \"{name}\""));
-        // What geometry thinks of a candidate is no reason for somebody who can see it.
+        // A model that sees a candidate should not be influenced by the geometry's score.
         let score = if prompt == PromptVersion::Paper {
             format!("score {:.2}, ", c.score)
         } else {
@@ -308,7 +308,7 @@ fn format(json: bool, prompt: PromptVersion) -> String {
     )
 }
 
-/// What is asked of a model that sees the object, but not among the candidates.
+/// Instruction for a model that sees the object, but not among the candidates.
 const SEEN_AS_LINE: &str = "\n\
      Only if it is not listed, a seventh line:\n\
      Seen at: <image number, x, y, short name; x and y are 0 at the left and upper rim of that image and 1000 at the right and lower one>";
@@ -350,7 +350,8 @@ fn what_was_wrong(context: &PromptContext, correction: &Correction) -> String {
     format!("You answered before with {wrong}. Candidates are {ids} and no others.{relations}")
 }
 
-/// The first step of two: contact sheets of all candidates, of which three at most remain.
+/// Returns the first of two requests: contact sheets of all candidates, of which at most three
+/// remain.
 #[must_use]
 pub fn narrowing(context: &PromptContext, evidence: &VisualEvidence) -> ChatRequest {
     let mut user: Vec<Part> =

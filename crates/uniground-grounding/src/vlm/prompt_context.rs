@@ -1,5 +1,5 @@
-//! What a model is told about a question: candidates, anchors, directions. Nothing of it depends on
-//! the model.
+//! The content of a model's prompt: candidates, anchors, directions. It does not depend on the
+//! model.
 
 use super::EvidenceMode;
 use crate::assess::Assessor;
@@ -12,20 +12,20 @@ use uniground_geometry::scene::{Instance, InstanceId};
 use uniground_language::{ParsedQuery, Phrase};
 use uniground_render::{BoxStyle, DirectionWord, LabelledBox, Subjects};
 
-/// A question and what is known before a model is asked.
+/// A question, and what is known before a model is asked.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PromptContext {
     /// The question as it was asked.
     pub query: String,
-    /// How the question was read; its relations and anchors are told when the model is asked
-    /// again.
+    /// How the question was read. Its relations and anchors are part of the prompt when the model
+    /// is asked again.
     pub summary: ParsedQuerySummary,
     pub(super) target: Phrase,
     /// Best first.
     pub candidates: Vec<PromptCandidate>,
-    /// The geometry's guesses, and the prompt says that they are.
+    /// The geometry's guesses; the prompt calls them guesses.
     pub anchors: Vec<PromptAnchor>,
-    /// Anchors that are no candidates but are shown like them, and may be chosen.
+    /// Anchors that are no candidates, but are shown like them and may be chosen.
     pub(super) shown_anchors: Vec<InstanceId>,
     /// Axis-aligned boxes of every instance, in order of id.
     pub(super) boxes: Vec<Aabb>,
@@ -37,36 +37,37 @@ pub struct PromptContext {
 /// A candidate as the prompt lists it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PromptCandidate {
-    /// The id the model is to answer with.
+    /// The id with which the model answers.
     pub id: InstanceId,
-    /// Fit to the whole question, `0..=1`; 0 for a thing that only stands in the right place.
+    /// Fit to the whole question, `0..=1`; 0 for an instance that only stands in the right place.
     pub score: f32,
     /// Share of the geometry's belief, `0..=1`.
     pub belief: f32,
-    /// Axis-aligned box, metres, world frame (Z up).
+    /// Axis-aligned box, meters, world frame (Z up).
     pub aabb: Aabb,
 }
 
-/// What the geometry takes for a thing the question measures its target against.
+/// The geometry's guess for an anchor of the question.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PromptAnchor {
     /// The question's words for it.
     pub words: String,
     /// The likeliest instance; may be a candidate as well.
     pub id: InstanceId,
-    /// Axis-aligned box, metres, world frame (Z up).
+    /// Axis-aligned box, meters, world frame (Z up).
     pub aabb: Aabb,
     /// Other instances it may be, best first.
     pub alternatives: Vec<InstanceId>,
 }
 
-/// Anchors that are shown beside the candidates.
+/// Maximum number of anchors that are shown beside the candidates.
 const MAX_SHOWN_ANCHORS: usize = 2;
-/// Other instances told for an anchor.
+/// Maximum number of other instances listed for an anchor.
 const MAX_ALTERNATIVES: usize = 2;
 
 impl PromptContext {
-    /// `assessor` has the directions the question is read in; `grounding` the candidates.
+    /// Builds the context. `assessor` has the directions that the question is read in, `grounding`
+    /// the candidates.
     pub(crate) fn of(
         assessor: &Assessor,
         parsed: &ParsedQuery,
@@ -132,8 +133,8 @@ impl PromptContext {
         }
     }
 
-    /// Candidates to be named before they are decided on: where names are used, the first that have
-    /// none.
+    /// Returns the candidates to name before the decision: where names are used, the first without
+    /// a name.
     #[must_use]
     pub fn unnamed(
         &self,
@@ -148,38 +149,39 @@ impl PromptContext {
         without.collect()
     }
 
-    /// Whether an id, as a model gives it, is one of those it may choose.
+    /// Returns whether an id from a reply is one that the model may choose.
     #[must_use]
     pub fn is_candidate(&self, id: u32) -> bool {
         self.shown().any(|shown| shown.0 == id)
     }
 
-    /// What the model is shown by itself and may choose: candidates, then anchors.
+    /// Returns the instances that the model is shown individually and may choose: candidates, then
+    /// anchors.
     pub fn shown(&self) -> impl Iterator<Item = InstanceId> {
         self.candidates.iter().map(|c| c.id).chain(self.shown_anchors.iter().copied())
     }
 
-    /// Whether it is an anchor that is shown beside the candidates.
+    /// Returns whether the id is an anchor that is shown beside the candidates.
     #[must_use]
     pub(super) fn is_shown_anchor(&self, id: u32) -> bool {
         self.shown_anchors.iter().any(|anchor| anchor.0 == id)
     }
 
-    /// Whether right and front are those of somebody who looks from the front to the back. The
-    /// paper's left and right are not.
+    /// Returns whether right and front are those of a viewer who looks from the front to the back.
+    /// The paper's left and right are not.
     pub(super) fn is_of_a_viewer(&self) -> bool {
         let Directions { right, front, .. } = self.directions;
         (-front).cross(&Vector3::z()).dot(&right) > 0.0
     }
 
-    /// As the paper has it: anchors are told, not shown, and no answer.
+    /// Returns the context as in the paper: anchors are listed, but not shown, and cannot be
+    /// chosen.
     #[must_use]
     pub fn without_shown_anchors(self) -> Self {
         Self { shown_anchors: Vec::new(), ..self }
     }
 
-    /// With one more candidate, of which nothing is known but that a model saw it: the last of the
-    /// scene's instances.
+    /// Adds one more candidate, which a model saw: the last of the scene's instances.
     #[must_use]
     pub fn with_found(mut self, found: &Instance) -> Self {
         self.boxes.truncate(found.id.0 as usize - 1);
@@ -193,7 +195,7 @@ impl PromptContext {
         self
     }
 
-    /// With these candidates only, in their order.
+    /// Keeps these candidates only, in their order.
     #[must_use]
     pub fn narrowed_to(&self, ids: &[u32]) -> Self {
         let candidates =
@@ -201,7 +203,8 @@ impl PromptContext {
         Self { candidates, ..self.clone() }
     }
 
-    /// The six direction words and what they mean here. Named by the axis where they lie along one.
+    /// Returns the six direction words and their directions. They are named by the axis where they
+    /// lie along one.
     pub(super) fn words(&self) -> [(&'static str, Vector3<f32>); 6] {
         let Directions { right, front, .. } = self.directions;
         [
@@ -214,8 +217,8 @@ impl PromptContext {
         ]
     }
 
-    /// What the global render shows: candidates in blue, anchors in red on top, horizontal
-    /// direction words at the rims.
+    /// Returns what the global render shows: candidates in blue, anchors in red on top, horizontal
+    /// direction words at the edges.
     #[must_use]
     pub fn subjects(&self) -> Subjects {
         let is_anchor = |id: InstanceId| self.anchors.iter().any(|a| a.id == id);
@@ -245,12 +248,12 @@ impl PromptContext {
     }
 }
 
-/// "left (+X)", or the word alone where it lies along no axis.
+/// Returns "left (+X)", or the word alone where it lies along no axis.
 fn named(word: &str, direction: Vector3<f32>) -> String {
     axis(direction).map_or_else(|| word.to_owned(), |axis| format!("{word} ({axis})"))
 }
 
-/// "+X" for a direction along an axis.
+/// Returns "+X" and the like for a direction along an axis.
 pub(super) fn axis(direction: Vector3<f32>) -> Option<&'static str> {
     const ALONG: f32 = 0.9999;
     let axes = [
@@ -264,7 +267,7 @@ pub(super) fn axis(direction: Vector3<f32>) -> Option<&'static str> {
     axes.into_iter().find(|(_, axis)| axis.dot(&direction) > ALONG).map(|(name, _)| name)
 }
 
-/// Anchors of a phrase's relations, and theirs.
+/// Collects the anchors of a phrase's relations, and their own anchors.
 fn anchor_phrases<'a>(phrase: &'a Phrase, found: &mut Vec<&'a Phrase>) {
     for anchor in phrase.relations.iter().flat_map(|relation| &relation.anchors) {
         found.push(anchor);

@@ -1,4 +1,4 @@
-//! A model's words as six fields (docs/METHOD.md, section 4, "Parser").
+//! Reads a model's reply as six fields (docs/METHOD.md, section 4, "Parser").
 //!
 //! Models are asked for six lines and send lines in another order, in one line, in Markdown, as a
 //! list, as a table, as JSON. All of these are read. An id is only ever taken from the field that
@@ -12,7 +12,7 @@ use names::names;
 pub use names::names_in;
 use std::collections::BTreeMap;
 
-/// What a reply says about the object asked for.
+/// What a reply says about the requested object.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Choice {
     /// This id, which need not be a candidate's.
@@ -28,7 +28,8 @@ pub enum Choice {
     Missing,
 }
 
-/// The six fields as a model gave them; what could not be read is empty and listed.
+/// The six fields of a model's reply. Fields that could not be read are empty and listed in
+/// `not_read`.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Reply {
     /// "Predicted ID".
@@ -39,28 +40,29 @@ pub struct Reply {
     pub candidate_names: BTreeMap<u32, String>,
     /// "Target name matches?", for the chosen candidate.
     pub target_name_matches: Option<bool>,
-    /// `None` for "unknown" as well.
+    /// "Anchor ID"; `None` for "unknown" as well.
     pub anchor_id: Option<u32>,
     /// "Relation used"; `None` for "none" as well.
     pub relation_used: Option<String>,
-    /// "Seen at": where the object is seen that is not listed.
+    /// "Seen at": where the model sees the object that is not listed.
     pub seen_at: Option<SeenAt>,
-    /// Fields of which nothing could be made.
+    /// Fields that could not be read.
     pub not_read: Vec<&'static str>,
 }
 
 /// A place in a picture that a model was shown.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SeenAt {
-    /// From 1, in the order the pictures were sent.
+    /// Number of the picture, from 1, in the order they were sent.
     pub image: usize,
-    /// From the left and the upper rim, shares of the picture's width and height, `0..=1`.
+    /// Distance from the left and the upper edge, as shares of the picture's width and height,
+    /// `0..=1`.
     pub at: [f32; 2],
-    /// What is seen there.
+    /// Name of the object seen there.
     pub name: String,
 }
 
-/// One of the six fields, or the place that goes with "not listed".
+/// One of the six fields, or the place that accompanies "not listed".
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub(in crate::vlm) enum Field {
     PredictedId,
@@ -83,7 +85,7 @@ impl Field {
         Self::RelationUsed,
     ];
 
-    /// The paper's name of the field.
+    /// Returns the paper's name of the field.
     pub fn title(self) -> &'static str {
         match self {
             Self::PredictedId => "Predicted ID",
@@ -97,9 +99,9 @@ impl Field {
     }
 }
 
-/// Reads a reply to a question. What the question itself says is no answer, wherever the model
-/// repeats it. JSON is looked for among words only where it was asked for (`json`). Never fails:
-/// what is not there is missing.
+/// Reads a reply to a question. Repetitions of the question in the reply are no answer. JSON among
+/// words is searched only where JSON was asked for (`json`). Never fails: absent fields are
+/// missing.
 #[must_use]
 pub fn read_answer(text: &str, query: &str, json: bool) -> Reply {
     let text = without_query(&normalised(text), &normalised(query));
@@ -111,7 +113,7 @@ pub fn read_answer(text: &str, query: &str, json: bool) -> Reply {
     read(told)
 }
 
-/// Reads a reply. Never fails: what is not there is missing.
+/// Reads a reply. Never fails: absent fields are missing.
 #[must_use]
 pub fn read(text: &str) -> Reply {
     let text = normalised(text);
@@ -119,15 +121,15 @@ pub fn read(text: &str) -> Reply {
     json::read(text).unwrap_or_else(|| of_labels(text))
 }
 
-/// Whether a reply is JSON and nothing else, but for a fence around it.
+/// Returns whether a reply is JSON and nothing else, except for a fence around it.
 fn is_all_json(text: &str) -> bool {
     let text = text.trim().trim_matches('`').trim();
     let text = prefix(text, "json").unwrap_or(text).trim();
     text.starts_with('{') && text.ends_with('}')
 }
 
-/// A reply without repetitions of a question that could be taken for an answer. Others stay: their
-/// words may be a candidate's name.
+/// Removes repetitions of a question that could be mistaken for an answer. Others stay, because
+/// their words may be a candidate's name.
 fn without_query(text: &str, query: &str) -> String {
     let could_be_read = query.contains(['{', '\n'])
         || !labels::fields(query).is_empty()
@@ -136,7 +138,7 @@ fn without_query(text: &str, query: &str) -> String {
     if !could_be_read {
         return text.to_owned();
     }
-    // As it is, on one line, and with its quotes escaped, as the prompt has it.
+    // Unchanged, on one line, and with its quotes escaped as in the prompt.
     let one_line = query.split_whitespace().collect::<Vec<_>>().join(" ");
     let quoted = serde_json::Value::from(one_line.as_str()).to_string();
     let escaped = &quoted[1..quoted.len() - 1];
@@ -164,12 +166,12 @@ fn of_labels(text: &str) -> Reply {
             Field::Explanation => reply.explanation = reply.explanation.or_else(|| words(value)),
             Field::CandidateNames => reply.candidate_names.extend(names(value)),
             Field::TargetNameMatches => {
-                reply.target_name_matches = reply.target_name_matches.or_else(|| truth(value))
+                reply.target_name_matches = reply.target_name_matches.or_else(|| truth(value));
             }
             Field::AnchorId => reply.anchor_id = reply.anchor_id.or_else(|| anchor(value)),
             Field::RelationUsed => {
                 reply.relation_used =
-                    reply.relation_used.or_else(|| words(value).filter(|w| !is_nothing(w)))
+                    reply.relation_used.or_else(|| words(value).filter(|w| !is_nothing(w)));
             }
             Field::SeenAt => reply.seen_at = reply.seen_at.or_else(|| seen_at(value)),
         }
@@ -180,7 +182,7 @@ fn of_labels(text: &str) -> Reply {
 }
 
 impl Reply {
-    /// Lists fields that are missing, or that say nothing that can be read.
+    /// Lists fields that are missing or unreadable.
     fn note_unread(&mut self, told: impl Fn(Field) -> bool) {
         let read = |field| match field {
             Field::PredictedId => {
@@ -191,7 +193,7 @@ impl Reply {
             Field::TargetNameMatches => self.target_name_matches.is_some(),
             // "unknown" is an answer.
             Field::AnchorId | Field::RelationUsed => told(field),
-            // Most replies have none.
+            // Most replies have no such field.
             Field::SeenAt => true,
         };
         self.not_read =
@@ -199,7 +201,8 @@ impl Reply {
     }
 }
 
-/// Punctuation and digits of other scripts as ASCII, so that everything below knows one kind.
+/// Converts punctuation and digits of other scripts to ASCII, so that the rest of this module sees
+/// one kind only.
 fn normalised(text: &str) -> String {
     let mut plain = String::with_capacity(text.len());
     for c in text.chars() {
@@ -217,14 +220,14 @@ fn normalised(text: &str) -> String {
             c => plain.push(c),
         }
     }
-    // Marks some models put around what they mean.
+    // Marks that some models put around their answer.
     for mark in ["<|begin_of_box|>", "<|end_of_box|>"] {
         plain = plain.replace(mark, "");
     }
     plain
 }
 
-/// What follows the model's thinking; all of it may be thinking, if the reply broke off.
+/// Returns the text after the model's thinking; empty if the reply broke off within it.
 fn without_thoughts(text: &str) -> &str {
     let lower = text.to_ascii_lowercase();
     let end = ["</think>", "</thinking>", "</thought>"]
@@ -258,7 +261,7 @@ fn joined(before: Choice, now: Choice) -> Choice {
 const DECORATION: [char; 15] =
     ['*', '_', '`', '#', '<', '>', '[', ']', '(', ')', '{', '}', '"', '\'', '|'];
 
-/// The id a field holds: `22`, `<22>`, `ID 22`, `22.`, `**22** (the window)`; or that there is
+/// Reads the id of a field: `22`, `<22>`, `ID 22`, `22.`, `**22** (the window)`; or that there is
 /// none.
 pub(super) fn choice(value: &str) -> Choice {
     let line = value.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or_default();
@@ -301,7 +304,7 @@ fn stripped(text: &str) -> &str {
     text.trim_start_matches(|c: char| c.is_whitespace() || DECORATION.contains(&c))
 }
 
-/// What follows a word, in any case, if the text begins with it.
+/// Returns the text after a word, in any case, if the text begins with it.
 fn prefix<'a>(text: &'a str, word: &str) -> Option<&'a str> {
     let head = text.get(..word.len())?;
     let after = &text[word.len()..];
@@ -310,11 +313,11 @@ fn prefix<'a>(text: &'a str, word: &str) -> Option<&'a str> {
     (head.eq_ignore_ascii_case(word) && ends).then_some(after)
 }
 
-/// A whole number at the start and what follows it; "22.5" and "22nd" are none.
+/// Returns a whole number at the start and the text after it; "22.5" and "22nd" are none.
 fn leading_number(text: &str) -> Option<(u32, &str)> {
     let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     let (number, after) = text.split_at(digits);
-    // Some write whole numbers as 22.0.
+    // Some models write whole numbers as 22.0.
     let after = after
         .strip_prefix(".0")
         .filter(|rest| !rest.starts_with(|c: char| c.is_ascii_digit()))
@@ -326,7 +329,7 @@ fn leading_number(text: &str) -> Option<(u32, &str)> {
     (!goes_on).then(|| number.parse().ok()).flatten().map(|number| (number, after))
 }
 
-/// The 7 of "22 or 7", "22, 7", "22 / 7": right after an id another number contradicts it.
+/// Returns the 7 of "22 or 7", "22, 7", "22 / 7": another number right after an id contradicts it.
 fn another_number(after: &str) -> Option<u32> {
     let after = after.trim_start_matches(|c: char| c == ' ' || DECORATION.contains(&c));
     let (word, after) = ["or", "and", "/", ",", "&", "vs."]
@@ -340,7 +343,7 @@ fn another_number(after: &str) -> Option<u32> {
     (!is_measure).then_some(number)
 }
 
-/// A reply that is nothing but an id (paper's fallback).
+/// Reads a reply that is nothing but an id (paper's fallback).
 fn bare(text: &str) -> Choice {
     const LONGEST: usize = 40;
     let text = text.trim();
@@ -366,8 +369,8 @@ fn bare(text: &str) -> Choice {
     }
 }
 
-/// Whether a value says that there is none: "none", "None - no candidate is a fridge", "No matching
-/// candidate".
+/// Returns whether a value says that there is none: "none", "None - no candidate is a fridge", "No
+/// matching candidate".
 fn is_nothing(value: &str) -> bool {
     let value = stripped(value).trim_start_matches(['-', ' ']).to_ascii_lowercase();
     let word: String = value.chars().take_while(|c| c.is_ascii_alphabetic() || *c == '/').collect();
@@ -382,7 +385,7 @@ fn is_nothing(value: &str) -> bool {
     }
 }
 
-/// Whether a value says that the object is seen, but not among the candidates.
+/// Returns whether a value says that the object is seen, but not among the candidates.
 fn is_not_listed(value: &str) -> bool {
     let value = value.to_ascii_lowercase();
     ["not listed", "not_listed", "unlisted", "visible, not listed", "visible but not listed"]
@@ -390,7 +393,7 @@ fn is_not_listed(value: &str) -> bool {
         .any(|words| value.starts_with(words))
 }
 
-/// "Image 3, 512, 640, black alarm clock": three numbers and a name.
+/// Reads three numbers and a name: "Image 3, 512, 640, black alarm clock".
 pub(super) fn seen_at(value: &str) -> Option<SeenAt> {
     const PER_MILLE: f32 = 1000.0;
     let line = value.lines().map(str::trim).find(|line| !line.is_empty())?;
@@ -413,7 +416,7 @@ pub(super) fn seen_at(value: &str) -> Option<SeenAt> {
     })
 }
 
-/// Words without what Markdown put around them; `None` when there are none.
+/// Returns words without the Markdown around them; `None` when there are none.
 pub(super) fn words(value: &str) -> Option<String> {
     let ends = |c: char| c.is_whitespace() || matches!(c, '*' | '_' | '`' | '|' | '#' | ',' | ';');
     let trimmed = value.trim_matches(ends);
@@ -439,7 +442,7 @@ pub(super) fn anchor(value: &str) -> Option<u32> {
     }
 }
 
-/// The ids of a shortlist, in order and each once, of those that may be on it.
+/// Returns the ids of a shortlist, in order and each once, of those that may be on it.
 #[must_use]
 pub fn shortlist(text: &str, is_candidate: impl Fn(u32) -> bool) -> Vec<u32> {
     let text = normalised(text);
@@ -459,8 +462,8 @@ pub fn shortlist(text: &str, is_candidate: impl Fn(u32) -> bool) -> Vec<u32> {
     ids
 }
 
-/// The one id written as "ID 7" in a reply that was asked for no format; `None` when there are
-/// several, or none.
+/// Returns the one id written as "ID 7" in a reply without a requested format; `None` when there
+/// are several, or none.
 #[must_use]
 pub fn only_id(text: &str, is_candidate: impl Fn(u32) -> bool) -> Option<u32> {
     let text = normalised(text);

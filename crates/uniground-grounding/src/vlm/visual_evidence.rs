@@ -1,4 +1,4 @@
-//! The pictures a model gets: the global render and a collage for every candidate.
+//! Collects the pictures for a model: the global render and a collage of every candidate.
 
 use super::{Ablation, EvidenceMode, Options, PromptContext, naming};
 use crate::Seen;
@@ -18,18 +18,18 @@ pub struct VisualEvidence {
     /// The global render: all views side by side. `None` without points or candidates, or where an
     /// ablation leaves it out.
     pub global: Option<Picture>,
-    /// By id, of candidates and of anchors that are shown beside them.
+    /// Collages by id, of candidates and of anchors that are shown beside them.
     pub collages: BTreeMap<u32, Picture>,
-    /// Contact sheets, each with the ids on it; in place of collages.
+    /// Contact sheets, each with the ids on it; sent instead of collages.
     pub sheets: Vec<(Picture, Vec<u32>)>,
-    /// Photographs in which the target may be seen, where the candidates do not fit it.
+    /// Photographs in which the target may be visible, where the candidates do not fit it.
     pub photographs: Vec<Photograph>,
 }
 
-/// A photograph as it was taken, offered for what it may show.
+/// An original photograph that is offered because it may show the target.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Photograph {
-    /// The frame it was taken with.
+    /// The frame of the photograph.
     pub frame: FrameIndex,
     /// Width and height of the frame's picture, pixels.
     pub taken_px: (u32, u32),
@@ -37,13 +37,13 @@ pub struct Photograph {
     pub picture: Picture,
 }
 
-/// How large pictures are. Pictures cost money: a provider charges by the tile.
+/// Sizes of pictures. Pictures cost money: a provider charges by the tile.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PictureSettings {
     /// The picture of the whole room.
     pub global: Global,
-    /// Size and number of photographs of a candidate's collage; `None` where contact sheets stand
-    /// in for collages.
+    /// Size and number of photographs of a candidate's collage; `None` where contact sheets replace
+    /// collages.
     pub collage: Option<Collage>,
 }
 
@@ -52,12 +52,12 @@ pub struct PictureSettings {
 pub enum Global {
     /// Views from several sides with boxes, IDs and direction words.
     Views(GlobalView),
-    /// One view with nothing drawn in.
+    /// One view without annotations.
     Raw,
 }
 
 impl PictureSettings {
-    /// Large pictures where they are all a model has to go by, smaller and fewer ones where names
+    /// Returns large pictures where a model has nothing else, smaller and fewer ones where names
     /// help.
     #[must_use]
     pub fn of(options: Options) -> Self {
@@ -73,13 +73,13 @@ impl PictureSettings {
         }
     }
 
-    /// Paper: three views of 680 x 680 pixels, collages of three pairs.
+    /// Settings of the paper: three views of 680 x 680 pixels, collages of three pairs.
     fn full() -> Self {
         Self { global: Global::Views(GlobalView::default()), collage: Some(Collage::default()) }
     }
 
-    /// For use with names: three views that take three of a provider's tiles, and one photograph of
-    /// a candidate that takes one.
+    /// Settings for use with names: three views that take three of a provider's tiles, and one
+    /// photograph of a candidate that takes one.
     fn frugal() -> Self {
         let collage = Some(Collage { max_shots: 1, ..Collage::default() });
         Self {
@@ -89,10 +89,10 @@ impl PictureSettings {
     }
 }
 
-/// All pictures a question may need; what was drawn before is not drawn again.
+/// Returns all pictures that a question may need; cached ones are not rendered again.
 ///
 /// # Errors
-/// The cloud can not be read.
+/// The cloud cannot be read.
 pub fn collect<S: SceneSource>(
     source: &S,
     context: &PromptContext,
@@ -103,8 +103,8 @@ pub fn collect<S: SceneSource>(
         Global::Views(view) => format!("{scene} {view:?} {:?}", context.subjects()),
         Global::Raw => format!("{scene} raw"),
     };
-    // By the box as well: what was found for one question alone may have the id of what another
-    // found.
+    // The key has the box too: an instance found for one question alone may have the same id as one
+    // found for another.
     let key = |id: u32| {
         format!("{scene} {id} {:?} {:?}", context.boxes.get(id as usize - 1), settings.collage)
     };
@@ -152,11 +152,11 @@ pub fn collect<S: SceneSource>(
 }
 
 impl VisualEvidence {
-    /// The place in a photograph that a model means by a place in a picture it was shown; `None`
-    /// where that shows no photograph there.
+    /// Converts a place in a picture that the model was shown to a place in a photograph; `None`
+    /// where the picture shows no photograph there.
     ///
     /// # Errors
-    /// The cloud can not be read.
+    /// The cloud cannot be read.
     pub fn place<S: SceneSource>(
         &self,
         source: &S,
@@ -191,7 +191,7 @@ impl VisualEvidence {
     }
 }
 
-/// The global render of a question; `None` where there are no points or no candidates.
+/// Renders the global picture of a question; `None` where there are no points or no candidates.
 fn draw_global(
     context: &PromptContext,
     render_scene: &RenderScene,
@@ -208,10 +208,10 @@ fn draw_global(
     Some(encoded("global".into(), &picture))
 }
 
-/// One photograph of each instance, on as few sheets as hold them.
+/// Returns one photograph of each instance, on as few sheets as possible.
 ///
 /// # Errors
-/// The cloud can not be read.
+/// The cloud cannot be read.
 pub fn contact_sheets<S: SceneSource>(
     source: &S,
     ids: &[InstanceId],
@@ -224,7 +224,7 @@ pub fn contact_sheets<S: SceneSource>(
         .collect()
 }
 
-/// A collage of each instance, from its photographs.
+/// Returns a collage of each instance, from its photographs.
 fn draw_collages(
     of: &[InstanceId],
     shots: impl Fn(InstanceId) -> Vec<Shot> + Sync,

@@ -1,34 +1,35 @@
-//! The lexicon of indoor nouns, read from `lexicon.tsv` at first use.
+//! The lexicon of indoor nouns, read from `lexicon.tsv` on first use.
 
 use super::wordnet::{Kinship, WordNet};
 use std::collections::HashMap;
 use std::sync::LazyLock;
 
-/// A closed range in metres.
+/// A closed range in meters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Range {
-    /// Lower end, part of the range.
+    /// Lower end, inclusive.
     pub low: f32,
-    /// Upper end, part of the range; not below `low`.
+    /// Upper end, inclusive. At least `low`.
     pub high: f32,
 }
 
-/// What tulips and ferns are kinds of.
+/// The common kind of tulips and ferns.
 const PLANT: &str = "vascular plant";
-/// More than any kinship has.
+/// More steps than any two related words are apart.
 const MAX_STEPS: u32 = 10;
-/// Sizes below this are all alike: thinner than a scan resolves.
+/// Sizes below this are treated as equal: thinner than a scan resolves.
 const RESOLUTION_M: f32 = 0.03;
 
 impl Range {
-    /// How far `value` lies outside, in natural logarithms of the ratio; 0 inside.
+    /// Returns how far `value` lies outside, in natural logarithms of the ratio; 0 inside.
     #[must_use]
     pub fn misfit_log(&self, value: f32) -> f32 {
         let [low, high, value] = [self.low, self.high, value].map(|v| v.max(RESOLUTION_M));
         (low / value).ln().max((value / high).ln()).max(0.0)
     }
 
-    /// How far `value` lies from the middle: 0 there, 1 at the ends and beyond; in logarithms.
+    /// Returns the distance of `value` from the middle: 0 there, 1 at the ends and beyond; in
+    /// logarithms.
     #[must_use]
     pub fn off_center(&self, value: f32) -> f32 {
         let [low, high, value] = [self.low, self.high, value].map(|v| v.max(RESOLUTION_M).ln());
@@ -36,7 +37,7 @@ impl Range {
         if half <= 0.0 { 0.0 } else { ((value - f32::midpoint(low, high)) / half).abs().min(1.0) }
     }
 
-    /// How far `value` lies outside, metres; 0 inside.
+    /// Returns how far `value` lies outside, meters; 0 inside.
     #[must_use]
     pub fn misfit(&self, value: f32) -> f32 {
         (self.low - value).max(value - self.high).max(0.0)
@@ -47,22 +48,22 @@ impl Range {
     }
 }
 
-/// Where a thing rests.
+/// The place where a thing rests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Place {
-    /// On the floor itself.
+    /// Directly on the floor.
     Floor,
     /// On another thing: a cup on a table.
     Surface,
-    /// At a wall, or at the ceiling.
+    /// On a wall or the ceiling.
     Wall,
-    /// On legs that a scan often loses: the top may seem to float.
+    /// On legs, which a scan often misses: the top may appear to float.
     Legs,
-    /// Nothing below or behind it was found; every noun agrees with that.
+    /// No support was found. Every noun is compatible with that.
     Unknown,
 }
 
-/// What a thing's surface is like.
+/// The surface of a thing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Shape {
     /// One plane: rugs, doors, screens.
@@ -82,9 +83,9 @@ pub enum Shape {
 /// One entry of the lexicon.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Noun {
-    /// Lower case, singular, without hyphens and apostrophes; no other entry has it.
+    /// Lowercase, singular, without hyphens and apostrophes. Unique among the entries.
     pub name: String,
-    /// Other words for exactly this thing; none leads to two entries.
+    /// Other words for exactly this thing. Each belongs to one entry only.
     pub synonyms: Vec<String>,
     /// Broader words that also mean this thing.
     pub kinds: Vec<String>,
@@ -92,41 +93,42 @@ pub struct Noun {
     pub long: Range,
     /// Shorter side of the footprint.
     pub short: Range,
-    /// From underside to top; for a top on legs, from the floor to the top.
+    /// From underside to top. For a top on legs, from the floor to the top.
     pub height: Range,
     /// Height of the underside above the floor.
     pub base: Range,
     places: Vec<Place>,
-    /// How the surface usually is; held against an instance's planarity and its green.
+    /// The usual surface. Compared with an instance's planarity and share of green points.
     pub shape: Shape,
-    /// Nouns it usually stands on or hangs at, most usual first; also `floor`, `wall`, `ceiling`.
+    /// Nouns it usually stands on or hangs on, most common first; also `floor`, `wall`, `ceiling`.
     pub usually_on: Vec<String>,
     /// What people do with it: "sit on", "write with".
     pub uses: Vec<String>,
-    /// How often such a thing is met, `0..=1`, against the most common ones.
+    /// How common such a thing is, `0..=1`, relative to the most common ones.
     pub prior: f32,
 }
 
 impl Noun {
-    /// Whether it may rest there; true for an unknown place, and for things on legs.
+    /// Returns whether it may rest there. True for an unknown place, and for things on legs.
     #[must_use]
     pub fn stands_on(&self, place: Place) -> bool {
         place == Place::Unknown || self.on_legs() || self.places.contains(&place)
     }
 
-    /// Whether the height that counts is that of the top above the floor.
+    /// Returns whether its height is measured from the floor to the top.
     #[must_use]
     pub fn on_legs(&self) -> bool {
         self.places.contains(&Place::Legs)
     }
 
-    /// Doors, windows and pictures are often cut as one plane with their wall.
+    /// Returns whether it is often merged into one plane with its wall: doors, windows and
+    /// pictures.
     #[must_use]
     pub fn may_be_part_of_wall(&self) -> bool {
         self.places.contains(&Place::Wall) && self.short.low <= RESOLUTION_M
     }
 
-    /// `0.5..=1`: how much the ranges narrow a thing down.
+    /// Returns how specific its ranges are, `0.5..=1`.
     #[must_use]
     pub fn specificity(&self) -> f32 {
         let spread = self.long.spread_log() + self.short.spread_log() + self.height.spread_log();
@@ -134,7 +136,7 @@ impl Noun {
     }
 }
 
-/// All nouns and every word that leads to them.
+/// All nouns and all words that refer to them.
 pub struct Lexicon {
     nouns: Vec<Noun>,
     by_word: HashMap<String, Vec<usize>>,
@@ -142,7 +144,7 @@ pub struct Lexicon {
 }
 
 impl Lexicon {
-    /// The one lexicon of the process.
+    /// Returns the lexicon. It is loaded once per process.
     #[must_use]
     pub fn get() -> &'static Self {
         static LEXICON: LazyLock<Lexicon> =
@@ -150,20 +152,20 @@ impl Lexicon {
         &LEXICON
     }
 
-    /// All entries, in the order of `lexicon.tsv`.
+    /// Returns all entries, in the order of `lexicon.tsv`.
     #[must_use]
     pub fn nouns(&self) -> &[Noun] {
         &self.nouns
     }
 
-    /// The noun a word names directly or as a synonym; plurals are understood.
+    /// Returns the noun that a word names directly or as a synonym. Plurals are recognized.
     #[must_use]
     pub fn find(&self, word: &str) -> Option<&Noun> {
         self.find_all(word).into_iter().next()
     }
 
-    /// Every noun a word may mean, the direct one first: "chair" means chairs, office chairs and
-    /// armchairs.
+    /// Returns every noun a word may mean, the direct one first: "chair" means chairs, office
+    /// chairs and armchairs.
     #[must_use]
     pub fn find_all(&self, word: &str) -> Vec<&Noun> {
         singulars(word)
@@ -172,8 +174,8 @@ impl Lexicon {
             .map_or_else(Vec::new, |ids| ids.iter().map(|&i| &self.nouns[i]).collect())
     }
 
-    /// Nouns for a word that is none of the lexicon: those it is a kind of, else those that are
-    /// kinds of it, the nearest, most common first.
+    /// Returns nouns for a word that is not in the lexicon: the nouns it is a kind of, or else
+    /// those that are kinds of it; the nearest and most common first.
     #[must_use]
     pub fn akin(&self, word: &str) -> Vec<&Noun> {
         static KINDS: LazyLock<Vec<&[u32]>> = LazyLock::new(|| {
@@ -197,8 +199,8 @@ impl Lexicon {
         akin.into_iter().filter(|(steps, _)| alike(*steps)).map(|(_, noun)| noun).collect()
     }
 
-    /// Nouns for containers that are called after what is in them, and for what plants stand in: a
-    /// bottle for "the wine", a vase for "the tulips"; the most common first.
+    /// Returns nouns for containers that are named after their contents or that hold plants: a
+    /// bottle for "the wine", a vase for "the tulips". The most common come first.
     #[must_use]
     pub fn holding(&self, word: &str) -> Vec<&Noun> {
         let names = |noun: &Noun| {
@@ -214,7 +216,7 @@ impl Lexicon {
                 })
         };
         let is_plant = WordNet::get().is_a(word, PLANT);
-        // Tulips are no cactus.
+        // A tulip is not a cactus.
         let is_species =
             |noun: &Noun| noun.name != "flower" && WordNet::get().is_a(&noun.name, PLANT);
         let for_plants = |noun: &&Noun| {
@@ -230,37 +232,37 @@ impl Lexicon {
         holding
     }
 
-    /// Whether a word, or its singular, leads to a noun.
+    /// Returns whether a word, or its singular, refers to a noun.
     #[must_use]
     pub fn knows(&self, word: &str) -> bool {
         singulars(word).iter().any(|w| self.by_word.contains_key(w))
     }
 
-    /// A word that leads to a noun, as the lexicon writes it.
+    /// Returns the lexicon's spelling of a word that refers to a noun.
     #[must_use]
     pub fn word(&self, word: &str) -> Option<&str> {
         self.by_word.get_key_value(word).map(|(known, _)| known.as_str())
     }
 
-    /// Whether a word is the plural of one that leads to a noun: "chairs", not "curtains" where
-    /// these are an entry of their own.
+    /// Returns whether a word is the plural of one that refers to a noun: "chairs", but not
+    /// "curtains" where that is an entry of its own.
     #[must_use]
     pub fn is_plural(&self, word: &str) -> bool {
         !self.by_word.contains_key(word) && self.knows(word)
     }
 
-    /// Every word that leads to a noun, in no order.
+    /// Returns all words that refer to a noun, in any order.
     pub fn words(&self) -> impl Iterator<Item = &str> {
         self.by_word.keys().map(String::as_str)
     }
 
-    /// The nouns of things that are for one of these uses.
+    /// Returns the nouns of things that serve one of these uses.
     #[must_use]
     pub fn of_uses(&self, uses: &[String]) -> Vec<&Noun> {
         self.nouns.iter().filter(|noun| noun.uses.iter().any(|own| uses.contains(own))).collect()
     }
 
-    /// How many words the longest entry has.
+    /// Returns the number of words of the longest entry.
     #[must_use]
     pub fn longest_words(&self) -> usize {
         self.longest_words
@@ -273,7 +275,7 @@ impl Lexicon {
             .filter_map(read_line)
             .collect();
         let mut by_word: HashMap<String, Vec<usize>> = HashMap::new();
-        // Names and synonyms first, kinds after: the direct meaning leads.
+        // Names and synonyms first, then kinds, so that the direct meaning comes first.
         for (i, noun) in nouns.iter().enumerate() {
             for word in std::iter::once(&noun.name).chain(&noun.synonyms) {
                 by_word.entry(word.clone()).or_default().push(i);
@@ -345,14 +347,14 @@ fn read_line(line: &str) -> Option<Noun> {
     })
 }
 
-/// `low-high`; the low end may be negative.
+/// Parses `low-high`. The low end may be negative.
 fn range(text: &str) -> Option<Range> {
     let dash = text.char_indices().skip(1).find(|(_, c)| *c == '-')?.0;
     let (low, high) = (text[..dash].parse().ok()?, text[dash + 1..].parse().ok()?);
     (low <= high).then_some(Range { low, high })
 }
 
-/// The word itself, then what it may be the plural of.
+/// Returns the word itself, followed by its possible singulars.
 pub(super) fn singulars(word: &str) -> Vec<String> {
     let mut forms = vec![word.to_owned()];
     if let Some(stem) = word.strip_suffix("ies") {

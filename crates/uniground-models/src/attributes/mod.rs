@@ -1,8 +1,8 @@
-//! The built-in encoder: what things usually measure, instead of what they look like.
+//! The built-in encoder. It uses the typical measures of things instead of their appearance.
 //!
-//! Without a model, an instance is described by size, height, support and colour names, and a noun
-//! by the typical sizes in `lexicon.tsv`. That tells a sofa from a mug and a rug from a door, not a
-//! box from a crate: scores are honest fits, and every answer names this encoder.
+//! Without a model, an instance is described by size, height, support and color names, and a noun
+//! by the typical sizes in `lexicon.tsv`. That separates a sofa from a mug and a rug from a door,
+//! but not a box from a crate. Scores measure the fit, and every answer names this encoder.
 
 mod lexicon;
 mod wordnet;
@@ -16,31 +16,31 @@ pub use wordnet::{Kinship, WordNet};
 /// Name and version, recorded with parses and answers.
 pub const NAME: &str = "attributes-2";
 
-/// How many names an instance keeps.
+/// Maximum number of names of an instance.
 const KEPT_NAMES: usize = 5;
-/// Below this a name is not worth telling.
+/// Minimum score of a name that is reported.
 const MIN_NAME_SCORE: f32 = 0.3;
-/// Width of the fall-off outside a range, in natural logarithms of the size: segmentation is never
-/// exact.
+/// Width of the fall-off outside a range, in natural logarithms of the size. It allows for inexact
+/// segmentation.
 const SIZE_TOLERANCE: f32 = 0.2;
-/// Tolerance for the height of the underside, metres.
+/// Tolerance for the height of the underside, meters.
 const BASE_TOLERANCE_M: f32 = 0.12;
-/// The middle of a range is more usual than its ends: weight of that, against one tolerance outside
-/// the range.
+/// Weight of the distance from a range's middle, relative to one tolerance outside the range. The
+/// middle is more common than the ends.
 const OFF_CENTER_WEIGHT: f32 = 0.1;
-/// Factor for a surface the noun's shape does not have.
+/// Factor for a surface that does not match the noun's shape.
 const ODD_SHAPE: f32 = 0.5;
-/// Share of green points under which nothing is taken for foliage.
+/// Minimum share of green points for foliage.
 const LEAST_GREEN: f32 = 0.05;
-/// From this thickness on a surface tells of its shape, metres.
+/// Minimum thickness at which a surface gives information on shape, meters.
 const THICK_M: f32 = 0.1;
-/// Factor for a thing on another that it is not known to stand on.
+/// Factor for a thing on another thing that it does not usually stand on.
 const ODD_PLACE: f32 = 0.8;
-/// Factor for a support the noun is not known for.
+/// Factor for a support that is unusual for the noun.
 const ODD_SUPPORT: f32 = 0.6;
 
-/// How well a noun fits an instance, `0..=1`: one when every measure lies in the middle of its
-/// usual range.
+/// Returns how well a noun fits an instance, `0..=1`. 1 when every measure lies in the middle of
+/// its usual range.
 #[must_use]
 pub fn noun_fit(noun: &Noun, instance: &Instance) -> f32 {
     if instance.structure.is_some_and(|s| s != Structure::Wall || !noun.may_be_part_of_wall()) {
@@ -68,10 +68,10 @@ pub fn noun_fit(noun: &Noun, instance: &Instance) -> f32 {
     (-0.5 * misfit).exp() * support * shape_fit(noun.shape, instance)
 }
 
-/// How well the surface agrees with a shape, as far as the share of points on one plane tells.
+/// Returns how well the surface matches a shape, judged by the share of points on one plane.
 fn shape_fit(shape: Shape, instance: &Instance) -> f32 {
     let size = instance.oriented_box.size;
-    // Everything within a few centimetres is on one plane.
+    // All points of a thing of a few centimeters are on one plane.
     if size.min() < THICK_M {
         return 1.0;
     }
@@ -92,31 +92,31 @@ fn shape_fit(shape: Shape, instance: &Instance) -> f32 {
     }
 }
 
-/// How much a thing looks like leaves, `0..=1`: rough, and green for the most part. What is green
-/// all over was dyed or painted.
+/// Returns how much a thing looks like leaves, `0..=1`: rough, and mostly green. A thing that is
+/// green everywhere was dyed or painted.
 fn foliage(instance: &Instance) -> f32 {
     let green = instance.colours.share(ColourName::Green);
     roughness(instance) * ramp(green, 0.2, 0.4) * ramp(green, 0.9, 0.75)
 }
 
-/// How far a thing is from being one plane, `0..=1`.
+/// Returns how far a thing is from being one plane, `0..=1`.
 fn roughness(instance: &Instance) -> f32 {
     ramp(instance.planarity, 0.6, 0.3)
 }
 
-/// 0 at `from`, 1 at `to`, and evenly between.
+/// Returns 0 at `from`, 1 at `to`, and interpolates linearly between.
 fn ramp(value: f32, from: f32, to: f32) -> f32 {
     ((value - from) / (to - from)).clamp(0.0, 1.0)
 }
 
-/// How well a colour word describes an instance, `0..=1`.
+/// Returns how well a color word describes an instance, `0..=1`.
 #[must_use]
 pub fn colour_fit(colour: ColourName, instance: &Instance) -> f32 {
     instance.colours.describes(colour)
 }
 
-/// Names every instance, in two rounds: what things stand on tells what they are, a keyboard on a
-/// desk.
+/// Names all instances, in two rounds: the second uses the names of the things they stand on, such
+/// as a keyboard on a desk.
 pub fn name_all(instances: &mut [Instance]) {
     let alone: Vec<Vec<NameGuess>> = instances.par_iter().map(name_guesses).collect();
     let placed: Vec<Vec<NameGuess>> = instances
@@ -131,18 +131,18 @@ pub fn name_all(instances: &mut [Instance]) {
     instances.iter_mut().zip(placed).for_each(|(instance, names)| instance.names = names);
 }
 
-/// The best names for an instance, without having heard a question; empty for structure and for
-/// shapes nothing fits.
+/// Returns the best names for an instance, independent of any question. Empty for structure and for
+/// shapes that no noun fits.
 ///
-/// Scores are fits weighed by how usual the thing is. Of nouns that fit alike the one with the
-/// narrower ranges comes first: it says more.
+/// Scores are fits weighted by how common the thing is. Among nouns with the same fit, the one with
+/// the narrower ranges comes first, because it is more specific.
 #[must_use]
 pub fn name_guesses(instance: &Instance) -> Vec<NameGuess> {
     guesses(instance, &[])
 }
 
-/// The same for something that stands on a thing with these names; nothing is known of the place
-/// when there are none.
+/// Returns the same for an instance that stands on a thing with these names. Without names, the
+/// place is unknown.
 fn guesses(instance: &Instance, below: &[NameGuess]) -> Vec<NameGuess> {
     let place = |noun: &Noun| match below.is_empty()
         || noun.usually_on.iter().any(|on| below.iter().any(|guess| guess.name == *on))
@@ -171,7 +171,7 @@ fn guesses(instance: &Instance, below: &[NameGuess]) -> Vec<NameGuess> {
         .collect()
 }
 
-/// Long and short side of the footprint, metres.
+/// Returns the long and short side of the footprint, meters.
 #[must_use]
 pub fn sides(instance: &Instance) -> (f32, f32) {
     let size = instance.oriented_box.size;

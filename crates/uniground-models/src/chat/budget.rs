@@ -1,41 +1,41 @@
-//! Money that may be spent: a question's, a batch's, a day's.
+//! Budgets: the money that a question, a batch or a day may spend.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// What may be spent, shared by everything that spends from it. US dollars.
+/// A spending limit in US dollars, shared by everything that spends from it.
 #[derive(Debug, Clone)]
 pub struct Budget {
-    /// Whose it is, for people: "this question".
+    /// The budget's owner, for people: "this question".
     of: &'static str,
     limit_usd: f64,
     account: Arc<Mutex<Account>>,
 }
 
-/// US dollars.
+/// Amounts in US dollars.
 #[derive(Debug, Default)]
 struct Account {
     spent: f64,
-    /// For calls under way.
+    /// Amount reserved for calls in progress.
     reserved: f64,
 }
 
-/// A call that was not made, because a budget has too little left.
+/// A call that was not made because a budget has too little left.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
     "the budget of {of} is spent: {limit_usd} US dollars, of which {left_usd:.6} are left and about {wanted_usd:.6} are needed"
 )]
 pub struct OverBudget {
-    /// Whose budget it is, for people: "this question".
+    /// The budget's owner, for people: "this question".
     pub of: &'static str,
     /// The whole budget.
     pub limit_usd: f64,
-    /// Neither spent nor put aside for calls under way; at least 0.
+    /// Amount neither spent nor reserved for calls in progress; at least 0.
     pub left_usd: f64,
-    /// What the call was thought to cost.
+    /// Estimated cost of the call.
     pub wanted_usd: f64,
 }
 
-/// Money put aside for a call; what was not settled goes back.
+/// Money reserved for a call. It is released on drop unless it was settled.
 #[derive(Debug)]
 pub struct Reservation {
     account: Arc<Mutex<Account>>,
@@ -43,31 +43,31 @@ pub struct Reservation {
 }
 
 impl Budget {
-    /// A budget of which nothing is spent. `of` says whose it is ("this question"); the limit may
+    /// Creates a budget with nothing spent. `of` names its owner ("this question"). The limit may
     /// be infinite.
     #[must_use]
     pub fn new(of: &'static str, limit_usd: f64) -> Self {
         Self { of, limit_usd, account: Arc::default() }
     }
 
-    /// A budget of which some was spent before.
+    /// Creates a budget of which some was already spent.
     #[must_use]
     pub fn with_spent(self, usd: f64) -> Self {
         locked(&self.account).spent = usd;
         self
     }
 
-    /// US dollars.
+    /// Returns the amount spent, US dollars.
     #[must_use]
     pub fn spent_usd(&self) -> f64 {
         locked(&self.account).spent
     }
 
-    /// Puts money aside for a call: calls at the same time can not spend the same money. An empty
-    /// budget pays for nothing, not even for what seems to be free.
+    /// Reserves money for a call, so that concurrent calls cannot spend the same money. An
+    /// exhausted budget pays for nothing, not even for calls that are estimated to be free.
     ///
     /// # Errors
-    /// [`OverBudget`].
+    /// Returns [`OverBudget`] if too little is left.
     pub fn reserve(&self, usd: f64) -> Result<Reservation, OverBudget> {
         let mut account = locked(&self.account);
         let left_usd = self.limit_usd - account.spent - account.reserved;
@@ -85,7 +85,7 @@ impl Budget {
 }
 
 impl Reservation {
-    /// The call is paid for; what was reserved goes back.
+    /// Books the actual cost of the call and releases the reservation.
     pub fn settle(self, usd: f64) {
         locked(&self.account).spent += usd;
     }
@@ -114,7 +114,7 @@ mod tests {
         drop(first);
         budget.reserve(0.6).unwrap().settle(0.7);
         assert!((budget.reserve(0.4).unwrap_err().left_usd - 0.3).abs() < 1e-9);
-        // A call may cost more than thought: then nothing is left.
+        // A call may cost more than estimated. Then nothing is left.
         budget.reserve(0.2).unwrap().settle(0.9);
         assert!(budget.reserve(0.0).is_err());
         assert!(Budget::new("nobody", 0.0).reserve(0.0).is_err());

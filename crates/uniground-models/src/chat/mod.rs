@@ -1,6 +1,6 @@
-//! Chat models: what is asked, what is answered, what it costs (docs/METHOD.md, section 4,
-//! "Calls"). How a model is reached is somebody else's business: the service speaks to
-//! OpenAI-compatible endpoints, a robot may bring a model of its own.
+//! Chat models: requests, replies and costs (docs/METHOD.md, section 4, "Calls"). This module does
+//! not define how a model is reached: the service uses OpenAI-compatible endpoints, and a robot may
+//! bring its own model.
 
 mod budget;
 mod session;
@@ -14,42 +14,42 @@ pub use session::{AskError, CallRecord, Session, usage_of};
 use std::sync::Arc;
 pub use tokens::Tokens;
 
-/// What a completion is thought to take before it is known.
+/// Estimated tokens of a completion before its size is known.
 const EXPECTED_COMPLETION_TOKENS: u64 = 1000;
 
-/// US dollars per million tokens.
+/// Prices in US dollars per million tokens.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Prices {
-    /// For what is sent, pictures included.
+    /// Price of the tokens sent, including pictures.
     pub prompt_usd: f64,
-    /// For what the model writes.
+    /// Price of the tokens that the model writes.
     pub completion_usd: f64,
 }
 
-/// One question to a model. Temperature and token limits are left unset, as in the paper.
+/// A request to a model. Temperature and token limits are left unset, as in the paper.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChatRequest {
-    /// System message: who the model is to be.
+    /// System message: the role of the model.
     pub system: String,
     /// User message: text and pictures, in this order.
     pub user: Vec<Part>,
-    /// A JSON schema the answer should follow; servers that refuse it are asked without.
+    /// A JSON schema for the answer. Servers that refuse it are asked again without it.
     pub schema: Option<(&'static str, Value)>,
 }
 
-/// A piece of a user message.
+/// A part of a user message.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Part {
-    /// Words for the model, as they are.
+    /// Text for the model, sent unchanged.
     Text(String),
-    /// Shown at this place between the words.
+    /// A picture at this position in the text.
     Picture(Picture),
 }
 
 /// A picture for a model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
-    /// By which it is found again: `global`, `candidate-7`.
+    /// Name of the picture: `global`, `candidate-7`.
     pub name: String,
     /// Bytes of the JPEG file, shared by all copies.
     pub jpeg: Arc<[u8]>,
@@ -59,28 +59,27 @@ pub struct Picture {
     pub height: u32,
 }
 
-/// What the model said, and what it took.
+/// The reply of a model, with tokens and time used.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ChatReply {
-    /// What the model wrote, as it came; empty when it said nothing.
+    /// The model's text, unchanged. Empty when the model wrote nothing.
     pub text: String,
-    /// Tokens sent, pictures included; reckoned by [`Tokens`] where the server does not count.
+    /// Tokens sent, including pictures. Estimated by [`Tokens`] if the server does not count.
     pub prompt_tokens: u64,
-    /// Tokens written; reckoned where the server does not count.
+    /// Tokens written. Estimated if the server does not count.
     pub completion_tokens: u64,
-    /// How often the request was sent, at least once; a recorded reply keeps its number.
+    /// Number of times the request was sent, at least 1. A recorded reply keeps its number.
     pub attempts: u32,
-    /// Attempts before it that got no answer but may be billed: the request was read, as far as
-    /// anybody knows.
+    /// Earlier attempts without an answer that may be billed: the server may have read the request.
     #[serde(default)]
     pub lost: u32,
-    /// Wall-clock time from the first attempt to the reply, waits included.
+    /// Wall-clock time from the first attempt to the reply, including waits.
     pub latency_ms: f64,
 }
 
-/// Why a model gave no answer.
+/// The reason why a model gave no answer.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // Every message says what it is about.
+#[allow(missing_docs)] // Every message describes its variant.
 pub enum ChatError {
     #[error("the model's server said {status} {reason}: {detail}")]
     Refused { status: u16, reason: &'static str, detail: String },
@@ -96,58 +95,58 @@ pub enum ChatError {
     NotRecordable(String),
     #[error("the model's server is down and is not asked: it is tried again in {again_in_s} s")]
     Down { again_in_s: u64 },
-    /// By money that others spend from as well, so that only the model's keeper knows what is left.
+    /// A budget refused the call. It is shared with other spenders, so only the owner of the model
+    /// knows what is left.
     #[error(transparent)]
     OverBudget(#[from] OverBudget),
 }
 
-/// A question that got no answer, and what was done for it.
+/// A failed request, with the attempts that were made.
 #[derive(Debug, thiserror::Error)]
 #[error("{error}")]
 pub struct ChatFailure {
-    /// What the last attempt came to.
+    /// The error of the last attempt.
     #[source]
     pub error: ChatError,
-    /// How often the request was sent; 0 when it never was.
+    /// Number of times the request was sent. 0 if it was never sent.
     pub attempts: u32,
-    /// Those of them that may be billed: the request was read, as far as anybody knows.
+    /// Number of these attempts that may be billed: the server may have read the request.
     pub lost: u32,
-    /// Wall-clock time of all attempts, waits included.
+    /// Wall-clock time of all attempts, including waits.
     pub latency_ms: f64,
 }
 
-/// A model that can be asked: an endpoint elsewhere, answers that were recorded, or a model in this
-/// process.
+/// A chat model: a remote endpoint, recorded answers, or a model in this process.
 pub trait ChatModel: Send + Sync {
-    /// Its name, recorded with answers.
+    /// Returns the model's name, which is recorded with answers.
     fn name(&self) -> &str;
 
-    /// What its tokens cost; all 0 when that is not known.
+    /// Returns the prices of tokens. All are 0 if they are unknown.
     fn prices(&self) -> Prices;
 
-    /// Asks, with whatever patience it has.
+    /// Sends a request. Retries and timeouts are up to the implementation.
     ///
     /// # Errors
-    /// [`ChatFailure`]; a future that never completes is for the caller to drop.
+    /// Returns [`ChatFailure`]. The caller must drop a future that never completes.
     fn ask<'a>(&'a self, request: &'a ChatRequest)
     -> BoxFuture<'a, Result<ChatReply, ChatFailure>>;
 }
 
 impl Prices {
-    /// Whether anything is known to cost something.
+    /// Returns whether any price is known to be above 0.
     #[must_use]
     pub fn are_known(self) -> bool {
         self != Self::default()
     }
 
-    /// What a call is thought to cost before it is made, US dollars.
+    /// Returns the estimated cost of a call before it is made, US dollars.
     #[must_use]
     pub fn thought_usd(self, request: &ChatRequest) -> f64 {
         self.cost_usd(Tokens::of(request).total(), EXPECTED_COMPLETION_TOKENS)
     }
 
-    /// What a call has cost, US dollars. Attempts that may be billed count for what they sent:
-    /// better than to find out later.
+    /// Returns the cost of a call, US dollars. Attempts that may be billed count with the tokens
+    /// they sent, so that the cost is not underestimated.
     #[must_use]
     pub fn paid_usd(self, request: &ChatRequest, outcome: &Result<ChatReply, ChatFailure>) -> f64 {
         let lost =
@@ -160,7 +159,7 @@ impl Prices {
         }
     }
 
-    /// What tokens cost, US dollars.
+    /// Returns the cost of tokens, US dollars.
     #[must_use]
     pub fn cost_usd(self, prompt_tokens: u64, completion_tokens: u64) -> f64 {
         (prompt_tokens as f64 * self.prompt_usd + completion_tokens as f64 * self.completion_usd)

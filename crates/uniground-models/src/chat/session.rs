@@ -1,30 +1,30 @@
-//! The calls of one question: counted, paid for, remembered.
+//! The model calls of one question: counted, paid from budgets, and recorded.
 
 use super::budget::Reservation;
 use super::{Budget, ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, OverBudget};
 use uniground_types::answer::Usage;
 
-/// One call: what was asked, and what came of it.
+/// A call with its request and result.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CallRecord {
-    /// What the call was for: `parse`, `naming`, `spatial`, or what was wrong with the answer
-    /// before, like `out_of_set`.
+    /// Purpose of the call: `parse`, `naming`, `spatial`, or the error of the previous answer, like
+    /// `out_of_set`.
     pub purpose: &'static str,
-    /// What was asked, pictures included.
+    /// The request, including pictures.
     pub request: ChatRequest,
-    /// The reply, or why there is none.
+    /// The reply, or the reason why there is none.
     pub outcome: Result<ChatReply, String>,
-    /// How often the request was sent; 0 when it never was.
+    /// Number of times the request was sent. 0 if it was never sent.
     pub attempts: u32,
-    /// Wall-clock time of all attempts, waits included.
+    /// Wall-clock time of all attempts, including waits.
     pub latency_ms: f64,
-    /// At the model's prices, US dollars; attempts that may be billed count.
+    /// Cost at the model's prices, US dollars. Includes attempts that may be billed.
     pub cost_usd: f64,
 }
 
-/// Why a call was not made, or got no answer.
+/// The reason why a call was not made or got no answer.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // Every message says what it is about.
+#[allow(missing_docs)] // Every message describes its variant.
 pub enum AskError {
     #[error(transparent)]
     Chat(#[from] ChatFailure),
@@ -34,8 +34,8 @@ pub enum AskError {
     CallsUsedUp { most: u32 },
 }
 
-/// A call under way and what it is thought to cost: that counts as spent when nobody waits for its
-/// end.
+/// A call in progress with its estimated cost. The estimate counts as spent if the future is
+/// dropped before the call ends.
 struct Sent {
     reservations: Vec<Reservation>,
     thought: f64,
@@ -53,7 +53,7 @@ impl Drop for Sent {
     }
 }
 
-/// Asks for one question, from the budgets that pay for it.
+/// Makes the calls of one question and pays them from its budgets.
 pub struct Session<'a> {
     model: &'a dyn ChatModel,
     budgets: Vec<Budget>,
@@ -62,33 +62,34 @@ pub struct Session<'a> {
 }
 
 impl<'a> Session<'a> {
-    /// A session of at most `most` calls, each paid from all of `budgets`.
+    /// Creates a session of at most `most` calls. Each is paid from all of `budgets`.
     #[must_use]
     pub fn new(model: &'a dyn ChatModel, budgets: Vec<Budget>, most: u32) -> Self {
         Self { model, budgets, most, records: Vec::new() }
     }
 
-    /// Name of the model that is asked, as recorded with answers.
+    /// Returns the model's name, as recorded with answers.
     #[must_use]
     pub fn model_name(&self) -> &str {
         self.model.name()
     }
 
-    /// How many more calls may be made. A failed call counts, one refused by a budget does not.
+    /// Returns how many more calls may be made. A failed call counts, a call refused by a budget
+    /// does not.
     #[must_use]
     pub fn calls_left(&self) -> u32 {
         self.most.saturating_sub(self.records.len() as u32)
     }
 
-    /// Lets one more call be made than was agreed.
+    /// Raises the limit on calls by one.
     pub fn allow_one_more(&mut self) {
         self.most += 1;
     }
 
-    /// Asks once. Whatever comes of it is remembered.
+    /// Sends one request and records the result.
     ///
     /// # Errors
-    /// [`AskError`]: no call left, no money left, or the model could not be asked.
+    /// Returns [`AskError`]: no call left, no money left, or the model could not be reached.
     pub async fn ask(
         &mut self,
         purpose: &'static str,
@@ -103,10 +104,10 @@ impl<'a> Session<'a> {
             .iter()
             .map(|budget| budget.reserve(thought))
             .collect::<Result<Vec<_>, _>>()?;
-        // Who leaves while the model thinks has asked it all the same.
+        // If the caller drops this future during the call, the request has still been sent.
         let mut sent = Sent { reservations, thought };
         let answered = match self.model.ask(&request).await {
-            // As if one of ours had refused it: nothing was asked.
+            // The same as a refusal by one of the session's own budgets: nothing was sent.
             Err(ChatFailure { error: ChatError::OverBudget(over), .. }) => {
                 sent.settle(0.0);
                 return Err(over.into());
@@ -124,14 +125,14 @@ impl<'a> Session<'a> {
         Ok(answered?.text)
     }
 
-    /// All calls, in order.
+    /// Returns all calls, in order.
     #[must_use]
     pub fn into_records(self) -> Vec<CallRecord> {
         self.records
     }
 }
 
-/// Sums up the tokens and the cost of calls. A call without a reply costs nothing that is known.
+/// Returns the total tokens and cost of calls. A call without a reply adds no known cost.
 #[must_use]
 pub fn usage_of(calls: &[CallRecord]) -> Usage {
     let replies = || calls.iter().filter_map(|call| call.outcome.as_ref().ok());

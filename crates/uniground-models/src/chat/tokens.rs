@@ -1,15 +1,16 @@
-//! What a request takes, before it is sent: for budgets, and for figures without a model.
+//! Estimates the tokens of a request before it is sent, for budgets and for figures without a
+//! model.
 
 use super::{ChatRequest, Part};
 
-/// Tokens of a request, reckoned: English text at four characters each, pictures by the tiles
-/// common providers document (512 x 512 pixels after fitting into 2048 x 2048 with the shorter side
-/// at most 768: 85 + 170 for every tile).
+/// Estimated tokens of a request: English text at four characters per token, pictures by the tiles
+/// that common providers document (512 x 512 pixels after fitting into 2048 x 2048 with the shorter
+/// side at most 768: 85 + 170 per tile).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Tokens {
-    /// Of all words, the system message included.
+    /// Tokens of all text, including the system message.
     pub text: u64,
-    /// Of all pictures together.
+    /// Tokens of all pictures.
     pub pictures: u64,
 }
 
@@ -18,7 +19,7 @@ const PICTURE: u64 = 85;
 const TILE: u64 = 170;
 
 impl Tokens {
-    /// Reckons a request; its schema is not counted.
+    /// Estimates the tokens of a request. Its schema is not counted.
     #[must_use]
     pub fn of(request: &ChatRequest) -> Self {
         let mut tokens = Self { text: text(&request.system), pictures: 0 };
@@ -26,20 +27,20 @@ impl Tokens {
             match part {
                 Part::Text(words) => tokens.text += text(words),
                 Part::Picture(picture) => {
-                    tokens.pictures += self::picture(picture.width, picture.height)
+                    tokens.pictures += self::picture(picture.width, picture.height);
                 }
             }
         }
         tokens
     }
 
-    /// Tokens of a text.
+    /// Estimates the tokens of a text.
     #[must_use]
     pub fn of_text(words: &str) -> u64 {
         text(words)
     }
 
-    /// Of words and pictures together.
+    /// Returns the sum of text and picture tokens.
     #[must_use]
     pub fn total(self) -> u64 {
         self.text + self.pictures
@@ -62,7 +63,7 @@ fn picture(width: u32, height: u32) -> u64 {
 mod tests {
     use super::*;
 
-    /// Figures of the provider's own documentation.
+    /// Figures from the provider's own documentation.
     #[test]
     fn pictures_are_counted_in_tiles() {
         assert_eq!(picture(1024, 1024), 765);

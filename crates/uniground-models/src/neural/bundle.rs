@@ -8,10 +8,10 @@ use sha2::{Digest, Sha256};
 use std::fs::{self, File};
 use std::io;
 
-/// The file that describes a bundle; a folder without it is none.
+/// The file that describes a bundle. A folder without it is not a bundle.
 pub const MANIFEST: &str = "model.json";
 
-/// `model.json`.
+/// The content of `model.json`.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Manifest {
     /// `kind` is `dual-encoder`: pictures and words in one space.
@@ -25,20 +25,20 @@ pub enum Manifest {
 pub struct DualEncoderManifest {
     /// 1 to 100 letters, digits, dots, dashes and underscores.
     pub name: String,
-    /// Length of an embedding, 1 to 65536; the same for pictures and words.
+    /// Length of an embedding, 1 to 65536. The same for pictures and words.
     pub embedding_dim: usize,
-    /// Embeds pictures.
+    /// The network that embeds pictures.
     pub image: ImageTower,
-    /// Embeds words.
+    /// The network that embeds words.
     pub text: TextTower,
-    /// What cosines are multiplied with before they are compared as likelihoods; 100 for CLIP and
-    /// its kin.
+    /// Factor that cosines are multiplied with before they are compared as likelihoods. 100 for
+    /// CLIP and similar models.
     #[serde(default = "usual_scale")]
     pub logit_scale: f32,
-    /// Of the weights, for people; empty when not told.
+    /// License of the weights, for people. Empty when not stated.
     #[serde(default)]
     pub licence: String,
-    /// Where the weights come from, for people; empty when not told.
+    /// Source of the weights, for people. Empty when not stated.
     #[serde(default)]
     pub source: String,
 }
@@ -47,7 +47,7 @@ fn usual_scale() -> f32 {
     100.0
 }
 
-/// The network that embeds pictures, and how it wants them.
+/// The network that embeds pictures, and its input format.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct ImageTower {
     /// Name of the network's file, in the bundle's folder.
@@ -58,15 +58,15 @@ pub struct ImageTower {
     pub output: String,
     /// Width and height, pixels.
     pub size: [u32; 2],
-    /// How a picture is brought to `size`.
+    /// How a picture is resized to `size`.
     pub resize: Resize,
     /// Filter of the resizing.
     pub interpolation: Interpolation,
     /// Subtracted from values in `0..=1`: red, green, blue.
     pub mean: [f32; 3],
-    /// Divides what is left, above 0: red, green, blue.
+    /// Divisor after subtracting `mean`, above 0: red, green, blue.
     pub std: [f32; 3],
-    /// Several pictures fit into one call.
+    /// Whether a call may contain several pictures.
     #[serde(default = "yes")]
     pub dynamic_batch: bool,
 }
@@ -87,16 +87,17 @@ pub struct TextTower {
     pub attention_mask: Option<String>,
     /// Name of the tensor of embeddings: `[batch, embedding_dim]`, not yet of unit length.
     pub output: String,
-    /// Name of the tokenizer's file, in the bundle's folder, usually `tokenizer.json`; it pads and
-    /// cuts to `context_length`.
+    /// Name of the tokenizer's file, in the bundle's folder, usually `tokenizer.json`. It pads and
+    /// truncates to `context_length`.
     pub tokenizer: String,
-    /// Tokens of every sentence, padding included, 1 to 65536; longer sentences lose their end.
+    /// Number of tokens per sentence, including padding, 1 to 65536. Longer sentences are
+    /// truncated.
     pub context_length: usize,
-    /// Id of the token that sentences are padded with; 0 when not told.
+    /// Id of the padding token. 0 when not stated.
     #[serde(default)]
     pub pad_id: u32,
-    /// What a noun is put into before it is embedded: "a photo of a {}." for towers trained on
-    /// captions.
+    /// The prompt that a noun is inserted into before it is embedded: "a photo of a {}." for towers
+    /// trained on captions.
     #[serde(default = "plain")]
     pub template: String,
 }
@@ -108,52 +109,52 @@ fn plain() -> String {
 /// `model.json` of a promptable segmenter.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct SegmenterManifest {
-    /// What it is built like.
+    /// The network's architecture.
     pub family: Family,
     /// 1 to 100 letters, digits, dots, dashes and underscores.
     pub name: String,
-    /// Runs once a picture.
+    /// The network that runs once per picture.
     pub encoder: SegmenterEncoder,
-    /// Runs for every batch of prompts.
+    /// The network that runs for every batch of prompts.
     pub decoder: SegmenterDecoder,
-    /// Of the weights, for people; empty when not told.
+    /// License of the weights, for people. Empty when not stated.
     #[serde(default)]
     pub licence: String,
-    /// Where the weights come from, for people; empty when not told.
+    /// Source of the weights, for people. Empty when not stated.
     #[serde(default)]
     pub source: String,
 }
 
-/// What a segmenter is built like: it decides which features the decoder reads.
+/// The architecture of a segmenter. It decides which features the decoder reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Family {
-    /// SAM, and `MobileSAM`: one embedding of the picture.
+    /// SAM and `MobileSAM`: one embedding of the picture.
     Sam,
-    /// SAM 2: finer features beside the embedding.
+    /// SAM 2: finer features in addition to the embedding.
     Sam2,
 }
 
-/// The network that sees the picture, and how it wants it.
+/// The network that encodes the picture, and its input format.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct SegmenterEncoder {
     /// Name of the network's file, in the bundle's folder.
     pub file: String,
     /// Name of the tensor of the picture: `[1, 3, size, size]`, 32-bit floats.
     pub input: String,
-    /// Tensors it makes; `image_embed` must be among them.
+    /// Output tensors. `image_embed` must be among them.
     pub outputs: FeatureNames,
     /// Width and height of its input, pixels, 1 to 4096.
     pub size: u32,
-    /// How a picture is brought to `size`; cropping is refused.
+    /// How a picture is resized to `size`. Cropping is refused.
     pub resize: Resize,
     /// Filter of the resizing.
     pub interpolation: Interpolation,
-    /// What `mean` and `std` are in.
+    /// The value range that `mean` and `std` refer to.
     pub value_range: ValueRange,
     /// Subtracted from the values: red, green, blue.
     pub mean: [f32; 3],
-    /// Divides what is left, above 0: red, green, blue.
+    /// Divisor after subtracting `mean`, above 0: red, green, blue.
     pub std: [f32; 3],
 }
 
@@ -169,7 +170,7 @@ pub struct FeatureNames {
 }
 
 impl FeatureNames {
-    /// Those there are, by role.
+    /// Returns the existing tensors, by role.
     pub fn each(&self) -> impl Iterator<Item = (&'static str, &str)> {
         [
             ("image_embed", &self.image_embed),
@@ -180,7 +181,8 @@ impl FeatureNames {
         .filter_map(|(role, name)| Some((role, name.as_deref()?)))
     }
 
-    /// The tensor's name in a role such as `image_embed`; `None` when it has none.
+    /// Returns the tensor's name for a role such as `image_embed`, or `None` if there is no such
+    /// tensor.
     #[must_use]
     pub fn of(&self, role: &str) -> Option<&str> {
         self.each().find(|(r, _)| *r == role).map(|(_, name)| name)
@@ -192,55 +194,56 @@ impl FeatureNames {
 pub struct SegmenterDecoder {
     /// Name of the network's file, in the bundle's folder.
     pub file: String,
-    /// Tensors it reads.
+    /// Input tensors.
     pub inputs: DecoderInputs,
-    /// Tensors it makes.
+    /// Output tensors.
     pub outputs: DecoderOutputs,
-    /// Width and height of the masks that come out, pixels, 1 to 4096.
+    /// Width and height of the output masks, pixels, 1 to 4096.
     pub mask_size: usize,
-    /// Masks for each prompt, 1 to 16.
+    /// Number of masks per prompt, 1 to 16.
     pub num_masks: usize,
-    /// First mask that one point may mean, counted from 0; all after it may be meant as well.
+    /// First mask that is a candidate for a prompt with one point, counted from 0. All later masks
+    /// are candidates too.
     pub multimask_first: usize,
-    /// The mask that several points mean, counted from 0; `None`: they are answered like one
-    /// point.
+    /// The mask for a prompt with several points, counted from 0. `None`: such prompts are treated
+    /// like a single point.
     pub single_mask: Option<usize>,
-    /// Several prompts fit into one call.
+    /// Whether a call may contain several prompts.
     pub dynamic_batch: bool,
-    /// Prompts in one call, 1 to 1024; without `dynamic_batch` there is always one.
+    /// Number of prompts per call, 1 to 1024. Always one without `dynamic_batch`.
     pub max_batch: usize,
-    /// The same where a graphics card computes, 1 to 1024: more prompts take hardly longer there.
-    /// `None`: as many.
+    /// The same on a GPU, 1 to 1024: more prompts take hardly longer there. `None`: the value of
+    /// `max_batch`.
     #[serde(default)]
     pub accelerated_batch: Option<u16>,
-    /// Prompts without a box get one more point, labelled -1, which means nothing.
+    /// Whether prompts without a box get an additional padding point, labeled -1.
     pub pad_point: bool,
     /// Logit above which a pixel is inside.
     pub mask_threshold: f32,
 }
 
-/// Tensors the decoder reads, by role.
+/// Input tensors of the decoder, by role.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 pub struct DecoderInputs {
-    /// What the encoder made; each must be among its outputs.
+    /// Tensors from the encoder. Each must be among its outputs.
     #[serde(flatten)]
     pub features: FeatureNames,
     /// Name of the tensor of points: `[batch, points, 2]`, x and y in network pixels.
     pub point_coords: String,
-    /// Name of the tensor of their meanings: `[batch, points]`; 0 outside, 1 inside, 2 and 3
-    /// corners of a box, -1 padding.
+    /// Name of the tensor of point labels: `[batch, points]`; 0 outside, 1 inside, 2 and 3 corners
+    /// of a box, -1 padding.
     pub point_labels: String,
-    /// Name of the tensor of a mask to start from: `[batch, 1, mask_size, mask_size]`, here all 0;
-    /// `None` when the network has none.
+    /// Name of the tensor of an initial mask: `[batch, 1, mask_size, mask_size]`, here all 0.
+    /// `None` when the network has no such input.
     pub mask_input: Option<String>,
-    /// Name of the tensor that says whether `mask_input` counts, here 0; there exactly when
+    /// Name of the tensor that says whether `mask_input` is used, here 0. Present exactly when
     /// `mask_input` is.
     pub has_mask_input: Option<String>,
     /// Must be `None`: masks are enlarged here, not by the network.
     pub orig_im_size: Option<String>,
 }
 
-/// Tensors the decoder makes, by role.
+/// Output tensors of the decoder, by role.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 pub struct DecoderOutputs {
     /// Name of the tensor of logits: `[batch, num_masks, mask_size, mask_size]`.
@@ -249,33 +252,33 @@ pub struct DecoderOutputs {
     pub iou: String,
 }
 
-/// How a picture becomes as large as the network wants it.
+/// How a picture is resized to the network's input size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Resize {
-    /// Both sides as wanted, whatever the aspect.
+    /// Both sides are scaled to the size, ignoring the aspect ratio.
     Squash,
-    /// The shorter side as wanted, the middle cut out.
+    /// The shorter side is scaled to the size, and the center is cropped.
     ShortestCenterCrop,
-    /// The longer side as wanted, the rest the mean colour.
+    /// The longer side is scaled to the size, and the rest is filled with the mean color.
     #[serde(alias = "longest-side-pad")]
     LongestPad,
 }
 
-/// Filter a picture is resized with. It widens when shrinking (antialias), as Pillow's does.
+/// Resizing filter. It widens when shrinking (antialias), like Pillow's.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Interpolation {
-    /// Straight lines between two neighbours along each axis.
+    /// Linear interpolation between two neighbors along each axis.
     Bilinear,
-    /// Catmull-Rom curves through four neighbours along each axis.
+    /// Catmull-Rom interpolation of four neighbors along each axis.
     Bicubic,
 }
 
-/// What mean and std of a segmenter are in.
+/// The value range of a segmenter's mean and std.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 pub enum ValueRange {
-    /// Values as they are, 0 to 255.
+    /// Unchanged values, 0 to 255.
     #[serde(rename = "0-255")]
     Bytes,
     /// Values divided by 255, 0 to 1.
@@ -283,18 +286,18 @@ pub enum ValueRange {
     Unit,
 }
 
-/// A folder with a manifest that makes sense. Its networks are not loaded.
+/// A folder with a valid manifest. Its networks are not loaded.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bundle {
-    /// Where `model.json` lies.
+    /// The folder that contains `model.json`.
     pub folder: Utf8PathBuf,
-    /// As read from there, and checked.
+    /// The checked manifest.
     pub manifest: Manifest,
 }
 
 impl Bundle {
     /// # Errors
-    /// [`ModelError::Bundle`] naming `model.json` and the field.
+    /// Returns [`ModelError::Bundle`], which names `model.json` and the field.
     pub fn read(folder: &Utf8Path) -> Result<Self, ModelError> {
         let file = folder.join(MANIFEST);
         let wrong = |why: String| ModelError::Bundle { file: file.clone(), why };
@@ -306,7 +309,7 @@ impl Bundle {
         Ok(Self { folder: folder.to_owned(), manifest })
     }
 
-    /// The manifest's; the folder may be called something else.
+    /// Returns the manifest's name. The folder may have another name.
     #[must_use]
     pub fn name(&self) -> &str {
         match &self.manifest {
@@ -315,13 +318,13 @@ impl Bundle {
         }
     }
 
-    /// Where a file of the bundle should lie; the disk is not asked.
+    /// Returns the path of a file of the bundle. Does not access the disk.
     #[must_use]
     pub fn path(&self, file: &str) -> Utf8PathBuf {
         self.folder.join(file)
     }
 
-    /// The networks, then the tokenizer where there is one.
+    /// Returns the networks, then the tokenizer if there is one.
     #[must_use]
     pub fn files(&self) -> (Vec<&str>, Option<&str>) {
         match &self.manifest {
@@ -332,11 +335,12 @@ impl Bundle {
         }
     }
 
-    /// The files beside a network that hold its weights, where it is larger than one ONNX file can
-    /// be.
+    /// Returns the external files that hold a network's weights, if it is larger than one ONNX file
+    /// can be.
     ///
     /// # Errors
-    /// [`ModelError::Bundle`]: the network can not be read, or its weights lie elsewhere or are missing.
+    /// Returns [`ModelError::Bundle`]: the network cannot be read, or its weights lie outside of
+    /// the folder or are missing.
     pub fn weights_of(&self, network: &str) -> Result<Vec<String>, ModelError> {
         let file = self.path(network);
         let wrong = |why: String| ModelError::Bundle { file: file.clone(), why };
@@ -357,11 +361,11 @@ impl Bundle {
         Ok(named.into_iter().collect())
     }
 
-    /// SHA-256 over names and contents of the manifest, the files it names and the weights beside
-    /// these, and over `also`; hexadecimal.
+    /// Returns the SHA-256 over names and contents of the manifest, the files it names and their
+    /// external weights, and over `also`; hexadecimal.
     ///
     /// # Errors
-    /// [`ModelError::Bundle`] naming the file that is missing.
+    /// Returns [`ModelError::Bundle`], which names the missing file.
     pub fn fingerprint(&self, with_networks: bool, also: &[String]) -> Result<String, ModelError> {
         let (networks, tokenizer) = self.files();
         let mut digest = Sha256::new();

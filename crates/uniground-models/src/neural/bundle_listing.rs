@@ -1,4 +1,4 @@
-//! Bundles in a folder: what lies there, and whether it is whole.
+//! Lists the bundles in a folder and checks whether they are complete.
 
 use super::bundle::{Bundle, MANIFEST, Manifest};
 use super::{Engine, ModelError, Models, Role};
@@ -8,35 +8,35 @@ use serde::Serialize;
 /// A file of a bundle.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct BundleFile {
-    /// As in the manifest, without the folder.
+    /// Name as in the manifest, without the folder.
     pub name: String,
-    /// `None` when it is missing.
+    /// Size in bytes. `None` when the file is missing.
     pub bytes: Option<u64>,
 }
 
-/// What lies in one folder.
+/// A bundle found in a folder.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct BundleListing {
-    /// Where its `model.json` lies.
+    /// The folder that contains its `model.json`.
     pub folder: Utf8PathBuf,
-    /// The manifest's; the folder's when the manifest can not be read.
+    /// The manifest's name, or the folder's name when the manifest cannot be read.
     pub name: String,
-    /// Where it can be used; unknown when its manifest can not be read.
+    /// What it can be used for. `None` when its manifest cannot be read.
     pub role: Option<Role>,
-    /// Networks, then the tokenizer where there is one; none when the manifest can not be read.
+    /// Networks, then the tokenizer if there is one. Empty when the manifest cannot be read.
     pub files: Vec<BundleFile>,
-    /// Of the weights, for people; empty when not told.
+    /// License of the weights, for people. Empty when not stated.
     pub licence: String,
-    /// Where the weights come from, for people; empty when not told.
+    /// Source of the weights, for people. Empty when not stated.
     pub source: String,
-    /// What is wrong with it, if anything.
+    /// The problem with it, if any.
     pub problem: Option<String>,
 }
 
-/// The bundles in a folder, by name.
+/// Returns the bundles in a folder, sorted by name.
 ///
 /// # Errors
-/// When the folder can not be read.
+/// Returns an error when the folder cannot be read.
 pub fn list(folder: &Utf8Path) -> std::io::Result<Vec<BundleListing>> {
     let mut folders: Vec<Utf8PathBuf> = folder
         .read_dir_utf8()?
@@ -92,10 +92,10 @@ fn listing(folder: &Utf8Path) -> BundleListing {
     }
 }
 
-/// Loads a bundle and runs it once: whether it would work.
+/// Loads a bundle and runs it once to check that it works.
 ///
 /// # Errors
-/// [`ModelError`] naming file and tensor.
+/// Returns a [`ModelError`] that names the file and the tensor.
 pub fn verify(engine: &dyn Engine, folder: &Utf8Path) -> Result<Models, ModelError> {
     let bundle = Bundle::read(folder)?;
     match bundle.manifest {

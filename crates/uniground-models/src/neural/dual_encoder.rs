@@ -1,4 +1,4 @@
-//! Pictures and words in one space (paper: the Perception Encoder; CLIP and `SigLIP` alike).
+//! Embeds pictures and words in one space (paper: the Perception Encoder; also CLIP and `SigLIP`).
 
 use super::ModelError;
 use super::bundle::{Bundle, DualEncoderManifest, TextTower};
@@ -10,12 +10,12 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use tokenizers::Tokenizer;
 
-/// A sentence in the common space.
+/// The embedding of a sentence.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TextEmbedding {
-    /// Unit length; `None` when the tower knows none of the words.
+    /// Unit length. `None` when the text tower knows none of the words.
     pub vector: Option<Arc<[f32]>>,
-    /// The sentence was longer than the tower's context: its end was not read.
+    /// Whether the sentence was longer than the tower's context and was truncated.
     pub cut: bool,
 }
 
@@ -25,26 +25,26 @@ pub struct DualEncoder {
     image: Box<dyn Network>,
     text: Box<dyn Network>,
     tokenizer: Tokenizer,
-    /// Pictures per call.
+    /// Number of pictures per call.
     batch: usize,
-    /// Queries come again: the same scene is asked the same things, and every phrase is looked up
-    /// among the same names.
+    /// Cache of queries. Queries repeat: the same scene gets the same questions, and every phrase
+    /// is compared with the same names.
     queries: Mutex<HashMap<String, TextEmbedding>>,
 }
 
-/// Pictures per call where that changes no answer.
+/// Number of pictures per call if batching does not change the results.
 const BATCH: usize = 8;
-/// Remembered queries; past that all are forgotten at once.
+/// Maximum number of cached queries. When it is exceeded, the whole cache is cleared.
 const MAX_QUERIES: usize = 20_000;
-/// Embeddings of the same picture in different company agree at least this well, or pictures go
-/// alone.
+/// Minimum cosine between embeddings of the same picture in different batches. Below it, pictures
+/// are embedded one at a time.
 const INDEPENDENT: f32 = 0.9999;
 
 impl DualEncoder {
     /// Checks the networks against the manifest and runs them once.
     ///
     /// # Errors
-    /// [`ModelError`] naming file and tensor.
+    /// Returns a [`ModelError`] that names the file and the tensor.
     pub fn new(
         bundle: &Bundle,
         manifest: &DualEncoderManifest,
@@ -107,23 +107,24 @@ impl DualEncoder {
         Ok(encoder)
     }
 
-    /// Length of an embedding; the same for pictures and words.
+    /// Returns the length of an embedding. It is the same for pictures and words.
     #[must_use]
     pub fn dim(&self) -> usize {
         self.manifest.embedding_dim
     }
 
-    /// Pictures per call: 1 where the network takes no more, or an embedding depends on its
-    /// neighbours, as with activations quantised over the whole batch.
+    /// Returns the number of pictures per call. 1 if the network takes no more, or if an embedding
+    /// depends on the rest of its batch, as with activations quantized over the whole batch.
     #[must_use]
     pub fn batch(&self) -> usize {
         self.batch
     }
 
-    /// One unit vector per picture. What is in the same call changes nothing.
+    /// Returns one unit vector per picture. The result does not depend on the other pictures of a
+    /// call.
     ///
     /// # Errors
-    /// [`ModelError`]: a failed call, or a picture without an embedding.
+    /// Returns a [`ModelError`]: a failed call, or a picture without an embedding.
     pub fn embed_pictures(&self, pictures: &[RgbImage]) -> Result<Vec<Vec<f32>>, ModelError> {
         let mut embedded = Vec::with_capacity(pictures.len());
         for batch in pictures.chunks(self.batch) {
@@ -154,7 +155,7 @@ impl DualEncoder {
         rows.chunks_exact(self.dim()).map(|row| normalised(row).ok_or_else(failed)).collect()
     }
 
-    /// The output as rows, if it has the shape that was declared.
+    /// Returns the output as rows, if it has the declared shape.
     fn rows(
         &self,
         file: &str,
@@ -175,10 +176,10 @@ impl DualEncoder {
         }
     }
 
-    /// A sentence in the common space, computed once.
+    /// Returns the embedding of a sentence, from the cache if possible.
     ///
     /// # Errors
-    /// [`ModelError`]: a failed call.
+    /// Returns a [`ModelError`]: a failed call.
     pub fn embed_text(&self, text: &str) -> Result<TextEmbedding, ModelError> {
         let known = |queries: &Mutex<HashMap<String, TextEmbedding>>| {
             queries.lock().unwrap_or_else(PoisonError::into_inner).get(text).cloned()
@@ -195,15 +196,15 @@ impl DualEncoder {
         Ok(embedding)
     }
 
-    /// A noun in the common space, put into the words the tower was trained with.
+    /// Returns the embedding of a noun, inserted into the prompt that the tower was trained with.
     ///
     /// # Errors
-    /// [`ModelError`]: a failed call.
+    /// Returns a [`ModelError`]: a failed call.
     pub fn embed_name(&self, noun: &str) -> Result<TextEmbedding, ModelError> {
         self.embed_text(&self.manifest.text.template.replacen("{}", noun, 1))
     }
 
-    /// What cosines are multiplied with to become likelihoods.
+    /// Returns the factor that turns cosines into logits of likelihoods.
     #[must_use]
     pub fn logit_scale(&self) -> f32 {
         self.manifest.logit_scale
@@ -241,7 +242,7 @@ impl DualEncoder {
         })
     }
 
-    /// Whether a picture's embedding is the same alone and in company.
+    /// Returns whether a picture's embedding is the same alone and in a batch.
     fn is_independent(&self) -> Result<bool, ModelError> {
         let [width, height] = self.manifest.image.size;
         let noise = |salt: u32| {
@@ -251,7 +252,7 @@ impl DualEncoder {
                 Rgb([(mixed >> 24) as u8, (mixed >> 16) as u8, (mixed >> 8) as u8])
             })
         };
-        // One flat and dark, one loud: their ranges differ as much as ranges can.
+        // One uniform and dark, one noisy: their value ranges differ as much as possible.
         let pictures = [RgbImage::from_pixel(width, height, Rgb([40, 44, 50])), noise(1)];
         let together = self.embed_batch(&pictures)?;
         for (picture, in_company) in pictures.iter().zip(together) {
@@ -270,7 +271,7 @@ struct Tokens {
     cut: bool,
 }
 
-/// Reads a tokenizer and holds it to the tower's context.
+/// Reads a tokenizer and checks that it pads and truncates to the tower's context length.
 fn tokenizer(file: Utf8PathBuf, tower: &TextTower) -> Result<Tokenizer, ModelError> {
     let context_length = tower.context_length;
     let wrong = |why: String| ModelError::Bundle { file: file.clone(), why };
@@ -293,7 +294,7 @@ fn tokenizer(file: Utf8PathBuf, tower: &TextTower) -> Result<Tokenizer, ModelErr
     }
 }
 
-/// Unit length, or nothing for the zero vector.
+/// Normalizes to unit length. Returns `None` for the zero vector.
 #[must_use]
 pub fn normalised(vector: &[f32]) -> Option<Vec<f32>> {
     let norm = vector.iter().map(|v| f64::from(*v) * f64::from(*v)).sum::<f64>().sqrt() as f32;

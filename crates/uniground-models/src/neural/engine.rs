@@ -1,25 +1,25 @@
-//! Where networks run.
+//! Engines that run networks.
 
 use super::ModelError;
 use super::bundle::Bundle;
 use super::network::Network;
 
-/// What a network is called for: it decides who gives way.
+/// The purpose of a network's calls. It decides their priority.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Work {
-    /// Frames of a parse: long, and nobody waits for a single call.
+    /// Frames of a parse: many calls, and no user waits for a single one.
     Parsing,
-    /// Words of a question: short, and somebody waits.
+    /// Words of a question: a short call, and a user waits for it.
     Questions,
 }
 
-/// Something that runs networks: ONNX Runtime in this process
-/// ([`OnnxRuntime`](super::OnnxRuntime)), or an inference server elsewhere.
+/// Runs networks: ONNX Runtime in this process ([`OnnxRuntime`](super::OnnxRuntime)), or a remote
+/// inference server.
 pub trait Engine: Send + Sync {
-    /// Opens a network of a bundle; `at_once` calls of it may run at the same time.
+    /// Opens a network of a bundle. Up to `at_once` calls of it may run at the same time.
     ///
     /// # Errors
-    /// [`ModelError`] naming the file, or the server's model.
+    /// Returns a [`ModelError`] that names the file or the server's model.
     fn open(
         &self,
         bundle: &Bundle,
@@ -28,22 +28,21 @@ pub trait Engine: Send + Sync {
         work: Work,
     ) -> Result<Box<dyn Network>, ModelError>;
 
-    /// What tells this bundle's answers from those of another: its files where they are read here;
-    /// elsewhere, its manifest and what the server says it has.
+    /// Returns a fingerprint that identifies this bundle's results: computed from its files if they
+    /// are read here; otherwise from its manifest and what the server reports.
     ///
     /// # Errors
-    /// [`ModelError`] naming the file, or the server's model.
+    /// Returns a [`ModelError`] that names the file or the server's model.
     fn fingerprint(&self, bundle: &Bundle) -> Result<String, ModelError>;
 
-    /// For people: `cpu`, `cuda`, or an address.
+    /// Returns where networks run, for people: `cpu`, `cuda`, or an address.
     fn runs_on(&self) -> String;
 
-    /// Whether something other than processor cores is known to compute, which likes larger
-    /// batches.
+    /// Returns whether an accelerator is known to be used. It benefits from larger batches.
     fn is_accelerated(&self) -> bool {
         false
     }
 
-    /// File of the library that computes; none where networks run elsewhere.
+    /// Returns the path of the runtime library, or `None` if networks run elsewhere.
     fn library(&self) -> Option<String>;
 }

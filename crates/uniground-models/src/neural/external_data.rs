@@ -1,7 +1,7 @@
-//! Weights beside a network: ONNX files hold at most 2 GB, larger networks name the files that hold
-//! their tensors.
+//! External weights of a network. ONNX files hold at most 2 GB; larger networks name the files that
+//! hold their tensors.
 //!
-//! The protobuf of an ONNX file is walked, not loaded: tensors are passed over. Field numbers are
+//! The protobuf of an ONNX file is scanned, not loaded: tensor data is skipped. Field numbers are
 //! those of `onnx.proto`.
 
 use camino::Utf8Path;
@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{self, BufReader, Read};
 
-/// A message on the way from a model to the places of its tensors.
+/// A kind of message on the path from a model to the locations of its tensors.
 #[derive(Clone, Copy)]
 enum Message {
     Model,
@@ -22,7 +22,7 @@ enum Message {
 }
 
 impl Message {
-    /// What a field holds, where that leads to tensors.
+    /// Returns the kind of message in a field, if it leads to tensors.
     fn field(self, number: u64) -> Option<Self> {
         match (self, number) {
             (Self::Model, 7) | (Self::Attribute, 6 | 11) => Some(Self::Graph),
@@ -35,23 +35,23 @@ impl Message {
     }
 }
 
-/// Graphs within graphs: deeper is no network.
+/// Maximum depth of nested graphs. No valid network is deeper.
 const MAX_DEPTH: u32 = 64;
-/// Longer is no file name.
+/// Maximum length of a file name, bytes.
 const MAX_NAME: u64 = 4096;
 
-/// Names of the files that hold tensors of a network, as it gives them; none for a file that is no
-/// ONNX protobuf (`.ort`).
+/// Returns the names of the files that hold tensors of a network, as the network states them. Empty
+/// for a file that is not an ONNX protobuf (`.ort`).
 ///
 /// # Errors
-/// The file can not be read.
+/// Returns an error if the file cannot be read.
 pub(super) fn external_data(network: &Utf8Path) -> io::Result<BTreeSet<String>> {
     let file = File::open(network)?;
     let length = file.metadata()?.len();
     let mut walk = Walk { reader: BufReader::new(file), at: 0, found: BTreeSet::new() };
     match walk.message(Message::Model, length, 0) {
         Ok(()) => Ok(walk.found),
-        // Whoever runs it will say that it is no network.
+        // The runtime reports a file that is not a network.
         Err(error)
             if matches!(
                 error.kind(),

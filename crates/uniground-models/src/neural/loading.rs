@@ -1,4 +1,4 @@
-//! The models a process works with: bundles by name or folder, loaded once.
+//! The models of a process: bundles by name or folder, loaded once.
 
 use super::bundle::{Bundle, Manifest};
 use super::engine::{Engine, Work};
@@ -7,15 +7,15 @@ use camino::{Utf8Path, Utf8PathBuf};
 use std::sync::Arc;
 use uniground_types::models::{LoadedModel, Role};
 
-/// Segmenters and encoder, where there are any. Cheap to clone.
+/// The loaded segmenters and encoder, if any. Cheap to clone.
 #[derive(Clone, Default)]
 pub struct Models {
-    /// Make 2D masks, each its own, and the first corrects outlines; none: masks are cut by depth
-    /// and colour (docs/METHOD.md, section 1.3).
+    /// Segmenters for 2D masks. Each makes its own masks, and the first one corrects outlines.
+    /// Empty: masks come from depth and color (docs/METHOD.md, section 1.3).
     pub segmenters: Vec<Arc<Segmenter>>,
-    /// Embeds pictures and words; `None`: names come from measures (docs/METHOD.md, section 1.10).
+    /// Embeds pictures and words. `None`: names come from measures (docs/METHOD.md, section 1.10).
     pub encoder: Option<Arc<DualEncoder>>,
-    /// What callers are told of each, in the order of loading.
+    /// Information on each model for callers, in the order of loading.
     pub loaded: Vec<LoadedModel>,
 }
 
@@ -25,10 +25,11 @@ impl std::fmt::Debug for Models {
     }
 }
 
-/// Prompts and queries come several at once; a picture's encoder uses all cores by itself.
+/// Number of concurrent sessions for prompts and queries, which arrive several at once. A picture's
+/// encoder uses all cores by itself.
 const AT_ONCE: usize = 2;
 
-/// The folder of a bundle: a path, or a name below `folder`.
+/// Returns the folder of a bundle, from a path or a name below `folder`.
 #[must_use]
 pub fn folder_of(bundle: &str, folder: &Utf8Path) -> Utf8PathBuf {
     match bundle.contains(['/', '\\']) {
@@ -38,10 +39,10 @@ pub fn folder_of(bundle: &str, folder: &Utf8Path) -> Utf8PathBuf {
 }
 
 impl Models {
-    /// Loads a segmenter, after those there are.
+    /// Loads a segmenter and appends it to the loaded ones.
     ///
     /// # Errors
-    /// [`ModelError`] naming file and tensor.
+    /// Returns a [`ModelError`] that names the file and the tensor.
     pub fn with_segmenter(
         mut self,
         engine: &dyn Engine,
@@ -67,7 +68,7 @@ impl Models {
     /// Loads a dual encoder.
     ///
     /// # Errors
-    /// [`ModelError`] naming file and tensor.
+    /// Returns a [`ModelError`] that names the file and the tensor.
     pub fn with_encoder(
         mut self,
         engine: &dyn Engine,
@@ -92,7 +93,7 @@ impl Models {
         Ok(self)
     }
 
-    /// Those of the wanted roles.
+    /// Returns the models of the requested roles.
     #[must_use]
     pub fn only(&self, masks: bool, encoder: bool) -> Self {
         let wanted = |role: Role| if role == Role::Masks { masks } else { encoder };
@@ -125,7 +126,7 @@ impl Models {
         Ok(())
     }
 
-    /// What the loaded models of a role are recorded as: their names, each with the beginning of
+    /// Returns the record of the loaded models of a role: their names, each with the beginning of
     /// its fingerprint, joined by `+`.
     #[must_use]
     pub fn label(&self, role: Role) -> Option<String> {

@@ -1,11 +1,11 @@
 //! Neural models: bundles of ONNX networks, run by an [`Engine`]: ONNX Runtime in this process, or
-//! whatever else a program brings along.
+//! another engine that the program provides.
 //!
 //! ```text
 //! bundle (model.json) ─> Engine ─> Networks (onnx: session pools)
 //!                           └─> DualEncoder, Segmenter
 //! ```
-//! What stands above knows pictures, words and prompts; nobody outside this folder sees a tensor.
+//! Callers work with pictures, words and prompts. Tensors are not used outside of this folder.
 
 pub mod bundle;
 mod bundle_listing;
@@ -28,9 +28,9 @@ pub use uniground_types::models::{LoadedModel, Role};
 
 use camino::Utf8PathBuf;
 
-/// What can be wrong with a model. Messages name the file and the tensor.
+/// Errors of a model. Messages name the file and the tensor.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // Every message says what it is about.
+#[allow(missing_docs)] // Every message describes its variant.
 pub enum ModelError {
     #[error("the ONNX Runtime library was not found: looked at {}", looked_at.join(", "))]
     NoLibrary { looked_at: Vec<String> },

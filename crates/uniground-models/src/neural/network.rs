@@ -1,9 +1,9 @@
-//! A network as its users see it: named tensors in, named tensors out, wherever it runs.
+//! The interface of a network: named tensors in, named tensors out, wherever it runs.
 
 use super::ModelError;
 use camino::Utf8Path;
 
-/// Values going in, row-major.
+/// Input values, row-major.
 #[derive(Debug, Clone, Copy)]
 pub enum Values<'a> {
     /// 32-bit floats: pictures, points, features.
@@ -12,78 +12,79 @@ pub enum Values<'a> {
     I64(&'a [i64]),
 }
 
-/// A tensor going in.
+/// An input tensor.
 #[derive(Debug, Clone)]
 pub struct Input<'a> {
-    /// Name of the network's port it goes to.
+    /// Name of the network's input.
     pub name: &'a str,
     /// Size of each dimension, batch first.
     pub shape: Vec<usize>,
-    /// As many as the sizes in `shape` multiplied.
+    /// Values. Their number is the product of the sizes in `shape`.
     pub values: Values<'a>,
 }
 
-/// A tensor that came out: 32-bit floats, row-major, all of them finite.
+/// An output tensor: 32-bit floats, row-major, all of them finite.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tensor {
     /// Size of each dimension, batch first.
     pub shape: Vec<usize>,
-    /// As many as the sizes in `shape` multiplied.
+    /// Values. Their number is the product of the sizes in `shape`.
     pub values: Vec<f32>,
 }
 
-/// What a tensor's values are.
+/// The type of a tensor's values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Element {
     /// 32-bit floats.
     F32,
     /// 64-bit integers.
     I64,
-    /// Anything else: no network that is used here may need it.
+    /// Any other type. No supported network needs it.
     Other,
 }
 
-/// An input or output as the network declares it. A dimension of -1 is free.
+/// An input or output as the network declares it. A dimension of -1 has any size.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Port {
-    /// By which it is fed or asked for; unique on its side of the network.
+    /// Name of the port, unique among the network's inputs or outputs.
     pub name: String,
-    /// What its values are.
+    /// Type of its values.
     pub element: Element,
     /// Size of each dimension, batch first.
     pub shape: Vec<i64>,
 }
 
-/// What a network takes and makes.
+/// The inputs and outputs of a network.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Signature {
-    /// Taken, as the network lists them.
+    /// Inputs, in the network's order.
     pub inputs: Vec<Port>,
-    /// Made, as the network lists them.
+    /// Outputs, in the network's order.
     pub outputs: Vec<Port>,
 }
 
-/// Runs in this process ([`OnnxRuntime`](super::OnnxRuntime)) or elsewhere. Calls block; several
-/// may run at once.
+/// A network that runs in this process ([`OnnxRuntime`](super::OnnxRuntime)) or elsewhere. Calls
+/// block. Several calls may run at once.
 pub trait Network: Send + Sync {
-    /// Its inputs and outputs, known before any call.
+    /// Returns its inputs and outputs, known before any call.
     fn signature(&self) -> &Signature;
 
-    /// Computes the wanted outputs, in the order asked.
+    /// Computes the requested outputs, in the requested order.
     ///
     /// # Errors
-    /// [`ModelError`] naming the network: a failed call, or values that are no numbers.
+    /// Returns a [`ModelError`] that names the network: a failed call, or values that are not
+    /// finite.
     fn run(&self, inputs: &[Input], outputs: &[&str]) -> Result<Vec<Tensor>, ModelError>;
 }
 
-/// A shape as a network may declare it; `None` = any size.
+/// A required shape. `None`: any size.
 pub type Pattern<'a> = &'a [Option<usize>];
 
 impl Signature {
-    /// Checks that a tensor is there, with this type and a shape that allows `pattern`.
+    /// Checks that a tensor exists, with this type and a shape that matches `pattern`.
     ///
     /// # Errors
-    /// [`ModelError::Tensor`] naming the file and the tensor.
+    /// Returns [`ModelError::Tensor`], which names the file and the tensor.
     pub fn expect(
         &self,
         file: &Utf8Path,
@@ -122,12 +123,12 @@ impl Signature {
     }
 }
 
-/// Which side of a network a tensor is on.
+/// The side of a network that a tensor is on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
-    /// The network takes it.
+    /// An input of the network.
     In,
-    /// The network makes it.
+    /// An output of the network.
     Out,
 }
 
@@ -141,12 +142,12 @@ fn spelled_pattern(pattern: Pattern) -> String {
     format!("[{}]", pattern.iter().map(word).collect::<Vec<_>>().join(", "))
 }
 
-/// Refuses values that are no numbers: half a cosine is worse than an error.
+/// Refuses values that are not finite. An error is better than a wrong cosine.
 ///
 /// # Errors
-/// [`ModelError::NotFinite`].
+/// Returns [`ModelError::NotFinite`].
 pub fn finite(network: &str, tensor: &str, values: &[f32]) -> Result<(), ModelError> {
-    // A sum is finite when all are, but for overflow: look closer only then.
+    // The sum of finite values is finite, except on overflow. Only then each value is checked.
     if values.iter().map(|v| v * 0.0).sum::<f32>() == 0.0 {
         return Ok(());
     }

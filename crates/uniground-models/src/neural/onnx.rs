@@ -1,4 +1,4 @@
-//! ONNX Runtime on this machine: the library is found at run time, sessions stand in pools.
+//! ONNX Runtime on this machine. The library is found at run time, and sessions are pooled.
 
 use super::ModelError;
 use super::bundle::Bundle;
@@ -13,18 +13,18 @@ use serde::{Deserialize, Serialize};
 use std::sync::{Condvar, Mutex, PoisonError};
 use uniground_geometry::background::on_low_thread;
 
-/// What computes.
+/// The execution provider.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Provider {
-    /// Processor cores; part of every library.
+    /// CPU cores. Available in every library.
     #[default]
     Cpu,
     /// NVIDIA GPUs.
     Cuda,
-    /// NVIDIA GPUs, by `TensorRT`.
+    /// NVIDIA GPUs, with `TensorRT`.
     Tensorrt,
-    /// Apple's chips, by Core ML.
+    /// Apple chips, with Core ML.
     Coreml,
 }
 
@@ -59,30 +59,30 @@ impl Provider {
     }
 }
 
-/// Where ONNX Runtime is found, and what it may use.
+/// Where to find ONNX Runtime, and which resources it may use.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct RuntimeSettings {
-    /// The library itself; looked for when left out.
+    /// Path of the library. Searched for if not set.
     pub library: Option<Utf8PathBuf>,
-    /// Must be built into the library: nothing else steps in for it.
+    /// Must be built into the library. There is no fallback to another provider.
     pub provider: Provider,
-    /// Cores a model may use; all when left out.
+    /// Number of cores per model. All cores if not set.
     pub threads: Option<usize>,
 }
 
-/// The library, loaded. A process loads it once.
+/// The loaded library. A process loads it once.
 #[derive(Debug, Clone)]
 pub struct OnnxRuntime {
-    /// The file that was loaded, links resolved.
+    /// The file that was loaded, with symbolic links resolved.
     pub library: Utf8PathBuf,
-    /// What computes; the library was built with it.
+    /// The execution provider. The library was built with it.
     pub provider: Provider,
-    /// Cores a model may use, at least 1.
+    /// Number of cores per model, at least 1.
     pub threads: usize,
     environment: Environment,
 }
 
-/// The library of this process.
+/// The library that this process has loaded.
 static LOADED: Mutex<Option<(Utf8PathBuf, Environment)>> = Mutex::new(None);
 
 const LIBRARY_FILE: &str = if cfg!(target_os = "macos") {
@@ -94,19 +94,20 @@ const LIBRARY_FILE: &str = if cfg!(target_os = "macos") {
 };
 
 impl OnnxRuntime {
-    /// Finds the library, as [`load`](Self::load) does, without loading it.
+    /// Finds the library like [`load`](Self::load), without loading it.
     ///
     /// # Errors
-    /// [`ModelError`]: where it was looked for.
+    /// Returns a [`ModelError`] that lists where it was searched for.
     pub fn find(settings: &RuntimeSettings) -> Result<Utf8PathBuf, ModelError> {
         find_library(settings.library.as_deref())
     }
 
-    /// Finds and loads the library: the one told, that of `ORT_DYLIB_PATH`, `./.onnxruntime/`, or
-    /// one beside the executable.
+    /// Finds and loads the library: the configured one, the one in `ORT_DYLIB_PATH`, in
+    /// `./.onnxruntime/`, or next to the executable.
     ///
     /// # Errors
-    /// [`ModelError`]: no library, one that can not be used, or one without the provider asked for.
+    /// Returns a [`ModelError`]: no library, an unusable one, or one without the requested
+    /// provider.
     pub fn load(settings: &RuntimeSettings) -> Result<Self, ModelError> {
         let library = Self::find(settings)?;
         let unusable = |why: String| ModelError::BadLibrary { library: library.clone(), why };
@@ -168,14 +169,14 @@ impl OnnxRuntime {
     }
 
     fn session(&self, file: &Utf8Path, at_once: usize) -> ort::Result<Session> {
-        // Threads that wait sleep: the cores have other work. A provider that fails is an error,
-        // never a silent change to another one.
+        // Idle threads sleep instead of spinning, because the cores have other work. A failing
+        // provider is an error, never a silent fallback to another one.
         let builder = Session::builder(&self.environment)?
             .with_intra_threads((self.threads / at_once).max(1))?
             .with_inter_threads(1)?
             .with_intra_op_spinning(false)?
-            // A plan of one large block, made after the first call, would come on top of what an
-            // encoder's arena holds already.
+            // A memory plan of one large block, made after the first call, would add to the memory
+            // that an encoder's arena already holds.
             .with_memory_pattern(at_once > 1)?;
         let provider = self.provider.dispatch().error_on_failure();
         builder.with_execution_providers([provider])?.commit_from_file(file)
@@ -193,7 +194,7 @@ impl Engine for OnnxRuntime {
         bundle.weights_of(file)?;
         let load = || self.load_network(&bundle.path(file), at_once);
         let network = match work {
-            // A session's own threads are as low as the thread that makes it.
+            // A session's own threads inherit the priority of the thread that creates it.
             Work::Parsing => on_low_thread(load)?,
             Work::Questions => load()?,
         };
@@ -231,7 +232,7 @@ fn find_library(told: Option<&Utf8Path>) -> Result<Utf8PathBuf, ModelError> {
             .collect()
     };
     let candidates: Vec<Utf8PathBuf> = named.map_or_else(usual, |file| vec![file]);
-    // A missing library must be found out here: loading one may not come back.
+    // A missing library must be detected here: loading one may never return.
     match candidates.iter().find(|file| file.is_file()) {
         Some(file) => file
             .canonicalize_utf8()
@@ -242,7 +243,7 @@ fn find_library(told: Option<&Utf8Path>) -> Result<Utf8PathBuf, ModelError> {
     }
 }
 
-/// The runtime's messages go on for pages; their first line says what is wrong.
+/// Returns the first line of a runtime message. The runtime's messages can be pages long.
 fn first_line(message: &str) -> String {
     message.lines().next().unwrap_or_default().chars().take(300).collect()
 }
@@ -262,7 +263,7 @@ fn port(outlet: &ort::value::Outlet) -> Port {
     Port { name: outlet.name().to_owned(), element, shape }
 }
 
-/// One network with a few sessions, lent to one caller each.
+/// One network with a pool of sessions. Each session serves one caller at a time.
 pub struct OnnxNetwork {
     name: String,
     signature: Signature,

@@ -1,4 +1,4 @@
-//! Pictures to tensors: resized as the network was trained with, then normalised, channel by
+//! Converts pictures to tensors: resized as in the network's training, then normalized, channel by
 //! channel.
 
 use super::bundle::{Interpolation, Resize};
@@ -6,15 +6,14 @@ use fast_image_resize::images::{Image, ImageRef};
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
 use image::{RgbImage, imageops};
 
-/// A picture as large as a network wants it.
+/// A picture of the size that a network requires.
 pub struct Fitted {
     pub picture: RgbImage,
     /// Network pixels per picture pixel, along x and y.
     pub scale: (f32, f32),
 }
 
-/// Resizes a picture to `size` (width, height). What a padded picture leaves free is not part of
-/// the result.
+/// Resizes a picture to `size` (width, height). Padding is not part of the result.
 #[must_use]
 pub fn fit(
     picture: &RgbImage,
@@ -52,9 +51,9 @@ pub fn fit(
     Fitted { picture, scale: (new_w as f32 / w as f32, new_h as f32 / h as f32) }
 }
 
-/// Resamples with a filter that widens when shrinking (antialias) and eight bits between the
-/// passes, as Pillow does: the networks were exported with its results, and some of them notice the
-/// difference.
+/// Resamples like Pillow, with a filter that widens when shrinking (antialias) and eight bits
+/// between the passes. The networks were exported with Pillow's results, and some of them are
+/// sensitive to the difference.
 fn resample(
     picture: &RgbImage,
     (width, height): (u32, u32),
@@ -68,7 +67,7 @@ fn resample(
         Interpolation::Bicubic => FilterType::CatmullRom,
     };
     let mut resized = Image::new(width, height, PixelType::U8x3);
-    // Sizes and pixel types agree by construction.
+    // Sizes and pixel types match by construction.
     let source =
         ImageRef::new(picture.width(), picture.height(), picture.as_raw(), PixelType::U8x3);
     let options = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(filter));
@@ -79,8 +78,8 @@ fn resample(
         .unwrap_or_else(|| RgbImage::new(width, height))
 }
 
-/// Appends `(value / divisor - mean) / std`, channel after channel, into a plane of `size`; what
-/// the picture does not cover is 0.
+/// Appends `(value / divisor - mean) / std`, channel by channel, into a plane of `size`. Pixels
+/// that the picture does not cover are 0.
 pub fn append_planes(
     picture: &RgbImage,
     size: [u32; 2],

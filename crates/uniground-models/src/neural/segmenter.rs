@@ -1,5 +1,5 @@
-//! A promptable segmenter: a picture is encoded once, then points in it are asked for masks (paper:
-//! SAM; SAM 2 and `MobileSAM` alike).
+//! A promptable segmenter: a picture is encoded once, then masks are computed from points in it
+//! (paper: SAM; also SAM 2 and `MobileSAM`).
 
 use super::ModelError;
 use super::bundle::{Bundle, SegmenterManifest, ValueRange};
@@ -15,7 +15,7 @@ pub struct Segmenter {
     decoder: Box<dyn Network>,
 }
 
-/// A picture as the decoder wants it.
+/// The encoded picture, the input of the decoder.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Encoded {
     features: Vec<Feature>,
@@ -29,43 +29,43 @@ struct Feature {
     values: Vec<f32>,
 }
 
-/// Points in picture pixels (column, row; 0 = centre of the first pixel), each with what it says of
-/// what is wanted.
+/// A prompt: points in picture pixels (column, row; 0 = center of the first pixel), each with a
+/// label.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prompt {
-    /// Each with what it means; a box is given by two of its corners.
+    /// Points with labels. A box is given by two of its corners.
     pub points: Vec<((f32, f32), PointLabel)>,
 }
 
-/// What a point of a prompt says about the thing that is wanted.
+/// The relation of a prompt's point to the wanted object.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PointLabel {
-    /// The point lies beside it.
+    /// The point lies outside of the object.
     Outside,
-    /// The point lies on it.
+    /// The point lies on the object.
     Inside,
-    /// Corner of the box around it, least column and row.
+    /// Corner of the object's box with the smallest column and row.
     BoxTopLeft,
-    /// Corner of the box around it, largest column and row.
+    /// Corner of the object's box with the largest column and row.
     BoxBottomRight,
 }
 
 impl Prompt {
-    /// Points that all lie on what is wanted, in picture pixels (column, row).
+    /// Creates a prompt of points that all lie on the object, in picture pixels (column, row).
     #[must_use]
     pub fn inside(points: impl IntoIterator<Item = (f32, f32)>) -> Self {
         Self { points: points.into_iter().map(|p| (p, PointLabel::Inside)).collect() }
     }
 }
 
-/// One of the masks a prompt may mean, at the decoder's resolution.
+/// A candidate mask for a prompt, at the decoder's resolution.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LowMask {
-    /// Row-major, `mask_size` squared; above the threshold = inside.
+    /// Row-major, `mask_size` squared. Above the threshold: inside.
     pub logits: Vec<f32>,
-    /// The model's own opinion of the mask, its IoU with what was meant.
+    /// The model's estimate of the mask's IoU with the wanted object.
     pub predicted_iou: f32,
-    /// Which of the decoder's masks this is.
+    /// Index among the decoder's masks.
     pub index: usize,
 }
 
@@ -73,7 +73,7 @@ impl Segmenter {
     /// Checks the networks against the manifest and runs them once.
     ///
     /// # Errors
-    /// [`ModelError`] naming file and tensor.
+    /// Returns a [`ModelError`] that names the file and the tensor.
     pub fn new(
         bundle: &Bundle,
         manifest: &SegmenterManifest,
@@ -147,8 +147,8 @@ impl Segmenter {
             &[None, Some(d.num_masks)],
         )?;
         let segmenter = Self { manifest: manifest.clone(), encoder, decoder };
-        // Whole batches in two places at once: what a parse will need is taken now, or the lack of
-        // it told.
+        // Full batches in two sessions at once: the memory that a parse needs is allocated now, or
+        // its lack is reported.
         let encoded = segmenter.encode(&RgbImage::new(64, 48))?;
         let batch = vec![Prompt::inside([(32.0, 24.0)]); segmenter.batch()];
         let (here, there) = rayon::join(
@@ -159,19 +159,19 @@ impl Segmenter {
         Ok(segmenter)
     }
 
-    /// Width and height of the masks that come out.
+    /// Returns the width and height of the output masks.
     #[must_use]
     pub fn mask_size(&self) -> usize {
         self.manifest.decoder.mask_size
     }
 
-    /// Prompts per call.
+    /// Returns the number of prompts per call.
     #[must_use]
     pub fn batch(&self) -> usize {
         if self.manifest.decoder.dynamic_batch { self.manifest.decoder.max_batch } else { 1 }
     }
 
-    /// Logit above which a pixel is inside a mask.
+    /// Returns the logit above which a pixel is inside a mask.
     #[must_use]
     pub fn threshold(&self) -> f32 {
         self.manifest.decoder.mask_threshold
@@ -180,7 +180,7 @@ impl Segmenter {
     /// Encodes a picture, once for all its prompts.
     ///
     /// # Errors
-    /// [`ModelError`]: a failed call.
+    /// Returns a [`ModelError`]: a failed call.
     pub fn encode(&self, picture: &RgbImage) -> Result<Encoded, ModelError> {
         let e = &self.manifest.encoder;
         let size = [e.size, e.size];
@@ -201,19 +201,19 @@ impl Segmenter {
         Ok(Encoded { features, scale: fitted.scale })
     }
 
-    /// The features the decoder reads, by role.
+    /// Returns the features that the decoder reads, by role.
     fn roles(&self) -> impl Iterator<Item = (&'static str, &str)> {
         self.manifest.decoder.inputs.features.each()
     }
 
-    /// The masks each prompt may mean: several for one point, the single one, where the model has
-    /// one, for more.
+    /// Returns the candidate masks of each prompt: several masks for one point; for more points the
+    /// single mask, if the model has one.
     ///
-    /// All prompts of a call have the same number of points: points that are none would be tokens
-    /// of their own and change the answer.
+    /// All prompts of a call have the same number of points. Padding points would be tokens of
+    /// their own and change the answer.
     ///
     /// # Errors
-    /// [`ModelError`]: a failed call.
+    /// Returns a [`ModelError`]: a failed call.
     pub fn decode(
         &self,
         encoded: &Encoded,
@@ -313,8 +313,7 @@ impl Segmenter {
         ModelError::Run { network: self.manifest.decoder.file.clone(), why }
     }
 
-    /// Where a picture's pixel lies on a low-resolution mask: low-resolution pixels per picture
-    /// pixel, along x and y.
+    /// Returns low-resolution mask pixels per picture pixel, along x and y.
     #[must_use]
     pub fn low_scale(&self, encoded: &Encoded) -> (f32, f32) {
         let k = self.manifest.decoder.mask_size as f32 / self.manifest.encoder.size as f32;
@@ -342,8 +341,8 @@ impl PointLabel {
 }
 
 impl LowMask {
-    /// The logit at a place of the picture: bilinear between the four nearest cells, the border
-    /// continued. `(x, y)` are picture pixels, `scale` is [`Segmenter::low_scale`].
+    /// Returns the logit at a position in the picture: bilinear between the four nearest cells,
+    /// with the border extended. `(x, y)` are picture pixels, `scale` is [`Segmenter::low_scale`].
     #[must_use]
     pub fn at(&self, (x, y): (f32, f32), scale: (f32, f32)) -> f32 {
         let size = self.logits.len().isqrt();

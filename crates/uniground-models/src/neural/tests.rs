@@ -1,5 +1,5 @@
-//! The tiny bundles in `tests/data`: random weights, every code path, golden outputs from the
-//! Python runtime.
+//! Tests with the tiny bundles in `tests/data`: random weights, every code path, expected outputs
+//! from the Python runtime.
 
 use super::bundle::Bundle;
 use super::*;
@@ -13,7 +13,7 @@ fn data(path: &str) -> Utf8PathBuf {
     Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(path)
 }
 
-/// The library that `make test` fetches. Without it these tests fail: they are never left out.
+/// The library that `make test` downloads. Without it these tests fail: they are never skipped.
 pub fn engine() -> OnnxRuntime {
     let named = std::env::var("ORT_DYLIB_PATH").is_ok();
     let library = (!named).then(|| {
@@ -124,7 +124,7 @@ impl PromptGolden {
         Prompt { points: self.points.iter().copied().zip(self.labels.iter().map(label)).collect() }
     }
 
-    /// Column by column, the first run is outside.
+    /// Decodes the mask, column by column. The first run is outside.
     fn columns(&self) -> Vec<bool> {
         self.rle
             .counts
@@ -171,7 +171,7 @@ fn masks_are_those_of_the_python_reference() {
     }
 }
 
-/// A copy of a tiny bundle with something wrong.
+/// A damaged copy of a tiny bundle.
 fn spoilt(bundle: &str, spoil: impl FnOnce(&Utf8Path)) -> (tempfile::TempDir, Utf8PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = Utf8Path::from_path(folder.path()).unwrap().join(bundle);
@@ -208,7 +208,7 @@ fn what_is_wrong_with_a_bundle_is_told_at_load() {
                     p.join("image.onnx"),
                     fs::read(p.join("image.onnx")).unwrap().split_at(1000).0,
                 )
-                .unwrap()
+                .unwrap();
             },
             &["image.onnx"],
         ),
@@ -273,7 +273,7 @@ fn what_is_wrong_with_a_bundle_is_told_at_load() {
 #[test]
 fn a_network_for_one_picture_gets_one_at_a_time() {
     let (_folder, path) = spoilt("tiny-dual-encoder", |p| {
-        replace(&p.join("model.json"), "\"dynamic_batch\": true", "\"dynamic_batch\": false")
+        replace(&p.join("model.json"), "\"dynamic_batch\": true", "\"dynamic_batch\": false");
     });
     assert_eq!(
         Models::default().with_encoder(&engine(), &path).unwrap().encoder.unwrap().batch(),
@@ -292,9 +292,9 @@ fn a_bundle_of_the_other_kind_is_refused() {
 
 #[test]
 fn values_that_are_no_numbers_are_refused() {
-    // A standard deviation this small makes infinite pixels.
+    // A standard deviation this small gives infinite pixels.
     let (_folder, path) = spoilt("tiny-dual-encoder", |p| {
-        replace(&p.join("model.json"), "\"std\": [\n   0.5", "\"std\": [\n   1e-45")
+        replace(&p.join("model.json"), "\"std\": [\n   0.5", "\"std\": [\n   1e-45");
     });
     let error = verify(&engine(), &path).unwrap_err();
     assert!(matches!(error, ModelError::NotFinite { .. }), "{error}");
@@ -330,7 +330,7 @@ fn fingerprints_follow_the_files() {
     assert_ne!(of(&changed), of(&same));
 }
 
-/// The same decoder with its weights in a file of their own, as networks over 2 GB have them.
+/// The same decoder with its weights in a separate file, as in networks over 2 GB.
 #[test]
 fn weights_beside_a_network_are_loaded_and_fingerprinted() {
     let external = |path: &Utf8Path| {
@@ -350,7 +350,7 @@ fn weights_beside_a_network_are_loaded_and_fingerprinted() {
     };
     assert_eq!(masks(&loaded), masks(&within));
 
-    // One byte of a weight makes another model.
+    // Changing one byte of a weight gives another model.
     let (_other, changed) = spoilt("tiny-segmenter", |path| {
         external(path);
         let file = path.join("decoder.onnx.data");

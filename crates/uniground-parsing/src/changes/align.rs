@@ -1,4 +1,4 @@
-//! Laying one scan over another: iterative closest points, from a first guess (Chen and Medioni
+//! Aligns one scan with another: iterative closest points from an initial guess (Chen and Medioni
 //! 1992, point to plane).
 
 use super::overlap::NearestPoints;
@@ -10,30 +10,33 @@ use uniground_geometry::scene::PointCloud;
 use uniground_geometry::voxels::VoxelGrid;
 use uniground_geometry::{Isometry3, Matrix3, Point3, Vector3};
 
-/// Partners are looked for within these distances, one after the other, metres, so many times each.
+/// Maximum distances between corresponding points, meters: used one after the other, each for a
+/// number of iterations.
 const REACHES_M: [f32; 4] = [0.6, 0.3, 0.15, 0.06];
 const ROUNDS: usize = 12;
-/// Points of either cloud that are used.
+/// Maximum number of points used from either cloud.
 const POINTS: usize = 40_000;
-/// What lies further off its plane than this share of the reach belongs to something that changed.
+/// A point whose distance to the plane exceeds this share of the reach belongs to something that
+/// changed, and is ignored.
 const OUTLIER: f32 = 0.5;
-/// A surface is fitted to the points this near, metres.
+/// Radius in which points are taken to fit a surface, meters.
 const SURFACE_M: f32 = 0.1;
-/// Points are of the same place within this distance, metres.
+/// Two points within this distance count as the same place, meters.
 pub const SAME_PLACE_M: f32 = 0.05;
 
-/// How one scan lies over another.
+/// The alignment of one scan with another.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Alignment {
-    /// From the first scan's coordinates to the second's.
+    /// Transform from the first scan's coordinates to the second's.
     pub place: Isometry3<f32>,
-    /// Share of the first scan's points that have one of the second's within 5 cm.
+    /// Share of the first scan's points with a point of the second within 5 cm.
     pub overlap: f32,
-    /// Their root mean square distance to its surfaces, metres.
+    /// Root mean square distance of these points to the second scan's surfaces, meters.
     pub rms_m: f32,
 }
 
-/// Lays `from` over `to`, from a first guess on; with `refine` off the guess is only measured.
+/// Aligns `from` with `to`, starting at an initial guess. With `refine` off, only measures the
+/// guess.
 ///
 /// # Errors
 /// [`Cancelled`].
@@ -101,14 +104,14 @@ impl<'a> OrientedPoints<'a> {
         }
     }
 
-    /// How far a point lies off the surface at its nearest point, signed, and the normal there.
+    /// Signed distance from a point to the surface at its nearest point, and the normal there.
     fn off(&self, p: &Point3<f32>, nearest: &NearestPoints) -> Option<(f32, Vector3<f32>)> {
         let at = nearest.to(p)? as usize;
         Some(((p - self.points[at]).dot(&self.normals[at]), self.normals[at]))
     }
 
-    /// The motion that brings the points nearer to their surfaces; `None` where too few have any
-    /// near.
+    /// Computes the motion that brings the points nearer to their surfaces; `None` where too few
+    /// points have a surface near.
     fn step(
         &self,
         from: &[Point3<f32>],
@@ -125,7 +128,7 @@ impl<'a> OrientedPoints<'a> {
         if partners.len() < FEWEST {
             return None;
         }
-        // Turns about the middle are best told apart from moves.
+        // Rotation about the center is best conditioned against translation.
         let middle =
             partners.iter().map(|(p, ..)| p.coords).sum::<Vector3<f32>>() / partners.len() as f32;
         let (mut normal_matrix, mut right) = (Matrix6::<f64>::zeros(), Vector6::<f64>::zeros());
@@ -136,7 +139,7 @@ impl<'a> OrientedPoints<'a> {
             normal_matrix += row * row.transpose();
             right -= row * f64::from(*off_m);
         }
-        // In a corridor nothing says how far along one is: there it stays.
+        // In a corridor, motion along its axis is not determined: damping keeps the position there.
         normal_matrix += Matrix6::identity() * (1e-6 * normal_matrix.trace());
         let solved = normal_matrix.cholesky()?.solve(&right).cast::<f32>();
         let turn = UnitQuaternion::from_scaled_axis(Vector3::new(solved[0], solved[1], solved[2]));

@@ -1,13 +1,13 @@
-//! What people have said of a parse, said again of the next one of the same scene.
+//! Carries the corrections that people made to a parse over to the next parse of the same scene.
 
 use crate::instances::merged;
 use uniground_geometry::scene::{Instance, InstanceId, Owners, ParsedScene, correct, parts_of};
 use uniground_types::corrections::{Change, Correction};
 use uniground_types::settings::InstanceSettings;
 
-/// Corrections of the parse before, as far as what they are about is still there: of a scene that
-/// has grown, under its old ids. What was merged is measured anew, of the points its members have
-/// now.
+/// Returns the corrections of the previous parse whose instances still exist; the scene has grown
+/// and keeps its old ids. Merged instances are measured again from the points that their members
+/// have now.
 #[must_use]
 pub fn carried(
     corrections: &[Correction],
@@ -65,8 +65,8 @@ mod tests {
     use uniground_geometry::{Point3, Vector3};
     use uniground_testing::thing;
 
-    /// Things in a row, a hundred points each; the last one is gone, and so is a place for what 1
-    /// and 2 were together.
+    /// Things in a row, a hundred points each. The last one is gone, and so is the placeholder of
+    /// the instance that 1 and 2 were merged into.
     fn scene() -> ParsedScene {
         let at =
             |id: u32, x: f32| thing(id, [x, 0.0], [0.5, 0.5, 0.5], 0.0, Support::Floor, [90; 3]);

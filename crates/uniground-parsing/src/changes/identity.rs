@@ -1,17 +1,19 @@
-//! Ids that outlive a parse: a scene that has grown is cut anew, and what stayed is called by its
-//! old number.
+//! Stable ids across parses: when a scene has grown, it is parsed again, and objects that stayed
+//! keep their old ids.
 
 use std::collections::{BTreeMap, BTreeSet};
 use uniground_geometry::scene::{Embeddings, Instance, InstanceId, ParsedScene, Support};
 
-/// IoU of boxes from which on a part, a whole or what was found for a question is the same as
-/// before.
+/// IoU of boxes from which a part, a whole or an instance found for a question counts as the same
+/// as before.
 const SAME_BOX: f32 = 0.5;
 
-/// A parse of a scene that has grown, under the ids of before: `same` pairs things of before with
-/// those of the parse. What is new is numbered on. No id is ever another's: what is no more leaves
-/// its place behind, marked gone; what was found for questions keeps its own, and so does
-/// what people have merged, gone until it is merged again.
+/// Renumbers the parse of a scene that has grown with the ids of the previous parse. `same` pairs
+/// previous things with things of the new parse.
+///
+/// New instances get the next free ids. An id is never reused: an instance that no longer exists
+/// leaves a placeholder marked as gone. Instances found for questions keep their ids. Instances
+/// that people have merged keep theirs too, marked as gone until they are merged again.
 #[must_use]
 pub fn continued(
     before: &[Instance],
@@ -51,7 +53,7 @@ pub fn continued(
     for old in before {
         by_id.entry(old.id).or_insert_with(|| match old.found_for.is_some() && !old.gone {
             true => old.clone(),
-            // Its pictures went with the parse that had them.
+            // Its pictures were deleted with the parse that had them.
             false => Instance { gone: true, dismissed: true, views: Vec::new(), ..old.clone() },
         });
     }
@@ -62,8 +64,8 @@ pub fn continued(
     parsed
 }
 
-/// Adds to the pairs of things those of parts, wholes and what was found for questions, of which
-/// only boxes are known.
+/// Adds pairs of parts, wholes and instances found for questions to the pairs of things. Only their
+/// boxes are known.
 fn with_boxes(
     before: &[Instance],
     after: &[Instance],
@@ -137,7 +139,7 @@ mod tests {
             found.clone(),
             Instance { merged_from: vec![InstanceId(1)], ..at(5, 1.0) },
         ];
-        // 2 comes first now, 1 is gone, 3.0 is new; the part is still there.
+        // Id 2 comes first now, 1 is gone, 3.0 is new; the part still exists.
         let on_two = Instance { support: Support::Instance { id: InstanceId(1) }, ..at(2, 3.0) };
         let now = continued(
             &before,

@@ -1,9 +1,8 @@
-//! What is different between two looks at a room: which things are the same, which moved, came or
-//! went.
+//! Compares two recordings of a room: which things are the same, moved, appeared or disappeared.
 //!
-//! Two parses cut a room into things independently of each other. Things are the same where they
-//! share their points; of the others it is asked what the frames of the other look say of their
-//! place: looked through, not looked at, or a surface there as well.
+//! Two parses segment a room independently of each other. Things are the same where they share
+//! their points. For the others, the frames of the other recording are checked at the thing's
+//! place: they looked through it, did not look at it, or measured a surface there as well.
 
 mod align;
 mod carried;
@@ -23,24 +22,24 @@ use uniground_geometry::scene::{
 use uniground_geometry::{Isometry3, Point3};
 use uniground_types::changes::{ChangedThing, Changes, MovedThing};
 
-/// One look at a room.
+/// One recording of a room.
 #[derive(Clone, Copy)]
 pub struct RoomState<'a> {
-    /// Its points, metres, Z up.
+    /// Its points, meters, Z up.
     pub cloud: &'a PointCloud,
-    /// Whose each point is; 0: nobody's.
+    /// The instance that owns each point; 0: none.
     pub owner_of_point: &'a [InstanceId],
-    /// In order of id.
+    /// Sorted by id.
     pub instances: &'a [Instance],
-    /// What it was seen by, in the same coordinates; of a scan that has grown those that were
-    /// added last, or those of before.
+    /// The frames that recorded it, in the same coordinates. For a scan that has grown: only the
+    /// frames added last, or only those before.
     pub frames: &'a [FrameRef],
 }
 
-/// Why two looks could not be compared.
+/// Why two recordings could not be compared.
 #[derive(Debug, thiserror::Error)]
 pub enum ChangesError {
-    /// A depth picture can not be read.
+    /// A depth picture cannot be read.
     #[error(transparent)]
     Frame(#[from] FrameError),
     /// The caller asked to stop.
@@ -48,18 +47,18 @@ pub enum ChangesError {
     Cancelled(#[from] Cancelled),
 }
 
-/// Frames that are asked about places: enough to look into every corner.
+/// Maximum number of frames that are checked: enough to see every corner.
 const MOST_FRAMES: usize = 60;
-/// Points of a thing that frames are asked about.
+/// Maximum number of points of a thing that are checked in frames.
 const MOST_POINTS: usize = 400;
-/// Share of a thing's points with a counterpart from which on its surfaces are in the other look as
-/// well.
+/// Share of a thing's points with a counterpart from which its surfaces also exist in the other
+/// recording.
 const STILL_THERE: f32 = 0.5;
-/// Share of a thing's points that the other look's frames must tell about.
+/// Share of a thing's points on which the other recording's frames must have evidence.
 const LOOKED_AT: f32 = 0.25;
 
-/// What is different, given the things that are the same. `place` leads from the coordinates of
-/// `before` to those of `after`.
+/// Returns the differences, given the things that are the same. `place` transforms the coordinates
+/// of `before` to those of `after`.
 ///
 /// # Errors
 /// [`ChangesError`].
@@ -93,11 +92,11 @@ pub fn compare(
         ObjectPlaces::of(after, unmatched, |point| counterparts.of_after(point), &place.inverse());
     for (thing, fate) in found.seen_by(before.frames, progress)? {
         match fate {
-            // A piece of what was one thing before.
+            // A piece of something that was one thing before.
             ObjectFate::Known => {}
             ObjectFate::Empty => changes.appeared.push(told(thing)),
             ObjectFate::SurfaceThere | ObjectFate::NotLookedAt => {
-                changes.first_seen.push(told(thing))
+                changes.first_seen.push(told(thing));
             }
         }
     }
@@ -112,18 +111,18 @@ fn told(thing: &Instance) -> ChangedThing {
     ChangedThing { id: thing.id, label: thing.label().to_owned(), aabb: thing.aabb }
 }
 
-/// What became of a thing, or what was in its place before.
+/// Evidence for a thing, or for its place, in the other recording.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum ObjectFate {
-    /// The other look has its points.
+    /// The other recording has its points.
     Known,
-    /// It has not, but its frames have measured a surface there.
+    /// The other recording lacks its points, but its frames measured a surface there.
     SurfaceThere,
     Empty,
     NotLookedAt,
 }
 
-/// Things of one look, and where their points lie in the other.
+/// The things of one recording, and where their points lie in the other.
 struct ObjectPlaces<'a> {
     things: Vec<(&'a Instance, f32, std::ops::Range<usize>)>,
     positions: Vec<Point3<f32>>,
@@ -188,13 +187,15 @@ impl<'a> ObjectPlaces<'a> {
     }
 }
 
-/// Sizes may differ by this share, and this much, metres: of a thing seen from other sides.
+/// Sizes may differ by this share, and by this many meters, because a thing is seen from other
+/// sides.
 const SAME_SIZE: f32 = 0.7;
 const SIZE_SLACK_M: f32 = 0.04;
-/// Share of the colour that must be the same.
+/// Minimum color similarity.
 const SAME_COLOUR: f32 = 0.5;
 
-/// What is gone here and came there, alike, has moved: the most alike pairs first.
+/// Pairs things that disappeared with similar things that appeared, as moved. Most similar pairs
+/// first.
 fn pair_moved(changes: &mut Changes, before: &RoomState, after: &RoomState) {
     let came: Vec<ChangedThing> =
         changes.appeared.iter().chain(&changes.first_seen).cloned().collect();
@@ -223,7 +224,7 @@ fn pair_moved(changes: &mut Changes, before: &RoomState, after: &RoomState) {
     changes.moved = moved;
 }
 
-/// How alike two things are in size, colour and name; `None`: not the same thing.
+/// Similarity of two things in size, color and name; `None`: not the same thing.
 fn alike(a: &Instance, b: &Instance) -> Option<f32> {
     let sides = |thing: &Instance| {
         let size = thing.oriented_box.size;

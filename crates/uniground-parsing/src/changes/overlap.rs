@@ -1,4 +1,5 @@
-//! Which points of two looks are of the same place, and which things are the same by them.
+//! Finds which points of two recordings show the same place, and which things are therefore the
+//! same.
 
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -7,20 +8,21 @@ use uniground_geometry::scene::InstanceId;
 use uniground_geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap};
 use uniground_geometry::{Isometry3, Point3};
 
-/// IoU of the points of two things from which on they are the same.
+/// IoU of the points of two things from which they are the same.
 const SAME_THING: f32 = 0.33;
 
-/// A thing of which less than this share is left is another one.
+/// A thing of which less than this share is left counts as a different one.
 const LEFT: f32 = 0.25;
 
-/// For the points of two looks: the points of the other in the same place.
+/// For the points of two recordings: the points of the other one at the same place.
 pub struct Counterparts {
     of_before: Vec<Option<u32>>,
     of_after: Vec<bool>,
 }
 
 impl Counterparts {
-    /// Those of a scan that has grown: a point that stayed is bit for bit where it was.
+    /// Matches the points of a scan that has grown: a point that stayed has bit-identical
+    /// coordinates.
     #[must_use]
     pub fn same_points(before: &[Point3<f32>], after: &[Point3<f32>]) -> Self {
         let bits = |p: &Point3<f32>| [p.x, p.y, p.z].map(f32::to_bits);
@@ -28,8 +30,8 @@ impl Counterparts {
         Self::new(before.iter().map(|p| at.get(&bits(p)).copied()).collect(), after.len())
     }
 
-    /// Those of two scans: the nearest point within so many metres. `place` leads from `before` to
-    /// `after`.
+    /// Matches the points of two scans: the nearest point within `within_m` meters. `place`
+    /// transforms `before` to `after`.
     ///
     /// # Errors
     /// [`Cancelled`].
@@ -40,10 +42,10 @@ impl Counterparts {
         within_m: f32,
         progress: &Progress,
     ) -> Result<Self, Cancelled> {
-        // Where a cloud is very dense, a single point has thousands near.
+        // Where a cloud is very dense, a single point has thousands of neighbors.
         let nearest =
             |index: &NearestPoints, p: &Point3<f32>| progress.check().map(|()| index.to(p));
-        // A point may be nearest to none and still have one near.
+        // A point may be nearest to no other point and still have one near.
         let placed: Vec<Point3<f32>> = before.iter().map(|p| place * p).collect();
         let (index, back) =
             (NearestPoints::new(after, within_m), NearestPoints::new(&placed, within_m));
@@ -61,26 +63,26 @@ impl Counterparts {
         Self { of_before, of_after }
     }
 
-    /// The point of the later look where this one of the earlier is.
+    /// Returns the later recording's point at the place of this earlier point.
     #[must_use]
     pub fn of_before(&self, point: usize) -> Option<u32> {
         self.of_before[point]
     }
 
-    /// Whether the earlier look has a point where this one of the later is.
+    /// Whether the earlier recording has a point at the place of this later point.
     #[must_use]
     pub fn of_after(&self, point: usize) -> bool {
         self.of_after[point]
     }
 
-    /// Share of the earlier look's points that have a counterpart.
+    /// Share of the earlier recording's points that have a counterpart.
     #[must_use]
     pub fn share(&self) -> f32 {
         self.of_before.iter().flatten().count() as f32 / self.of_before.len().max(1) as f32
     }
 }
 
-/// The nearest of some points.
+/// Looks up the nearest of a set of points.
 pub(super) struct NearestPoints<'a> {
     points: &'a [Point3<f32>],
     pub within_m: f32,
@@ -96,7 +98,7 @@ impl<'a> NearestPoints<'a> {
         Self { points, within_m, by_voxel }
     }
 
-    /// The nearest point to `p`, as far as any is near enough.
+    /// Returns the point nearest to `p`, if one is within reach.
     pub fn to(&self, p: &Point3<f32>) -> Option<u32> {
         let key = VoxelKey::of(p, self.within_m);
         let around = std::iter::once(key).chain(NEIGHBOURS_26.iter().map(|&d| key.offset(d)));
@@ -109,8 +111,8 @@ impl<'a> NearestPoints<'a> {
     }
 }
 
-/// Things that are the same in both looks, by the owners of their points: each has at most one
-/// partner, the best fitting pairs first.
+/// Returns pairs of things that are the same in both recordings, by the owners of their points.
+/// Each thing has at most one partner; best fitting pairs come first.
 #[must_use]
 pub fn pairs(
     before: &[InstanceId],
@@ -199,7 +201,7 @@ mod tests {
 
     #[test]
     fn looking_for_counterparts_stops_when_it_is_cancelled() {
-        // Of a thousand points in one place each has a thousand near.
+        // A thousand points in one place: each has a thousand neighbors.
         let (dense, checks) = (
             vec![Point3::origin(); 1000],
             std::sync::Arc::new(std::sync::atomic::AtomicUsize::new(0)),

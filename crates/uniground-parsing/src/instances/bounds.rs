@@ -1,4 +1,4 @@
-//! Boxes that a few stray points can not stretch.
+//! Robust bounding boxes that a few outliers cannot stretch.
 
 use super::InstanceSettings;
 use crate::relief::FlatRelief;
@@ -7,9 +7,9 @@ use uniground_geometry::statistics::quantile;
 use uniground_geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap};
 use uniground_geometry::{Point2, Point3};
 
-/// Axis-aligned and oriented box of the points that have company. Thin extents shrink by what noise
-/// of standard deviation `noise_m` (metres) adds to them; what lies flat is as thick as its relief
-/// says.
+/// Computes the axis-aligned and oriented box of the points that have enough neighbors. Thin
+/// extents shrink by what noise of standard deviation `noise_m` (meters) adds to them. Something
+/// flat on a plane is as thick as its relief says.
 pub(super) fn robust(
     positions: &[Point3<f32>],
     noise_m: f32,
@@ -17,7 +17,7 @@ pub(super) fn robust(
     settings: &InstanceSettings,
 ) -> (Aabb, OrientedBox) {
     let mut kept = in_company(positions, settings);
-    // A sparse thing is all strays: then every point counts.
+    // In a sparse thing every point counts as an outlier; then all points are used.
     if kept.len() * 2 < positions.len() {
         kept = positions.to_vec();
     }
@@ -29,7 +29,7 @@ pub(super) fn robust(
         let mut values: Vec<f32> = kept.iter().map(|p| p[axis]).collect();
         let mut at = |q: f32| quantile(&mut values, q).unwrap_or(0.0);
         let (lo, hi) = (at(settings.stray_share), at(1.0 - settings.stray_share));
-        // What noise adds matters where a thing is thin: a picture three times as thick is another
+        // Noise matters only where a thing is thin: a picture three times as thick is a different
         // box, a sofa is not.
         if hi - lo > settings.thin_sigmas * noise_m {
             return (lo, hi);
@@ -49,7 +49,7 @@ pub(super) fn robust(
     (aabb, OrientedBox::min_area(&footprint, (lo.z, hi.z)).unwrap_or(flat))
 }
 
-/// Points whose voxel and its 26 neighbours hold enough other points.
+/// Returns the points whose voxel and its 26 neighbors hold enough other points.
 fn in_company(positions: &[Point3<f32>], settings: &InstanceSettings) -> Vec<Point3<f32>> {
     let mut counts: VoxelMap<u32> = VoxelMap::default();
     for p in positions {
@@ -137,6 +137,242 @@ mod tests {
             let raw = Aabb::around(&points).unwrap();
             let (aabb, _) = robust(&points, 0.05, None, &InstanceSettings::default());
             prop_assert!((0..3).all(|i| aabb.min()[i] >= raw.min()[i] - 1e-5 && aabb.max()[i] <= raw.max()[i] + 1e-5));
+        }
+    }
+
+    /// Nothing is stray, nothing is thin: bounds are those of the points.
+    fn plain() -> InstanceSettings {
+        InstanceSettings {
+            stray_share: 0.0,
+            thin_sigmas: 0.0,
+            noise_sigmas: 0.0,
+            trim: 0.0,
+            stray_neighbours: 0,
+            stray_voxel_m: 1.0,
+            ..InstanceSettings::default()
+        }
+    }
+
+    /// So many points in the middle of a voxel of one meter.
+    fn in_voxel(count: usize, voxel: [f32; 3]) -> Vec<Point3<f32>> {
+        vec![Point3::from(voxel.map(|at| at + 0.5)); count]
+    }
+
+    /// Points at 10, 11, ... 110 meters along an axis.
+    fn along(axis: usize) -> Vec<Point3<f32>> {
+        let at = |i: u8| {
+            let mut point = Point3::origin();
+            point[axis] = f32::from(i);
+            point
+        };
+        (10..=110).map(at).collect()
+    }
+
+    #[track_caller]
+    fn assert_span(found: &Aabb, axis: usize, from: f32, to: f32, what: &str) {
+        let (lo, hi) = (found.min()[axis], found.max()[axis]);
+        assert!(
+            (lo - from).abs() < 1e-3 && (hi - to).abs() < 1e-3,
+            "{what}: {lo} to {hi} and not {from} to {to}"
+        );
+    }
+
+    #[test]
+    fn a_point_has_company_from_so_many_others_on() {
+        let settings = InstanceSettings { stray_neighbours: 4, ..plain() };
+        let kept = |groups: &[(usize, [f32; 3])]| {
+            let points: Vec<_> =
+                groups.iter().flat_map(|&(count, voxel)| in_voxel(count, voxel)).collect();
+            in_company(&points, &settings).len()
+        };
+        // A point does not count as its own neighbor.
+        assert_eq!(kept(&[(5, [0.0; 3])]), 5, "4 others each");
+        assert_eq!(kept(&[(4, [0.0; 3])]), 0, "3 others each");
+        // 2 - 1 + 3 = 4 and 3 - 1 + 2 = 4 others.
+        assert_eq!(kept(&[(2, [0.0; 3]), (3, [1.0, 0.0, 0.0])]), 5, "in the next voxel");
+        assert_eq!(kept(&[(2, [0.0; 3]), (3, [-1.0, 1.0, -1.0])]), 5, "across a corner");
+        assert_eq!(kept(&[(2, [0.0; 3]), (2, [1.0, 0.0, 0.0])]), 0, "3 others each");
+        assert_eq!(kept(&[(2, [0.0; 3]), (3, [2.0, 0.0, 0.0])]), 0, "two voxels away");
+        // The middle one has 1 - 1 + 2 + 2 = 4 others; those around it 2 - 1 + 1 = 2.
+        let row = [(2, [0.0; 3]), (1, [1.0, 0.0, 0.0]), (2, [2.0, 0.0, 0.0])];
+        assert_eq!(kept(&row), 1, "between two groups");
+        assert_eq!(kept(&[]), 0);
+    }
+
+    #[test]
+    fn what_has_company_is_kept_where_it_is() {
+        let settings = InstanceSettings { stray_neighbours: 4, ..plain() };
+        let group = in_voxel(5, [3.0, -2.0, 7.0]);
+        let mut points = in_voxel(4, [9.0; 3]);
+        points.extend(&group);
+        assert_eq!(in_company(&points, &settings), group);
+        let fine = InstanceSettings { stray_voxel_m: 0.1, ..settings };
+        let spread: Vec<_> = (0..5).map(|i| Point3::new(0.3 * i as f32, 0.0, 0.0)).collect();
+        let kept = in_company(&spread, &fine);
+        assert!(kept.is_empty(), "in finer voxels each is alone: {kept:?}");
+    }
+
+    #[test]
+    fn strays_count_where_they_are_more_than_half_of_all() {
+        let settings = InstanceSettings { stray_neighbours: 4, ..plain() };
+        let with_strays = |strays: u8| {
+            let mut points = in_voxel(5, [0.0; 3]);
+            let stray = |i| Point3::new(10.5 * f32::from(i), 0.5, 0.5);
+            points.extend((1..=strays).map(stray));
+            robust(&points, 0.0, None, &settings).0
+        };
+        // 5 in company of 9 and of 10 are half: the box is theirs. Of 11 they are less.
+        assert_span(&with_strays(4), 0, 0.5, 0.5, "4 strays");
+        assert_span(&with_strays(5), 0, 0.5, 0.5, "5 strays");
+        assert_span(&with_strays(6), 0, 0.5, 63.0, "6 strays");
+    }
+
+    #[test]
+    fn bounds_leave_out_their_share_at_either_end_of_each_axis() {
+        for axis in 0..3 {
+            let spans = |stray_share| {
+                let settings = InstanceSettings { stray_share, ..plain() };
+                robust(&along(axis), 0.0, None, &settings).0
+            };
+            assert_span(&spans(0.0), axis, 10.0, 110.0, "nothing left out");
+            // Of 101 points the 5th from either end: 10 + 5 and 110 - 5.
+            assert_span(&spans(0.05), axis, 15.0, 105.0, "a twentieth left out");
+            assert_span(&spans(0.05), (axis + 1) % 3, 0.0, 0.0, "no extent");
+        }
+    }
+
+    #[test]
+    fn thin_extents_shrink_by_the_noise_and_others_do_not() {
+        let spans = |thin_sigmas, noise_sigmas, trim| {
+            let settings = InstanceSettings { thin_sigmas, noise_sigmas, trim, ..plain() };
+            robust(&along(0), 0.5, None, &settings).0
+        };
+        // The extent is 100: 200 standard deviations of 0.5. It is thin up to there.
+        assert_span(&spans(200.0, 3.0, 0.02), 0, 11.5, 108.5, "10 + 3 * 0.5, 110 - 3 * 0.5");
+        assert_span(&spans(201.0, 3.0, 0.02), 0, 11.5, 108.5, "thinner than that");
+        assert_span(&spans(199.0, 3.0, 0.02), 0, 10.0, 110.0, "not thin");
+        // At most two of a hundred points may be left outside at either end.
+        assert_span(&spans(200.0, 5.0, 0.02), 0, 12.0, 108.0, "12.5 and 107.5 leave out too much");
+        assert_span(&spans(200.0, 5.0, 0.0), 0, 10.0, 110.0, "nothing may be left out");
+        // What has no extent does not turn inside out.
+        assert_span(&spans(200.0, 3.0, 0.02), 1, 0.0, 0.0, "no extent");
+    }
+
+    #[test]
+    fn an_extent_is_the_difference_of_its_ends_wherever_it_lies() {
+        // From -110 to -10: again 100, 200 standard deviations of 0.5.
+        let mirrored: Vec<_> = along(0).iter().map(|p| Point3::new(-p.x, 0.0, 0.0)).collect();
+        let spans = |thin_sigmas| {
+            let settings =
+                InstanceSettings { thin_sigmas, noise_sigmas: 3.0, trim: 0.02, ..plain() };
+            robust(&mirrored, 0.5, None, &settings).0
+        };
+        assert_span(&spans(200.0), 0, -108.5, -11.5, "thin");
+        assert_span(&spans(199.0), 0, -110.0, -10.0, "not thin");
+    }
+
+    #[test]
+    fn what_lies_flat_is_as_thick_as_its_relief_and_shrinks_no_further() {
+        // 100 m long, and noise has spread it over 50 m along its normal, too.
+        let settings =
+            InstanceSettings { thin_sigmas: 200.0, noise_sigmas: 3.0, trim: 0.02, ..plain() };
+        let mut points = along(0);
+        points.iter_mut().for_each(|p| p.y = p.x * 0.5);
+        let relief = FlatRelief {
+            normal: Vector3::y(),
+            base: Point3::new(7.0, 4.0, -2.0),
+            span_m: (0.25, 0.75),
+        };
+        let (found, _) = robust(&points, 0.5, Some(&relief), &settings);
+        assert_span(&found, 0, 10.0, 110.0, "along the plane");
+        // 4 + 0.25 to 4 + 0.75.
+        assert_span(&found, 1, 4.25, 4.75, "along the normal");
+        let (noisy, _) = robust(&points, 0.5, None, &settings);
+        assert_span(&noisy, 0, 11.5, 108.5, "without relief it is thin");
+    }
+
+    #[test]
+    fn the_turned_box_is_around_the_points_within_the_bounds() {
+        // A square of 10 by 10 points, and two far out along one axis each.
+        let mut points: Vec<Point3<f32>> = (0..100_u8)
+            .map(|i| Point3::new(f32::from(i / 10), f32::from(i % 10), f32::from(i % 3)))
+            .collect();
+        points.extend([Point3::new(5.0, 50.0, 1.0), Point3::new(50.0, 5.0, 1.0)]);
+        // Of 102 points the first from either end: 0 and 9 along x and y.
+        let settings = InstanceSettings { stray_share: 0.01, ..plain() };
+        let (aabb, turned) = robust(&points, 0.0, None, &settings);
+        assert_span(&aabb, 0, 0.0, 9.0, "x");
+        assert_span(&aabb, 1, 0.0, 9.0, "y");
+        assert_span(&aabb, 2, 0.0, 2.0, "z");
+        assert!((turned.size - Vector3::new(9.0, 9.0, 2.0)).norm() < 1e-3, "{turned:?}");
+        assert!((turned.center - Point3::new(4.5, 4.5, 1.0)).norm() < 1e-3, "{turned:?}");
+        assert!(turned.yaw_rad.abs() < 1e-3, "{turned:?}");
+    }
+
+    #[test]
+    fn a_bar_across_the_axes_has_a_turned_box_narrower_than_its_bounds() {
+        // 10 m long at 30 degrees, without width: 10 cos 30 by 10 sin 30 along the axes.
+        let angle = std::f32::consts::FRAC_PI_6;
+        let (sin, cos) = angle.sin_cos();
+        let points: Vec<Point3<f32>> = (0..=100)
+            .map(|i| 0.1 * i as f32)
+            .map(|at| Point3::new(at * cos, at * sin, 0.0))
+            .collect();
+        let (aabb, turned) = robust(&points, 0.0, None, &plain());
+        assert_span(&aabb, 0, 0.0, 10.0 * cos, "x");
+        assert_span(&aabb, 1, 0.0, 10.0 * sin, "y");
+        assert!((turned.size.x - 10.0).abs() < 1e-2 && turned.size.y < 1e-2, "{turned:?}");
+        assert!((turned.yaw_rad - angle).abs() < 1e-2, "{turned:?}");
+    }
+
+    #[test]
+    fn where_no_point_lies_within_the_bounds_the_box_is_not_turned() {
+        // A plus: of four points along x and along y the middle two are at 0, and none is at both.
+        let points =
+            [[-9.0, 0.0], [9.0, 0.0], [0.0, -9.0], [0.0, 9.0]].map(|[x, y]| Point3::new(x, y, 3.0));
+        let settings = InstanceSettings { stray_share: 0.25, trim: 0.25, ..plain() };
+        let (aabb, turned) = robust(&points, 0.0, None, &settings);
+        assert_eq!((aabb.center, aabb.size), (Point3::new(0.0, 0.0, 3.0), Vector3::zeros()));
+        let flat = OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 };
+        assert_eq!(turned, flat);
+    }
+
+    #[test]
+    fn no_points_have_a_box_of_no_size() {
+        let (aabb, turned) = robust(&[], 0.1, None, &InstanceSettings::default());
+        assert_eq!((aabb.center, aabb.size), (Point3::origin(), Vector3::zeros()));
+        assert_eq!((turned.center, turned.size), (Point3::origin(), Vector3::zeros()));
+    }
+
+    proptest! {
+        /// Bounds do not depend on the order of the points.
+        #[test]
+        fn the_order_of_the_points_does_not_matter(
+            points in prop::collection::vec(prop::array::uniform3(-0.2_f32..0.2), 1..100),
+            turn in 0_usize..100,
+        ) {
+            let points: Vec<_> = points.into_iter().map(Point3::from).collect();
+            let mut others = points.clone();
+            others.rotate_left(turn % points.len());
+            others.reverse();
+            let settings = InstanceSettings::default();
+            let (one, other) =
+                (robust(&points, 0.01, None, &settings), robust(&others, 0.01, None, &settings));
+            prop_assert_eq!(one, other);
+        }
+
+        /// The more noise there is, the smaller is the box.
+        #[test]
+        fn more_noise_never_makes_a_larger_box(
+            points in prop::collection::vec(prop::array::uniform3(-0.2_f32..0.2), 1..100),
+            noise_m in prop::array::uniform2(0.0_f32..0.1),
+        ) {
+            let points: Vec<_> = points.into_iter().map(Point3::from).collect();
+            let settings = InstanceSettings::default();
+            let size = |noise_m| robust(&points, noise_m, None, &settings).0.size;
+            let (less, more) =
+                (size(noise_m[0].min(noise_m[1])), size(noise_m[0].max(noise_m[1])));
+            prop_assert!((0..3).all(|i| more[i] <= less[i] + 1e-5), "{more} {less}");
         }
     }
 }

@@ -1,17 +1,16 @@
-//! What a thing fills, seen from above: columns of space, and at which heights each of them is
-//! filled.
+//! The space that a thing fills, seen from above: columns, and the heights at which each is filled.
 //!
-//! Boxes will not do. Around a wall of a room that is turned in its world, or around a counter with
-//! a corner, a box holds half of the room.
+//! Boxes are not enough. Around a wall of a room that is rotated in its world, or around an
+//! L-shaped counter, a box contains half of the room.
 
 use nalgebra::Rotation2;
 use std::collections::BTreeMap;
 use uniground_geometry::boxes::OrientedBox;
 use uniground_geometry::{Point2, Point3};
 
-/// Edge of a column, metres.
+/// Edge of a column, meters.
 const CELL_M: f32 = 0.05;
-/// Height of a level, metres.
+/// Height of a level, meters.
 const LEVEL_M: f32 = 0.03;
 
 type Cell = (i32, i32);
@@ -19,36 +18,36 @@ type Cell = (i32, i32);
 /// The columns of a thing along its own axes.
 #[derive(Debug, Clone)]
 pub struct Columns {
-    /// From the world's axes to its own.
+    /// Rotation from the world's axes to the thing's own.
     turn: Rotation2<f32>,
     filled: FilledColumns,
     lowest_z: f32,
 }
 
-/// Which columns are filled, and at which levels: one bit for each, from the lowest point of all.
-/// What is over the last one counts as in it.
+/// Which columns are filled, and at which levels: one bit per level, from the lowest point upward.
+/// Anything above the last level counts as in it.
 #[derive(Debug, Clone)]
 enum FilledColumns {
     Seen {
         columns: BTreeMap<Cell, u128>,
-        /// From where to where each row of columns reaches along the thing's X axis, and each file
+        /// First and last filled column of each row along the thing's X axis, and of each file
         /// along its Y axis.
         rows: BTreeMap<i32, (i32, i32)>,
         files: BTreeMap<i32, (i32, i32)>,
     },
-    /// Every column from the first to the last, alike. Boxes may be as large as a scan's
-    /// coordinates: they are not spelt out.
+    /// Every column from the first to the last has the same levels. Not expanded, since boxes may
+    /// be as large as a scan's coordinates.
     Throughout { first: Cell, last: Cell, levels: u128 },
 }
 
 impl Columns {
-    /// Of points, metres, world frame (Z up), along the axes of a box turned by `yaw_rad`.
+    /// From points, meters, world frame (Z up), along the axes of a box rotated by `yaw_rad`.
     pub fn of_points(points: impl Iterator<Item = Point3<f32>> + Clone, yaw_rad: f32) -> Self {
         let turn = Rotation2::new(-yaw_rad);
         let lowest_z = points.clone().map(|p| p.z).fold(f32::INFINITY, f32::min);
         let mut columns: BTreeMap<Cell, u128> = BTreeMap::new();
         points.for_each(|p| {
-            *columns.entry(cell(&(turn * p.xy()))).or_default() |= 1 << level(p.z - lowest_z)
+            *columns.entry(cell(&(turn * p.xy()))).or_default() |= 1 << level(p.z - lowest_z);
         });
         let (mut rows, mut files) = (BTreeMap::new(), BTreeMap::new());
         let reach = |spans: &mut BTreeMap<i32, (i32, i32)>, line: i32, at: i32| {
@@ -62,7 +61,7 @@ impl Columns {
         Self { turn, filled: FilledColumns::Seen { columns, rows, files }, lowest_z }
     }
 
-    /// Of a box that is filled throughout.
+    /// From a box that is completely filled.
     pub fn of_box(filled: &OrientedBox) -> Self {
         let turn = Rotation2::new(-filled.yaw_rad);
         let (center, half) = (turn * filled.center.xy(), filled.size / 2.0);
@@ -75,8 +74,9 @@ impl Columns {
         }
     }
 
-    /// Share of these columns that lie within the outline of the others: between two of them along
-    /// one of their axes. What a thing stands on was not seen under it.
+    /// Share of these columns that lie within the outline of the others, which means between two of
+    /// them along one of their axes. The outline is used because the surface under a thing was not
+    /// seen.
     pub fn share_over(&self, other: &Self) -> f32 {
         let (mut all, mut over) = (0, 0);
         for p in self.filled.cells().map(|own| self.middle(own)) {
@@ -86,8 +86,8 @@ impl Columns {
         over as f32 / all.max(1) as f32
     }
 
-    /// Share of the columns at the rim of these next to which the others are filled at this height,
-    /// metres, give or take `within_m`.
+    /// Share of the columns at this thing's rim next to which the others are filled at height `z`,
+    /// meters, plus or minus `within_m`.
     pub fn share_touching(&self, other: &Self, z: f32, within_m: f32) -> f32 {
         let low = z - within_m - other.lowest_z;
         if low + 2.0 * within_m < 0.0 {
@@ -104,7 +104,7 @@ impl Columns {
         touching as f32 / rim.max(1) as f32
     }
 
-    /// Whether one of these columns is this near to the outline of the others, metres.
+    /// Whether one of these columns is within `within_m` meters of the outline of the others.
     pub fn is_beside(&self, other: &Self, within_m: f32) -> bool {
         let cells = (within_m / CELL_M) as i32;
         self.filled
@@ -112,18 +112,18 @@ impl Columns {
             .any(|own| around(other.cell(&self.middle(own)), cells).any(|c| other.filled.holds(c)))
     }
 
-    /// Extents along its own axes, the larger first, metres.
+    /// Extents along its own axes, the larger first, meters.
     pub fn extents(&self) -> [f32; 2] {
         let [x, y] = self.filled.extents().map(|columns| columns as f32 * CELL_M);
         [x.max(y), x.min(y)]
     }
 
-    /// The column over a place on the ground plan, metres, world frame.
+    /// The column over a point on the ground plan, meters, world frame.
     fn cell(&self, p: &Point2<f32>) -> Cell {
         cell(&(self.turn * p))
     }
 
-    /// The middle of a column, metres, world frame.
+    /// The center of a column, meters, world frame.
     fn middle(&self, (x, y): Cell) -> Point2<f32> {
         self.turn.inverse() * Point2::new((x as f32 + 0.5) * CELL_M, (y as f32 + 0.5) * CELL_M)
     }
@@ -167,7 +167,7 @@ impl FilledColumns {
         [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].iter().any(|c| self.at(*c) == 0)
     }
 
-    /// How many columns it spans along X and Y.
+    /// Number of columns it spans along X and Y.
     fn extents(&self) -> [i32; 2] {
         let (xs, ys) = match self {
             Self::Seen { rows, files, .. } => {
@@ -186,17 +186,17 @@ impl FilledColumns {
     }
 }
 
-/// The column over a place, metres, along its own axes.
+/// The column over a point, meters, along its own axes.
 fn cell(own: &Point2<f32>) -> Cell {
     ((own.x / CELL_M).floor() as i32, (own.y / CELL_M).floor() as i32)
 }
 
-/// The level at this height over the lowest one, metres.
+/// The level at this height above the lowest one, meters.
 fn level(over_m: f32) -> u32 {
     (over_m / LEVEL_M).clamp(0.0, 127.0) as u32
 }
 
-/// This column and those up to `cells` from it.
+/// This column and those within `cells` of it.
 fn around((x, y): Cell, cells: i32) -> impl Iterator<Item = Cell> {
     (-cells..=cells).flat_map(move |dx| (-cells..=cells).map(move |dy| (x + dx, y + dy)))
 }

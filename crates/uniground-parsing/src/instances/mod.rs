@@ -1,4 +1,4 @@
-//! Regions to instances: boxes, colours, support, structure, and which regions are none.
+//! Turns regions into instances: boxes, colors, support, structure, and which regions to drop.
 //! Class-agnostic.
 
 mod bounds;
@@ -29,30 +29,31 @@ use uniground_geometry::statistics::{median, quantile};
 use uniground_geometry::{Point3, Vector3};
 use uniground_types::settings::InstanceSettings;
 
-/// What stage 1 takes for things and for parts of the building.
+/// The things, parts, wholes and parts of the building that stage 1 found.
 pub struct BuiltInstances<'a> {
-    /// In order of id.
+    /// Sorted by id.
     pub instances: Vec<Instance>,
-    /// Which of them each point belongs to.
+    /// The instances each point belongs to.
     pub labels: Labels<'a>,
-    /// Of the instances, under their ids.
+    /// Sightings of the instances, with their final ids.
     pub sightings: Vec<Sighting>,
-    /// Regions that became none, as masks show something else.
+    /// Number of regions dropped because masks show something else.
     pub dropped: u32,
-    /// Regions too small to be anything.
+    /// Number of regions dropped as too small.
     pub specks: u32,
 }
 
-/// Builds instances from numbered regions, parts and wholes, and what frames show of them. What is
-/// none is dropped and the others close up.
+/// Builds instances from numbered regions, parts and wholes, and their sightings in frames. Regions
+/// that are no instance are dropped, and the ids of the others close the gap.
 ///
-/// A thing is shown by masks of its own. What stands out of a wall where poses drift, the rims
-/// between things and other leftovers are in no mask, or under one of something else: on the mean
-/// over the frames that see it, weighted by its points they see, no mask agrees with it.
-/// Parts of the building are known by their planes, and what no frame sees is not judged, unless it
-/// is a speck: of a few points that a scan's frames show on a few pixels nobody could tell what
-/// they are. Parts and wholes are judged alike, fall with their things, and are only as many as the
-/// settings say.
+/// A thing is shown by masks of its own. Surface pieces doubled by drifting poses, the rims between
+/// things and other leftovers are in no mask, or under a mask of something else. For those, no mask
+/// agrees on the mean over the frames that see them, weighted by the points they see.
+///
+/// Parts of the building are recognized by their planes. A region that no frame sees is not judged,
+/// unless it is a speck: so few points, shown on so few pixels, that nobody could recognize it.
+/// Parts and wholes are judged alike, are dropped with their things, and are limited in number by
+/// the settings.
 ///
 /// # Errors
 /// [`Cancelled`].
@@ -158,10 +159,10 @@ pub fn build<'a>(
     Ok(BuiltInstances { instances, labels, sightings, dropped, specks })
 }
 
-/// Fewer pixels than this show nothing, however good the camera.
+/// Fewer pixels than this show nothing recognizable, however good the camera.
 const MIN_PICTURE_PX: u32 = 16 * 16;
 
-/// Which regions are specks. A scan without frames has none: nothing tells them.
+/// Which regions are specks. A scan without frames has none, since there is no evidence.
 fn specks(
     shapes: &[RegionShape],
     structures: &[Option<Structure>],
@@ -185,7 +186,7 @@ fn specks(
     shapes.iter().enumerate().map(few).collect()
 }
 
-/// The new id of every instance-to-be, by its old one; 0: dropped.
+/// The new id of every candidate instance, by its old one; 0: dropped.
 fn kept(
     labels: &Labels,
     structures: &[Option<Structure>],
@@ -214,9 +215,9 @@ fn kept(
     new_id
 }
 
-/// What the compound at index `i` rests on: a whole on what its lowest thing does, a part on what
-/// its thing does where it reaches as low, else on the thing. A whole reaches from floor to ceiling
-/// where its things do.
+/// Returns what the compound at index `i` rests on. A whole rests on what its lowest thing rests
+/// on. A part rests on what its thing rests on if it reaches as low, else on the thing. A whole
+/// reaches from floor to ceiling if its things do.
 fn support_of(
     compound: &Compound,
     i: usize,
@@ -278,7 +279,7 @@ fn agreement(count: usize, sightings: &[Sighting]) -> Vec<Option<f32>> {
     sums.into_iter().map(|(sum, weight)| (weight > 0.0).then(|| sum / weight)).collect()
 }
 
-/// How far points lie from the surfaces they were measured on.
+/// The measurement noise of surface points.
 struct SurfaceNoise<'a> {
     superpoints: &'a Superpoints,
     scene_m: f32,
@@ -286,15 +287,16 @@ struct SurfaceNoise<'a> {
 
 impl<'a> SurfaceNoise<'a> {
     fn of(superpoints: &'a Superpoints) -> Self {
-        // Most of a room is even: what is rough at the median is rough by noise.
+        // Most of a room is flat, so roughness at the median is noise.
         let mut all: Vec<f32> =
             superpoints.of_point.iter().map(|&s| superpoints.roughness_m[s as usize]).collect();
         let scene_m = median(&mut all).unwrap_or(0.0);
         Self { superpoints, scene_m }
     }
 
-    /// Standard deviation around these points, metres. Far things are noisier than the scene at
-    /// large; leaves of a plant are rough without being noisy: hence the bound.
+    /// Standard deviation of the noise around these points, meters. Distant things are noisier than
+    /// the rest of the scene. Leaves of a plant are rough without being noisy, hence the upper
+    /// bound.
     fn around(&self, points: &[u32]) -> f32 {
         const FAR_FACTOR: f32 = 2.0;
         let mut here: Vec<f32> = points
@@ -305,7 +307,7 @@ impl<'a> SurfaceNoise<'a> {
     }
 }
 
-/// What the points of one region look like, before they are compared with the others.
+/// The shape of one region, before it is compared with the others.
 struct RegionShape {
     point_count: u32,
     aabb: Aabb,
@@ -348,7 +350,7 @@ impl RegionShape {
 
 impl RegionShape {
     fn body(&self, cloud: &PointCloud, members: &[u32]) -> Body {
-        // Without strays, but with what noise adds to thin things.
+        // Without outliers, but with what noise adds to thin things.
         let around =
             Aabb { size: self.aabb.size.add_scalar(2.0 * support::CONTACT_M), ..self.aabb };
         let points =
@@ -356,7 +358,7 @@ impl RegionShape {
         Body { aabb: self.aabb, columns: Columns::of_points(points, self.oriented_box.yaw_rad) }
     }
 
-    /// From one height to another, metres: its legs or its cord were not seen.
+    /// Extends the shape to these heights, meters: its legs or its cord were not seen.
     fn reach(&mut self, bottom_z: f32, top_z: f32) {
         let (min, max) = (self.aabb.min(), self.aabb.max());
         self.aabb = Aabb::from_corners(
@@ -368,7 +370,7 @@ impl RegionShape {
     }
 }
 
-/// Points this close to the best plane count as on it, metres.
+/// Points this close to the best plane count as on it, meters.
 const ON_PLANE_M: f32 = 0.03;
 
 /// Share of the points within 3 cm of their best plane.

@@ -1,4 +1,4 @@
-//! One more instance beside those that are known: of points, or of what several of them have.
+//! Builds one more instance beside the known ones: from points, or by merging several instances.
 
 use super::{Body, RegionShape, support};
 use uniground_geometry::scene::{
@@ -7,11 +7,11 @@ use uniground_geometry::scene::{
 use uniground_models::attributes::name_guesses;
 use uniground_types::settings::InstanceSettings;
 
-/// The most views that what was merged has.
+/// Maximum number of views of a merged instance.
 const MOST_VIEWS: usize = 5;
 
-/// One thing of the points of several, the next of the known instances; `owner` says whose a point
-/// is. `None` where they have none.
+/// Merges the points of several instances into one thing, built as the next of the known instances.
+/// `owner` returns the instance of a point. `None` where the members have no points.
 #[must_use]
 pub fn merged(
     cloud: &PointCloud,
@@ -28,7 +28,7 @@ pub fn merged(
         return None;
     }
     let shown: Vec<&Instance> = members.iter().map(|id| &known[id.0 as usize - 1]).collect();
-    // It does not rest on what it is made of.
+    // The merged thing does not rest on its own members.
     let beside: Vec<Instance> = known
         .iter()
         .map(|i| Instance { dismissed: i.dismissed || members.contains(&i.id), ..i.clone() })
@@ -41,7 +41,7 @@ pub fn merged(
     })
 }
 
-/// These points of the cloud as the next of the known instances: a thing, without views.
+/// Builds a thing without views from these points of the cloud, as the next of the known instances.
 #[must_use]
 pub fn of_points(
     cloud: &PointCloud,
@@ -49,7 +49,7 @@ pub fn of_points(
     known: &[Instance],
     settings: &InstanceSettings,
 ) -> Instance {
-    // How rough surfaces are was measured with the superpoints, which are not kept.
+    // Roughness was measured with the superpoints, which are not stored.
     const NOISE_M: f32 = 0.0;
     let mut shape = RegionShape::of(cloud, points, NOISE_M, None, settings);
     let bottom_z = |i: &Instance| i.aabb.min().z;
@@ -62,7 +62,7 @@ pub fn of_points(
     let mut structures: Vec<Option<Structure>> = things.iter().map(|i| i.structure).collect();
     bodies.push(shape.body(cloud, points));
     structures.push(None);
-    // Told by places in this list, counted from 1.
+    // Support refers to positions in this list, counted from 1.
     let id_of = |place: InstanceId| things[place.0 as usize - 1].id;
     let own = bodies.len() - 1;
     let held = support::held(

@@ -1,5 +1,5 @@
-//! Which instances are floor, ceiling and walls: those that lie on a plane of the building and are
-//! as large as one.
+//! Decides which instances are floor, ceiling and walls: those that lie on a plane of the building
+//! and are as large as one.
 
 use super::RegionShape;
 use crate::planes::Planes;
@@ -7,18 +7,19 @@ use uniground_geometry::scene::Structure;
 
 /// Share of an instance's points that must lie on a plane of the building.
 const ON_PLANE: f32 = 0.6;
-/// Share of its plane a floor or ceiling covers at least: a doormat is no floor.
+/// Minimum share of its plane that a floor or ceiling covers: a doormat is no floor.
 const MIN_LEVEL_SHARE: f32 = 0.08;
-/// Strips smaller than this are no walls, square metres.
+/// Strips smaller than this are not walls, square meters.
 const MIN_WALL_M2: f32 = 1.0;
-/// Doors and cupboards end below this; walls do not. Metres above the floor.
+/// Doors and cupboards end below this height, walls above it. Meters above the floor.
 const WALL_TOP_M: f32 = 2.2;
-/// Windows begin above this; walls do not, though furniture may hide the part below.
+/// Windows begin above this height, walls below it, though furniture may hide their lower part.
+/// Meters above the floor.
 const WALL_BOTTOM_M: f32 = 0.9;
-/// What is wider than this is a wall wherever it begins and ends.
+/// A plane wider than this is a wall at any height, meters.
 const WALL_WIDTH_M: f32 = 1.8;
 
-/// `on_plane`: points per plane of the building, of the instance.
+/// Returns the structure of an instance. `on_plane`: its points per plane of the building.
 pub(super) fn of(
     shape: &RegionShape,
     on_plane: &[(u32, u32)],

@@ -1,4 +1,4 @@
-//! What each instance rests on: the floor, another instance, or a wall.
+//! Determines what each instance rests on: the floor, another instance, or a wall.
 
 use super::columns::Columns;
 use rayon::prelude::*;
@@ -6,37 +6,40 @@ use uniground_geometry::boxes::{Aabb, OrientedBox};
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::{InstanceId, Structure, Support};
 
-/// Gap under which two surfaces count as touching, metres: a few voxels.
+/// Gap below which two surfaces count as touching, meters: a few voxels.
 pub(super) const CONTACT_M: f32 = 0.06;
 /// Share of the footprint that must lie over a supporter.
 const MIN_OVERLAP: f32 = 0.3;
-/// Share of the footprint's rim at which the supporter must be seen where this begins: a chair
-/// under a table does not stand on it.
+/// Minimum share of the footprint's rim at which the supporter must be seen at the height where
+/// this thing begins. It prevents that a chair under a table counts as standing on it.
 const MIN_RIM: f32 = 0.2;
-/// Chairs and tables have legs; mugs and fragments of shelves do not. Metres.
+/// Minimum width of a thing with legs, meters: chairs and tables have legs, mugs and fragments of
+/// shelves do not.
 const MIN_LEGGED_WIDTH_M: f32 = 0.25;
-/// What hangs on walls, as shelves do, is no deeper, metres: what is stands before its wall.
+/// Maximum depth of a thing that hangs on a wall, as shelves do, meters. Deeper things stand before
+/// the wall.
 const MIN_DEPTH_BESIDE_WALL_M: f32 = 0.3;
-/// Legs of tables are no longer, metres.
+/// Maximum length of table legs, meters.
 const MAX_LEGS_M: f32 = 0.8;
-/// Legs are seldom longer than this many times the width of what they carry.
+/// Maximum length of legs as a multiple of the width of what they carry.
 const LEGS_PER_WIDTH: f32 = 1.5;
-/// What hangs from the ceiling ends over people's heads, or nearly: metres over the floor.
+/// A thing that hangs from the ceiling ends at least this high, about head height: meters above the
+/// floor.
 const MIN_HANGING_M: f32 = 1.4;
-/// It hangs no lower than this under the ceiling, metres.
+/// Maximum distance of a hanging thing below the ceiling, meters.
 const MAX_CORD_M: f32 = 1.5;
 
-/// Where a thing is.
+/// The position and extent of a thing.
 #[derive(Debug, Clone)]
 pub struct Body {
-    /// Metres, world frame (Z up).
+    /// Meters, world frame (Z up).
     pub aabb: Aabb,
-    /// What it fills of that.
+    /// The part of the box that it fills.
     pub columns: Columns,
 }
 
 impl Body {
-    /// Of a box of which nothing more is known.
+    /// For a box of which nothing more is known.
     #[must_use]
     pub fn of_box(aabb: Aabb, oriented_box: &OrientedBox) -> Self {
         Self { aabb, columns: Columns::of_box(oriented_box) }
@@ -61,8 +64,8 @@ impl Body {
     }
 }
 
-/// Support of every thing, by index; instance ids are index + 1. `floor_z` in metres, world frame
-/// (Z up).
+/// Returns the support of every thing, by index; instance ids are index + 1. `floor_z` in meters,
+/// world frame (Z up).
 ///
 /// # Errors
 /// [`Cancelled`].
@@ -76,7 +79,7 @@ pub fn supports(
     (0..bodies.len()).into_par_iter().map(of).collect()
 }
 
-/// Support of one of them.
+/// Returns the support of one thing.
 pub(super) fn of(
     i: usize,
     bodies: &[Body],
@@ -94,8 +97,8 @@ pub(super) fn of(
                 && structures[j].is_none_or(|s| s == Structure::Floor)
                 && bodies[j].bottom_z() < bottom
         })
-        // The supporter ends where this begins, or reaches around it (a shelf): its top is not far
-        // below.
+        // The supporter ends where this thing begins, or reaches around it as a shelf does: then
+        // its top is not far below.
         .filter(|&j| bodies[j].top_z() > bottom - CONTACT_M && own.is_over(&bodies[j]))
         .filter(|&j| own.columns.share_touching(&bodies[j].columns, bottom, CONTACT_M) >= MIN_RIM)
         .min_by(|&a, &b| {
@@ -112,19 +115,22 @@ pub(super) fn of(
     behind.map_or(Support::Nothing, |j| Support::Wall { id: InstanceId(j as u32 + 1) })
 }
 
-/// What holds a thing, and from where to where it then reaches.
+/// What supports a thing, and the height range that it then spans.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct SupportSpan {
-    /// Metres, world frame (Z up).
+    /// Meters, world frame (Z up).
     pub from_z: f32,
     pub to_z: f32,
     pub support: Support,
 }
 
-/// Nothing floats. What stands on the floor reaches down to it; what no wall or ceiling holds
-/// stands on legs too slender for the scan, like a chair of which only seat and back were seen, and
-/// so does what is beside a wall but deeper than what hangs on walls; what is too high for
-/// legs hangs from the ceiling, like a lamp from its cord.
+/// Extends a thing to what supports it, because nothing floats:
+///
+/// - Something on the floor reaches down to the floor.
+/// - Something that no wall or ceiling holds stands on legs too thin for the scan, like a chair of
+///   which only seat and back were seen.
+/// - The same holds for something beside a wall that is deeper than things that hang on walls.
+/// - Something too high for legs hangs from the ceiling, like a lamp from its cord.
 pub(super) fn held(
     i: usize,
     support: Support,
@@ -146,7 +152,7 @@ pub(super) fn held(
         || hanging(i, bodies, structures, floor_z).map(|to_z| SupportSpan { to_z, ..as_seen });
     let [width_m, depth_m] = own.columns.extents();
     let held = match support {
-        // Less is noise.
+        // A smaller gap is noise.
         Support::Floor if bottom > floor_z + CONTACT_M / 3.0 => {
             Some(SupportSpan { from_z: floor_z, ..as_seen })
         }
@@ -158,8 +164,8 @@ pub(super) fn held(
     held.unwrap_or(as_seen)
 }
 
-/// The height down to which a thing of this width reaches that stands on legs nobody saw, metres,
-/// and what it then stands on.
+/// Returns the height down to which a thing of this width reaches if it stands on unseen legs,
+/// meters, and what it then stands on.
 fn on_legs(
     i: usize,
     width_m: f32,
@@ -188,7 +194,8 @@ fn on_legs(
     (bottom - surface_z <= MAX_LEGS_M.min(width_m * LEGS_PER_WIDTH)).then_some((surface_z, support))
 }
 
-/// The height of the ceiling a thing hangs from, metres, where one was found over it.
+/// Returns the height of the ceiling that a thing hangs from, meters, if a ceiling was found over
+/// it.
 fn hanging(
     i: usize,
     bodies: &[Body],
@@ -214,7 +221,7 @@ mod tests {
         Body::of_box(aabb, &OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 })
     }
 
-    /// The points of a block, every two centimetres, turned about the world's Z axis.
+    /// The points of a block, one every two centimeters, rotated about the world's Z axis.
     fn block(min: [f32; 3], max: [f32; 3], yaw_rad: f32) -> Vec<Point3<f32>> {
         let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), yaw_rad);
         let steps = |axis: usize| {
@@ -239,7 +246,7 @@ mod tests {
         (from_z, to_z, support)
     }
 
-    /// A seat 40 cm over the floor, and what is near it in each case.
+    /// A seat 40 cm above the floor, and what is near it in each case.
     #[test]
     fn nothing_floats() {
         let alone = |thing: &Body| held_by(std::slice::from_ref(thing), &[None]);
@@ -282,8 +289,7 @@ mod tests {
         );
     }
 
-    /// A room turned by half a right angle: boxes along the world's axes around its walls hold half
-    /// of it.
+    /// A room rotated by 45 degrees: axis-aligned boxes around its walls contain half of it.
     #[test]
     fn a_turned_wall_holds_nothing_far_from_it() {
         const YAW_RAD: f32 = 0.7;

@@ -1,7 +1,7 @@
 //! 2D masks: which pixels of a frame belong to the same thing.
 //!
-//! A [`MaskSource`] gives one id image per frame, or several that all have a vote; what the ids
-//! mean is only known within an image.
+//! A [`MaskSource`] returns one id image per frame, or several that all have a vote. Ids have a
+//! meaning only within one image.
 
 pub mod rgbd;
 pub mod sam;
@@ -14,22 +14,22 @@ use uniground_geometry::scene::Frame;
 /// One mask id per pixel of a frame's **depth** image, row-major; 0 = no mask.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct IdImage {
-    /// Pixels, as of the depth image.
+    /// Pixels, same as the depth image.
     pub width: u32,
-    /// Pixels, as of the depth image.
+    /// Pixels, same as the depth image.
     pub height: u32,
-    /// `width * height` of them; ids mean nothing beyond this frame.
+    /// `width * height` ids, valid only within this frame.
     pub ids: Vec<u16>,
 }
 
 impl IdImage {
-    /// The mask of a pixel (column, row), 0 for none; the pixel must lie in the image.
+    /// The mask of a pixel (column, row), 0 for none. The pixel must lie in the image.
     #[must_use]
     pub fn at(&self, (column, row): (u32, u32)) -> u16 {
         self.ids[(row * self.width + column) as usize]
     }
 
-    /// How many different masks there are.
+    /// Number of different masks.
     #[must_use]
     pub fn count(&self) -> u32 {
         let mut seen = vec![false; usize::from(u16::MAX) + 1];
@@ -38,17 +38,17 @@ impl IdImage {
     }
 }
 
-/// An id image as runs of equal ids: a few kilobytes, so that those of all frames can be kept.
+/// An id image as runs of equal ids: a few kilobytes, so that those of all frames fit in memory.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IdRuns {
     width: u32,
     height: u32,
-    /// Id and how many pixels in a row have it, row-major; runs go on over the ends of rows.
+    /// Pairs of id and run length, row-major; runs continue across the ends of rows.
     runs: Vec<(u16, u32)>,
 }
 
 impl IdRuns {
-    /// Packs an image.
+    /// Compresses an image.
     #[must_use]
     pub fn of(image: &IdImage) -> Self {
         let runs =
@@ -56,7 +56,7 @@ impl IdRuns {
         Self { width: image.width, height: image.height, runs }
     }
 
-    /// The image again.
+    /// Restores the image.
     #[must_use]
     pub fn unpacked(&self) -> IdImage {
         let ids =
@@ -65,13 +65,14 @@ impl IdRuns {
     }
 }
 
-/// Where masks come from: built in (`rgbd`), a segmentation model, or annotations.
+/// A source of masks: built in (`rgbd`), a segmentation model, or annotations.
 pub trait MaskSource: Send + Sync {
     /// Name and version, recorded with the parse.
     fn name(&self) -> &str;
 
-    /// The masks of one frame, at the resolution of its depth image: as many id images for every
-    /// frame. A model takes seconds, so it checks `progress` between its calls.
+    /// Returns the masks of one frame, at the resolution of its depth image. The number of id
+    /// images is the same for every frame. A model takes seconds, so it checks `progress` between
+    /// its calls.
     ///
     /// # Errors
     /// [`ParseError`] when a model fails or the caller has asked to stop; the built-in masks never
@@ -79,11 +80,11 @@ pub trait MaskSource: Send + Sync {
     fn masks(&self, frame: &Frame, progress: &Progress) -> Result<Vec<IdImage>, ParseError>;
 }
 
-/// Several sources that all have a vote (paper: Semantic-SAM and SAM).
+/// Several mask sources that all have a vote (paper: Semantic-SAM and SAM).
 pub struct CombinedMasks<'a> {
     /// In the order of their id images.
     pub sources: Vec<&'a dyn MaskSource>,
-    /// Theirs, joined.
+    /// The joined names of the sources.
     pub name: String,
 }
 

@@ -1,7 +1,6 @@
-//! Leaves: no mask shows a plant as one, and its leaves touch here and there.
+//! Joins leaves into plants: no mask shows a plant as one, and its leaves barely touch.
 //!
-//! Green pieces that hang together are one plant. What stands under it, no wider than its leaves,
-//! is its pot.
+//! Connected green pieces are one plant. A part under it, no wider than its leaves, is its pot.
 
 use super::{RegionFacts, united};
 use crate::superpoints::Superpoints;
@@ -9,23 +8,23 @@ use uniground_geometry::boxes::Aabb;
 use uniground_geometry::colour::ColourName;
 use uniground_geometry::union_find::UnionFind;
 
-/// Share of green that makes a piece part of a plant.
+/// Minimum share of green points for a piece to be part of a plant.
 const GREEN: f32 = 0.6;
-/// Larger pieces are furniture, metres.
+/// Maximum size of a piece, meters; larger ones are furniture.
 const LARGEST_M: f32 = 0.7;
-/// Leaves this near to each other are of one plant, metres.
+/// Leaves within this distance belong to one plant, meters.
 const NEAR_M: f32 = 0.06;
-/// Taller plants are several, metres.
+/// Maximum height of a plant, meters; anything taller is several.
 const TALLEST_M: f32 = 2.2;
-/// The same for how far they spread.
+/// Maximum horizontal extent of a plant, meters.
 const WIDEST_M: f32 = 1.2;
-/// A pot is no wider than this, metres.
+/// Maximum size of a pot, meters.
 const POT_M: f32 = 0.5;
-/// A pot ends at most so far below the lowest leaf, metres: a stem is seen from nowhere.
+/// Maximum gap between a pot and the lowest leaf, meters: the stem may not have been scanned.
 const STEM_M: f32 = 0.25;
 
-/// Joins leaves, and pots to them; returns the regions and what is known of those that are as they
-/// were.
+/// Joins leaves with each other and with their pots. Returns the regions, and the facts of those
+/// that did not change.
 pub(super) fn gather(
     superpoints: &Superpoints,
     region_of: Vec<u32>,
@@ -46,7 +45,7 @@ pub(super) fn gather(
     let leaves: Vec<usize> = (0..parts.len()).filter(|&i| is_leaves(i)).collect();
     let plants = plants(&leaves, parts);
     let mut sets = UnionFind::new(parts.len());
-    // One green piece alone may as well be a cushion on its stool: it keeps to itself.
+    // A single green piece may be a cushion on a stool, so it is not joined.
     for (leaves, members) in plants.iter().filter(|(_, members)| members.len() > 1) {
         let pots = (0..parts.len()).filter(|&i| !is_leaves(i) && is_pot(&parts[i], leaves));
         let pot = pots.max_by(|&a, &b| parts[a].points.total_cmp(&parts[b].points));
@@ -57,7 +56,7 @@ pub(super) fn gather(
     united(sets, region_of, parts)
 }
 
-/// Leaves that hang together: the box around them, and which they are.
+/// Groups leaves that are connected: the box around each group, and its members.
 fn plants(leaves: &[usize], parts: &[RegionFacts]) -> Vec<(Aabb, Vec<usize>)> {
     let mut plants: Vec<(Aabb, Vec<usize>)> =
         leaves.iter().map(|&i| (parts[i].aabb, vec![i])).collect();
@@ -88,7 +87,7 @@ fn around(a: &Aabb, b: &Aabb) -> Aabb {
     )
 }
 
-/// Under the leaves' middle, not wider than they are, and ending where they begin.
+/// Whether a part is centered under the leaves, not wider than they are, and ends where they begin.
 fn is_pot(part: &RegionFacts, leaves: &Aabb) -> bool {
     let (size, above) = (part.aabb.size, leaves.min().z - part.aabb.max().z);
     let aside = (part.aabb.center - leaves.center).xy();
@@ -111,7 +110,8 @@ mod tests {
     const LEAF: [u8; 3] = [50, 120, 40];
     const CLAY: [u8; 3] = [150, 80, 50];
 
-    /// Gathers blocks from corner to corner, metres, each of a colour; returns the whole of each.
+    /// Gathers colored blocks from corner to corner, meters. Returns the whole that each belongs
+    /// to.
     fn gathered(blocks: &[([f32; 3], [f32; 3], [u8; 3])]) -> Vec<u32> {
         let part = |(low, high, _): &([f32; 3], [f32; 3], [u8; 3])| {
             let at = |axis: usize, k: u32| low[axis] + (high[axis] - low[axis]) * k as f32 / 9.0;

@@ -1,14 +1,14 @@
-//! The planes a building is made of: floors, ceilings and walls, found before anything is merged.
+//! The planes of a building: floors, ceilings and walls, found before merging.
 //!
-//! Masks are unreliable where a room is plain: two white walls meet in one mask, a desk ends in the
-//! wall behind it. But a wall is also a plane, and no thing is on both sides of the edge where two
-//! of them meet. So superpoints are told apart first by the plane they lie on;
-//! [`merging`](super::merging) never joins those of different planes, or what lies on a plane with
-//! what stands before it.
+//! Masks are unreliable where a room is plain: two white walls share one mask, or the mask of a
+//! desk includes the wall behind it. But a wall is a plane, and no thing lies on both sides of the
+//! edge where two planes meet. So superpoints are first separated by the plane they lie on.
+//! [`merging`](super::merging) never joins superpoints of different planes, or those on a plane
+//! with those before it.
 //!
-//! What makes a plane part of the building is free space. A floor is what cameras were above and
-//! nothing is below; a ceiling has nothing above it. Over the top of a wall nothing can be seen;
-//! over the top of a wardrobe, the wall behind it.
+//! Free space decides whether a plane belongs to the building. A floor has cameras above it and
+//! nothing below; a ceiling has nothing above it. Over the top of a wall nothing is visible; over
+//! the top of a wardrobe, the wall behind it is.
 
 mod rugs;
 mod sheet;
@@ -31,23 +31,23 @@ pub struct Plane {
     pub structure: Structure,
     /// Unit length; sign arbitrary.
     pub normal: Vector3<f32>,
-    /// On the plane, metres.
+    /// A point on the plane, meters.
     pub middle: Point3<f32>,
-    /// As far as it was seen, square metres.
+    /// Area that was seen, square meters.
     pub area_m2: f32,
 }
 
-/// The planes of a scan and the superpoints that lie on them.
+/// The planes of a scan, and the superpoints that lie on them.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Planes {
     /// Largest first.
     pub planes: Vec<Plane>,
-    /// By superpoint: the place of its plane in `planes`.
+    /// By superpoint: the index of its plane in `planes`.
     pub of_superpoint: Vec<Option<u32>>,
 }
 
 impl Planes {
-    /// Height of the lowest floor, metres, if one was found.
+    /// Height of the lowest floor, meters, if one was found.
     #[must_use]
     pub fn floor_z(&self) -> Option<f32> {
         self.planes
@@ -57,16 +57,16 @@ impl Planes {
             .min_by(f32::total_cmp)
     }
 
-    /// Gives small patches of a plane back to it: what lies on a wall, has its colour and is no
-    /// larger than a picture is a piece of the wall that masks have cut off. `region_of` keeps
-    /// planes apart. Returns the region of each superpoint, `0..n`.
+    /// Joins small patches on a plane with the plane. A patch that lies on a wall, has its color
+    /// and is no larger than a picture is a piece of the wall that masks have cut off. `region_of`
+    /// must separate planes. Returns the region of each superpoint, `0..n`.
     #[must_use]
     pub fn with_patches(&self, superpoints: &Superpoints, region_of: &[u32]) -> Vec<u32> {
         let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
         let regions = Patch::joined(&superpoints.patches, region_of, count);
         let mut plane_of = vec![None; count];
         region_of.iter().zip(&self.of_superpoint).for_each(|(&region, &plane)| {
-            plane_of[region as usize] = plane_of[region as usize].or(plane)
+            plane_of[region as usize] = plane_of[region as usize].or(plane);
         });
         let mut sets = UnionFind::new(count);
         for (k, plane) in self.planes.iter().enumerate() {
@@ -91,48 +91,50 @@ impl Planes {
     }
 }
 
-/// Larger pieces of a plane are things of their own, or parts of the building as they are, square
-/// metres.
+/// Maximum area of a patch, square meters. Larger pieces of a plane are separate things or parts of
+/// the building.
 const MAX_PATCH_M2: f32 = 0.15;
-/// CIELAB distance up to which a patch has the colour of its plane.
+/// CIELAB distance within which a patch has the color of its plane.
 const SAME_COLOUR: f32 = 10.0;
 
-/// Points count as on a plane within three times the noise of the scan, but at least this far,
-/// metres.
+/// Points count as on a plane within three times the noise of the scan, but at least within this
+/// distance, meters.
 const MIN_SLACK_M: f32 = 0.02;
-/// And at most this far: what stands out more is a thing.
+/// Upper bound of that distance, meters: anything that stands out more is a thing.
 const MAX_SLACK_M: f32 = 0.06;
-/// Poses drift and walls bend: what belongs to a plane once it is known may lie this many times as
-/// far from it.
+/// Factor on that distance for assigning points to a known plane, because poses drift and walls
+/// bend.
 const ASSIGNED_SLACKS: f32 = 1.5;
-/// Share of its points that must be on the plane for a superpoint to be.
+/// Minimum share of a superpoint's points on a plane for the superpoint to lie on it.
 const ON_PLANE: f32 = 0.7;
-/// Cosine of 20 degrees: how far the normal of a superpoint may be from that of its plane.
+/// Cosine of 20 degrees: maximum angle between the normals of a superpoint and its plane.
 const SAME_NORMAL: f32 = 0.94;
-/// Cosine of 10 degrees: the same for those a plane is made of.
+/// Cosine of 10 degrees: the same for the superpoints that a plane is fitted to.
 const GIVES_NORMAL: f32 = 0.985;
-/// Planes are measured in cells of this edge, metres.
+/// Edge of the cells in which planes are measured, meters.
 const CELL_M: f32 = 0.1;
-/// Parts of one plane this far apart are different planes: furniture hides the wall between them up
-/// to there.
+/// Maximum gap between parts of one plane, meters: furniture may hide that much of a wall. Parts
+/// farther apart are different planes.
 const GAP_M: f32 = 1.0;
-/// Smaller planes are things, square metres.
+/// Minimum area of a plane, square meters; smaller ones are things.
 const MIN_AREA_M2: f32 = 1.0;
-/// A superpoint starts a plane from this size on, square metres: below, its normal is noise.
+/// Minimum area of a superpoint that starts a plane, square meters: the normals of smaller ones are
+/// noise.
 const MIN_SEED_M2: f32 = 0.04;
-/// A wall is at least so wide and reaches so high over the floor, metres.
+/// Minimum width of a wall, and its minimum height above the floor, meters.
 const MIN_WALL_WIDTH_M: f32 = 0.5;
 const MIN_WALL_TOP_M: f32 = 1.6;
-/// What lies farther behind a plane than this is behind it, metres.
+/// A point farther behind a plane than this counts as behind it, meters.
 const BEHIND_M: f32 = 0.15;
-/// Cells with something behind or below them, from this share on, say that a plane bounds no room.
+/// Maximum share of cells with something behind or below them. From there on, a plane bounds no
+/// room.
 const MAX_SEEN_BEHIND: f32 = 0.25;
-/// Ceilings are at least this high over the floor, metres.
+/// Minimum height of a ceiling above the floor, meters.
 const MIN_CEILING_M: f32 = 1.9;
 const THICKEST_RUG_M: f32 = 0.06;
 
-/// Finds the planes. `cameras` are centres of cameras, metres; without any, floors and ceilings are
-/// told by what lies above and below.
+/// Finds the planes. `cameras` are camera centers, meters. Without any, floors and ceilings are
+/// recognized by what lies above and below.
 ///
 /// # Errors
 /// [`Cancelled`].
@@ -182,7 +184,7 @@ pub fn find(
     planes.retain(|(sheet, structure)| {
         *structure != Structure::Wall || !scan.stands_before_a_wall(sheet, &walls, cameras)
     });
-    // A sheet a few centimetres over a larger floor is a rug.
+    // A plane a few centimeters above a larger floor is a rug.
     let floors: Vec<(f32, f32)> = planes
         .iter()
         .filter(|p| p.1 == Structure::Floor)
@@ -210,7 +212,7 @@ pub fn find(
     Ok(Planes { planes, of_superpoint })
 }
 
-/// The cloud by superpoint.
+/// The cloud grouped by superpoint.
 struct CloudBySuperpoint<'a> {
     cloud: &'a PointCloud,
     /// Points of each superpoint.
@@ -219,7 +221,7 @@ struct CloudBySuperpoint<'a> {
     slack_m: f32,
     lowest_z: f32,
     highest_z: f32,
-    /// Occupied cells: column on the ground, to the heights in it.
+    /// Occupied cells: ground column to the heights in it.
     columns: BTreeMap<(i32, i32), Vec<i32>>,
 }
 
@@ -260,7 +262,8 @@ impl<'a> CloudBySuperpoint<'a> {
         on as f32 / self.members[superpoint as usize].len().max(1) as f32
     }
 
-    /// Those of `left` on one plane with `seed`, whose plane is fitted twice.
+    /// Returns the superpoints of `left` that lie on one plane with `seed`. The plane is fitted
+    /// twice.
     fn coplanar(&self, seed: u32, left: &BTreeSet<u32>) -> BTreeSet<u32> {
         let SuperpointPlane { mut normal, mut middle, .. } = self.patches[seed as usize];
         let mut found = BTreeSet::from([seed]);
@@ -280,7 +283,7 @@ impl<'a> CloudBySuperpoint<'a> {
         found
     }
 
-    /// The connected parts of a plane, those large enough.
+    /// Splits a plane into connected parts and returns those that are large enough.
     fn sheets(&self, members: &BTreeSet<u32>) -> Vec<PlanePart> {
         let (normal, middle) = fit(members.iter().map(|&s| &self.patches[s as usize]));
         let level = normal.z.abs() > SAME_NORMAL;
@@ -313,8 +316,8 @@ impl<'a> CloudBySuperpoint<'a> {
         self.is_ceiling(sheet, cameras, floor_z).then_some(Structure::Ceiling)
     }
 
-    /// Cameras were above it, and under it there is nothing. A second floor over the lowest is
-    /// larger than a bed and was walked on.
+    /// Whether cameras were above the sheet, and nothing is under it. A second floor above the
+    /// lowest must be larger than a bed and have been walked on.
     fn is_floor(&self, sheet: &PlanePart, cameras: &[Point3<f32>], lowest_z: f32) -> bool {
         let over = cameras.iter().filter(|c| sheet.covers(c) && c.z > sheet.middle.z + 0.2).count();
         let walked = match sheet.middle.z > lowest_z + 0.25 {
@@ -324,7 +327,7 @@ impl<'a> CloudBySuperpoint<'a> {
         walked && self.share_of_columns(sheet, |z, own| z < own - 0.2) < MAX_SEEN_BEHIND
     }
 
-    /// Cameras were below it, and over it there is nothing.
+    /// Whether cameras were below the sheet, and nothing is over it.
     fn is_ceiling(&self, sheet: &PlanePart, cameras: &[Point3<f32>], floor_z: f32) -> bool {
         let under = cameras
             .iter()
@@ -333,8 +336,8 @@ impl<'a> CloudBySuperpoint<'a> {
         under && sheet.middle.z > floor_z + MIN_CEILING_M && above < MAX_SEEN_BEHIND
     }
 
-    /// Share of the sheet's places with something in their column for which `far(height, the
-    /// sheet's own)`.
+    /// Share of the sheet's cells with a height in their column for which `far(height, sheet's own
+    /// height)` is true.
     fn share_of_columns(&self, sheet: &PlanePart, far: impl Fn(f32, f32) -> bool) -> f32 {
         let mut seen = BTreeSet::new();
         let mut hit = 0_u32;
@@ -353,7 +356,7 @@ impl<'a> CloudBySuperpoint<'a> {
         hit as f32 / seen.len().max(1) as f32
     }
 
-    /// Wide, high, and over its top nothing can be seen behind it.
+    /// Whether the sheet is wide and high, and nothing is visible behind it over its top.
     fn is_wall(&self, sheet: &PlanePart, cameras: &[Point3<f32>], floor_z: f32) -> bool {
         let mut tops: BTreeMap<i32, i32> = BTreeMap::new();
         for &(a, b) in &sheet.cells {
@@ -370,8 +373,8 @@ impl<'a> CloudBySuperpoint<'a> {
         {
             return false;
         }
-        // Over the top: what lies behind, seen from where the cameras were, within the sheet's
-        // width and a room's depth.
+        // Searches over the top: behind the sheet as seen from the cameras, within its width and
+        // the depth of a room.
         const DEPTH_M: f32 = 1.5;
         let before =
             cameras.iter().filter(|c| sheet.distance(c) > 0.0).count() * 2 >= cameras.len();
@@ -386,7 +389,8 @@ impl<'a> CloudBySuperpoint<'a> {
         (hit as f32) < MAX_SEEN_BEHIND * tops.len() as f32
     }
 
-    /// A curtain or a wardrobe as high as the room: a larger wall goes on behind it.
+    /// Whether a larger wall continues behind it, as behind a curtain or a wardrobe as high as the
+    /// room.
     fn stands_before_a_wall(
         &self,
         sheet: &PlanePart,
@@ -397,7 +401,7 @@ impl<'a> CloudBySuperpoint<'a> {
         let before =
             cameras.iter().filter(|c| sheet.distance(c) > 0.0).count() * 2 >= cameras.len();
         walls.iter().any(|(middle, normal, area_m2)| {
-            // Where the other wall is, seen from the middle of this one.
+            // Position of the other wall, seen from the center of this one.
             let behind = (sheet.middle - middle).dot(normal)
                 * normal.dot(&sheet.normal).signum()
                 * if before { 1.0 } else { -1.0 };
@@ -407,7 +411,7 @@ impl<'a> CloudBySuperpoint<'a> {
         })
     }
 
-    /// The plane of each superpoint: the largest that holds it.
+    /// The plane of each superpoint: the largest one that it lies on.
     fn assigned(&self, planes: &[(PlanePart, Structure)]) -> Vec<Option<u32>> {
         (0..self.patches.len() as u32)
             .into_par_iter()
@@ -433,7 +437,8 @@ mod tests {
     use crate::superpoints;
     use uniground_types::settings::SuperpointSettings;
 
-    /// Two corners and a colour; a point every two centimetres, with a shake of a few millimetres.
+    /// Adds a gray block between two corners: a point every two centimeters, with noise of a few
+    /// millimeters.
     fn block(cloud: &mut PointCloud, low: [f32; 3], high: [f32; 3], grey: u8) {
         const STEP_M: f32 = 0.02;
         let steps = |axis: usize| 0..=((high[axis] - low[axis]) / STEP_M).round() as u32;

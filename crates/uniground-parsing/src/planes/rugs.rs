@@ -1,8 +1,8 @@
-//! Rugs too thin to be told from their floor by height: their colour tells.
+//! Finds rugs that are too thin to be separated from the floor by height: their color differs.
 //!
-//! Light tells nothing: a shadow is the floor's colour dimmed, and is no rug however dark it is.
-//! And a rug was seen: in a cloud that was drawn rather than scanned, the underside of a box lies
-//! on the floor too.
+//! Brightness is no evidence: a shadow is the floor's color dimmed, and not a rug however dark it
+//! is. A rug must also be visible to cameras: in a synthetic cloud, the underside of a box lies on
+//! the floor too.
 
 use super::{ASSIGNED_SLACKS, CELL_M, CloudBySuperpoint, Plane};
 use crate::superpoints::{Patch, Superpoints};
@@ -15,35 +15,35 @@ use uniground_geometry::union_find::UnionFind;
 use uniground_geometry::voxels::VoxelKey;
 use uniground_geometry::{Point3, Vector3};
 
-/// CIELAB distance up to which superpoints are of one colour, with lightness counted half.
+/// CIELAB distance within which superpoints have one color, with lightness counted half.
 const SAME_COLOUR: f32 = 12.0;
-/// Distance between hues, at the floor's lightness, from which on a superpoint is not the floor
+/// Minimum distance between hues, at the floor's lightness. A superpoint below it is the floor
 /// under another light.
 const OTHER_HUE: f32 = 5.0;
-/// Smaller patches are stains and scraps: square metres, and metres across.
+/// Minimum area and size of a rug, square meters and meters; smaller patches are stains and scraps.
 const MIN_AREA_M2: f32 = 0.15;
 const MIN_WIDTH_M: f32 = 0.3;
-/// Share of the floor that a rug covers at most: what is larger is another floor.
+/// Maximum share of the floor that a rug covers; a larger area is another floor.
 const MAX_OF_FLOOR: f32 = 0.4;
-/// Share of its rectangle that a rug fills at least; furniture hides some of it.
+/// Minimum share of its rectangle that a rug fills, since furniture hides some of it.
 const MIN_FILLED: f32 = 0.4;
-/// Share of a rug's rim that has the floor beside it; the floor of another room meets it in the
-/// doorway alone.
+/// Minimum share of a rug's rim with floor beside it. The floor of another room has this floor
+/// beside it only in the doorway.
 const MIN_BESIDE_FLOOR: f32 = 0.4;
-/// Share of a rug's points that some camera could see.
+/// Minimum share of a rug's points that some camera could see.
 const MIN_SEEN: f32 = 0.5;
-/// So many of its points and so many cameras are tried, or less than twice as many.
+/// About this many points and cameras are sampled: less than twice as many.
 const MOST_POINTS: usize = 100;
 const MOST_CAMERAS: usize = 40;
-/// What stands in the way is looked for in voxels of this edge, this far, metres.
+/// Edge of the voxels for obstructions, and how far they are searched, meters.
 const VOXEL_M: f32 = 0.05;
 const IN_THE_WAY_M: f32 = 1.0;
-/// So many superpoints are tried for the floor's colour, or less than twice as many.
+/// About this many superpoints are sampled for the floor's color: less than twice as many.
 const MOST_TRIED: usize = 200;
 
-/// Takes rugs off the floors they lie on, so that nothing joins them: `of_superpoint` has the plane
-/// of each superpoint. `cameras` are centres of cameras, metres; without any, all of a cloud counts
-/// as seen.
+/// Takes rugs off the floors they lie on, so that nothing joins them. `of_superpoint` has the plane
+/// of each superpoint. `cameras` are camera centers, meters; without any, every point counts as
+/// seen.
 pub(super) fn take_off(
     scan: &CloudBySuperpoint,
     superpoints: &Superpoints,
@@ -87,13 +87,13 @@ pub(super) fn take_off(
     }
 }
 
-/// Cells of the ground, [`CELL_M`] wide, that superpoints lie on.
+/// The ground cells, [`CELL_M`] wide, that superpoints lie on.
 fn cells(scan: &CloudBySuperpoint, superpoints: impl Iterator<Item = u32>) -> BTreeSet<(i32, i32)> {
     let at = |v: f32| (v / CELL_M).floor() as i32;
     superpoints.flat_map(|s| scan.points(s)).map(|p| (at(p.x), at(p.y))).collect()
 }
 
-/// Share of the rim of some cells that has the floor beside it.
+/// Share of the rim of these cells with floor beside it.
 fn share_beside(cells: &BTreeSet<(i32, i32)>, floor: &BTreeSet<(i32, i32)>) -> f32 {
     let around = |&(a, b): &(i32, i32), far: i32| {
         (-far..=far).flat_map(move |i| (-far..=far).map(move |j| (a + i, b + j)))
@@ -107,8 +107,7 @@ fn share_beside(cells: &BTreeSet<(i32, i32)>, floor: &BTreeSet<(i32, i32)>) -> f
     beside_floor as f32 / rim.len().max(1) as f32
 }
 
-/// Whether cameras could see most of what lies on a floor: nothing that rises from it stands in the
-/// way.
+/// Whether cameras could see most of a group on a floor: nothing that rises from it is in the way.
 fn was_seen(scan: &CloudBySuperpoint, group: &[u32], cameras: &[Point3<f32>]) -> bool {
     let points: Vec<Point3<f32>> = group.iter().flat_map(|&s| scan.points(s)).copied().collect();
     let Some(around) = Aabb::around(&points) else { return false };
@@ -135,12 +134,12 @@ fn was_seen(scan: &CloudBySuperpoint, group: &[u32], cameras: &[Point3<f32>]) ->
     cameras.is_empty() || seen as f32 >= MIN_SEEN * tried.len() as f32
 }
 
-/// The colour that most of these superpoints have.
+/// The most common color of these superpoints.
 fn colour(on: &[u32], patches: &[Patch]) -> Option<Lab> {
     let patch = |s: u32| &patches[s as usize];
     let alike =
         |s: u32| on.iter().copied().filter(move |&other| is_same(&patch(other).lab, &patch(s).lab));
-    // Some of them will do to find it: a house has many.
+    // A sample is enough to find it: a house has many superpoints.
     let most = on.iter().copied().step_by((on.len() / MOST_TRIED).max(1)).max_by_key(|&s| {
         (alike(s).map(|other| patch(other).points).sum::<u32>(), std::cmp::Reverse(s))
     })?;
@@ -153,14 +152,14 @@ fn is_same(a: &Lab, b: &Lab) -> bool {
     Lab::new(apart.x / 2.0, apart.y, apart.z).norm() < SAME_COLOUR
 }
 
-/// Whether it is another colour, and not the floor's under more or less light. Light scales all of
-/// a colour: in CIELAB, L* + 16, a* and b* alike.
+/// Whether it is another color, and not the floor's color under more or less light. Light scales
+/// all components of a color alike: in CIELAB, L* + 16, a* and b*.
 fn is_other(lab: &Lab, floor: &Lab) -> bool {
     let light = (lab.x + 16.0) / (floor.x + 16.0);
     !is_same(lab, floor) && (lab.y - light * floor.y).hypot(lab.z - light * floor.z) >= OTHER_HUE
 }
 
-/// Groups of those that hang together.
+/// Groups of connected superpoints.
 fn connected(superpoints_of: &[u32], superpoints: &Superpoints) -> Vec<Vec<u32>> {
     let mut is_member = vec![false; superpoints.patches.len()];
     superpoints_of.iter().for_each(|&s| is_member[s as usize] = true);
@@ -189,13 +188,13 @@ mod tests {
     const RED: [u8; 3] = [150, 40, 45];
     const CAMERA: Point3<f32> = Point3::new(1.0, -2.0, 1.6);
 
-    /// A floor of 4 by 4 superpoints of half a metre, of which these have another colour; returns
-    /// those taken off it.
+    /// Takes rugs off a floor of 4 by 4 superpoints of half a meter, of which `others` have another
+    /// color. Returns the superpoints taken off.
     fn taken_off(others: &[(u32, [u8; 3])]) -> Vec<u32> {
         taken_off_in(&[], &[], &[CAMERA], others)
     }
 
-    /// The same with points over it, without some of its superpoints, seen by these cameras.
+    /// The same with points above it, without some of its superpoints, seen by these cameras.
     fn taken_off_in(
         above: &[Point3<f32>],
         absent: &[u32],

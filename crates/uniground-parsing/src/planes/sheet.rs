@@ -43,7 +43,7 @@ impl PlanePart {
         ((d.dot(&self.along) / CELL_M).floor() as i32, (d.dot(&self.up) / CELL_M).floor() as i32)
     }
 
-    /// Whether a place, projected, falls on the sheet or next to it.
+    /// Whether a point, projected, falls on the sheet or next to it.
     pub(super) fn covers(&self, p: &Point3<f32>) -> bool {
         let (a, b) = self.cell(p);
         (-1..=1).any(|i| (-1..=1).any(|j| self.cells.contains(&(a + i, b + j))))
@@ -74,13 +74,13 @@ impl SuperpointPlane {
     }
 }
 
-/// Some unit vector at a right angle to this one.
+/// Returns some unit vector at a right angle to this one.
 fn any_across(normal: &Vector3<f32>) -> Vector3<f32> {
     let axis = if normal.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
     normal.cross(&axis).normalize()
 }
 
-/// Plane through patches, by their areas: middles and normals both count.
+/// Fits a plane through patches, weighted by area, using their centers and normals.
 pub(super) fn fit<'a>(
     patches: impl Iterator<Item = &'a SuperpointPlane>,
 ) -> (Vector3<f32>, Point3<f32>) {
@@ -96,9 +96,9 @@ pub(super) fn fit<'a>(
     (normal, Point3::from((middle / area.max(1e-9)).cast::<f32>()))
 }
 
-/// Groups of cells no farther from each other than `gap`, by largest coordinate.
+/// Groups cells no farther from each other than `gap`, measured by the largest coordinate.
 pub(super) fn parts(cells: &BTreeSet<(i32, i32)>, gap: i32) -> Vec<BTreeSet<(i32, i32)>> {
-    // On a grid as coarse as the gap, neighbours are within it.
+    // On a grid as coarse as the gap, neighbors are within it.
     let coarse = |&(a, b): &(i32, i32)| (a.div_euclid(gap), b.div_euclid(gap));
     let mut left: BTreeMap<(i32, i32), Vec<(i32, i32)>> = BTreeMap::new();
     cells.iter().for_each(|cell| left.entry(coarse(cell)).or_default().push(*cell));

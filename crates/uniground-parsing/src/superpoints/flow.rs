@@ -1,7 +1,7 @@
-//! VCCS (Papon et al. 2013): supervoxels grow from seeds over the voxel graph, one ring a round.
+//! VCCS (Papon et al. 2013): supervoxels grow from seeds over the voxel graph, one ring per round.
 //!
-//! All voxels look at their neighbours' labels of the round before, so a round is parallel and its
-//! result does not depend on the order of work.
+//! All voxels read their neighbors' labels of the previous round. So a round runs in parallel, and
+//! its result does not depend on the order of work.
 
 use super::voxel_cloud::VoxelCloud;
 use super::{Patch, SuperpointSettings};
@@ -14,15 +14,15 @@ use uniground_geometry::{Point3, Vector3};
 const NONE: u32 = u32::MAX;
 /// CIELAB distance that counts as one unit.
 const COLOUR_UNIT: f32 = 50.0;
-/// Supervoxels may reach this many seed distances: PCL's value, enough to meet their neighbours
-/// around corners.
+/// Maximum extent of a supervoxel in seed distances: PCL's value, enough to meet neighbors around
+/// corners.
 const REACH: f32 = 1.8;
 
-/// Growth ends when fewer voxels than this share changed hands in a round: by then only single
-/// voxels go to and fro.
+/// Growth ends when fewer voxels than this share changed their label in a round: then only single
+/// voxels still alternate.
 const SETTLED_SHARE: f32 = 0.05;
 
-/// Labels every voxel. Parts of the graph no seed reaches become supervoxels of their own.
+/// Labels every voxel. Parts of the graph that no seed reaches become separate supervoxels.
 pub(super) fn grow(
     voxels: &VoxelCloud,
     settings: &SuperpointSettings,
@@ -34,7 +34,7 @@ pub(super) fn grow(
         labels[seed as usize] = label as u32;
     }
     let mut centers: Vec<Patch> = seeds.iter().map(|&s| voxels.patches[s as usize]).collect();
-    // Only voxels at a border can change hands; a voxel gets there when a neighbour does change.
+    // Only voxels at a border can change their label. A voxel becomes one when a neighbor changes.
     let mut at_border = vec![false; voxels.len()];
     seeds.iter().flat_map(|&s| voxels.neighbours(s)).for_each(|&n| at_border[n as usize] = true);
     let rounds = (REACH * settings.seed_m / settings.voxel_m).ceil() as usize;
@@ -63,14 +63,15 @@ pub(super) fn grow(
         }
         centers = recenter(voxels, &labels, &centers);
     }
-    // What no seed reached still shares one label: connected() tells those islands apart.
+    // Voxels that no seed reached still share one label: connected() separates them.
     Ok(voxels.connected(&labels))
 }
 
-/// One seed per occupied cell of the coarse grid: the voxel nearest the cell's own centre of mass.
+/// Places one seed per occupied cell of the coarse grid: the voxel nearest the cell's center of
+/// mass.
 ///
 /// Seeds with hardly any surface around them are noise and are left out (their voxels may still
-/// join a neighbour's supervoxel).
+/// join a neighbor's supervoxel).
 fn seeds(voxels: &VoxelCloud, settings: &SuperpointSettings) -> Vec<u32> {
     let centers: Vec<Point3<f32>> = voxels.patches.par_iter().map(|p| p.center).collect();
     let cells = VoxelGrid::new(&centers, settings.seed_m);
@@ -98,11 +99,11 @@ fn seeds(voxels: &VoxelCloud, settings: &SuperpointSettings) -> Vec<u32> {
     seeds
 }
 
-/// A surface through a voxel occupies about eight of its neighbours; a stray point has none.
+/// A surface through a voxel occupies about eight of its neighbors; a stray point has none.
 const MIN_SEED_NEIGHBOURS: usize = 2;
 
-/// The supervoxel nearest to a voxel among its own and those of its neighbours; `None` when all of
-/// them are the same.
+/// Returns the nearest supervoxel among the voxel's own and those of its neighbors; `None` if all
+/// are the same.
 fn best_label(
     voxels: &VoxelCloud,
     labels: &[u32],
@@ -138,7 +139,7 @@ fn best_label(
     Some(best.1)
 }
 
-/// Distance of a voxel to a supervoxel in space, normal and colour, each in its own unit.
+/// Distance of a voxel to a supervoxel in space, normal and color, each divided by its own unit.
 fn distance(voxels: &VoxelCloud, v: u32, center: &Patch, settings: &SuperpointSettings) -> f32 {
     let voxel = &voxels.patches[v as usize];
     let space = (voxel.center - center.center).norm() / settings.seed_m;
@@ -149,8 +150,8 @@ fn distance(voxels: &VoxelCloud, v: u32, center: &Patch, settings: &SuperpointSe
         + settings.colour_weight * colour
 }
 
-/// Unweighted means over the voxels of each supervoxel: dense parts of a scan must not pull the
-/// centres.
+/// Unweighted means over the voxels of each supervoxel, so that dense parts of a scan do not pull
+/// the centers.
 fn recenter(voxels: &VoxelCloud, labels: &[u32], before: &[Patch]) -> Vec<Patch> {
     let mut sums = vec![(0_u32, Vector3::zeros(), Vector3::zeros(), Lab::zeros()); before.len()];
     for (voxel, &label) in voxels.patches.iter().zip(labels) {
@@ -158,7 +159,7 @@ fn recenter(voxels: &VoxelCloud, labels: &[u32], before: &[Patch]) -> Vec<Patch>
             continue;
         }
         let sum = &mut sums[label as usize];
-        // Normals have no sign: turn each to the side the supervoxel already looks.
+        // Normals have no sign: flip each to the side of the supervoxel's normal.
         let side = voxel.normal.dot(&before[label as usize].normal).signum();
         sum.0 += 1;
         sum.1 += voxel.center.coords;

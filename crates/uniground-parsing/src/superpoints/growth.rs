@@ -1,5 +1,5 @@
-//! Superpoints of a cloud that has grown: those of points that stayed stay, so that what frames saw
-//! of them keeps its meaning; what is new is cut into superpoints of its own.
+//! Superpoints of a cloud that has grown. Superpoints of points that stayed do not change, so that
+//! what frames saw of them stays valid. New points are divided into new superpoints.
 
 use super::{Patch, Superpoints, coarsened_to, compute, relabelled};
 use uniground_geometry::colour::{Lab, lab_of_srgb};
@@ -10,10 +10,10 @@ use uniground_geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap, typical_spac
 use uniground_geometry::{Matrix3, Point3, Vector3};
 use uniground_types::settings::SuperpointSettings;
 
-/// The superpoints after an addition and, by number of before, the number now; `None`: all of its
-/// points are gone.
+/// Returns the superpoints after an addition, and the new number of each previous one; `None`: all
+/// of its points are gone.
 ///
-/// `cloud` is that after the addition.
+/// `cloud` is the cloud after the addition.
 ///
 /// # Errors
 /// [`Cancelled`].
@@ -60,7 +60,7 @@ pub fn grown(
         adjacent.extend(new.adjacent.iter().map(|(a, b)| (a + count, b + count)));
         progress.check()?;
         let voxel_m = coarsened_to(*settings, typical_spacing_m(&addition.new.positions)).voxel_m;
-        // A floor goes on beyond the gap that keeps new points from known ones.
+        // A floor continues beyond the gap between new and known points.
         let reach_m = voxel_m.max(REACH * addition.apart_m);
         adjacent.extend(borders(cloud, &of_point, addition.kept.len(), reach_m));
     }
@@ -71,7 +71,7 @@ pub fn grown(
     ))
 }
 
-/// The patches that stay; those that have lost points are measured anew.
+/// The patches that remain; those that lost points are measured again.
 fn shrunk(before: &Superpoints, left: &[u32], of_kept: &[u32], cloud: &PointCloud) -> Vec<Patch> {
     let stay = || left.iter().zip(&before.patches).filter(|(left, _)| **left > 0);
     let has_lost: Vec<bool> = stay().map(|(left, patch)| *left < patch.points).collect();
@@ -94,7 +94,7 @@ fn shrunk(before: &Superpoints, left: &[u32], of_kept: &[u32], cloud: &PointClou
 fn patch_of(cloud: &PointCloud, points: &[u32]) -> Patch {
     let n = points.len() as f64;
     let positions = || points.iter().map(|&point| cloud.positions[point as usize]);
-    // Single precision would not do far from the origin.
+    // Single precision is too coarse far from the origin.
     let sum =
         positions().fold(nalgebra::Vector3::<f64>::zeros(), |sum, p| sum + p.coords.cast::<f64>());
     let center = Point3::from((sum / n).cast::<f32>());
@@ -113,11 +113,11 @@ fn patch_of(cloud: &PointCloud, points: &[u32]) -> Patch {
     }
 }
 
-/// Superpoints this many gaps apart touch.
+/// Superpoints within this many gaps touch.
 const REACH: f32 = 1.5;
 
-/// Superpoints of before and new ones that touch: with points in one voxel, or in two that do. The
-/// first `kept` points are those of before.
+/// Returns the pairs of previous and new superpoints that touch: with points in the same voxel, or
+/// in two adjacent ones. The first `kept` points are those of before.
 fn borders(cloud: &PointCloud, of_point: &[u32], kept: usize, reach_m: f32) -> Vec<(u32, u32)> {
     let mut near: VoxelMap<Vec<u32>> = VoxelMap::default();
     let mut add = |key: VoxelKey, superpoint: u32| {
@@ -146,7 +146,7 @@ fn borders(cloud: &PointCloud, of_point: &[u32], kept: usize, reach_m: f32) -> V
 mod tests {
     use super::*;
 
-    /// A square of a metre in the plane, points every centimetre, from `x` on.
+    /// A square of one meter in the plane, with a point every centimeter, starting at `x`.
     fn square(x: f32, z: f32, colour: [u8; 3]) -> PointCloud {
         let at = (0..100).flat_map(|i| {
             (0..100).map(move |j| Point3::new(x + i as f32 * 0.01, j as f32 * 0.01, z))
@@ -190,7 +190,7 @@ mod tests {
     #[test]
     fn what_stays_keeps_its_superpoint_and_touches_what_is_new() {
         let (mut floor, more) = (square(0.0, 0.0, [120; 3]), square(1.0, 0.0, [120; 3]));
-        // The red half, nearer to the origin, is gone.
+        // The red half, nearer to the origin, is removed.
         let reds = floor.positions.iter().zip(&mut floor.colours).filter(|(p, _)| p.x < 0.5);
         reds.for_each(|(_, colour)| *colour = [200, 40, 40]);
         let kept: Vec<u32> =

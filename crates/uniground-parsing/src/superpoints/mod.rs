@@ -1,7 +1,7 @@
 //! Superpoints: small patches that respect object borders (paper: VCCS, then region growing).
 //!
-//! Works on bare coloured points: no mesh and no normals are required. Every point ends in exactly
-//! one superpoint, and the labels depend on the points and settings alone.
+//! Works on plain colored points, without mesh or normals. Every point belongs to exactly one
+//! superpoint, and the labels depend only on the points and settings.
 
 mod flow;
 mod growth;
@@ -21,56 +21,57 @@ use uniground_types::settings::SuperpointSettings;
 use voxel_cloud::VoxelCloud;
 pub(super) use voxel_cloud::WIDEST_RING;
 
-/// Edge of the voxels that superpoints of this cloud are made of, metres.
+/// Edge of the voxels from which this cloud's superpoints are made, meters.
 #[must_use]
 pub fn voxel_m(cloud: &PointCloud, settings: &SuperpointSettings) -> f32 {
     coarsened_to(*settings, typical_spacing_m(&cloud.positions)).voxel_m
 }
 
-/// Settings no finer than a cloud bears: voxels smaller than the gaps between points would fall
-/// apart into islands.
+/// Coarsens the settings to the density of the cloud: voxels smaller than the gaps between points
+/// would fall apart into islands.
 fn coarsened_to(settings: SuperpointSettings, spacing_m: f32) -> SuperpointSettings {
     let voxel_m = settings.voxel_m.max(VOXEL_SPACINGS * spacing_m);
     let seed_voxels = (settings.seed_m / settings.voxel_m).min(ENOUGH_SEED_VOXELS);
     SuperpointSettings { voxel_m, seed_m: settings.seed_m.max(seed_voxels * voxel_m), ..settings }
 }
 
-/// Where voxels are coarsened, seeds stay as many voxels apart as was asked for, but no more than
-/// this: asking for finer voxels than a cloud bears must not spread its seeds.
+/// Maximum distance of seeds in voxels where voxels are coarsened. Seeds otherwise stay as many
+/// voxels apart as the settings say. The limit prevents too fine a voxel setting from spreading the
+/// seeds.
 const ENOUGH_SEED_VOXELS: f32 = 6.0;
 
-/// A voxel spans at least this many typical spacings.
+/// Minimum voxel edge in multiples of the typical point spacing.
 const VOXEL_SPACINGS: f32 = 1.5;
 
-/// A labelling of the cloud and what is known of each label.
+/// A labeling of the cloud, with facts about each label.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Superpoints {
     /// Superpoint of each point of the cloud, numbered from 0.
     pub of_point: Vec<u32>,
     /// Means over the points of each superpoint, by its number from 0.
     pub patches: Vec<Patch>,
-    /// Pairs `(low, high)` of neighbours, sorted.
+    /// Pairs `(low, high)` of neighbors, sorted.
     pub adjacent: Vec<(u32, u32)>,
-    /// By superpoint: root mean square distance of the points to their local plane, metres. On
-    /// even surfaces this is sensor noise.
+    /// By superpoint: root mean square distance of the points to their local plane, meters. On flat
+    /// surfaces this is sensor noise.
     pub roughness_m: Vec<f32>,
 }
 
 /// Mean properties of a set of points: a voxel, a superpoint, a region.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Patch {
-    /// How many points it has.
+    /// Number of points.
     pub points: u32,
-    /// Centre of mass, metres, world frame.
+    /// Center of mass, meters, world frame.
     pub center: Point3<f32>,
     /// Unit normal, sign arbitrary.
     pub normal: Vector3<f32>,
-    /// Mean colour, CIELAB.
+    /// Mean color, CIELAB.
     pub lab: Lab,
 }
 
 impl Superpoints {
-    /// The region of each point, given that of each superpoint.
+    /// Returns the region of each point, given that of each superpoint.
     #[must_use]
     pub fn spread(&self, region_of: &[u32]) -> Vec<u32> {
         self.of_point.iter().map(|&superpoint| region_of[superpoint as usize]).collect()
@@ -78,7 +79,7 @@ impl Superpoints {
 }
 
 impl Patch {
-    /// One patch per label `0..count`: point-weighted means of `parts`.
+    /// Merges patches by label `0..count`: point-weighted means of `parts`.
     #[must_use]
     pub fn joined(parts: &[Self], labels: &[u32], count: usize) -> Vec<Self> {
         let mut sums =
@@ -87,10 +88,10 @@ impl Patch {
             let n = part.points as f32;
             let sum = &mut sums[label as usize];
             sum.0 += part.points;
-            // A floor is half a million points, maybe kilometres from the origin: single precision
-            // would move it.
+            // A floor has half a million points, perhaps kilometers from the origin: in single
+            // precision it would move.
             sum.1 += part.center.coords.cast::<f64>() * f64::from(part.points);
-            // Outer products add up whatever sign each normal has.
+            // Outer products add up regardless of the sign of each normal.
             sum.2 += part.normal * part.normal.transpose() * n;
             sum.3 += part.lab * n;
         }
@@ -110,7 +111,7 @@ impl Patch {
     }
 }
 
-/// Cuts the cloud into superpoints.
+/// Divides the cloud into superpoints.
 ///
 /// # Errors
 /// [`Cancelled`].
@@ -138,7 +139,7 @@ pub fn compute(
     Ok(Superpoints { of_point, patches, adjacent, roughness_m })
 }
 
-/// Pairs `(low, high)` of neighbours after `label_of` has joined some of them, sorted.
+/// Pairs `(low, high)` of neighbors after `label_of` has joined some of them, sorted.
 pub(super) fn relabelled(adjacent: &[(u32, u32)], label_of: &[u32]) -> Vec<(u32, u32)> {
     let mut pairs: Vec<(u32, u32)> = adjacent
         .iter()
@@ -170,7 +171,7 @@ mod tests {
         compute(cloud, &SuperpointSettings::default(), &Progress::silent()).unwrap()
     }
 
-    /// Two coloured squares that meet at a right angle.
+    /// Two colored squares that meet at a right angle.
     fn corner() -> PointCloud {
         let mut cloud = PointCloud::default();
         for i in 0..50 {
@@ -216,7 +217,7 @@ mod tests {
                 positions,
             });
             let (lower, upper) = (superpoints.of_point[199], superpoints.of_point[200]);
-            // Neighbours that continue each other become one superpoint.
+            // Neighbors that continue each other become one superpoint.
             lower == upper || superpoints.adjacent.contains(&(lower.min(upper), lower.max(upper)))
         };
         assert!(tied_over(0.06) && !tied_over(0.3));
@@ -265,7 +266,7 @@ mod tests {
             prop_assert!(superpoints.adjacent.iter().all(|&(a, b)| a < b && (b as usize) < counts.len()));
         }
 
-        /// The same points in another number of threads give the same labels.
+        /// The same points with another number of threads give the same labels.
         #[test]
         fn threads_do_not_change_labels(threads in 1_usize..5) {
             let cloud = corner();

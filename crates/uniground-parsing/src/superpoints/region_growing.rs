@@ -1,5 +1,5 @@
-//! Region growing over supervoxels: flat neighbours of one colour become one superpoint (paper,
-//! after GrowSP).
+//! Region growing over supervoxels: flat neighbors of one color become one superpoint (paper, after
+//! GrowSP).
 
 use super::voxel_cloud::VoxelCloud;
 use super::{Patch, SuperpointSettings, mean_per_label};
@@ -7,8 +7,8 @@ use std::collections::VecDeque;
 
 /// Joins supervoxels that continue each other; returns the region `0..n` of each.
 ///
-/// A region grows from its flattest supervoxel and compares candidates with that one, not with the
-/// last one added: a gently curved surface must not be followed around an object.
+/// A region grows from its flattest supervoxel. Candidates are compared with that one and not with
+/// the last one added, so that a region does not follow a gently curved surface around an object.
 pub(super) fn join(
     voxels: &VoxelCloud,
     labels: &[u32],

@@ -1,4 +1,4 @@
-//! The cloud binned into voxels that know their neighbours, colour and surface normal.
+//! The cloud binned into voxels with neighbors, color and surface normal.
 
 use super::Patch;
 use rayon::prelude::*;
@@ -12,11 +12,11 @@ use uniground_geometry::{Matrix3, Point3, Vector3};
 /// Occupied voxels as a graph. Vectors are indexed by voxel number.
 pub(super) struct VoxelCloud {
     pub grid: VoxelGrid,
-    /// The points of each voxel; normals by PCA over the voxel and its neighbours.
+    /// The points of each voxel; normals by PCA over the voxel and its neighbors.
     pub patches: Vec<Patch>,
     /// Surface variation: smallest eigenvalue over their sum, 0 on a plane.
     pub curvatures: Vec<f32>,
-    /// Root mean square distance of the points around to their plane, metres.
+    /// Root mean square distance of the surrounding points to their plane, meters.
     pub roughness_m: Vec<f32>,
     neighbours: VoxelNeighbors,
 }
@@ -119,15 +119,15 @@ impl VoxelCloud {
         pieces
     }
 
-    /// Pairs `(low, high)` of labels that are neighbours, sorted. Two labels are when a voxel of
-    /// one is among those nearest to a voxel of the other: the 26 around it and, in sparse
-    /// places (thin legs, gaps in the scan), wider rings until [`NEAREST`] are found. A hole in
-    /// a scan must not cut an object in two.
+    /// Returns the pairs `(low, high)` of labels that are neighbors, sorted. Two labels are
+    /// neighbors when a voxel of one is among the nearest to a voxel of the other. The nearest are
+    /// the 26 around it and, in sparse places (thin legs, gaps in the scan), wider rings until
+    /// [`NEAREST`] are found. This prevents a hole in a scan from cutting an object in two.
     pub fn adjacent_labels(&self, labels: &[u32]) -> Vec<(u32, u32)> {
         let rings: Vec<Vec<i64>> = (2..=WIDEST_RING).map(ring).collect();
         let chunk_pairs = |voxels: &[u32]| {
-            // Neighbouring voxels see the same pairs again and again: a small table of those seen
-            // last keeps the list short.
+            // Neighboring voxels yield the same pairs repeatedly: a small table of recent pairs
+            // keeps the list short.
             let mut seen = [(u32::MAX, u32::MAX); 256];
             let mut pairs = Vec::new();
             let mut note = |own: u32, other: u32| {
@@ -141,7 +141,7 @@ impl VoxelCloud {
             for &v in voxels {
                 let (own, around) = (labels[v as usize], self.neighbours(v));
                 around.iter().for_each(|&n| note(own, labels[n as usize]));
-                // Only where a patch ends without touching another is there a gap to look across.
+                // Only where a patch ends without touching another is there a gap to search across.
                 if around.iter().any(|&n| labels[n as usize] != own) {
                     continue;
                 }
@@ -158,8 +158,8 @@ impl VoxelCloud {
         pairs
     }
 
-    /// Voxels of the rings from the second on, ring by ring until there are [`NEAREST`] of them
-    /// together with `found` nearer ones.
+    /// Returns voxels of the rings from the second on, ring by ring, until there are [`NEAREST`] of
+    /// them including the `found` nearer ones.
     fn rings_beyond(&self, v: u32, mut found: usize, rings: &[Vec<i64>]) -> Vec<u32> {
         let mut voxels = Vec::new();
         for ring in rings {
@@ -177,13 +177,13 @@ impl VoxelCloud {
     }
 }
 
-/// How many neighbours a voxel has at least, as far as [`WIDEST_RING`] reaches (docs/METHOD.md,
+/// Minimum number of neighbors of a voxel, as far as [`WIDEST_RING`] reaches (docs/METHOD.md,
 /// section 1.2).
 const NEAREST: usize = 8;
-/// How many voxels away a neighbour may be.
+/// Maximum distance of a neighbor, voxels.
 pub(crate) const WIDEST_RING: i64 = 4;
 
-/// Steps to the voxels whose largest offset is `ring`.
+/// Offsets to the voxels whose largest coordinate offset is `ring`.
 fn ring(ring: i64) -> Vec<i64> {
     let side = 2 * ring + 1;
     let offsets =
@@ -191,9 +191,9 @@ fn ring(ring: i64) -> Vec<i64> {
     offsets.filter(|d| d.iter().any(|c| c.abs() == ring)).map(VoxelKey::step).collect()
 }
 
-/// Moments and mean colour of the points of each voxel, each voxel's points in their order.
+/// Computes moments and mean color of each voxel's points, in the order of the points.
 fn accumulate(cloud: &PointCloud, grid: &VoxelGrid) -> (Vec<ScatterMoments>, Vec<Lab>) {
-    // Voxels a worker fills at a time: it looks through all points for them, so there are few.
+    // Voxels that a worker fills at a time. Each worker scans all points, so there are few workers.
     let share = grid.len().div_ceil(2 * rayon::current_num_threads()).max(1);
     let mut moments = vec![ScatterMoments::default(); grid.len()];
     let mut labs = vec![Lab::zeros(); grid.len()];
@@ -214,7 +214,7 @@ fn accumulate(cloud: &PointCloud, grid: &VoxelGrid) -> (Vec<ScatterMoments>, Vec
     (moments, labs)
 }
 
-/// The plane through the points of a voxel and its neighbours.
+/// The plane through the points of a voxel and its neighbors.
 struct VoxelSurface {
     normal: Vector3<f32>,
     curvature: f32,

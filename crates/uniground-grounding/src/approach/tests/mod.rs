@@ -1,4 +1,4 @@
-//! Rooms made by hand, and laws over rooms made by chance.
+//! Tests with handmade rooms, and property tests over random rooms.
 
 mod room;
 
@@ -28,8 +28,8 @@ fn a_table_is_an_obstacle_for_who_does_not_fit_under_it() {
     assert_eq!(rim, Cell::Unknown, "nothing was seen behind the walls");
 }
 
-/// The picture's first row is the greatest y, its first column the least x; shades are those of
-/// `map_server`.
+/// The picture's first row is the greatest y, its first column the least x. Gray values are those
+/// of `map_server`.
 #[test]
 fn the_map_is_the_room_seen_from_above() {
     let mut room = Room::empty(4.0, 3.0);
@@ -81,7 +81,7 @@ fn for_a_mug_on_a_table_one_stands_at_the_table() {
             assert!(away >= 0.6, "{away}: {one:?} {other:?}");
         }
     }
-    // From the far corner of the table it is out of a short arm's reach, from the near one not.
+    // A short arm reaches it from the near corner of the table, but not from the far one.
     let reaching = super::Wish { robot: Robot { reach_m: Some(0.4), ..ROBOT }, ..wish };
     for pose in room.poses(mug, &reaching) {
         assert!(pose.reach_m <= 0.4 && pose.position[0] < 2.6, "{pose:?}");
@@ -95,7 +95,7 @@ fn for_a_mug_on_a_table_one_stands_at_the_table() {
 #[test]
 fn a_wall_between_hides_and_is_driven_around() {
     let mut room = Room::empty(6.0, 4.0);
-    // From the least y up to a gap of one metre.
+    // From the least y up to a gap of one meter.
     room.add([3.0, 0.0, 0.0], [3.06, 3.0, 2.4], ON_FLOOR);
     let chest = room.add([3.4, 0.3, 0.0], [3.9, 0.8, 0.5], ON_FLOOR);
     let wish = wish(ROBOT, Some((1.0, 0.6)));
@@ -126,7 +126,7 @@ fn a_wall_between_hides_and_is_driven_around() {
 #[test]
 fn who_is_too_tall_does_not_go_under() {
     let mut room = Room::empty(8.0, 3.0);
-    // A beam over the whole width, 1.5 m above the floor; a chest behind it.
+    // A beam over the whole width, 1.5 m above the floor, and a chest behind it.
     room.add([3.0, 0.0, 1.5], [3.2, 3.0, 2.4], ON_FLOOR);
     let chest = room.add([6.5, 1.2, 0.0], [7.0, 1.7, 0.5], ON_FLOOR);
     let low = wish(ROBOT, Some((1.0, 1.5)));
@@ -158,7 +158,7 @@ fn without_floor_there_is_no_place() {
     assert!(places.cells.near > 1000 && places.cells.floor == 0, "{:?}", places.cells);
 }
 
-/// Behind a row of boxes is a corner of the room that a robot fits in and nobody gets into.
+/// A corner behind a row of boxes is large enough for a robot, but no robot can get in.
 #[test]
 fn a_pocket_behind_furniture_is_no_place() {
     let mut room = Room::empty(6.0, 4.0);
@@ -169,7 +169,7 @@ fn a_pocket_behind_furniture_is_no_place() {
     let places = room.places(lamp, &near);
     assert_eq!(places.poses, Err(FailedCondition::NotReachable));
     assert!(places.cells.clear > 0 && places.cells.connected == 0, "{:?}", places.cells);
-    // It is all there is: a closet.
+    // The pocket is the whole room: a closet.
     let mut closet = Room::empty(1.2, 1.2);
     let lamp = closet.add([0.1, 0.9, 0.0], [0.3, 1.1, 0.4], ON_FLOOR);
     assert!(closet.places(lamp, &near).poses.is_ok());
@@ -190,8 +190,8 @@ fn a_start_that_is_not_free_is_moved_a_little_or_refused() {
     );
 }
 
-/// What people have merged is one thing, what they have split is its parts, and of a part only its
-/// box is known.
+/// Merged instances are one target, split ones are their parts, and of a part only its box is
+/// known.
 #[test]
 fn corrections_and_parts_are_looked_at_as_they_are() {
     let mut room = Room::empty(5.0, 4.0);
@@ -251,7 +251,8 @@ fn odd_clouds_do_no_harm() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
 
-    /// No pose lies within the robot's radius of an obstacle's cell, nor does a path; all of a path is floor that was seen.
+    /// No pose and no path lies within the robot's radius of an obstacle's cell; every path lies on
+    /// floor that was seen.
     #[test]
     fn nothing_is_hit(
         boxes in prop::collection::vec((0.0_f32..5.0, 0.0_f32..4.0, 0.1_f32..1.5, 0.1_f32..1.5, 0.1_f32..2.0), 1..7),
@@ -283,7 +284,8 @@ proptest! {
                 let steps = ((leg[1][0] - leg[0][0]).hypot(leg[1][1] - leg[0][1]) / 0.02) as usize + 1;
                 for step in 0..=steps {
                     let [x, y] = [0, 1].map(|axis| leg[0][axis] + (leg[1][axis] - leg[0][axis]) * step as f32 / steps as f32);
-                    // Free cells are so by their middle: a line touches them half a diagonal off it.
+                    // A cell is free by its middle: a line touches it up to half a diagonal off the
+                    // middle.
                     prop_assert!(cell_at(&floor, x, y) == Cell::Floor && room_at(x, y) >= radius_m - 0.036, "{x} {y} {:?}", pose);
                 }
             }

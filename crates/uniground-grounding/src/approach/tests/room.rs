@@ -1,4 +1,4 @@
-//! Rooms made by hand: level floors and hollow boxes of points.
+//! Handmade rooms: level floors and hollow boxes of points.
 
 use crate::approach::{Occupancy, Places, Wish, approach};
 use uniground_geometry::boxes::Aabb;
@@ -7,11 +7,11 @@ use uniground_geometry::{Point3, Vector3};
 use uniground_testing::thing;
 use uniground_types::approach::{FloorPoint, Robot, StandingPose};
 
-/// Points are so far apart, metres.
+/// Distance between points, meters.
 const SPACING_M: f32 = 0.02;
 pub const ROBOT: Robot = Robot { radius_m: 0.25, height_m: 1.2, eye_height_m: 1.1, reach_m: None };
 
-/// Points and what they belong to.
+/// Points and the instances they belong to.
 #[derive(Default, Clone)]
 pub struct Room {
     pub positions: Vec<Point3<f32>>,
@@ -20,7 +20,7 @@ pub struct Room {
 }
 
 impl Room {
-    /// Four walls, 2.4 m high, around a floor: the first instance.
+    /// Four walls, 2.4 m high, around a floor, which is the first instance.
     pub fn empty(width: f32, depth: f32) -> Self {
         let mut room = Self::default();
         room.add([0.0, 0.0, 0.0], [width, depth, 0.0], Support::Floor);
@@ -36,7 +36,7 @@ impl Room {
         room
     }
 
-    /// The surface of a box; its id.
+    /// Adds the surface of a box; returns its id.
     pub fn add(&mut self, low: [f32; 3], high: [f32; 3], support: Support) -> InstanceId {
         let id = InstanceId(self.instances.len() as u32 + 1);
         let (low, high) = (Point3::from(low), Point3::from(high));
@@ -62,7 +62,7 @@ impl Room {
         id
     }
 
-    /// A top of 5 cm on four legs.
+    /// Adds a table: a top of 5 cm on four legs.
     pub fn add_table(&mut self, low: [f32; 2], high: [f32; 2], height: f32) -> InstanceId {
         let id =
             self.add([low[0], low[1], height - 0.05], [high[0], high[1], height], Support::Floor);

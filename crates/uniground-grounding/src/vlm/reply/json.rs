@@ -1,4 +1,4 @@
-//! Replies in JSON, bare, fenced, or among words.
+//! Reads replies in JSON: bare, fenced, or among words.
 
 use super::{
     Choice, Field, Reply, anchor, choice, is_nothing, joined, names, seen_at, truth, words,
@@ -6,10 +6,10 @@ use super::{
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 
-/// How many opening braces are tried before a reply counts as no JSON.
+/// Number of opening braces that are tried before a reply counts as not JSON.
 const MAX_TRIES: usize = 64;
 
-/// The objects in a reply that have one of the six fields, taken together: two ids contradict each
+/// Reads the objects in a reply that have one of the six fields, merged. Two ids contradict each
 /// other.
 pub(super) fn read(text: &str) -> Option<Reply> {
     let mut from = 0;
@@ -20,7 +20,7 @@ pub(super) fn read(text: &str) -> Option<Reply> {
         }
         let mut values = serde_json::Deserializer::from_str(&text[at..]).into_iter::<Value>();
         if let Some(Ok(Value::Object(object))) = values.next() {
-            // What lies within belongs to it.
+            // Nested objects belong to the outer one.
             from = at + values.byte_offset();
             replies.extend(of_object(&object));
         }
@@ -43,7 +43,7 @@ fn of_object(object: &Map<String, Value>) -> Option<Reply> {
             Field::CandidateNames => reply.candidate_names = names_of(value),
             Field::TargetNameMatches => {
                 reply.target_name_matches =
-                    value.as_bool().or_else(|| value.as_str().and_then(truth))
+                    value.as_bool().or_else(|| value.as_str().and_then(truth));
             }
             Field::AnchorId => {
                 reply.anchor_id = match value {
@@ -53,19 +53,19 @@ fn of_object(object: &Map<String, Value>) -> Option<Reply> {
             }
             Field::SeenAt => reply.seen_at = value.as_str().and_then(seen_at),
             Field::RelationUsed => {
-                reply.relation_used = value.as_str().and_then(words).filter(|w| !is_nothing(w))
+                reply.relation_used = value.as_str().and_then(words).filter(|w| !is_nothing(w));
             }
         }
     }
     if told.is_empty() {
-        // Some wrap the object once more.
+        // Some models wrap the object once more.
         return object.values().filter_map(Value::as_object).find_map(of_object);
     }
     reply.note_unread(|field| told.contains(&field));
     Some(reply)
 }
 
-/// Keys in any case, with underscores, blanks or nothing between their words.
+/// Returns the field of a key, in any case, with underscores, blanks or nothing between its words.
 fn field(key: &str) -> Option<Field> {
     let letters: String =
         key.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect();

@@ -1,9 +1,9 @@
-//! Where in a reply the six fields stand.
+//! Finds where in a reply the six fields stand.
 
 use super::Field;
 use std::collections::BTreeSet;
 
-/// How models write the fields' names, in lower case. Longer ones come before what they begin with.
+/// How models write the fields' names, in lower case. A longer one comes before its own prefix.
 pub(super) const LABELS: &[(Field, &str)] = &[
     (Field::PredictedId, "predicted object id"),
     (Field::PredictedId, "predicted target id"),
@@ -31,15 +31,15 @@ struct Found {
     field: Field,
     start: usize,
     value: usize,
-    /// Whether nothing but bullets and Markdown stands before it on its line.
+    /// Whether only bullets and Markdown stand before it on its line.
     leads: bool,
 }
 
-/// Fields and their values, in the order they are told. A label within a line counts only in a
-/// reply that is one line, or after the end of another field's value there.
+/// Returns fields and their values, in the order of the reply. A label within a line counts only in
+/// a reply that is one line, or after the end of another field's value there.
 pub(super) fn fields(text: &str) -> Vec<(Field, &str)> {
     let mut found = find(text);
-    // Six lines: what stands within a line then is talk about a field.
+    // The reply has lines of fields, so a label within a line only mentions a field.
     let lines = leading(&found);
     let starts_with_id = found.iter().any(|f| f.leads && f.field == Field::PredictedId);
     if lines >= 3 || lines == 2 && starts_with_id {
@@ -47,7 +47,7 @@ pub(super) fn fields(text: &str) -> Vec<(Field, &str)> {
     } else {
         found.retain(|f| f.leads || separated(text, f.start));
     }
-    // Bullets and numbers before a label are no part of the value before it.
+    // Bullets and numbers before a label are no part of the previous value.
     let begins = |f: &Found| {
         if f.leads { text[..f.start].rfind('\n').map_or(0, |at| at + 1) } else { f.start }
     };
@@ -55,7 +55,7 @@ pub(super) fn fields(text: &str) -> Vec<(Field, &str)> {
     found.iter().zip(ends).map(|(f, end)| (f.field, &text[f.value..end.max(f.value)])).collect()
 }
 
-/// How many different fields begin a line.
+/// Returns how many different fields begin a line.
 pub(super) fn leading_fields(text: &str) -> usize {
     leading(&find(text))
 }
@@ -65,7 +65,7 @@ fn leading(found: &[Found]) -> usize {
 }
 
 fn find(text: &str) -> Vec<Found> {
-    // Same length, byte by byte: positions hold for both.
+    // Same length, byte by byte, so positions are valid in both.
     let lower = text.to_ascii_lowercase();
     let mut found: Vec<Found> = Vec::new();
     for &(field, label) in LABELS {
@@ -81,7 +81,8 @@ fn find(text: &str) -> Vec<Found> {
     found
 }
 
-/// Where the value of a label that ends at `end` begins; `None` when the label is only mentioned.
+/// Returns where the value of a label that ends at `end` begins; `None` when the label is only
+/// mentioned.
 fn value_after(text: &str, end: usize) -> Option<usize> {
     let rest = text[end..].trim_start_matches(['*', '_', '`', '?', '"', '\'', ' ']);
     // "Predicted ID (of the target): 22"
@@ -97,7 +98,7 @@ fn value_after(text: &str, end: usize) -> Option<usize> {
     Some(text.len() - value.len())
 }
 
-/// Whether only bullets, numbers and Markdown stand before a label on its line.
+/// Returns whether only bullets, numbers and Markdown stand before a label on its line.
 fn leads(text: &str, start: usize) -> bool {
     let line = text[..start].rfind('\n').map_or(0, |at| at + 1);
     let before = text[line..start]
@@ -111,7 +112,7 @@ fn leads(text: &str, start: usize) -> bool {
     before.is_empty() || numbered || announced
 }
 
-/// Whether a label within a line follows the end of something: `...; Anchor ID: 20`.
+/// Returns whether a label within a line follows the end of something: `...; Anchor ID: 20`.
 fn separated(text: &str, start: usize) -> bool {
     text[..start]
         .trim_end_matches(|c: char| c == ' ' || "*_`\"'<[({".contains(c))

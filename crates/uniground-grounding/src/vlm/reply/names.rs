@@ -1,9 +1,9 @@
-//! Ids with names: "7 -> beige wall section, 22 -> window", in whatever way a model writes them.
+//! Reads ids with names, in all notations of models: "7 -> beige wall section, 22 -> window".
 
 use super::{DECORATION, normalised, without_thoughts, words};
 use std::collections::BTreeMap;
 
-/// Ids and names anywhere in a reply to a question that asks for names alone.
+/// Returns ids and names anywhere in a reply to a request for names alone.
 #[must_use]
 pub fn names_in(text: &str) -> BTreeMap<u32, String> {
     let text = normalised(text);
@@ -20,7 +20,7 @@ pub fn names_in(text: &str) -> BTreeMap<u32, String> {
     found
 }
 
-/// `7. red sofa`, `| 7 | red sofa |`.
+/// Reads a list item or table row: `7. red sofa`, `| 7 | red sofa |`.
 fn listed(line: &str) -> Option<(u32, String)> {
     let line = line.trim_start_matches([' ', '|', '*', '-']);
     let digits = line.find(|c: char| !c.is_ascii_digit())?;
@@ -32,9 +32,9 @@ fn listed(line: &str) -> Option<(u32, String)> {
     Some((id.parse().ok()?, words(name.split('|').next().unwrap_or_default())?))
 }
 
-/// `7 -> beige wall section, 22 -> window`: ids and what stands between them; also one per line,
-/// with colons, dashes and bullets. An id begins a line or follows a comma, unless an arrow shows
-/// what it is: "white 2-seat sofa" has no second id.
+/// Reads `7 -> beige wall section, 22 -> window`: ids and the text between them; also one per line,
+/// with colons, dashes and bullets. An id begins a line or follows a comma, unless an arrow marks
+/// it: "white 2-seat sofa" has no second id.
 pub(super) fn names(value: &str) -> BTreeMap<u32, String> {
     let mut found: Vec<(u32, usize, usize)> = Vec::new();
     let bytes = value.as_bytes();
@@ -66,8 +66,8 @@ pub(super) fn names(value: &str) -> BTreeMap<u32, String> {
         .collect()
 }
 
-/// What follows the sign between an id and its name. Only an arrow will do where the id does not
-/// begin an entry.
+/// Returns the text after the sign between an id and its name. Only an arrow is accepted where the
+/// id does not begin an entry.
 fn after_sign(after: &str, begins: bool) -> Option<&str> {
     if let Some(name) = after.trim_start().strip_prefix("->") {
         return Some(name);
@@ -75,13 +75,13 @@ fn after_sign(after: &str, begins: bool) -> Option<&str> {
     let rest = after.trim_start_matches(|c: char| c == ' ' || DECORATION.contains(&c));
     let arrow = ["->", "=>"].into_iter().find_map(|sign| rest.strip_prefix(sign));
     let sign = || [":", "="].into_iter().find_map(|sign| rest.strip_prefix(sign));
-    // A dash stands free; others belong to words.
+    // A dash as a sign stands free; others belong to words.
     let dash = || rest.strip_prefix("- ").filter(|_| !after.starts_with('-'));
     arrow.or_else(|| begins.then(|| sign().or_else(dash)).flatten())
 }
 
-/// Where the writing of an id begins (before its "ID", its bracket, its bullet or number), and
-/// whether that begins an entry.
+/// Returns where an id begins (before its "ID", its bracket, its bullet or number), and whether
+/// that begins an entry.
 fn entry_start(value: &str, digits: usize) -> (usize, bool) {
     let trimmed = |text: &str| {
         text.trim_end_matches(|c: char| c == ' ' || c == '-' || DECORATION.contains(&c)).len()
@@ -96,7 +96,7 @@ fn entry_start(value: &str, digits: usize) -> (usize, bool) {
         .or_else(|| without("candidate"))
         .unwrap_or(before.len());
     let mut start = trimmed(&value[..start]);
-    // "3. ID 22": the number of the line is no part of the name before.
+    // "3. ID 22": the line number is no part of the previous name.
     let line = value[..start].rfind('\n').map_or(0, |at| at + 1);
     let numbered = value[line..start]
         .trim()

@@ -189,6 +189,464 @@ fn a_megabyte_of_noise_is_nothing_and_hides_nothing() {
     assert_eq!(read(&format!("{answer}{noise}")).predicted, Choice::Id(22));
 }
 
+#[test]
+fn lines_are_read_before_json_among_words_unless_json_was_asked_for() {
+    let predicted = |text: &str, json| read_answer(text, "the mug", json).predicted;
+    let lines = "Predicted ID: 7\nExplanation: not {\"predicted_id\": 9}";
+    assert_eq!(predicted(lines, false), Choice::Id(7));
+    assert_eq!(predicted(lines, true), Choice::Id(9));
+    // One line is no reply in lines.
+    let one_line = "Predicted ID: 7 {\"predicted_id\": 9}";
+    assert_eq!(predicted(one_line, false), Choice::Id(9));
+    // All of it is JSON, though its keys begin lines.
+    let json = "{\n\"predicted_id\": 7,\n\"explanation\": \"red\"\n}";
+    assert_eq!(read_answer(json, "the mug", false).explanation.as_deref(), Some("red"));
+    assert_eq!(predicted("<think>7</think>9", false), Choice::Id(9));
+}
+
+#[test]
+fn all_json_begins_and_ends_with_braces_but_for_a_fence() {
+    for (text, expected) in [
+        ("{\"a\": 1}", true),
+        ("  ```json\n{\"a\": 1}\n```\n", true),
+        ("```{}```", true),
+        ("JSON {}", true),
+        ("here: {}", false),
+        ("{} it is", false),
+        ("it is", false),
+    ] {
+        assert_eq!(is_all_json(text), expected, "{text:?}");
+    }
+}
+
+#[test]
+fn a_question_is_cut_out_where_it_could_be_taken_for_an_answer() {
+    for (text, query, expected) in [
+        // By its brace, its line break, its label, its name, its id.
+        ("see the mug {x}.", "the mug {x}", "see (the query)."),
+        ("the mug\nthe table?", "the mug\nthe table", "(the query)?"),
+        ("the mug the table?", "the mug\nthe table", "(the query)?"),
+        ("Anchor ID: mug?", "Anchor ID: mug", "(the query)?"),
+        ("so 95 -> the mug!", "95 -> the mug", "so (the query)!"),
+        ("I say ID 95 again", "ID 95", "I say (the query) again"),
+        (r#"see the \"big\" {1}."#, r#"the "big" {1}"#, "see (the query)."),
+        // Twice, and in both shapes.
+        ("{a\nb} {a b} {a\nb}", "{a\nb}", "(the query) (the query) (the query)"),
+        // Nothing in it could be: its words may be a name.
+        ("red mug, the red mug", "the red mug", "red mug, the red mug"),
+        // Nothing else was said, and nothing was asked.
+        (" 95 ", "95", " 95 "),
+        ("a\nb", "\n", "a\nb"),
+        ("a b", "", "a b"),
+    ] {
+        assert_eq!(without_query(text, query), expected, "{text:?} without {query:?}");
+    }
+}
+
+#[test]
+fn the_first_of_two_values_counts_and_what_says_nothing_is_listed() {
+    let reply = read(
+        "Explanation: one\nTarget name matches?: yes\nAnchor ID: 3\nRelation used: above\n\
+         Seen at: image 1, 2, 3, mug\nCandidate Names: 7 -> mug\nPredicted ID: 7\n\
+         Explanation: two\nTarget name matches?: no\nAnchor ID: 4\nRelation used: below\n\
+         Seen at: image 2, 2, 3, mug\nCandidate Names: 8 -> cup",
+    );
+    assert_eq!(reply.explanation.as_deref(), Some("one"));
+    assert_eq!(
+        (reply.target_name_matches, reply.anchor_id, reply.relation_used.as_deref()),
+        (Some(true), Some(3), Some("above"))
+    );
+    assert_eq!(reply.seen_at.map(|at| at.image), Some(1));
+    assert_eq!(reply.candidate_names.keys().copied().collect::<Vec<_>>(), [7, 8]);
+    assert_eq!(reply.not_read, [""; 0]);
+}
+
+#[test]
+fn unknown_is_an_answer_for_anchor_and_relation_alone() {
+    let not_read = |text: &str| read(text).not_read;
+    let said = "Anchor ID: unknown\nRelation used: none\n";
+    let all = [
+        "Predicted ID",
+        "Explanation",
+        "Candidate Names",
+        "Target name matches?",
+        "Anchor ID",
+        "Relation used",
+    ];
+    assert_eq!(Field::ALL.map(Field::title), all);
+    assert_eq!(Field::SeenAt.title(), "Seen at");
+    assert_eq!(not_read(said), all[..4]);
+    assert_eq!(not_read(&format!("{said}Predicted ID: 7")), all[1..4]);
+    assert_eq!(not_read(&format!("{said}Predicted ID: none")), all[1..4]);
+    assert_eq!(not_read(&format!("{said}Predicted ID: 7 or 8")), all[..4]);
+    assert_eq!(not_read(&format!("{said}Predicted ID: the mug")), all[..4]);
+    let reply = read(said);
+    assert_eq!((reply.anchor_id, reply.relation_used), (None, None));
+    assert_eq!(not_read("Explanation: x\nPredicted ID: 7"), all[2..]);
+    // Nothing but an id: all other fields are missing.
+    assert_eq!((read("22").predicted, not_read("22")), (Choice::Id(22), all[1..].to_vec()));
+}
+
+#[test]
+fn signs_of_other_scripts_are_ascii() {
+    for (text, expected) in [
+        ("\u{ff01}\u{ff1a}\u{ff17}\u{ff5e}", "!:7~"),
+        ("\u{ff00}\u{ff5f}", "\u{ff00}\u{ff5f}"),
+        ("\u{3002}\u{3001}", ".,"),
+        ("\u{201c}\u{201d}\u{201e}\u{ab}\u{bb}", "\"\"\"\"\""),
+        ("\u{2018}\u{2019}", "''"),
+        ("\u{2192}\u{21d2}\u{27a1}", "->->->"),
+        ("\u{2013}\u{2014}", "--"),
+        ("\u{2022}\u{25cf}\u{25aa}", "***"),
+        ("a\u{a0}b\u{3000}c\u{202f}d", "a b c d"),
+        ("a\r\nb\u{feff}c\u{200b}d", "a\nbcd"),
+        ("<|begin_of_box|>22<|end_of_box|>", "22"),
+        ("plain", "plain"),
+    ] {
+        assert_eq!(normalised(text), expected, "{text:?}");
+    }
+}
+
+#[test]
+fn thoughts_are_left_out() {
+    for (text, expected) in [
+        ("plain", "plain"),
+        ("<think>a</think>b", "b"),
+        ("a</think>b</think>c", "c"),
+        ("a</thinking>b</think>c", "c"),
+        ("a</think>b</thinking>c", "c"),
+        ("<thought>a</thought>b", "b"),
+        ("a</THINK>b", "b"),
+        ("a<think>b", "a"),
+        ("a<Thinking>b<think>c", "a"),
+        ("a</think>b<thought>c", "b"),
+        ("<think>", ""),
+    ] {
+        assert_eq!(without_thoughts(text), expected, "{text:?}");
+    }
+}
+
+#[test]
+fn two_ids_contradict_each_other_and_an_id_none() {
+    use Choice::{Contradiction, Id, Missing, NotListed, Nothing};
+    for (before, now, expected) in [
+        (Missing, Id(7), Id(7)),
+        (Missing, Nothing, Nothing),
+        (Missing, Missing, Missing),
+        (Id(7), Missing, Id(7)),
+        (Id(7), Id(7), Id(7)),
+        (Id(7), Id(9), Contradiction(7, 9)),
+        (Id(7), Nothing, Contradiction(7, 7)),
+        (Id(7), NotListed, Contradiction(7, 7)),
+        (Nothing, Id(7), Contradiction(7, 7)),
+        (NotListed, Id(7), Contradiction(7, 7)),
+        (Nothing, NotListed, Nothing),
+        (NotListed, Nothing, NotListed),
+        (Nothing, Missing, Nothing),
+        (Contradiction(7, 9), Id(7), Contradiction(7, 9)),
+    ] {
+        assert_eq!(joined(before, now), expected, "{before:?} {now:?}");
+    }
+}
+
+#[test]
+fn an_id_field_holds_an_id_none_or_two() {
+    use Choice::{Contradiction, Id, Missing, NotListed, Nothing};
+    for (value, expected) in [
+        ("22", Id(22)),
+        ("<22>", Id(22)),
+        ("ID 22", Id(22)),
+        ("22.", Id(22)),
+        ("22.0", Id(22)),
+        ("**22** (the window)", Id(22)),
+        ("the object is candidate no. 22", Id(22)),
+        ("The answer: instance number 22", Id(22)),
+        ("= 22", Id(22)),
+        ("- 22", Id(22)),
+        ("\\boxed{22}", Id(22)),
+        ("$22$", Id(22)),
+        ("\n \n 22\n7", Id(22)),
+        ("22, 2 metres left of it", Id(22)),
+        ("22 or 22", Id(22)),
+        ("22 or 7", Contradiction(22, 7)),
+        ("**22** / ID 7", Contradiction(22, 7)),
+        ("not listed", NotListed),
+        ("**Visible, not listed**", NotListed),
+        ("none of them", Nothing),
+        ("theory 22", Missing),
+        ("the window", Missing),
+        ("22.5", Missing),
+        ("22nd", Missing),
+        ("-", Missing),
+        ("", Missing),
+    ] {
+        assert_eq!(choice(value), expected, "{value:?}");
+    }
+}
+
+#[test]
+fn a_prefix_is_a_whole_word_in_any_case() {
+    for (text, word, expected) in [
+        ("ID 22", "id", Some(" 22")),
+        ("id", "id", Some("")),
+        ("id22", "id", Some("22")),
+        ("idle", "id", None),
+        ("i", "id", None),
+        ("at 22", "id", None),
+        ("\u{e9}t\u{e9}", "id", None),
+        ("No.22", "no.", Some("22")),
+        ("no.x", "no.", Some("x")),
+    ] {
+        assert_eq!(prefix(text, word), expected, "{text:?} {word:?}");
+    }
+    assert_eq!(stripped(" \n**_[22]"), "22]");
+    assert_eq!(stripped("22"), "22");
+}
+
+#[test]
+fn a_number_is_whole() {
+    for (text, expected) in [
+        ("22", Some((22, ""))),
+        ("22 m", Some((22, " m"))),
+        ("22.", Some((22, "."))),
+        ("22. Next", Some((22, ". Next"))),
+        ("22.0", Some((22, ""))),
+        ("22.0 m", Some((22, " m"))),
+        ("22.05", None),
+        ("22.0x", None),
+        ("22.5", None),
+        ("22nd", None),
+        ("x", None),
+        ("", None),
+        ("4294967295", Some((u32::MAX, ""))),
+        ("4294967296", None),
+    ] {
+        assert_eq!(leading_number(text), expected, "{text:?}");
+    }
+}
+
+#[test]
+fn another_number_follows_a_word_that_offers_it() {
+    for (after, expected) in [
+        (" or 7", Some(7)),
+        (" and 7", Some(7)),
+        ("/7", Some(7)),
+        (", 7", Some(7)),
+        (" & 7", Some(7)),
+        (" vs. 7", Some(7)),
+        ("** or **7**", Some(7)),
+        (" or ID 7", Some(7)),
+        (" or 7 metres", Some(7)),
+        (", 7 metres left", None),
+        (", 7; it", Some(7)),
+        (" 7", None),
+        (" orange 7", None),
+        (" or the window", None),
+        (", 7.5", None),
+        ("", None),
+    ] {
+        assert_eq!(another_number(after), expected, "{after:?}");
+    }
+}
+
+#[test]
+fn a_bare_id_is_all_there_is() {
+    for (text, expected) in [
+        ("22", Choice::Id(22)),
+        (" 22.\n", Choice::Id(22)),
+        ("**22**", Choice::Id(22)),
+        ("ID: 22", Choice::Id(22)),
+        ("id = 22", Choice::Id(22)),
+        ("Answer: 22", Choice::Id(22)),
+        ("answer ID 22", Choice::Id(22)),
+        ("<answer>22</answer>", Choice::Id(22)),
+        ("<answer>22", Choice::Missing),
+        ("22 it is", Choice::Missing),
+        ("22, 7", Choice::Missing),
+        ("22\n7", Choice::Missing),
+        ("22.5", Choice::Missing),
+        ("the window", Choice::Missing),
+        ("", Choice::Missing),
+    ] {
+        assert_eq!(bare(text), expected, "{text:?}");
+    }
+    // 40 characters are the most.
+    assert_eq!(bare(&format!("22{}", ".".repeat(38))), Choice::Id(22));
+    assert_eq!(bare(&format!("22{}", ".".repeat(39))), Choice::Missing);
+}
+
+#[test]
+fn nothing_is_said_in_many_words() {
+    for value in [
+        "none",
+        "None - no candidate is a fridge",
+        "**nothing**",
+        "null",
+        "Unknown",
+        "n/a",
+        "NA",
+        "nil",
+        "no",
+        "No matching candidate",
+        "not visible",
+        "- none",
+    ] {
+        assert!(is_nothing(value), "{value}");
+    }
+    for value in ["No. 22", "no 22", "no #22", "Not 22", "nope", "window", "22", "", "noneth"] {
+        assert!(!is_nothing(value), "{value}");
+    }
+}
+
+#[test]
+fn not_listed_is_said_at_the_beginning() {
+    for value in
+        ["not listed", "Not_Listed", "unlisted", "visible, not listed", "Visible but not listed."]
+    {
+        assert!(is_not_listed(value), "{value}");
+    }
+    for value in ["listed", "visible", "it is not listed", "not", ""] {
+        assert!(!is_not_listed(value), "{value}");
+    }
+}
+
+#[test]
+fn a_place_is_a_picture_and_thousandths() {
+    let place = |image, x, y, name: &str| Some(SeenAt { image, at: [x, y], name: name.into() });
+    for (value, expected) in [
+        ("Image 3, 512, 640, black alarm clock", place(3, 0.512, 0.64, "black alarm clock")),
+        ("\n 3; 0; 1000; lamp\nmore", place(3, 0.0, 1.0, "lamp")),
+        ("image 1, 12.5, 20., lamp", place(1, 0.0125, 0.02, "lamp")),
+        ("image 1, 20, 30", place(1, 0.02, 0.03, "")),
+        ("image 0, 20, 30, lamp", None),
+        ("image 3, 1001, 20, lamp", None),
+        ("image 3, 20, 1001, lamp", None),
+        ("image 3, 20, lamp", None),
+        ("image 3, 1.2.3, 20, lamp", None),
+        ("none", None),
+        (" \n", None),
+    ] {
+        assert_eq!(seen_at(value), expected, "{value:?}");
+    }
+}
+
+#[test]
+fn words_lose_what_markdown_put_around_them() {
+    for (value, expected) in [
+        ("red mug", Some("red mug")),
+        (" ** red \n  mug **, ", Some("red mug")),
+        ("`#_|red|_#`;", Some("red")),
+        ("\"red mug\"", Some("red mug")),
+        ("\"red mug", Some("\"red mug")),
+        ("a \"red\" mug", Some("a \"red\" mug")),
+        ("\"\"", None),
+        ("**", None),
+        ("", None),
+    ] {
+        assert_eq!(words(value).as_deref(), expected, "{value:?}");
+    }
+}
+
+#[test]
+fn yes_and_no_are_said_first() {
+    for (value, expected) in [
+        ("true", Some(true)),
+        ("**Yes**, it does", Some(true)),
+        ("Y", Some(true)),
+        ("matches", Some(true)),
+        ("False.", Some(false)),
+        ("no", Some(false)),
+        ("N", Some(false)),
+        ("maybe yes", None),
+        ("truely", None),
+        ("", None),
+    ] {
+        assert_eq!(truth(value), expected, "{value:?}");
+    }
+}
+
+#[test]
+fn of_several_anchors_the_first_counts() {
+    for (value, expected) in [
+        ("20", Some(20)),
+        ("20, 31", Some(20)),
+        ("unknown", None),
+        ("not listed", None),
+        ("the sofa", None),
+    ] {
+        assert_eq!(anchor(value), expected, "{value:?}");
+    }
+}
+
+#[test]
+fn a_shortlist_is_the_last_line_that_says_so() {
+    let listed = |text: &str| shortlist(text, |id| id < 10);
+    assert_eq!(listed("Shortlist: 1, 2\nThe shortlist is 3 and 4."), [3, 4]);
+    assert_eq!(listed("7, then 9, 7 and 12\nor 8"), [7, 9, 8]);
+    assert_eq!(listed("<think>shortlist: 1</think>SHORTLIST 5"), [5]);
+    assert_eq!(listed("none"), [0_u32; 0]);
+}
+
+#[test]
+fn prose_has_an_id_behind_the_word_id() {
+    let only = |text: &str| only_id(text, |id| id < 10);
+    for (text, expected) in [
+        ("It is ID 7.", Some(7)),
+        ("It is id: #7", Some(7)),
+        ("**ID** 7", Some(7)),
+        ("ID7", Some(7)),
+        ("ID 7 or ID 7, not ID 11", Some(7)),
+        ("the grid 7", None),
+        ("2id 7", None),
+        ("ID 7, ID 9, ID 7", None),
+        ("ID 7.5", None),
+        ("ID 11", None),
+        ("7", None),
+    ] {
+        assert_eq!(only(text), expected, "{text:?}");
+    }
+}
+
+#[test]
+fn a_label_within_a_line_counts_after_the_end_of_something() {
+    use Field::{AnchorId, Explanation, PredictedId, RelationUsed};
+    let cases: [(&str, &[(Field, &str)]); 8] = [
+        ("Predicted ID: 7; Anchor ID: 3", &[(PredictedId, " 7; "), (AnchorId, " 3")]),
+        ("I say Predicted ID: 7", &[]),
+        ("the Predicted ID is 7", &[]),
+        ("so: Predicted ID: 7", &[(PredictedId, " 7")]),
+        ("Predicted ID (of the target): 22", &[(PredictedId, " 22")]),
+        ("## Predicted ID\n22", &[(PredictedId, "\n22")]),
+        // In lines that begin with the id, or in three of them, it is talk.
+        (
+            "Predicted ID: 7\nExplanation: no. Anchor ID: 4",
+            &[(PredictedId, " 7\n"), (Explanation, " no. Anchor ID: 4")],
+        ),
+        (
+            "Explanation: no\nRelation used: on. Predicted ID: 7",
+            &[(Explanation, " no\n"), (RelationUsed, " on. "), (PredictedId, " 7")],
+        ),
+    ];
+    for (text, expected) in cases {
+        assert_eq!(labels::fields(text), expected, "{text:?}");
+    }
+}
+
+#[test]
+fn a_field_begins_a_line_behind_a_number_or_an_announcement() {
+    for (text, expected) in [
+        ("Predicted ID: 7\nExplanation: x\nPredicted ID: 8", 2),
+        ("10. Predicted ID: 7", 1),
+        ("100. Predicted ID: 7", 0),
+        ("**Final Predicted ID:** 7", 1),
+        ("- Predicted ID: 7", 1),
+        ("say Predicted ID: 7", 0),
+        ("Predicted ID", 0),
+    ] {
+        assert_eq!(labels::leading_fields(text), expected, "{text:?}");
+    }
+}
+
 /// Texts made of what replies are made of.
 fn pieces() -> impl Strategy<Value = String> {
     let piece = prop_oneof![

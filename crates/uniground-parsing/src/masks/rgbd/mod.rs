@@ -1,9 +1,9 @@
-//! Built-in masks from colour, depth and normals; no model.
+//! Built-in masks from color, depth and normals, without a model.
 //!
-//! Three steps on a grid of every second pixel: surfaces (position, normal, colour), small even
+//! Three steps on a grid of every second pixel: surfaces (position, normal, color), small even
 //! patches cut along edges, and patches joined into things by local convexity (LCCP: patches that
-//! meet concavely belong to different objects) and colour. Large planes stay apart: things stand on
-//! floors and tables and hang on walls.
+//! meet concavely belong to different objects) and color. Large planes stay separate: things stand
+//! on floors and tables and hang on walls.
 
 mod patches;
 mod surfaces;
@@ -19,7 +19,7 @@ use uniground_types::settings::RgbdSettings;
 /// The built-in mask source.
 #[derive(Debug, Clone, Default)]
 pub struct RgbdMasks {
-    /// Where patches are cut and when they join (docs/METHOD.md, section 1.3).
+    /// Thresholds for cutting patches and joining them (docs/METHOD.md, section 1.3).
     pub settings: RgbdSettings,
 }
 
@@ -34,7 +34,7 @@ impl MaskSource for RgbdMasks {
 }
 
 impl RgbdMasks {
-    /// The masks of one frame.
+    /// Returns the masks of one frame.
     #[must_use]
     pub fn id_image(&self, frame: &Frame) -> IdImage {
         let surfaces = SurfaceGrid::of(frame, self.settings.stride);
@@ -45,8 +45,8 @@ impl RgbdMasks {
 }
 
 impl RgbdMasks {
-    /// The masks of one frame from coarse to fine: things, then the even patches they are made of,
-    /// with these times the settings' unevenness.
+    /// Returns the masks of one frame from coarse to fine: things, then their even patches, one
+    /// image for each of these multiples of the settings' unevenness.
     #[must_use]
     pub fn levels(&self, frame: &Frame, unevenness: &[f32]) -> Vec<IdImage> {
         let surfaces = SurfaceGrid::of(frame, self.settings.stride);
@@ -64,8 +64,8 @@ impl RgbdMasks {
     }
 }
 
-/// Grid labels to an id image at full depth resolution. Pixels without depth get no mask; ids past
-/// `u16` neither.
+/// Converts grid labels to an id image at full depth resolution. Pixels without depth, and ids past
+/// `u16`, get no mask.
 fn spread(surfaces: &SurfaceGrid, things: &[u32], frame: &Frame) -> IdImage {
     let (width, height) = (frame.depth.width, frame.depth.height);
     let mut ids = vec![0; (width * height) as usize];

@@ -1,17 +1,17 @@
-//! Even patches: a graph segmentation (Felzenszwalb and Huttenlocher 2004) over colour and normal
+//! Even patches: a graph segmentation (Felzenszwalb and Huttenlocher 2004) over color and normal
 //! edges that never crosses a depth step.
 
 use super::RgbdSettings;
 use super::surfaces::SurfaceGrid;
 use uniground_geometry::Vector3;
 
-/// Signed bend between two neighbouring elements, radians: positive where the surface is concave (a
+/// Signed bend between two neighboring elements, radians: positive where the surface is concave (a
 /// valley).
 pub(super) fn bend(surfaces: &SurfaceGrid, a: usize, b: usize) -> f32 {
     let (na, nb): (Vector3<f32>, Vector3<f32>) = (surfaces.normals[a], surfaces.normals[b]);
     let angle = na.dot(&nb).clamp(-1.0, 1.0).acos();
     let across = surfaces.points[b] - surfaces.points[a];
-    // In a valley the normals lean towards each other.
+    // In a valley the normals lean toward each other.
     if (na - nb).dot(&across) > 0.0 { angle } else { -angle }
 }
 

@@ -11,12 +11,12 @@ pub(super) struct SurfaceGrid {
     stride: u32,
     /// 0 = no measurement.
     pub depth_m: Vec<f32>,
-    /// Camera axes, metres; meaningless without depth.
+    /// Camera axes, meters; undefined without depth.
     pub points: Vec<Point3<f32>>,
-    /// Unit normals towards the camera; zero without depth.
+    /// Unit normals toward the camera; zero without depth.
     pub normals: Vec<Vector3<f32>>,
     pub labs: Vec<Lab>,
-    /// Metres between neighbouring elements at one metre.
+    /// Distance between neighboring elements at a depth of one meter, meters.
     pub spacing_per_m: f32,
 }
 
@@ -54,14 +54,14 @@ impl SurfaceGrid {
         surfaces
     }
 
-    /// The grid element that stands for a full-resolution pixel.
+    /// The grid element of a full-resolution pixel.
     pub fn cell_of(&self, u: u32, v: u32) -> usize {
         let (column, row) = ((u / self.stride) as usize, (v / self.stride) as usize);
         row.min(self.height - 1) * self.width + column.min(self.width - 1)
     }
 
-    /// Whether the surface runs on from one element to another: their depths differ no more than
-    /// noise and slant explain.
+    /// Whether the surface continues from one element to another: their depths differ by no more
+    /// than noise and slant explain.
     pub fn continuous(&self, a: usize, b: usize) -> bool {
         let (za, zb) = (self.depth_m[a], self.depth_m[b]);
         if za <= 0.0 || zb <= 0.0 {
@@ -69,13 +69,13 @@ impl SurfaceGrid {
         }
         let z = za.min(zb);
         let step = self.points[b] - self.points[a];
-        // Out of either element's tangent plane: a slanted floor has large depth steps but stays in
-        // its plane.
+        // Distance from either element's tangent plane: a slanted floor has large depth steps but
+        // stays in its plane.
         let off_plane = step.dot(&self.normals[a]).abs().min(step.dot(&self.normals[b]).abs());
         off_plane <= 0.006 + 0.005 * z * z && step.norm() <= 0.03 + 12.0 * self.spacing_per_m * z
     }
 
-    /// Elements right of and below each element, as pairs.
+    /// Pairs of each element with those right of and below it.
     pub fn links(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         let (w, n) = (self.width, self.width * self.height);
         (0..n).flat_map(move |i| {
@@ -85,8 +85,8 @@ impl SurfaceGrid {
         })
     }
 
-    /// Normals by least squares over a window that widens with sensor noise (about depth squared),
-    /// not across depth steps.
+    /// Computes normals by least squares over a window that widens with sensor noise (about depth
+    /// squared) and does not cross depth steps.
     fn smooth_normals(&self) -> Vec<Vector3<f32>> {
         let (w, h) = (self.width as i32, self.height as i32);
         let tangent = |i: usize, du: i32, dv: i32, reach: i32| -> Option<Vector3<f32>> {
@@ -125,14 +125,14 @@ impl SurfaceGrid {
                 let normal = tangent(i, 1, 0, reach)
                     .zip(tangent(i, 0, 1, reach))
                     .and_then(|(u, v)| u.cross(&v).try_normalize(1e-12));
-                // u x v looks away from the camera (x right, y down, z forward): turn it around
-                // where needed.
+                // u x v points away from the camera (x right, y down, z forward): flip it where
+                // needed.
                 normal.map_or(Vector3::zeros(), |n| {
                     if n.dot(&self.points[i].coords) > 0.0 { -n } else { n }
                 })
             })
             .collect();
-        // One pass over the neighbours on the same surface evens out what the slopes left.
+        // One pass of averaging over neighbors on the same surface smooths the remaining errors.
         (0..raw.len())
             .map(|i| {
                 let (u, v) = ((i as i32) % w, (i as i32) / w);
@@ -155,13 +155,14 @@ impl SurfaceGrid {
     }
 }
 
-/// The depth of a pixel, or where it has none the mean of those around it, if there are enough and
-/// they are of one surface.
+/// Returns the depth of a pixel. Where it has none: the mean of the pixels around it, if enough of
+/// them have depth and lie on one surface.
 ///
-/// Depth that was warped into another camera is full of cracks a pixel wide; they are no borders.
+/// Depth that was warped into another camera is full of cracks one pixel wide, which are not
+/// borders.
 fn depth_or_bridge(depth: &DepthImage, u: u32, v: u32) -> f32 {
     const REACH: u32 = 2;
-    /// Of the 24 pixels around.
+    /// Out of the 24 pixels around.
     const ENOUGH: usize = 8;
     const ONE_SURFACE: f32 = 1.04;
     let here = depth.at((u, v));
@@ -181,7 +182,7 @@ fn depth_or_bridge(depth: &DepthImage, u: u32, v: u32) -> f32 {
     if count >= ENOUGH && high <= ONE_SURFACE * low { sum / count as f32 } else { 0.0 }
 }
 
-/// Mean colour of a block of pixels: halves noise and texture before edges are looked for.
+/// Mean color of a block of pixels: halves noise and texture before edges are detected.
 fn block_mean(colours: &[[u8; 3]], depth: &DepthImage, u: u32, v: u32, stride: u32) -> [u8; 3] {
     let mut sum = [0_u32; 3];
     let mut count = 0;

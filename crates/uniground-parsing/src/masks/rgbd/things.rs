@@ -1,5 +1,5 @@
-//! Patches to things: neighbours join cheapest border first, where the border is flat or convex and
-//! the colours agree.
+//! Joins patches into things: the cheapest border first, if it is flat or convex and the colors
+//! agree.
 
 use super::RgbdSettings;
 use super::patches::bend;
@@ -11,32 +11,32 @@ use uniground_geometry::colour::Lab;
 use uniground_geometry::union_find::UnionFind;
 use uniground_geometry::{Matrix3, Vector3};
 
-/// What is known of a patch or a union of patches.
+/// Facts about a patch or a union of patches.
 #[derive(Clone, Copy)]
 struct PatchRegion {
     pixels: f32,
     area_m2: f32,
     lab: Lab,
-    /// Sum of the points' positions, camera axes, metres.
+    /// Sum of the points' positions, camera axes, meters.
     position_sum: Vector3<f32>,
     /// Second moments of the points about the origin.
     moments: Matrix3<f32>,
-    /// Generation, so that stale queue entries can be told.
+    /// Generation number that identifies stale queue entries.
     version: u32,
 }
 
-/// What is known of the border between two regions.
+/// Facts about the border between two regions.
 #[derive(Clone, Copy, Default)]
 struct RegionBorder {
-    /// Links across the border, and how many of them the surface runs on across.
+    /// Links across the border, and the number of them across which the surface continues.
     links: f32,
     continuous: f32,
     /// Sum of signed bends over the continuous links, radians.
     bend: f32,
 }
 
-/// A join on offer: cost (as bits, cheapest first), the two regions, and their generations when it
-/// was made.
+/// A possible merge: cost (as bits, cheapest first), the two regions, and their generations when it
+/// was queued.
 type MergeOffer = (Reverse<u32>, Reverse<(u32, u32)>, u32, u32);
 
 /// Thing label `0..n` of each element.
@@ -53,7 +53,7 @@ pub(super) fn join(surfaces: &SurfaceGrid, patches: &[u32], settings: &RgbdSetti
                 border: &RegionBorder| {
         let cost = cost(&regions[a as usize], &regions[b as usize], border, settings);
         if cost < settings.join_cost {
-            // Costs are not negative: their bits sort like the numbers.
+            // Costs are never negative, so their bits sort like the numbers.
             queue.push((
                 Reverse(cost.to_bits()),
                 Reverse((a, b)),
@@ -99,17 +99,17 @@ pub(super) fn join(surfaces: &SurfaceGrid, patches: &[u32], settings: &RgbdSetti
     patches.iter().map(|&p| labels[p as usize]).collect()
 }
 
-/// Cost of joining: colour difference and concavity along the border, each in its own unit.
+/// Cost of joining: color difference and concavity along the border, each divided by its own unit.
 fn cost(a: &PatchRegion, b: &PatchRegion, border: &RegionBorder, settings: &RgbdSettings) -> f32 {
-    // Mostly a depth step: one hides the other.
+    // The border is mostly a depth step: one region hides the other.
     if border.continuous < 0.5 * border.links {
         return f32::INFINITY;
     }
     let colour = (a.lab - b.lab).norm() / settings.join_colour;
     let bend_deg = (border.bend / border.continuous).to_degrees();
     let concave = bend_deg.max(0.0) / settings.join_concave_deg;
-    // What rests on a plane meets it in a valley and is another thing; sides of a box meet in a
-    // ridge and are one.
+    // A thing on a plane meets it in a valley and is separate. The sides of a box meet in a ridge
+    // and belong together.
     let planes = [a, b].map(|r| r.area_m2 >= settings.plane_area_m2 && r.is_flat());
     let apart = match planes {
         _ if bend_deg < SAME_PLANE_DEG => 0.0,
@@ -120,12 +120,12 @@ fn cost(a: &PatchRegion, b: &PatchRegion, border: &RegionBorder, settings: &Rgbd
     colour + concave + apart
 }
 
-/// Concave bend above which a plane ends.
+/// Concave bend above which a plane ends, degrees.
 const SAME_PLANE_DEG: f32 = 8.0;
 
 impl PatchRegion {
-    /// Points stay as close to their plane as sensor noise, which grows with distance squared, lets
-    /// them.
+    /// Whether the points stay close to their plane within the sensor noise, which grows with
+    /// distance squared.
     fn is_flat(&self) -> bool {
         let mean = self.position_sum / self.pixels;
         let covariance = self.moments / self.pixels - mean * mean.transpose();
@@ -159,7 +159,7 @@ fn regions(surfaces: &SurfaceGrid, patches: &[u32], count: usize) -> Vec<PatchRe
     for (i, &patch) in patches.iter().enumerate() {
         let region = &mut regions[patch as usize];
         let p = surfaces.points[i].coords;
-        // A pixel covers more surface the further away and the more slanted it is.
+        // A pixel covers more surface the further away and the more slanted the surface is.
         let facing = surfaces.normals[i]
             .dot(&p.try_normalize(1e-9).unwrap_or_else(Vector3::z))
             .abs()
@@ -186,8 +186,8 @@ fn borders(
             continue;
         }
         let continuous = surfaces.continuous(i, j);
-        // The bend across a border shows a few elements away from it: normals right at an edge are
-        // smoothed.
+        // Measures the bend across a border a few elements away from it, because normals at an edge
+        // are smoothed.
         let (far_i, far_j) = beyond(surfaces, patches, i, j);
         let bend = if continuous { bend(surfaces, far_i, far_j) } else { 0.0 };
         for (from, to) in [(a, b), (b, a)] {
@@ -200,7 +200,7 @@ fn borders(
     borders
 }
 
-/// The link `(i, j)` stretched up to [`STRETCH`] elements into both patches.
+/// Extends the link `(i, j)` by up to [`STRETCH`] elements into both patches.
 fn beyond(surfaces: &SurfaceGrid, patches: &[u32], i: usize, j: usize) -> (usize, usize) {
     let step = j - i;
     let row_bound = step == 1;
@@ -222,6 +222,6 @@ fn beyond(surfaces: &SurfaceGrid, patches: &[u32], i: usize, j: usize) -> (usize
     (back, ahead)
 }
 
-/// As far as normals are smoothed at most: nearer to an edge they show less of the bend than there
-/// is.
+/// Maximum radius of normal smoothing, elements. Nearer to an edge, normals show less than the true
+/// bend.
 const STRETCH: usize = 6;

@@ -1,5 +1,5 @@
-//! Encoded pictures, kept on disk while a scene is parsed: encoding costs a second, reading back
-//! hundredths of one.
+//! A disk cache of encoded pictures for one parse: encoding takes a second, reading back hundredths
+//! of a second.
 
 use camino::Utf8Path;
 use image::RgbImage;
@@ -12,20 +12,20 @@ use tempfile::TempDir;
 use uniground_geometry::scene::FrameIndex;
 use uniground_models::neural::{Encoded, ModelError, Segmenter};
 
-/// The frames of one scene, encoded at most once as long as the disk may hold them.
+/// The encoded frames of one scene. Each is encoded once, as long as the disk quota allows.
 pub struct EncodedFrames {
-    /// The model that encodes, and decodes what is kept.
+    /// Encodes pictures and decodes masks.
     pub segmenter: Arc<Segmenter>,
     folder: TempDir,
     bytes_left: AtomicU64,
 }
 
 impl EncodedFrames {
-    /// Keeps up to `max_bytes` in a folder of its own below `place`, or among the system's
-    /// temporary files. Dropping the value removes the folder.
+    /// Creates a cache of up to `max_bytes` in a new folder below `place`, or below the system's
+    /// temporary folder. Dropping the value removes the folder.
     ///
     /// # Errors
-    /// When no folder can be made.
+    /// An I/O error when the folder cannot be created.
     pub fn new(
         segmenter: Arc<Segmenter>,
         place: Option<&Utf8Path>,
@@ -35,10 +35,10 @@ impl EncodedFrames {
         Ok(Self { segmenter, folder, bytes_left: AtomicU64::new(max_bytes) })
     }
 
-    /// A frame's picture as the decoder wants it.
+    /// Returns the encoding of a frame's picture for the decoder.
     ///
     /// # Errors
-    /// [`ModelError`] when it can not be encoded. A full disk only costs time.
+    /// [`ModelError`] when the picture cannot be encoded. A full disk only costs time.
     pub fn of(&self, frame: FrameIndex, picture: &RgbImage) -> Result<Encoded, ModelError> {
         let file = self.file(frame);
         if let Ok(bytes) = fs::read(&file)
@@ -51,7 +51,7 @@ impl EncodedFrames {
         Ok(encoded)
     }
 
-    /// Removes what is kept of a frame, which is not asked about again.
+    /// Removes a frame from the cache once it is not needed again.
     pub fn forget(&self, frame: FrameIndex) {
         let file = self.file(frame);
         if let Ok(metadata) = file.metadata()
@@ -75,7 +75,7 @@ impl EncodedFrames {
             .bytes_left
             .try_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(size));
         if reserved.is_ok() && fs::write(file, bytes).is_err() {
-            // Half a file is no frame.
+            // A partially written file is useless.
             let _gone = fs::remove_file(file);
             self.bytes_left.fetch_add(size, Ordering::Relaxed);
         }
@@ -92,7 +92,7 @@ mod tests {
         let picture = |v: u8| RgbImage::from_pixel(40, 30, image::Rgb([v, 80, 90]));
         let frames = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 1 << 20).unwrap();
         let first = frames.of(FrameIndex(1), &picture(10)).unwrap();
-        // Another picture under the same index: what comes back is what was kept.
+        // Another picture under the same index: the cached encoding comes back.
         assert_eq!(frames.of(FrameIndex(1), &picture(200)).unwrap(), first);
         frames.forget(FrameIndex(1));
         assert_ne!(frames.of(FrameIndex(1), &picture(200)).unwrap(), first);

@@ -1,6 +1,6 @@
-//! Automatic masks of a promptable segmenter (paper: SAM). Points are asked; masks that are stable
-//! and that the model is sure of stay, but of two that overlap much only the better one. Those left
-//! are painted into id images.
+//! Automatic masks of a promptable segmenter (paper: SAM). The segmenter is prompted with points.
+//! Masks that are stable and confident are accepted; of two that overlap much, only the better one.
+//! The accepted masks are painted into id images.
 
 mod encoded_frames;
 mod paint;
@@ -20,36 +20,36 @@ use uniground_geometry::scene::Frame;
 use uniground_models::neural::{Encoded, LowMask, Prompt};
 use uniground_types::settings::{MaskOrder, RgbdSettings, SamPrompts, SamSettings};
 
-/// A mask source that asks a segmenter.
+/// A mask source that prompts a segmenter.
 pub struct SamMasks<'a> {
     /// The segmenter, and the pictures it has encoded.
     pub frames: &'a EncodedFrames,
-    /// Where it is asked, and which masks stay (docs/METHOD.md, section 1.3).
+    /// Prompts and acceptance thresholds (docs/METHOD.md, section 1.3).
     pub settings: SamSettings,
-    /// Of the built-in masks, for [`SamPrompts::Segments`].
+    /// Settings of the built-in masks, for [`SamPrompts::Segments`].
     pub segments: RgbdSettings,
-    /// Name and fingerprint of the bundle.
+    /// Name and fingerprint of the model bundle.
     pub name: String,
 }
 
 /// Cells per side of the grid on which masks of one picture are compared.
 const GRID: usize = 256;
-/// How far quarters reach over the middle, as a share of the picture.
+/// Overlap of the quarter windows across the middle, as a share of the picture.
 const QUARTER_OVERLAP: f32 = 0.1;
 
-/// A mask that may stay.
+/// A mask that may be accepted.
 struct MaskCandidate {
     /// Predicted IoU times the square root of the stability.
     quality: f32,
-    /// Bit per cell of the grid over the whole picture.
+    /// One bit per cell of the grid over the whole picture.
     cells: Vec<u64>,
     area: u32,
     patch: MaskPatch,
     window: CropWindow,
 }
 
-/// The part of a low-resolution mask around its inside, to be painted: half floats, as there are
-/// hundreds of masks.
+/// The part of a low-resolution mask around its inside, for painting. Half floats, because there
+/// are hundreds of masks.
 #[derive(Debug, Clone, Default)]
 struct MaskPatch {
     left: usize,
@@ -59,7 +59,7 @@ struct MaskPatch {
 }
 
 impl MaskPatch {
-    /// What is inside, and one cell around it: between these the border runs.
+    /// Crops to the inside and one cell around it: the border runs between these.
     fn around_inside(logits: &[f32], threshold: f32) -> Self {
         let size = logits.len().isqrt();
         let inside = |i: usize| logits[i] > threshold;
@@ -81,7 +81,7 @@ impl MaskPatch {
         }
     }
 
-    /// Writes the patch into a mask that is outside everywhere else.
+    /// Writes the patch into a mask whose other cells are all `outside`.
     fn spread(&self, outside: f32, logits: &mut [f32]) {
         logits.fill(outside);
         let size = logits.len().isqrt();
@@ -92,7 +92,7 @@ impl MaskPatch {
     }
 }
 
-/// Where in the picture a mask was made.
+/// The window of the picture that a mask was computed in.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct CropWindow {
     left: u32,
@@ -155,8 +155,8 @@ impl MaskSource for SamMasks<'_> {
 }
 
 impl SamMasks<'_> {
-    /// Asks at spots within a window, a few at a time, but not where the masks found so far answer
-    /// already.
+    /// Prompts at spots within a window, a few at a time. Skips spots that existing masks already
+    /// cover.
     fn ask(
         &self,
         encoded: &Encoded,
@@ -188,7 +188,7 @@ impl SamMasks<'_> {
         }
     }
 
-    /// A mask that is sure, stable, and neither a speck nor the whole picture.
+    /// Returns the mask if it is confident, stable, and neither a speck nor the whole picture.
     fn candidate(
         &self,
         mask: &LowMask,
@@ -230,7 +230,7 @@ impl SamMasks<'_> {
         })
     }
 
-    /// Best first; masks that overlap a better one too much are left out.
+    /// Sorts masks best first and drops those that overlap a better one too much.
     fn select(&self, mut candidates: Vec<MaskCandidate>) -> Vec<MaskCandidate> {
         candidates.sort_by(|a, b| b.quality.total_cmp(&a.quality));
         let mut kept: Vec<MaskCandidate> = Vec::new();
@@ -247,7 +247,7 @@ impl SamMasks<'_> {
 }
 
 impl MaskCandidate {
-    /// Whether it holds a pixel of a picture of this size.
+    /// Whether it contains a pixel of a picture of this size.
     fn holds(&self, (x, y): (f32, f32), (width, height): (u32, u32)) -> bool {
         let cell = |at: f32, length: u32| {
             (((at + 0.5) / length as f32 * GRID as f32) as usize).min(GRID - 1)
@@ -263,8 +263,8 @@ fn overlap(a: &MaskCandidate, b: &MaskCandidate) -> f32 {
     both as f32 / (a.area + b.area - both) as f32
 }
 
-/// For each cell of the grid over the picture the cell of a window's low-resolution mask; past its
-/// end where the window does not reach.
+/// For each cell of the grid over the picture: the cell of a window's low-resolution mask, or an
+/// index past its end outside of the window.
 fn cell_lookup(window: CropWindow, (width, height): (u32, u32), mask_size: usize) -> Vec<u32> {
     const OUTSIDE: u32 = u32::MAX;
     let low = |i: usize, length: u32, start: u32, reach: u32, scale: f32| {
@@ -320,8 +320,7 @@ pub(super) mod tests {
         .remove(0)
     }
 
-    /// Random weights: nothing can be said about the masks but that they are there, bounded, and
-    /// the same every time.
+    /// Random weights: only the existence, bounds and reproducibility of the masks can be checked.
     #[test]
     fn a_grid_of_points_gives_one_id_image_whatever_the_family() {
         let open = SamSettings {
@@ -357,7 +356,7 @@ pub(super) mod tests {
         assert!(matches!(masks, Err(ParseError::Cancelled(_))));
     }
 
-    /// A part of a thing that the model is less sure of than of the whole.
+    /// A part of a thing, with lower confidence than the whole.
     #[test]
     fn the_order_decides_what_stays_visible() {
         let segmenter = tiny_segmenter("tiny-segmenter");
@@ -399,7 +398,7 @@ pub(super) mod tests {
                 &frame(),
             )
         };
-        // Ids count in the order of painting.
+        // Ids follow the order of painting.
         let (images, by_size) =
             (painted(MaskOrder::AscendingQuality), painted(MaskOrder::LargerFirst).remove(0));
         let [by_quality, wholes] = &images[..] else { panic!("two images were asked for") };
@@ -444,7 +443,7 @@ pub(super) mod tests {
         let window = CropWindow { left: 50, top: 0, width: 50, height: 100, scale: (0.64, 0.32) };
         let lookup = cell_lookup(window, (100, 100), 32);
         assert_eq!(lookup[0], u32::MAX, "left of the window");
-        // The window's first column, the picture's middle.
+        // The window's first column is at the picture's middle.
         assert_eq!((lookup[GRID / 2], lookup[GRID - 1]), (0, 31));
         assert_eq!(lookup[GRID * GRID - 1], 32 * 32 - 1);
     }

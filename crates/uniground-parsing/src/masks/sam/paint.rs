@@ -1,16 +1,16 @@
-//! Masks to one id image on the depth grid.
+//! Paints masks into one id image on the depth grid.
 
 use super::super::IdImage;
 use super::{GRID, MaskCandidate, MaskOrder, SamSettings};
 use uniground_geometry::scene::Frame;
 use uniground_models::neural::{LowMask, Segmenter};
 
-/// Larger masks cover no parts of theirs: they are walls, or several things at once. Share of the
-/// picture.
+/// Masks larger than this do not cover their parts: they are walls, or several things at once.
+/// Share of the picture.
 const LARGEST_WHOLE: f32 = 0.25;
 
-/// Paints masks, best first, over each other: in the order of the settings, and where wanted once
-/// more with wholes over their parts.
+/// Paints overlapping masks, sorted best first: in the order of the settings and, if configured, a
+/// second time with wholes over their parts.
 pub(super) fn paint(
     masks: &[MaskCandidate],
     segmenter: &Segmenter,
@@ -32,14 +32,14 @@ pub(super) fn paint(
     images
 }
 
-/// Paints masks over each other in this order, ids counting from 1.
+/// Paints masks over each other in this order, with ids from 1.
 fn one_image(masks: &[&MaskCandidate], segmenter: &Segmenter, frame: &Frame) -> IdImage {
-    // So far below the threshold that the border stays where it is.
+    // So far below the threshold that the border does not move.
     const OUTSIDE: f32 = -1e3;
     let threshold = segmenter.threshold();
     let (width, height) = (frame.depth.width, frame.depth.height);
     let mut ids = vec![0; (width * height) as usize];
-    // Where each column and row of the depth image lies in the colour picture.
+    // The position of each column and row of the depth image in the color picture.
     let columns: Vec<f32> = (0..width).map(|u| frame.colour_position(u as f32, 0.0).0).collect();
     let rows: Vec<f32> = (0..height).map(|v| frame.colour_position(0.0, v as f32).1).collect();
     let mut low = LowMask {
@@ -63,8 +63,8 @@ fn one_image(masks: &[&MaskCandidate], segmenter: &Segmenter, frame: &Frame) -> 
     IdImage { width, height, ids }
 }
 
-/// Left, top, right and bottom of a mask in picture pixels, two cells wider than it is on every
-/// side, within its window.
+/// Left, top, right and bottom of a mask in picture pixels, extended by two cells on every side,
+/// within its window.
 fn bounds(mask: &MaskCandidate, width: u32, height: u32) -> [f32; 4] {
     let (mut low, mut high) = ([GRID; 2], [0; 2]);
     for (i, word) in mask.cells.iter().enumerate().filter(|(_, word)| **word != 0) {

@@ -1,10 +1,10 @@
-//! Where a segmenter is asked.
+//! Chooses the points at which a segmenter is prompted.
 
 use super::super::IdImage;
 use super::{GRID, MaskCandidate};
 use uniground_geometry::scene::Frame;
 
-/// A point to be asked, and what would make the question idle.
+/// A prompt point, and the condition that makes the prompt unnecessary.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct PromptPoint {
     /// Column and row in the picture.
@@ -12,14 +12,14 @@ pub(super) struct PromptPoint {
     unless: SkipCondition,
 }
 
-/// The mask that, found before at a spot, answers its question.
+/// Which existing mask at a point makes its prompt unnecessary.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum SkipCondition {
-    /// None does.
+    /// No mask: always prompt.
     Never,
-    /// Any.
+    /// Any mask.
     Any,
-    /// One of about this share of the picture.
+    /// A mask of about this share of the picture.
     OfSize(f32),
 }
 
@@ -27,8 +27,8 @@ enum SkipCondition {
 const SAME_SIZE: f32 = 2.0;
 
 impl PromptPoint {
-    /// Whether the masks found so far answer the question: its window is the whole picture, or it
-    /// is always asked.
+    /// Whether the existing masks make this prompt unnecessary. Its window must be the whole
+    /// picture, or the condition [`SkipCondition::Never`].
     pub(super) fn is_answered(&self, picture: (u32, u32), found: &[MaskCandidate]) -> bool {
         let fits = |mask: &MaskCandidate| match self.unless {
             SkipCondition::Never => false,
@@ -42,7 +42,8 @@ impl PromptPoint {
     }
 }
 
-/// A grid of spots over a picture, row by row: all of them, or those that no mask holds.
+/// A grid of prompt points over a picture, row by row: always prompted, or only where no mask
+/// exists.
 pub(super) fn grid((width, height): (u32, u32), per_side: u32, always: bool) -> Vec<PromptPoint> {
     let at = |i: u32, length: u32| (i as f32 + 0.5) * length as f32 / per_side as f32 - 0.5;
     let unless = if always { SkipCondition::Never } else { SkipCondition::Any };
@@ -51,8 +52,8 @@ pub(super) fn grid((width, height): (u32, u32), per_side: u32, always: bool) -> 
         .collect()
 }
 
-/// The middles of segments that are no specks, the largest segment first: of each the pixel
-/// farthest from its border.
+/// Returns the centers of segments that are not specks, the largest segment first. The center is
+/// the pixel farthest from the segment's border.
 pub(super) fn middles(segments: &IdImage, frame: &Frame, min_share: f32) -> Vec<PromptPoint> {
     struct SegmentInfo {
         pixels: u32,
@@ -92,7 +93,7 @@ pub(super) fn middles(segments: &IdImage, frame: &Frame, min_share: f32) -> Vec<
         .collect()
 }
 
-/// For each pixel how far the nearest pixel of another id, or the end of the picture, is: in thirds
+/// Distance of each pixel to the nearest pixel of another id or to the picture's border, in thirds
 /// of a pixel (chamfer 3-4).
 fn distance_to_border(segments: &IdImage) -> Vec<u32> {
     let (width, height) = (segments.width as i32, segments.height as i32);
@@ -126,7 +127,7 @@ mod tests {
     use super::super::{CropWindow, MaskPatch};
     use super::*;
 
-    /// A picture of one segment with a smaller one in it, and a speck.
+    /// A picture with one segment that contains a smaller one, and a speck.
     fn segments() -> IdImage {
         let id = |x: u32, y: u32| match (x, y) {
             (10..30, 10..30) => 5,
