@@ -1,5 +1,5 @@
 //! Models that run elsewhere: chat models behind an OpenAI-compatible API ([`chat`]) and networks
-//! on an inference server that speaks KServe v2 ([`inference`]).
+//! on an inference server that speaks `KServe` v2 ([`inference`]).
 
 pub mod chat;
 pub mod inference;

@@ -1,5 +1,5 @@
-//! The service's side: starts a child process, follows it, and ends it when it takes too long or is
-//! not wanted any more.
+//! The parent's side: starts a child process, follows it, and kills it when it takes too long or is
+//! cancelled.
 
 use super::wire::{Message, Request};
 use super::{ReadError, Task, TaskOutcome};
@@ -15,23 +15,23 @@ use std::time::{Duration, Instant};
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_ingest::{IngestError, IngestErrorKind};
 
-/// The subcommand that does a child's work.
+/// The subcommand that runs the child.
 pub const SUBCOMMAND: &str = "isolated-reader";
-/// How soon a child is ended that is not wanted any more.
+/// Polling interval for cancellation and timeout.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
-/// Of what a child says of itself on stderr this much is remembered: the end.
+/// The last bytes of a child's stderr that are stored.
 const STDERR_BYTES: usize = 4 << 10;
-/// The longest message of a child.
+/// Longest message of a child.
 const MAX_MESSAGE_BYTES: u64 = 1 << 20;
-/// Of the environment a child has these variables and no others: secrets are not for it.
+/// The only environment variables that a child gets; it must not see secrets.
 const ENVIRONMENT: [&str; 4] = ["LD_LIBRARY_PATH", "PATH", "RAYON_NUM_THREADS", "TMPDIR"];
-/// Stages that a child reports, as jobs name them.
+/// Stages that a child reports, under the names of the jobs.
 const STAGES: [&str; 6] =
     ["import", "check_reprojection", "levelling", "fuse_cloud", "look_through", "check_pictures"];
 const SIGKILL: i32 = 9;
 const SIGXCPU: i32 = 24;
 
-/// How child processes are run.
+/// Settings of child processes.
 #[derive(Debug)]
 pub struct ChildProcess {
     program: PathBuf,
@@ -46,7 +46,7 @@ struct ChildExit {
     stderr: String,
 }
 
-/// Why the service ended a child.
+/// Why the service killed a child.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum StopReason {
     Cancelled,
@@ -54,7 +54,7 @@ enum StopReason {
 }
 
 impl ChildProcess {
-    /// Child processes of a program, which is this one where none is named. An import may take
+    /// Uses child processes of `program`, or of this program if there is none. An import may use
     /// `memory_bytes`.
     #[must_use]
     pub fn new(program: Option<Utf8PathBuf>, memory_bytes: u64) -> Self {
@@ -64,7 +64,7 @@ impl ChildProcess {
         }
     }
 
-    /// Runs a task in a child, with a part of the memory; blocks.
+    /// Runs a task in a child, with a share of the memory; blocks.
     pub(super) fn run(
         &self,
         task: &Task,
@@ -91,7 +91,8 @@ impl ChildProcess {
     }
 }
 
-/// The program that runs. On Linux also after its file was replaced by a newer one.
+/// Returns the running program. On Linux this works after its file was replaced by a newer version,
+/// too.
 fn this_program() -> PathBuf {
     let of_process = PathBuf::from("/proc/self/exe");
     match of_process.exists() {
@@ -100,13 +101,13 @@ fn this_program() -> PathBuf {
     }
 }
 
-/// CPU time of all threads together that so much time has room for.
+/// Converts a time limit to CPU seconds of all threads together.
 fn cpu_seconds(time: Duration) -> u64 {
     let cores = thread::available_parallelism().map_or(1, usize::from) as u64;
     time.as_secs().saturating_mul(cores)
 }
 
-/// Follows a child until it has ended, whoever ended it.
+/// Follows a child until it has ended or was killed.
 fn follow(
     mut child: Child,
     request: &[u8],
@@ -120,9 +121,9 @@ fn follow(
             scope.spawn(move || forward(stdout, &sender));
         }
         let stderr = stderr.map(|stderr| scope.spawn(move || tail_of(stderr)));
-        // It stays open: a child whose service is gone sees its end.
+        // Keep stdin open: a child sees the end of its service by its closing.
         let mut stdin = stdin;
-        // A child that has ended already tells so itself.
+        // A child that has ended already is handled below.
         let _ = stdin.as_mut().map(|stdin| stdin.write_all(request));
         let (mut last, mut stopped) = (None, None);
         loop {
@@ -130,7 +131,7 @@ fn follow(
                 Ok(Message::Progress { stage, done }) => {
                     let stage =
                         STAGES.into_iter().find(|known| *known == stage).unwrap_or(STAGES[0]);
-                    // Cancelling is looked for below.
+                    // Cancellation is checked below.
                     let _ = progress.report(stage, done);
                 }
                 Ok(Message::Done(outcome)) => last = Some(Ok(outcome)),
@@ -156,7 +157,7 @@ fn follow(
     })
 }
 
-/// The status of a child that has closed its stdout. One that goes on all the same is ended.
+/// Returns the exit status of a child that has closed its stdout. Kills a child that keeps running.
 fn ended(child: &mut Child) -> io::Result<ExitStatus> {
     const GRACE: Duration = Duration::from_secs(2);
     let closed = Instant::now();
@@ -170,7 +171,7 @@ fn ended(child: &mut Child) -> io::Result<ExitStatus> {
     child.wait()
 }
 
-/// Hands on what a child tells, until it ends or says what is no message.
+/// Forwards the messages of a child, until it ends or sends something else.
 fn forward(stdout: ChildStdout, to: &Sender<Message>) {
     let mut stdout = BufReader::new(stdout);
     let mut line = Vec::new();
@@ -187,7 +188,7 @@ fn forward(stdout: ChildStdout, to: &Sender<Message>) {
     }
 }
 
-/// The end of what a child says on stderr.
+/// Returns the end of a child's stderr.
 fn tail_of(mut stderr: ChildStderr) -> String {
     let (mut tail, mut chunk) = (Vec::new(), [0; 1024]);
     while let Ok(read) = stderr.read(&mut chunk)
@@ -200,7 +201,7 @@ fn tail_of(mut stderr: ChildStderr) -> String {
     String::from_utf8_lossy(&tail).into_owned()
 }
 
-/// What came of a task whose child ended so.
+/// Returns the outcome of a task from the exit of its child.
 fn outcome(
     ended: ChildExit,
     task: &Task,
@@ -223,10 +224,10 @@ fn outcome(
             return told;
         }
         _ if out_of_time => return too_costly(format!("{} s", time_limit.as_secs())),
-        // The system is out of memory, say: the scan is not at fault.
+        // E.g. the system is out of memory: the scan is not at fault.
         _ if status.signal() == Some(SIGKILL) => return Err(ReadError::Killed),
-        // The child catches panics. An exit without an outcome is the program's own failure, not
-        // the scan's.
+        // The child catches panics. An exit without an outcome is a bug of the program, not a fault
+        // of the scan.
         _ if status.signal().is_none() => {
             return Err(io::Error::other(format!(
                 "it ended with {status} and without an outcome: {}",
@@ -251,7 +252,7 @@ mod tests {
     use std::fs;
     use std::os::unix::fs::PermissionsExt;
 
-    /// Runs a task whose child is this shell script.
+    /// Runs a task with this shell script as its child.
     fn run(
         script: &str,
         is_cancelled: impl Fn() -> bool + Send + Sync + 'static,
@@ -296,7 +297,7 @@ mod tests {
                 "{without_outcome}"
             );
         }
-        // More than a pipe holds.
+        // More than the buffer of a pipe.
         let talkative =
             "i=0; while [ $i -lt 20000 ]; do echo filler >&2; i=$((i+1)); done; kill -ABRT $$";
         assert_eq!(kind(run(talkative, never)), IngestErrorKind::Malformed);

@@ -1,8 +1,8 @@
-//! Reading of uploaded scans in processes of their own.
+//! Decodes uploaded scans in child processes.
 //!
-//! Uploads are hostile: a decoder may crash, ask for more memory than there is, or never end. So
-//! every file of an upload is decoded first by a child process of this program with limits on its
-//! memory and time. What it found comes back as a message, what it has unpacked or imported as
+//! Uploads are hostile: a decoder may crash, allocate more memory than there is, or never end. So
+//! every file of an upload is first decoded by a child process of this program, with limits on
+//! memory and time. Its findings come back as a message, and its unpacked or imported data as
 //! files. A fault ends the child, never the service.
 //!
 //! ```text
@@ -26,16 +26,16 @@ use tokio::task::spawn_blocking;
 use uniground_geometry::progress::Progress;
 use uniground_ingest::IngestError;
 
-/// Checks of uploads that run at once; more wait. Together they take no more memory than so many
-/// times the limit of one.
+/// Maximum number of concurrent checks of uploads; further ones wait. The total memory of checks is
+/// limited to this many times the limit of one.
 const MAX_CONCURRENT_CHECKS: usize = 2;
-/// A check of an upload has this share of the memory that an import has.
+/// The memory limit of an import divided by that of a check of an upload.
 const CHECK_MEMORY_SHARE: u64 = 4;
 
-/// Why a scan was not read.
+/// Why a scan could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
-    /// The scan is at fault, or the reading was cancelled.
+    /// The scan is invalid, or reading was cancelled.
     #[error(transparent)]
     Ingest(#[from] IngestError),
     /// The system killed the child process.
@@ -43,7 +43,7 @@ pub enum ReadError {
         "the process that decoded the scan was killed by the system, which may be out of memory"
     )]
     Killed,
-    /// The child process could not be started or talked to.
+    /// The child process could not be started, or communication with it failed.
     #[error("the process that reads scans could not be run")]
     Process(#[from] io::Error),
 }
@@ -62,13 +62,13 @@ enum ReaderMode {
 }
 
 impl ScanReader {
-    /// Reads in this process: for programs whose scans are their user's own.
+    /// Creates a reader that works in this process, for programs whose scans are their user's own.
     #[must_use]
     pub fn in_process() -> Self {
         Self::of(ReaderMode::InProcess)
     }
 
-    /// Reads in child processes.
+    /// Creates a reader that uses child processes.
     #[must_use]
     pub fn isolated(child: ChildProcess) -> Self {
         Self::of(ReaderMode::Isolated(Arc::new(child)))
@@ -78,7 +78,7 @@ impl ScanReader {
         Self { how, checks: Arc::new(Semaphore::new(MAX_CONCURRENT_CHECKS)) }
     }
 
-    /// Runs the check of an upload as soon as one of the places for checks is free.
+    /// Runs the check of an upload as soon as a permit for checks is free.
     ///
     /// # Errors
     /// [`ReadError`].
@@ -92,10 +92,10 @@ impl ScanReader {
         spawn_blocking(run).await.map_err(io::Error::other)?
     }
 
-    /// Runs a task with all of the memory, as imports are; blocks.
+    /// Runs a task with the full memory limit, as for imports; blocks.
     ///
     /// # Errors
-    /// [`ReadError`], also when it was cancelled.
+    /// [`ReadError`], also after cancellation.
     pub fn import(&self, task: &Task, progress: &Progress) -> Result<TaskOutcome, ReadError> {
         self.run(task, 1, progress)
     }

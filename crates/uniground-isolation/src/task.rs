@@ -1,4 +1,4 @@
-//! What is read in isolation.
+//! Tasks that run in isolation.
 
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Serialize};
@@ -12,19 +12,19 @@ use uniground_parsing::scan::{ScanError, import_scan};
 use uniground_types::scene::StageReport;
 use uniground_types::settings::ImportSettings;
 
-/// Something to read.
+/// A task of reading a scan.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Task {
-    /// Unpacks an upload into an empty folder and checks it as a scan. What its bytes do not tell,
-    /// the ending of its name does.
+    /// Unpacks an upload into an empty folder and checks it as a scan. If its content does not tell
+    /// the format, the extension of its name does.
     Unpack { archive: Utf8PathBuf, file_name: String, folder: Utf8PathBuf, limits: UnpackLimits },
     /// Checks an unpacked scan again.
     Inspect { folder: Utf8PathBuf },
-    /// Checks that the frames of an unpacked scan lie in the scene with this cloud, a file of the
-    /// service's own.
+    /// Checks that the frames of an unpacked scan fit the scene with this point cloud, which is a
+    /// file of the service.
     CheckFit { folder: Utf8PathBuf, cloud: Utf8PathBuf, to_scene: SourceToScene },
-    /// Imports an unpacked scan into its checkpoints, and tries every picture.
+    /// Imports an unpacked scan into its checkpoints, and decodes every picture.
     Import {
         content: Utf8PathBuf,
         settings: ImportSettings,
@@ -33,27 +33,27 @@ pub enum Task {
     },
 }
 
-/// What came of a task.
+/// The result of a task.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TaskOutcome {
-    /// It is a scan, which may have a name of its own.
+    /// It is a valid scan. It may contain a name.
     Scan { name: Option<String> },
-    /// The frames lie in the scene.
+    /// The frames fit the scene.
     Fits,
-    /// The import is in the checkpoints; what it took.
+    /// The import is in the checkpoints. The stages report how long they took.
     Imported { stages: Vec<StageReport> },
 }
 
-/// A check takes at most this long, and longer by what unpacking its bytes takes.
+/// Time limit of a check, without the time for unpacking.
 const CHECK_TIME: Duration = Duration::from_mins(2);
-/// Bytes of an archive that are unpacked in a second at least.
+/// Minimum speed of unpacking that the time limit allows for, bytes per second.
 const UNPACKED_BYTES_PER_S: u64 = 4 << 20;
-/// An import takes at most this long.
+/// Time limit of an import.
 const IMPORT_TIME: Duration = Duration::from_hours(2);
 
 impl Task {
-    /// Does it, here and now; blocks.
+    /// Runs the task in this process; blocks.
     ///
     /// # Errors
     /// [`IngestError`].
@@ -85,7 +85,7 @@ impl Task {
         }
     }
 
-    /// How long it may take.
+    /// Returns the time limit of the task.
     pub(super) fn time_limit(&self) -> Duration {
         match self {
             Self::Unpack { archive, .. } => {
@@ -97,7 +97,8 @@ impl Task {
         }
     }
 
-    /// What is named where it fails as a whole: the upload by the name its caller knows.
+    /// Returns the subject of errors about the task as a whole: an upload by the name its caller
+    /// knows.
     pub(super) fn subject(&self) -> Utf8PathBuf {
         match self {
             Self::Unpack { file_name, .. } if !file_name.is_empty() => Utf8PathBuf::from(file_name),
@@ -106,7 +107,7 @@ impl Task {
     }
 }
 
-/// A name that is longer is none.
+/// A longer name is ignored.
 const MAX_NAME_BYTES: usize = 4 << 10;
 
 fn named(name: Option<String>) -> TaskOutcome {

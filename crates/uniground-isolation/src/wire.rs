@@ -8,7 +8,7 @@ use std::io;
 use uniground_geometry::progress::Cancelled;
 use uniground_ingest::{IngestError, IngestErrorKind};
 
-/// What a child is asked to do, and with what.
+/// The task of a child, with its limits.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Request<'a> {
     pub task: Cow<'a, Task>,
@@ -16,7 +16,7 @@ pub(super) struct Request<'a> {
     pub cpu_s: u64,
 }
 
-/// What a child tells.
+/// A message from a child.
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Message {
@@ -25,17 +25,17 @@ pub(super) enum Message {
     Failed(Failure),
 }
 
-/// An [`IngestError`] on its way.
+/// An [`IngestError`] in transit.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Failure {
     kind: IngestErrorKind,
     message: String,
-    /// Of an error of the file system.
+    /// The file, for an error of the file system.
     file: Option<Utf8PathBuf>,
     is_disk_full: bool,
 }
 
-/// Characters of a message; what callers are told is shorter still.
+/// Longest error message, characters. Callers get an even shorter one.
 const MAX_MESSAGE_CHARS: usize = 4000;
 
 fn shortened(message: String) -> String {

@@ -1,4 +1,4 @@
-//! The child's side: limits first, then the task.
+//! The child's side: sets its limits, then runs the task.
 
 use super::wire::{Message, Request};
 use rustix::process::{Resource, Rlimit, setrlimit};
@@ -10,13 +10,13 @@ use uniground_geometry::background;
 use uniground_geometry::progress::Progress;
 use uniground_ingest::IngestError;
 
-/// Progress is told this often at most.
+/// Minimum interval of progress messages.
 const PROGRESS_EVERY: Duration = Duration::from_millis(100);
 
-/// Reads a request from stdin, does it within its limits and tells what came of it on stdout.
+/// Reads a request from stdin, runs it within its limits and writes the outcome to stdout.
 ///
 /// # Errors
-/// Those of stdin and stdout, and a request that is none.
+/// Errors of stdin and stdout, and an invalid request.
 pub fn run() -> io::Result<()> {
     let mut line = String::new();
     io::stdin().lock().read_line(&mut line)?;
@@ -28,7 +28,7 @@ pub fn run() -> io::Result<()> {
     end_with_parent()?;
     let pool = background::pool().map_err(io::Error::other)?;
     let subject = task.subject();
-    // A panic has been told on stderr, with its place.
+    // A panic has already printed its message and location to stderr.
     let done = catch_unwind(AssertUnwindSafe(|| pool.install(|| task.run(&reported()))))
         .unwrap_or_else(|_| {
             Err(IngestError::Malformed {
@@ -42,8 +42,8 @@ pub fn run() -> io::Result<()> {
     })
 }
 
-/// Memory that a process writes to. Address space alone is not limited: threads reserve more of it
-/// than they use.
+/// Limits the memory that a process writes to. The address space is not limited on Linux: threads
+/// reserve more of it than they use.
 fn limit_memory(bytes: u64) {
     #[cfg(target_os = "linux")]
     limit(Resource::Data, bytes);
@@ -51,7 +51,7 @@ fn limit_memory(bytes: u64) {
     limit(Resource::As, bytes);
 }
 
-/// Where the machine runs out of memory, this process goes first, and not the service.
+/// Makes the system kill this process before the service when memory runs out.
 fn offer_to_oom_killer() {
     #[cfg(target_os = "linux")]
     if let Err(error) = std::fs::write("/proc/self/oom_score_adj", "1000") {
@@ -65,7 +65,8 @@ fn limit(resource: Resource, most: u64) {
     }
 }
 
-/// The service keeps stdin open while it wants an answer. A child whose service is gone ends.
+/// Ends this process when the service is gone: the service keeps stdin open while it wants an
+/// answer.
 fn end_with_parent() -> io::Result<()> {
     let watch = || {
         let mut rest = [0; 64];
@@ -81,7 +82,7 @@ fn reported() -> Progress {
         let mut told = told.lock().unwrap_or_else(PoisonError::into_inner);
         if told.is_none_or(|told| told.elapsed() >= PROGRESS_EVERY) {
             *told = Some(Instant::now());
-            // A service that does not listen has ended this process by now.
+            // If the service does not read any more, it has killed this process.
             let _ = tell(&Message::Progress { stage: stage.to_owned(), done });
         }
     };

@@ -1,4 +1,4 @@
-//! What a kind of job is.
+//! The trait of a kind of job.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -7,60 +7,58 @@ use tokio_util::sync::CancellationToken;
 use uniground_geometry::progress::Progress;
 use uniground_storage::JobLease;
 
-/// A kind of job: its name, what it is asked to do, and how that is done. Every kind waits in a
-/// queue of its own.
+/// A kind of job: its name, its payload, and how it runs. Every kind has a queue of its own.
 pub trait JobKind: Send + Sync + 'static {
-    /// Stored with every job: it never changes.
+    /// Stored with every job, so it never changes.
     const NAME: &'static str;
-    /// Jobs of this kind that run at once in one process, where nobody says otherwise.
+    /// Default number of jobs of this kind that run concurrently in one process.
     const CONCURRENCY: usize;
     const RETRY: Retry;
-    /// Stored as JSON; what a server of yesterday has written must still be read.
+    /// Stored as JSON. Payloads of earlier versions must remain readable.
     type Payload: Serialize + DeserializeOwned + Send + Sync;
 
-    /// Does the work. The result is a sentence about what came out.
+    /// Runs the job. Returns a sentence about the result.
     fn run(
         &self,
         job: JobContext<Self::Payload>,
     ) -> impl Future<Output = Result<String, JobFailure>> + Send;
 }
 
-/// When a job is tried again.
+/// When a job is retried.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Retry {
-    /// After how many ends of its process in a row, without getting further than before, a job
-    /// that was running fails.
+    /// Number of interruptions (ends of its process) in a row, without further progress, after
+    /// which a job fails.
     pub interrupted: u32,
-    /// How often in all a job is tried whose failure may pass.
+    /// Maximum number of attempts for transient failures.
     pub transient: u32,
-    /// The wait after such a failure; it doubles from one to the next.
+    /// The delay after a transient failure. It doubles from one failure to the next.
     pub backoff: Duration,
 }
 
-/// What a job is run with.
+/// What a running job gets.
 pub struct JobContext<P> {
-    /// What is written down of it is written in this hold.
+    /// The lease under which all results of the job are written.
     pub hold: JobLease,
-    /// Cancelled once it was given to somebody else, because this process was not seen for longer
-    /// than its lease: what comes of it counts for nothing, and nothing more may be bought for
-    /// it.
+    /// Cancelled once the lease has passed to another worker, because this process missed its
+    /// heartbeats. Results are then discarded, and the job must not spend any more money.
     pub lost: CancellationToken,
     pub payload: P,
-    /// Progress sink and cancellation in one.
+    /// Reports progress, and tells about cancellation.
     pub progress: Progress,
 }
 
-/// How a job ends badly.
+/// How a job can fail.
 #[derive(Debug)]
 pub enum JobFailure {
     Failed {
-        /// Stable.
+        /// A stable code.
         code: String,
-        /// For the caller.
+        /// The message for the caller.
         detail: String,
-        /// For the log: the error with everything that led to it.
+        /// For the log: the error with its causes.
         cause: String,
-        /// It may pass: a server that does not answer, a full disk.
+        /// A retry may succeed: a server that does not answer, a full disk.
         transient: bool,
     },
     Cancelled,

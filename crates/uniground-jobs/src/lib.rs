@@ -1,9 +1,9 @@
-//! Long work in the background: durable queues, one for every kind, their workers, progress and
-//! cancellation. Knows no kind of job.
+//! Background jobs: durable queues, one for each kind, with workers, progress and cancellation.
+//! This crate defines no kinds.
 //!
-//! A kind is a [`JobKind`]; `uniground-service` defines them and `app` gives each its lane.
-//! A running job's progress is read from memory; its row is updated twice a second, so that other
-//! processes, and the next one, know roughly where it is.
+//! A kind is a [`JobKind`]. `uniground-service` defines the kinds, and `app` starts a lane, that is
+//! a group of workers, for each. The progress of a running job is read from memory. Its row is
+//! updated twice a second, so that other processes, and the next one, know roughly where it is.
 
 mod kind;
 mod queue;
@@ -17,10 +17,10 @@ pub use uniground_types::job::{Job, JobError, JobList};
 use jiff::Timestamp;
 use uniground_storage::{JobRow, JobState};
 
-/// Below this progress an estimate is a guess.
+/// Below this progress no remaining time is estimated.
 const MIN_PROGRESS_FOR_ETA: f32 = 0.03;
 
-/// A stored job, seen at `now`.
+/// Converts a stored job to its API form at the time `now`.
 fn job_of(row: JobRow, now: Timestamp) -> Job {
     let JobRow {
         id,
@@ -42,7 +42,7 @@ fn job_of(row: JobRow, now: Timestamp) -> Job {
         finished_at,
     } = row;
     let (progress, furthest) = (progress as f32, furthest as f32);
-    // What an earlier attempt did took no time of this one.
+    // Progress of earlier attempts took no time in this one.
     let own = progress - furthest;
     let running_s = started_at
         .as_ref()

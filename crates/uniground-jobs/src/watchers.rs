@@ -1,5 +1,5 @@
-//! Jobs that somebody follows: each is looked at by one task, however many follow it, and those who
-//! wait are woken when it has changed.
+//! Watching jobs. One task polls each watched job, however many watchers it has, and wakes them
+//! when it has changed.
 
 use super::{Job, Jobs, JobsError};
 use std::collections::HashMap;
@@ -9,12 +9,12 @@ use tokio::sync::watch;
 use tokio::time::sleep;
 use uniground_storage::JobRow;
 
-/// How often a job that is followed is looked at.
+/// Polling interval of a watched job.
 const LOOK_EVERY: Duration = Duration::from_millis(150);
-/// And where the database is busy for a moment.
+/// Polling interval after an error of the database.
 const TROUBLE: Duration = Duration::from_millis(1500);
 
-/// Those that are followed now, by id.
+/// The watched jobs by id.
 #[derive(Clone, Default)]
 pub(super) struct JobWatchers(Arc<Mutex<HashMap<String, watch::Sender<Job>>>>);
 
@@ -24,7 +24,7 @@ impl JobWatchers {
     }
 }
 
-/// Whether two looks at a job tell a caller the same.
+/// Returns whether two states of a job look the same to a caller.
 fn is_same(a: &Job, b: &Job) -> bool {
     let told = |job: &Job| {
         (job.attempts, job.state, job.ahead, job.stage.clone(), (job.progress * 1000.0) as i32)
@@ -33,8 +33,8 @@ fn is_same(a: &Job, b: &Job) -> bool {
 }
 
 impl Jobs {
-    /// A job as it stands, and as it will: the receiver is told of every change until the job is
-    /// over, gone, or nobody follows it.
+    /// Returns a job and its future changes: the receiver gets every change until the job is
+    /// finished or deleted, or nobody watches it.
     ///
     /// # Errors
     /// [`JobsError::NotFound`].
@@ -44,7 +44,7 @@ impl Jobs {
         }
         let job = self.get(id).await?;
         let mut all = self.followed.all();
-        // Somebody else may have come meanwhile.
+        // Another caller may have started watching meanwhile.
         if let Some(followed) = all.get(id) {
             return Ok(followed.subscribe());
         }
@@ -57,7 +57,7 @@ impl Jobs {
         Ok(receiver)
     }
 
-    /// One that runs is told from memory.
+    /// Reads a job. The state of a running one comes from memory.
     async fn look(&self, id: &str) -> Result<Job, JobsError> {
         let running = self.running().get(id).map(|running| running.row.clone());
         match running {
@@ -66,12 +66,13 @@ impl Jobs {
         }
     }
 
-    /// Looks at a job again and again, as long as it is followed and not over.
+    /// Polls a job as long as it is watched and not finished.
     async fn look_after(self, id: String) {
         let mut wait = LOOK_EVERY;
         loop {
             sleep(wait).await;
-            // Nobody can begin to follow between the question and the end.
+            // Under the lock, so that no new watcher can subscribe between the check and the
+            // removal.
             {
                 let mut all = self.followed.all();
                 if all.get(&id).is_none_or(watch::Sender::is_closed) {

@@ -1,4 +1,4 @@
-//! A lane: takes the jobs of one kind from their queue and sees each to an end.
+//! A lane: the workers of one kind. They claim jobs from the queue and run each to an end.
 
 use super::queue::{JobProgress, RunningJob};
 use super::{JobContext, JobFailure, JobKind, Jobs, Retry};
@@ -11,25 +11,25 @@ use tracing::Instrument;
 use uniground_geometry::progress::Progress;
 use uniground_storage::{JobLease, JobRecovery, JobRow, JobState, StoreError};
 
-/// How often a running job's row is brought up to date.
+/// How often the row of a running job is updated.
 const SAVE_EVERY: Duration = Duration::from_millis(500);
-/// How long a worker sleeps when nobody wakes it.
+/// Polling interval of a worker that is not notified.
 const LOOK_EVERY: Duration = Duration::from_secs(2);
-/// Progress by more than this is getting further.
+/// Progress must grow by more than this to count as further progress.
 const FURTHER: f64 = 0.001;
-/// No wait before another try is longer.
+/// Upper limit of the delay between attempts.
 const LONGEST_BACKOFF: Duration = Duration::from_hours(1);
-/// A job that is interrupted again and again without getting further may be what brings its server
-/// down: it is taken up at once so often,
+/// Interruptions of a job that are retried without delay. A job that is interrupted repeatedly
+/// without further progress may be what crashes its server.
 const TAKEN_UP_AT_ONCE: u32 = 3;
-/// and then waits, this long first.
+/// The delay after further interruptions. It doubles from one to the next.
 const WAIT_AFTER_INTERRUPTIONS: Duration = Duration::from_secs(30);
 
 impl Jobs {
-    /// Works on the jobs of one kind until `shutdown`, so many at once. Jobs running then are put
-    /// back and go on after the next start, or elsewhere; those that processes which are gone
-    /// had in hands are taken up. No kind waits for another. Trouble with the database is
-    /// logged, and tried again.
+    /// Runs the jobs of one kind, `at_once` at a time, until `shutdown`. Jobs that are running then
+    /// return to the queue, and continue after the next start or in another process. Jobs of
+    /// processes that are gone are recovered. Kinds do not wait for each other. Errors of the
+    /// database are logged and retried.
     pub async fn run_lane<K: JobKind>(
         &self,
         kind: Arc<K>,
@@ -48,7 +48,7 @@ impl Jobs {
         tokio::join!(recovering, working);
     }
 
-    /// Takes up what processes that are gone had in hands, as soon as the store lets it.
+    /// Recovers the jobs of processes that are gone. Retries until the store works.
     async fn recover<K: JobKind>(&self, shutdown: &CancellationToken) {
         let recovery = JobRecovery {
             give_up_after: K::RETRY.interrupted,
@@ -67,8 +67,8 @@ impl Jobs {
         }
     }
 
-    /// Fails what waits but is of no kind this server knows: jobs of a newer server, or of one with
-    /// other parts.
+    /// Fails queued jobs of kinds that this server does not know: from a newer server, or from one
+    /// with other features.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -150,11 +150,11 @@ impl Jobs {
         let running =
             RunningJob { pulse: Arc::default(), cancel: shutdown.child_token(), row: job.into() };
         self.running().insert(id.clone(), running.clone());
-        // From here on a wish to stop finds the token; what was wished before stands in the row.
+        // From here on a cancellation request reaches the token. An earlier one is in the row.
         match self.repository.is_cancel_requested(&id).await {
             Ok(false) => {}
             Ok(true) => running.cancel.cancel(),
-            // It goes back as it came, as soon as the store takes it.
+            // Return the job to the queue unchanged, as soon as the store works.
             Err(error) => {
                 tracing::error!(
                     error = &error as &dyn std::error::Error,
@@ -169,7 +169,7 @@ impl Jobs {
             move |stage, progress| beating.beat(JobProgress { stage, progress }),
             move || cancel.is_cancelled(),
         );
-        // A task of its own: a job that panics ends itself, not the lane.
+        // In a task of its own: a job that panics ends itself, not the lane.
         let lost = CancellationToken::new();
         let context = JobContext { hold: hold.clone(), lost: lost.clone(), payload, progress };
         let work = {
@@ -188,7 +188,7 @@ impl Jobs {
                     let JobProgress { stage, progress } = running.pulse();
                     match self.repository.save_job_progress(&hold, stage, progress).await {
                         Ok(false) => {}
-                        // Wished elsewhere.
+                        // Cancellation was requested through another process.
                         Ok(true) => running.cancel.cancel(),
                         Err(StoreError::NotHeld) => {
                             lost.cancel();
@@ -203,14 +203,13 @@ impl Jobs {
             Ok(Ok(message)) => JobOutcome::Done(message),
             Ok(Err(_)) if shutdown.is_cancelled() => JobOutcome::PutBack,
             Ok(Err(JobFailure::Cancelled)) => JobOutcome::Cancelled,
-            // Asked to stop, it stumbled over what was taken from under it: that is no failure of
-            // its own.
+            // The job failed because of its cancellation, so it counts as cancelled.
             Ok(Err(JobFailure::Failed { .. })) if running.cancel.is_cancelled() => {
                 JobOutcome::Cancelled
             }
             Ok(Err(JobFailure::Failed { code, detail, cause, transient })) => {
                 let progress = running.pulse().progress;
-                // One that got further starts to count anew.
+                // Further progress resets the count of failures.
                 let failures =
                     if f64::from(progress) > furthest + FURTHER { 1 } else { failures + 1 };
                 let again = transient.then(|| next_try(K::RETRY, failures)).flatten();
@@ -233,7 +232,7 @@ impl Jobs {
                 JobOutcome::Failed { code: "internal".into(), detail: detail.into() }
             }
         };
-        // Whoever sees the job's end sees it counted.
+        // Count first: whoever sees the finished job must find it in the metrics.
         self.count(K::NAME, &end, start.elapsed());
         let ended = self.record(&hold, &end, shutdown).await;
         self.running().remove(&id);
@@ -251,8 +250,8 @@ impl Jobs {
         self.metrics.jobs.finished(kind, state.word(), Some(took));
     }
 
-    /// Writes down a job's end: until the store takes it, or the server stops. A job whose end
-    /// nobody knows would run for ever.
+    /// Stores the end of a job. Retries until the store accepts it or the server stops. Otherwise
+    /// the job would appear to run forever.
     async fn record(
         &self,
         hold: &JobLease,
@@ -300,7 +299,7 @@ impl Jobs {
     }
 }
 
-/// A lane at work; however it ends, whoever asks learns of it.
+/// Marks a lane as running, and as stopped on drop, however it ends.
 struct WorkerGuard<'a> {
     jobs: &'a Jobs,
     kind: &'static str,
@@ -319,12 +318,12 @@ impl Drop for WorkerGuard<'_> {
     }
 }
 
-/// What becomes of a job.
+/// How a run of a job ended.
 enum JobOutcome {
     Done(String),
-    /// The server stops: the next one goes on.
+    /// The server shuts down: another one continues.
     PutBack,
-    /// It failed in a way that may pass, so often in a row, and got so far.
+    /// It failed with a transient error: failures in a row, and its progress.
     Again {
         wait: Duration,
         failures: u32,
@@ -337,7 +336,7 @@ enum JobOutcome {
     },
 }
 
-/// The wait before another try, after so many failures; `None` when there is none.
+/// Returns the delay before the next attempt after this many failures, or `None` if there is none.
 fn next_try(Retry { transient, backoff, .. }: Retry, failures: u32) -> Option<Duration> {
     (failures < transient).then(|| {
         backoff.saturating_mul(1 << failures.saturating_sub(1).min(16)).min(LONGEST_BACKOFF)

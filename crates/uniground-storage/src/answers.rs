@@ -1,4 +1,4 @@
-//! Answers, kept as they were given.
+//! Stored answers.
 
 use super::database::{Database, SqlFilter};
 use super::records::RECORD_VERSION;
@@ -10,8 +10,8 @@ use sqlx::{FromRow, Row};
 use std::sync::Arc;
 use tokio::sync::{mpsc, oneshot};
 
-/// An answer as stored: the JSON the caller got, whole, and the parse it is about. It is given out
-/// again as it is: no version of the service can fail to read it.
+/// An answer as stored: the complete JSON that the caller received, and the parse it refers to. The
+/// JSON is returned unchanged, so every version of the service can return it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AnswerRow {
     pub id: String,
@@ -29,20 +29,20 @@ impl FromRow<'_, AnyRow> for AnswerRow {
     }
 }
 
-/// Which answers are wanted; what is not said is any.
+/// Which answers to list. An empty field matches every answer.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct AnswerFilter {
     pub scene_id: Option<String>,
     pub batch_id: Option<String>,
-    /// As the answer has it.
+    /// The answer's `status`.
     pub status: Option<String>,
-    /// Given then or later.
+    /// Created at or after this time.
     pub since: Option<Timestamp>,
-    /// Given before.
+    /// Created before this time.
     pub until: Option<Timestamp>,
 }
 
-/// An answer about to be kept.
+/// An answer to be stored.
 #[derive(Debug)]
 pub struct NewAnswer {
     pub id: String,
@@ -56,14 +56,14 @@ struct QueuedAnswer {
     kept: oneshot::Sender<Result<bool, StoreError>>,
 }
 
-/// Answers that wait to be written. Each is on the disk before its caller hears of it; those that
-/// come together are written together, so that the disk is waited for once.
+/// Queue of answers to be written. Each answer is on disk before its caller gets it. Answers that
+/// arrive together are written in one transaction, with a single wait for the disk.
 #[derive(Clone)]
 pub(super) struct AnswerQueue(mpsc::Sender<QueuedAnswer>);
 
-/// Answers that may wait; more wait at the door.
+/// Capacity of the queue. Further callers wait for a free place.
 const MOST_WAITING: usize = 1024;
-/// Answers written as one.
+/// Answers written in one transaction.
 const MOST_TOGETHER: usize = 128;
 
 impl AnswerQueue {
@@ -74,7 +74,7 @@ impl AnswerQueue {
             while queue.recv_many(&mut together, MOST_TOGETHER).await > 0 {
                 let (answers, callers): (Vec<_>, Vec<_>) =
                     together.drain(..).map(|waiting| (waiting.answer, waiting.kept)).unzip();
-                // A caller that left needs no word.
+                // A caller that left needs no result.
                 match write(&writer, &answers).await {
                     Ok(kept) => callers
                         .into_iter()
@@ -83,7 +83,7 @@ impl AnswerQueue {
                     Err(error) => {
                         let error = Arc::new(error);
                         callers.into_iter().for_each(|caller| {
-                            drop(caller.send(Err(StoreError::Together(error.clone()))))
+                            drop(caller.send(Err(StoreError::Together(error.clone()))));
                         });
                     }
                 }
@@ -93,7 +93,7 @@ impl AnswerQueue {
     }
 }
 
-/// Writes answers as one; for each, whether its scene and parse were still there.
+/// Writes answers in one transaction. Returns for each whether its scene and parse still exist.
 async fn write(writer: &Writer, answers: &[NewAnswer]) -> Result<Vec<bool>, StoreError> {
     let sql = "INSERT INTO answers (id, scene_id, parse_id, body, created_at, record_version)
                SELECT $1, $2, $3, $4, $5, $6 WHERE EXISTS (SELECT 1 FROM scenes WHERE id = $2) AND EXISTS (SELECT 1 FROM parses WHERE id = $3)
@@ -117,16 +117,16 @@ async fn write(writer: &Writer, answers: &[NewAnswer]) -> Result<Vec<bool>, Stor
     Ok(kept)
 }
 
-/// Answers to questions.
+/// Repository of answers.
 #[derive(Clone)]
 pub struct AnswerRepository {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
     pub(super) queue: AnswerQueue,
 }
 
 impl AnswerRepository {
-    /// What was asked under an idempotency key, and the id its answer has or will have. A key that
-    /// nobody has used stands for this question from now on.
+    /// Returns the question that was asked under an idempotency key, and the id that its answer has
+    /// or will have. A new key is stored for this question.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -145,7 +145,7 @@ impl AnswerRepository {
         Ok(row)
     }
 
-    /// Keeps an answer; `false` when its scene was deleted meanwhile.
+    /// Stores an answer. Returns `false` if its scene was deleted meanwhile.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -165,7 +165,7 @@ impl AnswerRepository {
             .await?)
     }
 
-    /// Answers newest first, those before `cursor` (an id) only.
+    /// Returns answers, newest first; with a `cursor` (an id) only those before it.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -176,10 +176,10 @@ impl AnswerRepository {
         cursor: Option<&str>,
     ) -> Result<Vec<AnswerRow>, StoreError> {
         let AnswerFilter { scene_id, batch_id, status, since, until } = filter;
-        // Only what is asked for stands in the statement, so that the index of that is used.
+        // Include only the requested conditions, so that their index is used.
         let columns = "SELECT answers.id, parse_id, body FROM";
         let mut which = match batch_id {
-            // Through the batch, a page at a time.
+            // Join through the batch, one page at a time.
             Some(_) => {
                 let join = self.database.engine.in_this_order();
                 SqlFilter::behind(format!(
@@ -191,8 +191,8 @@ impl AnswerRepository {
         which.and("batch_id =", batch_id.as_ref());
         which.and("answer_id <", cursor.filter(|_| batch_id.is_some()));
         which.and("answers.id <", cursor);
-        // An item of a batch has its answer's id long before it is asked: ids do not tell when an
-        // answer was given.
+        // An item of a batch gets its answer's id long before it is answered, so the order of ids
+        // does not tell when an answer was created.
         which.and("answers.created_at >=", since.map(|time| time.to_string()));
         which.and("answers.created_at <", until.map(|time| time.to_string()));
         which.and("answers.scene_id =", scene_id.as_ref());
@@ -206,8 +206,8 @@ impl AnswerRepository {
             .await
     }
 
-    /// Removes some answers of a scene, few enough that nobody waits long for the database. Their
-    /// ids; none when none are left.
+    /// Deletes up to 500 answers of a scene, to hold the write lock only briefly. Returns their
+    /// ids, or none when there are no more.
     ///
     /// # Errors
     /// [`StoreError::Database`].

@@ -5,6 +5,7 @@ use super::{JobLease, JobRow, NewJob, Reserve, StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{AssertSqlSafe, FromRow, Row};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// A batch as stored.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,7 +19,7 @@ pub struct BatchRow {
     pub max_cost_usd: Option<f64>,
     pub job_id: Option<String>,
     pub request: Option<String>,
-    /// Who submitted it.
+    /// The API key that submitted it.
     pub key_id: Option<String>,
     pub created_at: String,
     pub finished_at: Option<String>,
@@ -43,7 +44,7 @@ impl FromRow<'_, AnyRow> for BatchRow {
     }
 }
 
-/// A batch about to be received.
+/// A batch to be received.
 pub struct NewBatch<'a> {
     pub label: Option<&'a str>,
     pub concurrency: Option<u32>,
@@ -57,20 +58,20 @@ pub struct ReceivedBatch<'a> {
     pub items: u32,
     /// Fields that its items share, as JSON.
     pub defaults: &'a str,
-    /// SHA-256 of what was submitted.
+    /// SHA-256 of the submitted request.
     pub request: &'a str,
     /// The idempotency key it was submitted under.
     pub key: Option<&'a str>,
 }
 
-/// An item about to be recorded.
+/// An item to be inserted.
 pub struct NewItem {
     pub scene_id: String,
     /// The item's own fields of the question as JSON.
     pub request: String,
 }
 
-/// An item that waits.
+/// An item that has not been answered yet.
 #[derive(Debug, Clone)]
 pub struct OpenItem {
     pub item: u32,
@@ -79,45 +80,45 @@ pub struct OpenItem {
     pub answer_id: String,
 }
 
-/// What came of an item.
+/// The result of an item.
 #[derive(Debug, Clone)]
 pub struct ClosedItem {
     pub item: u32,
-    /// Of its answer, or `failed`.
+    /// The answer's status, or `failed`.
     pub status: String,
     pub cost_usd: f64,
     /// Code and detail.
     pub error: Option<(String, String)>,
 }
 
-/// An item with its answer, where there is one.
+/// An item with its answer, if it has one.
 #[derive(Debug, Clone)]
 pub struct ItemRow {
     pub item: u32,
     pub scene_id: String,
     pub request: String,
     pub answer_id: String,
-    /// None while it waits.
+    /// `None` while it waits.
     pub status: Option<String>,
     pub error: Option<(String, String)>,
     /// The answer's JSON.
     pub answer: Option<String>,
 }
 
-/// What came of resuming a batch.
+/// The result of resuming a batch.
 pub enum ResumeOutcome {
     /// A new job.
     By(Box<JobRow>),
-    /// Its job was at it all the time.
+    /// Its job was still queued or running.
     GoesOn,
-    /// It is done or cancelled.
+    /// It has finished or was cancelled.
     Over,
 }
 
-/// What came of submitting a batch.
+/// The result of submitting a batch.
 pub enum SubmitOutcome {
     New(JobRow),
-    /// The same key made this one before.
+    /// The batch that was submitted earlier under the same idempotency key.
     MadeBefore(BatchRow),
     KeyReused,
 }
@@ -132,15 +133,15 @@ fn select(condition: &str) -> AssertSqlSafe<String> {
     AssertSqlSafe(format!("SELECT {COLUMNS} FROM batches WHERE {condition}"))
 }
 
-/// Batches of questions and their items.
+/// Repository of batches of questions and their items.
 #[derive(Clone)]
 pub struct BatchRepository {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
     pub(super) reserve: Reserve,
 }
 
 impl BatchRepository {
-    /// Begins a batch: its items follow. Nobody is told of it before it is
+    /// Inserts an empty batch; its items follow. It is invisible to callers until it is
     /// [submitted](Self::submit_batch).
     ///
     /// # Errors
@@ -149,8 +150,8 @@ impl BatchRepository {
         let id = self.database.new_id();
         let sql = "INSERT INTO batches (id, label, state, concurrency, max_cost_usd, key_id, created_at, receiver)
                    VALUES ($1, $2, 'receiving', $3, $4, $5, $6, $7)";
-        // Not kept prepared: sqlx takes a number that is not there for a smaller type than one that
-        // is.
+        // Not a persistent prepared statement: sqlx infers a smaller type for a NULL than for a
+        // number.
         sqlx::query(sql)
             .persistent(false)
             .bind(&id)
@@ -165,8 +166,8 @@ impl BatchRepository {
         Ok(id)
     }
 
-    /// Adds items to a batch that is being received, from the place `first` on; few enough that
-    /// nobody waits long for the database.
+    /// Adds items to a batch that is being received, starting at position `first`. Callers pass few
+    /// items at once, to hold the write lock only briefly.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -191,7 +192,8 @@ impl BatchRepository {
         tx.commit().await
     }
 
-    /// Lets a batch begin, whose items have all been received, with its key and its job as one.
+    /// Submits a batch whose items have all been received, with its key and its job in one
+    /// transaction.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -230,7 +232,7 @@ impl BatchRepository {
         Ok(SubmitOutcome::New(job))
     }
 
-    /// The batch an idempotency key made.
+    /// Returns the batch that was submitted under an idempotency key.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -244,8 +246,8 @@ impl BatchRepository {
             .await?)
     }
 
-    /// The fields that the items of a batch share, as JSON. `None` where its items store whole
-    /// questions.
+    /// Returns the fields that the items of a batch share, as JSON. Returns `None` where its items
+    /// store complete questions.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -258,10 +260,10 @@ impl BatchRepository {
         Ok(defaults.flatten())
     }
 
-    /// Removes a batch with its items, a thousand items at a time; its answers stay.
+    /// Deletes a batch with its items, a thousand items at a time. Its answers stay.
     ///
     /// # Errors
-    /// [`StoreError::Database`]: what is removed stays removed.
+    /// [`StoreError::Database`]; items that were deleted before stay deleted.
     pub async fn delete_batch(&self, id: &str) -> Result<(), StoreError> {
         let some = "DELETE FROM batch_items WHERE batch_id = $1
                     AND item IN (SELECT item FROM batch_items WHERE batch_id = $1 LIMIT $2)";
@@ -279,15 +281,14 @@ impl BatchRepository {
         Ok(())
     }
 
-    /// Deletes a batch that was refused: nothing of it is left. On a full disk with the room of the
-    /// reserve.
+    /// Deletes a rejected batch completely. On a full disk it uses the space of the reserve.
     ///
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn discard_batch(&self, id: &str) -> Result<(), StoreError> {
         match self.delete_batch(id).await {
             Err(error) if error.is_full() && self.reserve.release_reserve() => {
-                self.delete_batch(id).await?
+                self.delete_batch(id).await?;
             }
             deleted => deleted?,
         }
@@ -301,7 +302,7 @@ impl BatchRepository {
         Ok(())
     }
 
-    /// Forgets batches whose submission the process that received them did not live to see.
+    /// Deletes batches whose process ended before they were submitted.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -322,7 +323,7 @@ impl BatchRepository {
         Ok(sqlx::query_as(which).bind(id).fetch_optional(&self.database.reader).await?)
     }
 
-    /// Batches newest first, those before `cursor` (an id) only.
+    /// Returns batches, newest first; with a `cursor` (an id) only those before it.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -340,7 +341,7 @@ impl BatchRepository {
             .await?)
     }
 
-    /// How many items have each status, and what they cost.
+    /// Returns the number of items by status, and their total cost in US dollars.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -358,7 +359,7 @@ impl BatchRepository {
         Ok((numbers, usd))
     }
 
-    /// Items that wait, in order.
+    /// Returns unanswered items, in order.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -384,7 +385,7 @@ impl BatchRepository {
         rows.iter().map(open).collect()
     }
 
-    /// Writes down what came of items, as one, for whoever is at work on the batch.
+    /// Stores the results of items in one transaction, under the lease of the batch's job.
     ///
     /// # Errors
     /// [`StoreError::NotHeld`], [`StoreError::Database`].
@@ -413,7 +414,7 @@ impl BatchRepository {
         tx.commit().await
     }
 
-    /// Moves a batch from one of some states to another; whether it was in one of them.
+    /// Moves a batch from one of several states to another. Returns whether it was in one of them.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -438,8 +439,8 @@ impl BatchRepository {
         Ok(moved.rows_affected() > 0)
     }
 
-    /// Lets a batch go on: with the job it has where that is not over, else with a new one. All of
-    /// it or nothing, so that no two jobs ever ask the same batch.
+    /// Resumes a batch: with its job if that is still queued or running, otherwise with a new one.
+    /// In one transaction, so that no two jobs ever process the same batch.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -471,7 +472,7 @@ impl BatchRepository {
         Ok(ResumeOutcome::By(Box::new(job)))
     }
 
-    /// Items in order from a place on, each with its answer.
+    /// Returns items in order from a position on, each with its answer.
     ///
     /// # Errors
     /// [`StoreError::Database`].

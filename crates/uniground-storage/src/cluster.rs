@@ -1,12 +1,12 @@
-//! Who uses the store, and whose turn something is. SQLite's file belongs to one process: the lock
-//! of the data folder sees to that. A database of PostgreSQL's may have several members, on one
-//! machine or many.
+//! Cluster membership and named locks: which processes use the store, and which of them holds which
+//! lock. A SQLite file belongs to one process, which the lock of the data folder enforces. A
+//! PostgreSQL database may have several member processes, on one machine or many.
 //!
-//! A member is a row that says when it was last seen, by the database's own clock, and a session
-//! that holds locks. One that is killed loses its session at once and is forgotten a few seconds
-//! later; one that hangs is forgotten, and its session ended, once it was not seen for a lease.
-//! What it was at work on is others' from then on: it finds itself forgotten before it can write
-//! anything down, and joins anew under another id.
+//! A member is a row with the time of its last heartbeat, by the database's clock, and a database
+//! session that holds advisory locks. A killed process loses its session at once, and its row is
+//! deleted a few seconds later. A process that hangs is removed, and its session terminated, after
+//! a lease without heartbeats. Other workers then take over its work. The removed process finds its
+//! row missing before it can write anything, and joins again under a new id.
 
 use super::StoreError;
 use super::database::{Database, Engine, KEEPALIVES, Location};
@@ -25,102 +25,103 @@ use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
 
-/// What processes before may still need to be gone, for one that wants to be alone;
+/// How long a process that wants exclusive access waits for previous processes to end.
 const HANDOVER: Duration = Duration::from_secs(5);
-/// and what one that is alone may need, to clear up or to bring the schema up to date, before it
-/// lets others in.
+/// How long a process waits for another one that has exclusive access, while that one cleans up or
+/// updates the schema before it lets others join.
 const CLEARING: Duration = Duration::from_mins(1);
-/// How often a member says that it is there. One whose session is gone and that has missed three of
-/// these is forgotten.
+/// Interval of heartbeats. A member whose session is gone and that has missed three heartbeats is
+/// removed.
 const BEAT: Duration = Duration::from_secs(2);
-/// How long those who have not left may need to be back after the database was away: a beat, and a
-/// try that came to nothing before.
+/// How long members get to reconnect after the database was away: one heartbeat, and one failed
+/// attempt before it.
 const COMING_BACK: Duration = Duration::from_secs(8);
-/// Who waits for a turn looks so often at least. Who takes turns one after the other pauses for
-/// longer in between (`Beside::pause`).
+/// Longest interval between attempts to take a lock. Processes that take locks one after the other
+/// pause longer in between (`RunMode::pause`).
 const LONGEST_LOOK: Duration = Duration::from_millis(25);
-/// Longer than that the session's server is not waited for.
+/// Timeout of calls on the session's connection.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// How long a member may not be seen until what it is at work on is given to others.
+/// Duration of a lease: a member without a heartbeat for so long loses its work to others.
 pub const LEASE: Duration = Duration::from_secs(30);
 
-/// Whether others may use the store meanwhile.
+/// Whether other processes may use the store at the same time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StoreAccess {
-    /// As its database allows: PostgreSQL does, SQLite does not.
+    /// As the database allows: PostgreSQL allows it, SQLite does not.
     Welcome,
-    /// Nobody.
+    /// Exclusive access.
     None,
 }
 
-/// This process among those who use the store. Cheap to clone.
+/// This process as a member of the cluster that uses the store. Cheap to clone.
 #[derive(Clone)]
 pub(super) struct ClusterMembership {
     member: ProcessLease,
     turns: LocalLocks,
-    /// Where there may be others.
+    /// Present where the database may have other members.
     session: Option<Session>,
-    /// Nobody else was there when it came.
+    /// No other member was present when this one joined.
     pub was_alone: bool,
 }
 
-/// By what it is known.
+/// The member's current id and the duration of its lease.
 #[derive(Clone)]
 struct ProcessLease {
     id: Arc<RwLock<Arc<str>>>,
     lease: Duration,
 }
 
-/// A connection whose locks are this member's.
+/// A connection whose advisory locks belong to this member.
 #[derive(Clone)]
 struct Session {
     options: AnyConnectOptions,
-    /// Gone while the server is away.
+    /// `None` while the server is away.
     held: Arc<Mutex<Option<AnyConnection>>>,
-    /// Counts connections: locks go with that in which they were taken.
+    /// Counts connections. A lock is lost with the connection on which it was taken.
     number: Arc<AtomicU64>,
 }
 
-/// A turn at something: nobody else, in this process or another, has it as long as this lives.
+/// A named lock. While it lives, no other task of this or another process holds it.
 pub struct NamedLock {
-    /// Within this process, where there is no other.
+    /// The lock within this process, where the database has no other members.
     _local: Option<LocalLock>,
     shared: Option<AdvisoryLock>,
 }
 
 impl NamedLock {
-    /// Whether it still is: it goes with the session where the database was away, or this process
-    /// was not seen for a lease. For those who keep one for long.
+    /// Returns whether the lock is still held. It is lost with the session: when the database was
+    /// away, or when this process missed its heartbeats for a lease. Long-running holders check
+    /// this.
     #[must_use]
     pub fn is_ours(&self) -> bool {
         self.shared.as_ref().is_none_or(|turn| turn.session.number.load(Relaxed) == turn.number)
     }
 }
 
-/// A lock of the database's. It goes when this does, also where whoever wanted it has left before
-/// he could be told.
+/// An advisory lock of the database. Released on drop, also where the caller was cancelled before
+/// it received the lock.
 struct AdvisoryLock {
     session: Session,
     key: i64,
     number: u64,
-    /// Within this process. Nobody here has it before the others could: it is let go once the lock
-    /// is.
+    /// The lock within this process. It is released only after the database's lock, so that a task
+    /// of this process cannot take it before other processes could.
     local: Option<LocalLock>,
 }
 
-/// The number of no connection: this member has left.
+/// The connection number after this member has left.
 const LEFT: u64 = u64::MAX;
 
-/// The lock that all members share, and that one who wants to be alone has for itself. The number
-/// is ours alone in this database.
+/// The lock that all members share, and that a process with exclusive access holds alone. No other
+/// user of this database may use this number.
 const MEMBERS: i64 = 7_313_053;
 
 impl ClusterMembership {
-    /// Joins those who use a database. Its row follows with [`enter`](Self::enter), once the schema
-    /// is up to date.
+    /// Joins the members of a database. The member's row is written by [`enter`](Self::enter), once
+    /// the schema is up to date.
     ///
     /// # Errors
-    /// [`StoreError::DatabaseInUse`], or what the database says.
+    /// [`StoreError::DatabaseInUse`], or the database's error.
     pub async fn join(
         location: &Location,
         company: StoreAccess,
@@ -141,7 +142,7 @@ impl ClusterMembership {
                 if waited || !is_anybody_expected(&mut connection).await? {
                     break true;
                 }
-                // Killed, or on their way back to a database that was away itself.
+                // They were killed, or are reconnecting to a database that was away itself.
                 locked(&mut connection, "pg_advisory_unlock", MEMBERS).await?;
                 sleep(COMING_BACK).await;
                 waited = true;
@@ -166,7 +167,8 @@ impl ClusterMembership {
         Ok(Self { member, turns, session: Some(session), was_alone })
     }
 
-    /// Writes down that this member is there. Who is alone knows that all others are gone.
+    /// Writes this member's row. A member that was alone deletes all other rows: their processes
+    /// are gone.
     pub async fn enter(&self, writer: &Writer) -> Result<(), StoreError> {
         let mut tx = writer.begin().await?;
         if self.was_alone {
@@ -178,7 +180,7 @@ impl ClusterMembership {
         tx.commit().await
     }
 
-    /// Lets others join, where nobody else was there, and stays a member from now on.
+    /// Releases exclusive access, where this process had it, and starts the heartbeats.
     pub async fn let_others_in(&self) -> Result<(), StoreError> {
         let Some(session) = &self.session else { return Ok(()) };
         if self.was_alone {
@@ -195,21 +197,21 @@ impl ClusterMembership {
         Ok(())
     }
 
-    /// By which what this member is at work on is marked as its own. Another one once it was
-    /// forgotten.
+    /// Returns the id that marks this member's work. It changes when the member was removed and
+    /// joined again.
     pub fn id(&self) -> Arc<str> {
         self.member.id()
     }
 
-    /// Whether there may be others.
+    /// Returns whether the database may have other members.
     pub fn is_shared(&self) -> bool {
         self.session.is_some()
     }
 
-    /// Waits for the turn at something, by its name.
+    /// Waits for the lock of this name.
     ///
     /// # Errors
-    /// What the database says.
+    /// The database's error.
     pub async fn turn(&self, name: &str) -> Result<NamedLock, StoreError> {
         let local = self.turns.at(name).await;
         let Some(session) = &self.session else {
@@ -219,10 +221,10 @@ impl ClusterMembership {
         Ok(NamedLock { _local: None, shared: shared.map(|shared| shared.with(local)) })
     }
 
-    /// The turn at something, by its name, if nobody has it.
+    /// Takes the lock of this name, if it is free.
     ///
     /// # Errors
-    /// What the database says.
+    /// The database's error.
     pub async fn try_turn(&self, name: &str) -> Result<Option<NamedLock>, StoreError> {
         let Some(local) = self.turns.try_at(name) else { return Ok(None) };
         let Some(session) = &self.session else {
@@ -232,7 +234,7 @@ impl ClusterMembership {
         Ok(shared.map(|shared| NamedLock { _local: None, shared: Some(shared.with(local)) }))
     }
 
-    /// Leaves: what it was at work on is others' at once.
+    /// Leaves the cluster. Other members can take over this one's work at once.
     pub async fn leave(&self) {
         let Some(session) = &self.session else { return };
         let leaving = async {
@@ -246,7 +248,7 @@ impl ClusterMembership {
                 let _ = connection.close().await;
             }
         };
-        // A server that does not answer finds out by itself.
+        // A server that does not answer notices by itself that the session is gone.
         let _ = timeout(PATIENCE, leaving).await;
     }
 }
@@ -256,8 +258,8 @@ impl ProcessLease {
         self.id.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Stays a member as long as somebody holds the session: is seen, forgets the gone, and comes
-    /// back whenever the database was away.
+    /// Sends heartbeats as long as the session has an owner. Removes members that are gone, and
+    /// reconnects whenever the database was away.
     async fn stay(
         self,
         options: AnyConnectOptions,
@@ -273,7 +275,8 @@ impl ProcessLease {
             if number.load(Relaxed) == LEFT {
                 return;
             }
-            // Who stood still, or was away, can not tell who else was.
+            // A process that was suspended or disconnected cannot tell which other members are
+            // gone.
             let stood_still = beaten.elapsed() > BEAT * 3;
             if stood_still {
                 steady_since = Instant::now();
@@ -304,14 +307,14 @@ impl ProcessLease {
             *held = None;
             number.fetch_add(1, Relaxed);
             steady_since = Instant::now();
-            // Others have ended its session: it learns at once whether it was forgotten.
+            // Other members have terminated its session: check at once whether its row was removed.
             if stood_still {
                 wait = Duration::ZERO;
             }
         }
     }
 
-    /// Says that it is there; takes another id where it was forgotten.
+    /// Sends one heartbeat. Takes a new id where this member was removed.
     async fn beat(&self, connection: &mut AnyConnection) -> Result<(), StoreError> {
         let (clock, id) = (Engine::Postgres.clock(), self.id());
         let sql = format!(
@@ -333,7 +336,8 @@ impl ProcessLease {
         Ok(())
     }
 
-    /// Forgets members that are gone, and those that were not seen for a lease, whose sessions end.
+    /// Removes members that are gone, and members without a heartbeat for a lease, whose sessions
+    /// it terminates.
     async fn forget_the_gone(&self, connection: &mut AnyConnection) -> Result<(), StoreError> {
         let clock = Engine::Postgres.clock();
         let sql = format!(
@@ -352,7 +356,7 @@ impl ProcessLease {
                 member = id,
                 "process lease expired; another worker takes over its jobs"
             );
-            // Its locks, which others may wait for, go with its session.
+            // Its locks, which other members may wait for, end with its session.
             let end = "SELECT count(pg_terminate_backend(pid)) FROM pg_stat_activity WHERE pid = $1 AND datname = current_database()";
             sqlx::query(end)
                 .bind(i32::try_from(session).unwrap_or(0))
@@ -369,8 +373,8 @@ enum LockWait {
 }
 
 impl Session {
-    /// A lock of the database's. In a task of its own: a caller that leaves in the middle leaves no
-    /// connection in the middle.
+    /// Takes an advisory lock, in a task of its own: a cancelled caller must not leave the
+    /// connection in the middle of a statement.
     async fn take(self, key: i64, waiting: LockWait) -> Result<Option<AdvisoryLock>, StoreError> {
         let wanted = CancellationToken::new();
         let _wants = wanted.clone().drop_guard();
@@ -398,8 +402,8 @@ impl Session {
         Ok((taken, number))
     }
 
-    /// Calls a function for locks. A connection that is lost or in the middle of something is of no
-    /// use any more: a new one comes with the next beat.
+    /// Calls an advisory lock function. A connection that failed, or was interrupted within a
+    /// statement, is dropped; the next heartbeat opens a new one.
     async fn call(
         &self,
         held: &mut Option<AnyConnection>,
@@ -428,7 +432,7 @@ impl Drop for AdvisoryLock {
     fn drop(&mut self) {
         let (session, key, number, local) =
             (self.session.clone(), self.key, self.number, self.local.take());
-        // Where the process ends, so does the session.
+        // Where the process ends, the session ends too, and its locks with it.
         let Ok(runtime) = tokio::runtime::Handle::try_current() else { return };
         runtime.spawn(async move {
             let mut held = session.held.lock().await;
@@ -447,7 +451,7 @@ async fn connect(options: &AnyConnectOptions) -> Result<AnyConnection, StoreErro
     Ok(connection)
 }
 
-/// Whether there is somebody who has not left. Before the first member there is no such table.
+/// Returns whether any member has not left. Before the first member the table does not exist.
 async fn is_anybody_expected(connection: &mut AnyConnection) -> Result<bool, StoreError> {
     let is_there: bool = sqlx::query_scalar("SELECT to_regclass('members') IS NOT NULL")
         .fetch_one(&mut *connection)
@@ -468,7 +472,7 @@ async fn connect_again(options: &AnyConnectOptions) -> Result<AnyConnection, Sto
     }
 }
 
-/// Calls one of PostgreSQL's functions for advisory locks.
+/// Calls one of PostgreSQL's advisory lock functions.
 async fn locked(
     connection: &mut AnyConnection,
     function: &'static str,
@@ -482,20 +486,20 @@ fn new_id() -> Arc<str> {
     Uuid::now_v7().to_string().into()
 }
 
-/// The number of a name: locks of PostgreSQL's have numbers.
+/// Returns the number of a named lock. PostgreSQL's advisory locks are numbered.
 fn key_of(name: &str) -> i64 {
     let digest = Sha256::digest(name);
     i64::from_be_bytes(std::array::from_fn(|i| digest[i]))
 }
 
 impl super::JobRepository {
-    /// Enters the database as another process, as a restart does. For tests of job leases.
+    /// Joins the database as another process, as a restart does. For tests of job leases.
     ///
     /// # Errors
     /// [`StoreError`].
     #[doc(hidden)]
     pub async fn enter_as_new_process(&self) -> Result<(), StoreError> {
-        let Database { members, writer, .. } = &self.database;
+        let Database { members, writer, .. } = &*self.database;
         *members.member.id.write().unwrap_or_else(PoisonError::into_inner) = new_id();
         members.enter(writer).await
     }

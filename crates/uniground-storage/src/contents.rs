@@ -1,17 +1,18 @@
-//! Uploaded bytes, by hash.
+//! Uploaded contents, by hash.
 
 use super::database::Database;
 use super::{Blobs, StoreError};
+use std::sync::Arc;
 
-/// Uploaded scans, stored once per SHA-256.
+/// Repository of uploaded contents, stored once per SHA-256.
 #[derive(Clone)]
 pub struct ContentRepository {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
     pub(super) blobs: Blobs,
 }
 
 impl ContentRepository {
-    /// Whether these bytes are stored.
+    /// Returns whether this content is stored.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -23,7 +24,7 @@ impl ContentRepository {
         Ok(found.is_some())
     }
 
-    /// Hashes of everything that was uploaded.
+    /// Returns the hashes of all stored contents.
     ///
     /// # Errors
     /// [`StoreError::Database`].

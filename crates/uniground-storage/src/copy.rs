@@ -1,5 +1,4 @@
-//! A look at a data folder that changes nothing there: the database is copied elsewhere, files are
-//! only read.
+//! Read-only access to a data folder: the database is copied elsewhere, files are only read.
 
 use super::blobs::Blobs;
 use super::cluster::{ClusterMembership, LEASE, StoreAccess};
@@ -12,17 +11,17 @@ use std::{fs, io};
 use tempfile::TempDir;
 use tokio::task::spawn_blocking;
 
-/// What a database is made of, while nobody has it open.
+/// Suffixes of the files of a database that no process has open.
 const FILES_OF_DATABASE: [&str; 2] = ["", "-wal"];
 
 impl Store {
-    /// Opens a copy of the database over the folder's own files. Whatever is done to this store,
-    /// the folder stays as it is: rows are removed from the copy, and files are left alone.
+    /// Opens a copy of the database over the folder's own files. Changes to this store never reach
+    /// the folder: rows are removed from the copy, and files are left alone.
     ///
     /// # Errors
-    /// [`StoreError`]: a server runs there, or it is no data folder.
+    /// [`StoreError`]: a server uses the folder, or it is no data folder.
     ///
-    /// Only SQLite's databases can be copied so.
+    /// Only SQLite databases can be copied this way.
     pub async fn open_copy(data_dir: &Utf8Path) -> Result<Self, StoreError> {
         let path = data_dir.to_owned();
         let copied = spawn_blocking(move || {

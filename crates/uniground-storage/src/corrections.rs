@@ -1,10 +1,11 @@
-//! What people say of parses that are wrong.
+//! Corrections of parses by people.
 
 use super::database::{Database, number};
 use super::parses::{insert_instance, note_change};
 use super::{StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{FromRow, Row};
+use std::sync::Arc;
 use uniground_geometry::scene::{Instance, InstanceId};
 use uniground_types::corrections::{Change, Correction};
 
@@ -44,24 +45,24 @@ impl CorrectionRow {
     }
 }
 
-/// A correction about to be recorded.
+/// A correction to be inserted.
 pub struct NewCorrection<'a> {
     pub parse_id: &'a str,
     pub change: &'a Change,
     pub author: Option<&'a str>,
-    /// What a merge has made; it gets the next id of the parse.
+    /// The result of a merge. It gets the next instance id of the parse.
     pub made: Option<Instance>,
 }
 
-/// Corrections of instances by people.
+/// Repository of corrections.
 #[derive(Clone)]
 pub struct CorrectionRepository {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
 }
 
 impl CorrectionRepository {
-    /// Records a correction, with the instance it makes, as one. `None` when the parse is gone, or
-    /// has `most` corrections already.
+    /// Inserts a correction and the instance it creates, in one transaction. Returns `None` when
+    /// the parse is deleted or already has `most` corrections.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -106,7 +107,7 @@ impl CorrectionRepository {
         Ok(Some(correction))
     }
 
-    /// All corrections of a parse, in order of time, those that were taken back included.
+    /// Returns all corrections of a parse, oldest first, including those that were undone.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -117,7 +118,7 @@ impl CorrectionRepository {
         rows.into_iter().map(CorrectionRow::read).collect()
     }
 
-    /// Takes a correction back; once is enough.
+    /// Undoes a correction. Repeated calls have no effect.
     ///
     /// # Errors
     /// [`StoreError`].

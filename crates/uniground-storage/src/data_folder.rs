@@ -1,12 +1,13 @@
-//! The folder everything is kept in: a file marks it as ours, a lock as taken.
+//! The data folder. A file marks it as a data folder, and a lock as in use.
 //!
 //! ```text
-//! uniground-data.json   that this is a data folder, and its id
-//! uniground.sqlite      the database, which knows the same id; not where that is PostgreSQL's
-//! reserve               a few megabytes that are released when the disk is full (`reserve`)
-//! blobs/  uploads/  tmp/   see `blobs`
-//! quarantine/<day>/...  what no record speaks of, kept for a while
-//! uniground-moving.json a store is being moved here (`moving`); without a marker beside it something is missing still
+//! uniground-data.json    marks a data folder, and holds its id
+//! uniground.sqlite       the SQLite database, which stores the same id; absent with PostgreSQL
+//! reserve                a few megabytes that are released when the disk is full (`reserve`)
+//! blobs/  uploads/  tmp/ see `blobs`
+//! quarantine/<day>/...   orphans, kept for a while
+//! uniground-moving.json  target of a data migration (`data_migration`); without a marker next to
+//!                        it the migration is unfinished
 //! ```
 
 use super::database::Engine;
@@ -19,9 +20,9 @@ use std::sync::Arc;
 use uuid::Uuid;
 
 pub const MARKER: &str = "uniground-data.json";
-/// In a folder that a store is being moved to.
+/// Marks the target folder of a data migration.
 pub const MOVING: &str = "uniground-moving.json";
-/// What a kill in the moment of marking leaves.
+/// Left behind when the process is killed while it writes the marker.
 const UNFINISHED_MARKER: &str = "uniground-data.json.new";
 pub const DATABASE: &str = "uniground.sqlite";
 pub const LOCK: &str = "lock";
@@ -32,27 +33,27 @@ struct Marker {
     format: u32,
     id: String,
     created_at: String,
-    /// Where its rows are.
+    /// The engine of the database that holds its rows.
     #[serde(default)]
     database: Engine,
 }
 
-/// A data folder that is ours as long as this lives. With SQLite ours alone: two processes over one
-/// would take each other's jobs and files. With PostgreSQL, which tells its members apart, theirs
-/// together.
+/// A data folder that is locked as long as this lives. With SQLite the lock is exclusive: two
+/// processes would take each other's jobs and files. With PostgreSQL, where processes have leases,
+/// the lock is shared.
 #[derive(Debug, Clone)]
 pub(super) struct DataFolder {
     path: Utf8PathBuf,
-    /// By which database and folder know each other.
+    /// The id by which database and folder recognize each other.
     pub id: String,
     _lock: Option<Arc<File>>,
 }
 
 impl DataFolder {
-    /// Whether a folder, if it is a data folder already, keeps its rows where somebody means.
+    /// Checks that a folder, if it is a data folder already, belongs to this database engine.
     ///
     /// # Errors
-    /// [`StoreError::OtherDatabase`], [`StoreError::HalfMoved`], or what the file system says.
+    /// [`StoreError::OtherDatabase`], [`StoreError::HalfMoved`], or an error of the file system.
     pub fn goes_with(path: &Utf8Path, engine: Engine) -> Result<(), StoreError> {
         Self::is_whole(path)?;
         let kept_in = match fs::read(path.join(MARKER)) {
@@ -72,7 +73,7 @@ impl DataFolder {
         }
     }
 
-    /// Whether nothing is missing of what was moved here.
+    /// Checks that no unfinished data migration has this folder as its target.
     fn is_whole(path: &Utf8Path) -> Result<(), StoreError> {
         match path.join(MOVING).exists() && !path.join(MARKER).exists() {
             true => Err(StoreError::HalfMoved),
@@ -80,15 +81,15 @@ impl DataFolder {
         }
     }
 
-    /// Opens a data folder, or makes one of a folder that is empty or not there.
+    /// Opens a data folder. Creates it in a folder that is empty or missing.
     ///
     /// # Errors
-    /// [`StoreError::NotOurs`] for a folder with other things in it, [`StoreError::InUse`], or what
-    /// the file system says.
+    /// [`StoreError::NotOurs`] for a folder with other content, [`StoreError::InUse`], or an error
+    /// of the file system.
     pub fn open(path: &Utf8Path, engine: Engine) -> Result<Self, StoreError> {
         fs::create_dir_all(path)?;
         let marker = path.join(MARKER);
-        // Data folders of before there were markers have a database.
+        // Data folders from before there were markers contain a database.
         let is_ours = marker.exists() || path.join(DATABASE).exists();
         if let Some(stranger) = path
             .read_dir_utf8()?
@@ -107,7 +108,7 @@ impl DataFolder {
         let shared = engine == Engine::Postgres;
         let is_marked = marker.exists();
         taken(if shared && is_marked { lock.try_lock_shared() } else { lock.try_lock() })?;
-        // Marked by who holds it: two that come at once mark it once.
+        // Written under the lock, so that two concurrent starts write one marker.
         let id = match fs::read(&marker) {
             Ok(bytes) => serde_json::from_slice::<Marker>(&bytes)?.id,
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
@@ -128,18 +129,17 @@ impl DataFolder {
                 "disk nearly full: no room for the reserve file, which deleting needs on a full disk"
             ),
             Err(error) => {
-                tracing::warn!(%error, "reserve file could not be written; deleting on a full disk may fail")
+                tracing::warn!(%error, "reserve file could not be written; deleting on a full disk may fail");
             }
         }
         Ok(folder)
     }
 
-    /// Looks at a data folder no server uses, whose database is SQLite's, and keeps servers away
-    /// meanwhile. Nothing is written.
+    /// Locks a data folder that no server uses and whose database is SQLite. Writes nothing.
     ///
     /// # Errors
-    /// [`StoreError::NoDataFolder`], [`StoreError::InUse`], [`StoreError::OnlyOfSqlite`], or what
-    /// the file system says.
+    /// [`StoreError::NoDataFolder`], [`StoreError::InUse`], [`StoreError::OnlyOfSqlite`], or an
+    /// error of the file system.
     pub fn look(path: &Utf8Path) -> Result<Self, StoreError> {
         let (id, engine) = Self::identity(path)?;
         if engine != Engine::Sqlite {
@@ -157,8 +157,8 @@ impl DataFolder {
         }
     }
 
-    /// The id of a data folder and its database, whoever uses it; a new one where it is of before
-    /// folders had ids.
+    /// Returns id and database engine of a data folder, without locking it. Returns a new id for a
+    /// folder from before folders had ids.
     pub fn identity(path: &Utf8Path) -> Result<(String, Engine), StoreError> {
         Self::is_whole(path)?;
         match fs::read(path.join(MARKER)) {
@@ -191,18 +191,18 @@ impl DataFolder {
         &self.path
     }
 
-    /// Bytes that may still be written here.
+    /// Returns the free disk space, bytes.
     pub fn free_bytes(&self) -> io::Result<u64> {
         reserve::free_bytes(&self.path)
     }
 
-    /// Reads the marker: whether the folder is still there and readable.
+    /// Reads the marker, to check that the folder still exists and is readable.
     pub fn check_marker(&self) -> io::Result<()> {
         fs::read(self.path.join(MARKER)).map(drop)
     }
 }
 
-/// Marks a folder as a data folder of this id.
+/// Marks a folder as a data folder with this id.
 pub(super) fn mark(folder: &Utf8Path, id: &str, database: Engine) -> io::Result<()> {
     let text = serde_json::to_vec_pretty(&Marker {
         format: 1,
@@ -213,12 +213,12 @@ pub(super) fn mark(folder: &Utf8Path, id: &str, database: Engine) -> io::Result<
     write_synced(&folder.join(MARKER), &text)
 }
 
-/// What systems put into empty folders.
+/// Files that a system or an earlier start puts into otherwise empty folders.
 pub(super) fn is_harmless(name: &str) -> bool {
     name == "lost+found" || name == LOCK || name == UNFINISHED_MARKER || name.starts_with('.')
 }
 
-/// Writes a file as a whole: under another name first, then in its place, both on the disk.
+/// Writes a file atomically: to a temporary name first, then renamed, both synced to disk.
 pub(super) fn write_synced(path: &Utf8Path, content: &[u8]) -> io::Result<()> {
     let unfinished = Utf8PathBuf::from(format!("{path}.new"));
     let mut file = File::create(&unfinished)?;
@@ -228,7 +228,7 @@ pub(super) fn write_synced(path: &Utf8Path, content: &[u8]) -> io::Result<()> {
     sync_folder(path.parent().unwrap_or(path))
 }
 
-/// Puts a folder's list of names on the disk.
+/// Syncs the entries of a folder to disk.
 pub(super) fn sync_folder(folder: &Utf8Path) -> io::Result<()> {
     File::open(folder)?.sync_all()
 }
@@ -239,8 +239,8 @@ mod tests {
     use std::sync::Barrier;
     use std::thread;
 
-    /// Two that start at once on a new folder: one has it, the other is told that it is in use, and
-    /// both mean the same folder.
+    /// Two processes start at once on a new folder: one gets it, the other one fails with "in use",
+    /// and both see the same id.
     #[test]
     fn a_new_folder_is_marked_once() {
         for _ in 0..20 {
@@ -271,7 +271,7 @@ mod tests {
         }
     }
 
-    /// What a kill in the moment of marking leaves keeps nobody out; other things do.
+    /// A half-written marker does not make a folder foreign; other files do.
     #[test]
     fn half_a_mark_is_no_stranger() {
         let place = tempfile::tempdir().unwrap();

@@ -1,6 +1,5 @@
-//! The database: SQLite's file in the data folder, or PostgreSQL. The same statements run on both;
-//! what only one of them understands is a method of [`Engine`] here, and the two schemas are in
-//! `migrations/`.
+//! The database: a SQLite file in the data folder, or PostgreSQL. The same statements run on both.
+//! Where the engines differ, [`Engine`] has a method; the two schemas are in `migrations/`.
 
 use super::StoreError;
 use super::cluster::ClusterMembership;
@@ -16,24 +15,25 @@ use std::fmt::{self, Write};
 use std::str::FromStr;
 use std::time::Duration;
 
-/// Where a database is.
+/// Location of a database.
 #[derive(Clone, PartialEq, Eq)]
 pub enum Location {
-    /// In the data folder.
+    /// A SQLite file in the data folder.
     Folder,
     Postgres(PostgresUrl),
-    /// Of a kind that is not known; what was said may hold a password and is not kept.
+    /// An unknown kind of database. Only the scheme is stored, since the rest may contain a
+    /// password.
     Unknown {
         scheme: String,
     },
 }
 
-/// `postgres://…`; what it prints as has no password.
+/// A URL like `postgres://…`. Its `Display` and `Debug` omit the password.
 #[derive(Clone, PartialEq, Eq)]
 pub struct PostgresUrl(String);
 
 impl PostgresUrl {
-    /// As it was said.
+    /// Returns the URL as given, with its password.
     #[must_use]
     pub fn with_password(&self) -> &str {
         &self.0
@@ -89,7 +89,7 @@ impl fmt::Display for PostgresUrl {
     }
 }
 
-/// Which of the two it is.
+/// The database engine.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Engine {
@@ -98,29 +98,29 @@ pub(super) enum Engine {
     Postgres,
 }
 
-/// How long SQLite waits for a lock that somebody else holds.
+/// How long SQLite waits for a lock that another process holds.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(1);
-/// How long a write waits for its turn, and anything for PostgreSQL. SQLite's own wait for a lock
-/// is shorter.
+/// Timeout for the write connection, and for any connection to PostgreSQL. SQLite's own timeout for
+/// a lock is shorter.
 const TURN: Duration = Duration::from_secs(2);
-/// How long a read of a file waits for its turn.
+/// Timeout for a read connection to a SQLite file.
 const READERS_TURN: Duration = Duration::from_secs(30);
-/// No statement of PostgreSQL's takes longer.
+/// Timeout of a PostgreSQL statement.
 const STATEMENT_TIMEOUT: Duration = Duration::from_secs(30);
-/// A transaction that does nothing for so long is undone: its process hangs, and all that write
+/// A transaction that is idle for longer is rolled back: its process hangs, and all other writers
 /// wait for it.
 const IDLE_IN_TRANSACTION: Duration = Duration::from_secs(5);
-/// A machine that vanished is noticed by the server within half a minute.
+/// The server notices within half a minute that a client machine has vanished.
 pub(super) const KEEPALIVES: &str =
     "SET tcp_keepalives_idle = 10; SET tcp_keepalives_interval = 5; SET tcp_keepalives_count = 3";
 const READERS: u32 = 4;
-/// Connections to PostgreSQL that write at once; of transactions there is one at a time.
+/// PostgreSQL connections for writing. Only one transaction at a time uses one.
 const WRITERS: u32 = 8;
-/// What a path may have in a URL as it is.
+/// Characters of a path that need no escaping in a URL.
 const IN_PATH: &AsciiSet =
     &NON_ALPHANUMERIC.remove(b'/').remove(b'.').remove(b'-').remove(b'_').remove(b'~');
 
-/// Connections that read, and connections that write.
+/// Connection pools for reading and for writing.
 pub(super) struct Connections {
     pub engine: Engine,
     pub reader: AnyPool,
@@ -128,15 +128,15 @@ pub(super) struct Connections {
 }
 
 impl Connections {
-    /// Opens a file of SQLite's, which is made where it is not there.
+    /// Opens a SQLite file, and creates it if it does not exist.
     pub async fn to_file(file: &Utf8Path) -> Result<Self, StoreError> {
         install_default_drivers();
-        // A URL would take ".." away without looking what is a link.
+        // A URL would remove ".." without resolving links.
         let folder = file.parent().unwrap_or(file).canonicalize_utf8()?;
         let file = folder.join(file.file_name().unwrap_or_default());
         let url = format!("sqlite:{}", utf8_percent_encode(file.as_str(), IN_PATH));
         let options = |mode: &str| AnyConnectOptions::from_str(&format!("{url}?mode={mode}"));
-        // What a caller was told is stored is on the disk.
+        // An acknowledged write must be on disk.
         let settings = format!(
             "PRAGMA busy_timeout = {}; PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL",
             BUSY_TIMEOUT.as_millis()
@@ -147,7 +147,7 @@ impl Connections {
         Ok(Self { engine: Engine::Sqlite, reader, writer })
     }
 
-    /// Opens a database of a PostgreSQL server; it has to be there.
+    /// Connects to an existing PostgreSQL database.
     pub async fn to_server(url: &PostgresUrl) -> Result<Self, StoreError> {
         install_default_drivers();
         let options = AnyConnectOptions::from_str(url.with_password())?;
@@ -181,17 +181,17 @@ impl Engine {
         }
     }
 
-    /// Begins a transaction that writes and that nobody else writes beside, whoever else uses the
-    /// database.
+    /// Begins a write transaction, and waits until no other process has one.
     pub const fn begin(self) -> &'static str {
         match self {
             Self::Sqlite => "BEGIN IMMEDIATE",
-            // The number is ours alone in this database; the lock goes with the transaction.
+            // No other user of this database may use this number. The lock ends with the
+            // transaction.
             Self::Postgres => "BEGIN; SELECT pg_advisory_xact_lock(7313052)",
         }
     }
 
-    /// Seconds of Unix time by the database's own clock: those of its users may differ.
+    /// Seconds of Unix time by the database's clock: the clocks of its clients may differ.
     pub const fn clock(self) -> &'static str {
         match self {
             Self::Sqlite => "unixepoch('subsec')",
@@ -199,7 +199,7 @@ impl Engine {
         }
     }
 
-    /// A join that begins with its left side, whatever the planner thinks.
+    /// A join that starts with its left side, whatever the query planner prefers.
     pub const fn in_this_order(self) -> &'static str {
         match self {
             Self::Sqlite => "CROSS JOIN",
@@ -207,7 +207,7 @@ impl Engine {
         }
     }
 
-    /// The condition that a field of a column's JSON is there.
+    /// A condition: the JSON in a column has a field.
     pub fn has_field(self, column: &str, field: &str) -> String {
         match self {
             Self::Sqlite => format!("json_extract({column}, '$.{field}') IS NOT NULL"),
@@ -215,7 +215,7 @@ impl Engine {
         }
     }
 
-    /// A number in a column's JSON, 0 where it is not there.
+    /// A number in a column's JSON, or 0 if it is missing.
     pub fn number_in(self, column: &str, field: &str) -> String {
         match self {
             Self::Sqlite => format!("coalesce(json_extract({column}, '$.{field}'), 0)"),
@@ -223,7 +223,7 @@ impl Engine {
         }
     }
 
-    /// Rows of one column, `value`, from a JSON list of texts.
+    /// A table expression with one column, `value`, from a JSON list of texts.
     pub fn values_of(self, list: &str) -> String {
         match self {
             Self::Sqlite => format!("(SELECT value FROM json_each({list}))"),
@@ -233,7 +233,7 @@ impl Engine {
         }
     }
 
-    /// The condition that a column's JSON object of texts has all that another has.
+    /// A condition: a column's JSON object of texts contains all entries of another one.
     pub fn contains(self, column: &str, other: &str) -> String {
         match self {
             Self::Sqlite => format!(
@@ -244,7 +244,8 @@ impl Engine {
         }
     }
 
-    /// What lets every end of a job be noted among the announcements, as one with the end itself.
+    /// Statements that create the trigger for webhook deliveries: every finished job gets a row in
+    /// `announcements`, in the same transaction.
     pub const fn note_ends(self) -> &'static [&'static str] {
         match self {
             Self::Sqlite => &["CREATE TRIGGER IF NOT EXISTS jobs_that_end AFTER UPDATE OF state ON jobs
@@ -260,7 +261,7 @@ impl Engine {
         }
     }
 
-    /// What undoes [`note_ends`](Self::note_ends).
+    /// The statement that removes the trigger of [`note_ends`](Self::note_ends).
     pub const fn note_no_ends(self) -> &'static str {
         match self {
             Self::Sqlite => "DROP TRIGGER IF EXISTS jobs_that_end",
@@ -268,7 +269,7 @@ impl Engine {
         }
     }
 
-    /// Names of all tables.
+    /// The query for the names of all tables.
     pub const fn tables(self) -> &'static str {
         match self {
             Self::Sqlite => "SELECT name FROM sqlite_schema WHERE type = 'table' ORDER BY name",
@@ -278,7 +279,7 @@ impl Engine {
         }
     }
 
-    /// Columns of a table that are written, with their types; not those that are made of others.
+    /// The query for names and types of a table's columns, without generated columns.
     pub const fn columns(self) -> &'static str {
         match self {
             Self::Sqlite => "SELECT name, lower(type) FROM pragma_table_xinfo($1) WHERE hidden = 0 ORDER BY cid",
@@ -289,7 +290,7 @@ impl Engine {
         }
     }
 
-    /// What lets the statements of a connection take as long as they need.
+    /// Statements that disable the statement timeout of a connection.
     pub const fn disable_timeout(self) -> &'static [&'static str] {
         match self {
             Self::Sqlite => &[],
@@ -297,8 +298,8 @@ impl Engine {
         }
     }
 
-    /// What writes the log of changes into the database and gives the log's room back to the disk;
-    /// PostgreSQL does that by itself.
+    /// Statements that checkpoint the write-ahead log and return its space to the disk. PostgreSQL
+    /// does that by itself.
     pub const fn truncate_log(self) -> &'static [&'static str] {
         match self {
             Self::Sqlite => &["PRAGMA wal_checkpoint(TRUNCATE)"],
@@ -306,8 +307,8 @@ impl Engine {
         }
     }
 
-    /// What tells how many bytes removed rows have left in the database; PostgreSQL uses them again
-    /// and tells nobody.
+    /// The query for the bytes that removed rows left unused. PostgreSQL reuses them and does not
+    /// report their number.
     pub const fn unused_bytes(self) -> Option<&'static str> {
         match self {
             Self::Sqlite => Some(
@@ -317,7 +318,8 @@ impl Engine {
         }
     }
 
-    /// What gives the room of removed rows back to the disk; PostgreSQL does that by itself.
+    /// Statements that return the space of removed rows to the disk. PostgreSQL does that by
+    /// itself.
     pub const fn compact(self) -> &'static [&'static str] {
         match self {
             Self::Sqlite => &["VACUUM", "PRAGMA wal_checkpoint(TRUNCATE)"],
@@ -326,19 +328,19 @@ impl Engine {
     }
 }
 
-/// Conditions that are told one by one, with the texts they compare with.
+/// A WHERE clause that is built one condition at a time, with its text parameters.
 pub(super) struct SqlFilter {
     sql: String,
     values: Vec<String>,
 }
 
 impl SqlFilter {
-    /// Behind `sql`, which ends in a condition.
+    /// Appends conditions to `sql`, which must end in a condition.
     pub fn behind(sql: impl Into<String>) -> Self {
         Self { sql: sql.into(), values: Vec::new() }
     }
 
-    /// Adds a condition like `id <`, where there is a value.
+    /// Adds a condition like `id <`, if there is a value.
     pub fn and(&mut self, condition: &str, value: Option<impl Into<String>>) {
         if let Some(value) = value {
             self.values.push(value.into());
@@ -346,7 +348,7 @@ impl SqlFilter {
         }
     }
 
-    /// The first rows in an order.
+    /// Returns the first rows in an order.
     pub async fn first<R>(
         self,
         order: &str,
@@ -365,12 +367,12 @@ impl SqlFilter {
     }
 }
 
-/// Text from elsewhere as every database takes it: PostgreSQL knows no NUL.
+/// Replaces NUL characters, which PostgreSQL cannot store.
 pub(super) fn without_nul(text: &str) -> std::borrow::Cow<'_, str> {
     if text.contains('\0') { text.replace('\0', "\u{fffd}").into() } else { text.into() }
 }
 
-/// A number that is never negative, as both databases keep it.
+/// Converts a stored number that is never negative.
 pub(super) fn number<T: TryFrom<i64>>(kept: i64) -> sqlx::Result<T>
 where
     T::Error: std::error::Error + Send + Sync + 'static,
@@ -378,27 +380,26 @@ where
     T::try_from(kept).map_err(|error| sqlx::Error::Decode(error.into()))
 }
 
-/// The database of a store, as its repositories use it. Cheap to clone.
-#[derive(Clone)]
+/// The database of a store, shared by its repositories.
 pub struct Database {
     pub(super) reader: AnyPool,
     pub(super) writer: Writer,
     pub(super) engine: Engine,
     pub(super) ids: IdGenerator,
     pub(super) members: ClusterMembership,
-    /// PostgreSQL's server, where the database is one of its.
+    /// The PostgreSQL server, if the database is PostgreSQL.
     pub(super) server: Option<PostgresUrl>,
 }
 
 impl Database {
-    /// An id for something new, greater than all before it.
+    /// Returns a new id, greater than all before it.
     #[must_use]
     pub fn new_id(&self) -> String {
         self.ids.new_id()
     }
 
-    /// Gives the room that the database's log takes back to the disk. Rows that were removed leave
-    /// room in the database, for others.
+    /// Checkpoints the write-ahead log and returns its space to the disk. The space of removed rows
+    /// stays in the database and is reused.
     ///
     /// # Errors
     /// [`StoreError::Database`].

@@ -1,4 +1,4 @@
-//! Scenes that grow: another content for the same scene, and what changed in it.
+//! Scenes that grow: new content for an existing scene, and what changed in it.
 
 use super::database::number;
 use super::scenes::{add_job, made_by_key};
@@ -10,40 +10,40 @@ use camino::Utf8PathBuf;
 use uniground_types::changes::Changes;
 use uniground_types::corrections::Correction;
 
-/// A scene about to grow. Its new content's blob is in place.
+/// Growth of a scene. Its new content's blob is in place.
 pub struct SceneGrowth<'a> {
     pub scene_id: &'a str,
-    /// What it is made of so far: who was faster has made it another.
+    /// Its previous content. The growth is rejected if a concurrent one has changed it.
     pub from_content: &'a str,
     pub content_hash: &'a str,
     pub content_bytes: u64,
-    /// An idempotency key, and what identifies the request that came with it.
+    /// An idempotency key, and the hash of the request that came with it.
     pub key: Option<(&'a str, &'a str)>,
     pub job: NewJob<'a>,
 }
 
-/// What came of it.
+/// The result of growing a scene.
 pub enum GrowthOutcome {
     Now(SceneRow, Box<JobRow>),
-    /// The scene is gone, or has another content by now.
+    /// The scene was deleted, or has another content.
     Overtaken,
-    /// The same key asked for the same before.
+    /// The same request was made earlier under this key.
     Before(SceneRow),
     /// The key was used for another request.
     KeyReused,
 }
 
-/// What a parse takes over from the one before it.
+/// What a parse takes over from the previous one.
 pub struct ContinuedParse<'a> {
     pub scene_id: &'a str,
     pub from_parse: &'a str,
     pub changes: &'a Changes,
-    /// What people have said, as far as what it is about is still there.
+    /// Corrections whose instances still exist.
     pub corrections: &'a [Correction],
 }
 
 impl SceneRepository {
-    /// Gives a scene another content and the job that parses it, as one.
+    /// Gives a scene new content and the job that parses it, in one transaction.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -98,7 +98,7 @@ impl SceneRepository {
         Ok(GrowthOutcome::Now(scene, Box::new(job)))
     }
 
-    /// What changed from one version of a scene to the next, for the versions after `since`, in
+    /// Returns the changes from each version of a scene to the next, for versions after `since`, in
     /// order.
     ///
     /// # Errors
@@ -121,7 +121,7 @@ impl SceneRepository {
 }
 
 impl ContentRepository {
-    /// Contents that a scene has outgrown: neither a scene nor a parse is of them any more.
+    /// Returns contents that scenes have outgrown: no scene and no parse refers to them.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -133,7 +133,7 @@ impl ContentRepository {
             .await?)
     }
 
-    /// Removes the row of a content if it is outgrown; its folders, for the caller to remove.
+    /// Removes the row of an outgrown content. Returns its folders, which the caller must remove.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -148,13 +148,13 @@ impl ContentRepository {
         })
     }
 
-    /// Removes the row of a content if it is outgrown; whether it was.
+    /// Removes the row of an outgrown content. Returns whether it was outgrown.
     pub(super) async fn remove_outgrown_row(
         &self,
         tx: &mut Transaction,
         hash: &str,
     ) -> Result<bool, StoreError> {
-        // What has grown from it has then grown from what it had grown from.
+        // Link the contents that grew from this one to its own predecessor.
         let bridge = format!(
             "UPDATE contents SET grown_from = (SELECT grown_from FROM contents WHERE hash = $1)
              WHERE grown_from = $1 AND EXISTS (SELECT 1 FROM contents WHERE hash = $1 AND {OUTGROWN})"
@@ -169,8 +169,8 @@ impl ContentRepository {
             > 0)
     }
 
-    /// Removes the rows of a content that no scene has any more, those of what it has grown from,
-    /// and their parses; the folders of all of them.
+    /// Removes the rows of a content without scenes, the contents it grew from, and their parses.
+    /// Returns the folders of all of them.
     pub(super) async fn remove_content(
         &self,
         tx: &mut Transaction,
@@ -203,7 +203,7 @@ impl ContentRepository {
 }
 
 impl ParseRepository {
-    /// Notes what a parse takes over.
+    /// Copies what a parse takes over from the previous one.
     pub(super) async fn continue_parse(
         &self,
         tx: &mut Transaction,
@@ -232,7 +232,7 @@ impl ParseRepository {
                 .execute(&mut **tx)
                 .await?;
         }
-        // What a model called things that are still there.
+        // Copy the model's names of instances that still exist.
         let gone = self.database.engine.has_field("body", "gone");
         let sql = format!(
             "INSERT INTO instance_names (parse_id, model, prompt_version, instance_id, name, created_at)
@@ -253,8 +253,8 @@ pub(super) const OUTGROWN: &str =
     "NOT EXISTS (SELECT 1 FROM scenes WHERE content_hash = contents.hash)
                         AND NOT EXISTS (SELECT 1 FROM parses WHERE content_hash = contents.hash)";
 
-/// Gives the changes that led to a scene's new version their number, where they began with the
-/// parse it had.
+/// Assigns the number of a scene's new version to its changes, if they start at the scene's
+/// previous parse.
 pub(super) async fn number_changes(
     tx: &mut Transaction,
     scene_id: &str,

@@ -1,33 +1,33 @@
-//! Whether what is stored can be read and written now.
+//! Health checks of the store.
 
 use super::data_folder::DataFolder;
 use super::database::{Database, Engine};
 use super::{Blobs, IntegrityRepository, StoreError};
 use std::io;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
 use uniground_models::with_causes;
 
-/// How each part of the store is.
+/// The health of each part of the store.
 #[derive(Debug, Clone, Default)]
 pub struct StoreHealth {
-    /// Why the database can not be read or written, if so.
+    /// Why the database cannot be read or written, if so.
     pub database: Option<String>,
-    /// Whether its file is damaged: what can not be read now will not be read later.
+    /// Whether its file is damaged, so that a retry cannot succeed.
     pub is_damaged: bool,
-    /// Why the blob folder can not be read, or the object store in its place can not be had, if
-    /// so.
+    /// Why the blob folder cannot be read, or the object store cannot be used, if so.
     pub blobs: Option<String>,
-    /// Why the disk takes no more, if so.
+    /// Why nothing can be written to the disk, if so.
     pub disk: Option<String>,
 }
 
-/// A database that takes longer is not ready.
+/// Timeout after which the database counts as not ready.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// With less room, uploads are bound to fail.
+/// With less free space, uploads are bound to fail.
 const LEAST_FREE_BYTES: u64 = 64 << 20;
-/// Tables that are read, and the column their rows are ordered by.
+/// Tables to read, with the column that orders their rows.
 const TABLES: [(&str, &str); 8] = [
     ("contents", "hash"),
     ("parses", "id"),
@@ -39,19 +39,19 @@ const TABLES: [(&str, &str); 8] = [
     ("audit", "id"),
 ];
 
-/// Checks whether the store can be read and written now.
+/// Checks whether the store can be read and written.
 #[derive(Clone)]
 pub struct HealthProbe {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
     pub(super) blobs: Blobs,
     pub(super) folder: DataFolder,
 }
 
 impl HealthProbe {
-    /// Tries everything a request may need: a write, a read, room on the disk.
+    /// Tries everything a request may need: a write, a read, free disk space.
     pub async fn health(&self) -> StoreHealth {
         let written = timeout(PATIENCE, self.write_something()).await;
-        // Readers that are all at work are no trouble.
+        // If all readers are busy, that is no failure.
         let read = timeout(PATIENCE, self.read_something()).await.unwrap_or(Ok(()));
         let is_damaged =
             [read.as_ref().err(), written.as_ref().ok().and_then(|written| written.as_ref().err())]
@@ -93,7 +93,7 @@ impl HealthProbe {
         }
     }
 
-    /// Bytes that may still be written.
+    /// Returns the free disk space, bytes.
     ///
     /// # Errors
     /// [`StoreError::Blobs`].
@@ -113,12 +113,11 @@ impl HealthProbe {
         let mut connection = self.database.reader.acquire().await?;
         let columns = match self.database.engine {
             Engine::Sqlite => {
-                // The pages that this connection keeps in memory may be all that is left of the
-                // file.
+                // Drop the connection's page cache, which could hide that the file is gone.
                 sqlx::query("PRAGMA shrink_memory").execute(&mut *connection).await?;
                 "*"
             }
-            // PostgreSQL has types that are not read here.
+            // PostgreSQL has column types that cannot be decoded here.
             Engine::Postgres => "1",
         };
         for (table, key) in TABLES {
@@ -134,8 +133,8 @@ impl HealthProbe {
 }
 
 impl IntegrityRepository {
-    /// What SQLite finds wrong with the database; nothing where all is well. PostgreSQL checks its
-    /// own pages. Foreign keys: [`broken_references`](Self::broken_references).
+    /// Returns the problems that SQLite finds in the database; empty if it is intact. PostgreSQL
+    /// checks its own pages. For foreign keys see [`broken_references`](Self::broken_references).
     ///
     /// # Errors
     /// [`StoreError::Database`].

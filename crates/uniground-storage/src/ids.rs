@@ -1,26 +1,27 @@
-//! Ids in order of time, also where the clock is set back.
+//! Time-ordered ids, also when the clock is set back.
 
 use jiff::Timestamp;
 use std::sync::{Arc, Mutex, PoisonError};
 use uuid::{ContextV7, Uuid};
 
-/// Makes UUIDv7 ids, each greater than all before it. Clones share the order.
+/// Generates UUIDv7 ids, each greater than all before it. Clones share the order.
 #[derive(Clone)]
 pub struct IdGenerator(Arc<Mutex<ContextV7>>);
 
 impl IdGenerator {
-    /// An id for something new, greater than all before it.
+    /// Returns a new id, greater than all before it.
     #[must_use]
     pub fn new_id(&self) -> String {
         self.at(Timestamp::now())
     }
 
-    /// Goes on after `newest`, the greatest id there is.
+    /// Creates a generator that continues after `newest`, the greatest existing id.
+    #[must_use]
     pub fn after(newest: Option<&str>) -> Self {
         let context = ContextV7::new();
         let last = newest.and_then(|id| id.parse::<Uuid>().ok()).and_then(|id| id.get_timestamp());
         if let Some((seconds, nanos)) = last.map(|last| last.to_unix()) {
-            // The millisecond after: which of its own ids came last is not known here.
+            // Start with the next millisecond: the counter within the last one is not known.
             let (seconds, nanos) =
                 if nanos < 999_000_000 { (seconds, nanos + 1_000_000) } else { (seconds + 1, 0) };
             let _ = uuid::Timestamp::from_unix(&context, seconds, nanos);
@@ -38,7 +39,7 @@ impl IdGenerator {
     }
 }
 
-/// The first id that could have been given at a time: ids before it are older.
+/// Returns the first id that could have been assigned at a time. Smaller ids are older.
 #[must_use]
 pub fn first_id_at(time: Timestamp) -> String {
     let millis = u64::try_from(time.as_millisecond()).unwrap_or(0);
@@ -56,7 +57,7 @@ mod tests {
         let ids = IdGenerator::after(None);
         let made: Vec<String> = [day, day, hour, hour].map(|time| ids.at(time)).into();
         assert!(made.is_sorted() && made[0] < made[3], "{made:?}");
-        // Nor does one that is set back while the server is down.
+        // The same holds if the clock is set back while the server is down.
         let later = IdGenerator::after(Some(&made[3])).at(hour);
         assert!(later > made[3], "{later} after {made:?}");
     }

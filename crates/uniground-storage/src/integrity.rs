@@ -1,12 +1,13 @@
-//! Foreign keys of SQLite's database: which rows refer to rows that do not exist, and their repair.
-//! PostgreSQL enforces its own.
+//! Foreign keys of a SQLite database: finds rows that refer to missing rows, and repairs them.
+//! PostgreSQL enforces its foreign keys itself.
 
 use super::StoreError;
 use super::database::{Database, Engine};
 use super::writer::Transaction;
 use sqlx::AssertSqlSafe;
+use std::sync::Arc;
 
-/// Rows of a table that refer to rows which do not exist.
+/// Rows of a table that refer to missing rows.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BrokenReference {
     pub table: String,
@@ -21,18 +22,18 @@ pub struct BrokenReference {
     pub rows: u64,
 }
 
-/// Removing a row may leave other rows without theirs: one round for each table of the longest
-/// chain is more than enough.
+/// Removing a row may break references of other rows. This allows one round for each table of the
+/// longest chain, and more.
 const MAX_ROUNDS: usize = 8;
 
 /// Checks and repairs the consistency of the database.
 #[derive(Clone)]
 pub struct IntegrityRepository {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
 }
 
 impl IntegrityRepository {
-    /// Foreign keys that point to rows which do not exist; none where the database is whole.
+    /// Finds foreign keys that point to missing rows; empty if the database is intact.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -46,8 +47,8 @@ impl IntegrityRepository {
         Ok(broken)
     }
 
-    /// Clears optional references to rows that do not exist and removes rows whose required
-    /// reference is broken, in one transaction. Returns the scenes that lost their parse.
+    /// Clears optional references to missing rows, and removes rows whose required reference is
+    /// broken, in one transaction. Returns the scenes that lost their parse.
     ///
     /// # Errors
     /// [`StoreError::Database`]; then nothing has changed.
@@ -59,8 +60,7 @@ impl IntegrityRepository {
         let unparsed = "SELECT id FROM scenes WHERE parse_id IS NOT NULL AND NOT EXISTS (SELECT 1 FROM parses WHERE id = scenes.parse_id)
                         AND EXISTS (SELECT 1 FROM contents WHERE hash = scenes.content_hash)";
         let unparsed: Vec<String> = sqlx::query_scalar(unparsed).fetch_all(&mut *tx).await?;
-        // The statements themselves leave rows without theirs for a while: the references hold
-        // again at the commit.
+        // The statements break references temporarily; all of them hold again at the commit.
         sqlx::query("PRAGMA defer_foreign_keys = ON").execute(&mut *tx).await?;
         for _ in 0..MAX_ROUNDS {
             let broken = broken_in(&mut tx).await?;
@@ -77,7 +77,7 @@ impl IntegrityRepository {
 }
 
 impl BrokenReference {
-    /// Names come from the schema, not from anybody's input.
+    /// Names come from the schema, never from input.
     fn repair(&self) -> String {
         let Self { table, column, parent, parent_key, is_optional, .. } = self;
         let broken = format!(

@@ -1,14 +1,15 @@
-//! The durable side of the job queue.
+//! Rows of the job queue.
 
 use super::database::{Database, SqlFilter, number, without_nul};
 use super::{StoreError, first_id_at, now};
 use jiff::Timestamp;
 use sqlx::any::AnyRow;
 use sqlx::{AnyConnection, FromRow, Row};
+use std::sync::Arc;
 use std::time::Duration;
 pub use uniground_types::job::JobState;
 
-/// A job as stored.
+/// A job as stored in the database.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JobRow {
     pub id: String,
@@ -19,11 +20,11 @@ pub struct JobRow {
     pub stage: Option<String>,
     pub progress: f64,
     pub attempts: i64,
-    /// In a row, in ways that may pass, without getting further.
+    /// Transient failures in a row without further progress.
     pub failures: u32,
-    /// How far an earlier attempt got.
+    /// The furthest progress of any earlier attempt.
     pub furthest: f64,
-    /// The member at work on it, while it is running.
+    /// The member that holds the lease, while the job is running.
     pub holder: Option<String>,
     pub message: Option<String>,
     pub error_code: Option<String>,
@@ -61,23 +62,23 @@ fn state(word: String) -> sqlx::Result<JobState> {
     JobState::try_from(word).map_err(|error| sqlx::Error::Decode(error.into()))
 }
 
-/// A running job in somebody's hands. Whatever is written down of it says so: once it was given to
-/// somebody else, nothing is.
+/// A lease on a running job. Every write of a worker names its lease; once the lease has passed to
+/// another worker, the write is refused.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct JobLease {
     pub job_id: String,
-    /// The member that took it.
+    /// The member that claimed the job.
     holder: String,
 }
 
 impl JobLease {
-    /// That of a job that was just taken.
+    /// Returns the lease of a job that was just claimed.
     #[must_use]
     pub fn of(job: &JobRow) -> Self {
         Self { job_id: job.id.clone(), holder: job.holder.clone().unwrap_or_default() }
     }
 
-    /// Whether the job is still in these hands, as far as this transaction goes.
+    /// Checks within this transaction that the lease is still held.
     pub(super) async fn check(&self, tx: &mut AnyConnection) -> Result<(), StoreError> {
         let sql = "SELECT count(*) FROM jobs WHERE id = $1 AND holder = $2 AND state = 'running'";
         let held: i64 =
@@ -86,30 +87,30 @@ impl JobLease {
     }
 }
 
-/// Which jobs are wanted; what is not said is any.
+/// Which jobs to list. An empty field matches every job.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct JobFilter {
     pub kind: Option<String>,
     pub state: Option<JobState>,
-    /// What it works on: a scene, or a batch.
+    /// The id of the scene or batch that the job works on.
     pub subject: Option<String>,
 }
 
-/// Jobs that wait.
+/// Numbers of queued jobs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct QueueLengths {
     pub all: u32,
-    /// Of these, one key's.
+    /// Queued jobs of one API key, contained in `all`.
     pub of_key: u32,
 }
 
-/// A job about to be recorded.
+/// A job to be inserted.
 pub struct NewJob<'a> {
     pub kind: &'a str,
     pub payload: &'a str,
-    /// Who asked for it.
+    /// The API key that requested it.
     pub key_id: Option<&'a str>,
-    /// The parse that was there already, and a sentence about that.
+    /// The existing parse that is the job's result, and a message about that.
     pub done: Option<(&'a str, &'a str)>,
 }
 
@@ -130,7 +131,7 @@ pub(super) async fn insert(
     Ok(row.fetch_one(connection).await?)
 }
 
-/// Records a job whose result was there already.
+/// Inserts a job whose result exists already.
 pub(super) async fn insert_done(
     connection: &mut AnyConnection,
     id: &str,
@@ -151,26 +152,27 @@ pub(super) async fn insert_done(
     Ok(row.fetch_one(connection).await?)
 }
 
-/// How jobs that were interrupted are taken up again.
+/// How interrupted jobs are retried.
 #[derive(Debug, Clone, Copy)]
 pub struct JobRecovery {
-    /// Interruptions in a row, without getting further than before, after which a job fails.
+    /// Interruptions in a row without further progress after which a job fails.
     pub give_up_after: u32,
-    /// As many are taken up at once; from then on it waits, twice as long each time.
+    /// Number of interruptions that are retried without delay. After that the delay doubles each
+    /// time.
     pub at_once: u32,
-    /// The first wait.
+    /// The first delay.
     pub wait: Duration,
 }
 
-/// How often a worker that was overtaken looks for another job before it waits.
+/// How often a worker that lost the race for a job tries another one before it waits.
 const TRIES_TO_CLAIM: u32 = 8;
-/// A wait beyond this is none: the clock was set back since it was written down.
+/// A longer delay is ignored: the clock was set back since it was stored.
 const LONGEST_WAIT: Duration = Duration::from_hours(2);
 
-/// Rows of background jobs.
+/// Repository of background jobs.
 #[derive(Clone)]
 pub struct JobRepository {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
 }
 
 impl JobRepository {
@@ -192,7 +194,7 @@ impl JobRepository {
             .await?)
     }
 
-    /// Jobs newest first, those before `cursor` (an id) only.
+    /// Returns jobs, newest first; with a `cursor` (an id) only those before it.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -211,7 +213,7 @@ impl JobRepository {
         which.first("id DESC", limit, &self.database.reader).await
     }
 
-    /// Jobs of a kind that wait.
+    /// Counts the queued jobs of a kind.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -227,7 +229,7 @@ impl JobRepository {
         Ok(QueueLengths { all: number(all)?, of_key: number(of_key)? })
     }
 
-    /// Jobs of a kind that wait and were asked for before another.
+    /// Counts the jobs of a kind that were queued before this one and still wait.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -238,8 +240,7 @@ impl JobRepository {
         )?)
     }
 
-    /// How many jobs of a kind were done lately: those asked for within `lately` that have come to
-    /// their end since then.
+    /// Counts the jobs of a kind that were created within the last `lately` and have finished.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -253,9 +254,10 @@ impl JobRepository {
         Ok(number(done.await?)?)
     }
 
-    /// Takes a queued job of a kind that is due: of the key whose last turn is longest ago, so that
-    /// nobody waits behind all jobs of one other; of that key the oldest. One UPDATE, so no two
-    /// workers get the same. `None` also when somebody was faster.
+    /// Claims a queued job of a kind that is due. Takes the oldest job of the API key that was
+    /// served least recently, so that no key waits behind all jobs of another one. A single UPDATE
+    /// claims it, so no two workers get the same job. Returns `None` also when other workers were
+    /// faster.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -265,11 +267,11 @@ impl JobRepository {
                    ELSE (SELECT max(started_at) FROM jobs WHERE kind = $1 AND key_id = due.key_id) END NULLS FIRST, id LIMIT 1";
         let (time, too_late) = (now(), after(LONGEST_WAIT));
         for _ in 0..TRIES_TO_CLAIM {
-            // Looked for among the readers first: a queue that is empty writes nothing.
+            // Search with a reader first: polling an empty queue then writes nothing.
             let id = sqlx::query_scalar(due).bind(kind).bind(&time).bind(&too_late);
             let id: Option<String> = id.fetch_optional(&self.database.reader).await?;
             let Some(id) = id else { return Ok(None) };
-            // Where somebody was faster there may be another.
+            // Another worker was faster. There may be a further job.
             if let Some(job) = self.take_job(&id, &time).await? {
                 return Ok(Some(job));
             }
@@ -278,7 +280,8 @@ impl JobRepository {
     }
 
     async fn take_job(&self, id: &str, time: &str) -> Result<Option<JobRow>, StoreError> {
-        // Who is no member any more takes nothing: it would be taken from him at once.
+        // A process that was removed from the cluster claims nothing: it would lose the job at
+        // once.
         let sql = "UPDATE jobs SET state = 'running', attempts = attempts + 1, started_at = $1, stage = NULL, progress = 0, holder = $3
                    WHERE id = $2 AND state = 'queued' AND EXISTS (SELECT 1 FROM members WHERE id = $3) RETURNING *";
         let claim =
@@ -286,7 +289,7 @@ impl JobRepository {
         Ok(claim.fetch_optional(self.database.writer.pool()).await?)
     }
 
-    /// Notes how far a job is; whether somebody wants it to stop.
+    /// Stores the progress of a job. Returns whether cancellation was requested.
     ///
     /// # Errors
     /// [`StoreError::NotHeld`], [`StoreError::Database`].
@@ -307,7 +310,7 @@ impl JobRepository {
         Ok(wished != 0)
     }
 
-    /// Ends a job that somebody has had in hands; what ended it first stays.
+    /// Finishes a job under its lease. Fails if the job is already finished.
     ///
     /// # Errors
     /// [`StoreError::NotHeld`], [`StoreError::Database`].
@@ -322,7 +325,7 @@ impl JobRepository {
         if ended { Ok(()) } else { Err(StoreError::NotHeld) }
     }
 
-    /// Ends a job that is not over yet, whoever has it in hands.
+    /// Finishes a job that is queued or running, whoever holds its lease.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -336,7 +339,8 @@ impl JobRepository {
         Ok(())
     }
 
-    /// Ends a job, in somebody's hands or in anybody's; whether it was there to end.
+    /// Finishes a job: under this holder's lease, or without a lease in any open state. Returns
+    /// whether the job was open.
     async fn end_job(
         &self,
         id: &str,
@@ -364,7 +368,7 @@ impl JobRepository {
         Ok(ended.rows_affected() > 0)
     }
 
-    /// Cancels a job that no worker has taken; `false` when one has.
+    /// Cancels a queued job. Returns `false` when a worker has already claimed it.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -379,7 +383,7 @@ impl JobRepository {
             > 0)
     }
 
-    /// Jobs on a subject that are not over.
+    /// Returns the ids of the queued and running jobs of a subject.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -388,8 +392,8 @@ impl JobRepository {
         Ok(sqlx::query_scalar(sql).bind(subject).fetch_all(&self.database.reader).await?)
     }
 
-    /// Puts a running job back: its process stops, another goes on. A planned stop does not count
-    /// as an attempt.
+    /// Returns a running job to the queue because its process shuts down; another worker takes
+    /// over. A planned shutdown does not count as an attempt.
     ///
     /// # Errors
     /// [`StoreError::NotHeld`], [`StoreError::Database`].
@@ -404,8 +408,8 @@ impl JobRepository {
         if put_back.rows_affected() > 0 { Ok(()) } else { Err(StoreError::NotHeld) }
     }
 
-    /// Puts a running job back, to be tried again after a wait: it has failed so often in a row,
-    /// and got so far.
+    /// Returns a running job to the queue, to be retried after a delay. Stores its failures in a
+    /// row and its progress.
     ///
     /// # Errors
     /// [`StoreError::NotHeld`], [`StoreError::Database`].
@@ -429,7 +433,7 @@ impl JobRepository {
         if put_back.rows_affected() > 0 { Ok(()) } else { Err(StoreError::NotHeld) }
     }
 
-    /// Notes that a running job should stop.
+    /// Requests the cancellation of a job.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -440,7 +444,7 @@ impl JobRepository {
         Ok(())
     }
 
-    /// Whether somebody wants a job to stop.
+    /// Returns whether cancellation of a job was requested.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -453,7 +457,7 @@ impl JobRepository {
         Ok(wished.is_some_and(|wished| wished != 0))
     }
 
-    /// Jobs that are not over: id and kind.
+    /// Returns id and kind of every queued or running job.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -462,7 +466,7 @@ impl JobRepository {
         Ok(sqlx::query_as(sql).fetch_all(&self.database.reader).await?)
     }
 
-    /// Jobs that are not over though their scene is gone: id and subject.
+    /// Returns id and subject of every queued or running job whose scene is deleted.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -471,7 +475,7 @@ impl JobRepository {
         Ok(sqlx::query_as(sql).fetch_all(&self.database.reader).await?)
     }
 
-    /// Ends a job whose scene is gone.
+    /// Cancels a job whose scene is deleted.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -479,16 +483,16 @@ impl JobRepository {
         self.finish_open_job(id, JobState::Cancelled, None).await
     }
 
-    /// Jobs of a kind that were left running by members that are gone end as they were asked to, or
-    /// go back to their queue. One that got further than ever before starts to count anew; one
-    /// that did not waits longer each time, and fails in the end: it may be what stops
-    /// its process.
+    /// Recovers the running jobs of a kind whose process is gone. Jobs with a cancellation request
+    /// are cancelled, the others return to the queue. A job that got further than ever before
+    /// starts to count its interruptions anew. One that did not waits longer each time and fails in
+    /// the end: it may be what kills its process.
     ///
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn recover_jobs(&self, kind: &str, recovery: JobRecovery) -> Result<(), StoreError> {
         const LEFT: &str = "kind = $1 AND state = 'running' AND (holder IS NULL OR holder NOT IN (SELECT id FROM members))";
-        // Looked for among the readers first: where nobody is gone, nothing is written.
+        // Search with a reader first: if no process is gone, nothing is written.
         let left = format!("SELECT count(*) FROM jobs WHERE {LEFT}");
         let left: i64 = sqlx::query_scalar(sqlx::AssertSqlSafe(left))
             .bind(kind)
@@ -539,8 +543,632 @@ impl JobRepository {
     }
 }
 
-/// The time after a wait, as stored.
+/// Returns the time after a delay, in the format of the database.
 pub(super) fn after(wait: Duration) -> String {
     let wait = jiff::SignedDuration::try_from(wait).unwrap_or_default();
     Timestamp::now().checked_add(wait).unwrap_or(Timestamp::MAX).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{BlobHome, Location, Store};
+    use super::*;
+    use camino::Utf8Path;
+
+    const KIND: &str = "parse";
+
+    async fn store(folder: &tempfile::TempDir) -> Store {
+        let path = Utf8Path::from_path(folder.path()).unwrap();
+        Store::open(path, &Location::Folder, &BlobHome::Folder).await.unwrap()
+    }
+
+    fn new<'a>(kind: &'a str, key_id: Option<&'a str>) -> NewJob<'a> {
+        NewJob { kind, payload: "{}", key_id, done: None }
+    }
+
+    async fn insert_one(jobs: &JobRepository) -> String {
+        jobs.insert_job("s", &new(KIND, None)).await.unwrap().id
+    }
+
+    async fn claim(jobs: &JobRepository) -> JobRow {
+        jobs.claim_job(KIND).await.unwrap().unwrap()
+    }
+
+    async fn row(jobs: &JobRepository, id: &str) -> JobRow {
+        jobs.job(id).await.unwrap().unwrap()
+    }
+
+    /// Changes a job behind the repository's back.
+    async fn set(store: &Store, id: &str, what: &str) {
+        let sql = format!("UPDATE jobs SET {what} WHERE id = $1");
+        let changed = sqlx::query(sqlx::AssertSqlSafe(sql))
+            .bind(id)
+            .execute(store.database.writer.pool())
+            .await
+            .unwrap();
+        assert_eq!(changed.rows_affected(), 1, "{what}");
+    }
+
+    /// When a job is due, and how often it was interrupted in a row.
+    async fn due(store: &Store, id: &str) -> (Option<Timestamp>, i64) {
+        let sql = "SELECT not_before, interruptions FROM jobs WHERE id = $1";
+        let (due, interruptions): (Option<String>, i64) =
+            sqlx::query_as(sql).bind(id).fetch_one(&store.database.reader).await.unwrap();
+        (due.map(|due| due.parse().unwrap()), interruptions)
+    }
+
+    #[track_caller]
+    fn assert_not_held<T: std::fmt::Debug>(written: Result<T, StoreError>) {
+        assert!(matches!(written, Err(StoreError::NotHeld)), "{written:?}");
+    }
+
+    const RECOVERY: JobRecovery =
+        JobRecovery { give_up_after: 5, at_once: 2, wait: Duration::from_secs(100) };
+
+    #[tokio::test]
+    async fn a_job_is_stored_as_it_was_asked_for_and_waits() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = store(&folder).await.jobs;
+        let new = NewJob { kind: "parse", payload: "{\"a\":1}", key_id: Some("k"), done: None };
+        let before = Timestamp::now();
+        let inserted = jobs.insert_job("scene", &new).await.unwrap();
+        let created: Timestamp = inserted.created_at.parse().unwrap();
+        assert!((before..=Timestamp::now()).contains(&created), "{created}");
+        let expected = JobRow {
+            id: inserted.id.clone(),
+            kind: "parse".into(),
+            subject: "scene".into(),
+            payload: "{\"a\":1}".into(),
+            state: JobState::Queued,
+            stage: None,
+            progress: 0.0,
+            attempts: 0,
+            failures: 0,
+            furthest: 0.0,
+            holder: None,
+            message: None,
+            error_code: None,
+            error: None,
+            created_at: inserted.created_at.clone(),
+            started_at: None,
+            finished_at: None,
+        };
+        assert_eq!(inserted, expected);
+        assert_eq!(jobs.job(&inserted.id).await.unwrap(), Some(expected));
+        assert_eq!(jobs.job("nobody's").await.unwrap(), None);
+    }
+
+    #[tokio::test]
+    async fn a_job_whose_result_was_there_is_done_from_the_start() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(&folder).await;
+        let mut tx = store.database.writer.begin().await.unwrap();
+        let done = insert_done(&mut tx, "j", "scene", &new(KIND, Some("k")), "it was there")
+            .await
+            .unwrap();
+        tx.commit().await.unwrap();
+        assert_eq!((done.state, done.progress, done.attempts), (JobState::Succeeded, 1.0, 0));
+        assert_eq!(done.message.as_deref(), Some("it was there"));
+        assert_eq!((done.id.as_str(), done.subject.as_str()), ("j", "scene"));
+        assert_eq!(
+            (&done.started_at, &done.finished_at),
+            (&Some(done.created_at.clone()), &Some(done.created_at.clone()))
+        );
+        assert_eq!(row(&store.jobs, "j").await, done);
+        assert_eq!(store.jobs.claim_job(KIND).await.unwrap(), None, "nothing is left to do");
+    }
+
+    #[tokio::test]
+    async fn jobs_are_listed_newest_first_as_far_as_they_are_wanted() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = store(&folder).await.jobs;
+        let mut ids = Vec::new();
+        for (kind, subject) in [("parse", "a"), ("naming", "a"), ("parse", "b"), ("parse", "a")] {
+            ids.push(jobs.insert_job(subject, &new(kind, None)).await.unwrap().id);
+        }
+        jobs.cancel_queued_job(&ids[3]).await.unwrap();
+        let listed = async |filter: JobFilter, limit, cursor: Option<&str>| {
+            let rows = jobs.jobs(&filter, limit, cursor).await.unwrap();
+            rows.iter()
+                .map(|row| ids.iter().position(|id| *id == row.id).unwrap())
+                .collect::<Vec<_>>()
+        };
+        let any = JobFilter::default;
+        assert_eq!(listed(any(), 9, None).await, [3, 2, 1, 0]);
+        assert_eq!(listed(any(), 2, None).await, [3, 2]);
+        assert_eq!(listed(any(), 9, Some(&ids[2])).await, [1, 0]);
+        let kind = JobFilter { kind: Some("parse".into()), ..any() };
+        assert_eq!(listed(kind.clone(), 9, None).await, [3, 2, 0]);
+        assert_eq!(listed(kind, 9, Some(&ids[3])).await, [2, 0]);
+        let subject = JobFilter { subject: Some("a".into()), ..any() };
+        assert_eq!(listed(subject.clone(), 9, None).await, [3, 1, 0]);
+        let state = JobFilter { state: Some(JobState::Queued), ..subject };
+        assert_eq!(listed(state, 9, None).await, [1, 0]);
+    }
+
+    #[tokio::test]
+    async fn waiting_jobs_are_counted_by_kind_and_by_key() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = store(&folder).await.jobs;
+        let mut ids = Vec::new();
+        for key_id in [Some("a"), Some("a"), Some("b"), None, Some("a")] {
+            ids.push(jobs.insert_job("s", &new(KIND, key_id)).await.unwrap().id);
+        }
+        jobs.insert_job("s", &new("naming", Some("a"))).await.unwrap();
+        let counted = async |kind, key_id| jobs.queued_jobs(kind, key_id).await.unwrap();
+        assert_eq!(counted(KIND, Some("a")).await, QueueLengths { all: 5, of_key: 3 });
+        assert_eq!(counted(KIND, Some("b")).await, QueueLengths { all: 5, of_key: 1 });
+        assert_eq!(counted(KIND, Some("c")).await, QueueLengths { all: 5, of_key: 0 });
+        assert_eq!(counted(KIND, None).await, QueueLengths { all: 5, of_key: 1 });
+        assert_eq!(counted("naming", None).await, QueueLengths { all: 1, of_key: 0 });
+        assert_eq!(counted("batch", None).await, QueueLengths { all: 0, of_key: 0 });
+        for (i, id) in ids.iter().enumerate() {
+            assert_eq!(jobs.jobs_ahead(KIND, id).await.unwrap(), i as u32);
+        }
+        assert_eq!(jobs.jobs_ahead("naming", &ids[4]).await.unwrap(), 0);
+        // One that is taken neither waits nor is ahead of anybody.
+        claim(&jobs).await;
+        assert_eq!(counted(KIND, Some("a")).await, QueueLengths { all: 4, of_key: 2 });
+        assert_eq!(jobs.jobs_ahead(KIND, &ids[4]).await.unwrap(), 3);
+    }
+
+    #[tokio::test]
+    async fn jobs_done_lately_are_those_that_ran_to_an_end_of_their_own() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(&folder).await;
+        let jobs = &store.jobs;
+        let (minutes, hours) = (Duration::from_mins(10), Duration::from_hours(2));
+        assert_eq!(jobs.done_lately(KIND, minutes).await.unwrap(), 0);
+        for state in [JobState::Succeeded, JobState::Failed, JobState::Cancelled] {
+            insert_one(jobs).await;
+            jobs.finish_job(&JobLease::of(&claim(jobs).await), state, None, None).await.unwrap();
+        }
+        // Running, waiting, and failed without ever having run.
+        insert_one(jobs).await;
+        claim(jobs).await;
+        insert_one(jobs).await;
+        let never = insert_one(jobs).await;
+        jobs.finish_open_job(&never, JobState::Failed, None).await.unwrap();
+        assert_eq!(jobs.done_lately(KIND, minutes).await.unwrap(), 2);
+        assert_eq!(jobs.done_lately("naming", minutes).await.unwrap(), 0);
+        // One that was asked for an hour ago.
+        let hour_ago = first_id_at(Timestamp::now().checked_sub(Duration::from_hours(1)).unwrap());
+        let old = insert_one(jobs).await;
+        let done = format!("id = '{hour_ago}', state = 'succeeded', attempts = 1");
+        set(&store, &old, &done).await;
+        assert_eq!(jobs.done_lately(KIND, minutes).await.unwrap(), 2);
+        assert_eq!(jobs.done_lately(KIND, hours).await.unwrap(), 3);
+    }
+
+    #[tokio::test]
+    async fn a_claimed_job_runs_in_one_pair_of_hands() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(&folder).await;
+        let jobs = &store.jobs;
+        assert_eq!(jobs.claim_job(KIND).await.unwrap(), None);
+        let (first, second) = (insert_one(jobs).await, insert_one(jobs).await);
+        set(&store, &first, "stage = 'masks', progress = 0.5, attempts = 2").await;
+        assert_eq!(jobs.claim_job("naming").await.unwrap(), None, "another kind");
+        let before = Timestamp::now();
+        let claimed = claim(jobs).await;
+        assert_eq!((&claimed.id, claimed.state), (&first, JobState::Running), "the oldest");
+        assert_eq!((claimed.attempts, claimed.progress, &claimed.stage), (3, 0.0, &None));
+        assert_eq!(claimed.holder.as_deref(), Some(&*store.database.members.id()));
+        let started: Timestamp = claimed.started_at.clone().unwrap().parse().unwrap();
+        assert!((before..=Timestamp::now()).contains(&started), "{started}");
+        assert_eq!(row(jobs, &first).await, claimed);
+        assert_eq!(claim(jobs).await.id, second);
+        assert_eq!(jobs.claim_job(KIND).await.unwrap(), None, "both are taken");
+        let hold = JobLease::of(&claimed);
+        assert_eq!((&hold.job_id, &hold.holder), (&first, &claimed.holder.unwrap()));
+    }
+
+    #[tokio::test]
+    async fn a_job_is_claimed_once_it_is_due() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(&folder).await;
+        let id = insert_one(&store.jobs).await;
+        let due_after = async |wait: &str| {
+            set(&store, &id, &format!("state = 'queued', not_before = '{wait}'")).await;
+            store.jobs.claim_job(KIND).await.unwrap().is_some()
+        };
+        assert!(!due_after(&after(Duration::from_mins(1))).await);
+        assert!(!due_after(&after(Duration::from_mins(119))).await);
+        let ago = Timestamp::now().checked_sub(Duration::from_mins(1)).unwrap();
+        assert!(due_after(&ago.to_string()).await);
+        // Nobody waits for longer than two hours: the clock was set back.
+        assert!(due_after(&after(Duration::from_mins(121))).await);
+    }
+
+    #[tokio::test]
+    async fn keys_take_turns_and_those_without_one_are_one_of_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = store(&folder).await.jobs;
+        for (subject, key_id) in [
+            ("a1", Some("a")),
+            ("a2", Some("a")),
+            ("none1", None),
+            ("none2", None),
+            ("b1", Some("b")),
+        ] {
+            jobs.insert_job(subject, &new(KIND, key_id)).await.unwrap();
+        }
+        let mut turns = Vec::new();
+        while let Some(job) = jobs.claim_job(KIND).await.unwrap() {
+            turns.push(job.subject);
+        }
+        assert_eq!(turns, ["a1", "none1", "b1", "a2", "none2"]);
+    }
+
+    #[tokio::test]
+    async fn who_is_no_member_any_more_takes_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(&folder).await;
+        let id = insert_one(&store.jobs).await;
+        sqlx::query("DELETE FROM members").execute(store.database.writer.pool()).await.unwrap();
+        assert_eq!(store.jobs.claim_job(KIND).await.unwrap(), None);
+        assert_eq!(row(&store.jobs, &id).await.state, JobState::Queued);
+        store.jobs.enter_as_new_process().await.unwrap();
+        assert_eq!(claim(&store.jobs).await.id, id);
+    }
+
+    #[tokio::test]
+    async fn progress_is_noted_and_tells_whether_somebody_wants_a_stop() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = store(&folder).await.jobs;
+        let id = insert_one(&jobs).await;
+        let hold = JobLease::of(&claim(&jobs).await);
+        assert!(!jobs.save_job_progress(&hold, "masks", 0.25).await.unwrap());
+        let noted = row(&jobs, &id).await;
+        assert_eq!((noted.stage.as_deref(), noted.progress), (Some("masks"), 0.25));
+        jobs.request_cancel(&id).await.unwrap();
+        assert!(jobs.save_job_progress(&hold, "merge", 0.5).await.unwrap());
+        let noted = row(&jobs, &id).await;
+        assert_eq!((noted.stage.as_deref(), noted.progress), (Some("merge"), 0.5));
+    }
+
+    #[tokio::test]
+    async fn a_wish_to_stop_is_noted_of_jobs_that_are_not_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = store(&folder).await.jobs;
+        let (running, waiting) = (insert_one(&jobs).await, insert_one(&jobs).await);
+        let hold = JobLease::of(&claim(&jobs).await);
+        let wished = async |id: &str| jobs.is_cancel_requested(id).await.unwrap();
+        assert_eq!((wished(&running).await, wished(&waiting).await), (false, false));
+        jobs.request_cancel(&running).await.unwrap();
+        assert_eq!((wished(&running).await, wished(&waiting).await), (true, false));
+        jobs.request_cancel(&waiting).await.unwrap();
+        assert!(wished(&waiting).await);
+        assert!(!wished("nobody's").await);
+        jobs.finish_job(&hold, JobState::Cancelled, None, None).await.unwrap();
+        let over = insert_one(&jobs).await;
+        jobs.finish_open_job(&over, JobState::Failed, None).await.unwrap();
+        jobs.request_cancel(&over).await.unwrap();
+        assert!(!wished(&over).await);
+    }
+
+    #[tokio::test]
+    async fn a_job_ends_once_and_by_its_holder() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = store(&folder).await.jobs;
+        let id = insert_one(&jobs).await;
+        let hold = JobLease::of(&claim(&jobs).await);
+        let stranger = JobLease { holder: "somebody else".into(), ..hold.clone() };
+        jobs.save_job_progress(&hold, "masks", 0.25).await.unwrap();
+        let before = Timestamp::now();
+        assert_not_held(jobs.finish_job(&stranger, JobState::Failed, None, None).await);
+        assert_eq!(row(&jobs, &id).await.state, JobState::Running);
+        jobs.finish_job(&hold, JobState::Succeeded, Some("4 things\0"), None).await.unwrap();
+        let done = row(&jobs, &id).await;
+        assert_eq!((done.state, done.progress, &done.stage), (JobState::Succeeded, 1.0, &None));
+        assert_eq!(done.message.as_deref(), Some("4 things\u{fffd}"), "no database takes NUL");
+        assert_eq!((&done.error_code, &done.error), (&None, &None));
+        let finished: Timestamp = done.finished_at.clone().unwrap().parse().unwrap();
+        assert!((before..=Timestamp::now()).contains(&finished), "{finished}");
+        let failed = Some(("internal", "too late"));
+        assert_not_held(jobs.finish_job(&hold, JobState::Failed, None, failed).await);
+        assert_eq!(row(&jobs, &id).await, done, "what ended it first stays");
+    }
+
+    #[tokio::test]
+    async fn a_job_that_fails_tells_why_and_how_far_it_was() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = store(&folder).await.jobs;
+        let id = insert_one(&jobs).await;
+        let hold = JobLease::of(&claim(&jobs).await);
+        jobs.save_job_progress(&hold, "masks", 0.25).await.unwrap();
+        let error = Some(("broken", "a\0b"));
+        jobs.finish_job(&hold, JobState::Failed, None, error).await.unwrap();
+        let failed = row(&jobs, &id).await;
+        assert_eq!((failed.state, failed.progress), (JobState::Failed, 0.25));
+        assert_eq!(failed.stage.as_deref(), Some("masks"));
+        assert_eq!(failed.error_code.as_deref(), Some("broken"));
+        assert_eq!(failed.error.as_deref(), Some("a\u{fffd}b"));
+        assert_eq!(failed.message, None);
+    }
+
+    #[tokio::test]
+    async fn an_open_job_may_be_ended_whoever_has_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = store(&folder).await.jobs;
+        let (running, waiting) = (insert_one(&jobs).await, insert_one(&jobs).await);
+        let hold = JobLease::of(&claim(&jobs).await);
+        let why = Some(("unknown", "nobody knows it"));
+        for id in [&running, &waiting] {
+            jobs.finish_open_job(id, JobState::Failed, why).await.unwrap();
+            let ended = row(&jobs, id).await;
+            assert_eq!(
+                (ended.state, ended.error_code.as_deref()),
+                (JobState::Failed, Some("unknown"))
+            );
+            jobs.end_orphan(id).await.unwrap();
+            assert_eq!(row(&jobs, id).await, ended, "it was over");
+        }
+        assert_not_held(jobs.finish_job(&hold, JobState::Succeeded, None, None).await);
+        let orphan = insert_one(&jobs).await;
+        jobs.end_orphan(&orphan).await.unwrap();
+        let ended = row(&jobs, &orphan).await;
+        assert_eq!((ended.state, &ended.error), (JobState::Cancelled, &None));
+        // Of a job that is not there nothing comes.
+        jobs.finish_open_job("nobody's", JobState::Failed, None).await.unwrap();
+    }
+
+    #[tokio::test]
+    async fn only_a_job_that_waits_is_cancelled_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = store(&folder).await.jobs;
+        let (running, waiting) = (insert_one(&jobs).await, insert_one(&jobs).await);
+        claim(&jobs).await;
+        assert!(!jobs.cancel_queued_job(&running).await.unwrap());
+        assert_eq!(row(&jobs, &running).await.state, JobState::Running);
+        assert!(jobs.cancel_queued_job(&waiting).await.unwrap());
+        let cancelled = row(&jobs, &waiting).await;
+        assert_eq!(cancelled.state, JobState::Cancelled);
+        assert!(cancelled.finished_at.is_some());
+        assert!(!jobs.cancel_queued_job(&waiting).await.unwrap(), "it is over");
+        assert!(!jobs.cancel_queued_job("nobody's").await.unwrap());
+    }
+
+    #[tokio::test]
+    async fn open_jobs_are_those_that_wait_or_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(&folder).await;
+        let jobs = &store.jobs;
+        assert!(jobs.open_jobs().await.unwrap().is_empty());
+        let mut ids = Vec::new();
+        for (subject, kind) in [("a", "parse"), ("b", "naming"), ("a", "parse"), ("a", "batch")] {
+            ids.push(jobs.insert_job(subject, &new(kind, None)).await.unwrap().id);
+        }
+        claim(jobs).await;
+        jobs.cancel_queued_job(&ids[3]).await.unwrap();
+        let mut of_a = jobs.open_jobs_of("a").await.unwrap();
+        of_a.sort();
+        assert_eq!(of_a, [ids[0].clone(), ids[2].clone()]);
+        assert!(jobs.open_jobs_of("c").await.unwrap().is_empty());
+        let mut open = jobs.open_jobs().await.unwrap();
+        open.sort();
+        let expected = [(0, "parse"), (1, "naming"), (2, "parse")];
+        assert_eq!(open, expected.map(|(i, kind)| (ids[i].clone(), kind.to_owned())));
+        // The scene of one is there.
+        for sql in [
+            "INSERT INTO contents (hash, bytes, created_at) VALUES ('h', 1, 'then')",
+            "INSERT INTO scenes (id, name, content_hash, created_at, updated_at)
+             VALUES ('b', 'room', 'h', 'then', 'then')",
+        ] {
+            sqlx::query(sql).execute(store.database.writer.pool()).await.unwrap();
+        }
+        let mut orphans = jobs.jobs_without_scene().await.unwrap();
+        orphans.sort();
+        assert_eq!(orphans, [0, 2].map(|i: usize| (ids[i].clone(), "a".to_owned())));
+    }
+
+    #[tokio::test]
+    async fn a_planned_stop_puts_a_job_back_and_is_no_attempt() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = store(&folder).await.jobs;
+        let id = insert_one(&jobs).await;
+        let hold = JobLease::of(&claim(&jobs).await);
+        jobs.save_job_progress(&hold, "masks", 0.25).await.unwrap();
+        let stranger = JobLease { holder: "somebody else".into(), ..hold.clone() };
+        assert_not_held(jobs.requeue_job(&stranger).await);
+        jobs.requeue_job(&hold).await.unwrap();
+        let waiting = row(&jobs, &id).await;
+        assert_eq!((waiting.state, waiting.attempts), (JobState::Queued, 0));
+        assert_eq!((&waiting.started_at, &waiting.stage, waiting.progress), (&None, &None, 0.0));
+        assert_not_held(jobs.requeue_job(&hold).await);
+        assert_eq!(row(&jobs, &id).await.attempts, 0, "put back once");
+        assert_eq!(claim(&jobs).await.attempts, 1, "due at once");
+    }
+
+    #[tokio::test]
+    async fn a_failure_that_may_pass_puts_a_job_back_for_a_while() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(&folder).await;
+        let jobs = &store.jobs;
+        let id = insert_one(jobs).await;
+        let hold = JobLease::of(&claim(jobs).await);
+        jobs.save_job_progress(&hold, "masks", 0.5).await.unwrap();
+        let hour = Duration::from_hours(1);
+        let stranger = JobLease { holder: "somebody else".into(), ..hold.clone() };
+        assert_not_held(jobs.requeue_job_after(&stranger, hour, 2, 0.5).await);
+        let before = Timestamp::now();
+        jobs.requeue_job_after(&hold, hour, 2, 0.5).await.unwrap();
+        let (due_at, _) = due(&store, &id).await;
+        let latest = Timestamp::now().checked_add(hour).unwrap();
+        assert!((before.checked_add(hour).unwrap()..=latest).contains(&due_at.unwrap()));
+        let waiting = row(jobs, &id).await;
+        assert_eq!((waiting.state, waiting.attempts), (JobState::Queued, 1), "it was an attempt");
+        assert_eq!((waiting.failures, waiting.furthest), (2, 0.5));
+        assert_eq!((&waiting.started_at, &waiting.stage, waiting.progress), (&None, &None, 0.0));
+        assert_eq!(jobs.claim_job(KIND).await.unwrap(), None, "not due yet");
+        assert_not_held(jobs.requeue_job_after(&hold, Duration::ZERO, 3, 0.5).await);
+        // Another attempt that got less far: the furthest stays.
+        set(&store, &id, "not_before = NULL").await;
+        let hold = JobLease::of(&claim(jobs).await);
+        jobs.requeue_job_after(&hold, Duration::ZERO, 3, 0.25).await.unwrap();
+        let waiting = row(jobs, &id).await;
+        assert_eq!((waiting.failures, waiting.furthest), (3, 0.5));
+        assert_eq!(claim(jobs).await.attempts, 3, "due at once");
+    }
+
+    #[tokio::test]
+    async fn a_hold_ends_when_the_job_is_given_to_somebody_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(&folder).await;
+        let jobs = &store.jobs;
+        insert_one(jobs).await;
+        let hold = JobLease::of(&claim(jobs).await);
+        let checked = async |hold: &JobLease| {
+            let mut tx = store.database.writer.begin().await.unwrap();
+            let checked = hold.check(&mut tx).await;
+            tx.forget().await.unwrap();
+            checked
+        };
+        checked(&hold).await.unwrap();
+        assert_not_held(checked(&JobLease { job_id: "nobody's".into(), ..hold.clone() }).await);
+        assert_not_held(
+            checked(&JobLease { holder: "somebody else".into(), ..hold.clone() }).await,
+        );
+        jobs.enter_as_new_process().await.unwrap();
+        jobs.recover_jobs(KIND, RECOVERY).await.unwrap();
+        assert_not_held(checked(&hold).await);
+        let again = JobLease::of(&claim(jobs).await);
+        assert_not_held(checked(&hold).await);
+        checked(&again).await.unwrap();
+        jobs.finish_job(&again, JobState::Succeeded, None, None).await.unwrap();
+        assert_not_held(checked(&again).await);
+    }
+
+    #[tokio::test]
+    async fn jobs_of_members_that_are_gone_go_back_to_their_queue() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(&folder).await;
+        let jobs = &store.jobs;
+        let left = insert_one(jobs).await;
+        let other_kind = jobs.insert_job("s", &new("naming", None)).await.unwrap().id;
+        let hold = JobLease::of(&claim(jobs).await);
+        jobs.claim_job("naming").await.unwrap().unwrap();
+        jobs.save_job_progress(&hold, "masks", 0.25).await.unwrap();
+        jobs.recover_jobs(KIND, RECOVERY).await.unwrap();
+        assert_eq!(row(jobs, &left).await.state, JobState::Running, "its holder is there");
+        jobs.enter_as_new_process().await.unwrap();
+        let waiting = insert_one(jobs).await;
+        jobs.recover_jobs(KIND, RECOVERY).await.unwrap();
+        let found = row(jobs, &left).await;
+        assert_eq!((found.state, found.attempts), (JobState::Queued, 1));
+        assert_eq!((&found.started_at, &found.stage, found.progress), (&None, &None, 0.0));
+        assert_eq!(found.furthest, 0.25);
+        assert_eq!(due(&store, &left).await, (None, 1), "the first time at once");
+        assert_eq!(due(&store, &waiting).await, (None, 0), "it never ran");
+        assert_eq!(row(jobs, &other_kind).await.state, JobState::Running);
+        // A job of before there were members has no holder.
+        let hold = JobLease::of(&claim(jobs).await);
+        set(&store, &hold.job_id, "holder = NULL").await;
+        jobs.recover_jobs(KIND, RECOVERY).await.unwrap();
+        assert_eq!(row(jobs, &hold.job_id).await.state, JobState::Queued);
+    }
+
+    #[tokio::test]
+    async fn a_job_that_was_to_stop_does_when_its_member_is_gone() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(&folder).await;
+        let jobs = &store.jobs;
+        let (stop, go_on) = (insert_one(jobs).await, insert_one(jobs).await);
+        claim(jobs).await;
+        claim(jobs).await;
+        jobs.request_cancel(&stop).await.unwrap();
+        jobs.enter_as_new_process().await.unwrap();
+        jobs.recover_jobs(KIND, RECOVERY).await.unwrap();
+        let stopped = row(jobs, &stop).await;
+        assert_eq!(stopped.state, JobState::Cancelled);
+        assert!(stopped.finished_at.is_some());
+        assert_eq!(row(jobs, &go_on).await.state, JobState::Queued);
+    }
+
+    /// Claims the only job, lets it get so far, and lets its process end.
+    async fn interrupted(store: &Store, id: &str, progress: f32, recovery: JobRecovery) {
+        let jobs = &store.jobs;
+        set(store, id, "not_before = NULL").await;
+        let hold = JobLease::of(&claim(jobs).await);
+        jobs.save_job_progress(&hold, "stage", progress).await.unwrap();
+        jobs.enter_as_new_process().await.unwrap();
+        jobs.recover_jobs(KIND, recovery).await.unwrap();
+    }
+
+    #[tokio::test]
+    async fn a_job_waits_twice_as_long_after_each_interruption_and_fails_in_the_end() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(&folder).await;
+        let id = insert_one(&store.jobs).await;
+        // At once after the first; then 100 s, 200 s and 400 s; the fifth is one too many.
+        for (times, waits_s) in [(1, None), (2, Some(100)), (3, Some(200)), (4, Some(400))] {
+            let earliest = Timestamp::now();
+            interrupted(&store, &id, 0.0, RECOVERY).await;
+            let latest = Timestamp::now();
+            let (due_at, interruptions) = due(&store, &id).await;
+            assert_eq!(interruptions, times);
+            assert_eq!(due_at.is_some(), waits_s.is_some(), "{times} times");
+            if let (Some(due_at), Some(wait_s)) = (due_at, waits_s) {
+                let begun = due_at.checked_sub(Duration::from_secs(wait_s)).unwrap();
+                assert!((earliest..=latest).contains(&begun), "{times} times: due {due_at}");
+            }
+            assert_eq!(row(&store.jobs, &id).await.state, JobState::Queued);
+        }
+        interrupted(&store, &id, 0.0, RECOVERY).await;
+        let failed = row(&store.jobs, &id).await;
+        assert_eq!(
+            (failed.state, failed.error_code.as_deref()),
+            (JobState::Failed, Some("interrupted"))
+        );
+        let why = "the server stopped 5 times while this job ran, and it got no further";
+        assert_eq!(failed.error.as_deref(), Some(why));
+        assert!(failed.finished_at.is_some());
+    }
+
+    #[tokio::test]
+    async fn no_wait_after_an_interruption_is_longer_than_an_hour() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(&folder).await;
+        let id = insert_one(&store.jobs).await;
+        let recovery = JobRecovery { give_up_after: 9, at_once: 1, wait: Duration::from_mins(50) };
+        // 50 minutes, then 100, which is too long.
+        for minutes in [50, 60, 60] {
+            let earliest = Timestamp::now();
+            interrupted(&store, &id, 0.0, recovery).await;
+            let due_at = due(&store, &id).await.0.unwrap();
+            let begun = due_at.checked_sub(Duration::from_mins(minutes)).unwrap();
+            assert!((earliest..=Timestamp::now()).contains(&begun), "{minutes} min: {due_at}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_job_that_got_further_counts_its_interruptions_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(&folder).await;
+        let id = insert_one(&store.jobs).await;
+        // Progress, then how often it was interrupted and how far it ever got.
+        for (progress, times, furthest) in [
+            (0.25, 1, 0.25),
+            (0.25, 2, 0.25),
+            (0.125, 3, 0.25),
+            // Less than a thousandth further is not further.
+            (0.250_5, 4, 0.250_5),
+            (0.5, 1, 0.5),
+            (0.25, 2, 0.5),
+        ] {
+            interrupted(&store, &id, progress, RECOVERY).await;
+            let found = (due(&store, &id).await.1, row(&store.jobs, &id).await.furthest as f32);
+            assert_eq!(found, (times, furthest), "at {progress}");
+        }
+    }
+
+    #[test]
+    fn the_time_after_a_wait_is_that_much_later() {
+        let before = Timestamp::now();
+        let later: Timestamp = after(Duration::from_secs(90)).parse().unwrap();
+        let begun = later.checked_sub(Duration::from_secs(90)).unwrap();
+        assert!((before..=Timestamp::now()).contains(&begun), "{later}");
+        let never: Timestamp = after(Duration::from_secs(1 << 60)).parse().unwrap();
+        assert_eq!(never, Timestamp::MAX);
+    }
 }

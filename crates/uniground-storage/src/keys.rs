@@ -1,13 +1,14 @@
-//! Keys of callers, what they may spend, and what was done with them.
+//! API keys, their spending, and the audit log.
 
 use super::database::{Database, number};
 use super::writer::Writer;
 use super::{StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{FromRow, Row};
+use std::sync::Arc;
 use uniground_types::keys::{AuditEntry, Scope};
 
-/// A key as stored.
+/// An API key as stored.
 #[derive(Debug, Clone, PartialEq)]
 pub struct KeyRow {
     pub id: String,
@@ -49,11 +50,11 @@ impl FromRow<'_, AnyRow> for KeyRow {
     }
 }
 
-/// What a rate is told by, seconds.
+/// Period of the request rate, seconds.
 const MINUTE_S: f64 = 60.0;
 
-/// Writes audit entries. Holds connections to the database, and not the data folder: a task that
-/// has one does not keep the folder locked.
+/// Writes audit entries. Holds connections to the database but not the lock of the data folder, so
+/// a long-lived task may own one.
 #[derive(Clone)]
 pub struct AuditWriter(Writer);
 
@@ -85,7 +86,7 @@ impl AuditWriter {
 /// API keys and the audit log.
 #[derive(Clone)]
 pub struct KeyRepository {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
 }
 
 impl KeyRepository {
@@ -94,8 +95,8 @@ impl KeyRepository {
     pub async fn insert_key(&self, key: &KeyRow) -> Result<(), StoreError> {
         let sql = "INSERT INTO keys (id, name, prefix, hash, scope, expires_at, requests_per_minute, max_scenes, daily_usd, created_at)
                    VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10)";
-        // Not kept prepared: sqlx takes a number that is not there for a smaller type than one that
-        // is.
+        // Not a persistent prepared statement: sqlx infers a smaller type for a NULL than for a
+        // number.
         sqlx::query(sql)
             .persistent(false)
             .bind(&key.id)
@@ -113,7 +114,7 @@ impl KeyRepository {
         Ok(())
     }
 
-    /// Every key there ever was, oldest first.
+    /// Returns all keys that ever existed, oldest first.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -123,7 +124,7 @@ impl KeyRepository {
             .await?)
     }
 
-    /// Keys newest first, those before `cursor` (an id) only.
+    /// Returns keys, newest first; with a `cursor` (an id) only those before it.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -136,8 +137,8 @@ impl KeyRepository {
             .await?)
     }
 
-    /// Has a key refused from now on; as it is then, or `None` where there is none. Who was first
-    /// stays.
+    /// Revokes a key. Returns it as it is then, or `None` if it does not exist. A key that is
+    /// already revoked keeps its earlier time.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -150,7 +151,7 @@ impl KeyRepository {
             .await?)
     }
 
-    /// Notes when keys were last shown.
+    /// Stores when a key was last used.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -163,12 +164,12 @@ impl KeyRepository {
         Ok(())
     }
 
-    /// Counts a request of a key that may come so often a minute, whichever process is asked:
-    /// seconds until all of that is there again (at most 60), or, where it comes too often,
-    /// until it may come once more.
+    /// Counts a request against the per-minute limit of a key, over all processes. Returns `Ok`
+    /// with the seconds until the full limit is available again (at most 60), or `Err` with the
+    /// seconds until the next request is allowed.
     ///
-    /// Each request takes its share of a minute from what is there; a key that was quiet for a
-    /// minute has all of it.
+    /// A token bucket: each request takes its share of a minute. A key without requests for a
+    /// minute has the full limit.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -198,7 +199,7 @@ impl KeyRepository {
         Ok(Err((until_full.unwrap_or(0.0) + share - MINUTE_S).max(0.0)))
     }
 
-    /// What questions of a key cost on a day, US dollars.
+    /// Returns what the questions of a key cost on a day, US dollars.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -212,7 +213,7 @@ impl KeyRepository {
         Ok(usd.unwrap_or(0.0))
     }
 
-    /// How many scenes a key has uploaded that are still there.
+    /// Counts the existing scenes that a key has uploaded.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -222,13 +223,13 @@ impl KeyRepository {
         Ok(number(scenes.fetch_one(&self.database.reader).await?)?)
     }
 
-    /// Returns what writes audit entries.
+    /// Returns a writer of audit entries.
     #[must_use]
     pub fn audit_writer(&self) -> AuditWriter {
         AuditWriter(self.database.writer.clone())
     }
 
-    /// What was done, newest first, before `cursor` (an id) only.
+    /// Returns audit entries, newest first; with a `cursor` (an id) only those before it.
     ///
     /// # Errors
     /// [`StoreError::Database`].

@@ -1,9 +1,9 @@
-//! The database and the blob folder. Typed functions; no SQL elsewhere.
+//! The database and the blob folder behind typed functions. SQL exists in this crate only.
 //!
-//! One transaction writes at a time; readers wait for nobody. Where it is in PostgreSQL, several
-//! processes may be at it (`members`). A scene points at the bytes it was uploaded as (`contents`)
-//! and at a finished parse of them (`parses`); both are shared by scenes with the same content and
-//! settings.
+//! One transaction writes at a time; readers never wait. With PostgreSQL several processes may use
+//! the same database (see `cluster`). A scene points at the content it was uploaded as (`contents`)
+//! and at a finished parse of that content (`parses`). Scenes with the same content and settings
+//! share both.
 
 mod answers;
 mod backup;
@@ -146,7 +146,7 @@ pub enum StoreError {
     HalfMoved,
     #[error("this database is in use by another server and cannot be opened exclusively")]
     DatabaseInUse,
-    /// The job was given to somebody else.
+    /// The lease of this job has passed to another worker.
     #[error("the lease of this job was lost, and another worker has it")]
     NotHeld,
     #[error("vectors cannot be stored (--vectors pgvector): {why}")]
@@ -161,17 +161,18 @@ pub enum StoreError {
     NoDataFolder { folder: Utf8PathBuf },
     #[error("a stored record could not be read")]
     Record(#[from] serde_json::Error),
-    /// What several writes failed of that were made as one.
+    /// The one error of several writes that were made in one transaction.
     #[error(transparent)]
     Together(Arc<StoreError>),
 }
 
 impl StoreError {
-    /// Whether the disk is full.
+    /// Returns whether the disk is full.
     #[must_use]
     pub fn is_full(&self) -> bool {
         match self {
-            // SQLITE_FULL, no room for the file readers share; disk_full.
+            // SQLITE_FULL; SQLITE_IOERR_SHMSIZE (no space for the shared-memory file of readers);
+            // PostgreSQL's disk_full.
             Self::Database(error)
             | Self::Migration(
                 MigrateError::Execute(error) | MigrateError::ExecuteMigration(error, _),
@@ -184,8 +185,8 @@ impl StoreError {
         }
     }
 
-    /// Whether the database can not be had now, because somebody else holds it or its server is
-    /// away: that may pass.
+    /// Returns whether the database is temporarily unavailable: another process holds a lock, or
+    /// the server cannot be reached. A retry may succeed.
     #[must_use]
     pub fn is_busy(&self) -> bool {
         match self {
@@ -196,9 +197,10 @@ impl StoreError {
                 | sqlx::Error::WorkerCrashed,
             ) => true,
             Self::Database(error) => code(error).is_some_and(|code| match code.parse::<i32>() {
-                // SQLITE_BUSY and SQLITE_LOCKED, whatever their extended code.
+                // SQLITE_BUSY and SQLITE_LOCKED, with any extended code.
                 Ok(number) if code.len() < 5 => matches!(number & 0xff, 5 | 6),
-                // Connection exceptions, transactions undone, resources, operators at work.
+                // PostgreSQL's classes: connection exception, transaction rollback, insufficient
+                // resources, operator intervention.
                 _ => ["08", "40", "53", "57"].contains(&&code[..2.min(code.len())]),
             }),
             Self::Together(error) => error.is_busy(),
@@ -206,12 +208,12 @@ impl StoreError {
         }
     }
 
-    /// Whether SQLite found its file damaged.
+    /// Returns whether SQLite reported a damaged file.
     #[must_use]
     pub fn is_damaged(&self) -> bool {
         match self {
-            // SQLITE_CORRUPT and SQLITE_NOTADB, whatever their extended code;
-            // SQLITE_IOERR_SHORT_READ. PostgreSQL's codes have five characters.
+            // SQLITE_CORRUPT and SQLITE_NOTADB, with any extended code; SQLITE_IOERR_SHORT_READ.
+            // PostgreSQL's codes have five characters.
             Self::Database(error) => code(error).is_some_and(|code| {
                 let number = code.parse::<i32>().ok().filter(|_| code.len() < 5);
                 number.is_some_and(|number| matches!(number & 0xff, 11 | 26) || number == 522)
@@ -221,7 +223,7 @@ impl StoreError {
         }
     }
 
-    /// Whether the object store can not be had now.
+    /// Returns whether the object store is temporarily unavailable.
     #[must_use]
     pub fn is_object_store_unavailable(&self) -> bool {
         match self {
@@ -232,12 +234,12 @@ impl StoreError {
     }
 }
 
-/// What SQLite or PostgreSQL call an error.
+/// Returns the error code of SQLite or PostgreSQL.
 fn code(error: &sqlx::Error) -> Option<String> {
     Some(error.as_database_error()?.code()?.into_owned())
 }
 
-/// Whether a file could not be written for want of room.
+/// Returns whether a file could not be written because the disk or a quota is full.
 #[must_use]
 pub fn is_disk_full(error: &io::Error) -> bool {
     matches!(
@@ -246,17 +248,17 @@ pub fn is_disk_full(error: &io::Error) -> bool {
     )
 }
 
-/// What an opened store does with what interrupted processes have left.
+/// How an opened store treats the leftovers of interrupted processes.
 #[derive(Debug, Clone, Copy)]
 enum LeftoverPolicy {
     Keep,
-    /// A process that was not seen for a lease is taken to be gone.
+    /// Clears them. A process without a heartbeat for the duration of a lease counts as gone.
     Clear {
         lease: Duration,
     },
 }
 
-/// Everything stored: a repository for each noun, and the files. Cheap to clone.
+/// The whole store: one repository for each noun, and the blobs. Cheap to clone.
 #[derive(Clone)]
 pub struct Store {
     pub scenes: SceneRepository,
@@ -283,19 +285,20 @@ pub struct Store {
     pub notifications: Notifications,
     pub ids: IdGenerator,
     pub blobs: Blobs,
-    database: Database,
+    database: Arc<Database>,
     folder: DataFolder,
-    /// Where the database is, if this is [a copy](Self::open_copy); it goes with the last handle.
+    /// The folder of the database, if this is [a copy](Self::open_copy). It is deleted when the
+    /// last handle is dropped.
     _copy: Option<Arc<TempDir>>,
 }
 
 impl Store {
-    /// Opens or creates the store below `data_dir`, brings the schema up to date and clears what an
-    /// interrupted run left. A database of PostgreSQL's may be used by others too: then what
-    /// they are at work on stays.
+    /// Opens or creates the store below `data_dir`, updates the schema and clears the leftovers of
+    /// interrupted processes. A PostgreSQL database may be in use by other processes; their current
+    /// work is left alone.
     ///
     /// # Errors
-    /// [`StoreError`] when the folder or the database can not be used.
+    /// [`StoreError`] when the folder or the database cannot be used.
     pub async fn open(
         data_dir: &Utf8Path,
         location: &Location,
@@ -304,7 +307,8 @@ impl Store {
         Self::open_with(data_dir, location, home, LEASE).await
     }
 
-    /// As [`open`](Self::open). A process that was not seen for a `lease` is taken to be gone.
+    /// As [`open`](Self::open), with the duration of a `lease`: a process without a heartbeat for
+    /// so long counts as gone.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -324,8 +328,8 @@ impl Store {
         .await
     }
 
-    /// Opens the store beside whoever uses it, as far as its database allows, and leaves everything
-    /// where it is: for its rows alone.
+    /// Opens the store for access to its rows only, next to the processes that use it, as far as
+    /// the database allows that. Changes nothing.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -344,7 +348,7 @@ impl Store {
         .await
     }
 
-    /// Opens the store for nobody else and leaves everything where it is.
+    /// Opens the store exclusively and changes nothing.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -363,7 +367,7 @@ impl Store {
         .await
     }
 
-    /// On a full disk the room for it comes from the reserve.
+    /// Opens the store. On a full disk it frees the reserve and tries once more.
     async fn open_for(
         data_dir: &Utf8Path,
         location: &Location,
@@ -389,7 +393,7 @@ impl Store {
         let lease = if let LeftoverPolicy::Clear { lease } = leftovers { lease } else { LEASE };
         let engine = location.engine()?;
         DataFolder::goes_with(data_dir, engine)?;
-        // A folder is marked as one of a server's database once that has been reached.
+        // Mark the folder as belonging to a server's database only once that database was reached.
         let members = ClusterMembership::join(location, company, lease).await?;
         let server = match location {
             Location::Postgres(url) => Some(url.clone()),
@@ -420,16 +424,16 @@ impl Store {
         };
         let opened = opened.await;
         if opened.is_err() {
-            // Before another try: what a connection holds is the room and the lock that the next
-            // one needs.
+            // Close before another try: an open connection holds the disk space and the lock that
+            // the next one needs.
             reader.close().await;
             writer.close().await;
         }
         opened
     }
 
-    /// Clears what interrupted processes have left, and lets others in. Deleting needs room: on a
-    /// full disk that of the reserve.
+    /// Clears the leftovers of interrupted processes, then lets other processes join. Deleting
+    /// needs disk space; on a full disk the reserve provides it.
     async fn clear_leftovers(&self) -> Result<(), StoreError> {
         if let Some(full) = self.recovery.recover().await
             && reserve::make_room_to_open(self.folder.path(), &full)
@@ -439,7 +443,7 @@ impl Store {
         self.database.members.let_others_in().await
     }
 
-    /// As [`open_as_it_is`](Self::open_as_it_is), where there is a store already.
+    /// As [`open_as_it_is`](Self::open_as_it_is), but requires an existing store.
     ///
     /// # Errors
     /// As [`open`](Self::open); [`StoreError::NoDataFolder`].
@@ -452,7 +456,7 @@ impl Store {
         Self::open_as_it_is(data_dir, location, home).await
     }
 
-    /// A store over a database, which is brought up to date.
+    /// Creates a store over a database and updates its schema.
     async fn connect(
         connections: Connections,
         server: Option<PostgresUrl>,
@@ -470,15 +474,15 @@ impl Store {
                       UNION ALL SELECT max(id) FROM keys UNION ALL SELECT max(id) FROM audit) AS newest";
         let newest: Option<String> = sqlx::query_scalar(newest).fetch_one(&reader).await?;
         let ids = IdGenerator::after(newest.as_deref());
-        let database = Database { reader, writer, engine, ids, members, server };
+        let database = Arc::new(Database { reader, writer, engine, ids, members, server });
         let store = Self::over(database, folder, blobs);
         store.introduce().await?;
         store.database.members.enter(&store.database.writer).await?;
         Ok(store)
     }
 
-    /// The repositories over one database.
-    fn over(database: Database, folder: DataFolder, blobs: Blobs) -> Self {
+    /// Creates the repositories over one database.
+    fn over(database: Arc<Database>, folder: DataFolder, blobs: Blobs) -> Self {
         let answers = AnswerRepository {
             database: database.clone(),
             queue: AnswerQueue::start(database.writer.clone()),
@@ -557,9 +561,9 @@ impl Store {
         }
     }
 
-    /// Lets the database and where files are kept know each other: the data folder, or an object
-    /// store. A file that is new here, or comes from another folder, has no say over files that
-    /// are older than that.
+    /// Ties the database to its file storage (the data folder, or an object store), by id. Files
+    /// older than that tie are exempt from cleanup by a database that is new here or came from
+    /// another folder.
     async fn introduce(&self) -> Result<(), StoreError> {
         let known: Option<String> = sqlx::query_scalar("SELECT id FROM data_folder")
             .fetch_optional(&self.database.reader)
@@ -568,8 +572,8 @@ impl Store {
         if known.as_deref() == Some(id) {
             return Ok(());
         }
-        // A file lies in its folder. A server's database may be named with any folder: of two that
-        // do not know each other, one is wrong.
+        // A SQLite file lies in its own folder. A server's database can be combined with any folder
+        // by mistake: if the two do not know each other, one of them is wrong.
         if self.database.engine == Engine::Postgres
             && (known.is_some() || self.blobs.hold_scans().await?)
         {
@@ -577,7 +581,7 @@ impl Store {
         }
         let mut tx = self.database.writer.begin().await?;
         sqlx::query("DELETE FROM data_folder").execute(&mut *tx).await?;
-        // A database of before folders had ids has known its own since its first scan.
+        // A database from before folders had ids has belonged to its folder since its first scan.
         let since = if known.is_none() {
             "coalesce((SELECT min(created_at) FROM contents), $2)"
         } else {
@@ -588,7 +592,7 @@ impl Store {
         tx.commit().await
     }
 
-    /// Closes the database; WAL is checkpointed.
+    /// Closes the database and checkpoints the WAL.
     pub async fn close(&self) {
         self.database.members.leave().await;
         self.database.reader.close().await;
@@ -596,8 +600,8 @@ impl Store {
     }
 }
 
-/// Rows of a page of which one more was asked for than it has, and the id to go on after, where
-/// there is more.
+/// Truncates rows to one page, given up to `limit + 1` rows. Returns the page and, if there are
+/// more rows, the id to continue after.
 #[must_use]
 pub fn page<T>(mut rows: Vec<T>, limit: u32, id: impl Fn(&T) -> &str) -> (Vec<T>, Option<String>) {
     let more = rows.len() > limit as usize;
@@ -606,7 +610,8 @@ pub fn page<T>(mut rows: Vec<T>, limit: u32, id: impl Fn(&T) -> &str) -> (Vec<T>
     (rows, next_cursor)
 }
 
-/// The time now, as stored.
+/// Returns the current time in the format of the database.
+#[must_use]
 pub fn now() -> String {
     Timestamp::now().to_string()
 }

@@ -1,24 +1,24 @@
-//! Turns within this process: one after the other where two at once would be in each other's way,
-//! and nobody else waits for it.
+//! Named locks within this process. Tasks with the same name run one after the other; others do not
+//! wait.
 
 use std::collections::HashMap;
 use std::sync::{Arc, PoisonError, Weak};
 use tokio::sync::{Mutex, OwnedMutexGuard};
 
-/// Lasts as long as it lives.
+/// Holds the lock until it is dropped.
 pub(super) type LocalLock = OwnedMutexGuard<()>;
 
-/// Who is at work on what, by its name. Cheap to clone.
+/// The locks by name. Cheap to clone.
 #[derive(Clone, Default)]
 pub(super) struct LocalLocks(Arc<std::sync::Mutex<HashMap<String, Weak<Mutex<()>>>>>);
 
 impl LocalLocks {
-    /// Waits for the turn at something.
+    /// Waits for the lock of this name.
     pub async fn at(&self, name: &str) -> LocalLock {
         self.lock_of(name).lock_owned().await
     }
 
-    /// The turn at something, if nobody has it.
+    /// Takes the lock of this name, if it is free.
     pub fn try_at(&self, name: &str) -> Option<LocalLock> {
         self.lock_of(name).try_lock_owned().ok()
     }

@@ -10,7 +10,7 @@ pub struct LockTable {
 }
 
 impl LockTable {
-    /// Waits for a lock. Nobody else holds it meanwhile, in this process or in another.
+    /// Waits for a lock. No other task of this or another process holds it at the same time.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -18,7 +18,7 @@ impl LockTable {
         self.members.turn(name).await
     }
 
-    /// Takes a lock, if nobody holds it.
+    /// Takes a lock, if it is free.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -26,13 +26,13 @@ impl LockTable {
         self.members.try_turn(name).await
     }
 
-    /// Whether other processes may use the same database.
+    /// Returns whether other processes may use the same database.
     #[must_use]
     pub fn is_shared(&self) -> bool {
         self.members.is_shared()
     }
 
-    /// Whether no other process used the database when this one started.
+    /// Returns whether no other process used the database when this one started.
     #[must_use]
     pub fn was_alone_at_start(&self) -> bool {
         self.members.was_alone

@@ -1,11 +1,11 @@
-//! The schema of the database, in steps: `migrations/` holds them for each engine.
+//! Migrations of the database schema. `migrations/` holds them for each engine.
 
 use super::database::Engine;
 use sqlx::SqlSafeStr;
 use sqlx::migrate::{Migration, MigrationType, Migrator};
 
-/// What brings a database of SQLite's of any version up to date, in order. A file that has been
-/// released is never changed.
+/// Migrations that update a SQLite database of any version, in order. A released file is never
+/// changed.
 pub(super) const MIGRATIONS: [(i64, &str, &str); 17] = [
     (
         1,
@@ -38,7 +38,7 @@ pub(super) const MIGRATIONS: [(i64, &str, &str); 17] = [
     (17, "batch defaults", include_str!("../../../migrations/sqlite/0017_batch_defaults.sql")),
 ];
 
-/// The same for PostgreSQL, whose first is what fourteen of SQLite's led to.
+/// The same for PostgreSQL. Its first migration equals the result of SQLite's first fourteen.
 const MIGRATIONS_OF_POSTGRES: [(i64, &str, &str); 4] = [
     (
         14,

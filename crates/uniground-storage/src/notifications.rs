@@ -1,35 +1,36 @@
-//! What other members have done that somebody here waits for, as PostgreSQL tells it. Whoever waits
-//! looks by himself now and then as well: news may be missed.
+//! Notifications from other processes, by PostgreSQL's LISTEN/NOTIFY. Notifications may be lost, so
+//! their receivers also poll from time to time.
 
 use super::StoreError;
 use super::database::Database;
 use sqlx::postgres::PgListener;
+use std::sync::Arc;
 
-/// Something that another member may have done.
+/// A change that another process has made.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum DbNotification {
-    /// A job of this kind waits.
+    /// A job of this kind was queued.
     JobWaits { kind: String },
-    /// A key was made or revoked.
+    /// A key was created or revoked.
     KeysChanged,
-    /// Nobody knows: the connection was away.
+    /// The connection was interrupted: notifications may have been lost.
     Missed,
 }
 
 const JOBS: &str = "uniground_job";
 const KEYS: &str = "uniground_keys";
 
-/// Where news come in.
+/// Receives notifications.
 pub struct NotificationListener(PgListener);
 
 /// Notifications between processes that share a PostgreSQL database.
 #[derive(Clone)]
 pub struct Notifications {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
 }
 
 impl Notifications {
-    /// What other members do from now on; `None` where there can be none.
+    /// Starts listening. Returns `None` where the database has no other processes.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -42,12 +43,12 @@ impl Notifications {
 }
 
 impl NotificationListener {
-    /// Waits for the next.
+    /// Waits for the next notification.
     ///
     /// # Errors
-    /// [`StoreError::Database`]: it is away for longer.
+    /// [`StoreError::Database`]: the database stays unavailable.
     pub async fn next(&mut self) -> Result<DbNotification, StoreError> {
-        // Nothing: the connection broke, and is made anew with the next call.
+        // `None` means that the connection was lost. The next call reconnects.
         let Some(told) = self.0.try_recv().await? else { return Ok(DbNotification::Missed) };
         Ok(match told.channel() {
             JOBS => DbNotification::JobWaits { kind: told.payload().to_owned() },

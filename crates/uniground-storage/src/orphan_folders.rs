@@ -1,6 +1,7 @@
-//! What no record speaks of. It is never removed at once: a database may have been lost, replaced
-//! or restored, and then it is the database that is wrong. It goes to the quarantine, and from
-//! there after a week; not even that where the database has no standing to judge.
+//! Orphan folders: folders that no row refers to. They are never removed at once: if a database was
+//! lost, replaced or restored, the database is wrong and not the folder. Orphans go to quarantine,
+//! and are removed from there after a week. Where the database cannot judge a folder, it stays in
+//! place.
 
 use super::blobs::{KINDS, remove_tree, size_of};
 use super::data_folder::DataFolder;
@@ -9,43 +10,45 @@ use super::{Blobs, Scratch, StoreError, now};
 use camino::Utf8PathBuf;
 use jiff::Timestamp;
 use jiff::civil::Date;
+use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 use std::{fs, io};
 use tokio::task::spawn_blocking;
 
-/// Days for which the quarantine keeps things.
+/// Days in quarantine.
 const QUARANTINE_DAYS: i64 = 7;
-/// Days for which the quarantine keeps things, for those who tell.
+/// Days in quarantine, for reports.
 pub const KEEP_QUARANTINE_DAYS: u32 = QUARANTINE_DAYS as u32;
-/// Names looked up at once.
+/// Names looked up in one query.
 const CHUNK: usize = 500;
 
-/// What a database may say of files: nothing of those that are older, or where it is empty.
+/// Which files a database may judge: none that are older than `since`, and none at all if it is
+/// empty.
 pub(super) struct OrphanRule {
     pub since: Option<SystemTime>,
     pub knows_nothing: bool,
 }
 
-/// Folders no record speaks of.
+/// Folders that no row refers to.
 #[derive(Debug, Default, Clone, PartialEq, Eq)]
 pub struct OrphanFolders {
-    /// Those that may go: kind and name.
+    /// Orphans that may be removed: kind and name.
     pub unclaimed: Vec<(&'static str, String)>,
-    /// Those the database can not judge, because it is younger or knows nothing.
+    /// Folders the database cannot judge, because it is younger or empty.
     pub unjudged: Vec<(&'static str, String)>,
 }
 
-/// Folders and objects that no row names: finds them, quarantines them, removes them.
+/// Repository of orphans: finds folders and objects without rows, quarantines and removes them.
 #[derive(Clone)]
 pub struct OrphanRepository {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
     pub(super) blobs: Blobs,
     pub(super) folder: DataFolder,
 }
 
 impl OrphanRepository {
-    /// Folders no record speaks of. A folder is put in place before its row: while a server works,
-    /// those younger than `settled` are none.
+    /// Finds orphan folders. A folder is put in place before its row is written, so while a server
+    /// runs, folders younger than `settled` are not orphans.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -59,11 +62,11 @@ impl OrphanRepository {
         let mut orphan_folders = OrphanFolders::default();
         for (kind, name) in unknown {
             let made = match fs::metadata(self.blobs.place(kind, &name)) {
-                // Removed meanwhile, by whoever may.
+                // Another process removed it meanwhile.
                 Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
                 made => made?.modified()?,
             };
-            // One that is from tomorrow is young, too.
+            // A time in the future counts as young, too.
             if !settled.is_zero() && made.elapsed().unwrap_or_default() < settled {
                 continue;
             }
@@ -75,7 +78,7 @@ impl OrphanRepository {
         Ok(orphan_folders)
     }
 
-    /// What the database may say of files.
+    /// Returns which files the database may judge.
     pub(super) async fn orphan_rule(&self) -> Result<OrphanRule, StoreError> {
         let since: Option<String> = sqlx::query_scalar("SELECT since FROM data_folder")
             .fetch_optional(&self.database.reader)
@@ -87,7 +90,7 @@ impl OrphanRepository {
         Ok(OrphanRule { since, knows_nothing: any.is_none() })
     }
 
-    /// Of folders of a kind those that no record speaks of.
+    /// Returns the names of those folders of a kind that no row refers to.
     pub(super) async fn unknown(
         &self,
         kind: &str,
@@ -113,8 +116,9 @@ impl OrphanRepository {
         Ok(unknown)
     }
 
-    /// Takes what no record speaks of to the quarantine, and removes what has been there long
-    /// enough: how many days of it, and bytes. `settled` as for [`orphan_folders`](Self::orphan_folders).
+    /// Moves orphan folders to quarantine, and removes those whose time in quarantine is over.
+    /// Returns the number of removed days and bytes. `settled` as for
+    /// [`orphan_folders`](Self::orphan_folders).
     ///
     /// # Errors
     /// [`StoreError`].
@@ -148,9 +152,10 @@ impl OrphanRepository {
         if unjudged.is_empty() { self.empty_quarantine().await } else { Ok((0, 0)) }
     }
 
-    /// Takes folders out of the way whose rows were just removed; they go when what is returned
-    /// does. A content has its name from what it holds: who stood still for longer than a lease
-    /// between rows and folders may find that it was uploaded again, and puts it back.
+    /// Moves folders away whose rows were just removed. They are removed when the result is
+    /// dropped. The name of a content is its hash: if this process hung for longer than a lease
+    /// between rows and folders, the same content may have been uploaded again, and its folder is
+    /// put back.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -163,7 +168,7 @@ impl OrphanRepository {
             for taken in self.blobs.set_aside(vec![content.clone()]).await? {
                 match self.unknown("contents", vec![hash.clone()]).await {
                     Ok(unknown) if !unknown.is_empty() => aside.push(taken),
-                    // Where nobody can tell it is for the sweep.
+                    // If the rows cannot be read, the folder is left to orphan collection.
                     claimed => {
                         tracing::warn!(
                             hash,
@@ -178,11 +183,11 @@ impl OrphanRepository {
         Ok(aside)
     }
 
-    /// Takes folders out of `blobs/`, where they can still be had back. Those that have a row by
-    /// then are put back.
+    /// Moves folders out of `blobs/` to quarantine, from where they can be recovered. Folders that
+    /// have a row again are put back.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// Errors of the file system.
     pub async fn quarantine(&self, folders: Vec<(&'static str, String)>) -> Result<(), StoreError> {
         if !self.blobs.is_writable() {
             return Ok(());
@@ -192,7 +197,7 @@ impl OrphanRepository {
             fs::create_dir_all(today.join(kind))?;
             let (from, to) = (self.blobs.place(kind, &name), today.join(kind).join(&name));
             if to.exists() {
-                // The same folder twice a day: what was first is kept.
+                // The same folder twice in a day: the first one stays.
                 remove_tree(&from, self.blobs.tmp())?;
             } else {
                 fs::rename(&from, &to)?;
@@ -239,7 +244,7 @@ mod tests {
     use super::*;
     use camino::Utf8Path;
 
-    /// Who stood still between rows and folders finds what others have done meanwhile.
+    /// A process that hung between rows and folders finds that others have used the folder again.
     #[tokio::test]
     async fn what_has_a_row_again_is_put_back() {
         let folder = tempfile::tempdir().unwrap();

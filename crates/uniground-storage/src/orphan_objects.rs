@@ -1,7 +1,7 @@
-//! What lies in the object store and no row speaks of: folders whose scene is gone, or whose writer
-//! ended before its row came, and editions that were never sealed. Never on the word of a database
-//! that is empty or younger, nor of what is young: whoever publishes has half of that time, and is
-//! refused after it.
+//! Orphans in the object store: folders whose scene is deleted, or whose writer ended before it
+//! wrote the row, and editions that were never sealed. Nothing is removed if the database is empty
+//! or younger than the object, or if the object is younger than the grace period. Publishing must
+//! finish within half of that period, and fails after it.
 
 use super::blobs::KINDS;
 use super::blobs::objects::{FolderName, FoundFolder, Seal, edition_of};
@@ -9,17 +9,17 @@ use super::orphan_folders::OrphanRule;
 use super::{OrphanRepository, StoreError};
 use std::time::SystemTime;
 
-/// A folder in the object store, or an edition of one, that is nobody's.
+/// A folder in the object store, or an edition of one, that nothing refers to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct OrphanObject {
     folder: FolderName,
-    /// Only this edition of it.
+    /// Set if only this edition is an orphan.
     edition: Option<String>,
     found: FoundFolder,
 }
 
 impl OrphanObject {
-    /// Bytes of its objects, as far as they were counted.
+    /// Returns the bytes of its objects, as far as they were counted.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         if self.edition.is_some() { 0 } else { self.found.bytes }
@@ -27,7 +27,7 @@ impl OrphanObject {
 }
 
 impl OrphanRepository {
-    /// What no row speaks of; nothing where there is no object store.
+    /// Finds orphans; empty if there is no object store.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -53,7 +53,7 @@ impl OrphanRepository {
                     });
                 }
             }
-            // Of folders that are somebody's: what lost a race, or was replaced.
+            // Unused editions of folders in use: they lost a race, or were replaced.
             for (name, found) in found
                 .into_iter()
                 .filter(|(_, found)| found.sealed.is_some() && found.editions.len() > 1)
@@ -74,8 +74,8 @@ impl OrphanRepository {
         Ok(orphan_objects)
     }
 
-    /// Removes one, if it still is one; whether it was. Whoever calls lets nobody refer to it
-    /// meanwhile.
+    /// Removes an orphan, if it still is one. Returns whether it was removed. The caller must
+    /// prevent new references to it meanwhile.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -95,7 +95,7 @@ impl OrphanRepository {
             objects.loose_stages(&folder.name).remove().await?;
             return Ok(true);
         }
-        // Somebody may have put it there anew since it was found.
+        // Another process may have published it again since it was found.
         let is_young = |seal: Seal| seal.made.elapsed().unwrap_or_default() <= objects.grace;
         if objects.seal(folder).await?.is_some_and(is_young) {
             return Ok(false);

@@ -6,12 +6,13 @@ use super::records::{InstanceRecord, ParseRecord, RECORD_VERSION};
 use super::{JobLease, SceneRow, StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{AnyConnection, FromRow, Row};
+use std::sync::Arc;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{ImportReport, Instance, InstanceId, ParseReport};
 use uniground_parsing::pointed::known_as;
 use uniground_types::settings::{ParseModels, ParseSettings};
 
-/// A finished parse as stored; JSON columns as text: [`record`](Self::record) reads them.
+/// A finished parse as stored, with JSON columns as text. [`record`](Self::record) parses them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ParseRow {
     pub id: String,
@@ -42,13 +43,13 @@ impl FromRow<'_, AnyRow> for ParseRow {
 }
 
 impl ParseRow {
-    /// Whether its files were found lost or damaged, and it is kept for its answers only.
+    /// Returns whether its files were lost or damaged, so that it remains only for its answers.
     #[must_use]
     pub fn is_retired(&self) -> bool {
         self.settings_hash.contains(":retired:")
     }
 
-    /// What the row says, as far as this version can read it.
+    /// Parses the JSON columns, as far as this version can read them.
     #[must_use]
     pub fn record(&self) -> ParseRecord {
         ParseRecord::read(
@@ -61,7 +62,7 @@ impl ParseRow {
     }
 }
 
-/// A parse about to be recorded; its blobs are in place.
+/// A parse to be inserted; its blobs are in place.
 pub struct NewParse<'a> {
     pub id: &'a str,
     pub content_hash: &'a str,
@@ -72,25 +73,26 @@ pub struct NewParse<'a> {
     pub report: &'a ParseReport,
     pub extent: &'a Aabb,
     pub instances: &'a [Instance],
-    /// Of a scene that has grown: what it has from the parse before.
+    /// For a scene that has grown: what it takes over from the previous parse.
     pub continued: Option<ContinuedParse<'a>>,
-    /// By whose hands it was made.
+    /// The lease of the job that made it.
     pub hold: &'a JobLease,
 }
 
-/// Parses and their instances.
+/// Repository of parses and their instances.
 #[derive(Clone)]
 pub struct ParseRepository {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
 }
 
 impl ParseRepository {
-    /// Records a parse and its instances as one. `false` when the same content and settings were
-    /// recorded before, or the content is gone because its last scene was deleted meanwhile:
-    /// then nothing is written.
+    /// Inserts a parse and its instances in one transaction. Returns `false` and writes nothing
+    /// when a parse of the same content and settings exists, or the content is gone because its
+    /// last scene was deleted meanwhile.
     ///
     /// # Errors
-    /// [`StoreError`]; [`StoreError::NotHeld`] where its job was given to somebody else.
+    /// [`StoreError`]; [`StoreError::NotHeld`] if the lease of its job has passed to another
+    /// worker.
     pub async fn insert_parse(&self, parse: NewParse<'_>) -> Result<bool, StoreError> {
         let NewParse {
             id,
@@ -148,8 +150,8 @@ impl ParseRepository {
             .await?)
     }
 
-    /// How often what is known of a parse has changed since it was made: names, corrections, what
-    /// was found. `None` when it is gone.
+    /// Returns the number of changes of a parse since it was made: names, corrections, found
+    /// instances. Returns `None` when the parse is deleted.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -160,7 +162,7 @@ impl ParseRepository {
             .await?)
     }
 
-    /// The parse of this content under these settings, when there is one.
+    /// Returns the parse of this content under these settings, if it exists.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -177,7 +179,7 @@ impl ParseRepository {
             .await?)
     }
 
-    /// All parses, in order of time.
+    /// Returns all parses, oldest first.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -187,9 +189,9 @@ impl ParseRepository {
             .await?)
     }
 
-    /// A parse whose files are lost or damaged is not given to anybody any more, so that the next
-    /// parse of the same content is made anew. Answers and scenes keep what they have until
-    /// then. The scenes that are to be parsed again come back, with the settings.
+    /// Retires a parse whose files are lost or damaged: it is not used for new requests, so the
+    /// next parse of the same content is computed again. Its answers and scenes keep it until then.
+    /// Returns the scenes that the caller must parse again, with the settings of this parse.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -202,11 +204,11 @@ impl ParseRepository {
             .fetch_all(&mut *tx)
             .await?;
         tx.commit().await?;
-        // Whoever retired it has had the scenes already.
+        // If it was retired before, those scenes were returned then.
         Ok(if retired { scenes } else { Vec::new() })
     }
 
-    /// All instances of a parse, in order of id.
+    /// Returns all instances of a parse, ordered by id.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -219,9 +221,9 @@ impl ParseRepository {
         bodies.iter().map(|body| Ok(serde_json::from_str::<InstanceRecord>(body)?.into())).collect()
     }
 
-    /// Adds an instance that was found for a question, behind all others, and answers its id: that
-    /// of the same thing where it was found before. `None` when the parse is gone or no scene's
-    /// any more, or has `most` of them already.
+    /// Appends an instance that was found for a question, and returns its id. Returns the existing
+    /// id if the same object was found before. Returns `None` when the parse is deleted, no scene
+    /// uses it, or it has `most` found instances already.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -259,7 +261,7 @@ impl ParseRepository {
     }
 }
 
-/// What is known of a parse has changed: what others keep of it in memory is old.
+/// Counts a change of a parse, which invalidates cached copies of it.
 pub(super) async fn note_change(tx: &mut AnyConnection, parse_id: &str) -> Result<(), StoreError> {
     sqlx::query("UPDATE parses SET changes = changes + 1 WHERE id = $1")
         .bind(parse_id)
@@ -268,9 +270,8 @@ pub(super) async fn note_change(tx: &mut AnyConnection, parse_id: &str) -> Resul
     Ok(())
 }
 
-/// A parse that is made anew because files of the one before were damaged takes over what people
-/// and models have said of that one, and what was found since: the same scan under the same
-/// settings has the same instances.
+/// Copies names, corrections and found instances from a retired parse to its replacement. The same
+/// scan under the same settings has the same instances.
 async fn inherit(
     tx: &mut AnyConnection,
     new: &NewParse<'_>,
@@ -308,7 +309,7 @@ async fn inherit(
     Ok(())
 }
 
-/// Writes one instance of a parse.
+/// Inserts one instance of a parse.
 pub(super) async fn insert_instance(
     tx: &mut AnyConnection,
     parse_id: &str,

@@ -1,10 +1,10 @@
-//! What rows hold as JSON: types of the store's own, so that neither the API nor the pipelines can
-//! make yesterday's data unreadable.
+//! Types of the JSON in rows. They belong to the store, so that changes of the API or the pipelines
+//! cannot make stored data unreadable.
 //!
-//! Written strictly, in the current version, which stands beside the JSON in `record_version`. Read
-//! leniently, whatever the version: fields nobody knows are passed over, fields that are missing
-//! get a value that says so, and what can not be made sense of is left out rather than taking its
-//! scene along. A field that changes its meaning raises the version, and reading looks at it.
+//! Written strictly, in the current version, which is stored next to the JSON in `record_version`.
+//! Read leniently in any version: unknown fields are ignored, missing fields get a value that says
+//! so, and unreadable parts are left out, so that their scene stays usable. A field that changes
+//! its meaning raises the version, and reading must check it.
 
 mod instance;
 mod settings;
@@ -17,17 +17,17 @@ use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{ImportReport, ParseReport};
 use uniground_types::settings::{ParseModels, ParseSettings};
 
-/// Of everything written now.
+/// Version of everything written now.
 pub const RECORD_VERSION: u32 = 1;
 
-/// What a parse was made with and what came of it, as stored.
+/// The settings and the results of a parse, as stored.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ParseRecord {
     pub settings: ParseSettings,
     pub models: ParseModels,
-    /// `None` where it is of a version that can not be read.
+    /// `None` if its version cannot be read.
     pub import: Option<ImportReport>,
-    /// `None` where it is of a version that can not be read.
+    /// `None` if its version cannot be read.
     pub report: Option<ParseReport>,
     pub extent: Option<Aabb>,
 }

@@ -1,7 +1,7 @@
 //! Recovery at start: clears what an interrupted run left behind.
 //!
-//! Every step stands for itself. A step that fails is logged and its rows and files are kept, so
-//! that recovery never keeps a server from starting.
+//! Steps are independent. A step that fails is logged, and its rows and files stay, so that
+//! recovery never prevents a server from starting.
 
 use super::database::Database;
 use super::growth::OUTGROWN;
@@ -10,15 +10,16 @@ use super::{
     UploadRepository,
 };
 use sqlx::AssertSqlSafe;
+use std::sync::Arc;
 use std::time::Duration;
 
-/// Files younger than this may belong to a process that is still at work.
+/// Files younger than this may belong to a process that is still running.
 const IN_USE: Duration = Duration::from_hours(24);
 
 /// Clears what an interrupted run left behind.
 #[derive(Clone)]
 pub struct Recovery {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
     pub(super) batches: BatchRepository,
     pub(super) blobs: Blobs,
     pub(super) contents: ContentRepository,
@@ -28,9 +29,9 @@ pub struct Recovery {
 }
 
 impl Recovery {
-    /// Clears what interrupted processes left. While no other process uses the store also unused
-    /// rows, folders without rows and unfinished uploads. Returns the error of a step that
-    /// failed because the disk is full.
+    /// Clears what interrupted processes left. If no other process uses the store, also removes
+    /// unused rows, orphan folders and unfinished uploads. Returns the error of a step that failed
+    /// because the disk is full.
     pub(super) async fn recover(&self) -> Option<StoreError> {
         let interrupted = self.end_interrupted_work().await;
         if !self.database.members.was_alone {
@@ -49,15 +50,15 @@ impl Recovery {
         steps.into_iter().flatten().next()
     }
 
-    /// Clears what crashed processes have left, while this one and others use the store.
+    /// Clears what crashed processes left, while this process and others use the store.
     pub async fn recover_beside_others(&self) {
         self.end_interrupted_work().await;
         logged("remove files of unfinished uploads", self.uploads.remove_stray_uploads().await);
         logged("remove temporary files", self.remove_temporary(IN_USE));
     }
 
-    /// Ends what crashed processes were in the middle of: batches being received, and money
-    /// reserved for calls of a model.
+    /// Ends interrupted work of crashed processes: batches being received, and money reserved for
+    /// model calls.
     async fn end_interrupted_work(&self) -> Option<StoreError> {
         let received = logged(
             "remove batches that were not received completely",
@@ -74,13 +75,13 @@ impl Recovery {
         Ok(())
     }
 
-    /// Removes parses and scans that no scene and no answer refers to, all of them or none: the
-    /// loser of two uploads under one idempotency key, the parse that a scene had before it
+    /// Removes parses and contents that no scene and no answer refers to, in one transaction: the
+    /// loser of two uploads under one idempotency key, or the parse that a scene had before it
     /// grew.
     async fn remove_unused_rows(&self) -> Result<(), StoreError> {
         let mut tx = self.database.writer.begin().await?;
-        // A scene that has grown names the parse of its earlier content until the new one is
-        // finished.
+        // A scene that has grown refers to the parse of its earlier content until the new one
+        // finishes.
         let parses = "DELETE FROM parses
                       WHERE NOT EXISTS (SELECT 1 FROM scenes WHERE scenes.content_hash = parses.content_hash OR scenes.parse_id = parses.id)
                       AND NOT EXISTS (SELECT 1 FROM answers WHERE answers.parse_id = parses.id)";
@@ -95,8 +96,8 @@ impl Recovery {
     }
 }
 
-/// Logs the error of a step. Returns it where the disk is full: the step may succeed when there is
-/// room.
+/// Logs the error of a step. Returns it if the disk is full: the step may succeed once there is
+/// space.
 fn logged<T>(step: &'static str, outcome: Result<T, StoreError>) -> Option<StoreError> {
     let error = outcome.err()?;
     tracing::error!(

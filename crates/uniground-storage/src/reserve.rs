@@ -1,9 +1,9 @@
 //! The reserve: a file of a few megabytes in the data folder that is removed when the disk is full.
-//! Opening a database and deleting rows need room too.
+//! Opening a database and deleting rows need disk space too.
 //!
-//! A server that runs releases half of it to delete. The rest is for the next start, which needs
-//! room before it can delete anything. The reserve is written again once the disk has several times
-//! its room.
+//! A running server releases half of it in order to delete. The rest is for the next start, which
+//! needs space before it can delete anything. The reserve is written again once the free space is
+//! several times its size.
 
 use super::blobs::remove_tree;
 use super::data_folder::{DataFolder, LOCK};
@@ -15,14 +15,14 @@ use tokio::task::spawn_blocking;
 
 const RESERVE: &str = "reserve";
 const BYTES: u64 = 8 << 20;
-/// What a server that runs leaves of it.
+/// The part that a running server does not release.
 const LEFT_FOR_START: u64 = BYTES / 2;
-/// It is written where the disk has so many times its room.
+/// The reserve is written if the free space is at least this many times its size.
 const TIMES_FREE: u64 = 4;
-/// A disk with less room is full, however an error names itself: what can not be created has no
-/// code of its own.
+/// A disk with less space counts as full, whatever the error: SQLite reports a file that cannot be
+/// created without a specific code.
 const FULL_BELOW_BYTES: u64 = 256 << 10;
-/// Folders that only save time, or were left by a process that was killed.
+/// Folders that only save time, or were left by a killed process.
 const DISPENSABLE: [&str; 2] = ["tmp", "blobs/checkpoints"];
 
 /// The reserve file.
@@ -33,14 +33,14 @@ pub struct Reserve {
 }
 
 impl Reserve {
-    /// Releases a part of the reserve, so that something can be deleted on a full disk; whether
+    /// Releases a part of the reserve, so that rows can be deleted on a full disk. Returns whether
     /// there was any.
     #[must_use]
     pub fn release_reserve(&self) -> bool {
         self.blobs.is_writable() && release_half(self.folder.path())
     }
 
-    /// Writes the reserve again, where the disk has room for it, off the async threads.
+    /// Writes the reserve again if the disk has space for it, off the async threads.
     pub async fn restore_reserve(&self) {
         if !self.blobs.is_writable() {
             return;
@@ -56,13 +56,13 @@ impl Reserve {
     }
 }
 
-/// Bytes that may still be written to the disk of a folder.
+/// Returns the free space on the disk of a folder, bytes.
 pub(super) fn free_bytes(folder: &Utf8Path) -> io::Result<u64> {
     let disk = rustix::fs::statvfs(folder.as_std_path())?;
     Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
 }
 
-/// Writes the reserve, or what is missing of it; `false` where the disk has too little room for it.
+/// Writes the reserve, or its missing part. Returns `false` if the disk has too little space.
 pub(super) fn write(data_dir: &Utf8Path) -> io::Result<bool> {
     let file = data_dir.join(RESERVE);
     let there = fs::metadata(&file).map_or(0, |file| file.len());
@@ -73,13 +73,13 @@ pub(super) fn write(data_dir: &Utf8Path) -> io::Result<bool> {
         return Ok(false);
     }
     let mut reserve = OpenOptions::new().create(true).append(true).open(&file)?;
-    // Written, not only announced: a file of holes takes no room.
+    // Write actual bytes: a sparse file occupies no space.
     let missing = vec![1; usize::try_from(BYTES - there).unwrap_or(0)];
     let written = reserve.write_all(&missing).and_then(|()| reserve.sync_all());
     written.inspect_err(|_| drop(reserve.set_len(there))).map(|()| true)
 }
 
-/// Gives a part of the reserve to the disk, for a server that runs; whether there was one.
+/// Releases a part of the reserve, for a running server. Returns whether there was any.
 pub(super) fn release_half(data_dir: &Utf8Path) -> bool {
     let file = data_dir.join(RESERVE);
     let Some(bytes) =
@@ -100,8 +100,8 @@ pub(super) fn release_half(data_dir: &Utf8Path) -> bool {
     shortened.is_ok()
 }
 
-/// Makes room on a full disk for a store that could not be opened, where this is why; whether it is
-/// worth another try.
+/// Frees space for a store that could not be opened because of a full disk. Returns whether another
+/// attempt is worthwhile.
 pub(super) fn make_room_to_open(data_dir: &Utf8Path, error: &StoreError) -> bool {
     let may_be_full =
         matches!(error, StoreError::Database(_) | StoreError::Migration(_) | StoreError::Blobs(_));
@@ -130,7 +130,7 @@ pub(super) fn make_room_to_open(data_dir: &Utf8Path, error: &StoreError) -> bool
     false
 }
 
-/// Gives the reserve to the disk; its bytes, where there was one.
+/// Removes the reserve. Returns its bytes, or `None` if there was none.
 fn release(data_dir: &Utf8Path) -> Option<u64> {
     let file = data_dir.join(RESERVE);
     let bytes = fs::metadata(&file).ok()?.len();
@@ -138,8 +138,8 @@ fn release(data_dir: &Utf8Path) -> Option<u64> {
     (bytes > 0).then_some(bytes)
 }
 
-/// Removes what a data folder can do without, if nobody uses it, until there is as much room as the
-/// reserve gives; how many folders.
+/// Removes dispensable folders, if no process uses the data folder, until there is as much space as
+/// the reserve gives. Returns the number of folders.
 fn remove_dispensable(data_dir: &Utf8Path) -> io::Result<u32> {
     let lock = File::open(data_dir.join(LOCK))?;
     if lock.try_lock().is_err() {
@@ -168,7 +168,7 @@ mod tests {
         fs::metadata(folder.join(RESERVE)).map_or(0, |file| file.len())
     }
 
-    /// A server that deletes leaves a part to the next start, which may need it as much.
+    /// A running server leaves a part to the next start, which may need it as well.
     #[test]
     fn a_running_server_leaves_a_part_of_the_reserve_to_the_next_start() {
         let place = tempfile::tempdir().unwrap();
@@ -186,7 +186,7 @@ mod tests {
         assert!(!make_room_to_open(folder, &full()), "there is nothing more to release");
     }
 
-    /// What is no full disk costs no reserve.
+    /// Errors other than a full disk release nothing.
     #[test]
     fn other_troubles_release_nothing() {
         let place = tempfile::tempdir().unwrap();

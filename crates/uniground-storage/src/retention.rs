@@ -1,51 +1,52 @@
-//! Rows that are kept for a time only: which may go, and their removal, a few at a time.
+//! Retention: finds expired rows and removes them, a few at a time.
 //!
-//! What may go is looked up among the readers; only the removal itself takes the writing
-//! connection, and asks again whether it may.
+//! Expired rows are found with readers. Only the removal uses the write connection, and it checks
+//! again whether a row may be removed.
 
 use super::database::Database;
 use super::{BatchRepository, StoreError, first_id_at};
 use jiff::{Timestamp, ToSpan};
 use sqlx::AssertSqlSafe;
+use std::sync::Arc;
 
-/// Kinds of rows that go after a time.
+/// Kinds of rows with a retention time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RetentionKind {
     Answers,
-    /// Those that are over, with their items.
+    /// Finished batches, with their items.
     Batches,
-    /// Those that are over, unless a scene or a batch refers to them.
+    /// Finished jobs that no scene or batch refers to.
     Jobs,
     IdempotencyKeys,
-    /// Those of questions.
+    /// Idempotency keys of questions.
     QuestionKeys,
-    /// What was done, and with whose key.
+    /// The audit log.
     Audit,
-    /// Those neither a scene nor an answer refers to, counted from when that was
-    /// [seen](Store::mark_superseded_parses).
+    /// Parses that neither a scene nor an answer refers to, counted from when that was
+    /// [seen](RetentionRepository::mark_superseded_parses).
     SupersededParses,
-    /// Those in parts, whatever came of them.
+    /// Resumable uploads, finished or not.
     Uploads,
 }
 
-/// Everything before it has been kept long enough.
+/// Rows from before this time have expired.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cutoff {
     time: String,
-    /// The first id that could have been given then.
+    /// The first id that could have been assigned at this time.
     id: String,
 }
 
-/// A row that may go.
+/// A row that may be removed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ExpiredRow {
     pub id: String,
-    /// Of what it says, roughly.
+    /// Approximate size of its content.
     pub bytes: u64,
 }
 
 impl Cutoff {
-    /// So many days before `now`.
+    /// Returns the time so many days before `now`.
     #[must_use]
     pub fn days_ago(days: u32, now: Timestamp) -> Self {
         let time = now.checked_sub((i64::from(days) * 24).hours()).unwrap_or(Timestamp::MIN);
@@ -54,10 +55,11 @@ impl Cutoff {
 }
 
 impl RetentionKind {
-    /// Table, key, bytes and condition; `?1` is a time, `?2` the first id of that time.
+    /// Table, key, bytes and condition. `$1` is a time, `$2` the first id of that time.
     const fn sql(self) -> (&'static str, &'static str, &'static str, &'static str) {
         match self {
-            // An item of a batch has its answer's id long before it is asked, where the batch was paused.
+            // An item of a batch gets its answer's id long before it is answered, e.g. while the
+            // batch is paused.
             Self::Answers => ("answers", "id", "octet_length(body)", "id < $2 AND created_at < $1"),
             Self::Batches => (
                 "batches",
@@ -91,15 +93,15 @@ impl RetentionKind {
     }
 }
 
-/// Rows that have expired.
+/// Repository of expired rows.
 #[derive(Clone)]
 pub struct RetentionRepository {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
     pub(super) batches: BatchRepository,
 }
 
 impl RetentionRepository {
-    /// Rows that may go, in order of their keys, those after `after` only.
+    /// Returns rows that may be removed, ordered by key, starting after `after`.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -126,7 +128,7 @@ impl RetentionRepository {
             .collect())
     }
 
-    /// Removes some of the rows that were due, those that still are; their ids.
+    /// Removes rows found earlier that may still be removed. Returns their ids.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -149,8 +151,8 @@ impl RetentionRepository {
         Ok(removed.fetch_all(self.database.writer.pool()).await?)
     }
 
-    /// A batch may have a million items. It is hidden first, as one that is still coming in:
-    /// whatever happens then, nobody meets half of it.
+    /// Removes batches, which may have a million items each. A batch is first hidden like one that
+    /// is still being received, so no reader ever sees a part of it.
     async fn remove_batches(
         &self,
         before: &Cutoff,
@@ -174,7 +176,8 @@ impl RetentionRepository {
         Ok(hidden)
     }
 
-    /// Notes which parses nothing refers to any more, since `now`, and which are referred to again.
+    /// Stores since when parses are unreferenced (`now`), and clears that for parses referred to
+    /// again.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -197,7 +200,7 @@ impl RetentionRepository {
         Ok(())
     }
 
-    /// Contents that a parse works on, or is about to.
+    /// Returns contents that a parse job works on or waits for.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -207,7 +210,7 @@ impl RetentionRepository {
         Ok(sqlx::query_scalar(sql).fetch_all(&self.database.reader).await?)
     }
 
-    /// Bytes that removed rows have left in the database.
+    /// Returns the bytes in the database that removed rows left unused.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -217,7 +220,7 @@ impl RetentionRepository {
         Ok(u64::try_from(bytes).unwrap_or(0))
     }
 
-    /// Gives the room of removed rows back to the disk. Nobody else may use the database meanwhile.
+    /// Returns the space of removed rows to the disk. Needs exclusive access to the database.
     ///
     /// # Errors
     /// [`StoreError::Database`].

@@ -1,30 +1,31 @@
-//! Which of many rooms are worth a look: what their things are called, by name, and where a
-//! database can (`vectors`) what they look like.
+//! The index for search across rooms: names of their instances and, where the database supports it
+//! (`vectors`), their embeddings.
 
 use super::database::Database;
 use super::{Labels, SceneRow, StoreError};
 use sqlx::{AssertSqlSafe, FromRow, Row};
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
-/// A parse whose index is not of what is known of it now.
+/// A parse whose index is out of date.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ParseToIndex {
     pub parse_id: String,
-    /// How often what is known of it has changed.
+    /// The parse's number of changes.
     pub changes: i64,
 }
 
-/// What a room's things are called.
+/// A name of an instance in a room.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RoomEntry {
     pub name: String,
-    /// The word for it; "" for none in particular.
+    /// The word for its color; "" for none in particular.
     pub colour: &'static str,
     /// `0..=1`
     pub weight: f32,
 }
 
-/// An entry that was asked for.
+/// An index entry that matches a search.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RoomMatch {
     pub parse_id: String,
@@ -32,17 +33,17 @@ pub struct RoomMatch {
     pub weight: f32,
 }
 
-/// Rows that one statement writes.
+/// Rows per INSERT statement.
 const TOGETHER: usize = 50;
 
-/// What the rooms hold, as words and vectors.
+/// Repository of the room index: words and vectors.
 #[derive(Clone)]
 pub struct RoomIndexRepository {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
 }
 
 impl RoomIndexRepository {
-    /// Parses that are to be indexed, the oldest first.
+    /// Returns parses to be indexed, oldest first.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -53,8 +54,7 @@ impl RoomIndexRepository {
         Ok(rows.into_iter().map(|(parse_id, changes)| ParseToIndex { parse_id, changes }).collect())
     }
 
-    /// Writes down what a room is known by, in place of what it was known by before. A parse that
-    /// is gone by then is none.
+    /// Replaces the index entries of a room. Does nothing if the parse is deleted.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -103,7 +103,7 @@ impl RoomIndexRepository {
         tx.commit().await
     }
 
-    /// Every name that a room's thing has, or has had.
+    /// Returns all names in the index, including unused ones.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -113,8 +113,8 @@ impl RoomIndexRepository {
             .await?)
     }
 
-    /// Entries of one name, in a colour or in any, of rooms that scenes with these labels have:
-    /// those that are believed most.
+    /// Returns entries of one name, in one color or in any, for rooms of scenes with these labels;
+    /// highest weight first.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -142,7 +142,7 @@ impl RoomIndexRepository {
             .collect())
     }
 
-    /// The condition that the parse of an `entry` is one of a scene with these labels.
+    /// A condition: the parse of `entry` belongs to a scene with these labels.
     pub(super) fn is_meant(&self, labels: &str) -> String {
         let is_filed_so = self.database.engine.contains("scenes.labels", labels);
         format!(
@@ -150,8 +150,8 @@ impl RoomIndexRepository {
         )
     }
 
-    /// Scenes that these parses are of, at most so many of one: each with its place among those of
-    /// its parse, the newest first.
+    /// Returns the scenes of these parses, newest first and at most `most_of_one` for each parse,
+    /// with their position among the scenes of their parse.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -176,7 +176,7 @@ impl RoomIndexRepository {
         rows.iter().map(|row| Ok((row.try_get("place")?, SceneRow::from_row(row)?))).collect()
     }
 
-    /// Forgets names that no room's thing has any more.
+    /// Deletes names that no index entry uses.
     ///
     /// # Errors
     /// [`StoreError::Database`].

@@ -1,4 +1,4 @@
-//! Scenes.
+//! Scenes and their rows.
 
 use super::database::Database;
 use super::growth::number_changes;
@@ -8,6 +8,7 @@ use super::{Blobs, ContentRepository, JobRow, NewJob, StoreError, now};
 use camino::Utf8PathBuf;
 use sqlx::any::AnyRow;
 use sqlx::{AnyConnection, AssertSqlSafe, FromRow, Row};
+use std::sync::Arc;
 use uniground_types::labels::Labels;
 use uniground_types::placement::SceneToMap;
 
@@ -20,7 +21,7 @@ pub struct SceneRow {
     pub parse_id: Option<String>,
     pub parse_version: i64,
     pub job_id: Option<String>,
-    /// `None` too where it is of a version that can not be read.
+    /// `None` also if its version cannot be read.
     pub scene_to_map: Option<SceneToMap>,
     pub map_frame_id: Option<String>,
     pub labels: Labels,
@@ -28,7 +29,7 @@ pub struct SceneRow {
     pub updated_at: String,
 }
 
-/// What is to be different about a scene; `None` stays, and within it `None` takes away.
+/// Changes of a scene. An outer `None` keeps the value, an inner `None` removes it.
 pub struct SceneRowChange<'a> {
     pub name: Option<&'a str>,
     pub scene_to_map: Option<Option<SceneToMap>>,
@@ -36,12 +37,12 @@ pub struct SceneRowChange<'a> {
     pub labels: Option<Labels>,
 }
 
-/// Which scenes are meant.
+/// Which scenes to list.
 #[derive(Debug, Default)]
 pub struct SceneFilter {
     /// `None`: any.
     pub ids: Option<Vec<String>>,
-    /// A scene has all of them.
+    /// A scene must have all of them.
     pub labels: Labels,
 }
 
@@ -65,24 +66,24 @@ impl FromRow<'_, AnyRow> for SceneRow {
     }
 }
 
-/// A scene about to be recorded, with what belongs to it. Its content's blob is in place.
+/// A scene to be inserted, with its dependent rows. Its content's blob is in place.
 pub struct NewSceneRow<'a> {
     pub id: &'a str,
     pub name: &'a str,
     pub content_hash: &'a str,
     pub content_bytes: u64,
-    /// Who uploads it.
+    /// The API key that uploads it.
     pub key_id: Option<&'a str>,
-    /// An idempotency key, and what identifies the request that came with it.
+    /// An idempotency key, and the hash of the request that came with it.
     pub key: Option<(&'a str, &'a str)>,
-    /// Parses it, where that was asked for.
+    /// The job that parses it, if requested.
     pub job: Option<NewJob<'a>>,
 }
 
-/// What came of recording a scene.
+/// The result of inserting a scene.
 pub enum InsertOutcome {
     New(SceneRow, Option<Box<JobRow>>),
-    /// The same key made this one before.
+    /// The scene that was created earlier under the same key.
     MadeBefore(SceneRow),
     /// The key was used for another request.
     KeyReused,
@@ -97,17 +98,16 @@ pub(super) async fn made_by_key(
     row.map(|row| Ok((SceneRow::from_row(&row)?, row.try_get("request")?))).transpose()
 }
 
-/// Scenes.
+/// Repository of scenes.
 #[derive(Clone)]
 pub struct SceneRepository {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
     pub(super) blobs: Blobs,
     pub(super) contents: ContentRepository,
 }
 
 impl SceneRepository {
-    /// Records a scene with its content, its key and its first job, as one: there is all of it or
-    /// nothing.
+    /// Inserts a scene with its content, its key and its first job, in one transaction.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -119,7 +119,7 @@ impl SceneRepository {
             && let Some((scene, before)) = made_by_key(&mut tx, key).await?
         {
             tx.forget().await?;
-            // Servers of before requests were noted believed the key.
+            // Old servers did not store the request: accept the key.
             let same = before.is_none_or(|before| before == request);
             return Ok(if same {
                 InsertOutcome::MadeBefore(scene)
@@ -158,7 +158,8 @@ impl SceneRepository {
         Ok(InsertOutcome::New(scene, job.map(Box::new)))
     }
 
-    /// Records a job and makes it the scene's own, as one. `None` when the scene is gone.
+    /// Inserts a job and makes it the scene's current one, in one transaction. Returns `None` when
+    /// the scene is deleted.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -190,8 +191,8 @@ impl SceneRepository {
             .await?)
     }
 
-    /// The scene that a key made, and what identifies the request it came with, where that was
-    /// noted.
+    /// Returns the scene that was created under a key, and the hash of its request if that was
+    /// stored.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -202,7 +203,7 @@ impl SceneRepository {
         Ok(made_by_key(&mut *self.database.reader.acquire().await?, key).await?)
     }
 
-    /// Scenes newest first, those before `cursor` (an id) only.
+    /// Returns scenes, newest first; with a `cursor` (an id) only those before it.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -255,8 +256,8 @@ impl SceneRepository {
         Ok(query.fetch_optional(self.database.writer.pool()).await?)
     }
 
-    /// Makes a finished parse the scene's own, a new version; unless a later job than `job_id` was
-    /// asked for meanwhile.
+    /// Makes a finished parse the scene's current one, as a new version, unless a later job than
+    /// `job_id` was requested meanwhile.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -272,7 +273,7 @@ impl SceneRepository {
                 .bind(id)
                 .fetch_optional(&mut *tx)
                 .await?;
-        // Ids are in order of time.
+        // Ids are ordered by time.
         let sql = "UPDATE scenes SET parse_version = parse_version + CASE WHEN parse_id IS DISTINCT FROM $1 THEN 1 ELSE 0 END, parse_id = $1, updated_at = $2
                    WHERE id = $3 AND (job_id IS NULL OR job_id <= $4)";
         let query = sqlx::query(sql).bind(parse_id).bind(now()).bind(id).bind(job_id);
@@ -283,9 +284,9 @@ impl SceneRepository {
         tx.commit().await
     }
 
-    /// Removes the rows of a scene with the last of its answers, and those of its content and
-    /// parses when no other scene shares them. The folders that no row speaks of any more come
-    /// back, for the caller to remove; `None` when there is no such scene.
+    /// Deletes the rows of a scene with the rest of its answers, and those of its content and
+    /// parses if no other scene shares them. Returns the folders that no row refers to any more,
+    /// which the caller must remove; `None` if the scene does not exist.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -312,7 +313,7 @@ impl SceneRepository {
     }
 }
 
-/// Adds a job on a scene, in somebody's transaction.
+/// Inserts a job on a scene, in the caller's transaction.
 pub(super) async fn add_job(
     tx: &mut Transaction,
     scene_id: &str,

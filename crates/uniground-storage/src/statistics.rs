@@ -1,4 +1,4 @@
-//! How much is stored, in numbers. Read beside whoever writes.
+//! Statistics of the store. They are read without blocking writers.
 
 use super::StoreError;
 use super::data_folder::DataFolder;
@@ -6,10 +6,11 @@ use super::database::{Database, Engine, number};
 use sqlx::any::AnyRow;
 use sqlx::{AssertSqlSafe, FromRow, Row};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::{fs, io};
 use tokio::task::spawn_blocking;
 
-/// Numbers of everything that is stored.
+/// Counts and sizes of everything that is stored.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Figures {
     pub scenes: u32,
@@ -20,9 +21,9 @@ pub struct Figures {
     pub batches: BTreeMap<String, u32>,
     /// By kind and state.
     pub jobs: Vec<JobFigures>,
-    /// The database with its journal.
+    /// The database with its write-ahead log.
     pub database_bytes: u64,
-    /// What may still be written beside it.
+    /// Free space on its disk.
     pub free_bytes: u64,
 }
 
@@ -32,7 +33,7 @@ pub struct JobFigures {
     pub kind: String,
     pub state: String,
     pub jobs: u32,
-    /// When the oldest of them was asked for.
+    /// Creation time of the oldest of them.
     pub oldest: String,
 }
 
@@ -47,10 +48,10 @@ impl FromRow<'_, AnyRow> for JobFigures {
     }
 }
 
-/// Counts and sizes of what is stored.
+/// Repository of counts and sizes.
 #[derive(Clone)]
 pub struct StatisticsRepository {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
     pub(super) folder: DataFolder,
 }
 
@@ -60,7 +61,7 @@ impl StatisticsRepository {
     /// # Errors
     /// [`StoreError`].
     pub async fn figures(&self) -> Result<Figures, StoreError> {
-        // Instances as reports tell them: to count them would be to read them.
+        // Take the number of instances from reports: counting the rows would read all of them.
         let (things, others) = (
             self.database.engine.number_in("parse_report", "instances"),
             self.database.engine.number_in("parse_report", "parts_and_wholes"),
@@ -103,7 +104,7 @@ impl StatisticsRepository {
         })
     }
 
-    /// Bytes of a database that is not in the data folder.
+    /// Returns the size of a PostgreSQL database, bytes.
     async fn bytes_on_server(&self) -> Result<Option<u64>, StoreError> {
         let Engine::Postgres = self.database.engine else { return Ok(None) };
         let bytes = sqlx::query_scalar("SELECT pg_database_size(current_database())")

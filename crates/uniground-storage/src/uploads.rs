@@ -1,4 +1,4 @@
-//! Uploads that come in parts: what was said of them, how much is there, what came of them.
+//! Resumable uploads: the request, the received bytes, and the result.
 
 use super::database::{Database, number};
 use super::records::read_or_none;
@@ -7,23 +7,24 @@ use serde::{Deserialize, Serialize};
 use sqlx::any::AnyRow;
 use sqlx::{FromRow, Row};
 use std::collections::HashSet;
+use std::sync::Arc;
 use std::{fs, io};
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::problem::Problem;
 use uniground_types::settings::ParsePreset;
 
-/// What is to be made of an upload.
+/// The scene to create from an upload.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct SceneRequest {
     pub name: Option<String>,
     pub file_name: Option<String>,
-    /// Only stored, where not.
+    /// If `false`, the scan is stored and not parsed.
     pub parse: bool,
     pub up: Option<UpAxis>,
     pub preset: ParsePreset,
     pub idempotency_key: Option<String>,
-    /// For whoever sends it, handed back as it came.
+    /// A note by the client, returned unchanged.
     pub note: Option<String>,
 }
 
@@ -33,33 +34,33 @@ pub struct UploadRow {
     pub id: String,
     pub key_id: Option<String>,
     pub wanted: SceneRequest,
-    /// Bytes it will have.
+    /// Total length, bytes.
     pub length: u64,
-    /// Bytes that are on the disk.
+    /// Bytes that are on disk.
     pub received: u64,
     pub came_of: Option<UploadResult>,
     pub created_at: String,
     pub updated_at: String,
 }
 
-/// What came of an upload.
+/// The result of an upload.
 #[derive(Debug, Clone, PartialEq)]
 pub enum UploadResult {
     Scene {
         scene_id: String,
         job_id: Option<String>,
     },
-    /// Why there is none; nothing where that is of a version that can not be read.
+    /// Why no scene was created; `None` if the stored version cannot be read.
     Nothing(Option<Problem>),
 }
 
-/// Uploads that have not come to an end.
+/// Totals of unfinished uploads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct UnfinishedUploads {
     pub uploads: u32,
-    /// Of these, one key's.
+    /// Uploads of one API key, contained in `uploads`.
     pub of_key: u32,
-    /// Bytes that are still to come.
+    /// Bytes that have not been received.
     pub announced_bytes: u64,
 }
 
@@ -88,15 +89,15 @@ impl FromRow<'_, AnyRow> for UploadRow {
     }
 }
 
-/// Resumable uploads.
+/// Repository of resumable uploads.
 #[derive(Clone)]
 pub struct UploadRepository {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
     pub(super) blobs: Blobs,
 }
 
 impl UploadRepository {
-    /// Begins an upload of so many bytes.
+    /// Inserts an upload of `length` bytes.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -125,7 +126,7 @@ impl UploadRepository {
             .await?)
     }
 
-    /// Notes how much of an upload is on the disk; `None` where it is gone.
+    /// Stores how much of an upload is on disk. Returns `None` if the upload is deleted.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -142,7 +143,7 @@ impl UploadRepository {
         Ok(query.fetch_optional(self.database.writer.pool()).await?)
     }
 
-    /// Notes what came of an upload; `None` where it is gone.
+    /// Stores the result of an upload. Returns `None` if the upload is deleted.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -161,7 +162,7 @@ impl UploadRepository {
         Ok(query.fetch_optional(self.database.writer.pool()).await?)
     }
 
-    /// Whether there was one.
+    /// Deletes an upload. Returns whether it existed.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -173,7 +174,7 @@ impl UploadRepository {
         Ok(deleted.rows_affected() > 0)
     }
 
-    /// Uploads that have not come to an end, of those that were gone on with since a time.
+    /// Counts unfinished uploads that were updated since a time.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -200,7 +201,7 @@ impl UploadRepository {
         })
     }
 
-    /// Uploads that are all there and of which nothing was made yet.
+    /// Returns uploads that are completely received and have no result yet.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -209,10 +210,10 @@ impl UploadRepository {
         Ok(sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).fetch_all(&self.database.reader).await?)
     }
 
-    /// Removes files of uploads that are over or that nobody knows: whoever sent one whose record
-    /// was lost has it still.
+    /// Removes files of uploads that are finished or unknown. If the row of an upload was lost, its
+    /// client still has the data.
     pub(super) async fn remove_stray_uploads(&self) -> Result<(), StoreError> {
-        // Before the records are read: one that begins has its record first, and then its file.
+        // List the files before the rows: an upload writes its row first, and then its file.
         let blobs = self.blobs.clone();
         let all = tokio::task::spawn_blocking(move || blobs.all_uploads())
             .await
@@ -225,7 +226,7 @@ impl UploadRepository {
         let removed = tokio::task::spawn_blocking(move || {
             let mut orphan_folders = all.into_iter().filter(|name| !open.contains(name));
             orphan_folders.try_for_each(|name| match fs::remove_file(blobs.upload(&name)) {
-                // Whoever ended it was faster.
+                // Another task has finished the upload meanwhile.
                 Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
                 removed => removed,
             })

@@ -1,6 +1,6 @@
-//! What an encoder has seen of every instance, where the database can look for what is near a
-//! vector: PostgreSQL with the extension pgvector. Approximate, by a graph (HNSW) of each encoder's
-//! own; the tables are there once somebody has asked for them (`--vectors pgvector`).
+//! Embeddings of instances, where the database supports nearest-neighbor search: PostgreSQL with
+//! the extension pgvector. The search is approximate, with an HNSW graph for each encoder. The
+//! tables exist once vectors were requested (`--vectors pgvector`).
 
 use super::database::Engine;
 use super::{Labels, RoomIndexRepository, StoreError};
@@ -8,31 +8,30 @@ use sha2::{Digest, Sha256};
 use sqlx::{AssertSqlSafe, Executor};
 use std::fmt::Write;
 
-/// What an encoder has seen of a room.
+/// The embeddings of one room by one encoder.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RoomVectors {
-    /// Its name and version: vectors of different ones have nothing in common.
+    /// Name and version of the encoder. Vectors of different encoders cannot be compared.
     pub encoder: String,
-    /// One for each instance that was seen, of unit length.
+    /// One for each instance with an embedding, of unit length.
     pub vectors: Vec<Vec<f32>>,
 }
 
-/// Instances that are looked up for one question: several may be of one room.
+/// Nearest instances fetched for one question; several may be of one room.
 const NEAREST: u32 = 1000;
-/// How many the graph keeps in hand while it is walked; no more come of it. More find more of the
-/// nearest, and take longer.
+/// Size of HNSW's candidate list (`ef_search`), which limits the number of results. A larger list
+/// has better recall and is slower.
 const IN_HAND: u32 = 1000;
-/// Rows that one statement writes.
+/// Rows per INSERT statement.
 const TOGETHER: usize = 50;
-/// The longest vectors that the extension indexes.
+/// The longest vectors that the extension can index.
 const LONGEST: usize = 2000;
 
 impl RoomIndexRepository {
-    /// Has vectors kept from now on: makes what is needed for that, and has every room indexed anew
-    /// where it was not there.
+    /// Enables vectors: creates the tables and, if they are new, has every room indexed again.
     ///
     /// # Errors
-    /// [`StoreError::NoVectors`] where the database can not; [`StoreError::Database`].
+    /// [`StoreError::NoVectors`] if the database does not support it; [`StoreError::Database`].
     pub async fn want_vectors(&self) -> Result<(), StoreError> {
         if self.database.engine == Engine::Sqlite {
             return Err(StoreError::NoVectors {
@@ -59,7 +58,7 @@ impl RoomIndexRepository {
         tx.commit().await
     }
 
-    /// Whether vectors are kept.
+    /// Returns whether vectors are stored.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -74,11 +73,11 @@ impl RoomIndexRepository {
         }
     }
 
-    /// Keeps what was seen of a room in place of what was kept before, where vectors are kept. The
-    /// graph takes its time: nobody who writes waits for it.
+    /// Replaces the vectors of a room, if vectors are enabled. Updating the graph takes time and
+    /// does not block other writers.
     ///
     /// # Errors
-    /// [`StoreError::Database`]; also where the parse is gone by then.
+    /// [`StoreError::Database`], also when the parse is deleted.
     pub async fn keep_vectors(
         &self,
         parse_id: &str,
@@ -97,7 +96,7 @@ impl RoomIndexRepository {
         else {
             return Ok(tx.commit().await?);
         };
-        // Its name is ours: nothing of the encoder's stands in it but a hash.
+        // The name of the index contains only a hash of the encoder's name.
         let digest = Sha256::digest(encoder);
         let name: String = digest[..8].iter().map(|byte| format!("{byte:02x}")).collect();
         let sql = format!(
@@ -123,8 +122,8 @@ impl RoomIndexRepository {
         Ok(tx.commit().await?)
     }
 
-    /// Rooms that have something near a vector (unit length), the nearest first; nothing where no
-    /// vectors are kept.
+    /// Returns rooms with an instance near a vector (unit length), nearest first; empty if vectors
+    /// are not stored.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -139,8 +138,8 @@ impl RoomIndexRepository {
             return Ok(Vec::new());
         }
         let (dim, is_meant) = (vector.len(), self.is_meant("$2"));
-        // The encoder stands in the statement: an index of a part of the table is used where the
-        // condition is its own.
+        // The encoder must be a literal: PostgreSQL uses a partial index only if the query repeats
+        // its condition.
         let sql = format!(
             "SELECT parse_id, max(cosine) AS cosine FROM (
                  SELECT parse_id, -(embedding::vector({dim}) <#> $1::vector({dim})) AS cosine FROM instance_vectors
@@ -160,7 +159,7 @@ impl RoomIndexRepository {
     }
 }
 
-/// A vector as the extension reads it.
+/// Formats a vector for the extension.
 fn literal(vector: &[f32]) -> String {
     let mut text = String::with_capacity(vector.len() * 12);
     for (at, value) in vector.iter().enumerate() {
@@ -170,7 +169,7 @@ fn literal(vector: &[f32]) -> String {
     text
 }
 
-/// A text as a statement says it.
+/// Formats a text as an SQL literal.
 fn quoted(text: &str) -> String {
     format!("'{}'", text.replace('\'', "''"))
 }

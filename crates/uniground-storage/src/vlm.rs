@@ -1,32 +1,33 @@
-//! What is kept of vision-language models: names they gave, and what was paid.
+//! Rows of vision-language models: names they gave, and money spent on them.
 
 use super::database::{Database, number, without_nul};
 use super::parses::note_change;
 use super::{StoreError, now};
 use sqlx::AnyConnection;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
-/// Money that somebody wants to have put aside.
+/// A request to reserve money.
 #[derive(Debug, Clone, Copy)]
 pub struct SpendRequest<'a> {
     /// UTC date.
     pub day: &'a str,
-    /// US dollars, as all of these.
+    /// US dollars, as all amounts here.
     pub usd: f64,
     pub key_id: Option<&'a str>,
-    /// What may be spent on a day by all together, and by this key.
+    /// Daily limits for all keys together, and for this key.
     pub daily_usd: Option<f64>,
     pub key_daily_usd: Option<f64>,
 }
 
-/// Whose money a day's is.
+/// The owner of a daily budget.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BudgetOwner {
     OfAll,
     OfKey,
 }
 
-/// There is too little of it.
+/// The budget is too small for the request.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BudgetExceeded {
     pub whose: BudgetOwner,
@@ -34,15 +35,15 @@ pub struct BudgetExceeded {
     pub left_usd: f64,
 }
 
-/// Names that models gave to instances.
+/// Repository of the names that models gave to instances.
 #[derive(Clone)]
 pub struct NameRepository {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
 }
 
 impl NameRepository {
-    /// Names of a parse's instances, by id, as one model gave them with one version of the
-    /// question.
+    /// Returns the names of a parse's instances, by id, from one model with one version of the
+    /// prompt.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -65,7 +66,7 @@ impl NameRepository {
             .collect::<sqlx::Result<_>>()?)
     }
 
-    /// Keeps names; those given before stay. Nothing is kept when the parse is gone.
+    /// Stores names. Existing names stay. Stores nothing when the parse is deleted.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -93,7 +94,7 @@ impl NameRepository {
         tx.commit().await
     }
 
-    /// A model has named everything of a parse that can be named.
+    /// Stores that a model has named every instance of a parse that can be named.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -113,7 +114,7 @@ impl NameRepository {
         tx.commit().await
     }
 
-    /// The model that last named everything of a parse, by one version of the question.
+    /// Returns the model that last completed the names of a parse, for one version of the prompt.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -131,14 +132,14 @@ impl NameRepository {
     }
 }
 
-/// Money spent on models, by day.
+/// Repository of the money spent on models, by day.
 #[derive(Clone)]
 pub struct SpendingRepository {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
 }
 
 impl SpendingRepository {
-    /// What was spent on a day, US dollars.
+    /// Returns the money spent on a day, US dollars.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -150,13 +151,12 @@ impl SpendingRepository {
         Ok(usd.unwrap_or(0.0))
     }
 
-    /// Puts money aside for a call that is about to be made, under a new id, if what may be spent
-    /// on its day leaves so much: all processes together, calls under way counted as what they
-    /// are thought to cost. An allowance that is used up pays for nothing, not even for what
-    /// seems to be free.
+    /// Reserves money for a model call under a new id, if the daily budgets have enough left.
+    /// Counts all processes together, and calls in progress with their estimated cost. A budget
+    /// that is used up allows no calls, not even calls that seem to be free.
     ///
     /// # Errors
-    /// [`StoreError::NotHeld`]: this process was not seen for a lease; [`StoreError::Database`].
+    /// [`StoreError::NotHeld`]: the lease of this process has expired; [`StoreError::Database`].
     pub async fn reserve_spending(
         &self,
         id: &str,
@@ -181,7 +181,8 @@ impl SpendingRepository {
                 return Ok(Err(BudgetExceeded { whose, limit_usd, left_usd: left_usd.max(0.0) }));
             }
         }
-        // Who is no member any more buys nothing: others do what he was at work on.
+        // A process that was removed from the cluster spends nothing: others have taken over its
+        // work.
         let sql = "INSERT INTO reservations (id, day, usd, key_id, member)
                    SELECT $1, $2, $3, $4, $5 WHERE EXISTS (SELECT 1 FROM members WHERE id = $5)";
         let query = sqlx::query(sql)
@@ -198,7 +199,7 @@ impl SpendingRepository {
         Ok(Ok(()))
     }
 
-    /// Notes what a call has cost in place of what was put aside for it.
+    /// Replaces a reservation with the actual cost of the call.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -215,7 +216,7 @@ impl SpendingRepository {
         tx.commit().await
     }
 
-    /// Counts what was put aside for calls of processes that are no more as spent.
+    /// Counts the reservations of processes that are gone as spent.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -231,7 +232,7 @@ impl SpendingRepository {
     }
 }
 
-/// Counts as spent: on a day, by everybody and by a key.
+/// Adds spending to the totals of a day: of everybody, and of a key.
 async fn add_spending(
     tx: &mut AnyConnection,
     day: &str,

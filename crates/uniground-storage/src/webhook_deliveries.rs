@@ -1,19 +1,20 @@
-//! Ends of jobs that somebody wants to be told of.
+//! Webhook deliveries for finished jobs.
 
 use super::database::{Database, number};
 use super::jobs::after;
 use super::{StoreError, now};
+use std::sync::Arc;
 use std::time::Duration;
 
-/// Webhook deliveries that are due.
+/// Repository of webhook deliveries that are due.
 #[derive(Clone)]
 pub struct WebhookRepository {
-    pub(super) database: Database,
+    pub(super) database: Arc<Database>,
 }
 
 impl WebhookRepository {
-    /// Ends that are due to be told, those that were never tried first: id of the job, and how
-    /// often it was tried.
+    /// Returns deliveries that are due, first those that were never attempted: id of the job, and
+    /// number of attempts.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -31,7 +32,7 @@ impl WebhookRepository {
             .collect::<sqlx::Result<_>>()?)
     }
 
-    /// Puts an announcement off that was not taken.
+    /// Postpones a delivery that failed.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -50,7 +51,7 @@ impl WebhookRepository {
         Ok(())
     }
 
-    /// Forgets an announcement: it was taken, or nobody ever will.
+    /// Deletes a delivery that succeeded or was given up.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -62,8 +63,8 @@ impl WebhookRepository {
         Ok(())
     }
 
-    /// Notes every end of a job from now on, as one with the end itself, whatever brings it about.
-    /// A job that was done when it was made is none: who asked for it knows.
+    /// Enables deliveries: from now on every finished job gets a delivery, in the same transaction
+    /// as its end. A job that was finished when it was created gets none: its caller knows already.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -74,7 +75,7 @@ impl WebhookRepository {
         Ok(())
     }
 
-    /// Notes none, and forgets what was noted: nobody wants to be told.
+    /// Disables deliveries, and deletes those that wait.
     ///
     /// # Errors
     /// [`StoreError::Database`].

@@ -1,6 +1,6 @@
-//! The one who writes. Every write is a transaction that ends on every path: one that was not
-//! committed takes its connection with it, and the next write gets a new one. So neither a full
-//! disk nor a caller that leaves can spoil what comes after.
+//! The write connections. Every write is a transaction that ends on every path: dropping one
+//! without a commit closes its connection, and the next write gets a new one. So neither a full
+//! disk nor a cancelled caller can affect later writes.
 
 use super::StoreError;
 use super::database::Engine;
@@ -8,7 +8,7 @@ use sqlx::pool::PoolConnection;
 use sqlx::{Any, AnyConnection, AnyPool, Executor};
 use std::ops::{Deref, DerefMut};
 
-/// Gives out connections that write, to one transaction at a time.
+/// Hands out write connections, to one transaction at a time.
 #[derive(Clone)]
 pub(super) struct Writer {
     pool: AnyPool,
@@ -20,7 +20,7 @@ impl Writer {
         Self { pool, engine }
     }
 
-    /// Begins a transaction that nobody else writes beside.
+    /// Begins a write transaction; no other one runs at the same time.
     pub async fn begin(&self) -> Result<Transaction, StoreError> {
         let mut transaction = Transaction { connection: self.pool.acquire().await?, ended: false };
         transaction.execute(self.engine.begin()).await?;
@@ -40,21 +40,21 @@ impl Writer {
     }
 }
 
-/// A transaction; it counts once it is [committed](Self::commit).
+/// A transaction. It takes effect when it is [committed](Self::commit).
 pub(super) struct Transaction {
     connection: PoolConnection<Any>,
     ended: bool,
 }
 
 impl Transaction {
-    /// Makes it count: on the disk, not only in memory.
+    /// Commits it durably to disk.
     pub async fn commit(mut self) -> Result<(), StoreError> {
         sqlx::query("COMMIT").execute(&mut *self.connection).await?;
         self.ended = true;
         Ok(())
     }
 
-    /// Ends it without effect.
+    /// Rolls it back.
     pub async fn forget(mut self) -> Result<(), StoreError> {
         sqlx::query("ROLLBACK").execute(&mut *self.connection).await?;
         self.ended = true;
@@ -79,7 +79,7 @@ impl DerefMut for Transaction {
 impl Drop for Transaction {
     fn drop(&mut self) {
         if !self.ended {
-            // Whatever state it is in, closing it undoes what was begun.
+            // Closing the connection rolls back, whatever state it is in.
             self.connection.close_on_drop();
         }
     }

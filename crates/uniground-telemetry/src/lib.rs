@@ -1,5 +1,4 @@
-//! What the service counts and traces: metrics, the trace a request belongs to, and the memory the
-//! process holds.
+//! Telemetry: metrics, trace context, and the memory use of the process.
 
 pub mod memory;
 pub mod metrics;

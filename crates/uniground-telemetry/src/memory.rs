@@ -1,4 +1,4 @@
-//! What memory this process has and may have.
+//! Memory use and memory limit of this process.
 
 use sysinfo::{
     MemoryRefreshKind, ProcessRefreshKind, ProcessesToUpdate, RefreshKind, System, get_current_pid,
@@ -7,15 +7,15 @@ use sysinfo::{
 /// Bytes of memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MemoryUsage {
-    /// What of this process is not swapped out.
+    /// Resident memory of this process.
     pub resident: u64,
-    /// What it may come to have: its container's limit, or all of the machine's; no more than
-    /// others leave of that.
+    /// The most it can use: the limit of its container or the memory of the machine, minus what
+    /// other processes use.
     pub most: u64,
 }
 
 impl MemoryUsage {
-    /// As it is now; `None` where the system does not tell.
+    /// Reads the current values; `None` where the system does not report them.
     #[must_use]
     pub fn now() -> Option<Self> {
         let id = get_current_pid().ok()?;

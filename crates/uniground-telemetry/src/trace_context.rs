@@ -1,5 +1,5 @@
-//! Which trace a request belongs to, as W3C's `traceparent` says it: taken from callers, handed on
-//! to the model's endpoint. Without a collector nothing is taken and nothing handed on.
+//! The trace of a request, as a W3C `traceparent` header: accepted from callers, and passed on to
+//! the model's endpoint. Without a collector it is neither accepted nor passed on.
 
 use opentelemetry::propagation::TextMapPropagator;
 use opentelemetry_http::{HeaderExtractor, HeaderInjector};
@@ -8,14 +8,14 @@ use reqwest::header::HeaderMap;
 use tracing::Span;
 use tracing_opentelemetry::OpenTelemetrySpanExt;
 
-/// Makes a span part of the trace its caller speaks of.
+/// Makes a span a child of the caller's trace.
 pub fn adopt(span: &Span, headers: &HeaderMap) {
     let caller = TraceContextPropagator::new().extract(&HeaderExtractor(headers));
-    // Where traces go nowhere there is nothing to be part of.
+    // Without a collector this fails, and there is nothing to join.
     let _ = span.set_parent(caller);
 }
 
-/// What to say to whom this span asks.
+/// Returns the headers that pass the current span on to another service.
 #[must_use]
 pub fn handed_on() -> HeaderMap {
     let mut headers = HeaderMap::new();

@@ -1,6 +1,6 @@
-//! Limits of servers that people run themselves: vLLM refuses more pictures than it was started
-//! for, Ollama cuts what is longer than its context without a word. Looked at once, at the start,
-//! so that nobody finds out by wrong answers.
+//! Checks the limits of self-hosted model servers once at start, to avoid silently wrong answers:
+//! vLLM refuses more pictures than it was configured for, and Ollama silently truncates input that
+//! exceeds its context.
 
 use super::ChatClient;
 use base64::Engine;
@@ -11,12 +11,12 @@ use serde_json::{Value, json};
 use std::time::Duration;
 use uniground_render::jpeg;
 
-/// What a question with five candidates takes, by the counts of models that take a token for 28 x
-/// 28 pixels: a render, seven collages, two photographs, the text, and a reply.
+/// Tokens of a question with five candidates, for models with one token per 28 x 28 pixels: a
+/// render, seven collages, two photographs, the text, and a reply.
 const TOKENS_OF_A_QUESTION: u64 = 10_000;
 /// A render, collages of five candidates and two anchors, and two photographs.
 const PICTURES_OF_A_QUESTION: usize = 10;
-/// Longest a look takes.
+/// Timeout of one check.
 const LONGEST_LOOK: Duration = Duration::from_secs(20);
 
 #[derive(Deserialize)]
@@ -29,14 +29,13 @@ struct ListedModel {
     id: String,
     #[serde(default)]
     owned_by: String,
-    /// Tokens; servers of the kind of vLLM tell it.
+    /// In tokens; reported by vLLM and similar servers.
     max_model_len: Option<u64>,
 }
 
 impl ChatClient {
-    /// What of a question the endpoint's server will refuse or cut, with what to do about it; empty
-    /// where nothing is known to be wrong. A server that other people run is asked for its list
-    /// of models only.
+    /// Returns what the endpoint's server will refuse or truncate of a question, with advice; empty
+    /// if no problem is known. Hosted servers are only asked for their list of models.
     pub async fn limits(&self) -> Vec<String> {
         let Some(listed) = self.look::<Listed>(self.http.get(self.address("models"))).await else {
             return Vec::new();
@@ -55,7 +54,7 @@ impl ChatClient {
             .and_then(|tokens| too_short(tokens, "start its server with a larger --max-model-len"));
         let more = match found.owned_by.as_str() {
             "vllm" => self.refuses_pictures().await,
-            // So Ollama signs.
+            // This is how Ollama identifies itself.
             "library" => match self.context_of_ollama().await {
                 Some(tokens) => too_short(
                     tokens,
@@ -71,8 +70,8 @@ impl ChatClient {
         by_length.into_iter().chain(more).collect()
     }
 
-    /// Whether a question's pictures are too many for a vLLM server: tiny ones, and one token of
-    /// reply.
+    /// Checks whether a vLLM server refuses a question's number of pictures, by a request with tiny
+    /// pictures and one token of reply.
     async fn refuses_pictures(&self) -> Option<String> {
         let picture =
             format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg(&RgbImage::new(56, 56))));
@@ -97,7 +96,8 @@ impl ChatClient {
         ))
     }
 
-    /// The context Ollama gives the model, tokens; `None` where it does not tell.
+    /// Returns the context length that Ollama gives the model, tokens; `None` if it does not report
+    /// it.
     async fn context_of_ollama(&self) -> Option<u64> {
         #[derive(Deserialize)]
         struct Shown {
@@ -144,7 +144,7 @@ impl ChatClient {
             .fold(request.timeout(LONGEST_LOOK), reqwest::RequestBuilder::bearer_auth)
     }
 
-    /// What a server says, where it says anything that can be read.
+    /// Sends a request and parses the response. Returns `None` if it cannot be parsed.
     async fn look<T: serde::de::DeserializeOwned>(
         &self,
         request: reqwest::RequestBuilder,
@@ -167,7 +167,7 @@ mod tests {
     use serde_json::{Value, json};
     use uniground_models::chat::Prices;
 
-    /// A server with these answers, and what is said of its limits.
+    /// Runs the check against a server with these responses.
     async fn told(
         models: Value,
         completion: (StatusCode, Value),
@@ -243,7 +243,7 @@ mod tests {
             told(models("library", None), fine(), nothing(), json!({"models": []})).await;
         assert!(warnings.len() == 1 && warnings[0].contains("by default 4096"), "{warnings:?}");
 
-        // Other people's servers are only asked for their list.
+        // Hosted servers are only asked for their list.
         assert_eq!(
             told(models("openai", None), refused(), nothing(), nothing()).await,
             Vec::<String>::new()

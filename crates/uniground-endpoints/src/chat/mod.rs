@@ -1,5 +1,5 @@
-//! Vision-language models behind any OpenAI-compatible chat endpoint, and their answers recorded
-//! for replay.
+//! Client for vision-language models behind any OpenAI-compatible chat endpoint, with recording and
+//! replay.
 
 mod limits;
 mod replay_cache;
@@ -25,7 +25,7 @@ use uniground_models::chat::{
 use uniground_models::with_causes;
 use uniground_telemetry::trace_context;
 
-/// Where a model is asked, and what it costs.
+/// A chat endpoint, its model and its prices.
 #[derive(Clone)]
 pub struct Endpoint {
     /// Like `https://host/v1`; `/chat/completions` is added.
@@ -34,7 +34,7 @@ pub struct Endpoint {
     /// Never logged, never recorded.
     pub api_key: Option<String>,
     pub prices: Prices,
-    /// Requests under way at once; more wait their turn.
+    /// Maximum number of concurrent requests; further ones wait.
     pub concurrency: usize,
 }
 
@@ -47,14 +47,14 @@ impl std::fmt::Debug for Endpoint {
     }
 }
 
-/// How patiently a model is asked. Defaults are the paper's.
+/// Timeout and retries of requests. The defaults are the paper's.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RetryPolicy {
     pub timeout: Duration,
     pub attempts: u32,
-    /// The wait before the second attempt; it doubles from one to the next.
+    /// The delay before the second attempt. It doubles from one attempt to the next.
     pub backoff: Duration,
-    /// No wait is longer; a server that asks for more is not asked again.
+    /// Upper limit of a delay. If a server asks for a longer one, the request is not retried.
     pub longest_wait: Duration,
 }
 
@@ -69,7 +69,7 @@ impl Default for RetryPolicy {
     }
 }
 
-/// A model at an endpoint, and how it is asked.
+/// Client of one model at an endpoint.
 pub struct ChatClient {
     http: reqwest::Client,
     endpoint: Endpoint,
@@ -92,7 +92,7 @@ struct Choice {
 #[derive(Deserialize)]
 struct Message {
     content: Option<Content>,
-    /// Why nothing is said, with some servers.
+    /// Some servers return the reason here when the model refuses to answer.
     refusal: Option<String>,
 }
 
@@ -126,14 +126,14 @@ struct Usage {
     completion_tokens: Option<u64>,
 }
 
-/// An attempt that came to nothing.
+/// A failed attempt.
 struct Attempt {
     error: ChatError,
-    /// Another may help,
+    /// Whether another attempt may succeed.
     again: bool,
-    /// after this time, if the server told.
+    /// The delay that the server asked for, if any.
     wait: Option<Duration>,
-    /// The model may have been at work for it.
+    /// The model may have processed it, so it may be billed.
     may_be_billed: bool,
 }
 
@@ -144,18 +144,18 @@ impl Attempt {
 }
 
 const MAX_REDIRECTS: usize = 3;
-/// Longest the endpoint's server is looked for.
+/// Timeout of the reachability check.
 const LONGEST_LOOK: Duration = Duration::from_secs(5);
-/// Servers count differently, pictures above all; what lies beyond these times what was reckoned is
-/// no count.
+/// Servers count tokens differently, above all for pictures. A count that differs from the estimate
+/// by more than this factor is implausible.
 const MOST_PROMPT_TIMES: u64 = 20;
-/// Models think before they speak, and are paid for that.
+/// The same factor for replies. It is large: models bill the tokens of their hidden reasoning too.
 const MOST_COMPLETION_TIMES: u64 = 1000;
-/// What is said around the shortest question.
+/// Tokens around even the shortest question.
 const FEW_TOKENS: u64 = 1000;
 
-/// A server's count of tokens, where it can be one. Servers that do not count are not free: then it
-/// is what was reckoned.
+/// Returns a server's token count if it is plausible, and the estimate otherwise. Servers that
+/// report no count are not free of charge.
 fn believed(counted: Option<u64>, reckoned: u64, most_times: u64) -> u64 {
     let least = reckoned / most_times;
     let most = reckoned.max(FEW_TOKENS).saturating_mul(most_times);
@@ -175,7 +175,7 @@ fn believed(counted: Option<u64>, reckoned: u64, most_times: u64) -> u64 {
 
 impl ChatClient {
     /// # Errors
-    /// No client can be made: the system's certificates can not be read, say.
+    /// The HTTP client cannot be created, e.g. if the system's certificates cannot be read.
     pub fn new(
         endpoint: Endpoint,
         patience: RetryPolicy,
@@ -183,7 +183,7 @@ impl ChatClient {
     ) -> Result<Self, reqwest::Error> {
         choose_cryptography();
         let turns = Semaphore::new(endpoint.concurrency.max(1));
-        // Prompts and pictures go where the operator said and nowhere else.
+        // Prompts and pictures must go to the configured origin only.
         let redirect = redirect::Policy::custom(|attempt| {
             let same_place = attempt
                 .previous()
@@ -199,10 +199,11 @@ impl ChatClient {
         Ok(Self { http, endpoint, patience, replay_cache, turns })
     }
 
-    /// Whether the endpoint's server is there: any answer will do, and none costs anything.
+    /// Checks that the endpoint's server is reachable. Any response counts; the check costs
+    /// nothing.
     ///
     /// # Errors
-    /// Why it can not be reached.
+    /// Why it cannot be reached.
     pub async fn reach(&self) -> Result<(), reqwest::Error> {
         let url = format!("{}/models", self.endpoint.base_url.trim_end_matches('/'));
         let request = self.http.get(url).timeout(LONGEST_LOOK);
@@ -223,7 +224,7 @@ impl ChatClient {
             let Attempt { error, again, wait, may_be_billed } = match self.send(&body).await {
                 Ok(Completion { choices, usage }) => {
                     let latency_ms = start.elapsed().as_secs_f64() * 1e3;
-                    // Nothing said is a reply as well, if one that says nothing.
+                    // An empty reply is a reply as well.
                     let text = choices
                         .into_iter()
                         .next()
@@ -246,14 +247,14 @@ impl ChatClient {
                 Err(attempt) => attempt,
             };
             lost += u32::from(may_be_billed);
-            // A server that knows no schemas is asked without one.
+            // If a server does not support schemas, retry without one.
             let refuses_schema =
                 matches!(&error, ChatError::Refused { status: 400 | 404 | 422 | 501, .. });
             if refuses_schema && body.get("response_format").is_some() {
                 body = self.body(request, false);
                 continue;
             }
-            // A server that wants hours will not answer this question.
+            // If the server asks for a longer delay, give up.
             let too_long = wait.is_some_and(|wait| wait > self.patience.longest_wait);
             if !again || too_long || attempts >= self.patience.attempts {
                 return Err(ChatFailure {
@@ -263,8 +264,8 @@ impl ChatClient {
                     latency_ms: start.elapsed().as_secs_f64() * 1e3,
                 });
             }
-            // Jitter from the clock spreads callers that failed together; nothing that is kept
-            // depends on it.
+            // Jitter from the clock spreads callers that failed together. No stored result depends
+            // on it.
             let jitter = f64::from(start.elapsed().subsec_nanos() % 1000) / 1000.0;
             let backoff = self
                 .patience
@@ -285,7 +286,7 @@ impl ChatClient {
         if let Some(key) = &self.endpoint.api_key {
             request = request.bearer_auth(key);
         }
-        // A connection that was never made has sent nothing.
+        // A failed connection has sent nothing, so it cannot be billed.
         let transport = |error: reqwest::Error| {
             let may_be_billed = !error.is_connect() && !error.is_builder();
             Attempt {
@@ -308,7 +309,7 @@ impl ChatClient {
                 reason: status.canonical_reason().unwrap_or("of its own"),
                 detail: detail(&self.without_key(&text)),
             };
-            // Behind an error of the server's own the model may have been at work.
+            // The model may have run before a server error, so it may be billed.
             return Err(Attempt {
                 error,
                 again,
@@ -325,7 +326,7 @@ impl ChatClient {
         }
     }
 
-    /// Some servers repeat the key they were shown.
+    /// Removes the API key: some servers repeat it in error messages.
     fn without_key(&self, text: &str) -> String {
         match &self.endpoint.api_key {
             Some(key) if !key.is_empty() => text.replace(key.as_str(), "<key>"),
@@ -365,7 +366,7 @@ impl ChatModel for ChatClient {
         self.endpoint.prices
     }
 
-    /// From the replay cache where it has the answer.
+    /// Asks the model, or returns the recorded reply.
     fn ask<'a>(
         &'a self,
         request: &'a ChatRequest,
@@ -394,10 +395,10 @@ impl ChatModel for ChatClient {
     }
 }
 
-/// A reply that is longer is none.
+/// Longer replies are rejected.
 const MAX_REPLY_BYTES: usize = 8 << 20;
 
-/// The body as text, `None` when it does not end.
+/// Returns the body as text, or `None` if it is too long.
 async fn bounded(mut response: Response) -> Result<Option<String>, reqwest::Error> {
     let mut bytes = Vec::new();
     while let Some(chunk) = response.chunk().await? {
@@ -409,12 +410,12 @@ async fn bounded(mut response: Response) -> Result<Option<String>, reqwest::Erro
     Ok(Some(String::from_utf8_lossy(&bytes).into_owned()))
 }
 
-/// What a server asks to wait, in seconds; dates are not understood.
+/// Returns the delay that a server asks for in seconds. Dates are not supported.
 fn retry_after(response: &Response) -> Option<Duration> {
     response.headers().get(RETRY_AFTER)?.to_str().ok()?.trim().parse().ok().map(Duration::from_secs)
 }
 
-/// The reason within an error body, short.
+/// Returns the message within an error body, shortened.
 fn detail(body: &str) -> String {
     const MAX_CHARS: usize = 300;
     let parsed: Option<Value> = serde_json::from_str(body).ok();

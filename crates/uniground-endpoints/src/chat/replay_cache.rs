@@ -1,7 +1,7 @@
-//! Answers of models, recorded: a table that was paid for once can be computed again for nothing.
+//! Recorded model replies: results that were paid for once can be reproduced for free.
 //!
-//! One JSON line per answer: `{"key", "model", "reply"}`. The key is the SHA-256 of the request as
-//! sent, pictures and all; neither address nor API key is part of it.
+//! One JSON line per reply: `{"key", "model", "reply"}`. The key is the SHA-256 of the request as
+//! sent, including pictures. Address and API key are not part of it.
 
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Serialize};
@@ -11,19 +11,19 @@ use std::io::Write;
 use std::sync::{Mutex, PoisonError};
 use uniground_models::chat::ChatReply;
 
-/// What happens to answers.
+/// How replies are recorded and replayed.
 #[derive(Debug, Default)]
 pub enum ReplayCache {
-    /// Asked every time.
+    /// Always ask the model.
     #[default]
     Off,
-    /// Asked once, then known; new answers are written down at once.
+    /// Ask the model once per request, and record new replies immediately.
     Record { file: Mutex<fs::File>, known: Mutex<HashMap<String, ChatReply>> },
-    /// Never asked.
+    /// Never ask the model.
     Replay { known: HashMap<String, ChatReply> },
 }
 
-/// Why a file of recorded answers cannot be used.
+/// Why a file of recorded replies cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
     #[error("{path}")]
@@ -39,7 +39,7 @@ pub enum ReplayError {
 }
 
 impl ReplayError {
-    /// Names the file in an I/O error.
+    /// Adds the file to an I/O error.
     fn at(path: &Utf8Path) -> impl FnOnce(std::io::Error) -> Self {
         move |error| Self::Io { path: path.to_owned(), error }
     }
@@ -53,10 +53,10 @@ struct Line {
 }
 
 impl ReplayCache {
-    /// Goes on with a file of recorded answers, or begins one.
+    /// Continues a file of recorded replies, or creates one.
     ///
     /// # Errors
-    /// When the file can not be written, or holds something else.
+    /// The file cannot be written, or has other content.
     pub fn record(path: &Utf8Path) -> Result<Self, ReplayError> {
         let known = if path.exists() { read(path)?.0 } else { HashMap::new() };
         let file = OpenOptions::new()
@@ -64,14 +64,14 @@ impl ReplayCache {
             .append(true)
             .open(path)
             .map_err(ReplayError::at(path))?;
-        // What was cut off in mid-line is no answer, and must not run into the next.
+        // Remove an incomplete last line: the next reply must start on a line of its own.
         let text = fs::read(path).map_err(ReplayError::at(path))?;
         let whole = text.iter().rposition(|byte| *byte == b'\n').map_or(0, |at| at + 1);
         file.set_len(whole as u64).map_err(ReplayError::at(path))?;
         Ok(Self::Record { file: Mutex::new(file), known: Mutex::new(known) })
     }
 
-    /// Replays a file; also tells the model it was recorded with.
+    /// Replays a file. Also returns the model it was recorded with.
     ///
     /// # Errors
     /// An unreadable or empty file.
@@ -99,7 +99,7 @@ impl ReplayCache {
         }
     }
 
-    /// Writes an answer down, if this cache does.
+    /// Records a reply, if recording is enabled.
     pub(super) fn record_reply(
         &self,
         key: &str,
@@ -121,7 +121,7 @@ fn read(path: &Utf8Path) -> Result<(HashMap<String, ChatReply>, Option<String>),
     let (mut known, mut model, count) = (HashMap::new(), None, text.lines().count());
     for (i, line) in text.lines().enumerate() {
         let parsed: Result<Line, _> = serde_json::from_str(line);
-        // A line that was cut off at the end is an answer that was not kept.
+        // An incomplete last line is a reply that was not recorded completely.
         let cut_off = i + 1 == count && !text.ends_with('\n');
         match parsed {
             Ok(Line { key, model: of, reply }) => {

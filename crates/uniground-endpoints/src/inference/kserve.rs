@@ -1,8 +1,8 @@
 //! Networks behind a server of the `KServe` v2 protocol (Triton, `MLServer`, `OpenVINO` Model
 //! Server, `KServe`).
 //!
-//! Tensors travel as raw bytes after a JSON header, as the protocol's binary extension has it; as
-//! JSON where a server does not know it.
+//! Tensors are sent as raw bytes after a JSON header, by the protocol's binary extension. Servers
+//! without that extension get JSON.
 
 use reqwest::StatusCode;
 use reqwest::blocking::{Client, RequestBuilder, Response};
@@ -25,10 +25,10 @@ const HEADER_LENGTH: &str = "Inference-Header-Content-Length";
 const ATTEMPTS: u32 = 4;
 const FIRST_WAIT: Duration = Duration::from_millis(250);
 const LONGEST_WAIT: Duration = Duration::from_secs(10);
-/// More than this is no answer of ours.
+/// Larger responses are rejected.
 const MAX_ANSWER_BYTES: u64 = 1 << 30;
 
-/// A server, and how long it may take.
+/// An inference server and a timeout for its calls.
 #[derive(Debug, Clone)]
 pub struct RemoteServer {
     address: String,
@@ -67,10 +67,11 @@ impl PortMetadata {
 }
 
 impl RemoteServer {
-    /// A server by its address, like `http://host:8000`; every call may take `timeout`. Call outside of asynchronous code.
+    /// Creates a client of a server at an address like `http://host:8000`. Every call may take
+    /// `timeout`. Must be called outside of async code.
     ///
     /// # Errors
-    /// [`ModelError::Remote`] when no client can be made.
+    /// [`ModelError::Remote`] when the HTTP client cannot be created.
     pub fn new(address: &str, timeout: Duration) -> Result<Self, ModelError> {
         choose_cryptography();
         let address = address.trim_end_matches('/').to_owned();
@@ -81,10 +82,10 @@ impl RemoteServer {
         Ok(Self { address, client })
     }
 
-    /// Asks what a model is.
+    /// Reads the metadata of a model.
     ///
     /// # Errors
-    /// [`ModelError::Remote`]: unreachable, unknown there, or an answer that is none.
+    /// [`ModelError::Remote`]: unreachable, unknown model, or an invalid response.
     fn network(&self, name: &str) -> Result<RemoteNetwork, ModelError> {
         let url = format!("{}/v2/models/{name}", self.address);
         let wrong = |why: String| ModelError::Remote { network: name.to_owned(), why };
@@ -134,8 +135,8 @@ impl Engine for RemoteServer {
     }
 }
 
-/// What a bundle's network is called at an inference server: the bundle's name and the file's,
-/// without its extension.
+/// Returns the name of a bundle's network at an inference server: the bundle's name and the file's
+/// name, without its extension.
 fn network_name(bundle: &Bundle, file: &str) -> String {
     format!("{}-{}", bundle.name(), file.split('.').next().unwrap_or(file))
 }
@@ -145,15 +146,15 @@ struct RemoteNetwork {
     url: String,
     client: Client,
     signature: Signature,
-    /// The server does not take raw bytes.
+    /// The server does not accept raw bytes.
     plain: AtomicBool,
-    /// Name, platform and versions, as the server tells them.
+    /// Name, platform and versions, as reported by the server.
     identity: String,
 }
 
 #[derive(Serialize)]
 struct Header<'a> {
-    /// Optional in the protocol; some servers fail without.
+    /// Optional in the protocol, but some servers fail without it.
     id: &'a str,
     inputs: Vec<Value>,
     outputs: Vec<Wanted<'a>>,
@@ -203,7 +204,7 @@ impl Network for RemoteNetwork {
 }
 
 impl RemoteNetwork {
-    /// The answer, by raw bytes unless the server has shown that it does not read them.
+    /// Sends a request. Uses raw bytes unless the server has rejected them before.
     fn asked(&self, inputs: &[Input], outputs: &[&str]) -> Result<Response, String> {
         if !self.plain.load(Ordering::Relaxed) {
             let (header, body) = binary_request(inputs, outputs);
@@ -233,7 +234,7 @@ fn datatype(values: Values) -> &'static str {
     }
 }
 
-/// Length of the JSON header, and header and tensors.
+/// Returns the length of the JSON header, and the body with header and tensors.
 fn binary_request(inputs: &[Input], outputs: &[&str]) -> (usize, Vec<u8>) {
     let bytes_of = |values: Values| match values {
         Values::F32(values) => values.len() * 4,
@@ -278,7 +279,7 @@ fn plain_request(inputs: &[Input], outputs: &[&str]) -> Vec<u8> {
     json!(header).to_string().into_bytes()
 }
 
-/// The wanted tensors, in order, whichever way they travelled.
+/// Returns the requested tensors, in order, from a binary or JSON response.
 fn read_answer(answer: Response, outputs: &[&str]) -> Result<Vec<Tensor>, String> {
     let header_length = answer
         .headers()
@@ -340,7 +341,7 @@ fn read_answer(answer: Response, outputs: &[&str]) -> Result<Vec<Tensor>, String
         .collect()
 }
 
-/// Numbers of a JSON list, nested or flat.
+/// Flattens a JSON list, nested or flat, into numbers.
 fn flattened(data: &Value) -> Option<Vec<f32>> {
     fn collect(value: &Value, values: &mut Vec<f32>) -> bool {
         match value {
@@ -356,10 +357,10 @@ fn flattened(data: &Value) -> Option<Vec<f32>> {
     collect(data, &mut values).then_some(values)
 }
 
-/// How refusals begin: the server is there and does not want this request.
+/// Prefix of refusals: the server is reachable but rejects this request.
 const REFUSED: &str = "refused";
 
-/// Asks until there is an answer, a refusal, or no patience left.
+/// Repeats a request until it is answered, refused, or out of attempts.
 fn patiently(request: impl Fn() -> RequestBuilder) -> Result<Response, String> {
     let mut wait = FIRST_WAIT;
     let mut attempt = 1;

@@ -1,4 +1,4 @@
-//! Networks that run elsewhere: behind an inference server of the `KServe` v2 protocol.
+//! Networks on an inference server that speaks the `KServe` v2 protocol.
 
 mod kserve;
 mod probe;

@@ -1,14 +1,14 @@
-//! Whether the inference server is there, between the calls of its networks.
+//! Health probe of the inference server, for the time between calls of its networks.
 
 use reqwest::Client;
 use std::time::Duration;
 use uniground_client::choose_cryptography;
 use uniground_models::with_causes;
 
-/// A server that does not say so within this time is not there.
+/// Timeout of the probe.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// Looks at a server.
+/// Probes an inference server.
 #[derive(Debug)]
 pub struct Probe {
     url: String,
@@ -16,20 +16,20 @@ pub struct Probe {
 }
 
 impl Probe {
-    /// Of a server by its address, like `http://host:8000`.
+    /// Creates a probe of a server at an address like `http://host:8000`.
     ///
     /// # Errors
-    /// When no client can be made.
+    /// The HTTP client cannot be created.
     pub fn new(address: &str) -> Result<Self, reqwest::Error> {
         choose_cryptography();
         let client = Client::builder().timeout(PATIENCE).build()?;
         Ok(Self { url: format!("{}/v2/health/ready", address.trim_end_matches('/')), client })
     }
 
-    /// Whether the server is there; why not. One that does not know the question is.
+    /// Checks that the server is ready. A server without a readiness endpoint counts as ready.
     ///
     /// # Errors
-    /// Why not, without its address.
+    /// Why it is not ready, without its address.
     pub async fn look(&self) -> Result<(), String> {
         let answer = self
             .client
@@ -38,7 +38,7 @@ impl Probe {
             .await
             .map_err(|error| with_causes(&error.without_url()))?;
         let status = answer.status();
-        // The protocol has 400 for "not ready"; what is unknown there is 404 or 405.
+        // The protocol uses 400 for "not ready"; an unknown endpoint is 404, 405 or 501.
         let unknown = matches!(status.as_u16(), 404 | 405 | 501);
         if status.is_success() || unknown { Ok(()) } else { Err(format!("it says {status}")) }
     }

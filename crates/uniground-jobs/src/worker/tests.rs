@@ -18,7 +18,7 @@ async fn queue(folder: &tempfile::TempDir) -> Jobs {
     )
 }
 
-/// Does what its payload says.
+/// A job kind that does what its payload says.
 #[derive(Default)]
 struct Obedient {
     tries: AtomicU32,
@@ -53,7 +53,7 @@ impl JobKind for Obedient {
     }
 }
 
-/// Waits for ever, elsewhere.
+/// A job kind that waits forever, in another lane.
 struct Slow;
 
 impl JobKind for Slow {
@@ -174,13 +174,13 @@ async fn a_wish_to_stop_outlives_the_server() {
     let id = submit(&jobs, "wait").await;
     jobs.repository.claim_job(Obedient::NAME).await.unwrap().unwrap();
     jobs.cancel(&id).await.unwrap();
-    // The server dies here; the next one looks after its queue.
+    // The server crashes here; the next one recovers its queue.
     jobs.repository.enter_as_new_process().await.unwrap();
     jobs.repository.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
     assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Cancelled);
 }
 
-/// What somebody has in hands nobody takes; who was forgotten writes nothing down any more.
+/// Only the holder of the lease may write; after the lease has passed on, its writes are refused.
 #[tokio::test]
 async fn a_job_has_one_holder() {
     let folder = tempfile::tempdir().unwrap();
@@ -193,7 +193,7 @@ async fn a_job_has_one_holder() {
     jobs.repository.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
     assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Queued);
     let not_held = |written: Result<(), StoreError>| {
-        assert!(matches!(written, Err(StoreError::NotHeld)), "{written:?}")
+        assert!(matches!(written, Err(StoreError::NotHeld)), "{written:?}");
     };
     not_held(jobs.repository.save_job_progress(&first, "stage", 0.5).await.map(drop));
     not_held(
@@ -205,7 +205,7 @@ async fn a_job_has_one_holder() {
     assert_eq!((job.state, job.message), (JobState::Queued, None));
 }
 
-/// A host that is killed again and again is not the job's fault as long as the job gets on.
+/// Interruptions are not the job's fault as long as it makes progress.
 #[tokio::test]
 async fn interruptions_count_only_while_a_job_gets_no_further() {
     let folder = tempfile::tempdir().unwrap();
@@ -221,7 +221,7 @@ async fn interruptions_count_only_while_a_job_gets_no_further() {
     for step in 1_u8..30 {
         assert_eq!(interrupted(f32::from(step) / 100.0).await, JobState::Queued);
     }
-    // Then it gets no further: it waits,
+    // Without further progress it waits.
     assert_eq!(interrupted(0.1).await, JobState::Queued);
     assert_eq!(jobs.repository.claim_job(Obedient::NAME).await.unwrap(), None, "not at once again");
 }
@@ -260,7 +260,7 @@ async fn no_kind_waits_for_another() {
     }
 }
 
-/// Who brings ten jobs does not keep out who brings one.
+/// A key with ten jobs does not block a key with one.
 #[tokio::test]
 async fn keys_take_turns() {
     let folder = tempfile::tempdir().unwrap();
@@ -289,8 +289,8 @@ async fn a_full_queue_says_so() {
     jobs.submit::<Slow>("s", &(), None).await.unwrap();
 }
 
-/// Who fills the queue leaves a place to who has none in it; the last one who waits is told how
-/// many are before him.
+/// A key that fills the queue leaves a place for a key without jobs. The last job in the queue
+/// reports how many are ahead of it.
 #[tokio::test]
 async fn one_key_does_not_fill_the_queue() {
     let folder = tempfile::tempdir().unwrap();
@@ -305,7 +305,7 @@ async fn one_key_does_not_fill_the_queue() {
     assert!(matches!(ask("few").await, Err(JobsError::QueueFull { queued: 10, .. })));
 }
 
-/// Its task is taken away, as a panic would.
+/// The lane's task is aborted, like after a panic.
 #[tokio::test]
 async fn a_lane_that_ends_is_known_by_its_kind() {
     let folder = tempfile::tempdir().unwrap();

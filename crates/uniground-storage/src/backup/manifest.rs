@@ -1,4 +1,4 @@
-//! What belongs to a backup.
+//! The manifest of a backup: what belongs to it.
 
 use super::{BackupError, KINDS};
 use camino::{Utf8Component, Utf8Path};
@@ -16,17 +16,17 @@ pub struct Manifest {
     pub format: u32,
     /// Version of the program that made it.
     pub program: String,
-    /// Of the database: its last migration.
+    /// The database's last migration.
     pub schema: i64,
-    /// When the database was as it is here.
+    /// When the snapshot of the database was taken.
     pub taken_at: String,
-    /// Id of the data folder it was taken of.
+    /// Id of the data folder that was backed up.
     pub data_folder: String,
     pub database: DatabaseEntry,
     pub scenes: u64,
     pub answers: u64,
     pub folders: Vec<BackupFolder>,
-    /// What was lost or damaged before the backup was taken.
+    /// Folders that were lost or damaged before the backup was taken.
     pub left_out: Vec<OmittedFolder>,
 }
 
@@ -42,12 +42,12 @@ pub struct DatabaseEntry {
 pub struct BackupFolder {
     pub kind: String,
     pub name: String,
-    /// SHA-256 of its `.sha256sums`, which has those of its files.
+    /// SHA-256 of its `.sha256sums`, which lists the checksums of its files.
     pub sha256: String,
     pub files: u64,
     pub bytes: u64,
-    /// When it was published, seconds since 1970: what is kept for a time only is not younger for
-    /// having been restored.
+    /// When it was published, seconds since 1970. Restoring keeps it, so that retention counts from
+    /// the original time.
     pub published_s: u64,
 }
 
@@ -57,7 +57,7 @@ pub struct OmittedFolder {
     pub why: String,
 }
 
-/// A manifest with its own sum: what is wrong with it can be told too.
+/// A manifest with its own checksum, so that damage to it is detected too.
 #[derive(Serialize, Deserialize)]
 struct SealedManifest {
     sha256: String,
@@ -71,7 +71,7 @@ impl Manifest {
         Ok(serde_json::to_vec(&SealedManifest { sha256, backup: RawValue::from_string(text)? })?)
     }
 
-    /// Reads a manifest and looks whether it can be believed: sums fit, names lead nowhere else.
+    /// Reads a manifest and checks it: checksums match, and no name leads out of the backup.
     pub fn open(bytes: &[u8]) -> Result<Self, BackupError> {
         let damaged = |what: &str| BackupError::Damaged { what: format!("{FILE}: {what}") };
         let SealedManifest { sha256, backup } =
@@ -98,7 +98,7 @@ impl Manifest {
     }
 }
 
-/// Whether a name is one step down and no more.
+/// Returns whether a name is a single path component.
 fn is_plain_name(name: &str) -> bool {
     let mut steps = Utf8Path::new(name).components();
     matches!((steps.next(), steps.next()), (Some(Utf8Component::Normal(step)), None) if step == name)

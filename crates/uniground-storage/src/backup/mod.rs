@@ -1,16 +1,16 @@
-//! Backups: the database as it was at one moment, with all files it speaks of. Taken beside a
-//! running server, which notices nothing.
+//! Backups: a snapshot of the database, with all files it refers to. Can be taken while a server
+//! runs, without disturbing it.
 //!
 //! ```text
-//! manifest.json               what belongs to the backup, with sums; written last
-//! uniground-<sum>.sqlite      the database
-//! blobs/<kind>/<name>/...     published folders, each with the sums of its files
+//! manifest.json               what belongs to the backup, with checksums; written last
+//! uniground-<checksum>.sqlite the database
+//! blobs/<kind>/<name>/...     published folders, each with the checksums of its files
 //! backup.lock                 held while a backup is being taken (folders only)
 //! ```
-//! Published folders never change, so those that are there already are not copied again. The
-//! database is taken first and its folders after it; a folder that was removed in between makes
-//! another round necessary, which has nearly nothing left to copy. Checkpoints only save
-//! time and are left out.
+//! Published folders never change, so those that are in the backup already are not copied again.
+//! The database is copied first and its folders after it. If a folder is removed in between,
+//! another round follows, which has little left to copy. Checkpoints only save time and are left
+//! out.
 
 mod manifest;
 mod reading;
@@ -73,7 +73,7 @@ impl From<io::Error> for BackupError {
     }
 }
 
-/// What a backup came to.
+/// The result of a backup.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BackupReport {
     pub scenes: u64,
@@ -81,23 +81,23 @@ pub struct BackupReport {
     /// Folders of scans, parses and transcripts.
     pub folders: u64,
     pub bytes: u64,
-    /// What was not there already.
+    /// Folders that were not in the backup before.
     pub new_folders: u64,
     pub new_bytes: u64,
-    /// Folders that were lost or damaged before: the backup does not have them. Folder, and what
-    /// is wrong.
+    /// Folders that were lost or damaged before; the backup does not contain them. Folder, and what
+    /// is wrong with it.
     pub left_out: Vec<(String, String)>,
 }
 
-/// Kinds of folders a backup has.
+/// Kinds of folders in a backup.
 const KINDS: [&str; 3] = ["contents", "parses", "answers"];
-/// Rounds after which a folder that is written to all the time is given up.
+/// Maximum number of rounds, for a data folder that changes all the time.
 const ROUNDS: u32 = 20;
 
 /// Kind and name of a published folder.
 type FolderKey = (&'static str, String);
 
-/// Folders in the backup, and those that could not be had.
+/// Folders in the backup, and folders that could not be copied.
 #[derive(Default)]
 struct BackupProgress {
     kept: BTreeMap<FolderKey, BackupFolder>,
@@ -109,7 +109,7 @@ struct BackupProgress {
 /// Takes a backup of a data folder, whether or not a server runs there.
 ///
 /// # Errors
-/// [`BackupError`]; a backup that was there before is as it was.
+/// [`BackupError`]. An earlier backup at the target stays as it was.
 pub async fn back_up(
     data_dir: &Utf8Path,
     target: BackupTarget,
@@ -134,7 +134,8 @@ pub async fn back_up(
         (sink, progress) = spawn_blocking(move || copy(&blobs, wanted, sink, progress))
             .await
             .map_err(io::Error::other)??;
-        // What one snapshot speaks of that was taken after it was missed, is lost.
+        // A folder is lost if it was missing before this snapshot was taken and the snapshot still
+        // refers to it.
         if progress.missing.keys().all(|name| missed_before.contains_key(name)) {
             return spawn_blocking(move || finish(sink, &snapshot, &id, progress))
                 .await
@@ -144,7 +145,7 @@ pub async fn back_up(
     Err(BackupError::Restless)
 }
 
-/// Copies what a snapshot speaks of and the backup does not have.
+/// Copies the folders that a snapshot refers to and the backup does not have.
 fn copy(
     source: &Blobs,
     wanted: Vec<FolderKey>,
@@ -165,8 +166,8 @@ fn copy(
                 progress.new_bytes += if is_new { kept.bytes } else { 0 };
                 progress.kept.insert(name, kept);
             }
-            // What a model was shown and said is kept for a time only: it may be gone while its
-            // answer is there.
+            // A model's prompt and reply have a retention time of their own: they may be removed
+            // before their answer.
             Err(CopyFailure::Gone) if kind == "answers" => {}
             Err(CopyFailure::Gone) => drop(progress.missing.insert(name, "missing".into())),
             Err(CopyFailure::Damaged(what)) => drop(progress.missing.insert(name, what)),
@@ -176,7 +177,7 @@ fn copy(
     Ok((sink, progress))
 }
 
-/// Writes the manifest: from then on it is a backup.
+/// Writes the manifest, which makes it a backup.
 fn finish(
     mut sink: BackupSink,
     snapshot: &Snapshot,

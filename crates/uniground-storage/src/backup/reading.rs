@@ -1,4 +1,4 @@
-//! Reading published folders, every file against its sum.
+//! Reads published folders, and checks every file against its checksum.
 
 use super::super::blobs::checksums::{SUMS, files_below};
 use super::manifest::hex;
@@ -11,23 +11,23 @@ use std::io::{self, Read};
 /// Why a folder could not be copied.
 #[derive(Debug)]
 pub enum CopyFailure {
-    /// It is not there, or went away meanwhile.
+    /// It does not exist, or was removed meanwhile.
     Gone,
-    /// What is wrong with which file.
+    /// Which file is damaged, and how.
     Damaged(String),
-    /// The fault is with where it was to be copied to.
+    /// The target could not be written.
     NotWritten(io::Error),
 }
 
-/// A folder that was read whole.
+/// A folder that was read completely.
 pub struct CopiedFolder {
-    /// Its `.sha256sums`; made here for folders of before there were sums.
+    /// Its `.sha256sums`; computed here for folders from before checksums were stored.
     pub sums: String,
     pub files: u64,
     pub bytes: u64,
 }
 
-/// The sums a folder came with; nothing for one of before there were sums.
+/// Returns the stored checksums of a folder, or `None` for folders from before there were any.
 pub fn sums_of(folder: &Utf8Path) -> Result<Option<String>, CopyFailure> {
     match fs::read_to_string(folder.join(SUMS)) {
         Ok(sums) => Ok(Some(sums)),
@@ -37,7 +37,7 @@ pub fn sums_of(folder: &Utf8Path) -> Result<Option<String>, CopyFailure> {
     }
 }
 
-/// Files and their sums, as a folder's list has them.
+/// Parses a list of checksums into files and their checksums.
 pub fn listed(sums: &str) -> Result<Vec<(Utf8PathBuf, &str)>, CopyFailure> {
     let entries = sums
         .lines()
@@ -53,8 +53,8 @@ pub fn listed(sums: &str) -> Result<Vec<(Utf8PathBuf, &str)>, CopyFailure> {
     }
 }
 
-/// Reads a folder; `take` gets every file, its length and its bytes, exactly as many. What it took
-/// of a folder that turns out to be unsound is worth nothing.
+/// Reads a folder. `take` receives every file, its length, and exactly as many bytes. If the folder
+/// turns out to be damaged, the caller must discard what `take` received.
 pub fn read_folder(
     folder: &Utf8Path,
     mut take: impl FnMut(&Utf8Path, u64, &mut dyn Read) -> io::Result<()>,
@@ -87,7 +87,7 @@ pub fn read_folder(
     Ok(CopiedFolder { sums: known.unwrap_or(sums), files: files.len() as u64, bytes })
 }
 
-/// Reads a file; its sum and length.
+/// Reads a file. Returns its checksum and length.
 pub fn read_file(
     path: &Utf8Path,
     take: impl FnOnce(u64, &mut dyn Read) -> io::Result<()>,
@@ -98,7 +98,7 @@ pub fn read_file(
         _ => CopyFailure::Damaged(error.to_string()),
     })?;
     let mut summing = HashingReader { file, hasher: Sha256::new(), failed: None };
-    // Nobody's archive shall break because a file is shorter than its folder says.
+    // Pad with zeros: a file that is shorter than expected must not break an archive.
     take(length, &mut (&mut summing).chain(io::repeat(0)).take(length))
         .map_err(CopyFailure::NotWritten)?;
     match summing.failed {
@@ -114,7 +114,7 @@ fn lost_or(folder: &Utf8Path, error: &io::Error) -> CopyFailure {
     }
 }
 
-/// Adds up what passes. A file that can not be read ends there; why is kept.
+/// Hashes what is read. On a read error it stores the error and ends the stream.
 struct HashingReader {
     file: File,
     hasher: Sha256,

@@ -1,4 +1,4 @@
-//! A data folder from a backup: all of it, or nothing.
+//! Restores a data folder from a backup, completely or not at all.
 
 use super::BackupError;
 use super::manifest::{self, BackupFolder, Manifest, hex};
@@ -27,7 +27,7 @@ pub enum BackupSource {
 }
 
 impl BackupSource {
-    /// What a path on the command line means.
+    /// Interprets a path on the command line.
     #[must_use]
     pub fn of(path: &Utf8Path) -> Self {
         match path.as_str() {
@@ -38,7 +38,7 @@ impl BackupSource {
     }
 }
 
-/// What was restored.
+/// The result of restoring or checking a backup.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RestoreReport {
     pub taken_at: String,
@@ -48,37 +48,37 @@ pub struct RestoreReport {
     pub answers: u64,
     pub folders: u64,
     pub bytes: u64,
-    /// What the backup did not have: folder, and what was wrong with it.
+    /// Folders missing from the backup: folder, and what was wrong with it.
     pub left_out: Vec<(String, String)>,
 }
 
-/// Where everything is until it is whole and checked.
+/// Folder for unfinished work, until all of it is complete and checked.
 const RESTORING: &str = "restoring";
-/// With what zstd streams begin.
+/// The magic number of zstd streams.
 const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
-/// What is wanted of a backup.
+/// What a caller needs from a backup.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum ManifestRequest {
     Everything,
-    /// Only whether it is whole.
+    /// Only to check it.
     Word,
 }
 
-/// How a backup's folders come to where they are needed.
+/// How a backup's folders are read.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum FolderTransfer {
     Copy,
-    /// It was unpacked for us.
+    /// It was unpacked to a temporary folder, so it can be moved.
     Move,
-    /// They stay where they are.
+    /// Folders are checked and stay where they are.
     Look,
 }
 
-/// Makes a data folder of a backup. Every byte is checked before anything is in place.
+/// Restores a backup to a data folder. Every byte is checked before anything is moved into place.
 ///
 /// # Errors
-/// [`BackupError`]; the folder is as empty as it was.
+/// [`BackupError`]; the folder is as empty as before.
 pub async fn restore(
     source: BackupSource,
     data_dir: &Utf8Path,
@@ -86,7 +86,7 @@ pub async fn restore(
     let path = data_dir.to_owned();
     let place =
         spawn_blocking(move || RestoreTarget::open(path)).await.map_err(io::Error::other)??;
-    // Given back when all is done, or removed with everything that is not.
+    // Dropping it removes everything that is unfinished.
     let gathering = spawn_blocking(move || {
         let gathered = gather(&source, &place.staging(), ManifestRequest::Everything)?;
         Ok::<_, BackupError>((place, gathered))
@@ -102,7 +102,7 @@ pub async fn restore(
     .map_err(io::Error::other)?
 }
 
-/// Looks whether a backup is whole, every byte of it, and what could be restored.
+/// Checks every byte of a backup. Returns what could be restored.
 ///
 /// # Errors
 /// [`BackupError`].
@@ -131,10 +131,10 @@ impl RestoreReport {
     }
 }
 
-/// The data folder as it will be, below [`RESTORING`].
+/// The new data folder, below [`RESTORING`].
 const NEW: &str = "new";
 
-/// The folder to restore to. What is not finished there goes when this does.
+/// The folder to restore to. Drop removes what is unfinished there.
 struct RestoreTarget {
     data_dir: Utf8PathBuf,
     was_there: bool,
@@ -160,7 +160,7 @@ impl RestoreTarget {
             return Err(StoreError::InUse.into());
         }
         let place = Self { data_dir, was_there, lock };
-        // What an earlier try left.
+        // Remove what an earlier attempt left.
         place.clear()?;
         fs::create_dir(place.staging())?;
         Ok(place)
@@ -177,7 +177,7 @@ impl RestoreTarget {
         }
     }
 
-    /// Moves everything to its place. The marker, by which a server knows the folder, comes last.
+    /// Moves everything into place. The marker, by which a server knows the folder, comes last.
     fn settle(&self, id: &str) -> io::Result<()> {
         let new = self.staging().join(NEW);
         sync_everything(&self.data_dir)?;
@@ -201,7 +201,7 @@ impl Drop for RestoreTarget {
     }
 }
 
-/// Brings a backup to where it is needed, everything checked.
+/// Copies or moves the content of a backup to a staging folder, and checks it.
 fn gather(
     source: &BackupSource,
     staging: &Utf8Path,
@@ -283,7 +283,7 @@ fn bring_folder(
     if take == FolderTransfer::Look {
         return Ok(());
     }
-    // As old as it was: what is kept for a time only goes when it would have gone.
+    // Keep the original time, so that retention counts from it.
     File::open(&to)?.set_modified(UNIX_EPOCH + Duration::from_secs(kept.published_s))?;
     Ok(())
 }
@@ -300,7 +300,7 @@ fn unsound_error(place: &str, unsound: CopyFailure) -> BackupError {
     }
 }
 
-/// Unpacks an archive, files only, none outside.
+/// Unpacks an archive. Accepts only files, and no path outside the target.
 fn unpack(mut archive: impl BufRead, to: &Utf8Path) -> Result<(), BackupError> {
     let broken = |error: io::Error| BackupError::Damaged {
         what: format!("the archive can not be read: {error}"),

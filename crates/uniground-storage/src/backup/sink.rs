@@ -1,5 +1,4 @@
-//! Where a backup goes: a folder that is brought up to date, or an archive that is written from
-//! front to back.
+//! The target of a backup: a folder that is updated, or an archive that is written sequentially.
 
 use super::manifest::{self, BackupFolder, DatabaseEntry, Manifest, hex};
 use super::reading::{CopiedFolder, CopyFailure, listed, read_file, read_folder, sums_of};
@@ -17,16 +16,16 @@ use tempfile::{NamedTempFile, TempDir};
 /// Where to write a backup.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum BackupTarget {
-    /// A folder: empty, not there yet, or an earlier backup, of which what has not changed stays.
+    /// A folder: empty, missing, or an earlier backup, whose unchanged folders are reused.
     Folder(Utf8PathBuf),
-    /// A tar archive, compressed with zstd where its name says so.
+    /// A tar archive, compressed with zstd if its name ends in `.zst`.
     Archive(Utf8PathBuf),
     /// A tar archive on standard output.
     Stdout,
 }
 
 impl BackupTarget {
-    /// What a path on the command line means.
+    /// Interprets a path on the command line.
     #[must_use]
     pub fn of(path: &Utf8Path) -> Self {
         let packed = path.extension() == Some("zst");
@@ -45,7 +44,7 @@ pub enum BackupSink {
 }
 
 const LOCK: &str = "backup.lock";
-/// Where things are until they are whole.
+/// Folder for unfinished parts.
 const UNFINISHED: &str = "unfinished";
 const DATABASES: (&str, &str) = ("uniground-", ".sqlite");
 
@@ -79,7 +78,7 @@ impl BackupSink {
         }
     }
 
-    /// A file name for a snapshot of the database, with room.
+    /// Returns a file name for a snapshot of the database, where there is space for it.
     pub fn room_for_database(&self) -> Utf8PathBuf {
         match self {
             Self::Folder(sink) => sink.folder.join(UNFINISHED).join("database"),
@@ -90,7 +89,7 @@ impl BackupSink {
         }
     }
 
-    /// Takes a published folder in; the flag tells whether it is new there.
+    /// Adds a published folder. The flag says whether it is new in the backup.
     pub fn put(
         &mut self,
         kind: &str,
@@ -117,7 +116,7 @@ impl BackupSink {
         Ok((kept, is_new))
     }
 
-    /// Takes the last snapshot in.
+    /// Adds the final snapshot of the database.
     pub fn put_database(&mut self, snapshot: &Utf8Path) -> Result<DatabaseEntry, BackupError> {
         let unreadable = |_| BackupError::File {
             file: snapshot.to_owned(),
@@ -130,13 +129,13 @@ impl BackupSink {
         match self {
             Self::Folder(sink) => fs::rename(snapshot, sink.folder.join(&file))?,
             Self::Archive(sink) => {
-                sink.append(&file, bytes, SystemTime::now(), &mut File::open(snapshot)?)?
+                sink.append(&file, bytes, SystemTime::now(), &mut File::open(snapshot)?)?;
             }
         }
         Ok(DatabaseEntry { file, sha256, bytes })
     }
 
-    /// Makes a backup of what was taken in.
+    /// Completes the backup by writing its manifest.
     pub fn finish(self, manifest: &Manifest) -> Result<(), BackupError> {
         match self {
             Self::Folder(sink) => sink.finish(manifest),
@@ -145,7 +144,7 @@ impl BackupSink {
     }
 }
 
-/// A folder. What it was before is a backup until the new manifest is in place.
+/// A folder. It remains the previous backup until the new manifest is in place.
 pub struct FolderSink {
     folder: Utf8PathBuf,
     _lock: File,
@@ -172,7 +171,7 @@ impl FolderSink {
             Err(TryLockError::WouldBlock) => return Err(BackupError::Busy { folder }),
             Err(TryLockError::Error(error)) => return Err(error.into()),
         }
-        // What an earlier try left.
+        // Remove what an earlier attempt left.
         match fs::remove_dir_all(folder.join(UNFINISHED)) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.into()),
             _ => {}
@@ -211,7 +210,7 @@ impl FolderSink {
         fs::remove_dir_all(self.folder.join(UNFINISHED))?;
         sync_everything(&self.folder)?;
         write_synced(&self.folder.join(manifest::FILE), &manifest.sealed()?)?;
-        // From here on what only the last backup had is of no use.
+        // The previous manifest is gone: remove the folders that only it referred to.
         let kept: HashSet<(&str, &str)> =
             manifest.folders.iter().map(|kept| (kept.kind.as_str(), kept.name.as_str())).collect();
         for kind in KINDS {
@@ -236,7 +235,7 @@ impl FolderSink {
     }
 }
 
-/// Copies a folder with the sums of its files, each file looked at on the way.
+/// Copies a folder with its checksums, and checks each file on the way.
 pub fn copy_folder(source: &Utf8Path, to: &Utf8Path) -> Result<CopiedFolder, CopyFailure> {
     fs::create_dir_all(to).map_err(CopyFailure::NotWritten)?;
     let whole = read_folder(source, |file, _, reader| {
@@ -248,11 +247,11 @@ pub fn copy_folder(source: &Utf8Path, to: &Utf8Path) -> Result<CopiedFolder, Cop
     Ok(whole)
 }
 
-/// What is known of a folder the backup has already, as it is now at its source.
+/// Returns a folder that the backup has already, if it equals the source.
 fn same(source: &Utf8Path, place: &Utf8Path) -> Result<Option<CopiedFolder>, CopyFailure> {
     let Ok(Some(sums)) = sums_of(place) else { return Ok(None) };
-    // A folder of before there were sums got them when it was copied first. Its name stands for
-    // what it holds, then as now.
+    // A folder from before checksums were stored got them when it was first copied. Its name
+    // identifies its content, then as now.
     if sums_of(source)?.is_some_and(|own| own != sums) {
         return Ok(None);
     }
@@ -260,7 +259,7 @@ fn same(source: &Utf8Path, place: &Utf8Path) -> Result<Option<CopiedFolder>, Cop
     for (file, _) in listed(&sums)? {
         match (fs::metadata(place.join(&file)), fs::metadata(source.join(&file))) {
             (Ok(copy), Ok(own)) if copy.len() == own.len() => {
-                (files, bytes) = (files + 1, bytes + copy.len())
+                (files, bytes) = (files + 1, bytes + copy.len());
             }
             _ => return Ok(None),
         }
@@ -268,7 +267,7 @@ fn same(source: &Utf8Path, place: &Utf8Path) -> Result<Option<CopiedFolder>, Cop
     Ok(Some(CopiedFolder { sums, files, bytes }))
 }
 
-/// A stream that must be told that it is over.
+/// A stream that must be finished explicitly.
 trait Finish: Write + Send {
     fn done(self: Box<Self>) -> io::Result<()>;
 }
@@ -285,11 +284,11 @@ impl Finish for zstd::Encoder<'static, File> {
     }
 }
 
-/// An archive. What was begun of a folder that turned out to be unsound stays in it; the manifest,
-/// which comes last, does not speak of it.
+/// An archive. Partial data of a folder that turned out to be damaged stays in it, but the
+/// manifest, which comes last, does not list that folder.
 pub struct ArchiveSink {
     archive: tar::Builder<Box<dyn Finish>>,
-    /// Moved to its place once it is whole.
+    /// Moved into place once it is complete.
     file: Option<(NamedTempFile, Utf8PathBuf)>,
     scratch: TempDir,
 }

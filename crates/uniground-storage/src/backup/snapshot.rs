@@ -1,4 +1,4 @@
-//! The database as it is at one moment, in a file of its own.
+//! A snapshot of the database, in a file of its own.
 
 use super::{BackupError, FolderKey, KINDS};
 use crate::blobs::Blobs;
@@ -9,9 +9,9 @@ use sqlx::{Connection, Executor};
 use std::time::Duration;
 use std::{fs, io};
 
-/// How long a server may keep us waiting.
+/// Timeout for locks that a server holds.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// Names looked up at once.
+/// Names looked up in one query.
 const CHUNK: usize = 500;
 
 pub struct Snapshot {
@@ -19,14 +19,14 @@ pub struct Snapshot {
     pub taken_at: String,
     /// Its last migration.
     pub schema: i64,
-    /// The folder it belongs to; databases of before folders had ids know none.
+    /// The folder it belongs to; `None` for databases from before folders had ids.
     pub data_folder: Option<String>,
     pub scenes: u64,
     pub answers: u64,
 }
 
 impl Snapshot {
-    /// Takes one, beside a server that reads and writes.
+    /// Takes a snapshot, also while a server reads and writes.
     pub async fn take(database: &Utf8Path, file: Utf8PathBuf) -> Result<Self, BackupError> {
         match fs::remove_file(&file) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.into()),
@@ -63,7 +63,7 @@ impl Snapshot {
         })
     }
 
-    /// Folders it speaks of; of answers those that are there.
+    /// Returns the folders it refers to. Folders of answers are included only if they exist.
     pub async fn folders(&self, source: &Blobs) -> Result<Vec<FolderKey>, BackupError> {
         let [contents, parses, answers] = KINDS;
         let mut copy = SqliteConnection::connect_with(&read_only(&self.file)).await?;
@@ -88,7 +88,7 @@ impl Snapshot {
     }
 }
 
-/// Lets the database of a restored folder know the folder, as one that has known it all along.
+/// Stores the id of a restored folder in its database, as if the folder had always had that id.
 pub async fn rename_folder(database: &Utf8Path, id: &str) -> Result<(), BackupError> {
     let options = SqliteConnectOptions::new().filename(database);
     let mut connection = SqliteConnection::connect_with(&options).await?;
@@ -103,8 +103,8 @@ pub async fn rename_folder(database: &Utf8Path, id: &str) -> Result<(), BackupEr
     Ok(())
 }
 
-/// Opens the database that is copied. What SQLite lays beside it wants room: on a full disk that of
-/// the reserve, if no server runs.
+/// Opens the database to copy. SQLite's files next to it need disk space; on a full disk the
+/// reserve provides it, if no server runs.
 async fn open_source(database: &Utf8Path) -> Result<SqliteConnection, StoreError> {
     match try_to_open_source(database).await {
         Err(error) if reserve::make_room_to_open(database.parent().unwrap_or(database), &error) => {

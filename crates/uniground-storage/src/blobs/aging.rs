@@ -1,11 +1,11 @@
-//! What is kept for a time only: how old it is, and how large.
+//! Age and size of files that have a retention time.
 
 use super::Blobs;
 use camino::Utf8Path;
 use std::time::{Duration, SystemTime};
 use std::{fs, io};
 
-/// Finished stages of a content, and when a parse used them last.
+/// The finished stages of a content, and when a parse last used them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StoredCheckpoints {
     pub hash: String,
@@ -14,10 +14,10 @@ pub struct StoredCheckpoints {
 }
 
 impl Blobs {
-    /// Published folders of a kind that are older, by name.
+    /// Returns the names of published folders of a kind that are older than `age`.
     ///
     /// # Errors
-    /// Those of the file system; that the object store can not be used.
+    /// Errors of the file system; the object store cannot be used.
     pub fn older_than(
         &self,
         kind: &'static str,
@@ -38,7 +38,7 @@ impl Blobs {
             match fs::metadata(self.place(kind, &name)).and_then(|folder| folder.modified()) {
                 Ok(made) if is_old(made) => old.push(name),
                 Ok(_) => {}
-                // Somebody else removed it.
+                // Another process removed it.
                 Err(error) if error.kind() == io::ErrorKind::NotFound => {}
                 Err(error) => return Err(error),
             }
@@ -47,16 +47,16 @@ impl Blobs {
     }
 }
 
-/// Bytes of all files below a folder, or of a file; nothing where nothing is.
+/// Returns the bytes of a file, or of all files below a folder. A missing path has 0 bytes.
 ///
 /// # Errors
-/// Those of the file system.
+/// Errors of the file system.
 pub fn size_of(path: &Utf8Path) -> io::Result<u64> {
     Ok(measure(path)?.0)
 }
 
-/// Bytes below a folder, and when anything there changed last. What goes away meanwhile counts no
-/// more.
+/// Returns the bytes below a folder, and the time of the latest change there. Ignores files that
+/// are removed meanwhile.
 pub(super) fn measure(path: &Utf8Path) -> io::Result<(u64, SystemTime)> {
     let (mut bytes, mut changed, mut left) = (0, SystemTime::UNIX_EPOCH, vec![path.to_owned()]);
     while let Some(path) = left.pop() {
@@ -110,7 +110,7 @@ mod tests {
         assert_eq!(all, ["a", "b"]);
     }
 
-    /// Whoever opens a log touches it, and whoever begins a parse the folder.
+    /// Opening a log updates its time; starting a parse updates the time of the folder.
     #[test]
     fn checkpoints_are_in_order_of_their_last_use() {
         let data = tempfile::tempdir().unwrap();

@@ -1,5 +1,5 @@
-//! Folders of an object store that lie in the data folder for a while: what is in use stays, and of
-//! the rest what was used last, up to a bound.
+//! Cache of an object store's folders in the data folder. Folders in use are pinned. Of the others
+//! the most recently used ones stay, up to a limit.
 
 use super::remove_tree;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -13,15 +13,15 @@ use std::time::SystemTime;
 use tokio::runtime::Handle;
 use uuid::Uuid;
 
-/// What lies here of an object store's folders.
+/// The local copies of an object store's folders.
 #[derive(Debug)]
 pub struct FolderCache {
-    /// Bytes that folders nobody uses may come to.
+    /// Limit for folders that are not in use, bytes.
     most: u64,
     tmp: Utf8PathBuf,
     runtime: Handle,
     here: Mutex<CacheState>,
-    /// Keeps other processes out.
+    /// Keeps other processes from using the same cache.
     _lock: Option<File>,
 }
 
@@ -29,7 +29,7 @@ pub struct FolderCache {
 struct CacheState {
     folders: HashMap<Utf8PathBuf, CachedFolder>,
     bytes: u64,
-    /// Counts uses.
+    /// Counts uses, to order folders by their last use.
     clock: u64,
 }
 
@@ -37,11 +37,11 @@ struct CacheState {
 struct CachedFolder {
     bytes: u64,
     used: u64,
-    /// Whoever uses the folder has a handle of it, and who adds to it the lock.
+    /// Every user of the folder holds a clone of this; a user that adds files also holds the lock.
     turn: Arc<Mutex<()>>,
 }
 
-/// A folder that stays as long as this does.
+/// Keeps a folder in the cache while it lives.
 #[derive(Debug)]
 pub struct FolderPin {
     cache: Arc<FolderCache>,
@@ -50,7 +50,7 @@ pub struct FolderPin {
 }
 
 impl FolderPin {
-    /// The turn at adding to the folder; blocks.
+    /// Locks the folder for adding files; blocks.
     pub fn turn(&self) -> Option<MutexGuard<'_, ()>> {
         self.turn.as_ref().map(|turn| turn.lock().unwrap_or_else(PoisonError::into_inner))
     }
@@ -64,7 +64,7 @@ impl Drop for FolderPin {
     }
 }
 
-/// A file or folder that is read: it stays where it is as long as this does.
+/// A file or folder that stays in place while this lives.
 #[derive(Debug)]
 pub struct PinnedPath {
     path: Utf8PathBuf,
@@ -77,7 +77,7 @@ impl PinnedPath {
     }
 }
 
-/// What stays anyway.
+/// A path that the cache does not manage.
 impl From<Utf8PathBuf> for PinnedPath {
     fn from(path: Utf8PathBuf) -> Self {
         Self { path, _held: None }
@@ -99,8 +99,8 @@ impl AsRef<Path> for PinnedPath {
 }
 
 impl FolderCache {
-    /// A cache of folders that lie somewhere already, by when each was brought, and how large it
-    /// is.
+    /// Creates a cache of existing folders, each with the time of its download and its size in
+    /// bytes.
     pub fn new(
         most: u64,
         tmp: &Utf8Path,
@@ -129,13 +129,13 @@ impl FolderCache {
         self.here.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Keeps a folder where it is, if it is there.
+    /// Pins a folder, if it exists.
     pub fn hold(self: &Arc<Self>, place: &Utf8Path) -> FolderPin {
         let turn = self.here().touch(place).turn.clone();
         FolderPin { cache: self.clone(), place: place.to_owned(), turn: Some(turn) }
     }
 
-    /// Forgets a folder that was looked for and not found.
+    /// Drops the entry of a folder that turned out not to exist.
     fn forget_nothing(&self, place: &Utf8Path) {
         let mut here = self.here();
         if here
@@ -147,7 +147,7 @@ impl FolderCache {
         }
     }
 
-    /// A folder that has more than before.
+    /// Records that a folder has grown.
     pub fn add(&self, place: &Utf8Path, bytes: u64) {
         let mut here = self.here();
         here.touch(place).bytes += bytes;
@@ -156,10 +156,10 @@ impl FolderCache {
         self.make_room();
     }
 
-    /// Takes what there is of a folder out of the way, for whoever holds it to bring it anew.
+    /// Moves the content of a pinned folder away, so that its user can download it again.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// Errors of the file system.
     pub fn empty(&self, place: &Utf8Path) -> io::Result<Option<Utf8PathBuf>> {
         let mut here = self.here();
         let bytes = std::mem::take(&mut here.touch(place).bytes);
@@ -167,11 +167,11 @@ impl FolderCache {
         self.move_away(place)
     }
 
-    /// Takes a folder out of the way, whoever uses it: what is open stays so. `None` where nothing
-    /// was.
+    /// Moves a folder away, also while it is in use: files that are open stay open. Returns `None`
+    /// if it did not exist.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// Errors of the file system.
     pub fn take(&self, place: &Utf8Path) -> io::Result<Option<Utf8PathBuf>> {
         let mut here = self.here();
         if let Some(folder) = here.folders.remove(place) {
@@ -189,13 +189,13 @@ impl FolderCache {
         }
     }
 
-    /// Bytes of all folders here.
+    /// Returns the bytes of all cached folders.
     #[cfg(test)]
     pub fn bytes(&self) -> u64 {
         self.here().bytes
     }
 
-    /// Lets go of what was not used for longest, until the rest is within the bound.
+    /// Evicts the least recently used folders until the rest is within the limit.
     fn make_room(&self) {
         let mut aside = Vec::new();
         let mut here = self.here();
@@ -209,11 +209,11 @@ impl FolderCache {
             };
             let Some(folder) = here.folders.remove(&place) else { break };
             here.bytes -= folder.bytes;
-            // While nobody can begin to use it.
+            // The lock is held: no task can start to use the folder meanwhile.
             match self.move_away(&place) {
                 Ok(gone) => aside.extend(gone),
                 Err(error) => {
-                    tracing::warn!(folder = %place, %error, "cached folder could not be evicted")
+                    tracing::warn!(folder = %place, %error, "cached folder could not be evicted");
                 }
             }
         }
@@ -266,7 +266,7 @@ mod tests {
             [a.exists(), b.exists(), c.exists(), cache.bytes() == 20],
             [true, false, true, true]
         );
-        // All in use: over the bound as long as that is so, and no longer.
+        // All are in use: the cache exceeds its limit only as long as that lasts.
         let also = cache.hold(&c);
         let last = cache.hold(&d);
         cache.add(&d, 10);

@@ -1,5 +1,6 @@
-//! What a published folder holds, by name and SHA-256, in a file of its own: what was lost or
-//! damaged since can be told. The file is `sha256sum`'s: `sha256sum -c .sha256sums` says the same.
+//! The list of a published folder's files with their SHA-256, in a file of its own, to detect lost
+//! and damaged files. It has the format of `sha256sum`: `sha256sum -c .sha256sums` does the same
+//! check.
 
 use camino::{Utf8Path, Utf8PathBuf};
 use sha2::{Digest, Sha256};
@@ -9,32 +10,32 @@ use std::fs::{self, File};
 use std::io::{self, Read};
 
 pub const SUMS: &str = ".sha256sums";
-/// Folders with more files are put on the disk together with everything else.
+/// A folder with more files is synced with the whole file system instead of file by file.
 const SYNC_ONE_BY_ONE: usize = 64;
 
-/// A file that is not what it was.
+/// A file that differs from what was published.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DamagedFile {
-    /// Below the folder that was looked at.
+    /// Relative to the folder that was checked.
     pub file: Utf8PathBuf,
-    /// "missing", "damaged", "stray", or why it can not be read.
+    /// "missing", "damaged", "stray", or why it cannot be read.
     pub what: String,
 }
 
-/// How closely a folder is looked at.
+/// How thoroughly a folder is checked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CheckDepth {
-    /// Whether all files are there.
+    /// Checks that all files exist.
     Names,
-    /// Every byte of them.
+    /// Reads every byte of every file.
     Bytes,
 }
 
-/// Sums that are known, by file.
+/// Known checksums by file.
 pub type Sums = BTreeMap<Utf8PathBuf, String>;
 
-/// Writes down what `folder` holds, after `head`, and puts all of it on the disk. Files whose sums
-/// are known are not read again.
+/// Writes the checksums of `folder` after the line `head`, and syncs everything to disk. Files with
+/// known checksums are not read again.
 pub fn seal(folder: &Utf8Path, known: &Sums, head: &str) -> io::Result<()> {
     let files = files_below(folder)?;
     if files.len() <= SYNC_ONE_BY_ONE {
@@ -48,7 +49,7 @@ pub fn seal(folder: &Utf8Path, known: &Sums, head: &str) -> io::Result<()> {
             files.iter().map(|file| folder.join(file)).chain([folder.join(SUMS)]).chain(folders);
         return sync(folder, files.len(), paths);
     }
-    // The disk writes while the sums are made; what is left is the sums themselves.
+    // The disk writes while the checksums are computed; only the checksums themselves remain.
     let sums = std::thread::scope(|scope| {
         let synced = scope.spawn(|| sync_everything(folder));
         let sums = sums_of(folder, &files, known, head)?;
@@ -59,8 +60,7 @@ pub fn seal(folder: &Utf8Path, known: &Sums, head: &str) -> io::Result<()> {
     sync_everything(folder)
 }
 
-/// Puts so many files of a folder on the disk: these, one by one, or everything where they are
-/// many.
+/// Syncs files of a folder to disk: one by one, or the whole file system if there are many.
 pub fn sync(
     folder: &Utf8Path,
     files: usize,
@@ -99,13 +99,13 @@ pub fn sync_everything(_: &Utf8Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Gives `to` the files of a sealed folder, below `below`, without copying them where the disk can;
-/// their sums.
+/// Adds the files of a sealed folder to `to`, below `below`, as hard links where the disk supports
+/// them. Returns their checksums.
 pub fn share(sealed: &Utf8Path, to: &Utf8Path, below: &Utf8Path) -> io::Result<Sums> {
     for file in files_below(sealed)? {
         let (from, place) = (sealed.join(&file), to.join(below).join(&file));
         fs::create_dir_all(place.parent().unwrap_or(to))?;
-        // Published files never change: one may have two names.
+        // Published files never change, so two names may share one file.
         if fs::hard_link(&from, &place).is_err() {
             fs::copy(&from, &place)?;
         }
@@ -118,12 +118,12 @@ pub fn share(sealed: &Utf8Path, to: &Utf8Path, below: &Utf8Path) -> io::Result<S
     Ok(sums.map(|(sum, file)| (below.join(file), sum.to_owned())).collect())
 }
 
-/// What is wrong with a folder; nothing where nothing was written down about it, as long as it is
-/// there.
+/// Checks a folder and returns its damaged files. A folder without checksums passes as long as it
+/// exists.
 pub fn look(folder: &Utf8Path, closely: CheckDepth) -> io::Result<Vec<DamagedFile>> {
     let sums = match fs::read_to_string(folder.join(SUMS)) {
         Ok(sums) => sums,
-        // A folder of before there were sums.
+        // A folder from before checksums were stored.
         Err(error) if error.kind() == io::ErrorKind::NotFound && folder.is_dir() => {
             return Ok(Vec::new());
         }
@@ -144,7 +144,7 @@ pub fn look(folder: &Utf8Path, closely: CheckDepth) -> io::Result<Vec<DamagedFil
                 Ok(found) if found == sum => {}
                 Ok(_) => wrong.push(damage(file, "damaged")),
                 Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                    wrong.push(damage(file, "missing"))
+                    wrong.push(damage(file, "missing"));
                 }
                 Err(error) => wrong.push(damage(file, &error.to_string())),
             },
@@ -157,7 +157,7 @@ pub fn look(folder: &Utf8Path, closely: CheckDepth) -> io::Result<Vec<DamagedFil
     Ok(wrong)
 }
 
-/// What is wrong with one file of a folder; nothing where nothing was written down about it.
+/// Checks one file of a folder. A file without a checksum passes.
 pub fn look_at(folder: &Utf8Path, file: &Utf8Path) -> io::Result<Option<DamagedFile>> {
     let sums = match fs::read_to_string(folder.join(SUMS)) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -171,7 +171,8 @@ pub fn look_at(folder: &Utf8Path, file: &Utf8Path) -> io::Result<Option<DamagedF
     Ok((hash_of(&folder.join(file))? != sum).then(|| damage(file.as_str(), "damaged")))
 }
 
-/// Whether a folder was sealed with this file; where it never was, whether the file is there.
+/// Returns whether a folder was sealed with this file. Without a seal, returns whether the file
+/// exists.
 pub fn holds(folder: &Utf8Path, file: &Utf8Path) -> io::Result<bool> {
     match fs::read_to_string(folder.join(SUMS)) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(folder.join(file).is_file()),
@@ -185,7 +186,7 @@ fn damage(file: &str, what: &str) -> DamagedFile {
     DamagedFile { file: file.into(), what: what.to_owned() }
 }
 
-/// Plain files below a folder, sorted; without the sums.
+/// Returns the regular files below a folder, sorted, without the list of checksums.
 pub fn files_below(folder: &Utf8Path) -> io::Result<Vec<Utf8PathBuf>> {
     let (mut files, mut folders) = (Vec::new(), vec![Utf8PathBuf::new()]);
     while let Some(below) = folders.pop() {

@@ -1,4 +1,4 @@
-//! Files that grow from one request to the next: uploads that come in parts.
+//! Files that grow from one request to the next: resumable uploads.
 
 use super::{Blobs, sync_folder};
 use bytes::Bytes;
@@ -7,12 +7,12 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Seek, SeekFrom, Write};
 use std::os::unix::fs::FileExt;
 
-/// A file that is gone on with.
+/// A file that is being appended to.
 #[derive(Debug)]
 pub struct GrowingFile {
     file: File,
     bytes: u64,
-    /// Of these, what is on the disk.
+    /// Bytes that are synced to disk, contained in `bytes`.
     saved: u64,
 }
 
@@ -21,16 +21,16 @@ impl Blobs {
         self.root.with_file_name("uploads")
     }
 
-    /// What has come of an upload in parts.
+    /// Returns the file of a resumable upload.
     #[must_use]
     pub fn upload(&self, id: &str) -> Utf8PathBuf {
         self.uploads().join(id)
     }
 
-    /// How much has come of an upload in parts.
+    /// Returns how many bytes of a resumable upload are stored.
     ///
     /// # Errors
-    /// Those of the file system; nothing there is none.
+    /// Errors of the file system; a missing file counts as 0 bytes.
     pub fn upload_bytes(&self, id: &str) -> io::Result<u64> {
         match fs::metadata(self.upload(id)) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(0),
@@ -38,11 +38,11 @@ impl Blobs {
         }
     }
 
-    /// Goes on with an upload after its first `bytes`. What its file has beyond them is cut off:
-    /// nobody was told that it is there.
+    /// Opens an upload to continue after its first `bytes`. Cuts off anything beyond them: it was
+    /// never acknowledged to the client.
     ///
     /// # Errors
-    /// Those of the file system; a file that has fewer bytes.
+    /// Errors of the file system; a file that has fewer bytes.
     pub fn open_upload(&self, id: &str, bytes: u64) -> io::Result<GrowingFile> {
         let path = self.upload(id);
         let is_new = !path.exists();
@@ -62,7 +62,7 @@ impl Blobs {
         Ok(GrowingFile { file, bytes, saved: bytes })
     }
 
-    /// Names of the files of uploads in parts.
+    /// Returns the file names of all resumable uploads.
     pub(crate) fn all_uploads(&self) -> io::Result<Vec<String>> {
         let entries = self.uploads().read_dir_utf8()?;
         entries.map(|entry| Ok(entry?.file_name().to_owned())).collect()
@@ -75,14 +75,15 @@ impl GrowingFile {
         self.bytes
     }
 
-    /// Bytes that a power cut would take.
+    /// Returns the bytes that a power failure would lose.
     #[must_use]
     pub fn unsaved(&self) -> u64 {
         self.bytes - self.saved
     }
 
     /// # Errors
-    /// Those of the file system; what the file has then is for the next who opens it to cut off.
+    /// Errors of the file system. The next [`open_upload`](Blobs::open_upload) cuts off a partial
+    /// write.
     pub fn write(&mut self, chunks: &[Bytes]) -> io::Result<()> {
         for chunk in chunks {
             self.file.write_all(chunk)?;
@@ -91,20 +92,20 @@ impl GrowingFile {
         Ok(())
     }
 
-    /// Puts what was written on the disk.
+    /// Syncs the written bytes to disk.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// Errors of the file system.
     pub fn save(&mut self) -> io::Result<()> {
         self.file.sync_data()?;
         self.saved = self.bytes;
         Ok(())
     }
 
-    /// Its first bytes, at most so many.
+    /// Returns the first bytes of the file, at most this many.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// Errors of the file system.
     pub fn head(&self, most: usize) -> io::Result<Vec<u8>> {
         let mut head = vec![0; most.min(usize::try_from(self.bytes).unwrap_or(most))];
         self.file.read_exact_at(&mut head, 0)?;

@@ -1,5 +1,5 @@
-//! Where published folders are kept: in the data folder, or in an object store, of which the data
-//! folder then holds copies.
+//! Where published folders are stored: in the data folder, or in an object store, with copies in
+//! the data folder.
 
 use super::cache::FolderCache;
 use super::objects::{AccessKeys, Bucket, Links, Objects};
@@ -16,10 +16,10 @@ use std::time::{Duration, SystemTime};
 use std::{fmt, io};
 use tokio::task::spawn_blocking;
 
-/// Says in `blobs/` that it holds copies, and of what.
+/// The file in `blobs/` that marks it as a cache, and names the object store.
 pub const CACHE_OF: &str = "copies-of.json";
 
-/// Where folders are kept, as it is said.
+/// Where folders are stored, as configured.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum BlobsAt {
     /// In the data folder.
@@ -44,30 +44,30 @@ impl fmt::Display for BlobsAt {
     }
 }
 
-/// Where folders are kept, with all that is needed to get there.
+/// Where folders are stored, with everything needed to connect.
 #[derive(Debug, Clone)]
 pub enum BlobHome {
     Folder,
     Bucket {
         bucket: Bucket,
-        /// Those of a file; else those of the environment count.
+        /// Keys from a file; without them, those of the environment.
         keys: Option<AccessKeys>,
         links: Links,
-        /// What copies that nobody uses may come to, bytes.
+        /// Limit for copies that are not in use, bytes.
         cache_bytes: u64,
-        /// How old objects must be that no row speaks of to be removed.
+        /// Age after which objects that no row refers to are removed.
         grace: Duration,
     },
 }
 
-/// Whether who opens a store will read and write files, or rows alone.
+/// Whether the opened store will access files, or rows only.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FileAccess {
     Used,
     Untouched,
 }
 
-/// What a folder holds copies of.
+/// The object store that a folder holds copies of.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct CopiesOf {
     bucket: String,
@@ -75,7 +75,7 @@ pub struct CopiesOf {
 }
 
 impl Blobs {
-    /// Opens the folders, and makes those that are not there; blocks.
+    /// Opens the folders, creating those that do not exist; blocks.
     pub(crate) fn open(
         data_dir: &Utf8Path,
         home: &BlobHome,
@@ -104,8 +104,8 @@ impl Blobs {
         }
     }
 
-    /// Has these folders hold copies of what an object store has, by its name and the one they held
-    /// copies of; blocks.
+    /// Turns these folders into a cache of an object store, given its name and the store they
+    /// cached before; blocks.
     pub(super) fn copying(
         self,
         objects: Objects,
@@ -133,7 +133,7 @@ impl Blobs {
                 )?;
             }
         }
-        // Which copies are in use only their process knows.
+        // Only the process that uses the cache knows which copies are in use.
         let lock = File::open(&mark)?;
         match lock.try_lock() {
             Ok(()) => {}
@@ -157,8 +157,7 @@ impl Blobs {
         })
     }
 
-    /// Folders that are looked at and stay as they are, whatever is asked: nothing goes out of the
-    /// way, nothing to the quarantine.
+    /// Opens folders read-only: nothing is moved away, removed or quarantined, whatever is called.
     ///
     /// # Errors
     /// [`StoreError::BlobsElsewhere`].
@@ -169,23 +168,23 @@ impl Blobs {
         }
     }
 
-    /// The id what is kept goes by, where that is not the data folder's own.
+    /// Returns the id of this storage, where it is not the data folder's own id.
     pub(crate) fn id(&self) -> Option<&str> {
         self.id.as_deref()
     }
 
-    /// The object store that folders are kept in, if they are.
+    /// Returns the object store that folders are stored in, if there is one.
     pub(crate) fn objects(&self) -> Option<&Objects> {
         self.shared.as_ref().map(|shared| &shared.objects)
     }
 
-    /// Whether what lies here is copies of what an object store has.
+    /// Returns whether the local folders are copies of an object store's.
     #[must_use]
     pub fn are_copies(&self) -> bool {
         self.shared.is_some()
     }
 
-    /// Takes copies out of the way, off the async threads; where they are from nothing changes.
+    /// Moves copies away, off the async threads. Their originals stay unchanged.
     pub(crate) async fn forget_copies(&self, places: Vec<Utf8PathBuf>) -> io::Result<Vec<Scratch>> {
         let blobs = self.clone();
         spawn_blocking(move || {
@@ -194,7 +193,7 @@ impl Blobs {
         .await?
     }
 
-    /// Whether any scan is kept.
+    /// Returns whether any scan is stored.
     pub(crate) async fn hold_scans(&self) -> io::Result<bool> {
         match &self.shared {
             Some(shared) => shared.objects.has_any("contents").await,
@@ -202,7 +201,7 @@ impl Blobs {
         }
     }
 
-    /// Whether folders can be had.
+    /// Checks that the storage can be reached.
     pub(crate) async fn reach(&self) -> io::Result<()> {
         match &self.shared {
             Some(shared) => shared.objects.reach().await,
@@ -211,7 +210,7 @@ impl Blobs {
     }
 }
 
-/// The object store a data folder holds copies of, if it does.
+/// Returns the object store that a data folder holds copies of, if any.
 pub(super) fn kept_in(data_dir: &Utf8Path) -> Result<Option<CopiesOf>, StoreError> {
     match fs::read(data_dir.join("blobs").join(CACHE_OF)) {
         Ok(bytes) => Ok(Some(serde_json::from_slice(&bytes)?)),

@@ -1,21 +1,22 @@
-//! Files beside the database. The one place that publishes and removes them.
+//! Files beside the database. This is the only place that publishes and removes them.
 //!
 //! ```text
 //! blobs/contents/<sha256>/...     an unpacked archive
-//! blobs/parses/<id>/cloud.ply  instances.ply  embeddings.npy  embedding_norms.npy  report/  views/<instance>-<view>-{crop,frame}.jpg
+//! blobs/parses/<id>/              cloud.ply  instances.ply  embeddings.npy  embedding_norms.npy
+//!                                 report/  views/<instance>-<view>-{crop,frame}.jpg
 //! blobs/checkpoints/<sha256>/...  finished stages of parses of that content
-//! blobs/answers/<id>/prompt.json  reply.json  *.jpg   what a model was shown and said for an answer
-//! uploads/<id>                    what has come of an upload that comes in parts
-//! tmp/                            uploads and folders being written, folders being removed; emptied after a start
+//! blobs/answers/<id>/             prompt.json  reply.json  *.jpg: a model's prompt and reply
+//! uploads/<id>                    the received part of a resumable upload
+//! tmp/                            uploads and folders being written or removed; emptied at start
 //! ```
-//! A folder is written under `tmp/`, put on the disk, and moved into place as a whole; the row that
-//! speaks of it comes last. So a blob that can be seen is complete, and a row that can be seen has
-//! its blob, also after the power has failed.
+//! A folder is written under `tmp/`, synced to disk, and moved into place as a whole. The row that
+//! refers to it is written last. So a visible blob is complete, and a visible row has its blob,
+//! also after a power failure.
 //!
-//! Published folders may be kept in an object store instead ([`objects`]): those that lie here are
-//! then copies of what is there, brought by whoever reads them ([`shared`]), and go when they are
-//! not in use and too many ([`cache`]). Whoever reads a folder asks for its files ([`Blobs::file`],
-//! [`Blobs::whole`]) wherever they are kept.
+//! Published folders may be stored in an object store instead ([`objects`]). Local folders are then
+//! copies, which readers download ([`shared`]). Copies that are not in use are evicted when there
+//! are too many ([`cache`]). Readers ask for files with [`Blobs::file`] and [`Blobs::whole`],
+//! wherever the files are stored.
 
 mod aging;
 mod cache;
@@ -53,26 +54,26 @@ pub struct Blobs {
     root: Utf8PathBuf,
     tmp: Utf8PathBuf,
     hands: WriteMode,
-    /// What it all goes by, where that is not the data folder's own id.
+    /// The id of this storage, where it is not the data folder's own id.
     id: Option<Arc<str>>,
-    /// Where folders are kept in an object store.
+    /// The object store, where folders are stored in one.
     shared: Option<Arc<SharedBlobs>>,
 }
 
-/// Whether what is done with folders is done, or only thought through.
+/// Whether folders may be changed, or only read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum WriteMode {
     Free,
-    /// Nothing that is there is moved or removed.
+    /// Nothing that exists is moved or removed.
     Tied,
 }
 
-/// A folder being written, or one on its way out.
+/// A temporary folder: one being written, or one being removed.
 #[derive(Debug)]
 pub struct Scratch {
     path: Utf8PathBuf,
     tmp: Utf8PathBuf,
-    /// What goes with it elsewhere.
+    /// Objects in the object store that are removed together with the folder.
     beyond: Option<UnsealedObjects>,
 }
 
@@ -86,8 +87,8 @@ impl Scratch {
 impl Drop for Scratch {
     fn drop(&mut self) {
         drop(self.beyond.take());
-        // Published folders have moved away; what can not be removed now goes when the server
-        // starts next.
+        // A published folder has moved away already. A folder that cannot be removed now is removed
+        // at the next start.
         if let Err(error) = remove_tree(&self.path, &self.tmp) {
             tracing::warn!(folder = %self.path, %error, "temporary folder could not be removed");
         }
@@ -96,12 +97,12 @@ impl Drop for Scratch {
 
 /// The kinds of folders below `blobs/`.
 pub const KINDS: [&str; 4] = ["contents", "parses", "checkpoints", "answers"];
-/// Those that never change once they are published.
+/// Kinds of folders that never change once they are published.
 const SEALED: [&str; 3] = ["contents", "parses", "answers"];
-/// Folders that are taken away from an object store at once.
+/// Folders that are removed from an object store concurrently.
 const AT_ONCE: usize = 16;
 
-/// A folder that is written, all of it on the disk or in the object store, and not published yet.
+/// A folder that is completely written, to disk or to the object store, but not published yet.
 #[derive(Debug)]
 pub struct Prepared {
     scratch: Scratch,
@@ -110,7 +111,7 @@ pub struct Prepared {
 }
 
 impl Blobs {
-    /// Folders below `data_dir`, and nowhere else.
+    /// Creates a handle of the folders below `data_dir`, without an object store.
     fn below(data_dir: &Utf8Path, hands: WriteMode) -> Self {
         Self {
             root: data_dir.join("blobs"),
@@ -121,23 +122,23 @@ impl Blobs {
         }
     }
 
-    /// Whether folders may be moved and removed.
+    /// Returns whether folders may be moved and removed.
     pub(super) fn is_writable(&self) -> bool {
         self.hands == WriteMode::Free
     }
 
-    /// What lies under `tmp/` and is to go.
+    /// Wraps a path under `tmp/` that is to be removed.
     fn aside(&self, path: Utf8PathBuf) -> Scratch {
         Scratch { path, tmp: self.tmp.clone(), beyond: None }
     }
 
-    /// What processes that are gone left under `tmp/`, to be removed when it is dropped: what has
-    /// not changed for so long.
+    /// Returns what processes that are gone left under `tmp/`: everything that has not changed for
+    /// this long. It is removed when the result is dropped.
     pub(super) fn left_behind(&self, unchanged: Duration) -> io::Result<Vec<Scratch>> {
         let mut left = Vec::new();
         for entry in self.tmp.read_dir_utf8()? {
             let entry = entry?;
-            // Gone meanwhile, or from tomorrow: in somebody's hands.
+            // It was removed meanwhile, or its time is in the future: it counts as in use.
             let age =
                 entry.metadata().and_then(|m| m.modified()).ok().and_then(|at| at.elapsed().ok());
             if unchanged.is_zero() || age.is_some_and(|age| age >= unchanged) {
@@ -147,7 +148,7 @@ impl Blobs {
         Ok(left)
     }
 
-    /// Folders of a kind, by name. What is no folder is none of ours and passed over.
+    /// Returns the names of the folders of a kind. Ignores anything that is not a folder.
     pub(super) fn names(&self, kind: &str) -> io::Result<Vec<String>> {
         let mut names = Vec::new();
         let folder = self.root.join(kind);
@@ -163,10 +164,10 @@ impl Blobs {
         Ok(names)
     }
 
-    /// Files that lie where only folders belong.
+    /// Returns files in places where only folders belong.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// Errors of the file system.
     pub fn stray_files(&self) -> io::Result<Vec<Utf8PathBuf>> {
         let mut orphan_folders = Vec::new();
         for folder in KINDS.map(|kind| self.root.join(kind)).iter().chain([&self.root]) {
@@ -193,7 +194,7 @@ impl Blobs {
         folder.parent() == Some(&self.root.join("contents"))
     }
 
-    /// Finished stages of parses of a content, for the next parse of it.
+    /// Returns the folder of finished stages of a content, which the next parse of it reuses.
     #[must_use]
     pub fn checkpoints(&self, hash: &str) -> Utf8PathBuf {
         self.place("checkpoints", hash)
@@ -204,38 +205,39 @@ impl Blobs {
         self.place("parses", id)
     }
 
-    /// What a model was shown and said for an answer.
+    /// Returns the folder with a model's prompt and reply for an answer.
     #[must_use]
     pub fn answer(&self, id: &str) -> Utf8PathBuf {
         self.place("answers", id)
     }
 
-    /// Folder for files being received, on the same file system as the blobs.
+    /// Returns the folder for files being received, on the same file system as the blobs.
     #[must_use]
     pub fn tmp(&self) -> &Utf8Path {
         &self.tmp
     }
 
-    /// A new empty folder under `tmp/`, removed again unless it is published.
+    /// Creates an empty folder under `tmp/`. It is removed on drop unless it was published.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// Errors of the file system.
     pub fn scratch(&self) -> io::Result<Scratch> {
         let path = self.tmp.join(Uuid::now_v7().to_string());
         fs::create_dir(&path)?;
         Ok(self.aside(path))
     }
 
-    /// Moves a finished folder into place, on the disk. When somebody was faster, theirs stays:
-    /// same name, same content; unless it is not whole: then ours takes its place.
+    /// Syncs a finished folder to disk and moves it into place. If the place is taken, the existing
+    /// folder stays, as the same name means the same content. If the existing one is incomplete,
+    /// this one replaces it.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// Errors of the file system.
     pub fn publish(&self, scratch: Scratch, place: &Utf8Path) -> io::Result<()> {
         self.publish_knowing(scratch, place, &Sums::new())
     }
 
-    /// As [`publish`](Self::publish); files whose sums are known are not read again.
+    /// As [`publish`](Self::publish). Files with known checksums are not read again.
     ///
     /// # Errors
     /// As for [`prepare`](Self::prepare).
@@ -248,10 +250,11 @@ impl Blobs {
         self.publish_prepared(self.prepare_knowing(scratch, place, known)?)
     }
 
-    /// All of publishing that takes time. What is not published after all goes again.
+    /// Does all of publishing that takes time. The result is removed on drop unless it is
+    /// published.
     ///
     /// # Errors
-    /// Those of the file system; that the object store can not be used.
+    /// Errors of the file system; the object store cannot be used.
     pub fn prepare(&self, scratch: Scratch, place: &Utf8Path) -> io::Result<Prepared> {
         self.prepare_knowing(scratch, place, &Sums::new())
     }
@@ -272,7 +275,7 @@ impl Blobs {
         Ok(Prepared { scratch, place: place.to_owned(), put })
     }
 
-    /// Publishes what is prepared, as [`publish`](Self::publish) does.
+    /// Publishes a prepared folder, as [`publish`](Self::publish) does.
     ///
     /// # Errors
     /// As for [`prepare`](Self::prepare).
@@ -291,11 +294,11 @@ impl Blobs {
         sync_folder(place.parent().unwrap_or(&place))
     }
 
-    /// Gives a folder that is to be published the files of one that is, below `below`, without
-    /// copying them where the disk can; their sums.
+    /// Adds the files of a published folder to one that is being written, below `below`. Uses hard
+    /// links where the disk supports them. Returns the checksums of the files.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// Errors of the file system.
     pub fn share(
         &self,
         published: &Utf8Path,
@@ -305,8 +308,8 @@ impl Blobs {
         checksums::share(&self.whole(published)?, with.path(), below)
     }
 
-    /// Takes a folder out of the way, under `tmp/`: it is gone for everybody at once, whatever it
-    /// holds. `None` where nothing was.
+    /// Moves a folder away to `tmp/`, so that it disappears at once, whatever it holds. Returns
+    /// `None` if it did not exist.
     fn take_away(&self, folder: &Utf8Path) -> io::Result<Option<Scratch>> {
         if let Some(SharedBlobs { cache, .. }) = self.shared.as_deref() {
             return Ok(cache.take(folder)?.map(|path| self.aside(path)));
@@ -323,14 +326,14 @@ impl Blobs {
         self.tmp.join(Uuid::now_v7().to_string())
     }
 
-    /// Puts a folder back that was set aside, unless there is another in its place by now.
+    /// Puts back a folder that was set aside, unless another one has taken its place.
     ///
     /// # Errors
-    /// Those of the file system; that the object store can not be used.
+    /// Errors of the file system; the object store cannot be used.
     pub async fn put_back(&self, mut aside: Scratch, place: Utf8PathBuf) -> io::Result<()> {
         let blobs = self.clone();
         spawn_blocking(move || match (blobs.shared.as_deref(), aside.beyond.take()) {
-            // Its copy comes again when somebody wants it.
+            // The local copy is downloaded again when it is needed.
             (Some(SharedBlobs { objects, .. }), Some(unclaimed)) => {
                 objects.wait(unclaimed.put_back())
             }
@@ -340,10 +343,10 @@ impl Blobs {
         .await?
     }
 
-    /// Takes folders out of the way, off the async threads.
+    /// Moves folders away, off the async threads.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// Errors of the file system.
     pub async fn set_aside(&self, folders: Vec<Utf8PathBuf>) -> io::Result<Vec<Scratch>> {
         if !self.is_writable() {
             return Ok(Vec::new());
@@ -353,7 +356,7 @@ impl Blobs {
             let mut beyond = blobs.unseal(&folders);
             let taken = folders.iter().map(|folder| {
                 let (aside, beyond) = (blobs.take_away(folder)?, beyond.remove(folder));
-                // Of what there is no copy of here, only the objects go.
+                // Without a local copy, only the objects are removed.
                 let aside =
                     aside.or_else(|| beyond.is_some().then(|| blobs.aside(blobs.free_name())));
                 Ok(aside.map(|mut aside| {
@@ -366,8 +369,8 @@ impl Blobs {
         .await?
     }
 
-    /// Takes folders away from the object store, where they are there. What can not be had now is
-    /// for the sweep: no row speaks of it any more.
+    /// Removes folders from the object store, if they exist there. What cannot be reached now is
+    /// left to orphan collection: no row refers to it.
     fn unseal(&self, folders: &[Utf8PathBuf]) -> HashMap<Utf8PathBuf, UnsealedObjects> {
         let Some(SharedBlobs { objects, .. }) = self.shared.as_deref() else {
             return HashMap::new();
@@ -390,18 +393,18 @@ impl Blobs {
         unsealed.into_iter().flatten().chain(stages).collect()
     }
 
-    /// Removes what was set aside, in the background. What a server that stops leaves under `tmp/`
-    /// goes when the next one starts.
+    /// Removes folders that were set aside, in the background. What a stopping server leaves under
+    /// `tmp/` is removed at the next start.
     pub fn remove_later(&self, aside: Vec<Scratch>) {
         if !aside.is_empty() {
             spawn_blocking(move || drop(aside));
         }
     }
 
-    /// Takes a folder out of the way and removes it in the background; nothing there is fine.
+    /// Moves a folder away and removes it in the background. A missing folder is no error.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// Errors of the file system.
     pub async fn discard(&self, folder: Utf8PathBuf) -> io::Result<()> {
         let aside = self.set_aside(vec![folder]).await?;
         self.remove_later(aside);
@@ -409,9 +412,9 @@ impl Blobs {
     }
 }
 
-/// Removes a file, or a folder with all it holds, however deep: folders within are moved up to
-/// `tmp` first, so that no path and no stack of open folders grows with the depth. Nothing to
-/// remove is fine.
+/// Removes a file, or a folder with all its content, of any depth. Nested folders are first moved
+/// up to `tmp`, so that neither paths nor the number of open folders grow with the depth. A missing
+/// path is no error.
 pub(super) fn remove_tree(path: &Utf8Path, tmp: &Utf8Path) -> io::Result<()> {
     match fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
@@ -445,8 +448,7 @@ mod tests {
             .unwrap()
     }
 
-    /// Thousands of folders, one in another, with names that make their path longer than any path
-    /// may be.
+    /// Thousands of nested folders, whose full path is longer than the system allows.
     #[test]
     fn folders_of_any_depth_are_removed() {
         let data = tempfile::tempdir().unwrap();
@@ -454,7 +456,7 @@ mod tests {
         let mut top = blobs.tmp.join("0");
         fs::create_dir(&top).unwrap();
         for i in 1..3000 {
-            // From the inside out: what lies below moves into the next.
+            // From the inside out: move the inner folder into the next outer one.
             let outer = blobs.tmp.join(i.to_string());
             fs::create_dir(&outer).unwrap();
             fs::rename(&top, outer.join("a name that is not short")).unwrap();
@@ -497,5 +499,353 @@ mod tests {
         publish();
         assert_eq!(look(CheckDepth::Bytes), [""; 0]);
         assert_eq!(blobs.look(&blobs.parse("q"), CheckDepth::Names).unwrap()[0].what, "missing");
+    }
+
+    /// A folder under `tmp/` with these files.
+    fn written(blobs: &Blobs, files: &[(&str, &str)]) -> Scratch {
+        let scratch = blobs.scratch().unwrap();
+        for (file, text) in files {
+            let path = scratch.path().join(file);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, text).unwrap();
+        }
+        scratch
+    }
+
+    fn read(place: &Utf8Path, file: &str) -> String {
+        fs::read_to_string(place.join(file)).unwrap_or_else(|error| format!("{file}: {error}"))
+    }
+
+    /// Names under `tmp/`.
+    fn in_tmp(blobs: &Blobs) -> Vec<String> {
+        let entries = blobs.tmp.read_dir_utf8().unwrap();
+        entries.map(|entry| entry.unwrap().file_name().to_owned()).collect()
+    }
+
+    /// Waits until what is removed in the background is gone.
+    async fn until_tmp_is_empty(blobs: &Blobs) {
+        for _ in 0..2000 {
+            if in_tmp(blobs).is_empty() {
+                return;
+            }
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        panic!("still there: {:?}", in_tmp(blobs));
+    }
+
+    /// The same folders, looked at only.
+    fn tied(data: &tempfile::TempDir) -> Blobs {
+        Blobs::look_only(Utf8Path::from_path(data.path()).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn every_kind_of_folder_has_its_place() {
+        let data = tempfile::tempdir().unwrap();
+        let (blobs, root) = (opened(&data), Utf8Path::from_path(data.path()).unwrap());
+        assert_eq!(blobs.content("h"), root.join("blobs/contents/h"));
+        assert_eq!(blobs.parse("p"), root.join("blobs/parses/p"));
+        assert_eq!(blobs.checkpoints("h"), root.join("blobs/checkpoints/h"));
+        assert_eq!(blobs.answer("a"), root.join("blobs/answers/a"));
+        assert_eq!(blobs.place("parses", "p"), blobs.parse("p"));
+        assert_eq!(blobs.tmp(), root.join("tmp"));
+        for kind in KINDS {
+            assert!(blobs.place(kind, "").is_dir(), "{kind}");
+        }
+        assert!(blobs.is_content(&blobs.content("h")));
+        for other in
+            [blobs.parse("h"), blobs.content("h").join("views"), root.join("blobs/contents")]
+        {
+            assert!(!blobs.is_content(&other), "{other}");
+        }
+        assert!(blobs.is_writable() && !tied(&data).is_writable());
+    }
+
+    #[test]
+    fn a_scratch_folder_lies_under_tmp_and_goes_when_it_is_dropped() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        let (scratch, other) =
+            (written(&blobs, &[("views/1.jpg", "picture")]), blobs.scratch().unwrap());
+        assert_eq!(scratch.path().parent(), Some(blobs.tmp()));
+        assert_ne!(scratch.path(), other.path());
+        assert!(other.path().is_dir() && in_tmp(&blobs).len() == 2);
+        drop(scratch);
+        assert_eq!(in_tmp(&blobs), [other.path().file_name().unwrap()]);
+    }
+
+    #[test]
+    fn what_is_prepared_is_sealed_and_seen_only_once_it_is_published() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        let place = blobs.content("h");
+        let scratch = written(&blobs, &[("cloud.ply", "points"), ("views/1.jpg", "picture")]);
+        let path = scratch.path().to_owned();
+        let prepared = blobs.prepare(scratch, &place).unwrap();
+        assert!(!place.exists() && path.join("cloud.ply").exists());
+        let sums = read(&path, checksums::SUMS);
+        let files: Vec<&str> = sums.lines().filter_map(|line| line.split("  ").nth(1)).collect();
+        assert_eq!(files, ["cloud.ply", "views/1.jpg"], "{sums}");
+        blobs.publish_prepared(prepared).unwrap();
+        assert_eq!(read(&place, "cloud.ply"), "points");
+        assert_eq!(read(&place, "views/1.jpg"), "picture");
+        assert_eq!(read(&place, checksums::SUMS), sums);
+        assert!(!path.exists(), "it has moved");
+        assert_eq!(blobs.look(&place, CheckDepth::Bytes).unwrap(), []);
+        assert_eq!(in_tmp(&blobs), [""; 0]);
+    }
+
+    #[test]
+    fn what_is_prepared_and_not_published_goes_again() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        let place = blobs.content("h");
+        drop(blobs.prepare(written(&blobs, &[("a", "1")]), &place).unwrap());
+        assert!(!place.exists());
+        assert_eq!(in_tmp(&blobs), [""; 0]);
+    }
+
+    #[test]
+    fn of_two_who_publish_the_same_the_first_stays() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        let place = blobs.parse("p");
+        // Both are prepared before either is published.
+        let [first, second] = ["first", "second"]
+            .map(|text| blobs.prepare(written(&blobs, &[("a", text)]), &place).unwrap());
+        blobs.publish_prepared(first).unwrap();
+        blobs.publish_prepared(second).unwrap();
+        assert_eq!(read(&place, "a"), "first");
+        blobs.publish(written(&blobs, &[("a", "third")]), &place).unwrap();
+        assert_eq!(read(&place, "a"), "first");
+        assert_eq!(in_tmp(&blobs), [""; 0], "those of the others are gone");
+    }
+
+    #[test]
+    fn a_folder_that_is_not_whole_gives_way_to_one_that_is() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        let place = blobs.parse("p");
+        blobs.publish(written(&blobs, &[("a", "1"), ("b", "2")]), &place).unwrap();
+        fs::remove_file(place.join("b")).unwrap();
+        blobs.publish(written(&blobs, &[("a", "3")]), &place).unwrap();
+        assert_eq!(read(&place, "a"), "3");
+        assert!(!place.join("b").exists());
+        assert_eq!(blobs.look(&place, CheckDepth::Bytes).unwrap(), []);
+        assert_eq!(in_tmp(&blobs), [""; 0]);
+    }
+
+    #[test]
+    fn files_whose_sums_are_known_are_not_read_again() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        let place = blobs.content("h");
+        // A sum that is not the file's shows that it was believed.
+        let known = Sums::from([("a".into(), "0123".to_owned())]);
+        blobs.publish_knowing(written(&blobs, &[("a", "1"), ("b", "2")]), &place, &known).unwrap();
+        assert!(read(&place, checksums::SUMS).starts_with("0123  a\n"));
+        let damage = DamagedFile { file: "a".into(), what: "damaged".to_owned() };
+        assert_eq!(blobs.look(&place, CheckDepth::Bytes).unwrap(), [damage]);
+    }
+
+    #[test]
+    fn what_can_not_be_moved_into_place_is_an_error_and_goes() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        let nowhere = blobs.root.join("no/such/kind");
+        let error = blobs.publish(written(&blobs, &[("a", "1")]), &nowhere).unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::NotFound);
+        assert_eq!(in_tmp(&blobs), [""; 0]);
+    }
+
+    #[test]
+    fn a_published_folder_shares_its_files_and_their_sums() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        let place = blobs.content("h");
+        blobs.publish(written(&blobs, &[("a", "1"), ("views/b", "2")]), &place).unwrap();
+        let with = written(&blobs, &[("c", "3")]);
+        let sums = blobs.share(&place, &with, "before".into()).unwrap();
+        assert_eq!(read(with.path(), "before/a"), "1");
+        assert_eq!(read(with.path(), "before/views/b"), "2");
+        let expected = ["a", "views/b"].map(|file| {
+            let sum = checksums::hash_of(&place.join(file)).unwrap();
+            (Utf8Path::new("before").join(file), sum)
+        });
+        assert_eq!(sums, Sums::from(expected));
+        let grown = blobs.content("i");
+        blobs.publish_knowing(with, &grown, &sums).unwrap();
+        assert_eq!(blobs.look(&grown, CheckDepth::Bytes).unwrap(), []);
+        assert_eq!(blobs.look(&place, CheckDepth::Bytes).unwrap(), []);
+    }
+
+    #[tokio::test]
+    async fn what_is_discarded_is_gone_at_once_and_nothing_stays_behind() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        let (place, other) = (blobs.parse("p"), blobs.parse("q"));
+        for place in [&place, &other] {
+            blobs.publish(written(&blobs, &[("views/1.jpg", "picture")]), place).unwrap();
+        }
+        blobs.discard(place.clone()).await.unwrap();
+        assert!(!place.exists());
+        until_tmp_is_empty(&blobs).await;
+        blobs.discard(place).await.unwrap();
+        assert!(other.join("views/1.jpg").exists(), "others stay");
+    }
+
+    #[tokio::test]
+    async fn what_is_only_looked_at_is_never_discarded() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        let place = blobs.parse("p");
+        blobs.publish(written(&blobs, &[("a", "1")]), &place).unwrap();
+        let looking = tied(&data);
+        looking.discard(place.clone()).await.unwrap();
+        assert!(looking.set_aside(vec![place.clone()]).await.unwrap().is_empty());
+        assert_eq!(read(&place, "a"), "1");
+    }
+
+    #[tokio::test]
+    async fn what_is_set_aside_is_put_back_unless_there_is_another() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        let (place, missing) = (blobs.parse("p"), blobs.parse("q"));
+        blobs.publish(written(&blobs, &[("a", "old")]), &place).unwrap();
+        let mut aside = blobs.set_aside(vec![missing, place.clone()]).await.unwrap();
+        assert_eq!(aside.len(), 1, "nothing was where the other would be");
+        assert!(!place.exists() && aside[0].path().starts_with(blobs.tmp()));
+        blobs.put_back(aside.remove(0), place.clone()).await.unwrap();
+        assert_eq!(read(&place, "a"), "old");
+        assert_eq!(in_tmp(&blobs), [""; 0]);
+
+        let mut aside = blobs.set_aside(vec![place.clone()]).await.unwrap();
+        blobs.publish(written(&blobs, &[("a", "new")]), &place).unwrap();
+        blobs.put_back(aside.remove(0), place.clone()).await.unwrap();
+        assert_eq!(read(&place, "a"), "new");
+        assert_eq!(in_tmp(&blobs), [""; 0], "that of before is gone");
+
+        let mut aside = blobs.set_aside(vec![place]).await.unwrap();
+        let nowhere = blobs.root.join("no/such/kind");
+        let error = blobs.put_back(aside.remove(0), nowhere).await.unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::NotFound);
+    }
+
+    #[tokio::test]
+    async fn what_was_set_aside_goes_when_it_is_removed_later() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        blobs.publish(written(&blobs, &[("a", "1")]), &blobs.parse("p")).unwrap();
+        let aside = blobs.set_aside(vec![blobs.parse("p")]).await.unwrap();
+        assert_eq!(in_tmp(&blobs).len(), 1);
+        blobs.remove_later(aside);
+        until_tmp_is_empty(&blobs).await;
+    }
+
+    /// Outside of a runtime a task could not be begun.
+    #[test]
+    fn removing_nothing_begins_no_task() {
+        let data = tempfile::tempdir().unwrap();
+        opened(&data).remove_later(Vec::new());
+    }
+
+    /// Only a missing folder is no error.
+    #[test]
+    fn what_can_not_be_taken_away_is_an_error() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        assert!(blobs.take_away(&blobs.parse("p")).unwrap().is_none());
+        fs::write(blobs.parse("file"), "x").unwrap();
+        let below_a_file = blobs.parse("file").join("p");
+        let error = blobs.take_away(&below_a_file).unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::NotADirectory);
+    }
+
+    #[test]
+    fn folders_of_a_kind_are_told_by_name_and_files_among_them_are_strays() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        assert!(blobs.names("parses").unwrap().is_empty());
+        for name in ["p", "q"] {
+            fs::create_dir(blobs.parse(name)).unwrap();
+        }
+        fs::create_dir(blobs.answer("a")).unwrap();
+        fs::write(blobs.parse("note"), "x").unwrap();
+        fs::write(blobs.root.join("readme"), "x").unwrap();
+        fs::write(blobs.root.join(home::CACHE_OF), "{}").unwrap();
+        let mut names = blobs.names("parses").unwrap();
+        names.sort();
+        assert_eq!(names, ["p", "q"]);
+        let mut orphan_folders = blobs.stray_files().unwrap();
+        orphan_folders.sort();
+        assert_eq!(orphan_folders, [blobs.parse("note"), blobs.root.join("readme")]);
+    }
+
+    #[test]
+    fn who_only_looks_does_not_miss_a_kind_that_is_not_there() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        fs::create_dir(blobs.answer("a")).unwrap();
+        fs::remove_dir(blobs.place("parses", "")).unwrap();
+        let looking = tied(&data);
+        assert!(looking.names("parses").unwrap().is_empty());
+        assert_eq!(looking.names("answers").unwrap(), ["a"]);
+        // Who writes there is told.
+        assert_eq!(blobs.names("parses").unwrap_err().kind(), io::ErrorKind::NotFound);
+    }
+
+    #[test]
+    fn what_has_not_changed_for_long_is_left_behind() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        let minute = Duration::from_mins(1);
+        let age = |name: &str, at: std::time::SystemTime| {
+            let file = fs::File::create(blobs.tmp.join(name)).unwrap();
+            file.set_modified(at).unwrap();
+        };
+        let now = std::time::SystemTime::now();
+        age("two hours old", now - minute * 120);
+        age("half an hour old", now - minute * 30);
+        age("from tomorrow", now + minute * 60 * 24);
+        let left = |unchanged| {
+            let left = blobs.left_behind(unchanged).unwrap();
+            let mut names: Vec<String> =
+                left.iter().map(|aside| aside.path().file_name().unwrap().to_owned()).collect();
+            // They are only looked at here.
+            left.into_iter().for_each(std::mem::forget);
+            names.sort();
+            names
+        };
+        assert_eq!(left(minute * 60), ["two hours old"]);
+        assert_eq!(left(minute * 10), ["half an hour old", "two hours old"]);
+        assert_eq!(left(minute * 180), [""; 0]);
+        assert_eq!(left(Duration::ZERO).len(), 3, "after a start all of it");
+        drop(blobs.left_behind(minute * 60).unwrap());
+        assert_eq!(left(Duration::ZERO), ["from tomorrow", "half an hour old"]);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_a_link_points_to_stays_when_the_link_is_removed() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        let kept = blobs.parse("kept");
+        fs::create_dir(&kept).unwrap();
+        fs::write(kept.join("a"), "1").unwrap();
+        let folder = blobs.tmp.join("folder");
+        fs::create_dir_all(folder.join("within")).unwrap();
+        for link in [folder.join("within/link"), blobs.tmp.join("link")] {
+            std::os::unix::fs::symlink(&kept, &link).unwrap();
+        }
+        let file = blobs.tmp.join("file");
+        fs::write(&file, "x").unwrap();
+        for gone in [&folder, &blobs.tmp.join("link"), &file, &blobs.tmp.join("nothing")] {
+            remove_tree(gone, &blobs.tmp).unwrap();
+        }
+        assert_eq!(in_tmp(&blobs), [""; 0]);
+        assert_eq!(read(&kept, "a"), "1");
+        // What is no folder and below none can not be looked at.
+        let below_a_file = kept.join("a/b");
+        let error = remove_tree(&below_a_file, &blobs.tmp).unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::NotADirectory);
     }
 }

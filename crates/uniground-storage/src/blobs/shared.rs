@@ -1,5 +1,4 @@
-//! Folders that are kept in an object store: brought here by whoever is going to read them, put
-//! there by whoever publishes.
+//! Folders in an object store: downloading for readers, uploading for publishers.
 
 use super::cache::{FolderCache, FolderPin, PinnedPath};
 use super::checksums::{self, CheckDepth, DamagedFile, SUMS, Sums};
@@ -14,23 +13,23 @@ use std::io;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// The object store, and what of it is here.
+/// The object store, and the local cache of its folders.
 #[derive(Debug)]
 pub(crate) struct SharedBlobs {
     pub objects: Objects,
     pub cache: Arc<FolderCache>,
 }
 
-/// What of a folder is wanted.
+/// The files of a folder that a caller needs.
 #[derive(Debug, Clone, Copy)]
 enum WantedFiles<'a> {
     Everything,
     File(&'a Utf8Path),
-    /// Only what it holds, by name.
+    /// Only the list of the files.
     Seal,
 }
 
-/// What has been put into the object store of a folder that is not published yet.
+/// The uploaded objects of a folder that is not published yet.
 #[derive(Debug)]
 pub struct PendingUpload {
     files: UnsealedObjects,
@@ -39,7 +38,7 @@ pub struct PendingUpload {
 }
 
 impl SharedBlobs {
-    /// Seals a folder that is written, and puts it into the object store, as nobody's yet.
+    /// Seals a written folder and uploads it as an edition that no seal names yet.
     pub(super) fn put(
         &self,
         scratch: &Scratch,
@@ -56,12 +55,12 @@ impl SharedBlobs {
 }
 
 impl Blobs {
-    /// A file of a published folder, to be read as long as what is returned lives; blocks where it
-    /// has to be brought. Whether it was published with the folder is known only where folders
-    /// are in an object store: else the file is looked for by who reads it.
+    /// Returns a file of a published folder, pinned while the result lives. Blocks while it is
+    /// downloaded. Whether the folder has such a file is checked only with an object store;
+    /// otherwise the reader finds out when it opens the file.
     ///
     /// # Errors
-    /// Those of the file system; that the object store can not be used.
+    /// Errors of the file system; the object store cannot be used.
     pub fn file(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<PinnedPath> {
         let below = file.strip_prefix(place).unwrap_or(file);
         let path = place.join(below);
@@ -74,7 +73,7 @@ impl Blobs {
         }
     }
 
-    /// A published folder with all it holds; as for [`file`](Self::file).
+    /// Returns a published folder with all its files; otherwise as [`file`](Self::file).
     ///
     /// # Errors
     /// As for [`file`](Self::file).
@@ -88,8 +87,8 @@ impl Blobs {
         }
     }
 
-    /// An address of a file of a published folder that anybody may read for a while, where the
-    /// object store is to be asked for it; blocks.
+    /// Returns a temporary public link to a file of a published folder, if the object store gives
+    /// out links. Blocks.
     ///
     /// # Errors
     /// As for [`file`](Self::file).
@@ -109,8 +108,8 @@ impl Blobs {
         ))
     }
 
-    /// Whether a published folder was published with this file; of folders from before that was
-    /// written down, whether it is there.
+    /// Returns whether a published folder was published with this file. For folders from before
+    /// checksums were stored, returns whether the file exists.
     ///
     /// # Errors
     /// As for [`file`](Self::file).
@@ -126,11 +125,11 @@ impl Blobs {
         checksums::holds(place, file.strip_prefix(place).unwrap_or(file))
     }
 
-    /// What is wrong with a published folder. In an object store that is what is missing there;
-    /// what objects hold is its own care.
+    /// Checks a published folder and returns its damaged files. In an object store it reports
+    /// missing files only: the store itself checks the content of its objects.
     ///
     /// # Errors
-    /// Those of the file system; that the object store can not be used.
+    /// Errors of the file system; the object store cannot be used.
     pub fn look(&self, place: &Utf8Path, closely: CheckDepth) -> io::Result<Vec<DamagedFile>> {
         match (&self.shared, self.name_of(place)) {
             (Some(shared), Some(name)) => shared.objects.wait(async {
@@ -145,8 +144,8 @@ impl Blobs {
         }
     }
 
-    /// What is wrong with one file of a published folder. Where it is in an object store a damaged
-    /// copy is brought anew.
+    /// Checks one file of a published folder. A damaged copy of a file in an object store is
+    /// downloaded again.
     ///
     /// # Errors
     /// As for [`file`](Self::file).
@@ -161,7 +160,7 @@ impl Blobs {
         checksums::look_at(place, file)
     }
 
-    /// Kind and name of a published folder.
+    /// Returns kind and name of a published folder.
     pub(super) fn name_of(&self, place: &Utf8Path) -> Option<FolderName> {
         let mut parts = place.strip_prefix(&self.root).ok()?.components();
         let (kind, name, more) = (parts.next()?, parts.next()?, parts.next());
@@ -181,14 +180,14 @@ impl Blobs {
             return Ok(held);
         }
         let turn = held.turn();
-        // Somebody may have been at it.
+        // Another task may have downloaded it meanwhile.
         if is_here(place, wanted)? {
             drop(turn);
             return Ok(held);
         }
         let there = match self.bring_missing(shared, name, place, wanted) {
-            // Published anew since its seal was brought: what is here is of an edition that is
-            // gone.
+            // The folder was published again after its seal was downloaded: the local files belong
+            // to an edition that is gone.
             Err(error) if error.kind() == io::ErrorKind::NotFound && place.join(SUMS).exists() => {
                 drop(shared.cache.empty(place)?.map(|path| self.aside(path)));
                 self.bring_missing(shared, name, place, wanted)?
@@ -202,8 +201,8 @@ impl Blobs {
         Ok(held)
     }
 
-    /// Brings what is not here of a folder, checked; a file is in its place as a whole or not at
-    /// all. Whether the folder has what is wanted.
+    /// Downloads the missing files of a folder and checks them. A file is moved into place as a
+    /// whole. Returns whether the folder has the wanted files.
     fn bring_missing(
         &self,
         SharedBlobs { objects, cache, .. }: &SharedBlobs,
@@ -260,7 +259,7 @@ impl Blobs {
         Ok(true)
     }
 
-    /// Seals what was put, and keeps what was written here.
+    /// Seals the uploaded files, and keeps the written folder as a local copy.
     pub(super) fn publish_put(
         &self,
         shared: &SharedBlobs,
@@ -271,7 +270,7 @@ impl Blobs {
     ) -> io::Result<()> {
         let SharedBlobs { objects, cache, .. } = shared;
         let PendingUpload { files, seal, begun } = put;
-        // Its row must come before the sweep takes it for one that nobody wants.
+        // The row must be written before orphan collection takes the folder for an orphan.
         if begun.elapsed() > objects.grace / 2 {
             return Err(ObjectStoreUnavailable::because(
                 "putting a folder there took longer than half of what is kept without a row (--blobs-grace-s)",
@@ -280,8 +279,8 @@ impl Blobs {
         objects.wait(async {
             match objects.put_seal(name, &seal).await? {
                 SealOutcome::Ours => files.keep(),
-                // Same name, same content; but one that is old may be about to go, and one that is
-                // not whole is of no use.
+                // Same name, same content. But an old folder may be about to be removed, and an
+                // incomplete one is of no use.
                 SealOutcome::Theirs(theirs) => {
                     let is_young = theirs.made.elapsed().unwrap_or_default() < objects.grace / 2;
                     if is_young && objects.look(name).await?.is_empty() {
@@ -329,7 +328,7 @@ mod tests {
 
     const DAY: Duration = Duration::from_hours(24);
 
-    /// Machines with folders of their own, over one object store.
+    /// Several machines with their own folders, over one object store.
     struct Site {
         store: Arc<InMemory>,
         machines: Vec<(tempfile::TempDir, Blobs)>,
@@ -357,7 +356,7 @@ mod tests {
             Self { store, machines: opened }
         }
 
-        /// Has a machine do something, where it may block.
+        /// Runs blocking work on one machine.
         async fn on<T: Send + 'static>(
             &self,
             machine: usize,
@@ -367,7 +366,7 @@ mod tests {
             spawn_blocking(move || work(blobs)).await.unwrap()
         }
 
-        /// All keys there are, without what says whose they are.
+        /// Returns all keys in the store except the ownership marker.
         async fn keys(&self) -> Vec<String> {
             use futures::TryStreamExt;
             let all: Vec<_> = self
@@ -427,7 +426,7 @@ mod tests {
                     && !blobs.holds(&place, "views/3.jpg".into()).unwrap()
             );
             assert_eq!(read(&blobs, &place, "cloud.ply").unwrap(), "points");
-            // Only what was asked for is here.
+            // Only the requested file was downloaded.
             assert!(!place.join("views/deep/er/2.jpg").exists());
             assert_eq!(
                 read(&blobs, &place, "views/3.jpg").unwrap_err().kind(),
@@ -456,7 +455,7 @@ mod tests {
     #[tokio::test]
     async fn files_without_a_seal_are_no_folder() {
         let site = Site::of(2, u64::MAX, DAY).await;
-        // Its writer ended before the seal came.
+        // The writer ended before it put the seal.
         for (file, _) in FILES {
             site.store
                 .put(&Path::from(format!("rooms/a/contents/c/0123/{file}")), "torn".into())
@@ -481,7 +480,7 @@ mod tests {
     #[tokio::test]
     async fn of_two_who_publish_the_same_the_first_counts_and_nothing_of_the_other_stays() {
         let site = Site::of(2, u64::MAX, DAY).await;
-        // Both are at it before either is done.
+        // Both machines start before either has finished.
         let prepared =
             site.on(1, |blobs| blobs.prepare(written(&blobs), &blobs.content("c")).unwrap()).await;
         site.on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
@@ -498,7 +497,7 @@ mod tests {
         gone_but(&site, FILES.len() + 1).await;
     }
 
-    /// Waits until only so many objects are left.
+    /// Waits until only this many objects are left.
     async fn gone_but(site: &Site, left: usize) {
         for _ in 0..500 {
             if site.keys().await.len() == left {
@@ -523,7 +522,7 @@ mod tests {
         );
         gone_but(&site, 0).await;
         site.on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
-        // This one still has the seal of before, and not all the files.
+        // This machine still has the previous seal, and not all the files.
         assert_eq!(
             site.on(1, |blobs| all_of(&blobs, &blobs.content("c"))).await.len(),
             FILES.len()
@@ -589,7 +588,7 @@ mod tests {
             for name in ["a", "b", "c"] {
                 publish(&blobs, &blobs.parse(name)).unwrap();
             }
-            // One of them is about 270 bytes, most of it the seal.
+            // One folder is about 270 bytes, most of it the seal.
             let here = |blobs: &Blobs| blobs.names("parses").unwrap().len();
             assert_eq!(here(&blobs), 2);
             for name in ["a", "b", "c"] {

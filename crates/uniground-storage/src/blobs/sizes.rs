@@ -1,4 +1,4 @@
-//! How much room files take, by kind: measured in small steps, since there may be very many.
+//! Disk usage of files, by kind. Measured in small steps, since there may be very many files.
 
 use super::{Blobs, KINDS};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -12,21 +12,21 @@ use tokio::time::sleep;
 /// Folders measured in one step, and the pause between two.
 const STEP: usize = 64;
 const PAUSE: Duration = Duration::from_millis(5);
-/// What goes on changing after it was written; other folders stay as they were published.
+/// The kind of folder that changes after it was written. The others stay as published.
 const CHANGING: &str = "checkpoints";
-/// Folders beside `blobs/` that files lie in.
+/// Folders next to `blobs/` that hold files.
 const BESIDE: [&str; 3] = ["uploads", "tmp", "quarantine"];
 
-/// Sizes of folders that were measured before, by a hash of kind and name.
+/// Sizes of folders measured before, by a hash of kind and name.
 #[derive(Debug, Default)]
 pub struct FolderSizes(HashMap<u64, u64>);
 
 impl Blobs {
-    /// Bytes of all files, by kind; folders that were measured before and do not change are
-    /// believed.
+    /// Returns the bytes of all files, by kind. Reuses earlier measurements of folders that never
+    /// change.
     ///
     /// # Errors
-    /// Those of the file system. Folders that go meanwhile are none.
+    /// Errors of the file system. A folder that disappears meanwhile is no error.
     pub async fn sizes(
         &self,
         measured: &mut FolderSizes,
@@ -77,7 +77,7 @@ fn key(kind: &str, name: &str) -> u64 {
     hasher.finish()
 }
 
-/// Bytes of all files below a folder. What is gone takes no room; links are not followed.
+/// Returns the bytes of all files below a folder. Missing files count as 0; links are not followed.
 fn bytes_below(folder: &Utf8Path) -> io::Result<u64> {
     let gone = |error: &io::Error| error.kind() == io::ErrorKind::NotFound;
     let (mut folders, mut bytes) = (vec![folder.to_owned()], 0);

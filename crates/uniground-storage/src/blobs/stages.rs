@@ -1,5 +1,5 @@
-//! Finished stages of parses: in the data folder while a parse runs, and in the object store for
-//! whoever goes on with it elsewhere. Advice only: without them, or with half of one, it is
+//! Checkpoints of parses: in the data folder while a parse runs, and in the object store for
+//! another machine that continues it. They are optional: a missing or incomplete checkpoint is
 //! computed again.
 
 use super::objects::{Objects, StoredLog};
@@ -12,14 +12,14 @@ use std::time::{Duration, SystemTime};
 use tokio::task::{JoinHandle, spawn_blocking};
 use tokio::time::{sleep, timeout};
 
-/// How often logs are looked at while a parse runs.
+/// Interval of checking the logs while a parse runs.
 const LOOK_EVERY: Duration = Duration::from_secs(5);
-/// A log that has not grown for so long belongs to a stage that is finished, or slow.
+/// A log that has not grown for this long belongs to a stage that is finished, or slow.
 const AT_REST: Duration = Duration::from_secs(10);
-/// What the end of a parse waits for its logs.
+/// Timeout of the final upload at the end of a parse.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// Logs of a content that are put into the object store while they grow.
+/// Uploads the checkpoint logs of a content while they grow.
 #[derive(Debug)]
 pub struct CheckpointUpload(Option<(JoinHandle<()>, CheckpointSync)>);
 
@@ -31,7 +31,7 @@ struct CheckpointSync {
 }
 
 impl CheckpointUpload {
-    /// Puts what they have come to.
+    /// Uploads the final state of the logs.
     pub async fn finish(mut self) {
         let Some((looking, following)) = self.0.take() else { return };
         looking.abort();
@@ -53,11 +53,11 @@ impl Drop for CheckpointUpload {
 }
 
 impl Blobs {
-    /// The folder for finished stages of a content, made where there is none, and in use from now
-    /// on; with what the object store has of them.
+    /// Returns the folder of checkpoints of a content, and marks it as used now. Creates it if
+    /// needed and downloads newer logs from the object store.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// Errors of the file system.
     pub fn use_checkpoints(&self, hash: &str) -> io::Result<Utf8PathBuf> {
         let folder = self.checkpoints(hash);
         fs::create_dir_all(&folder)?;
@@ -74,7 +74,8 @@ impl Blobs {
         Ok(folder)
     }
 
-    /// Logs only grow: the longer one is the later.
+    /// Downloads logs that are longer than the local ones. Logs only grow: the longer one is the
+    /// later.
     fn bring_logs(&self, objects: &Objects, hash: &str, folder: &Utf8Path) -> io::Result<()> {
         for StoredLog { name, bytes, .. } in objects.wait(objects.logs(hash))? {
             let here = folder.join(&name);
@@ -89,8 +90,7 @@ impl Blobs {
         Ok(())
     }
 
-    /// Puts the logs of a content into the object store as stages are finished, as long as what is
-    /// returned lives.
+    /// Uploads the logs of a content as stages finish, as long as the result lives.
     #[must_use]
     pub fn keep_stages(&self, hash: &str) -> CheckpointUpload {
         let Some(shared) = &self.shared else { return CheckpointUpload(None) };
@@ -112,12 +112,12 @@ impl Blobs {
         CheckpointUpload(Some((looking, following)))
     }
 
-    /// Finished stages of one content are those of another that has grown from it.
+    /// Copies the checkpoints of one content to another one that has grown from it.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// Errors of the file system.
     pub fn inherit_checkpoints(&self, from: &str, to: &str) -> io::Result<()> {
-        // Those of before are not in use again.
+        // Copying does not count as a use of the old checkpoints.
         let (from_folder, to_folder) = (self.checkpoints(from), self.use_checkpoints(to)?);
         if self.shared.is_some() {
             self.use_checkpoints(from)?;
@@ -130,17 +130,16 @@ impl Blobs {
             if !entry.file_type()?.is_file() {
                 continue;
             }
-            // Logs are appended to: each content has its own.
+            // Logs are appended to, so each content needs its own copy.
             fs::copy(entry.path(), to_folder.join(entry.file_name()))?;
         }
         Ok(())
     }
 
-    /// All finished stages that are kept, here or in the object store, those first that were not
-    /// used for longest.
+    /// Returns all stored checkpoints, here or in the object store, least recently used first.
     ///
     /// # Errors
-    /// Those of the file system; that the object store can not be used.
+    /// Errors of the file system; the object store cannot be used.
     pub fn kept_checkpoints(&self) -> io::Result<Vec<StoredCheckpoints>> {
         let mut kept: BTreeMap<String, StoredCheckpoints> = BTreeMap::new();
         let mut count = |hash: String, bytes: u64, used: SystemTime| {
@@ -162,8 +161,8 @@ impl Blobs {
 }
 
 impl CheckpointSync {
-    /// Puts logs that have come to rest, or have grown by a quarter: all in all little more than
-    /// once.
+    /// Uploads logs that have stopped growing, or have grown by a quarter. In total that uploads
+    /// little more than the logs' final size.
     async fn put_finished(&self, put: &mut HashMap<String, u64>) {
         let Ok(logs) = self.logs_here().await else { return };
         for (name, bytes, changed) in logs {
@@ -178,7 +177,7 @@ impl CheckpointSync {
         }
     }
 
-    /// Puts what is not there yet, and removes what is of other settings by now.
+    /// Uploads what is missing, and removes logs that belong to other settings.
     async fn put_rest(&self) {
         let (Ok(here), Ok(there)) = (self.logs_here().await, self.objects.logs(&self.hash).await)
         else {
@@ -211,7 +210,7 @@ impl CheckpointSync {
         }
     }
 
-    /// Whether a log could be put.
+    /// Uploads one log. Returns whether that succeeded.
     async fn put(&self, name: &str) -> bool {
         let put = self.objects.put_log(&self.hash, name, &self.folder.join(name)).await;
         let told = |error: &io::Error| {
@@ -226,7 +225,7 @@ impl CheckpointSync {
         put.inspect_err(told).is_ok()
     }
 
-    /// Name, bytes and last change of every log.
+    /// Returns name, bytes and last change of every log.
     async fn logs_here(&self) -> io::Result<Vec<(String, u64, SystemTime)>> {
         let folder = self.folder.clone();
         let logs = spawn_blocking(move || {

@@ -1,4 +1,4 @@
-//! Files from one data folder to another, a published folder at a time.
+//! Copies files from one data folder to another, one published folder at a time.
 
 use super::{MigrationError, MigrationProgress, MigrationStep, OnProgress};
 use crate::backup::{CopyFailure, copy_folder};
@@ -9,28 +9,28 @@ use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io;
 
-/// What becomes longer in place: two names of one file would be two servers' file.
+/// Folders whose files grow in place. They are never hard-linked: two servers would share one file.
 const GROWING: &str = "checkpoints";
-/// Files of uploads that come in parts, which are no folders.
+/// Files of resumable uploads, which are no folders.
 const UPLOADS: &str = "uploads";
 
-/// What came over of one kind.
+/// Migrated folders of one kind.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MigratedFiles {
     pub kind: &'static str,
-    /// Of uploads, files.
+    /// For uploads, the number of files.
     pub folders: u64,
     pub bytes: u64,
-    /// Of these, what was written anew: the rest has a second name on the same disk, or had come
-    /// before.
+    /// Bytes that were written anew, contained in `bytes`. The rest is hard-linked, or was there
+    /// from an earlier attempt.
     pub copied_bytes: u64,
 }
 
 /// Folder, and what is wrong with it.
 type DamagedFolders = Vec<(String, String)>;
 
-/// Brings all files to where others are missing, or are there already; what an earlier try has
-/// brought that is not wanted any more goes.
+/// Copies all files that the target lacks. Removes files of an earlier attempt that the source does
+/// not have any more.
 pub fn move_files(
     from: &Blobs,
     to: &Blobs,
@@ -60,7 +60,7 @@ pub fn move_files(
     Ok((kinds, damaged))
 }
 
-/// Bytes that were written.
+/// Copies one folder. Returns the bytes that were written.
 fn move_folder(
     kind: &str,
     source: &Utf8Path,
@@ -74,13 +74,13 @@ fn move_folder(
         None => copy(kind, source, to, damaged)?,
     };
     remove_tree(place, to.tmp())?;
-    // As old as it was: what is kept for a time only goes when it would have gone.
+    // Keep the original time, so that retention counts from it.
     File::open(scratch.path())?.set_modified(fs::metadata(source)?.modified()?)?;
     fs::rename(scratch.path(), place)?;
     Ok(copied)
 }
 
-/// Whether a folder has come before, every byte of it.
+/// Returns whether a folder was copied earlier, by comparing every byte.
 fn is_same(source: &Utf8Path, place: &Utf8Path) -> io::Result<bool> {
     match (fs::read(source.join(SUMS)), fs::read(place.join(SUMS))) {
         (Ok(own), Ok(sums)) if own == sums => Ok(look(place, CheckDepth::Bytes)?.is_empty()),
@@ -88,8 +88,8 @@ fn is_same(source: &Utf8Path, place: &Utf8Path) -> io::Result<bool> {
     }
 }
 
-/// The files of a folder under a second name; nothing where the disk has no such thing, or it is
-/// another disk.
+/// Hard-links the files of a folder. Returns `None` where the disk does not support that, or the
+/// target is on another disk.
 fn link(
     kind: &str,
     source: &Utf8Path,
@@ -116,8 +116,8 @@ fn link(
     Ok(Some(scratch))
 }
 
-/// A copy of a folder, every file held against its sum on the way; how many bytes. What was damaged
-/// before is copied as it is, and told.
+/// Copies a folder and checks every file on the way. Returns the bytes. Damaged files are copied as
+/// they are, and reported.
 fn copy(
     kind: &str,
     source: &Utf8Path,
@@ -153,20 +153,20 @@ fn copy_as_it_is(source: &Utf8Path, to: &Utf8Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Files below a folder, with the sums.
+/// Returns all files below a folder, including the list of checksums.
 fn all_files(folder: &Utf8Path) -> io::Result<Vec<Utf8PathBuf>> {
     let mut files = files_below(folder)?;
     files.extend(folder.join(SUMS).exists().then(|| SUMS.into()));
     Ok(files)
 }
 
-/// Kind and name of a folder.
+/// Returns kind and name of a folder.
 fn name_of(folder: &Utf8Path) -> String {
     let kind = folder.parent().and_then(Utf8Path::file_name).unwrap_or_default();
     format!("blobs/{kind}/{}", folder.file_name().unwrap_or_default())
 }
 
-/// Uploads under way: they grow, so each side has its own.
+/// Copies unfinished uploads. They grow, so each side needs its own copy.
 fn move_uploads(
     from: &Blobs,
     to: &Blobs,
@@ -201,7 +201,8 @@ mod tests {
     use std::sync::Arc;
     use std::time::{Duration, SystemTime};
 
-    /// Two data folders; in the first a published parse, checkpoints of a scan, half an upload.
+    /// Two data folders. The first has a published parse, checkpoints of a scan, and half an
+    /// upload.
     fn folders() -> (tempfile::TempDir, Blobs, Blobs) {
         let root = tempfile::tempdir().unwrap();
         let [from, to] = ["old", "new"].map(|name| {
@@ -247,7 +248,7 @@ mod tests {
         assert_eq!(told, [("parses", 1, 0), ("checkpoints", 1, 8), ("uploads", 1, 4)]);
         assert_eq!(damaged, []);
         assert!(to.look(&to.parse("p"), CheckDepth::Bytes).unwrap().is_empty());
-        // A log that goes on in one place goes on there alone.
+        // A log that grows on one side grows there only.
         for log in [from.checkpoints("c").join("stage.log"), from.upload("u")] {
             fs::write(log, "more").unwrap();
         }
@@ -255,7 +256,7 @@ mod tests {
             (text(to.checkpoints("c").join("stage.log")), text(to.upload("u"))),
             ("finished".into(), "half".into())
         );
-        // Nothing is younger for having been moved.
+        // Migration keeps the age of everything.
         assert!(
             to.older_than("parses", Duration::from_hours(98), SystemTime::now()).unwrap() == ["p"]
         );
@@ -268,7 +269,7 @@ mod tests {
     fn another_try_completes_what_the_first_has_brought() {
         let (_root, from, to) = folders();
         moved(&from, &to);
-        // Removed where it came from, and not whole where it went to.
+        // Removed at the source, and incomplete at the target.
         fs::create_dir(to.parse("gone")).unwrap();
         fs::write(to.upload("gone"), "x").unwrap();
         fs::remove_file(to.parse("p").join("views/1.jpg")).unwrap();
@@ -284,8 +285,8 @@ mod tests {
         );
     }
 
-    /// As it goes to another disk: every file against its sum, and one that was damaged before is
-    /// as it was.
+    /// As for another disk: checks every file against its checksum, and keeps files that were
+    /// damaged before as they are.
     #[test]
     fn a_copy_is_whole_or_told() {
         let (_root, from, to) = folders();

@@ -1,13 +1,13 @@
-//! A store moved over to another data folder, another database, or both; `uniground migrate`.
+//! Data migration to another data folder, another database, or both: `uniground migrate`.
 //!
-//! Nobody else may be at work on either side. What is moved stays where it was, as it was: rows are
-//! copied, files are given a second name or copied. Until the marker of the target's folder is
-//! written, last of all, the target is nobody's: its database knows an id that no folder has, and a
-//! folder that is new has a note instead of a marker, by which servers know that something is
-//! missing. Whoever is interrupted begins again: rows from the start, of the files what is missing.
+//! No other process may use either side. The source stays unchanged: rows are copied, files are
+//! hard-linked or copied. The marker of the target's folder is written last. Until then no server
+//! accepts the target: its database has an id that no folder has, and a new folder has a note
+//! instead of a marker, which tells servers that something is missing. An interrupted migration is
+//! started again: all rows are copied again, and only missing files.
 //!
-//! In place (the folder stays, the rows go to another database) it is the same, without files: the
-//! marker is the moment from which the folder belongs to the other database.
+//! In place (the folder stays, the rows go to another database) works the same way, without files.
+//! Writing the marker is the moment from which the folder belongs to the other database.
 
 mod files;
 mod rows;
@@ -24,7 +24,7 @@ use std::{fmt, io};
 use target::TargetFolder;
 use tokio::task::spawn_blocking;
 
-/// A data folder, and where its rows are.
+/// A data folder, and the location of its rows.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StoreLocation {
     pub data_dir: Utf8PathBuf,
@@ -73,36 +73,36 @@ impl From<io::Error> for MigrationError {
     }
 }
 
-/// What was moved.
+/// The result of a migration.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MigrationReport {
-    /// How many rows of which table.
+    /// Number of rows by table.
     pub rows: Vec<(&'static str, u64)>,
-    /// Texts with a NUL, which PostgreSQL does not keep: U+FFFD stands there instead.
+    /// Texts with a NUL character, which PostgreSQL cannot store: U+FFFD replaces it.
     pub texts_changed: u64,
-    /// None where the folder stays.
+    /// Empty where the folder stays.
     pub files: Vec<MigratedFiles>,
-    /// What was lost or damaged before, and is as it was: folder, and what is wrong.
+    /// Folders that were lost or damaged before, copied as they are: folder, and what is wrong.
     pub damaged: Vec<(String, String)>,
-    /// The database's file that a folder which stays does not use any more.
+    /// The database file that a folder does not use after an in-place migration.
     pub set_aside: Option<Utf8PathBuf>,
 }
 
-/// How far a part has come.
+/// Progress of one step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MigrationProgress {
     pub part: MigrationStep,
-    /// Rows or folders, of so many.
+    /// Finished rows or folders, out of `of`.
     pub done: u64,
     pub of: u64,
 }
 
-/// What is moved one after the other.
+/// The steps of a migration, one after the other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MigrationStep {
-    /// Of a table.
+    /// Rows of a table.
     Rows(&'static str),
-    /// Of a kind of folders.
+    /// Folders of a kind.
     Files(&'static str),
 }
 
@@ -115,21 +115,21 @@ impl fmt::Display for MigrationStep {
     }
 }
 
-/// Who is told how far it has come.
+/// Callback for progress.
 pub type OnProgress = Arc<dyn Fn(MigrationProgress) + Send + Sync>;
 
-/// Whether files move.
+/// Whether files are migrated.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum FileTransfer {
     Move,
     Stay,
 }
 
-/// Moves everything over. What is moved is left as it was, but for the schema, which is brought up
-/// to date; in place, the file of a database that is not used any more gets another name.
+/// Migrates everything. The source stays unchanged, except that its schema is updated. In place, a
+/// database file that is not used any more is renamed.
 ///
 /// # Errors
-/// [`MigrationError`]: nothing has moved, and it can be tried again.
+/// [`MigrationError`]: the source is unchanged, and the migration can be repeated.
 pub async fn migrate_data(
     from: &StoreLocation,
     to: &StoreLocation,
@@ -151,12 +151,12 @@ pub async fn migrate_data(
     source.close().await;
     let (folder, moved) = brought?;
     let set_aside = spawn_blocking(move || folder.settle()).await.map_err(io::Error::other)??;
-    // The folder was ours until here.
+    // Keep the source's lock until here.
     drop(source);
     Ok(MigrationReport { set_aside, ..moved })
 }
 
-/// Brings everything that a place lacks to it.
+/// Copies everything that the target lacks.
 async fn bring(
     source: &Store,
     to: &StoreLocation,
@@ -190,14 +190,14 @@ async fn bring(
     Ok((folder, moved))
 }
 
-/// Whether the folder stays, for two places between which there is something to move.
+/// Returns whether the folder stays, or an error if there is nothing to migrate.
 fn way(from: &StoreLocation, to: &StoreLocation) -> Result<FileTransfer, MigrationError> {
     let no_folder = |_| {
         let (data_dir, folder) = (from.data_dir.clone(), from.data_dir.clone());
         MigrationError::From { data_dir, source: StoreError::NoDataFolder { folder } }
     };
     let own = from.data_dir.canonicalize_utf8().map_err(no_folder)?;
-    // Where it is not there yet, what it would lie in.
+    // If the target does not exist yet, use its nearest existing ancestor.
     let nearest = to.data_dir.ancestors().find(|path| path.exists()).unwrap_or(Utf8Path::new("."));
     let other = nearest.canonicalize_utf8()?;
     let is_there = nearest == to.data_dir;

@@ -1,4 +1,4 @@
-//! Rows from one database to another, table by table, a few at a time.
+//! Copies rows from one database to another, table by table, a few at a time.
 
 use super::target::TargetFolder;
 use super::{MigrationError, MigrationProgress, MigrationStep, OnProgress};
@@ -17,9 +17,9 @@ use std::fmt::Write;
 use std::io;
 use tokio::task::spawn_blocking;
 
-/// Every table that moves, each after those its rows refer to. `data_folder`, which says whose a
-/// database is, and `members`, who is at work on it, are each database's own; so are vectors, which
-/// are made anew.
+/// All tables that are migrated, each after the tables it refers to. Not migrated: `data_folder`,
+/// the owner of a database, and `members`, its processes, as each database has its own; and
+/// vectors, which are computed again.
 const TABLES: [&str; 23] = [
     "contents",
     "parses",
@@ -45,13 +45,13 @@ const TABLES: [&str; 23] = [
     "key_spending",
     "audit",
 ];
-/// Rows that are read, and written in one transaction.
+/// Rows read at once and written in one transaction.
 const ROWS: usize = 1000;
-/// Rows that one statement writes: the time SQLite takes to read a statement grows with the square
-/// of its parameters.
+/// Rows per INSERT statement. SQLite's time to parse a statement grows with the square of its
+/// number of parameters.
 const ROWS_OF_STATEMENT: usize = 50;
 
-/// What a column holds: a value that is not there has a type, too.
+/// The type of a column. A NULL must be bound with the right type, too.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ColumnType {
     Text,
@@ -59,13 +59,13 @@ enum ColumnType {
     Real,
 }
 
-/// What was moved.
+/// The result of migrating rows.
 pub struct MigratedRows {
     pub moved: Vec<(&'static str, u64)>,
     pub texts_changed: u64,
 }
 
-/// The database that rows are moved to, and that nobody else uses.
+/// The target database, which no other process uses.
 pub struct TargetDatabase {
     engine: Engine,
     writer: Writer,
@@ -74,8 +74,9 @@ pub struct TargetDatabase {
 }
 
 impl TargetDatabase {
-    /// A database with the schema and no rows: a new file, or one of a server's that is empty or
-    /// was begun for the same folder. The folder is begun, too, once nothing speaks against it.
+    /// Opens a database with the schema and without rows: a new file, or a server's database that
+    /// is empty or was started for the same folder. Also starts the target folder, once all checks
+    /// pass.
     pub async fn open(
         location: &Location,
         folder: &mut TargetFolder,
@@ -87,7 +88,7 @@ impl TargetDatabase {
         let (mut server, mut is_begun) = (None, false);
         if let Location::Postgres(url) = location {
             let connections = Connections::to_server(url).await.map_err(not_used)?;
-            // Nothing of a database that is in use is changed, not even its schema.
+            // A database that is in use stays unchanged, including its schema.
             is_begun = was_begun_for(&folder.id, &connections, location).await?;
             server = Some(connections);
         }
@@ -108,7 +109,7 @@ impl TargetDatabase {
         Ok(database)
     }
 
-    /// Removes what an earlier try has brought.
+    /// Removes the rows of an earlier attempt.
     async fn clear(&self) -> Result<(), MigrationError> {
         let mut connection = disable_timeout(self.writer.pool(), self.engine).await?;
         for table in TABLES.iter().rev() {
@@ -119,7 +120,8 @@ impl TargetDatabase {
         Ok(())
     }
 
-    /// Lets it know the folder it will belong to, and since when it knows what lies there.
+    /// Stores the id of the folder that the database will belong to, and since when it knows its
+    /// files.
     async fn introduce(&self, id: &str, since: &str) -> Result<(), MigrationError> {
         let mut tx = self.writer.begin().await?;
         sqlx::query("DELETE FROM data_folder").execute(&mut *tx).await?;
@@ -143,8 +145,8 @@ async fn begin(folder: &TargetFolder) -> Result<(), MigrationError> {
     spawn_blocking(move || folder.begin()).await.map_err(io::Error::other)?
 }
 
-/// Whether a database that is not empty was begun for a folder of this id. Every server writes down
-/// whose a database is before anything else.
+/// Returns whether a non-empty database was started for a folder of this id. Every server writes
+/// the owner of a database before anything else.
 async fn was_begun_for(
     id: &str,
     Connections { engine, writer, .. }: &Connections,
@@ -169,8 +171,8 @@ async fn was_begun_for(
     }
 }
 
-/// Moves all rows to a database, which belongs to a folder of this id from the first of them on: no
-/// other folder's server takes it.
+/// Copies all rows to a database. It belongs to a folder of this id from the first row on, so no
+/// other folder's server accepts it.
 pub async fn move_rows(
     source: &Store,
     target: &TargetDatabase,
@@ -198,7 +200,7 @@ async fn disable_timeout(pool: &AnyPool, engine: Engine) -> sqlx::Result<PoolCon
     Ok(connection)
 }
 
-/// Moves the rows of a table; how many there were.
+/// Copies the rows of a table. Returns their number.
 async fn move_table(
     from: &mut AnyConnection,
     target: &TargetDatabase,
@@ -227,7 +229,7 @@ async fn move_table(
     Ok(progress.done)
 }
 
-/// What writes rows to a table.
+/// Builds the query that inserts rows into a table.
 fn write<'q>(
     rows: &[AnyRow],
     table: &str,
@@ -235,7 +237,7 @@ fn write<'q>(
     engine: Engine,
     texts_changed: &mut u64,
 ) -> sqlx::Result<Query<'q, Any, AnyArguments>> {
-    // Not kept prepared: sqlx takes a number that is not there for a smaller type than one that is.
+    // Not a persistent prepared statement: sqlx infers a smaller type for a NULL than for a number.
     let mut query =
         sqlx::query(AssertSqlSafe(insert(table, columns, rows.len()))).persistent(false);
     for row in rows {
@@ -255,7 +257,7 @@ fn write<'q>(
     Ok(query)
 }
 
-/// Columns to write, as the target has them: both have the same schema.
+/// Returns the target's columns to write; both sides have the same schema.
 async fn columns_of(
     target: &TargetDatabase,
     table: &str,
@@ -275,7 +277,7 @@ fn names(columns: &[(String, ColumnType)]) -> String {
     columns.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", ")
 }
 
-/// The statement that writes so many rows.
+/// Returns the INSERT statement for this many rows.
 fn insert(table: &str, columns: &[(String, ColumnType)], rows: usize) -> String {
     let mut sql = format!("INSERT INTO {table} ({}) VALUES ", names(columns));
     for parameter in 0..rows * columns.len() {
@@ -289,7 +291,7 @@ fn insert(table: &str, columns: &[(String, ColumnType)], rows: usize) -> String 
     sql + ")"
 }
 
-/// A text as a database keeps it.
+/// Returns a text as the database can store it.
 fn kept_by(engine: Engine, text: &str) -> Cow<'_, str> {
     match engine {
         Engine::Sqlite => text.into(),
@@ -303,8 +305,8 @@ mod tests {
     use crate::BlobHome;
     use camino::Utf8Path;
 
-    /// A table that is made by a migration moves, or stands among those that do not; and none comes
-    /// before one its rows refer to.
+    /// Every table of the migrations must be migrated or be listed as an exception, and no table
+    /// comes before one that it refers to.
     #[tokio::test]
     async fn no_table_is_forgotten() {
         let place = tempfile::tempdir().unwrap();

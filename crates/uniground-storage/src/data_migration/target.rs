@@ -1,4 +1,4 @@
-//! The folder that a store is moved to, as long as not all of it is there.
+//! The target folder of a migration, while it is incomplete.
 
 use super::MigrationError;
 use crate::StoreError;
@@ -15,31 +15,31 @@ use std::sync::Arc;
 use std::time::Duration;
 use uuid::Uuid;
 
-/// What SQLite may lay beside its file.
+/// Suffixes of the files of a SQLite database.
 const PARTS_OF_DATABASE: [&str; 3] = ["", "-wal", "-shm"];
 
-/// Says of a folder that something is being moved to it.
+/// Marks a folder as the target of an unfinished migration.
 #[derive(Serialize, Deserialize)]
 struct TargetMarker {
-    /// What the folder's id will be; by it a database is known that was begun for it.
+    /// The folder's future id. It identifies the database that was started for the folder.
     id: String,
 }
 
 #[derive(Clone)]
 pub struct TargetFolder {
     path: Utf8PathBuf,
-    /// What its id will be.
+    /// Its future id.
     pub id: String,
     engine: Engine,
-    /// Where its rows were before, if it is not new.
+    /// The engine of its rows before, if the folder is not new.
     engine_before: Option<Engine>,
-    /// One that is not new is held by its store.
+    /// The lock of a new folder. For an existing folder its store holds the lock.
     _lock: Option<Arc<File>>,
 }
 
 impl TargetFolder {
-    /// A folder that is empty or not there, or has been begun before. It is as empty as it was
-    /// until something [begins](Self::begin).
+    /// Opens a folder that is empty, missing, or the target of an unfinished migration. Nothing is
+    /// written before [`begin`](Self::begin).
     pub fn open(path: Utf8PathBuf, engine: Engine) -> Result<Self, MigrationError> {
         let not_used = |source: io::Error| MigrationError::To {
             place: path.to_string(),
@@ -74,27 +74,28 @@ impl TargetFolder {
         Ok(Self { path, id, engine, engine_before: None, _lock: Some(Arc::new(lock)) })
     }
 
-    /// A data folder that is open and stays; it gets another id with its other database, so that no
-    /// two databases have the same one.
+    /// Prepares an in-place migration of an open data folder. The folder gets another id with its
+    /// other database, so that no two databases have the same id.
     pub fn in_place(
         path: Utf8PathBuf,
         id_before: &str,
         engine_before: Engine,
         engine: Engine,
     ) -> Result<Self, MigrationError> {
-        // A note of its own id is what a move that came to its end was killed before removing.
+        // A note with the folder's own id was left by a migration that finished, but was killed
+        // before removing it.
         let id = read_note(&path)?.filter(|id| id != id_before).unwrap_or_else(new_id);
         Ok(Self { path, id, engine, engine_before: Some(engine_before), _lock: None })
     }
 
-    /// Gives it another id: under the one it was to have another database may have been begun, and
-    /// that must not become its own.
+    /// Gives the target another id: another database may have been started under the previous one,
+    /// and must not become part of this folder.
     pub fn renew_id(&mut self) {
         self.id = new_id();
     }
 
-    /// Notes that something is on its way here, and makes room for it: what an earlier try has left
-    /// half done goes.
+    /// Writes the note of an unfinished migration, and removes what an earlier attempt left half
+    /// done.
     pub fn begin(&self) -> Result<(), MigrationError> {
         let note = serde_json::to_vec_pretty(&TargetMarker { id: self.id.clone() })
             .map_err(StoreError::from)?;
@@ -107,19 +108,19 @@ impl TargetFolder {
         Blobs::open(&self.path, &BlobHome::Folder, FileAccess::Used)
     }
 
-    /// Where a database is written that is a file: out of every server's sight.
+    /// Returns the path of an unfinished SQLite database, where no server looks for it.
     pub fn unfinished_database(&self) -> Utf8PathBuf {
         self.path.join("tmp").join(DATABASE)
     }
 
-    /// Makes a data folder of it, now that everything is there; the name of a database's file that
-    /// is not used any more. What is interrupted here is a data folder, or can be moved once
-    /// more.
+    /// Turns the target into a data folder, now that everything is there. Returns the new name of a
+    /// database file that is not used any more. If it is interrupted, the folder is a data folder
+    /// already, or the migration can be repeated.
     pub fn settle(self) -> Result<Option<Utf8PathBuf>, MigrationError> {
         sync_everything(&self.path)?;
         let mut aside = None;
         if self.engine == Engine::Sqlite {
-            // What an earlier move has left to where the rows still are.
+            // A file that an earlier migration left in the folder whose rows are still elsewhere.
             if self.engine_before.is_some() {
                 aside = set_aside(&self.path)?;
             }
@@ -138,7 +139,7 @@ fn new_id() -> String {
     Uuid::new_v4().to_string()
 }
 
-/// The id that was meant for a folder, where something was on its way to it.
+/// Returns the future id of a folder, if a migration to it is unfinished.
 fn read_note(folder: &Utf8Path) -> Result<Option<String>, MigrationError> {
     match fs::read(folder.join(MOVING)) {
         Ok(bytes) => {
@@ -149,7 +150,7 @@ fn read_note(folder: &Utf8Path) -> Result<Option<String>, MigrationError> {
     }
 }
 
-/// Gives a database's file, if there is one, a name under which nobody looks for it.
+/// Renames a database file, if there is one, so that no server finds it.
 fn set_aside(folder: &Utf8Path) -> io::Result<Option<Utf8PathBuf>> {
     let (database, mut aside) = (folder.join(DATABASE), None);
     let name = folder

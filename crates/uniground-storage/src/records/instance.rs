@@ -5,8 +5,8 @@ use uniground_geometry::boxes::{Aabb, OrientedBox};
 use uniground_geometry::colour::ColourHistogram;
 use uniground_geometry::scene::{Instance, InstanceId, Level, NameGuess, Structure, Support, View};
 
-/// One object candidate. Lengths in metres, world frame (Z up). Only the id and the box must be
-/// there.
+/// One object candidate. Lengths in meters, world frame (Z up). Only the id and the box are
+/// required.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct InstanceRecord {
     id: InstanceId,
@@ -49,8 +49,7 @@ pub struct InstanceRecord {
 
 impl From<&Instance> for InstanceRecord {
     fn from(instance: &Instance) -> Self {
-        // Every field by name: a new one does not compile until somebody decides whether it is
-        // stored.
+        // List every field: a new one does not compile until it is decided whether it is stored.
         let Instance {
             id,
             level,
@@ -70,7 +69,7 @@ impl From<&Instance> for InstanceRecord {
             given_name,
             found_for,
             merged_from,
-            dismissed: _, // corrections are kept as such
+            dismissed: _, // stored as corrections
             gone,
         } = instance.clone();
         Self {

@@ -3,8 +3,9 @@
 use serde_json::Value;
 use uniground_types::settings::{ParseSettings, with_names_of_today};
 
-/// Settings under the names they have today. A value that is none of today's is left at its
-/// default: the settings are told to people and never used again.
+/// Reads settings, and translates old names of fields. A value that is not valid today is left at
+/// its default. Stored settings are shown to people, and used to parse the scenes of a retired
+/// parse again.
 pub(super) fn read(mut stored: Value) -> ParseSettings {
     with_names_of_today(&mut stored);
     without_steps_of_today(&mut stored);
@@ -18,8 +19,8 @@ pub(super) fn read(mut stored: Value) -> ParseSettings {
     serde_json::from_value(whole).unwrap_or_default()
 }
 
-/// A parse without the switch of a younger step of stage 1 was made without the step, whatever the
-/// default is today.
+/// A parse whose settings lack the switch of a newer step of stage 1 was made without that step,
+/// whatever the default is today.
 fn without_steps_of_today(stored: &mut Value) {
     let young = [
         ("/parsing", "refine_borders", Value::Bool(false)),
@@ -40,8 +41,7 @@ fn without_steps_of_today(stored: &mut Value) {
     }
 }
 
-/// Takes over what is known and can be read, value by value; `path` leads to where `stored` belongs
-/// in `whole`.
+/// Copies known, readable values one by one. `path` is the position of `stored` within `whole`.
 fn overlay(whole: &mut Value, stored: &Value, path: &mut Vec<String>) {
     let pointer: String = path.iter().map(|key| format!("/{key}")).collect();
     let Some(known) = whole.pointer(&pointer) else { return };

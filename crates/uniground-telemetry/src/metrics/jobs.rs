@@ -1,4 +1,4 @@
-//! Jobs and their lanes.
+//! Metrics of jobs and their lanes.
 
 use super::{FloatGauge, Histograms, Labels, long_seconds};
 use prometheus_client::metrics::counter::Counter;
@@ -7,7 +7,7 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::{Registry, Unit};
 use std::time::Duration;
 
-/// The queues, by kind of job.
+/// Metrics by kind of job.
 pub struct JobMetrics {
     queued: Family<Labels<1>, Gauge>,
     running: Family<Labels<1>, Gauge>,
@@ -50,7 +50,7 @@ impl JobMetrics {
         jobs
     }
 
-    /// There are jobs of this kind: what has not happened yet is told as 0.
+    /// Registers a kind, so that its counters start at 0.
     pub fn knows(&self, kind: &'static str) {
         for state in ["succeeded", "failed", "cancelled"] {
             self.finished.get_or_create(&[("kind", kind), ("state", state)]).inc_by(0);
@@ -59,7 +59,7 @@ impl JobMetrics {
         self.waiting(kind, 0, 0, 0.0);
     }
 
-    /// A job ended; `took` where it was run for that.
+    /// Counts a finished job. `took` is set if the job was run.
     pub fn finished(&self, kind: &'static str, state: &'static str, took: Option<Duration>) {
         self.finished.get_or_create(&[("kind", kind), ("state", state)]).inc();
         if let Some(took) = took {
@@ -67,19 +67,19 @@ impl JobMetrics {
         }
     }
 
-    /// A job is tried again.
+    /// Counts a retry.
     pub fn retried(&self, kind: &'static str) {
         self.retried.get_or_create(&[("kind", kind)]).inc();
     }
 
-    /// How many wait and run, and how long the oldest has waited.
+    /// Sets the numbers of queued and running jobs, and the age of the oldest queued one.
     pub fn waiting(&self, kind: &'static str, queued: u32, running: u32, oldest_s: f64) {
         self.queued.get_or_create(&[("kind", kind)]).set(queued.into());
         self.running.get_or_create(&[("kind", kind)]).set(running.into());
         self.oldest.get_or_create(&[("kind", kind)]).set(oldest_s);
     }
 
-    /// Whether a lane is at work.
+    /// Sets whether a lane is running.
     pub fn lane(&self, kind: &'static str, up: bool) {
         self.lanes.get_or_create(&[("kind", kind)]).set(up.into());
     }

@@ -1,8 +1,8 @@
-//! What the service counts of itself, for `GET /metrics`.
+//! Metrics of the service, for `GET /metrics`.
 //!
-//! Whoever does the work counts it: requests in `http`, jobs in their lanes, questions, models and
-//! what is stored in `service`. One value is made at the start and handed down; there is no global
-//! state, so two servers in one process count apart. Labels have few values by construction:
+//! Each part counts its own work: requests in `http`, jobs in their lanes, questions, models and
+//! storage in `service`. One value is created at the start and passed down. There is no global
+//! state, so two servers in one process count separately. Labels have few values by construction:
 //! templates of routes, methods, statuses, kinds and codes; never an id, a name or a question.
 
 mod jobs;
@@ -27,17 +27,17 @@ use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::Registry;
 use std::sync::atomic::AtomicU64;
 
-/// What [`Metrics::text`] is.
+/// Media type of [`Metrics::text`].
 pub const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// Labels and their values, all known when the program is written.
+/// Labels and their values, all known at compile time.
 type Labels<const N: usize> = [(&'static str, &'static str); N];
 /// One histogram for each set of labels.
 type Histograms<L> = Family<L, Histogram, fn() -> Histogram>;
-/// A gauge of seconds, bytes that are shares, or dollars.
+/// A gauge of seconds, shares or dollars.
 type FloatGauge = Gauge<f64, AtomicU64>;
 
-/// Everything that is counted, by who counts it.
+/// All metrics, grouped by the part that counts them.
 pub struct Metrics {
     pub requests: RequestMetrics,
     pub questions: QuestionMetrics,
@@ -71,7 +71,7 @@ impl Default for Metrics {
 }
 
 impl Metrics {
-    /// All of it in the `OpenMetrics` text format, which Prometheus reads.
+    /// Returns all metrics in the `OpenMetrics` text format, which Prometheus reads.
     #[must_use]
     pub fn text(&self) -> String {
         self.process.look();
@@ -82,7 +82,7 @@ impl Metrics {
     }
 }
 
-/// From a millisecond to five minutes: requests and questions.
+/// Buckets from a millisecond to five minutes, for requests and questions.
 fn short_seconds() -> Histogram {
     Histogram::new([
         0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0,
@@ -90,7 +90,7 @@ fn short_seconds() -> Histogram {
     ])
 }
 
-/// From a tenth of a second to six hours: parses and jobs.
+/// Buckets from a tenth of a second to six hours, for parses and jobs.
 fn long_seconds() -> Histogram {
     Histogram::new([
         0.1, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0, 3600.0, 21600.0,

@@ -1,4 +1,4 @@
-//! The process itself, under the names every exporter uses for that.
+//! Metrics of the process, under the names that all exporters use.
 
 use super::FloatGauge;
 use crate::memory::MemoryUsage;
@@ -6,7 +6,7 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::{Registry, Unit};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
-/// Since when the process runs, and what it holds.
+/// Start time and memory of the process.
 pub struct ProcessMetrics {
     resident: Gauge,
     started: Instant,
@@ -37,19 +37,19 @@ impl ProcessMetrics {
         process
     }
 
-    /// When the server was started.
+    /// Returns the time at which the server started.
     #[must_use]
     pub fn started_at(&self) -> SystemTime {
         self.started_at
     }
 
-    /// How long ago that is; the system's clock may be set meanwhile.
+    /// Returns the time since the start, independent of changes of the system clock.
     #[must_use]
     pub fn uptime_s(&self) -> u64 {
         self.started.elapsed().as_secs()
     }
 
-    /// Brings the gauges up to date. Where the system does not tell, they stay 0.
+    /// Updates the gauges. They stay 0 where the system does not report them.
     pub(super) fn look(&self) {
         self.resident.set(
             MemoryUsage::now().and_then(|memory| memory.resident.try_into().ok()).unwrap_or(0),

@@ -1,4 +1,4 @@
-//! Questions, those of batches, what they found in memory, and parses.
+//! Metrics of questions, batch items, caches and parses.
 
 use super::{Histograms, Labels, long_seconds, short_seconds};
 use prometheus_client::metrics::counter::Counter;
@@ -9,8 +9,7 @@ use prometheus_client::registry::{Registry, Unit};
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
-/// Stages of a parse as their reports name them; what a report of tomorrow adds counts together
-/// until it is named here.
+/// Stages of a parse, as reports name them. Stages that are not listed are counted as "other".
 const STAGES: [&str; 14] = [
     "import",
     "superpoints",
@@ -27,10 +26,10 @@ const STAGES: [&str; 14] = [
     "appearance",
     "frame_appearance",
 ];
-/// What may come of a question.
+/// Possible outcomes of a question.
 const STATUSES: [&str; 5] = ["grounded", "uncertain", "ambiguous", "no_match", "failed"];
 
-/// The two stages of the method at work.
+/// Metrics of the two stages of the method.
 pub struct QuestionMetrics {
     answered: Family<Labels<2>, Counter>,
     failures: Family<Labels<1>, Counter>,
@@ -112,7 +111,7 @@ impl QuestionMetrics {
             questions.computing_limit.clone(),
         );
         registry.register("uploads_in_flight", "Uploads being received", questions.uploads.clone());
-        // What has not happened yet is told as 0: rates are right from the first time on.
+        // Start all counters at 0, so that rates are correct from the first event on.
         for status in STATUSES {
             let reasoner = if status == "failed" { "none" } else { "builtin" };
             questions
@@ -124,8 +123,7 @@ impl QuestionMetrics {
         questions
     }
 
-    /// A question got an answer. `status` and `reasoner` are `grounded` and the like, `builtin` or
-    /// `vlm`.
+    /// Counts an answered question. `status` is e.g. `grounded`; `reasoner` is `builtin` or `vlm`.
     pub fn answered(
         &self,
         status: &'static str,
@@ -138,19 +136,19 @@ impl QuestionMetrics {
         self.degraded.inc_by(u64::from(degraded));
     }
 
-    /// A question got none; `code` is the problem's.
+    /// Counts a failed question. `code` is the code of the problem.
     pub fn failed(&self, code: &'static str) {
         self.answered.get_or_create(&[("status", "failed"), ("reasoner", "none")]).inc();
         self.failures.get_or_create(&[("code", code)]).inc();
     }
 
-    /// An item of a batch is over.
+    /// Counts a finished batch item.
     pub fn item(&self, status: &str) {
         let outcome = STATUSES.into_iter().find(|known| *known == status).unwrap_or("other");
         self.items.get_or_create(&[("outcome", outcome)]).inc();
     }
 
-    /// A parse was made; its stages with what each took.
+    /// Counts a finished parse, with the duration of each stage.
     pub fn parsed<'a>(&self, took: Duration, stages: impl IntoIterator<Item = (&'a str, f32)>) {
         self.parses.observe(took.as_secs_f64());
         for (stage, seconds) in stages {
@@ -159,7 +157,7 @@ impl QuestionMetrics {
         }
     }
 
-    /// How often something was found in a cache since the start, and how often not.
+    /// Sets the hits and misses of a cache since the start.
     pub fn cache(&self, cache: &'static str, hits: u64, misses: u64) {
         for (outcome, looks) in [("hit", hits), ("miss", misses)] {
             self.caches

@@ -1,4 +1,4 @@
-//! Requests and connections.
+//! Metrics of requests and connections.
 
 use super::{Histograms, short_seconds};
 use prometheus_client::encoding::EncodeLabelSet;
@@ -15,14 +15,14 @@ struct Labels {
     status: u16,
 }
 
-/// Methods somebody may have meant; others are no words of ours.
+/// Known methods; all others are counted as "other".
 const METHODS: [&str; 7] = ["GET", "POST", "PUT", "PATCH", "DELETE", "HEAD", "OPTIONS"];
-/// The route of requests to a path that is none.
+/// The route label of requests to an unknown path.
 const NO_ROUTE: &str = "none";
-/// The status of requests whose caller left before there was one; nginx calls it so.
+/// The status of requests whose client disconnected before the response, as in nginx.
 const CALLER_LEFT: u16 = 499;
 
-/// What happens at the door.
+/// Metrics of HTTP requests.
 pub struct RequestMetrics {
     finished: Family<Labels, Counter>,
     duration: Histograms<Labels>,
@@ -81,7 +81,7 @@ impl RequestMetrics {
         requests
     }
 
-    /// A request begins. `route` is its template, where its path has one.
+    /// Starts a request. `route` is the template of its route, if its path has one.
     #[must_use]
     pub fn begin(&self, method: &str, route: Option<&str>) -> InFlightRequest<'_> {
         self.in_flight.inc();
@@ -92,7 +92,7 @@ impl RequestMetrics {
     }
 }
 
-/// A request under way; counted when this is dropped.
+/// A request in progress; counted on drop.
 pub struct InFlightRequest<'a> {
     requests: &'a RequestMetrics,
     labels: Labels,
@@ -100,7 +100,7 @@ pub struct InFlightRequest<'a> {
 }
 
 impl InFlightRequest<'_> {
-    /// There is an answer.
+    /// Sets the status of the response.
     pub fn answered(mut self, status: u16) {
         self.labels.status = status;
     }

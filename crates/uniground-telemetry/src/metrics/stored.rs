@@ -1,4 +1,4 @@
-//! What is stored, and whether everything that is needed is there.
+//! Metrics of the store and of readiness.
 
 use super::Labels;
 use prometheus_client::metrics::family::Family;
@@ -58,19 +58,19 @@ impl StoredMetrics {
         stored
     }
 
-    /// How many batches are in a state.
+    /// Sets the number of batches in a state.
     pub fn batches(&self, state: &'static str, batches: u32) {
         self.batches.get_or_create(&[("state", state)]).set(batches.into());
     }
 
-    /// How much room a kind of files takes.
+    /// Sets the disk usage of a kind of files.
     pub fn blob_bytes(&self, kind: &'static str, bytes: u64) {
         self.blob_bytes
             .get_or_create(&[("kind", kind)])
             .set(i64::try_from(bytes).unwrap_or(i64::MAX));
     }
 
-    /// Whether a part of the service is well.
+    /// Sets whether a component of the service is healthy.
     pub fn component(&self, component: &'static str, up: bool) {
         self.components.get_or_create(&[("component", component)]).set(up.into());
     }

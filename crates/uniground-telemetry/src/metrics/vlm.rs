@@ -1,4 +1,4 @@
-//! Calls of the vision-language model.
+//! Metrics of calls to the vision-language model.
 
 use super::{FloatGauge, Labels};
 use prometheus_client::metrics::counter::Counter;
@@ -9,10 +9,10 @@ use prometheus_client::registry::{Registry, Unit};
 use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 
-/// What may be wrong with a reply: what the call is for that asks again.
+/// Problems of a reply, each the purpose of the repeated call.
 const MALFORMED: [&str; 3] = ["unreadable", "out_of_set", "inconsistent"];
 
-/// What the model is asked, and what it takes.
+/// Calls of the model, with tokens, cost and duration.
 pub struct VlmMetrics {
     calls: Family<Labels<1>, Counter>,
     attempts: Counter,
@@ -20,11 +20,11 @@ pub struct VlmMetrics {
     spent: Counter<f64, AtomicU64>,
     duration: Histogram,
     malformed: Family<Labels<1>, Counter>,
-    /// Questions that have a place among those who wait for the model.
+    /// Questions that wait for the model or use it.
     pub waiting: Gauge,
-    /// Spent on this day (UTC), by this server and those before it.
+    /// US dollars spent on this day (UTC), including earlier runs of the server.
     pub spent_today: FloatGauge,
-    /// 0: no limit.
+    /// US dollars; 0: no limit.
     pub daily_limit: FloatGauge,
 }
 
@@ -81,7 +81,7 @@ impl VlmMetrics {
         vlm
     }
 
-    /// There is a model: what has not happened yet is told as 0.
+    /// Registers a model, so that its counters start at 0.
     pub fn knows(&self, outcomes: &[&'static str]) {
         for outcome in outcomes {
             self.calls.get_or_create(&[("outcome", outcome)]).inc_by(0);
@@ -92,26 +92,25 @@ impl VlmMetrics {
         self.counted(0, 0);
     }
 
-    /// A call ended.
+    /// Counts a finished call.
     pub fn called(&self, outcome: &'static str, attempts: u32, took: Duration) {
         self.calls.get_or_create(&[("outcome", outcome)]).inc();
         self.attempts.inc_by(attempts.into());
         self.duration.observe(took.as_secs_f64());
     }
 
-    /// A call was answered with so many tokens.
+    /// Counts the tokens of a reply.
     pub fn counted(&self, prompt_tokens: u64, completion_tokens: u64) {
         self.tokens.get_or_create(&[("type", "prompt")]).inc_by(prompt_tokens);
         self.tokens.get_or_create(&[("type", "completion")]).inc_by(completion_tokens);
     }
 
-    /// Money is gone, US dollars.
+    /// Adds spending, US dollars.
     pub fn paid(&self, usd: f64) {
         self.spent.inc_by(usd.max(0.0));
     }
 
-    /// A call was made for this purpose: some are made because the reply before did not hold
-    /// together.
+    /// Counts the purpose of a call, if it repeats an earlier call with a malformed reply.
     pub fn purpose(&self, purpose: &str) {
         if let Some(problem) = MALFORMED.into_iter().find(|problem| *problem == purpose) {
             self.malformed.get_or_create(&[("problem", problem)]).inc();

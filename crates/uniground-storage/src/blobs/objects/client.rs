@@ -1,4 +1,4 @@
-//! Which bucket, and how it is spoken to.
+//! The bucket and its client settings.
 
 use super::Objects;
 use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
@@ -13,11 +13,11 @@ use uniground_client::choose_cryptography;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Bucket {
     name: String,
-    /// Without slashes at its ends; may be empty.
+    /// Without leading or trailing slash; may be empty.
     prefix: String,
 }
 
-/// Keys to a bucket that were in a file.
+/// Access keys of a bucket, read from a file.
 #[derive(Clone)]
 pub struct AccessKeys {
     pub id: String,
@@ -60,25 +60,25 @@ impl fmt::Display for Bucket {
     }
 }
 
-/// Whether callers are sent to the object store for large files.
+/// Whether clients are redirected to the object store for large files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Links {
     None,
     ToObjects,
 }
 
-/// A store that takes longer to accept a connection is not there.
+/// Timeout for opening a connection.
 const CONNECTING: Duration = Duration::from_secs(2);
-/// A connection that is silent for longer is lost.
+/// A connection without data for longer counts as lost.
 const SILENCE: Duration = Duration::from_secs(10);
 
 impl Bucket {
-    /// The objects in it. Address, region and keys are those of the variables that other programs
-    /// read too (`AWS_ENDPOINT_URL`, `AWS_REGION`, `AWS_ACCESS_KEY_ID`, …), or of the machine's
-    /// role; without TLS only where the address says so.
+    /// Returns the objects in the bucket. Address, region and keys come from the usual variables
+    /// (`AWS_ENDPOINT_URL`, `AWS_REGION`, `AWS_ACCESS_KEY_ID`, …) or from the machine's role. TLS
+    /// is off only where the address says so.
     ///
     /// # Errors
-    /// What can not be understood of them.
+    /// A setting that cannot be parsed.
     pub fn objects(
         &self,
         keys: Option<&AccessKeys>,

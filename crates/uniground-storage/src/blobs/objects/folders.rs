@@ -1,4 +1,4 @@
-//! Folders as objects: files first, then the seal; away the other way round.
+//! Folders as objects. The files are uploaded first, then the seal; removal goes in reverse order.
 
 use super::super::checksums::DamagedFile;
 use super::{Objects, briefly, edition_of, if_there, sums_of_seal, told};
@@ -11,12 +11,12 @@ use std::io;
 use std::time::{Duration, SystemTime};
 use uuid::Uuid;
 
-/// The object that says that a folder is there.
+/// The object whose presence means that the folder exists.
 pub(super) const SEAL: &str = ".sha256sums";
-/// Files of a folder on their way at once.
+/// Files of a folder transferred concurrently.
 const FILES_AT_ONCE: usize = 16;
 
-/// A link is followed at once; a large file may be asked for in parts.
+/// Validity of a link. It is followed at once, but a large file may be requested in ranges.
 const LINKS_LIVE: Duration = Duration::from_mins(15);
 
 /// Kind and name of a folder.
@@ -26,27 +26,27 @@ pub struct FolderName {
     pub name: String,
 }
 
-/// A seal, and when it was put.
+/// A seal, and when it was uploaded.
 #[derive(Debug, Clone)]
 pub struct Seal {
     pub text: String,
     pub made: SystemTime,
 }
 
-/// Whose edition of a folder counts.
+/// Which edition of a folder won.
 #[derive(Debug)]
 pub enum SealOutcome {
     Ours,
     Theirs(Seal),
 }
 
-/// Objects that nobody refers to: they go, in the background, when this does. What a process that
-/// ends leaves of them the sweep finds.
+/// Objects that nothing refers to. They are removed in the background on drop. If the process ends
+/// first, orphan collection removes them.
 #[derive(Debug)]
 pub struct UnsealedObjects {
     objects: Objects,
     below: Path,
-    /// The folder they were, and its seal, where it was taken away.
+    /// The folder they belonged to and its seal, if it was unsealed.
     was: Option<(FolderName, String)>,
     is_kept: bool,
 }
@@ -56,7 +56,7 @@ impl UnsealedObjects {
         Self { objects: objects.clone(), below, was: None, is_kept: false }
     }
 
-    /// Removes them, and waits for that.
+    /// Removes the objects and waits for completion.
     ///
     /// # Errors
     /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
@@ -65,18 +65,18 @@ impl UnsealedObjects {
         self.objects.remove_below(&self.below).await
     }
 
-    /// They are somebody's now.
+    /// Keeps the objects: a seal now refers to them.
     pub fn keep(mut self) {
         self.is_kept = true;
     }
 
-    /// They are the folder again that was taken away, unless somebody has published it anew since.
+    /// Restores the folder that was unsealed, unless it has been published again since.
     ///
     /// # Errors
     /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn put_back(mut self) -> io::Result<()> {
         let Some((folder, seal)) = self.was.take() else { return Ok(()) };
-        // Where nobody can tell, the sweep finds them.
+        // Where the outcome is unknown, orphan collection removes them if needed.
         self.is_kept = true;
         self.is_kept = matches!(self.objects.put_seal(&folder, &seal).await?, SealOutcome::Ours);
         Ok(())
@@ -98,9 +98,9 @@ impl Drop for UnsealedObjects {
     }
 }
 
-/// A name for an edition: by time, and nobody else's.
+/// Returns a name for a new edition, unique and ordered by time.
 pub fn new_edition() -> String {
-    // The time in milliseconds, and 32 bits by chance: keys may not be long everywhere.
+    // The time in milliseconds and 32 random bits. Some stores limit the length of keys.
     let id = Uuid::now_v7().simple().to_string();
     format!("{}{}", &id[..12], &id[24..])
 }
@@ -114,13 +114,13 @@ impl Objects {
         self.folder(folder).join(edition)
     }
 
-    /// Where a file of an edition lies.
+    /// Returns the key of a file of an edition.
     fn file(&self, folder: &FolderName, edition: &str, file: &Utf8Path) -> Path {
         file.components()
             .fold(self.edition(folder, edition), |place, part| place.join(part.as_str()))
     }
 
-    /// The seal of a folder; nothing where there is no folder.
+    /// Returns the seal of a folder, or `None` if the folder does not exist.
     ///
     /// # Errors
     /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
@@ -137,11 +137,11 @@ impl Objects {
         Ok(Some(Seal { text, made }))
     }
 
-    /// Puts files of a local folder into a new edition of one here. Until they are sealed they are
-    /// nobody's.
+    /// Uploads files of a local folder as a new edition. Nothing refers to them until the folder is
+    /// sealed.
     ///
     /// # Errors
-    /// Those of the file system; [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
+    /// Errors of the file system; [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn put_edition(
         &self,
         local: &Utf8Path,
@@ -158,7 +158,7 @@ impl Objects {
         Ok(put)
     }
 
-    /// Seals a folder, if nobody has.
+    /// Seals a folder, unless it is already sealed.
     ///
     /// # Errors
     /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
@@ -166,7 +166,7 @@ impl Objects {
         match self.create(&self.folder(folder).join(SEAL), text.into()).await {
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
                 match self.seal(folder).await? {
-                    // Put the second time, where the first one's answer was lost.
+                    // This was a retry: the first attempt succeeded, but its response was lost.
                     Some(seal) if seal.text == text => Ok(SealOutcome::Ours),
                     Some(theirs) => Ok(SealOutcome::Theirs(theirs)),
                     None => Err(error),
@@ -176,7 +176,7 @@ impl Objects {
         }
     }
 
-    /// Seals a folder whoever has.
+    /// Seals a folder, replacing any existing seal.
     ///
     /// # Errors
     /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
@@ -186,7 +186,8 @@ impl Objects {
             .map(drop)
     }
 
-    /// Takes a folder away: from here on it is not there. Its files go when what is returned does.
+    /// Unseals a folder, so that it no longer exists. Its files are removed when the result is
+    /// dropped.
     ///
     /// # Errors
     /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
@@ -201,20 +202,22 @@ impl Objects {
         }))
     }
 
-    /// An edition that is nobody's.
+    /// Returns an edition that no seal refers to.
     pub fn nobodys(&self, folder: &FolderName, edition: &str) -> UnsealedObjects {
         UnsealedObjects::of(self, self.edition(folder, edition))
     }
 
-    /// Finished stages of a content, to go.
+    /// Returns the checkpoints of a content, to be removed on drop.
     pub fn loose_stages(&self, hash: &str) -> UnsealedObjects {
         UnsealedObjects::of(self, self.checkpoints(hash))
     }
 
-    /// Brings files of a sealed folder into a local one, numbered in their order; how many bytes.
+    /// Downloads files of a sealed folder into a local one, named by their index. Returns the
+    /// bytes.
     ///
     /// # Errors
-    /// Not found where one is missing; [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable); those of the file system.
+    /// Not found where a file is missing;
+    /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable); errors of the file system.
     pub async fn get_files(
         &self,
         folder: &FolderName,
@@ -231,12 +234,12 @@ impl Objects {
         Ok(sizes.into_iter().sum())
     }
 
-    /// Whether links to files are given out.
+    /// Returns whether links to files are given out.
     pub fn gives_links(&self) -> bool {
         self.signer.is_some()
     }
 
-    /// An address of a file that anybody may read for a while; nothing where none are given out.
+    /// Returns a temporary public link to a file, or `None` if links are disabled.
     ///
     /// # Errors
     /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
@@ -252,7 +255,7 @@ impl Objects {
         Ok(Some(signed.into()))
     }
 
-    /// What of a folder is missing; what its objects hold is the store's care.
+    /// Returns the missing files of a folder. The store itself checks the content of its objects.
     ///
     /// # Errors
     /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).

@@ -1,4 +1,4 @@
-//! What there is in the store, by name: for whoever looks after it.
+//! Listings of the object store, for maintenance.
 
 use super::folders::SEAL;
 use super::{Objects, briefly, told};
@@ -10,18 +10,18 @@ use std::collections::BTreeMap;
 use std::io;
 use std::time::SystemTime;
 
-/// A folder as it is found.
+/// A folder found in a listing.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FoundFolder {
-    /// When it was sealed, if it is.
+    /// When it was sealed, if it is sealed.
     pub sealed: Option<SystemTime>,
-    /// When the last file of each edition was put.
+    /// Upload time of the latest file of each edition.
     pub editions: BTreeMap<String, SystemTime>,
     pub bytes: u64,
 }
 
 impl FoundFolder {
-    /// When anything of it was put last.
+    /// Returns the time of the latest upload to this folder.
     pub fn newest(&self) -> SystemTime {
         let all = self.editions.values().chain(&self.sealed);
         all.max().copied().unwrap_or(SystemTime::UNIX_EPOCH)
@@ -37,7 +37,7 @@ pub struct StoredLog {
 }
 
 impl Objects {
-    /// All folders of a kind.
+    /// Lists all folders of a kind.
     ///
     /// # Errors
     /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
@@ -65,7 +65,7 @@ impl Objects {
         Ok(found)
     }
 
-    /// Whether there is a folder of a kind.
+    /// Returns whether any folder of a kind exists.
     ///
     /// # Errors
     /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
@@ -82,7 +82,7 @@ impl Objects {
         self.prefix.clone().join("checkpoints").join(hash)
     }
 
-    /// The logs of finished stages of a content.
+    /// Lists the logs of finished stages of a content.
     ///
     /// # Errors
     /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
@@ -95,18 +95,18 @@ impl Objects {
         listed.map_ok(log).try_collect().await.map_err(told)
     }
 
-    /// Puts a log as it is now.
+    /// Uploads the current state of a log.
     ///
     /// # Errors
-    /// Those of the file system; [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
+    /// Errors of the file system; [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn put_log(&self, hash: &str, name: &str, file: &Utf8Path) -> io::Result<()> {
         self.put_file(file, &self.log(hash, name)).await
     }
 
-    /// Brings a log into a file.
+    /// Downloads a log into a file.
     ///
     /// # Errors
-    /// Those of the file system; [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
+    /// Errors of the file system; [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn get_log(&self, hash: &str, name: &str, file: &Utf8Path) -> io::Result<u64> {
         self.get_file(&self.log(hash, name), file).await
     }

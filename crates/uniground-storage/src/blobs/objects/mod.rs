@@ -1,15 +1,16 @@
-//! Published folders in an object store that speaks S3, for several machines to share: what lies in
-//! the data folder is a cache of it then.
+//! Published folders in an S3-compatible object store, shared by several machines. The data folder
+//! is then a cache of it.
 //!
 //! ```text
-//! <prefix>/uniground-data.json               whose objects these are
-//! <prefix>/<kind>/<name>/.sha256sums         the seal: the edition, and what files it has
+//! <prefix>/uniground-data.json               id of the data these objects belong to
+//! <prefix>/<kind>/<name>/.sha256sums         the seal: the edition and its files
 //! <prefix>/<kind>/<name>/<edition>/<file>    for `contents`, `parses` and `answers`
-//! <prefix>/checkpoints/<sha256>/<log>        finished stages of a parse, advice only: they grow, and are overwritten
+//! <prefix>/checkpoints/<sha256>/<log>        finished stages of a parse, optional: they grow, and
+//!                                            are overwritten
 //! ```
-//! A folder is there exactly if its seal is, which is put last and taken away first. Whoever puts a
-//! folder there has an edition of its own for the files: so whoever removes what another has left
-//! never touches what somebody is writing, however slow either is.
+//! A folder exists exactly if its seal exists. The seal is uploaded last and removed first. Every
+//! upload of a folder writes its files to an edition of its own, so removing leftovers of one
+//! writer never touches the files of another one, however slow either is.
 
 mod client;
 mod folders;
@@ -36,25 +37,25 @@ use tokio::time::timeout;
 use uuid::Uuid;
 
 const MARKER: &str = "uniground-data.json";
-/// Pieces of files in memory at once, whoever puts them.
+/// Pieces of files in memory at once, over all uploads.
 const PIECES: usize = 16;
-/// A small object that takes longer is not to be had.
+/// Timeout for small objects.
 const BRIEFLY: Duration = Duration::from_secs(5);
 
-/// An object store, and where in it.
+/// An object store and the prefix within it.
 #[derive(Debug, Clone)]
 pub struct Objects {
     store: Arc<dyn ObjectStore>,
     prefix: Path,
     runtime: Handle,
     pieces: Arc<Semaphore>,
-    /// Who signs links to objects, where such are given out.
+    /// Signs links to objects, if links are given out.
     signer: Option<Arc<dyn Signer>>,
-    /// What no row speaks of goes when it is older. Whoever publishes has half of it.
+    /// Age after which unreferenced objects are removed. Publishing must finish within half of it.
     pub grace: Duration,
 }
 
-/// The object store can not be reached, or refuses: that may pass.
+/// The object store cannot be reached, or refuses. A retry may succeed.
 #[derive(Debug, thiserror::Error)]
 #[error("the object store can not be used")]
 pub struct ObjectStoreUnavailable(#[source] Box<dyn std::error::Error + Send + Sync>);
@@ -64,19 +65,19 @@ impl ObjectStoreUnavailable {
         io::Error::other(Self(error.into()))
     }
 
-    /// Whether this is what is behind an error.
+    /// Returns whether this is the cause of an error.
     #[must_use]
     pub fn is_behind(error: &io::Error) -> bool {
         matches!(error.get_ref(), Some(inner) if inner.is::<Self>())
     }
 }
 
-/// An error of the store as those of files are told.
+/// Converts an error of the object store to an I/O error.
 fn told(error: object_store::Error) -> io::Error {
     use object_store::Error;
     match error {
-        // Only the store itself knows that something is not there: a proxy, or a bucket that is
-        // gone, says 404 too.
+        // Only the store itself can say that an object does not exist. A proxy, or a missing
+        // bucket, answers with 404 too.
         Error::NotFound { ref source, .. } => match source.to_string() {
             text if text.contains("status code") && !text.contains("NoSuchKey") => {
                 ObjectStoreUnavailable::because(error)
@@ -90,7 +91,7 @@ fn told(error: object_store::Error) -> io::Error {
     }
 }
 
-/// Nothing where nothing is.
+/// Turns the error "not found" into `None`.
 fn if_there<T>(got: io::Result<T>) -> io::Result<Option<T>> {
     match got {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
@@ -106,7 +107,7 @@ struct Marker {
 }
 
 impl Objects {
-    /// Objects of a store; work is done on the runtime this is called on.
+    /// Creates the objects of a store. Its work runs on the runtime that this is called on.
     pub fn new(store: Arc<dyn ObjectStore>, prefix: &str, grace: Duration) -> Self {
         let pieces = Arc::new(Semaphore::new(PIECES));
         Self {
@@ -119,23 +120,23 @@ impl Objects {
         }
     }
 
-    /// Links to objects may be given out, which this signs.
+    /// Sets the signer, which enables links to objects.
     #[must_use]
     pub fn linked_by(self, signer: Arc<dyn Signer>) -> Self {
         Self { signer: Some(signer), ..self }
     }
 
-    /// Waits for work of the store's; never on an async thread.
+    /// Blocks on work of the store. Never call this on an async thread.
     pub fn wait<T>(&self, work: impl Future<Output = T>) -> T {
         self.runtime.block_on(work)
     }
 
-    /// The runtime its work is done on.
+    /// Returns the runtime that the work runs on.
     pub fn runtime(&self) -> &Handle {
         &self.runtime
     }
 
-    /// The id these objects go by, which is given to them where nobody has done so.
+    /// Returns the id of these objects, and assigns one if they have none.
     ///
     /// # Errors
     /// [`ObjectStoreUnavailable`].
@@ -147,14 +148,14 @@ impl Objects {
         let marker =
             serde_json::to_vec_pretty(&Marker { format: 1, id: Uuid::new_v4().to_string() })?;
         match self.create(&place, marker).await {
-            // Somebody was faster.
+            // Another process created it first.
             Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
             _ => {}
         }
         Ok(serde_json::from_slice::<Marker>(&self.read(&place).await?)?.id)
     }
 
-    /// Whether it answers.
+    /// Checks that the object store answers.
     ///
     /// # Errors
     /// [`ObjectStoreUnavailable`].
@@ -162,13 +163,13 @@ impl Objects {
         self.read(&self.prefix.clone().join(MARKER)).await.map(drop)
     }
 
-    /// A small object.
+    /// Reads a small object.
     async fn read(&self, place: &Path) -> io::Result<Vec<u8>> {
         briefly(async { Ok(self.store.get(place).await?.bytes().await?.to_vec()) }).await
     }
 
-    /// Puts a small object where none is; where the store does not know conditions, the last one
-    /// counts.
+    /// Creates a small object if it does not exist. If the store does not support conditional
+    /// writes, the last write wins.
     async fn create(&self, place: &Path, bytes: Vec<u8>) -> io::Result<()> {
         let created = briefly(async {
             let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
@@ -183,7 +184,7 @@ impl Objects {
         created.await.map(drop)
     }
 
-    /// Removes everything below a place.
+    /// Removes everything below a prefix.
     async fn remove_below(&self, place: &Path) -> io::Result<()> {
         let store = self.store.clone();
         let all: Vec<Path> = store
@@ -197,7 +198,7 @@ impl Objects {
     }
 }
 
-/// Work that takes a moment, or is not to be had.
+/// Runs short work with a timeout.
 async fn briefly<T>(work: impl Future<Output = object_store::Result<T>>) -> io::Result<T> {
     match timeout(BRIEFLY, work).await {
         Ok(done) => done.map_err(told),
@@ -208,17 +209,17 @@ async fn briefly<T>(work: impl Future<Output = object_store::Result<T>>) -> io::
     }
 }
 
-/// The edition that a seal is of.
+/// Returns the edition that a seal names.
 pub fn edition_of(seal: &str) -> Option<&str> {
     seal.lines().next()?.strip_prefix("# ")
 }
 
-/// The first line of a seal: a comment for whoever else reads sums.
+/// Returns the first line of a seal, which is a comment for `sha256sum`.
 pub fn head_of_seal(edition: &str) -> String {
     format!("# {edition}\n")
 }
 
-/// The sums of a seal, in order.
+/// Returns the checksums of a seal, in order.
 pub fn sums_of_seal(seal: &str) -> Sums {
     seal.lines()
         .filter_map(|line| line.split_once("  "))

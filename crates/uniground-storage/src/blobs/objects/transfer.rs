@@ -1,4 +1,4 @@
-//! Files to objects and back, in pieces: memory does not grow with a file.
+//! Transfers files to objects and back in pieces: memory use is independent of file size.
 
 use super::{Objects, told};
 use bytes::{BufMut, BytesMut};
@@ -12,13 +12,13 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::sync::OwnedSemaphorePermit;
 use tokio::task::JoinSet;
 
-/// Larger files go in pieces of this size.
+/// Larger files are uploaded in pieces of this size.
 const PIECE: usize = 8 << 20;
-/// Pieces of one file on their way at once.
+/// Pieces of one file transferred concurrently.
 const AT_ONCE: usize = 4;
 
 impl Objects {
-    /// Puts a file.
+    /// Uploads a file.
     pub(super) async fn put_file(&self, file: &Utf8Path, place: &Path) -> io::Result<()> {
         let mut file = File::open(file).await?;
         let room = self.room().await?;
@@ -32,7 +32,7 @@ impl Objects {
         match self.put_pieces(&mut *upload, file, (first, room)).await {
             Ok(()) => upload.complete().await.map(drop).map_err(told),
             Err(error) => {
-                // What is left of it takes room until the bucket's own rules remove it.
+                // Its uploaded parts occupy space until the bucket's lifecycle rules remove them.
                 if let Err(left) = upload.abort().await {
                     tracing::debug!(
                         error = &left as &dyn std::error::Error,
@@ -77,12 +77,12 @@ impl Objects {
         Ok(())
     }
 
-    /// Room in memory for a piece.
+    /// Waits for a permit to hold one piece in memory.
     async fn room(&self) -> io::Result<OwnedSemaphorePermit> {
         self.pieces.clone().acquire_owned().await.map_err(io::Error::other)
     }
 
-    /// Writes an object to a new file; how many bytes.
+    /// Downloads an object to a new file. Returns the number of bytes.
     pub(super) async fn get_file(&self, place: &Path, file: &Utf8Path) -> io::Result<u64> {
         let mut chunks = self.store.get(place).await.map_err(told)?.into_stream();
         let (mut file, mut bytes) = (File::create(file).await?, 0);
@@ -96,7 +96,7 @@ impl Objects {
     }
 }
 
-/// The next bytes of a file; fewer than a piece where it ends.
+/// Reads the next piece of a file; it is shorter at the end of the file.
 async fn piece_of(file: &mut File) -> io::Result<BytesMut> {
     let left = file.metadata().await?.len();
     let mut piece = BytesMut::with_capacity(PIECE.min(usize::try_from(left).unwrap_or(PIECE)));
