@@ -96,7 +96,7 @@ fn deciding(c: &mut Criterion) {
         for query in QUESTIONS {
             let question = Question::of(query);
             group.bench_function(format!("{count}: {query}"), |b| {
-                b.iter(|| ground(scene, black_box(&question)))
+                b.iter(|| ground(scene, black_box(&question)));
             });
         }
     }

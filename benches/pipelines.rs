@@ -50,14 +50,14 @@ fn pipelines(c: &mut Criterion) {
     let mut group = c.benchmark_group("stage 1, sample scene");
     group.sample_size(10).measurement_time(Duration::from_secs(8));
     group.bench_function("import: check, decode, fuse the cloud", |b| {
-        b.iter(|| load(black_box(folder)))
+        b.iter(|| load(black_box(folder)));
     });
     group.bench_function("superpoints", |b| {
-        b.iter(|| superpoints::compute(&bundle.cloud, &settings.superpoints, &silent).unwrap())
+        b.iter(|| superpoints::compute(&bundle.cloud, &settings.superpoints, &silent).unwrap());
     });
     let frame = frames[0].decode().unwrap();
     group.bench_function("rgbd masks, one frame", |b| {
-        b.iter(|| masks.masks(black_box(&frame), &silent))
+        b.iter(|| masks.masks(black_box(&frame), &silent));
     });
     group.bench_function("parse: superpoints to views", |b| {
         b.iter(|| {

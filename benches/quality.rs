@@ -54,12 +54,12 @@ fn options() -> Options {
             "--settings" => {
                 options.settings =
                     serde_json::from_str(&std::fs::read_to_string(args.next().unwrap()).unwrap())
-                        .unwrap()
+                        .unwrap();
             }
             "--misses" => options.misses = true,
             "--brief" => options.brief = true,
             "--rooms" => {
-                options.rooms = Some(args.next().unwrap().split(',').map(str::to_owned).collect())
+                options.rooms = Some(args.next().unwrap().split(',').map(str::to_owned).collect());
             }
             folder => options.folder = folder.into(),
         }

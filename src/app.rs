@@ -1,5 +1,5 @@
-//! Composition root: configuration to parts to a running service to a clean stop. The only place
-//! that knows every part.
+//! Composition root: builds the running service from the configuration and stops it cleanly. Only
+//! this file knows all parts.
 
 use crate::config::{ChosenModels, JobType, ProcessRole, ServeConfig, Vectors};
 use crate::http::{self, AllowedHosts, App, EventStreams, Mcp, Origins};
@@ -21,9 +21,9 @@ use uniground_service::{
 use uniground_storage::{BlobsAt, DbNotification, Location, NotificationListener, Store};
 use uniground_telemetry::metrics::Metrics;
 
-/// A service that listens.
+/// A running service.
 pub struct RunningService {
-    /// Where it listens, with the port the system picked.
+    /// The address it listens on, with the port that the system chose.
     pub address: SocketAddr,
     services: Services,
     shutdown: CancellationToken,
@@ -32,23 +32,24 @@ pub struct RunningService {
     store: Store,
 }
 
-/// Starts everything, or what a server's role leaves of it.
+/// Starts the whole service, or the parts that the server's role includes.
 ///
 /// # Errors
-/// When the address, the data folder or the key can not be used.
+/// Returns an error when the address, the data folder or the key cannot be used.
 pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
     start_part(config, &config.role.into()).await
 }
 
-/// Starts a part of everything; others over the same database do the rest.
+/// Starts a part of the service. Other processes with the same database do the rest.
 ///
 /// # Errors
-/// As [`start`]; a part where the database is of one process.
+/// Returns the errors of [`start`], and an error for a part if the database supports a single
+/// process only.
 pub async fn start_part(
     config: &ServeConfig,
     part: &ProcessRole,
 ) -> anyhow::Result<RunningService> {
-    // It holds much while it waits: whoever starts it need not hold that too.
+    // The future is large. Boxing it keeps the caller's future small.
     Box::pin(build_app(config, part)).await
 }
 
@@ -79,7 +80,7 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
         "{} can be reached from other machines: make a key (uniground key create), set UNIGROUND_API_KEY or --api-key-file, or say --allow-anybody",
         config.listen
     );
-    // On an address of the network, the operator has said that anybody may ask, or there are keys.
+    // On a network address, keys exist or the operator has allowed access without keys.
     let is_private = config.listen.ip().is_loopback();
     let metrics = Arc::<Metrics>::default();
     let jobs =
@@ -131,7 +132,7 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
 
     let shutdown = CancellationToken::new();
     services.webhooks.note_announcements(webhook.as_ref()).await?;
-    // Beside others they may be of a newer version.
+    // Other running processes may be of a newer version, with job kinds unknown here.
     if store.locks.was_alone_at_start() {
         jobs.refuse_unknown_kinds(&JobType::ALL.map(JobType::kind)).await?;
     }
@@ -187,7 +188,7 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
     Ok(RunningService { address, services, shutdown, server, lanes, store })
 }
 
-/// What is not in the data folder.
+/// Describes the stores outside of the data folder.
 fn elsewhere(config: &ServeConfig) -> String {
     let database = Some(&config.database.location)
         .filter(|at| **at != Location::Folder)
@@ -198,7 +199,7 @@ fn elsewhere(config: &ServeConfig) -> String {
     if named.is_empty() { String::new() } else { format!(" with {}", named.join(" and ")) }
 }
 
-/// Gives a kind of job its lane.
+/// Starts the lane of a kind of job.
 fn start_lane<K: JobKind>(
     jobs: &Jobs,
     kind: K,
@@ -207,21 +208,21 @@ fn start_lane<K: JobKind>(
 ) -> JoinHandle<()> {
     let (jobs, shutdown) = (jobs.clone(), shutdown.clone());
     tokio::spawn(async move {
-        jobs.run_lane(Arc::new(kind), at_once.unwrap_or(K::CONCURRENCY), shutdown).await
+        jobs.run_lane(Arc::new(kind), at_once.unwrap_or(K::CONCURRENCY), shutdown).await;
     })
 }
 
-/// Does what other processes' doings ask for, as soon as they are known here.
+/// Handles notifications of other processes: wakes lanes and reloads keys.
 async fn handle_notifications(
     mut listen: NotificationListener,
     jobs: Jobs,
     keys: Keyring,
     shutdown: CancellationToken,
 ) {
-    /// News may be missed, in silence too: after so long everything is looked at.
+    /// Notifications can get lost without an error. After this time, everything is checked.
     const SILENCE: Duration = Duration::from_secs(10);
     const TROUBLE: Duration = Duration::from_secs(2);
-    // As is what came before the first of them.
+    // Notifications before the first one count as missed too.
     let mut news = DbNotification::Missed;
     loop {
         match &news {
@@ -254,8 +255,8 @@ async fn handle_notifications(
     }
 }
 
-/// Says at the start, and not with somebody's question, that the vision-language model's server is
-/// not there, or what it will not take.
+/// Checks the vision-language model's server at startup, not on the first question. Logs a warning
+/// if it is unreachable or has a limit that requests will exceed.
 async fn look_for_model(chat: Arc<ChatClient>, services: Services) {
     let Some(vlm) = services.vlm() else { return };
     if let Err(error) = chat.reach().await {
@@ -270,8 +271,8 @@ async fn look_for_model(chat: Arc<ChatClient>, services: Services) {
     }
 }
 
-/// Removes what was kept long enough, sweeps, and looks whether what is stored is still what was
-/// written: a while after the start, and every day.
+/// Applies retention, removes orphans and verifies stored data: one minute after the start, and
+/// every day.
 async fn run_maintenance(services: Services, shutdown: CancellationToken) {
     const DAY: Duration = Duration::from_hours(24);
     let mut wait = Duration::from_mins(1);
@@ -285,8 +286,7 @@ async fn run_maintenance(services: Services, shutdown: CancellationToken) {
     }
 }
 
-/// Notes what the rooms are known by whose parses are new, or of which something else is known by
-/// now.
+/// Updates the room index for rooms with a new parse, or whose indexed data has changed.
 async fn keep_index(services: Services, shutdown: CancellationToken) {
     const EVERY: Duration = Duration::from_secs(3);
     while shutdown.run_until_cancelled(sleep(EVERY)).await.is_some() {
@@ -299,7 +299,7 @@ async fn keep_index(services: Services, shutdown: CancellationToken) {
     }
 }
 
-/// Writes the reserve file again that was released on a full disk, once the disk has room.
+/// Restores the reserve file that was released on a full disk, once the disk has space.
 async fn keep_reserve(store: Store, shutdown: CancellationToken) {
     const EVERY: Duration = Duration::from_mins(1);
     while shutdown.run_until_cancelled(sleep(EVERY)).await.is_some() {
@@ -307,8 +307,8 @@ async fn keep_reserve(store: Store, shutdown: CancellationToken) {
     }
 }
 
-/// Goes on with uploads that were all there when their server stopped, or that a full queue or disk
-/// kept waiting.
+/// Continues uploads that were complete when their server stopped, or that waited because of a full
+/// queue or disk.
 async fn make_left_uploads(services: Services, shutdown: CancellationToken) {
     const EVERY: Duration = Duration::from_secs(10);
     while let Some(made) = shutdown.run_until_cancelled(services.uploads.make_left_uploads()).await
@@ -325,8 +325,8 @@ async fn make_left_uploads(services: Services, shutdown: CancellationToken) {
     }
 }
 
-/// As many connections as wanted, as far as the system gives file descriptors for them; the rest is
-/// for files.
+/// Returns the number of connections: at most `wanted`, and at most half of the available file
+/// descriptors. The other half is for files.
 fn most_connections(wanted: u32) -> usize {
     use rustix::process::{Resource, getrlimit, setrlimit};
     let mut limit = getrlimit(Resource::Nofile);
@@ -338,27 +338,27 @@ fn most_connections(wanted: u32) -> usize {
     usize::try_from(u64::from(wanted).min(files / 2)).unwrap_or(usize::MAX).max(8)
 }
 
-/// How long running requests may take once the service stops.
+/// Time that running requests get to finish after the service stops.
 const GRACE: Duration = Duration::from_secs(5);
 
 impl RunningService {
-    /// The use cases.
+    /// Returns the services.
     #[must_use]
     pub fn services(&self) -> Services {
         self.services.clone()
     }
 
-    /// Stops: no new requests, running ones finish, running jobs go back to their queues, the
-    /// database is closed.
+    /// Stops the service: accepts no new requests, lets running requests finish, returns running
+    /// jobs to their queues, and closes the database.
     ///
     /// # Errors
-    /// When the server or a lane had panicked before.
+    /// Returns an error when the server or a lane panicked before.
     pub async fn stop(self) -> anyhow::Result<()> {
         self.shutdown.cancel();
         for lane in self.lanes {
             lane.await?;
         }
-        // A caller that stalls in the middle of its request must not keep the process alive.
+        // A caller that stalls during its request must not keep the process alive.
         let abort = self.server.abort_handle();
         let served = timeout(GRACE, self.server).await.unwrap_or_else(|_| {
             tracing::warn!("shutdown timeout reached; aborting unfinished requests");
@@ -369,9 +369,10 @@ impl RunningService {
         Ok(served?)
     }
 
-    /// Completes when the server ends by itself, which it only does when it panics.
+    /// Completes when the server ends by itself, which only happens when it panics.
     pub async fn ended(&mut self) {
-        // A finished handle must not be polled again: `stop` does that for the error, so only look.
+        // A finished handle must not be polled again. `stop` polls it for its error, so only check
+        // it here.
         while !self.server.is_finished() {
             sleep(Duration::from_millis(200)).await;
         }

@@ -1,5 +1,5 @@
-//! The log, on stderr, and traces, to a collector. Secrets this process was told are blotted out of
-//! it, at every level and whoever logs them.
+//! Writes the log to stderr and sends traces to a collector. Secrets of this process are redacted
+//! from the log, at every level and from every source.
 
 mod traces;
 
@@ -13,17 +13,17 @@ use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, Layer, fmt};
 
-/// Warnings and errors only, for commands whose output is for people.
+/// Logs warnings and errors only, for commands whose output is for people.
 pub fn start_quiet() {
     start_at("warn");
 }
 
-/// The same for commands that tell by themselves what became of the job they wait for.
+/// The same for commands that report the result of their job themselves.
 pub fn start_quiet_about_jobs() {
     start_at("warn,uniground::jobs::lane=error");
 }
 
-/// The same for commands whose statements take long because they read all there is.
+/// The same for commands with slow statements, because they read all data.
 pub fn start_quiet_about_statements() {
     start_at("warn,sqlx::query=error");
 }
@@ -36,11 +36,11 @@ fn start_at(levels: &str) {
     }
 }
 
-/// Starts logging, and sending traces where that is wanted, as long as what is returned lives; a
-/// second call in the same process changes nothing.
+/// Starts logging and, if configured, sending traces while the returned value lives. A second call
+/// in the same process has no effect.
 ///
 /// # Errors
-/// An endpoint that is no address.
+/// Returns an error for an endpoint that is not a valid address.
 pub fn start(config: &LogConfig) -> anyhow::Result<Option<Traces>> {
     let filter = EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| EnvFilter::new("info,sqlx=warn,ort=warn,object_store=warn"));
@@ -60,20 +60,20 @@ pub fn start(config: &LogConfig) -> anyhow::Result<Option<Traces>> {
 }
 
 static SECRETS: RwLock<Vec<String>> = RwLock::new(Vec::new());
-/// Shorter ones would blot out half the log.
+/// Minimum length of a redacted secret. Shorter ones would redact half of the log.
 const SHORTEST_SECRET: usize = 6;
 
-/// Keeps a secret out of the log from now on.
+/// Redacts a secret from the log from now on.
 pub fn hide(secret: &str) {
     let mut secrets = SECRETS.write().unwrap_or_else(PoisonError::into_inner);
     if secret.len() >= SHORTEST_SECRET && !secrets.iter().any(|known| known == secret) {
         secrets.push(secret.to_owned());
-        // The longest first: one may be part of another.
+        // The longest first, because one secret may contain another.
         secrets.sort_by_key(|secret| std::cmp::Reverse(secret.len()));
     }
 }
 
-/// Keeps out of the log what an address holds of secrets: a password, and the values of its query.
+/// Redacts the secrets in an address: a password, and the values of its query.
 pub fn hide_secrets_of(address: &str) {
     if let Ok(url) = Url::parse(address) {
         url.password().iter().for_each(|password| hide(password));
@@ -86,7 +86,7 @@ pub fn hide_secrets_of(address: &str) {
     }
 }
 
-/// A text without secrets.
+/// Returns a text with secrets redacted.
 #[must_use]
 pub fn scrubbed(text: &str) -> String {
     let secrets = SECRETS.read().unwrap_or_else(PoisonError::into_inner);
@@ -96,7 +96,7 @@ pub fn scrubbed(text: &str) -> String {
     })
 }
 
-/// Stderr, line by line: what formats a line of the log hands it over whole.
+/// Stderr, line by line. The log formatter passes each line as a whole.
 struct Scrubbed;
 
 impl Write for Scrubbed {

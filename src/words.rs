@@ -1,5 +1,4 @@
-//! Words of the command line that stand for values of the pipelines and the API, with a line of
-//! help each.
+//! Words of the command line for values of the pipelines and the API, with a line of help each.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use serde::de::DeserializeOwned;
@@ -11,7 +10,7 @@ use uniground_types::problem::FieldError;
 use uniground_types::question::{EvidenceMode, FrameChoice, ReasonerChoice};
 use uniground_types::settings::{ParsePreset, check_metres_per_unit};
 
-/// What computes.
+/// Parses an execution provider.
 pub fn provider() -> impl TypedValueParser<Value = Provider> {
     words(&[("cpu", ""), ("cuda", ""), ("tensorrt", ""), ("coreml", "")])
 }
@@ -59,19 +58,19 @@ pub fn frame() -> impl TypedValueParser<Value = FrameChoice> {
     ])
 }
 
-/// US dollars.
+/// Parses an amount in US dollars.
 ///
 /// # Errors
-/// What is no amount of money. JSON has no word for `NaN`: it would be left out, and with it the
-/// limit.
+/// Returns an error for an invalid amount. `NaN` is refused: JSON cannot represent it, so it would
+/// be left out, and the limit with it.
 pub fn usd(text: &str) -> Result<f64, String> {
     checked(text, |usd| numbers::zero_or_more("", usd))
 }
 
-/// The length of one unit of a scan's files, metres.
+/// Parses the length of one unit of a scan's files, meters.
 ///
 /// # Errors
-/// What is no such length.
+/// Returns an error for an invalid length.
 pub fn metres_per_unit(text: &str) -> Result<f64, String> {
     checked(text, |metres| check_metres_per_unit("", Some(metres)))
 }
@@ -81,7 +80,7 @@ fn checked(text: &str, check: impl FnOnce(f64) -> Result<(), FieldError>) -> Res
     check(number).map(|()| number).map_err(|error| error.detail)
 }
 
-/// Words in the spelling of the command line; the API writes them with underscores.
+/// Parses words in the spelling of the command line. The API writes them with underscores.
 fn words<T: DeserializeOwned + Clone + Send + Sync + 'static>(
     known: &[(&'static str, &'static str)],
 ) -> impl TypedValueParser<Value = T> {

@@ -96,7 +96,7 @@ async fn show(args: &DemoArgs, client: &Client) -> anyhow::Result<()> {
         client.models().await?.models.into_iter().map(|model| model.name).collect();
     match used.is_empty() {
         true => {
-            println!("Names come from sizes and colours only: no model was used. {WITH_MODELS}")
+            println!("Names come from sizes and colours only: no model was used. {WITH_MODELS}");
         }
         false => println!("Models that took part: {}.", used.join(", ")),
     }

@@ -58,7 +58,7 @@ pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
     match waiting {
         _ if *as_json => print_json(&as_value(data_dir, &findings, waiting))?,
         Some(waiting) => {
-            println!("repaired: {}; {waiting} parses wait for the server", cured.len())
+            println!("repaired: {}; {waiting} parses wait for the server", cured.len());
         }
         None if cured.is_empty() => {}
         None => println!(

@@ -61,10 +61,10 @@ impl ProgressBarView<'_> {
             Event::There(folder) => self.line(&format!("{folder} is there")),
             Event::Placed(file) => self.line(file.as_str()),
             Event::Begins(package, bytes) if io::stderr().is_terminal() => {
-                self.bar = Some(bar(package, bytes))
+                self.bar = Some(bar(package, bytes));
             }
             Event::Begins(package, bytes) => {
-                eprintln!("fetching {package}, {:.1} MB", bytes as f64 / 1e6)
+                eprintln!("fetching {package}, {:.1} MB", bytes as f64 / 1e6);
             }
             Event::Received(bytes) => self.bar.iter().for_each(|bar| bar.set_position(bytes)),
             Event::Arrived => self.bar.take().into_iter().for_each(|bar| bar.finish_and_clear()),

@@ -126,7 +126,7 @@ pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
             ErrorKind::ArgumentConflict,
             "a scan on the disk lies in no map: --frame map is for scenes of a server that were told where",
         ),
-        (Some(scan), _) => local::answer(scan, &args.local, request).await?,
+        (Some(scan), _) => Box::pin(local::answer(scan, &args.local, request)).await?,
         (None, Some(scene)) => ask(args, scene, &request).await?,
         (None, None) if Utf8Path::new(&args.query).exists() => usage(
             ErrorKind::MissingRequiredArgument,

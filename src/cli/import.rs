@@ -113,7 +113,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
     let mut stdout = io::stdout().lock();
     match args.json {
         true => {
-            writeln!(stdout, "{}", serde_json::to_string_pretty(&ImportOutput::of(&imported))?)?
+            writeln!(stdout, "{}", serde_json::to_string_pretty(&ImportOutput::of(&imported))?)?;
         }
         false => summary(&imported)
             .iter()

@@ -110,7 +110,7 @@ async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
     let (named, flag) = (resolve_scene::shortest(&known, &scene), args.server.flag());
     match is_awaited || job.is_none() {
         true => {
-            eprintln!("ask: uniground ground --scene {named}{flag} \"the chair next to the door\"")
+            eprintln!("ask: uniground ground --scene {named}{flag} \"the chair next to the door\"");
         }
         false => eprintln!(
             "it is being parsed; ask: uniground ground --scene {named}{flag} --wait \"the chair next to the door\""

@@ -184,7 +184,7 @@ impl ModelChooser<'_> {
                     return format!("{} (found in {folder}{cost})", bundle.name);
                 }
                 Err(error) => {
-                    self.warnings.push(format!("{} can not be used: {error:#}", bundle.name))
+                    self.warnings.push(format!("{} can not be used: {error:#}", bundle.name));
                 }
             }
         }

@@ -100,12 +100,12 @@ impl From<Error> for ProblemResponse {
         // The only line about it: route and request id are those of the request's span.
         match status {
             StatusCode::BAD_GATEWAY | StatusCode::GATEWAY_TIMEOUT => {
-                tracing::warn!(code, cause = with_causes(&error), "request failed")
+                tracing::warn!(code, cause = with_causes(&error), "request failed");
             }
             // Told when it was found to be down.
             _ if matches!(error, Error::VlmDown { .. }) => tracing::debug!(code, "request failed"),
             _ if status.is_server_error() => {
-                tracing::error!(code, cause = with_causes(&error), "request failed")
+                tracing::error!(code, cause = with_causes(&error), "request failed");
             }
             _ => tracing::debug!(code, cause = with_causes(&error), "request refused"),
         }
@@ -124,16 +124,16 @@ impl From<Error> for ProblemResponse {
         let Self(mut problem) = Self::new(status, code, detail);
         match error {
             Error::Invalid { pointer, detail } => {
-                problem.errors.push(FieldError { pointer, detail })
+                problem.errors.push(FieldError { pointer, detail });
             }
             Error::SceneNotReady { job_id, .. } => problem.job_id = job_id,
             Error::Overloaded | Error::TooMany { .. } | Error::UploadBusy { .. } => {
-                problem.retry_after_s = Some(1)
+                problem.retry_after_s = Some(1);
             }
             Error::VlmDown { again_in_s } => problem.retry_after_s = u32::try_from(again_in_s).ok(),
             _ if status == StatusCode::SERVICE_UNAVAILABLE => problem.retry_after_s = Some(2),
             Error::Jobs(JobsError::QueueFull { again_in_s, .. }) => {
-                problem.retry_after_s = Some(again_in_s)
+                problem.retry_after_s = Some(again_in_s);
             }
             _ => {}
         }

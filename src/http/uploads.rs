@@ -63,7 +63,7 @@ impl UploadParameters {
                     parameters.parse =
                         Some(text.parse().map_err(|_| {
                             ProblemResponse::invalid("parse", "\"true\" or \"false\"")
-                        })?)
+                        })?);
                 }
                 "up" => parameters.up = Some(word("up", text)?),
                 "preset" => parameters.preset = Some(word("preset", text)?),

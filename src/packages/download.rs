@@ -1,4 +1,4 @@
-//! An archive from its registry to a file, checked while it comes.
+//! Downloads an archive from its registry to a file, and verifies it during the download.
 
 use super::{Event, FetchError, Package, Registries, why};
 use crate::packages::unpack::hex;
@@ -9,16 +9,17 @@ use std::io::{Read, Seek, Write};
 use std::time::Duration;
 use uniground_client::choose_cryptography;
 
-/// How long a registry may take to connect, to answer, and between two pieces of an archive.
+/// Timeout for connecting to a registry, for its response, and between two chunks of an archive.
 const PATIENCE: Duration = Duration::from_mins(1);
 const CONNECT: Duration = Duration::from_secs(15);
-/// How much is read at once.
+/// Number of bytes that are read at once.
 const PIECE_BYTES: usize = 1 << 16;
 
-/// Streams a package's archive into `to`, which is at its beginning afterwards.
+/// Streams a package's archive into `to`. The file is at its start afterwards.
 ///
 /// # Errors
-/// The registry can not be asked or does not have it; the archive breaks off, or is another one.
+/// Returns an error when the registry is unreachable or does not have the archive, or when the
+/// archive is truncated or differs from the expected one.
 pub fn archive(
     package: &Package,
     registries: &Registries,
@@ -35,7 +36,7 @@ pub fn archive(
         .map_err(|e| broken(why(e)))?;
     let address = registry.address_of(package, &client)?;
     let answer = client.get(address).send().and_then(reqwest::blocking::Response::error_for_status);
-    // One byte more than it may have: enough to see that it is too long.
+    // One byte more than expected, to detect an archive that is too long.
     let mut body = answer.map_err(|e| broken(why(e)))?.take(package.bytes + 1);
     tell(Event::Begins(package.to_string(), package.bytes));
     let (mut sum, mut piece, mut received) = (Sha256::new(), vec![0; PIECE_BYTES], 0);

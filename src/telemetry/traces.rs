@@ -1,8 +1,8 @@
-//! Traces: the spans of requests, jobs and calls of models, sent to an OpenTelemetry collector
-//! (OTLP over HTTP).
+//! Traces: sends the spans of requests, jobs and model calls to an OpenTelemetry collector (OTLP
+//! over HTTP).
 //!
-//! Spans only, no lines of the log: what is sent are ids, routes, kinds and outcomes. The log alone
-//! is scrubbed of secrets, and stays here.
+//! Only spans are sent, no log lines: ids, routes, kinds and outcomes. Secrets are redacted in the
+//! log only, and the log stays on this machine.
 
 use anyhow::{Context, ensure};
 use opentelemetry::trace::TracerProvider;
@@ -17,7 +17,7 @@ use tracing_subscriber::filter::filter_fn;
 use tracing_subscriber::registry::LookupSpan;
 use uniground_client::choose_cryptography;
 
-/// Sends spans as long as it lives, and what is left when it goes.
+/// Sends spans while it lives, and the remaining ones on drop.
 pub struct Traces(SdkTracerProvider);
 
 impl Drop for Traces {
@@ -28,8 +28,8 @@ impl Drop for Traces {
     }
 }
 
-/// A layer that sends spans to a collector, by its address without `/v1/traces`. How many are sent
-/// is up to the variables of OpenTelemetry (`OTEL_TRACES_SAMPLER`), and to callers who say so in
+/// Returns a layer that sends spans to a collector, given its address without `/v1/traces`. The
+/// sampling rate is set by OpenTelemetry's variables (`OTEL_TRACES_SAMPLER`) and by callers in
 /// `traceparent`.
 pub(super) fn sent_to<S>(
     endpoint: &str,

@@ -10,7 +10,7 @@ from tritonclient.grpc.model_config_pb2 import DataType, ModelConfig
 
 from tools import complaints
 
-DATA = Path(__file__).resolve().parents[2] / "crates" / "uniground-core" / "tests" / "data"
+DATA = Path(__file__).resolve().parents[2] / "crates" / "uniground-models" / "tests" / "data"
 BUNDLES = ["tiny-dual-encoder", "tiny-segmenter", "tiny-segmenter-sam"]
 NETWORKS = {f"{bundle}-{part}" for bundle in BUNDLES for part in (("image", "text") if "dual" in bundle else ("encoder", "decoder"))}
 TYPES = {onnx.TensorProto.FLOAT: DataType.TYPE_FP32, onnx.TensorProto.INT64: DataType.TYPE_INT64}

@@ -212,7 +212,7 @@ async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
         .await;
     match server.client.ground(&scene.id, &with_model("the mug")).await {
         Err(ClientError::Problem(problem)) => {
-            assert_eq!((problem.code.as_str(), problem.status), ("vlm_not_configured", 409))
+            assert_eq!((problem.code.as_str(), problem.status), ("vlm_not_configured", 409));
         }
         other => panic!("{other:?}"),
     }

@@ -78,7 +78,7 @@ async fn the_first_key_opens_a_server_to_the_network() {
     let listed = key(&["list", "--data-dir", folder.as_str()]);
     match location(folder) {
         Location::Postgres(_) => {
-            assert!(String::from_utf8_lossy(&listed.stdout).contains("boss"), "several may use it")
+            assert!(String::from_utf8_lossy(&listed.stdout).contains("boss"), "several may use it");
         }
         _ => assert!(
             String::from_utf8_lossy(&listed.stderr).contains("another server uses this data")

@@ -119,7 +119,7 @@ fn clip_embeddings_are_those_of_the_python_runtime() {
     {
         match encoder.embed_text(text).unwrap().vector {
             Some(own) => {
-                assert!(cosine(&own, &expected) >= 0.999, "{text}: {}", cosine(&own, &expected))
+                assert!(cosine(&own, &expected) >= 0.999, "{text}: {}", cosine(&own, &expected));
             }
             None => assert!(expected.iter().all(|v| *v == 0.0), "{text}"),
         }

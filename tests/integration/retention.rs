@@ -162,7 +162,7 @@ async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_was_kept_long_enough_goes_and_nothing_else() {
-    let (data, scene, answer, paused) = folder_of_every_kind().await;
+    let (data, scene, answer, paused) = Box::pin(folder_of_every_kind()).await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
     let before = everything(folder);
     let announced = told(&gc(folder, &["--dry-run", "--json"]));

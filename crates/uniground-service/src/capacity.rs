@@ -13,8 +13,8 @@ pub struct Capacity {
 }
 
 impl Capacity {
-    /// Whether there is room for something more of a size, and some for the rest: what runs goes
-    /// on, questions are answered and kept.
+    /// Checks that the disk has room for `bytes` more, with enough left for the rest: running work,
+    /// questions and their answers.
     pub(crate) fn check_disk(&self, bytes: u64) -> Result<(), Error> {
         let free = self.health_probe.free_bytes()?;
         if free < self.limits.keep_free_bytes.saturating_add(bytes) {
@@ -24,8 +24,8 @@ impl Capacity {
         }
     }
 
-    /// Whether there is memory for something that takes so much. Where the system does not tell, it
-    /// is believed; blocks.
+    /// Checks that there is memory for `wanted` more bytes. Passes if the system does not report
+    /// its memory. Blocks.
     pub(crate) fn check_memory(&self, wanted: u64) -> Result<(), Error> {
         let Some(MemoryUsage { resident, most }) = MemoryUsage::now() else { return Ok(()) };
         let most = self.limits.max_memory_bytes.unwrap_or(most);

@@ -1,10 +1,11 @@
-//! Whether what is stored is whole: database against files, files against their sums. What can be
-//! made again is.
+//! Checks stored data: the database against files, and files against their checksums. Repairs what
+//! can be recreated.
 
 use super::{Caller, ParseJob};
 use crate::error::Error;
 use crate::{ParseService, ParsedScenes};
 use std::fmt;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::spawn_blocking;
 use uniground_jobs::JobKind;
@@ -14,39 +15,39 @@ use uniground_storage::{
 };
 use uniground_types::settings::ParseSettings;
 
-/// Something that is not as it should be.
+/// A problem that was found.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finding {
     pub trouble: FindingKind,
-    /// In plain words, with the file or id.
+    /// A description in plain words, with the file or id.
     pub detail: String,
 }
 
-/// Kinds of trouble, and what can be done.
+/// Kinds of problems and their remedies.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum FindingKind {
-    /// The database itself. Nothing is done: restore a backup.
+    /// The database itself is damaged. Not repaired: restore a backup.
     Database,
-    /// Rows that refer to rows which do not exist: the reference is cleared or the rows are
-    /// removed; scenes without a parse are parsed again.
+    /// Rows refer to rows that do not exist. The reference is cleared or the rows are removed.
+    /// Scenes without a parse are parsed again.
     References,
-    /// A scan's files. They can not be made again: upload the scan once more.
+    /// A scan's files are damaged. They cannot be recreated: upload the scan again.
     Content { hash: String },
-    /// A parse's files: it is made again.
+    /// A parse's files are damaged. The parse is made again.
     Parse { id: String },
-    /// A folder no record speaks of: it goes to the quarantine.
+    /// A folder without a record. It is moved to the quarantine.
     Unclaimed { kind: &'static str, name: String },
-    /// A folder the database can not judge, being empty or younger. Nothing is done: it may be the
-    /// database that is wrong.
+    /// A folder that cannot be judged, because the database is empty or younger. Not repaired: the
+    /// database may be the wrong one.
     Unjudged,
-    /// A file where only folders belong. Nothing is done: it is somebody else's.
+    /// A file where only folders belong. Not repaired: it belongs to someone else.
     StrayFile,
-    /// A job of a scene that is gone: it ends.
+    /// A job of a scene that was deleted. The job is ended.
     Job { id: String },
 }
 
 impl FindingKind {
-    /// What repairing does about it; `None`: that is for people.
+    /// Returns what a repair does about this. `None` means that a person must act.
     #[must_use]
     pub fn remedy(&self) -> Option<&'static str> {
         match self {
@@ -74,7 +75,7 @@ impl fmt::Display for FindingKind {
     }
 }
 
-/// Examines and repairs what is stored.
+/// Checks and repairs stored data.
 #[derive(Clone)]
 pub struct DoctorService {
     pub(crate) integrity_repository: IntegrityRepository,
@@ -83,15 +84,15 @@ pub struct DoctorService {
     pub(crate) parse_repository: ParseRepository,
     pub(crate) orphan_repository: OrphanRepository,
     pub(crate) job_repository: JobRepository,
-    pub(crate) parsed_scenes: ParsedScenes,
-    pub(crate) parse_service: ParseService,
+    pub(crate) parsed_scenes: Arc<ParsedScenes>,
+    pub(crate) parse_service: Arc<ParseService>,
 }
 
 impl DoctorService {
-    /// Looks at everything that is stored, every byte of it.
+    /// Checks all stored data, every byte of it.
     ///
     /// # Errors
-    /// [`Error`] where it can not be looked at at all.
+    /// [`Error`] if the check cannot run at all.
     pub async fn examine(&self) -> Result<Vec<Finding>, Error> {
         let mut findings = Vec::new();
         let mut found = |trouble, detail: String| findings.push(Finding { trouble, detail });
@@ -155,10 +156,10 @@ impl DoctorService {
         Ok(findings)
     }
 
-    /// Does what can be done about findings.
+    /// Repairs the findings that can be repaired.
     ///
     /// # Errors
-    /// [`Error`] of the store; what was done stays done.
+    /// [`Error`] of the store. What was done stays done.
     pub async fn repair(&self, findings: &[Finding]) -> Result<(), Error> {
         if findings.iter().any(|finding| finding.trouble == FindingKind::References) {
             for scene_id in self.integrity_repository.repair_references().await? {
@@ -171,7 +172,7 @@ impl DoctorService {
             match trouble {
                 FindingKind::Parse { id } => self.parsed_scenes.retire_parse(id).await?,
                 FindingKind::Unclaimed { kind, name } => {
-                    self.orphan_repository.quarantine(vec![(kind, name.clone())]).await?
+                    self.orphan_repository.quarantine(vec![(kind, name.clone())]).await?;
                 }
                 FindingKind::Job { id } => self.job_repository.end_orphan(id).await?,
                 FindingKind::Database
@@ -184,7 +185,8 @@ impl DoctorService {
         Ok(())
     }
 
-    /// Jobs that wait for a server: what was repaired is finished by the next one.
+    /// Returns the number of queued parses. The next server that starts runs them and so completes
+    /// the repair.
     ///
     /// # Errors
     /// [`Error::Store`].
@@ -193,7 +195,8 @@ impl DoctorService {
     }
 }
 
-/// The first thing that is wrong, and how many more; strays hurt nobody.
+/// Describes the first damaged file and how many more there are. Stray files are ignored because
+/// they do no harm.
 fn told(wrong: &[DamagedFile]) -> Option<String> {
     let mut wrong = wrong.iter().filter(|damage| damage.what != "stray");
     let DamagedFile { file, what } = wrong.next()?;

@@ -1,4 +1,4 @@
-//! Everything that can go wrong in a use case, without HTTP. `http/problem.rs` maps it once.
+//! All errors of the use cases, without HTTP. `http/problem.rs` maps them once.
 
 use std::io;
 use uniground_geometry::scene::InstanceId;
@@ -253,8 +253,8 @@ impl Error {
         Self::Invalid { pointer: pointer.into(), detail: detail.into() }
     }
 
-    /// Whether the same may go well a while later: a disk that was full, a database that was
-    /// locked, a model that did not answer.
+    /// Returns whether a later retry may succeed: after a full disk, a locked database, or a model
+    /// that did not answer.
     #[must_use]
     pub fn is_transient(&self) -> bool {
         matches!(
@@ -273,7 +273,7 @@ impl Error {
         )
     }
 
-    /// Whether the disk is full.
+    /// Returns whether the disk is full.
     #[must_use]
     pub fn is_disk_full(&self) -> bool {
         match self {
@@ -286,13 +286,13 @@ impl Error {
         }
     }
 
-    /// Whether somebody else holds the database for a moment.
+    /// Returns whether another connection holds the database for a moment.
     #[must_use]
     pub fn is_store_busy(&self) -> bool {
         matches!(self, Self::Store(error) | Self::Jobs(JobsError::Store(error)) if error.is_busy())
     }
 
-    /// Whether the object store can not be had for a moment.
+    /// Returns whether the object store is temporarily unavailable.
     #[must_use]
     pub fn is_object_store_unavailable(&self) -> bool {
         match self {
@@ -306,7 +306,7 @@ impl Error {
         }
     }
 
-    /// Stable code of this error, part of the API.
+    /// Returns the stable code of this error, which is part of the API.
     #[must_use]
     pub fn code(&self) -> &'static str {
         use uniground_geometry::scene::FrameError;
@@ -399,7 +399,7 @@ impl Error {
     }
 }
 
-/// Stable code of what is wrong with an upload.
+/// Returns the stable code of an upload's error.
 fn code_of_import(error: &IngestError) -> &'static str {
     match error.kind() {
         IngestErrorKind::ArchiveUnreadable => "archive_unreadable",

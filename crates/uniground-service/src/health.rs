@@ -1,4 +1,4 @@
-//! Whether everything a request or a job may need is there.
+//! Checks whether everything that requests and jobs need is available.
 
 use crate::Vlm;
 use crate::single_flight_cache::SingleFlightCache;
@@ -8,22 +8,23 @@ use uniground_endpoints::inference::Probe;
 use uniground_jobs::Jobs;
 use uniground_storage::{HealthProbe, StoreHealth};
 
-/// How the parts of the service are.
+/// The state of the parts of the service.
 #[derive(Debug, Clone, Default)]
 pub struct Health {
     pub store: StoreHealth,
-    /// Kinds of jobs that nobody works on any more.
+    /// Kinds of jobs whose workers have stopped.
     pub dead_lanes: Vec<&'static str>,
-    /// Where an inference server runs the networks: why it does not, if so.
+    /// The state of the inference server, or why it does not work. `None` if no server runs the
+    /// networks.
     pub inference: Option<Result<(), String>>,
-    /// Where a vision-language model is configured: what became of the last calls, if it could not
-    /// be asked.
+    /// The state of the vision-language model, or how its last calls failed. `None` if no model is
+    /// configured.
     pub vlm: Option<Result<(), String>>,
 }
 
 impl Health {
-    /// Whether the service can do its work. Without its vision-language model it can: built-in
-    /// parts answer, and say so.
+    /// Returns whether the service can do its work. It can without its vision-language model:
+    /// built-in parts answer instead, and their answers say so.
     #[must_use]
     pub fn is_ready(&self) -> bool {
         let Self {
@@ -37,7 +38,7 @@ impl Health {
     }
 }
 
-/// Looked at so often at most, however many ask.
+/// The minimum interval between two checks, for any number of callers.
 const AGE: Duration = Duration::from_secs(1);
 
 /// Checks what the service depends on.
@@ -51,12 +52,13 @@ pub struct HealthService {
 }
 
 impl HealthService {
-    /// How everything is.
+    /// Returns the state of the service.
     pub async fn health(&self) -> Health {
         self.last_health.get(AGE, self.look_at_health()).await
     }
 
-    /// How everything is or was, for somebody in a hurry; `None` while that is not known.
+    /// Returns the current state, or the last known one if the check takes longer than `patience`.
+    /// Returns `None` if no state is known yet.
     pub(super) async fn health_soon(&self, patience: Duration) -> Option<Health> {
         let service = self.clone();
         self.last_health
@@ -72,7 +74,7 @@ impl HealthService {
             }
         };
         let (mut store, inference) = tokio::join!(self.health_probe.health(), inference);
-        // Not every look meets the damage, and it does not heal.
+        // Damage is permanent, but not every check finds it.
         if let Some(before) = self.last_health.last().filter(|before| before.store.is_damaged) {
             store = StoreHealth { database: before.store.database, is_damaged: true, ..store };
         }

@@ -1,8 +1,8 @@
-//! Use cases: the only place where pipelines meet storage and jobs. No HTTP here. One folder for
-//! every noun of the API.
+//! Use cases: the only place where pipelines meet storage and jobs. Contains no HTTP. Every noun of
+//! the API has one folder.
 //!
-//! What happens to a question or a scan is the pipelines' business (`uniground-core`); here
-//! stands who may ask, where things are kept, what it costs and what is remembered.
+//! The pipelines (`uniground-core`) process questions and scans. This crate decides who may call
+//! them, where data is stored, what a call costs and what is remembered.
 
 mod answers;
 mod approach;
@@ -78,33 +78,33 @@ use uniground_jobs::JobFailure;
 use uniground_models::with_causes;
 use uniground_types::stats::Retention;
 
-/// What uploads and questions may take.
+/// Limits on uploads, questions and storage.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
     pub max_upload_bytes: u64,
-    /// Uploads in parts that may be unfinished at once.
+    /// The maximum number of unfinished resumable uploads.
     pub max_unfinished_uploads: u32,
     pub unpack: UnpackLimits,
-    /// Room on the disk that uploads, parses and batches leave to the rest.
+    /// Disk space in bytes that uploads, parses and batches must leave free.
     pub keep_free_bytes: u64,
-    /// Memory the process may come to hold; `None`: what the system lets it have.
+    /// The maximum memory of the process in bytes. `None` means the limit of the system.
     pub max_memory_bytes: Option<u64>,
-    /// Questions being answered at once; more wait their turn, shortly.
+    /// Questions answered concurrently. Further questions wait for a short time.
     pub max_concurrent_questions: usize,
     pub retention: Retention,
 }
 
-/// Uploads received at once.
+/// Uploads received concurrently.
 const MAX_UPLOADS: usize = 16;
-/// Comparisons of two scans that are computed at once.
+/// Comparisons of two scans computed concurrently.
 const MAX_COMPARISONS: usize = 2;
-/// Scenes looked into at once, whoever asks about many: they take few of the places at work on
-/// questions, and few connections of the database.
+/// Scenes scanned concurrently for questions about many scenes, over all callers. They take few of
+/// the question permits and few connections of the database.
 const MAX_CONCURRENT_SCENE_SCANS: usize = 2;
-/// How long a question waits for its turn before the server calls itself overloaded.
+/// How long a question waits for a permit before it fails as overloaded.
 const QUEUE_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// How a job ends that stumbled over an error of ours.
+/// Converts an error to the failure of a job.
 fn job_failure(error: Error) -> JobFailure {
     match error.code() {
         "cancelled" => JobFailure::Cancelled,
@@ -117,7 +117,7 @@ fn job_failure(error: Error) -> JobFailure {
     }
 }
 
-/// Ends when a job is to stop.
+/// Returns when the job is to stop.
 async fn until_cancelled(progress: &Progress) -> Cancelled {
     const LOOK_EVERY: Duration = Duration::from_millis(100);
     loop {

@@ -1,5 +1,5 @@
-//! What happens without being asked for: what was kept long enough goes, stray folders are swept,
-//! damage is found before somebody meets it.
+//! Background maintenance: applies retention, collects orphans, and finds damage before a caller
+//! does.
 
 use super::RunMode;
 use crate::error::Error;
@@ -13,7 +13,7 @@ use uniground_storage::{
     Reserve, RetentionRepository, RoomIndexRepository,
 };
 
-/// The pause between two looks at a parse's files: nobody shall notice.
+/// The pause between two checks of a parse's files, so that checks do not slow down other work.
 const PAUSE: Duration = Duration::from_secs(2);
 
 /// Applies retention and removes orphans.
@@ -25,8 +25,8 @@ pub struct MaintenanceService {
     pub(crate) orphan_repository: OrphanRepository,
     pub(crate) room_index_repository: RoomIndexRepository,
     pub(crate) parse_repository: ParseRepository,
-    pub(crate) service_locks: ServiceLocks,
-    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) service_locks: Arc<ServiceLocks>,
+    pub(crate) parsed_scenes: Arc<ParsedScenes>,
     pub(crate) reserve: Reserve,
     pub(crate) limits: Limits,
     pub(crate) retention_repository: RetentionRepository,
@@ -34,13 +34,13 @@ pub struct MaintenanceService {
 }
 
 impl MaintenanceService {
-    /// One round through everything.
+    /// Runs all maintenance once.
     ///
     /// # Errors
-    /// [`Error`] of the store; what was done stays done.
+    /// [`Error`] of the store. What was done stays done.
     pub async fn run_maintenance(&self) -> Result<(), Error> {
         self.recovery.recover_beside_others().await;
-        // Copies are each process's own.
+        // Every process has its own local copies of blobs.
         if self.blobs.are_copies() {
             self.orphan_repository.sweep(RunMode::TheServer.settled()).await?;
         }
@@ -48,7 +48,7 @@ impl MaintenanceService {
         let Some(_turn) = self.service_locks.keeping_house().await? else { return Ok(()) };
         self.apply_retention(RunMode::TheServer).await?;
         self.room_index_repository.forget_unused_names().await?;
-        // One that was retired is known to be damaged, and kept for its answers only.
+        // A retired parse is known to be damaged. It is stored only for its answers.
         for parse in
             self.parse_repository.all_parses().await?.iter().filter(|parse| !parse.is_retired())
         {

@@ -1,23 +1,22 @@
-//! A folder as one archive, as it is uploaded.
+//! Packs a folder into one archive, in the form of an upload.
 
 use camino::{Utf8Path, Utf8PathBuf};
 use std::fs::{self, File};
 use std::io::{self, Write};
 
-/// Folders within folders that are looked into: one that is linked to itself has an end.
+/// The maximum depth of nested folders. It ends the recursion into a folder that links to itself.
 const DEEPEST: usize = 16;
 
 /// Which links are followed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Links<'a> {
-    /// All of them: the files are the caller's own.
+    /// All of them: the files belong to the caller.
     All,
-    /// Those that stay below a folder, which is given as it is (canonical); what lies elsewhere is
-    /// left out.
+    /// Links that stay below this folder, whose path must be canonical. Other links are left out.
     Below(&'a Utf8Path),
 }
 
-/// Why a folder can not be packed.
+/// Why a folder cannot be packed.
 #[derive(Debug, thiserror::Error)]
 pub enum PackingError {
     #[error("{0}: there is nothing in it")]
@@ -26,8 +25,8 @@ pub enum PackingError {
     File { path: Utf8PathBuf, source: io::Error },
 }
 
-/// A tar of all files that are not hidden. Sorted, and without times: the same folder is the same
-/// archive.
+/// Packs all files that are not hidden into a tar archive. The archive is sorted and has no times,
+/// so that the same folder gives the same archive.
 ///
 /// # Errors
 /// [`PackingError`].
@@ -68,16 +67,16 @@ fn collect(
     let unreadable = |source| PackingError::File { path: folder.to_owned(), source };
     for entry in folder.read_dir_utf8().map_err(unreadable)? {
         let path = entry.map_err(unreadable)?.into_path();
-        // Hidden files are the file manager's and git's.
+        // Hidden files belong to file managers and git.
         if path.file_name().is_some_and(|name| name.starts_with('.')) || !links.follow(&path) {
             continue;
         }
         match fs::metadata(&path) {
             Ok(metadata) if metadata.is_file() => files.push(path),
             Ok(metadata) if metadata.is_dir() && deeper > 0 => {
-                collect(&path, links, deeper - 1, files)?
+                collect(&path, links, deeper - 1, files)?;
             }
-            // A link to nowhere, a socket: no part of a scan.
+            // A broken link or a socket is not part of a scan.
             _ => {}
         }
     }
@@ -132,7 +131,7 @@ mod tests {
         }
         let (scans, room) = (root.join("scans"), root.join("scans/room"));
         let link = |to: &str, name: &str| {
-            std::os::unix::fs::symlink(root.join(to), room.join(name)).unwrap()
+            std::os::unix::fs::symlink(root.join(to), room.join(name)).unwrap();
         };
         link("elsewhere", "a");
         link("elsewhere/secret.txt", "b.txt");

@@ -1,4 +1,4 @@
-//! Bounds how many questions are computed at once.
+//! Limits how many questions are computed at once.
 
 use crate::QUEUE_TIMEOUT;
 use crate::error::Error;
@@ -7,20 +7,20 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
 
-/// Bounds how many questions are computed at once.
+/// Limits how many questions are computed at once.
 #[derive(Clone)]
 pub struct QuestionPermits {
     pub(crate) permits: Arc<Semaphore>,
 }
 
 impl QuestionPermits {
-    /// Waits for one of the bounded places at work on questions; not for long.
+    /// Waits for a permit to compute a question, for at most `QUEUE_TIMEOUT`.
     pub(crate) async fn turn(&self) -> Result<OwnedSemaphorePermit, Error> {
         let turn = timeout(QUEUE_TIMEOUT, self.permits.clone().acquire_owned()).await;
         turn.ok().and_then(Result::ok).ok_or(Error::Overloaded)
     }
 
-    /// Computes for a question, off the async threads, when its turn has come.
+    /// Computes for a question outside the async threads, once it has a permit.
     pub(crate) async fn compute<T: Send + 'static>(
         &self,
         work: impl FnOnce() -> Result<T, Error> + Send + 'static,

@@ -1,9 +1,9 @@
-//! What is kept for a time only goes: the same round every day while the server runs, and at once
-//! by `uniground gc`.
+//! Removes data whose retention has expired: once a day while the server runs, and at once with
+//! `uniground gc`.
 //!
-//! A round takes small steps: rows a few hundred at a time, each step a short transaction, with
-//! pauses in which everybody else gets the database. Rows go first, then the folders they spoke of;
-//! what a crash leaves between the two is swept to the quarantine.
+//! A run takes small steps: a few hundred rows at a time, each step in a short transaction, with
+//! pauses for other users of the database. Rows are removed first, then the folders they referred
+//! to. Orphans that a crash leaves in between are moved to the quarantine.
 
 use crate::MaintenanceService;
 use crate::error::Error;
@@ -19,7 +19,7 @@ use uniground_storage::{
 };
 use uniground_types::stats::Retention;
 
-/// What was removed of a kind.
+/// What was removed of one kind.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct RetentionReport {
     pub kind: &'static str,
@@ -28,11 +28,11 @@ pub struct RetentionReport {
     pub why: String,
 }
 
-/// Rows removed as one.
+/// Rows removed in one transaction.
 const TOGETHER: u32 = 200;
 const DAY: Duration = Duration::from_hours(24);
 
-/// What of a kind has gone so far.
+/// What has been removed of one kind so far.
 #[derive(Default)]
 struct RemovedSoFar {
     entries: u64,
@@ -45,16 +45,16 @@ impl RemovedSoFar {
     }
 }
 
-/// Who is at work on what is looked at.
+/// Who else uses the store during a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RunMode {
     Nobody,
-    /// Questions come first, and what is being put in place is left alone.
+    /// Questions come first, and data that is being written is left alone.
     TheServer,
 }
 
 impl RunMode {
-    /// Between two steps.
+    /// Pauses between two steps.
     async fn pause(self) {
         const BREATH: Duration = Duration::from_millis(50);
         if self == Self::TheServer {
@@ -62,7 +62,7 @@ impl RunMode {
         }
     }
 
-    /// What is younger may be half in place.
+    /// Returns the age below which data may be incomplete.
     pub(super) fn settled(self) -> Duration {
         match self {
             Self::Nobody => Duration::ZERO,
@@ -71,21 +71,21 @@ impl RunMode {
     }
 }
 
-/// One round.
+/// A retention run.
 struct RetentionRun<'a> {
     service: &'a MaintenanceService,
     beside: RunMode,
     now: Timestamp,
-    /// Folders that are gone, or would be: none counts twice.
+    /// Folders that were removed, or would be. None is counted twice.
     folders: HashSet<Utf8PathBuf>,
 }
 
 impl MaintenanceService {
-    /// Lets go of everything that was kept long enough, in small steps; what went, by kind. On a
-    /// full disk the room for it comes from the reserve.
+    /// Removes all data whose retention has expired, in small steps. Returns what was removed, by
+    /// kind. If the disk is full, the reserve is released to make room.
     ///
     /// # Errors
-    /// [`Error`] of the store; what is gone stays gone.
+    /// [`Error`] of the store. What was removed stays removed.
     pub async fn apply_retention(&self, beside: RunMode) -> Result<Vec<RetentionReport>, Error> {
         let removed = match self.try_to_apply_retention(beside).await {
             Err(error) if error.is_disk_full() && self.reserve.release_reserve() => {
@@ -110,7 +110,7 @@ impl MaintenanceService {
             uploads_days,
             ..
         } = self.limits.retention;
-        // First: it looks for folders without rows, and a round that only looks leaves some.
+        // First, because it looks for folders without rows, and a dry run leaves some.
         let quarantine = round.quarantine().await?;
         let mut removed = vec![
             round.evidence().await?,
@@ -130,7 +130,7 @@ impl MaintenanceService {
                 .await?,
             round.rows(RetentionKind::Audit, audit_days, "audit").await?,
             round.superseded_parses(superseded_days).await?,
-            // After the parses of them.
+            // After the parses of these contents.
             round.outgrown_contents(superseded_days).await?,
             round.rows(RetentionKind::Uploads, uploads_days, "uploads in parts").await?,
             round.checkpoints().await?,
@@ -164,7 +164,7 @@ impl RetentionRun<'_> {
         Ok(gone.because("evidence", format!("{days} days after the answer")))
     }
 
-    /// Rows of a kind, and what lies beside them.
+    /// Removes the expired rows of a kind, with their files.
     async fn rows(
         &mut self,
         aged: RetentionKind,
@@ -202,7 +202,7 @@ impl RetentionRun<'_> {
         Ok(gone.because(kind, format!("over {days} days old")))
     }
 
-    /// Parses one by one: with their instances they are large.
+    /// Removes parses one by one, because they are large with their instances.
     async fn superseded_parses(&mut self, days: u32) -> Result<RetentionReport, Error> {
         const KIND: &str = "superseded parses";
         let (service, mut gone) = (self.service, RemovedSoFar::default());
@@ -220,7 +220,7 @@ impl RetentionRun<'_> {
         {
             after.clone_from(&due.id);
             let removed = {
-                // Nobody takes it for a scene while it goes.
+                // The locks prevent a scene from taking the parse while it is removed.
                 let _references = (
                     service.service_locks.content_references().await?,
                     service.service_locks.parse_references().await?,
@@ -242,8 +242,8 @@ impl RetentionRun<'_> {
             .because(KIND, format!("no scene and no answer has referred to them for {days} days")))
     }
 
-    /// Scans as they were before they grew. Their files are those of the scan that has grown: what
-    /// goes is little but links.
+    /// Removes the contents of scans before they grew. The grown scan shares their files, so mostly
+    /// links are removed.
     async fn outgrown_contents(&mut self, days: u32) -> Result<RetentionReport, Error> {
         const KIND: &str = "outgrown scans";
         let (service, mut gone) = (self.service, RemovedSoFar::default());
@@ -274,7 +274,7 @@ impl RetentionRun<'_> {
             if days == 0 { SystemTime::UNIX_EPOCH } else { SystemTime::now() - DAY * days };
         let mut gone = RemovedSoFar::default();
         for StoredCheckpoints { hash, bytes, .. } in too_many(kept, oldest, most) {
-            // No parse of it begins between the look and the removal.
+            // The locks prevent a parse from starting between the check and the removal.
             let references = (
                 self.service.service_locks.content_references().await?,
                 self.service.service_locks.parse_references().await?,
@@ -303,7 +303,7 @@ impl RetentionRun<'_> {
         ))
     }
 
-    /// Objects no record speaks of, one by one, looked up again right before.
+    /// Removes orphan objects one by one. Each is checked again right before its removal.
     async fn orphans(&self) -> Result<RetentionReport, Error> {
         let (service, mut gone) = (self.service, RemovedSoFar::default());
         for orphan in service.orphan_repository.orphan_objects().await? {
@@ -324,7 +324,7 @@ impl RetentionRun<'_> {
         ))
     }
 
-    /// Removes folders in the background; how large they are.
+    /// Removes folders in the background. Returns their size in bytes.
     async fn discard(&mut self, folders: Vec<Utf8PathBuf>) -> Result<u64, Error> {
         let folders: Vec<_> =
             folders.into_iter().filter(|folder| self.folders.insert(folder.clone())).collect();
@@ -340,7 +340,7 @@ impl RetentionRun<'_> {
 }
 
 impl RemovedSoFar {
-    /// Counts those that were due and are gone.
+    /// Counts the expired rows that were removed.
     fn count(&mut self, due: &[ExpiredRow], removed: &[String]) {
         let removed: HashSet<&str> = removed.iter().map(String::as_str).collect();
         for due in due.iter().filter(|due| removed.contains(due.id.as_str())) {
@@ -350,8 +350,8 @@ impl RemovedSoFar {
     }
 }
 
-/// Those of all checkpoints, the longest unused first, that were last used before `oldest`, or that
-/// are too many.
+/// Returns the checkpoints to remove, the longest unused first: those last used before `oldest`,
+/// and those that exceed `most` bytes in total.
 fn too_many(kept: Vec<StoredCheckpoints>, oldest: SystemTime, most: u64) -> Vec<StoredCheckpoints> {
     let mut total: u64 = kept.iter().map(|kept| kept.bytes).sum();
     let mut going = Vec::new();

@@ -1,5 +1,5 @@
-//! Which of many rooms are worth a look: what they are known by is noted beside everything else,
-//! and looked up when somebody asks about more rooms than can be looked into one by one.
+//! Finds the most likely scenes for a question about many. An index stores what rooms contain. It
+//! is used when a question covers more rooms than can be scanned one by one.
 
 use crate::error::Error;
 use crate::{ParsedScenes, QuestionPermits, ServiceLocks};
@@ -18,32 +18,32 @@ use uniground_storage::{
 };
 use uniground_types::labels::Labels;
 
-/// Rooms that are noted in one go.
+/// Rooms read for indexing at once.
 const AT_ONCE: u32 = 64;
-/// The pause between two of them: nobody shall notice.
+/// The pause between two rooms, so that indexing does not slow down other work.
 const PAUSE: Duration = Duration::from_millis(10);
-/// Names that are looked up for each thing a question speaks of: those that fit it best.
+/// The names looked up for each object in a question: those that fit it best.
 const NAMES: usize = 32;
-/// Rooms that are looked up for each of them: those in which it is believed most.
+/// The rooms looked up for each name: those with the highest weight.
 const ROOMS: u32 = 512;
-/// Scenes that have one parse in common, which are looked into at most.
+/// The maximum number of scenes with the same parse that are scanned.
 const SAME_ROOM: u32 = 20;
-/// How old the list of names may be.
+/// The maximum age of the list of names.
 const AGE: Duration = Duration::from_secs(10);
 
-/// Every name that a room's thing has, read by the grammar once.
+/// All names of instances in rooms. The grammar reads each of them once.
 #[derive(Default)]
 pub(super) struct RoomNames(Mutex<Option<(Instant, Arc<Names>)>>);
 
 type Names = HashMap<String, GivenName>;
 
-/// Finds the scenes that are likely to hold what a question names.
+/// Finds the scenes that are likely to contain what a question names.
 #[derive(Clone)]
 pub struct RoomSearch {
     pub(crate) room_index_repository: RoomIndexRepository,
     pub(crate) parse_repository: ParseRepository,
-    pub(crate) service_locks: ServiceLocks,
-    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) service_locks: Arc<ServiceLocks>,
+    pub(crate) parsed_scenes: Arc<ParsedScenes>,
     pub(crate) scene_repository: SceneRepository,
     pub(crate) question_permits: QuestionPermits,
     pub(crate) room_names: Arc<RoomNames>,
@@ -51,11 +51,10 @@ pub struct RoomSearch {
 }
 
 impl RoomSearch {
-    /// Notes what rooms are known by that are new, or of which something else is known by now. One
-    /// process does it for all.
+    /// Indexes rooms that are new or have changed. One process does this for all.
     ///
     /// # Errors
-    /// [`Error`] of the store; what was noted stays.
+    /// [`Error`] of the store. Rooms that were indexed stay indexed.
     pub async fn index_rooms(&self) -> Result<(), Error> {
         let mut wanted = self.room_index_repository.parses_to_index(AT_ONCE).await?;
         if wanted.is_empty() {
@@ -66,22 +65,22 @@ impl RoomSearch {
             for room in &wanted {
                 match self.index_room(room).await {
                     Ok(()) => {}
-                    // It went meanwhile.
+                    // The parse was deleted in the meantime.
                     Err(_)
                         if self
                             .parse_repository
                             .changes_of_parse(&room.parse_id)
                             .await?
                             .is_none() => {}
-                    // Its time comes: the database, the object store or the disk can not be used
-                    // now.
+                    // The database, the object store or the disk is unavailable now. The room is
+                    // indexed later.
                     Err(error)
                         if error.is_disk_full()
                             || ["storage_busy", "blobs_busy"].contains(&error.code()) =>
                     {
                         return Err(error);
                     }
-                    // One that is damaged does not keep the others waiting.
+                    // A damaged room must not block the others.
                     Err(error) => {
                         tracing::warn!(
                             room.parse_id,
@@ -124,8 +123,8 @@ impl RoomSearch {
         Ok(self.room_index_repository.index_room(room, &known).await?)
     }
 
-    /// Of all scenes with these labels those that most likely have what a question asks for, at
-    /// most so many, the likeliest first.
+    /// Returns the scenes with these labels that most likely contain what a question asks for, the
+    /// likeliest first. Returns at most `most` scenes.
     pub(super) async fn likely_scenes(
         &self,
         query: &str,
@@ -157,7 +156,7 @@ impl RoomSearch {
             rooms.into_iter().map(|(room, found)| (sought.weigh_room(&found), room)).collect();
         likely.sort_by(|a, b| b.0.total_cmp(&a.0).then_with(|| b.1.cmp(&a.1)));
         let by_name = likely.into_iter().map(|(_, room)| room);
-        // Names and looks have their say in turns: neither measures what the other does.
+        // Alternates between rooms by names and by looks, because their scores cannot be compared.
         let by_looks = self.rooms_that_look_so(&sought, labels, most).await?;
         let mut chosen: Vec<String> = Vec::new();
         for room in in_turns(by_name, by_looks.into_iter()) {
@@ -169,13 +168,13 @@ impl RoomSearch {
             }
         }
         if chosen.is_empty() {
-            // Nothing tells: the newest are as good as any.
+            // Nothing matches, so the newest scenes are returned.
             let filter = SceneFilter { ids: None, labels: labels.clone() };
             return Ok(self.scene_repository.scenes(most as u32, None, &filter).await?);
         }
         let rank: HashMap<&str, usize> =
             chosen.iter().enumerate().map(|(rank, room)| (room.as_str(), rank)).collect();
-        // A room that was uploaded again and again does not keep the others out.
+        // A room that was uploaded many times must not crowd out the others.
         let scenes =
             self.room_index_repository.scenes_of_parses(&chosen, labels, SAME_ROOM).await?;
         let rank_of =
@@ -187,7 +186,7 @@ impl RoomSearch {
         Ok(scenes.into_iter().map(|(_, scene)| scene).collect())
     }
 
-    /// The names that fit a thing best, and how well.
+    /// Returns the names that fit an object of the question best, with their fit.
     async fn names_for(
         &self,
         sought: &Arc<Sought>,
@@ -207,8 +206,8 @@ impl RoomSearch {
         fits.await
     }
 
-    /// Rooms that have something of a name; of those many have, those that have it in the colours
-    /// asked for come first.
+    /// Returns rooms that contain an instance with this name. If there are too many to return, adds
+    /// those that have it in the requested colors.
     async fn rooms_with(
         &self,
         name: &str,
@@ -228,8 +227,8 @@ impl RoomSearch {
         Ok(found)
     }
 
-    /// Rooms with something that looks as the words say, the likeliest first; none where nobody has
-    /// kept what encoders have seen.
+    /// Returns rooms with an instance that looks as the words say, the likeliest first. Returns
+    /// none if no embeddings are stored.
     async fn rooms_that_look_so(
         &self,
         sought: &Arc<Sought>,
@@ -282,7 +281,7 @@ impl RoomNames {
     }
 }
 
-/// One of each, as long as there are.
+/// Alternates between two iterators until both are exhausted.
 fn in_turns<T>(
     mut one: impl Iterator<Item = T>,
     mut other: impl Iterator<Item = T>,

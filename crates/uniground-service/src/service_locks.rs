@@ -1,11 +1,11 @@
-//! Whose turn something is, among all processes that serve the same rooms.
+//! Named locks, shared by all processes that use the same store.
 
 use crate::error::Error;
 use std::time::Duration;
 use tokio::time::timeout;
 use uniground_storage::{LockTable, NamedLock};
 
-/// How long somebody waits for the turn at an upload before he is told that another is at it.
+/// How long a request waits for the lock of an upload before it fails as busy.
 const MOMENT: Duration = Duration::from_secs(1);
 
 /// The named locks of the use cases.
@@ -15,56 +15,56 @@ pub struct ServiceLocks {
 }
 
 impl ServiceLocks {
-    /// Held while a scene starts or ceases to refer to its content, so that content is not removed
+    /// Held while a scene starts or stops referring to its content, so that content is not removed
     /// under a new scene.
     pub(super) async fn content_references(&self) -> Result<NamedLock, Error> {
         Ok(self.named_locks.lock("contents").await?)
     }
 
-    /// Held while a scene takes a stored parse, or gets a job for another, so that neither the
-    /// parse nor what the job goes on from is removed meanwhile. Whoever removes holds both,
+    /// Held while a scene takes a stored parse, or gets a job for a new one. Meanwhile neither the
+    /// parse nor the one that the job continues is removed. Removal holds both locks and acquires
     /// this one last.
     pub(super) async fn parse_references(&self) -> Result<NamedLock, Error> {
         Ok(self.named_locks.lock("parses").await?)
     }
 
-    /// At changing what is known of a parse.
+    /// Held while the data of a parse is changed.
     pub(super) async fn correcting(&self, parse_id: &str) -> Result<NamedLock, Error> {
         Ok(self.named_locks.lock(&format!("parse {parse_id}")).await?)
     }
 
-    /// At answering a question under its idempotency key.
+    /// Held while a question is answered under its idempotency key.
     pub(super) async fn answering(&self, key: &str) -> Result<NamedLock, Error> {
         Ok(self.named_locks.lock(&format!("question {key}")).await?)
     }
 
-    /// Held while an upload in parts is begun: several at once must not come to more than may be
-    /// unfinished.
+    /// Held while an upload is started: concurrent starts must not exceed the limit of unfinished
+    /// uploads.
     pub(super) async fn beginning_uploads(&self) -> Result<NamedLock, Error> {
         Ok(self.named_locks.lock("uploads").await?)
     }
 
-    /// At an upload in parts: bytes of two senders never mix.
+    /// Held while a part of an upload is received: the bytes of two clients never mix.
     ///
     /// # Errors
-    /// [`Error::UploadBusy`]: somebody else is at it.
+    /// [`Error::UploadBusy`] if another request holds the lock.
     pub(super) async fn at_upload(&self, id: &str) -> Result<NamedLock, Error> {
-        // Who was at it a moment ago has had its reply, and may still be letting go.
+        // The previous request may have been answered while it still releases the lock.
         let turn = timeout(MOMENT, self.named_locks.lock(&format!("upload {id}"))).await;
         Ok(turn.map_err(|_| Error::UploadBusy { id: id.to_owned() })??)
     }
 
-    /// At looking after everything; `None` while another process does.
+    /// Held during maintenance. Returns `None` while another process holds it.
     pub(super) async fn keeping_house(&self) -> Result<Option<NamedLock>, Error> {
         Ok(self.named_locks.try_lock("house").await?)
     }
 
-    /// At noting what rooms are known by; `None` while another process does.
+    /// Held while rooms are indexed. Returns `None` while another process holds it.
     pub(super) async fn indexing(&self) -> Result<Option<NamedLock>, Error> {
         Ok(self.named_locks.try_lock("index").await?)
     }
 
-    /// At telling of jobs that end; `None` while another process does.
+    /// Held while webhooks are delivered. Returns `None` while another process holds it.
     pub(super) async fn announcing(&self) -> Result<Option<NamedLock>, Error> {
         Ok(self.named_locks.try_lock("announcements").await?)
     }

@@ -1,4 +1,4 @@
-//! The composition of the use cases: every service with what it needs.
+//! Builds all services in one place, each with its dependencies.
 
 use crate::error::Error;
 use crate::parses::ParseCache;
@@ -27,13 +27,13 @@ use uniground_jobs::Jobs;
 use uniground_models::neural::{LoadedModel, Models};
 use uniground_storage::Store;
 
-/// What the services are built from.
+/// The dependencies of the services.
 pub struct Dependencies {
     pub store: Store,
     pub jobs: Jobs,
     pub keyring: Keyring,
     pub limits: Limits,
-    /// The vision-language model, where one is configured.
+    /// The vision-language model, if one is configured.
     pub vlm: Option<Vlm>,
     pub models: Models,
     /// Parses compute in a pool of their own, whose threads have a low priority. Questions use
@@ -41,20 +41,20 @@ pub struct Dependencies {
     pub parse_pool: ThreadPool,
     /// Decodes uploads.
     pub reader: ScanReader,
-    /// Scans below this folder may be imported; `None`: none may.
+    /// Scans below this folder may be imported. `None` disables imports.
     pub import_root: Option<Utf8PathBuf>,
-    /// The inference server, where one runs the networks.
+    /// The probe of the inference server, if one runs the networks.
     pub inference: Option<Probe>,
-    /// Describes to the caller why an upload was refused.
+    /// Describes to the caller why an upload was rejected.
     pub explain: Explain,
 }
 
 impl Dependencies {
-    /// Returns what is needed to look after a store that no server uses: no models, no imports,
-    /// uploads decoded in this process.
+    /// Returns the dependencies for offline work on a store that no server uses: no models, no
+    /// imports, and uploads decoded in this process.
     ///
     /// # Errors
-    /// [`Error::Store`]; [`Error::Io`] when the system has no threads left.
+    /// [`Error::Store`]; [`Error::Io`] if the system cannot start more threads.
     pub async fn at_rest(store: Store, limits: Limits) -> Result<Self, Error> {
         Ok(Self {
             jobs: Jobs::new(store.jobs.clone(), 0),
@@ -77,39 +77,40 @@ impl Dependencies {
 pub struct Services {
     pub keyring: Keyring,
     pub jobs: Jobs,
-    pub answers: AnswerService,
-    pub approach: ApproachService,
-    pub batch_runner: BatchRunner,
-    pub batches: BatchService,
-    pub changes: ChangeService,
-    pub corrections: CorrectionService,
-    pub doctor: DoctorService,
-    pub exports: ExportService,
-    pub grounding: GroundingService,
-    pub growth: GrowthService,
-    pub health: HealthService,
-    pub imports: ImportService,
-    pub instances: InstanceService,
-    pub maintenance: MaintenanceService,
-    pub media: MediaService,
-    pub naming: NamingService,
-    pub parse_runner: ParseRunner,
-    pub parsed_scenes: ParsedScenes,
-    pub parses: ParseService,
-    pub rooms: RoomSearch,
-    pub scene_lookup: SceneLookup,
-    pub scenes: SceneService,
-    pub stats: StatsService,
-    pub transcripts: Transcripts,
-    pub uploads: UploadService,
-    pub webhooks: WebhookService,
+    pub answers: Arc<AnswerService>,
+    pub approach: Arc<ApproachService>,
+    pub batch_runner: Arc<BatchRunner>,
+    pub batches: Arc<BatchService>,
+    pub changes: Arc<ChangeService>,
+    pub corrections: Arc<CorrectionService>,
+    pub doctor: Arc<DoctorService>,
+    pub exports: Arc<ExportService>,
+    pub grounding: Arc<GroundingService>,
+    pub growth: Arc<GrowthService>,
+    pub health: Arc<HealthService>,
+    pub imports: Arc<ImportService>,
+    pub instances: Arc<InstanceService>,
+    pub maintenance: Arc<MaintenanceService>,
+    pub media: Arc<MediaService>,
+    pub naming: Arc<NamingService>,
+    pub parse_runner: Arc<ParseRunner>,
+    pub parsed_scenes: Arc<ParsedScenes>,
+    pub parses: Arc<ParseService>,
+    pub rooms: Arc<RoomSearch>,
+    pub scene_lookup: Arc<SceneLookup>,
+    pub scenes: Arc<SceneService>,
+    pub stats: Arc<StatsService>,
+    pub transcripts: Arc<Transcripts>,
+    pub uploads: Arc<UploadService>,
+    pub webhooks: Arc<WebhookService>,
     vlm: Option<Arc<Vlm>>,
     models: Models,
 }
 
 impl Services {
-    /// Builds every service. Calls are counted where `jobs` counts.
+    /// Builds every service. Calls are counted in the metrics of `jobs`.
     #[must_use]
+    #[expect(clippy::too_many_lines, reason = "one line for each dependency of each service")]
     pub fn new(dependencies: Dependencies) -> Self {
         let Dependencies {
             store,
@@ -137,14 +138,14 @@ impl Services {
             (Arc::<ParseCache>::default(), Arc::<PictureCache>::default());
         let room_names = Arc::<RoomNames>::default();
         let (last_health, figures) = (SingleFlightCache::default(), FigureCache::default());
-        let transcripts = Transcripts {
+        let transcripts = Arc::new(Transcripts {
             blobs: store.blobs.clone(),
             limits,
             answer_repository: store.answers.clone(),
-        };
-        let service_locks = ServiceLocks { named_locks: store.locks.clone() };
+        });
+        let service_locks = Arc::new(ServiceLocks { named_locks: store.locks.clone() });
         let question_permits = QuestionPermits { permits: permits.clone() };
-        let parsed_scenes = ParsedScenes {
+        let parsed_scenes = Arc::new(ParsedScenes {
             blobs: store.blobs.clone(),
             name_repository: store.names.clone(),
             vlm: vlm.clone(),
@@ -157,20 +158,20 @@ impl Services {
             picture_cache: picture_cache.clone(),
             service_locks: service_locks.clone(),
             question_permits: question_permits.clone(),
-        };
-        let scene_lookup = SceneLookup {
+        });
+        let scene_lookup = Arc::new(SceneLookup {
             service_locks: service_locks.clone(),
             scene_repository: store.scenes.clone(),
             jobs: jobs.clone(),
             parse_repository: store.parses.clone(),
-        };
-        let answer_service = AnswerService {
+        });
+        let answer_service = Arc::new(AnswerService {
             answer_repository: store.answers.clone(),
             transcripts: transcripts.clone(),
             parsed_scenes: parsed_scenes.clone(),
             scene_lookup: scene_lookup.clone(),
-        };
-        let room_search = RoomSearch {
+        });
+        let room_search = Arc::new(RoomSearch {
             room_index_repository: store.room_index.clone(),
             parse_repository: store.parses.clone(),
             service_locks: service_locks.clone(),
@@ -179,8 +180,8 @@ impl Services {
             question_permits: question_permits.clone(),
             room_names: room_names.clone(),
             models: models.clone(),
-        };
-        let naming_service = NamingService {
+        });
+        let naming_service = Arc::new(NamingService {
             vlm: vlm.clone(),
             scene_lookup: scene_lookup.clone(),
             jobs: jobs.clone(),
@@ -188,8 +189,8 @@ impl Services {
             job_repository: store.jobs.clone(),
             keyring: keyring.clone(),
             parsed_scenes: parsed_scenes.clone(),
-        };
-        let grounding_service = GroundingService {
+        });
+        let grounding_service = Arc::new(GroundingService {
             keyring: keyring.clone(),
             scene_repository: store.scenes.clone(),
             room_search: room_search.clone(),
@@ -205,14 +206,14 @@ impl Services {
             transcripts: transcripts.clone(),
             limits,
             service_locks: service_locks.clone(),
-        };
-        let approach_service = ApproachService {
+        });
+        let approach_service = Arc::new(ApproachService {
             scene_lookup: scene_lookup.clone(),
             parsed_scenes: parsed_scenes.clone(),
             grounding_service: grounding_service.clone(),
-        };
-        let capacity = Capacity { health_probe: store.health.clone(), limits };
-        let batch_runner = BatchRunner {
+        });
+        let capacity = Arc::new(Capacity { health_probe: store.health.clone(), limits });
+        let batch_runner = Arc::new(BatchRunner {
             metrics: metrics.clone(),
             batch_repository: store.batches.clone(),
             keyring: keyring.clone(),
@@ -220,25 +221,25 @@ impl Services {
             answer_repository: store.answers.clone(),
             vlm: vlm.clone(),
             grounding_service: grounding_service.clone(),
-        };
-        let batch_service = BatchService {
+        });
+        let batch_service = Arc::new(BatchService {
             batch_repository: store.batches.clone(),
             jobs: jobs.clone(),
             capacity: capacity.clone(),
-        };
-        let change_service = ChangeService {
+        });
+        let change_service = Arc::new(ChangeService {
             scene_repository: store.scenes.clone(),
             scene_lookup: scene_lookup.clone(),
             comparison_permits: comparison_permits.clone(),
             parsed_scenes: parsed_scenes.clone(),
-        };
-        let correction_service = CorrectionService {
+        });
+        let correction_service = Arc::new(CorrectionService {
             correction_repository: store.corrections.clone(),
             scene_lookup: scene_lookup.clone(),
             parsed_scenes: parsed_scenes.clone(),
             parse_repository: store.parses.clone(),
-        };
-        let parse_service = ParseService {
+        });
+        let parse_service = Arc::new(ParseService {
             models: models.clone(),
             scene_repository: store.scenes.clone(),
             scene_lookup: scene_lookup.clone(),
@@ -248,8 +249,8 @@ impl Services {
             parsed_scenes: parsed_scenes.clone(),
             job_repository: store.jobs.clone(),
             blobs: store.blobs.clone(),
-        };
-        let doctor_service = DoctorService {
+        });
+        let doctor_service = Arc::new(DoctorService {
             integrity_repository: store.integrity.clone(),
             content_repository: store.contents.clone(),
             blobs: store.blobs.clone(),
@@ -258,27 +259,27 @@ impl Services {
             job_repository: store.jobs.clone(),
             parsed_scenes: parsed_scenes.clone(),
             parse_service: parse_service.clone(),
-        };
-        let media_service = MediaService {
+        });
+        let media_service = Arc::new(MediaService {
             scene_lookup: scene_lookup.clone(),
             parsed_scenes: parsed_scenes.clone(),
             parse_cache: parse_cache.clone(),
             drawing_lock: drawing_lock.clone(),
             blobs: store.blobs.clone(),
-        };
-        let instance_service = InstanceService {
+        });
+        let instance_service = Arc::new(InstanceService {
             scene_lookup: scene_lookup.clone(),
             parsed_scenes: parsed_scenes.clone(),
             question_permits: question_permits.clone(),
             media_service: media_service.clone(),
-        };
-        let export_service = ExportService {
+        });
+        let export_service = Arc::new(ExportService {
             scene_lookup: scene_lookup.clone(),
             parsed_scenes: parsed_scenes.clone(),
             instance_service: instance_service.clone(),
             media_service: media_service.clone(),
-        };
-        let import_service = ImportService {
+        });
+        let import_service = Arc::new(ImportService {
             import_root: import_root.clone(),
             scene_repository: store.scenes.clone(),
             upload_permits: upload_permits.clone(),
@@ -293,8 +294,8 @@ impl Services {
             content_repository: store.contents.clone(),
             limits,
             reader: reader.clone(),
-        };
-        let growth_service = GrowthService {
+        });
+        let growth_service = Arc::new(GrowthService {
             scene_repository: store.scenes.clone(),
             blobs: store.blobs.clone(),
             parse_repository: store.parses.clone(),
@@ -309,15 +310,15 @@ impl Services {
             parse_service: parse_service.clone(),
             reader: reader.clone(),
             limits,
-        };
-        let health_service = HealthService {
+        });
+        let health_service = Arc::new(HealthService {
             last_health: last_health.clone(),
             health_probe: store.health.clone(),
             inference: inference.clone(),
             jobs: jobs.clone(),
             vlm: vlm.clone(),
-        };
-        let maintenance_service = MaintenanceService {
+        });
+        let maintenance_service = Arc::new(MaintenanceService {
             parse_cache: parse_cache.clone(),
             recovery: store.recovery.clone(),
             blobs: store.blobs.clone(),
@@ -330,8 +331,8 @@ impl Services {
             limits,
             retention_repository: store.retention.clone(),
             content_repository: store.contents.clone(),
-        };
-        let parse_runner = ParseRunner {
+        });
+        let parse_runner = Arc::new(ParseRunner {
             blobs: store.blobs.clone(),
             parse_repository: store.parses.clone(),
             correction_repository: store.corrections.clone(),
@@ -346,8 +347,8 @@ impl Services {
             metrics: metrics.clone(),
             reader: reader.clone(),
             service_locks: service_locks.clone(),
-        };
-        let scene_service = SceneService {
+        });
+        let scene_service = Arc::new(SceneService {
             scene_repository: store.scenes.clone(),
             scene_lookup: scene_lookup.clone(),
             reserve: store.reserve.clone(),
@@ -356,8 +357,8 @@ impl Services {
             jobs: jobs.clone(),
             transcripts: transcripts.clone(),
             service_locks: service_locks.clone(),
-        };
-        let stats_service = StatsService {
+        });
+        let stats_service = Arc::new(StatsService {
             figures: figures.clone(),
             metrics: metrics.clone(),
             vlm: vlm.clone(),
@@ -371,8 +372,8 @@ impl Services {
             blobs: store.blobs.clone(),
             spending_repository: store.spending.clone(),
             jobs: jobs.clone(),
-        };
-        let upload_service = UploadService {
+        });
+        let upload_service = Arc::new(UploadService {
             upload_repository: store.uploads.clone(),
             service_locks: service_locks.clone(),
             keyring: keyring.clone(),
@@ -384,14 +385,14 @@ impl Services {
             limits,
             jobs: jobs.clone(),
             upload_permits: upload_permits.clone(),
-        };
-        let webhook_service = WebhookService {
+        });
+        let webhook_service = Arc::new(WebhookService {
             webhook_repository: store.webhooks.clone(),
             service_locks: service_locks.clone(),
             named_locks: store.locks.clone(),
             jobs: jobs.clone(),
             batch_service: batch_service.clone(),
-        };
+        });
         Self {
             answers: answer_service,
             approach: approach_service,
@@ -426,19 +427,19 @@ impl Services {
         }
     }
 
-    /// The neural models this server was started with.
+    /// Returns the neural models that this server was started with.
     #[must_use]
     pub fn loaded_models(&self) -> &[LoadedModel] {
         &self.models.loaded
     }
 
-    /// The vision-language model, where one is configured.
+    /// Returns the vision-language model, if one is configured.
     #[must_use]
     pub fn vlm(&self) -> Option<&Vlm> {
         self.vlm.as_deref()
     }
 
-    /// The vision-language model's name.
+    /// Returns the name of the vision-language model.
     #[must_use]
     pub fn vlm_model(&self) -> Option<&str> {
         self.vlm.as_ref().map(|vlm| vlm.name())

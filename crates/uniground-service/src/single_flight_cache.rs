@@ -1,14 +1,14 @@
-//! A value that takes a while to find out and need not be newer than a moment ago: whoever asks at
-//! the same time shares one look.
+//! Caches a value that takes a while to compute and may be slightly old. Concurrent callers share
+//! one computation.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::time::timeout;
 
-/// What was seen last, and when.
+/// The last value, with its time.
 pub struct SingleFlightCache<T> {
     last: Arc<Mutex<Option<(Instant, T)>>>,
-    /// Held by who looks.
+    /// Held by the caller that computes the value.
     looking: Arc<tokio::sync::Mutex<()>>,
 }
 
@@ -25,7 +25,7 @@ impl<T> Default for SingleFlightCache<T> {
 }
 
 impl<T: Clone + Send + 'static> SingleFlightCache<T> {
-    /// The value as it is, or was less than `age` ago.
+    /// Returns the cached value if it is younger than `age`, or computes it.
     pub async fn get(&self, age: Duration, look: impl Future<Output = T>) -> T {
         let _looking = self.looking.lock().await;
         if let Some((at, value)) = &*self.last.lock().unwrap_or_else(PoisonError::into_inner)
@@ -39,8 +39,8 @@ impl<T: Clone + Send + 'static> SingleFlightCache<T> {
         value
     }
 
-    /// The same for somebody who does not wait longer than `patience`: the look goes on without
-    /// him, and what was seen before is told; `None` where nothing was.
+    /// Like [`get`](Self::get), but waits no longer than `patience`. After that the computation
+    /// goes on in the background. Returns the previous value, or `None` if there is none.
     pub async fn get_soon(
         &self,
         age: Duration,
@@ -55,7 +55,7 @@ impl<T: Clone + Send + 'static> SingleFlightCache<T> {
         }
     }
 
-    /// What was seen last, however long ago.
+    /// Returns the last value, however old it is.
     pub fn last(&self) -> Option<T> {
         self.last
             .lock()

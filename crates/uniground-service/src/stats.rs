@@ -1,8 +1,8 @@
-//! The service in numbers: for Prometheus, and for people.
+//! Statistics of the service, for Prometheus and for people.
 //!
-//! Most is counted where it happens; what is read from the store is read when somebody asks, once
-//! for all who ask together, and a scrape does not wait for a disk that is slow: it tells what was
-//! seen before.
+//! Most values are counted where they occur. Values from the store are read on request, once for
+//! all concurrent callers. A scrape does not wait for a slow disk. It reports the previous values
+//! instead.
 
 use super::single_flight_cache::SingleFlightCache;
 use super::vlm::today;
@@ -23,33 +23,33 @@ use uniground_storage::{
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::stats::{DiskUse, JobStats, Spending, Stats, StoredCounts};
 
-/// Numbers of the store are not newer than that,
+/// The maximum age of the store's figures,
 const AGE: Duration = Duration::from_secs(1);
-/// and files not measured more often.
+/// and of the measured file sizes.
 const SIZES_AGE: Duration = Duration::from_mins(1);
-/// A scrape waits so long for numbers that are fresh; the first one longer.
+/// How long a scrape waits for fresh figures. The first scrape waits longer.
 const PATIENCE: Duration = Duration::from_millis(8);
 const FIRST_PATIENCE: Duration = Duration::from_secs(5);
 
 type Sizes = Arc<BTreeMap<&'static str, u64>>;
 
-/// What was seen of the store a moment ago.
+/// The cached figures of the store.
 #[derive(Clone, Default)]
 pub(super) struct FigureCache {
-    /// An error is one for all who asked together.
+    /// Concurrent callers share an error.
     figures: SingleFlightCache<Result<Arc<Figures>, Arc<StoreError>>>,
     sizes: SingleFlightCache<Option<Sizes>>,
     measured: Arc<Mutex<FolderSizes>>,
 }
 
-/// Statistics and metrics that are read from the store.
+/// Returns statistics and metrics that are read from the store.
 #[derive(Clone)]
 pub struct StatsService {
     pub(crate) figures: FigureCache,
     pub(crate) metrics: Arc<Metrics>,
     pub(crate) vlm: Option<Arc<Vlm>>,
     pub(crate) limits: Limits,
-    pub(crate) health_service: HealthService,
+    pub(crate) health_service: Arc<HealthService>,
     pub(crate) permits: Arc<Semaphore>,
     pub(crate) upload_permits: Arc<Semaphore>,
     pub(crate) parse_cache: Arc<ParseCache>,
@@ -61,7 +61,7 @@ pub struct StatsService {
 }
 
 impl StatsService {
-    /// What this server holds, does and may spend.
+    /// Returns what this server stores, runs and may spend.
     ///
     /// # Errors
     /// [`Error::Store`].
@@ -104,8 +104,8 @@ impl StatsService {
         })
     }
 
-    /// Everything that is counted, as Prometheus reads it. It takes a few milliseconds, whatever
-    /// the store does.
+    /// Returns all metrics in the format of Prometheus. Takes a few milliseconds, whatever the
+    /// state of the store.
     pub async fn scrape(&self) -> String {
         let is_first = self.figures.figures.last().is_none();
         let patience = if is_first { FIRST_PATIENCE } else { PATIENCE };
@@ -123,8 +123,8 @@ impl StatsService {
         );
         let (stored, vlm, questions) =
             (&self.metrics.stored, &self.metrics.vlm, &self.metrics.questions);
-        // What can not be read now stays as it was: that the database is in trouble is told beside
-        // it.
+        // Figures that cannot be read keep their previous values. Another metric reports that the
+        // database is failing.
         if let Some(Ok(figures)) = figures {
             stored.scenes.set(figures.scenes.into());
             stored.parses.set(figures.parses.into());
@@ -135,8 +135,8 @@ impl StatsService {
             }
             stored.database_bytes.set(figures.database_bytes as i64);
             stored.free_bytes.set(figures.free_bytes as i64);
-            // Whoever has lanes for them: where nobody has, that is when the age of a queue
-            // matters.
+            // Reported even if no process has workers for a kind. The age of its queue matters most
+            // then.
             for kind in [ParseJob::NAME, NamingJob::NAME, BatchJob::NAME] {
                 let JobStats { queued, running, oldest_queued_s, .. } =
                     job_stats(kind, true, &figures);
@@ -184,8 +184,8 @@ impl StatsService {
         self.statistics_repository.figures().await.map(Arc::new).map_err(Arc::new)
     }
 
-    /// How much room files take, if that was measured; it is measured anew behind the caller's
-    /// back.
+    /// Returns the disk space that files use, if it has been measured. Measures it again in the
+    /// background.
     async fn sizes_soon(&self) -> Option<Sizes> {
         let (blobs, measured, before) = (
             self.blobs.clone(),
@@ -202,7 +202,7 @@ impl StatsService {
         self.figures.sizes.get_soon(SIZES_AGE, PATIENCE, look).await.flatten()
     }
 
-    /// US dollars.
+    /// Returns today's spending in US dollars.
     async fn spent_today(&self) -> Result<f64, Error> {
         match &self.vlm {
             Some(vlm) => vlm.spent_today_usd().await,
@@ -210,7 +210,7 @@ impl StatsService {
         }
     }
 
-    /// Kinds this server works on, and those of which there is a record.
+    /// Returns statistics for the kinds of jobs that this server runs or has records of.
     fn jobs_in_numbers(&self, figures: &Figures) -> Vec<JobStats> {
         let lanes = self.jobs.lanes();
         let mut kinds: Vec<&str> = lanes

@@ -1,6 +1,6 @@
-//! Explain another server that something happened, as Standard Webhooks (version 1) has it: signed,
-//! and never to an address that only this machine or its own network can reach, unless the operator
-//! says so.
+//! Sends webhooks to another server as Standard Webhooks (version 1) specifies. They are signed.
+//! They are never sent to an address that only this machine or its own network can reach, unless
+//! the operator allows it.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -13,20 +13,20 @@ use std::sync::Arc;
 use std::time::Duration;
 use uniground_client::choose_cryptography;
 
-/// Longest a delivery may take.
+/// The timeout of a delivery.
 const TIMEOUT: Duration = Duration::from_secs(15);
 const SHORTEST_SECRET: usize = 16;
-/// What secrets begin with, where they are base64.
+/// The prefix of secrets in base64.
 const PREFIX: &str = "whsec_";
 
-/// Where webhooks go, and what signs them.
+/// The destination of webhooks and the secret that signs them.
 pub struct Webhook {
     http: reqwest::Client,
     url: Url,
     secret: Vec<u8>,
 }
 
-/// Why a webhook was not taken.
+/// Why a delivery failed.
 #[derive(Debug, thiserror::Error)]
 pub enum WebhookError {
     #[error("the webhook's server can not be reached")]
@@ -35,7 +35,7 @@ pub enum WebhookError {
     Refused(u16),
 }
 
-/// Why there can be no such webhook.
+/// Why a webhook cannot be configured.
 #[derive(Debug, thiserror::Error)]
 pub enum BadWebhook {
     #[error("this is not an address with http or https")]
@@ -51,7 +51,7 @@ pub enum BadWebhook {
 }
 
 impl Webhook {
-    /// `secret` as Standard Webhooks write it: `whsec_` and base64.
+    /// Creates a webhook. `secret` has the form of Standard Webhooks: `whsec_` and base64.
     ///
     /// # Errors
     /// [`BadWebhook`].
@@ -67,12 +67,12 @@ impl Webhook {
             return Err(BadWebhook::Secret);
         }
         choose_cryptography();
-        // Whoever answers may not send it on elsewhere.
+        // Redirects are not followed: the receiver must not send a delivery elsewhere.
         let mut http =
             reqwest::Client::builder().redirect(redirect::Policy::none()).timeout(TIMEOUT);
         if !allow_private {
-            // A name is looked up when it is connected to, and what it means then counts; a number
-            // is looked at here.
+            // Host names are checked when they are resolved for a connection, because their address
+            // may change. Numeric addresses are checked here.
             http = http.dns_resolver(Arc::new(PublicOnly)).no_proxy();
             let host = url.host_str().unwrap_or_default().trim_matches(['[', ']']);
             if host.parse::<IpAddr>().is_ok_and(|address| !is_public(address)) {
@@ -82,11 +82,11 @@ impl Webhook {
         Ok(Self { http: http.build()?, url, secret })
     }
 
-    /// Delivers a message; `id` is the same whenever it is delivered again. `at` is the time now,
+    /// Delivers a message. `id` is the same for every retry. `at` is the current time in Unix
     /// seconds.
     ///
     /// # Errors
-    /// [`WebhookError`]: it was not taken, and may be tried again.
+    /// [`WebhookError`] if the message was not accepted. A retry may succeed.
     pub async fn deliver(&self, id: &str, at: i64, body: String) -> Result<(), WebhookError> {
         let signature = self.signature(id, at, &body);
         let request = self
@@ -101,7 +101,7 @@ impl Webhook {
     }
 
     fn signature(&self, id: &str, at: i64, body: &str) -> String {
-        // Any length is a key.
+        // HMAC accepts keys of any length.
         let Ok(mut mac) = Hmac::<Sha256>::new_from_slice(&self.secret) else {
             return String::new();
         };
@@ -110,7 +110,7 @@ impl Webhook {
     }
 }
 
-/// Looks names up, and knows only what everybody can reach.
+/// Resolves host names to public addresses only.
 struct PublicOnly;
 
 impl Resolve for PublicOnly {
@@ -129,18 +129,19 @@ impl Resolve for PublicOnly {
     }
 }
 
-/// Whether an address is one on the internet, and nobody's own.
+/// Returns whether an address is public on the internet.
 fn is_public(address: IpAddr) -> bool {
     match address {
         IpAddr::V4(address) => is_public_v4(address),
         IpAddr::V6(address) => {
-            // An IPv4 address in other clothes: mapped, or behind a translator.
+            // An IPv6 address may contain an IPv4 address: mapped, or behind a translator.
             let segments = address.segments();
             let inner = || Ipv4Addr::from((u32::from(segments[6]) << 16) | u32::from(segments[7]));
             match address.to_ipv4_mapped() {
                 Some(mapped) => is_public_v4(mapped),
                 None if segments[..6] == [0x64, 0xff9b, 0, 0, 0, 0] => is_public_v4(inner()),
-                // What is given out worldwide begins with 001; of that 2001:db8::/32 is for books.
+                // Global unicast addresses begin with 001. Of these, 2001:db8::/32 is reserved for
+                // documentation.
                 None => {
                     segments[0] & 0xe000 == 0x2000
                         && !(segments[0] == 0x2001 && segments[1] == 0x0db8)
@@ -171,7 +172,7 @@ mod tests {
 
     const SECRET: &str = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw";
 
-    /// The example of the standard's own libraries.
+    /// The example from the libraries of the standard.
     #[test]
     fn signatures_are_those_of_standard_webhooks() {
         let webhook = Webhook::new("https://example.com/hook", SECRET, false).unwrap();

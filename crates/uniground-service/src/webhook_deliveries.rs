@@ -1,5 +1,5 @@
-//! Explain another server when jobs end: each at least once, in any order, tried again for half a
-//! day. Off where no webhook is configured.
+//! Sends webhooks to another server when jobs end: each at least once, in any order, with retries
+//! for half a day. Off if no webhook is configured.
 
 use super::BatchJob;
 use crate::error::Error;
@@ -16,17 +16,17 @@ use uniground_jobs::{Job, JobKind, Jobs, JobsError};
 use uniground_storage::{JobState, LockTable, NamedLock, WebhookRepository};
 use uniground_types::batch::Batch;
 
-/// How often it is looked whether a job has ended.
+/// The interval between checks for jobs that have ended.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
-/// Told at once.
+/// Webhooks delivered at once.
 const TOGETHER: u32 = 8;
-/// The wait after the first try that failed; it doubles to the longest.
+/// The wait after the first failed attempt. It doubles up to the longest wait.
 const FIRST_WAIT: Duration = Duration::from_secs(5);
 const LONGEST_WAIT: Duration = Duration::from_hours(2);
-/// About twelve hours.
+/// The maximum number of attempts. They take about twelve hours.
 const TRIES: u32 = 17;
 
-/// What is told.
+/// The body of a webhook.
 #[derive(Serialize)]
 struct WebhookEvent {
     /// `job.succeeded`, `job.failed`, `job.cancelled`.
@@ -40,7 +40,7 @@ struct WebhookEvent {
 #[derive(Serialize)]
 struct WebhookData {
     job: Job,
-    /// Of a batch's job: how the batch stands.
+    /// The state of the batch, if the job is that of a batch.
     #[serde(skip_serializing_if = "Option::is_none")]
     batch: Option<Batch>,
 }
@@ -49,21 +49,21 @@ struct WebhookData {
 #[derive(Clone)]
 pub struct WebhookService {
     pub(crate) webhook_repository: WebhookRepository,
-    pub(crate) service_locks: ServiceLocks,
+    pub(crate) service_locks: Arc<ServiceLocks>,
     pub(crate) named_locks: LockTable,
     pub(crate) jobs: Jobs,
-    pub(crate) batch_service: BatchService,
+    pub(crate) batch_service: Arc<BatchService>,
 }
 
 impl WebhookService {
-    /// Tells of every job that ends, until `shutdown`. What could not be told is told by the next
-    /// server.
-    pub async fn announce(self, webhook: Arc<Webhook>, shutdown: CancellationToken) {
+    /// Sends webhooks for all jobs that end, until `shutdown`. The next server sends what could not
+    /// be delivered.
+    pub async fn announce(self: Arc<Self>, webhook: Arc<Webhook>, shutdown: CancellationToken) {
         let mut turn = None;
         while !shutdown.is_cancelled() {
             let told = self.announce_due(&webhook, &mut turn);
             match shutdown.run_until_cancelled(told).await {
-                // There may be more.
+                // More webhooks may be due.
                 Some(Ok(true)) => continue,
                 Some(Ok(false)) | None => {}
                 Some(Err(error)) => tracing::warn!(
@@ -75,13 +75,14 @@ impl WebhookService {
         }
     }
 
-    /// Tells of some that ended, where it is this process's turn; whether there were any.
+    /// Sends some webhooks that are due, if this process holds the lock. Returns whether there were
+    /// any.
     async fn announce_due(
         &self,
         webhook: &Arc<Webhook>,
         turn: &mut Option<NamedLock>,
     ) -> Result<bool, Error> {
-        // One process tells for all; another goes on when it is gone.
+        // One process sends all webhooks. Another one takes over when it is gone.
         if let Some(ours) = turn.take() {
             *turn = Some(ours).filter(NamedLock::is_ours);
         }
@@ -101,15 +102,15 @@ impl WebhookService {
         Ok(any)
     }
 
-    /// Has the ends of jobs noted from now on, where there is a webhook; without one nobody wants
-    /// to be told, of what ended before either.
+    /// Starts recording the ends of jobs if a webhook is configured. Otherwise stops recording and
+    /// drops what was recorded earlier.
     ///
     /// # Errors
     /// [`Error::Store`].
     pub async fn note_announcements(&self, webhook: Option<&Webhook>) -> Result<(), Error> {
         match webhook {
             Some(_) => self.webhook_repository.note_announcements().await?,
-            // Others may want to be.
+            // Other processes may have a webhook.
             None if !self.named_locks.was_alone_at_start() => {}
             None => self.webhook_repository.note_no_announcements().await?,
         }
@@ -134,13 +135,13 @@ impl WebhookService {
             }
             job => job?,
         };
-        // The same whenever it is told again: who has heard it knows.
+        // The id is the same for every retry, so that the receiver can detect duplicates.
         let id = format!("msg_{job_id}");
         let body = serde_json::to_string(&self.event_of(job).await?)?;
         match webhook.deliver(&id, Timestamp::now().as_second(), body).await {
-            // Taken; or it is gone, and says so.
+            // Delivered. Status 410 means that the receiver is gone for good.
             Ok(()) | Err(WebhookError::Refused(410)) => {
-                self.webhook_repository.forget_announcement(job_id).await?
+                self.webhook_repository.forget_announcement(job_id).await?;
             }
             Err(error) if tried + 1 >= TRIES => {
                 tracing::error!(

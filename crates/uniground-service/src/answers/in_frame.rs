@@ -1,4 +1,4 @@
-//! Answers in the coordinates of the files that were uploaded, or of the map that a scene lies in.
+//! Answers in the coordinates of the uploaded files, or of the map that a scene lies in.
 
 use crate::error::Error;
 use jiff::Timestamp;
@@ -8,7 +8,7 @@ use uniground_types::approach::{PlacedPose, PosesInFrame, StandingPose};
 use uniground_types::placement::{FrameChoice, InFrame, SceneToFrame, Stamp};
 use uniground_types::scene::SourceToScene;
 
-/// Coordinates other than the scene's.
+/// A coordinate frame other than the scene's own.
 pub struct CoordinateFrameView {
     choice: FrameChoice,
     id: Option<String>,
@@ -16,7 +16,7 @@ pub struct CoordinateFrameView {
 }
 
 impl CoordinateFrameView {
-    /// Those that were chosen; `None` for the scene's own.
+    /// Returns the chosen frame, or `None` for the scene's own.
     ///
     /// # Errors
     /// [`Error::NoMap`], [`Error::NoSourceFrame`].
@@ -42,7 +42,7 @@ impl CoordinateFrameView {
         Ok(Some(Self { choice, id, from_scene }))
     }
 
-    /// With the boxes of these.
+    /// Returns the boxes of these targets in this frame.
     pub fn holding(self, targets: &[Target]) -> InFrame {
         let boxes = targets
             .iter()
@@ -57,7 +57,7 @@ impl CoordinateFrameView {
         }
     }
 
-    /// With these places to stand.
+    /// Returns these standing poses in this frame.
     pub fn with_poses(self, poses: &[StandingPose]) -> PosesInFrame {
         let poses = poses.iter().map(|pose| PlacedPose::of(pose, &self.from_scene)).collect();
         PosesInFrame {

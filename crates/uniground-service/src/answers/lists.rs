@@ -1,4 +1,4 @@
-//! Lists of answers: a page of them, or all as lines or as a table.
+//! Lists of answers: one page as JSON, or all of them as lines or as a table.
 
 use super::table;
 use crate::error::Error;
@@ -6,6 +6,7 @@ use crate::{ParsedScenes, SceneLookup, Transcripts};
 use bytes::Bytes;
 use futures::{Stream, StreamExt, stream};
 use serde::Deserialize;
+use std::sync::Arc;
 use uniground_storage::{AnswerFilter, AnswerRepository, AnswerRow, page};
 use uniground_types::answer::Answer;
 
@@ -20,21 +21,21 @@ pub enum LineFormat {
     Csv,
 }
 
-/// Answers read together.
+/// Answers read per page.
 const PAGE: u32 = 200;
 
-/// Stored answers, their lists and their pictures.
+/// Returns stored answers, their lists and their pictures.
 #[derive(Clone)]
 pub struct AnswerService {
     pub(crate) answer_repository: AnswerRepository,
-    pub(crate) transcripts: Transcripts,
-    pub(crate) parsed_scenes: ParsedScenes,
-    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) transcripts: Arc<Transcripts>,
+    pub(crate) parsed_scenes: Arc<ParsedScenes>,
+    pub(crate) scene_lookup: Arc<SceneLookup>,
 }
 
 impl AnswerService {
-    /// Answers that were kept, newest first: JSON of a list, each answer byte for byte as it was
-    /// given.
+    /// Returns a page of stored answers, newest first, as a JSON list. Each answer is byte for byte
+    /// as it was first returned.
     ///
     /// # Errors
     /// [`Error::Store`].
@@ -56,7 +57,7 @@ impl AnswerService {
         ))
     }
 
-    /// All of them, as lines.
+    /// Streams all matching answers, one per line.
     pub fn all_answers(
         &self,
         filter: AnswerFilter,

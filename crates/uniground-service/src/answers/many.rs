@@ -1,6 +1,7 @@
-//! Questions about many scenes: every one is looked into without a model, and those that most
-//! likely have it are asked in full.
+//! Questions about many scenes. Every scene is first scanned without a model. The most likely ones
+//! are then asked in full.
 
+use super::question_models::QuestionModels;
 use super::{QuestionCaller, StoredScene};
 use crate::error::Error;
 use crate::vlm::OF_QUESTION;
@@ -17,22 +18,22 @@ use uniground_types::answer::Answer;
 use uniground_types::many::{MOST_SCENES, ManyAnswers, ManyGroundRequest, NotAsked, SceneAnswer};
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
-/// Scenes of one question that are under way at once.
+/// Scenes of one question that are asked concurrently.
 const AT_ONCE: usize = 4;
-/// So few scenes stay in memory once they were looked into.
+/// Up to this many scenes stay in memory after they were scanned.
 const FEW_SCENES: usize = 32;
-/// So many are looked into where more are meant than can be.
+/// How many scenes are scanned if more match than can be scanned.
 const LIKELY_SCENES: usize = 200;
-/// How long a scene waits when all places are taken, and how often.
+/// The wait when no permit is free, and how often it is repeated.
 const STEP_ASIDE: Duration = Duration::from_millis(100);
 const TRIES: u32 = 100;
 
 impl GroundingService {
-    /// Finds out in which of many scenes something is.
+    /// Finds the scenes that contain what the question asks for.
     ///
     /// # Errors
-    /// [`Error::Invalid`], [`Error::SceneNotFound`] for a scene that was named; where no scene
-    /// could be asked in full, why the first could not.
+    /// [`Error::Invalid`]; [`Error::SceneNotFound`] for a scene that was named; if no scene could
+    /// be asked in full, the error of the first one.
     pub async fn ground_many(
         &self,
         request: ManyGroundRequest,
@@ -40,7 +41,8 @@ impl GroundingService {
     ) -> Result<ManyAnswers, Error> {
         request.check()?;
         let (start, question) = (Instant::now(), request.of_one());
-        self.reviewer(&question, &caller)?;
+        // Fails early for a question that insists on a model that cannot be had.
+        QuestionModels::decide(self.vlm.as_ref(), &question, &caller, Vec::new())?;
         let (rows, narrowed) = self.scenes_meant(&request).await?;
         let glance_at = GroundRequest { reasoner: ReasonerChoice::Builtin, ..question.clone() };
         let stays = rows.len() <= FEW_SCENES;
@@ -60,7 +62,7 @@ impl GroundingService {
                     looked_into += 1;
                     likely.push((standing, row));
                 }
-                // It was deleted meanwhile.
+                // The scene was deleted in the meantime.
                 Err(Error::SceneNotFound { .. }) => {}
                 Err(error @ Error::QuestionTimedOut { .. }) => return Err(error),
                 Err(error) => {
@@ -74,7 +76,7 @@ impl GroundingService {
         if let (0, Some(error)) = (looked_into, first_error) {
             return Err(error);
         }
-        // Newest first among equals, as they come.
+        // The sort is stable: scenes of equal rank stay newest first.
         likely.sort_by(|(a, _), (b, _)| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)));
         likely.truncate(request.top_k as usize);
         let pays = request.max_cost_usd.map(|usd| Budget::new(OF_QUESTION, usd));
@@ -91,7 +93,7 @@ impl GroundingService {
         for (row, answer) in asked {
             match answer {
                 Ok(answer) => {
-                    answers.push(SceneAnswer { scene_name: row.name, labels: row.labels, answer })
+                    answers.push(SceneAnswer { scene_name: row.name, labels: row.labels, answer });
                 }
                 Err(error) => {
                     not_asked.push(told(&row, &error));
@@ -102,7 +104,8 @@ impl GroundingService {
         if let (true, Some(error)) = (answers.is_empty(), first_error) {
             return Err(error);
         }
-        // Each of them is a question of its own; one was counted when it came.
+        // Every scene asked in full counts as a question. The first one was counted with the
+        // request.
         if let Some(key) = &caller.key {
             for _ in answers.iter().skip(1) {
                 let _ = self.keyring.count(key).await;
@@ -117,8 +120,8 @@ impl GroundingService {
         Ok(ManyAnswers { query: request.query, looked_into, narrowed, answers, not_asked })
     }
 
-    /// The scenes to look into: all that are meant, or where those are too many the likeliest by
-    /// what they are known by, and whether that is so.
+    /// Returns the scenes to scan: all that match or, if they are too many, the likeliest ones by
+    /// the room index. Also returns whether the list was shortened this way.
     async fn scenes_meant(
         &self,
         request: &ManyGroundRequest,
@@ -135,13 +138,13 @@ impl GroundingService {
         }
         let found: HashSet<&str> = rows.iter().map(|row| row.id.as_str()).collect();
         for id in request.scenes.iter().flatten().filter(|id| !found.contains(id.as_str())) {
-            // It may be there under other labels.
+            // The scene may exist with other labels.
             self.scene_lookup.scene_row(id).await?;
         }
         Ok((rows, false))
     }
 
-    /// One of the scenes, as a question about it alone.
+    /// Asks the whole question about one scene.
     async fn ask_in_full(
         &self,
         row: &SceneRow,
@@ -157,7 +160,7 @@ impl GroundingService {
                 .timeout_s
                 .map(|seconds| seconds - start.elapsed().as_secs_f32())
                 .filter(|left| *left > 0.0);
-            // What naming a scene costs is no part of a question's budget.
+            // The cost of naming a scene is not part of a question's budget.
             let asker = QuestionCaller {
                 caller: caller.clone(),
                 answer_id: self.ids.new_id(),
@@ -176,7 +179,7 @@ impl GroundingService {
         }
     }
 
-    /// What the built-in reasoner makes of one scene; nothing is kept of it.
+    /// Asks the built-in reasoner about one scene. The answer is not stored.
     async fn glance(
         &self,
         row: &SceneRow,
@@ -197,7 +200,8 @@ impl GroundingService {
                 self.parsed_scenes.passing_parse(parse_id).await?
             };
             let scene = StoredScene::new(self.parsed_scenes.clone(), parse);
-            match pipeline::answer(&scene, self.ask(question, caller, None, &[])?).await {
+            let models = QuestionModels::decide(self.vlm.as_ref(), question, caller, Vec::new())?;
+            match pipeline::answer(&scene, models.into_ask(question)).await {
                 Err(Error::Overloaded) if tries < TRIES => {
                     drop(glance);
                     sleep(STEP_ASIDE).await;
@@ -220,11 +224,11 @@ fn check_time(question: &GroundRequest, start: Instant) -> Result<(), Error> {
     }
 }
 
-/// A rank, the lower the better, and within it the higher the better.
+/// A rank, lower is better, and a confidence within it, higher is better.
 type MatchRank = (u8, f32);
 
-/// The lower first, then by confidence: what is said of a thing counts before what is said of its
-/// absence.
+/// Ranks a result by status, then by confidence. Results that find the object come before results
+/// that report its absence.
 fn standing(status: Status, confidence: f32) -> MatchRank {
     match status {
         Status::Grounded => (0, confidence),

@@ -1,21 +1,22 @@
-//! Questions to answers, kept.
+//! Answers questions about scenes and stores the answers.
 
 mod in_frame;
 mod lists;
 mod many;
 mod once;
 mod pictures;
+mod question_models;
 mod stored_scene;
 pub(super) mod table;
 mod transcripts;
 
 pub use lists::AnswerService;
 pub use lists::LineFormat;
+use question_models::QuestionModels;
 pub(super) use stored_scene::StoredScene;
 pub use transcripts::Transcripts;
 
 use super::parses::LoadedParse;
-use super::vlm::OF_QUESTION;
 use super::{Caller, Vlm};
 use crate::error::Error;
 use crate::{Keyring, Limits, NamingService, ParsedScenes, RoomSearch, SceneLookup, ServiceLocks};
@@ -25,34 +26,33 @@ use std::time::{Duration, Instant};
 use tokio::sync::Semaphore;
 use tokio::time::{sleep, timeout};
 use uniground_geometry::scene::InstanceId;
-use uniground_grounding::pipeline::{self, Answered, Ask, Review, Shortlist, WithoutModel};
+use uniground_grounding::pipeline::{self, Answered, Shortlist};
 use uniground_grounding::reasoner::builtin;
-use uniground_grounding::vlm::Options;
-use uniground_grounding::{Grounding, Question, ShortlistScoring, Status};
-use uniground_language::{AutoParser, BuiltinParser, QueryParser, VlmParser};
-use uniground_models::chat::{Budget, CallRecord, OverBudget, usage_of};
+use uniground_grounding::{Grounding, ShortlistScoring, Status};
+use uniground_models::chat::{Budget, CallRecord, usage_of};
 use uniground_storage::{AnswerRepository, Blobs, IdGenerator, NewAnswer, SceneRepository};
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::answer::{Answer, Call, CoordinateFrame, Models, Shortlisted, Trace};
 use uniground_types::question::{
-    DEFAULT_MIN_CONFIDENCE, GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest,
+    GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest,
 };
 
-/// How long the store may be away until an answer of a batch is lost, and asked for again.
+/// How long a batch keeps retrying to store an answer. After that the answer is lost and the
+/// question is asked again.
 pub(super) const STORE_IS_BACK: Duration = Duration::from_mins(5);
-/// How often it is tried.
+/// The interval between the attempts.
 const LOOK_AGAIN: Duration = Duration::from_secs(1);
 
-/// Who asks, and what goes with that where it is not somebody who waits for the answer.
+/// The caller of a question, with the budget and answer id that a batch assigns.
 pub(super) struct QuestionCaller {
     pub caller: Caller,
-    /// Of the answer.
+    /// The id that the answer will have.
     pub answer_id: String,
-    /// Pays beside the question's own budget and the day's.
+    /// A budget that is charged in addition to the question's own and the daily budget.
     pub pays: Option<Budget>,
-    /// It is an item of a batch.
+    /// Whether the question is an item of a batch.
     pub is_batch: bool,
-    /// A scene may be named first, which is paid beside the question.
+    /// Whether the scene may be named first. Naming is not charged to the question.
     pub may_name: bool,
 }
 
@@ -61,26 +61,27 @@ pub(super) struct QuestionCaller {
 pub struct GroundingService {
     pub(crate) keyring: Keyring,
     pub(crate) scene_repository: SceneRepository,
-    pub(crate) room_search: RoomSearch,
-    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) room_search: Arc<RoomSearch>,
+    pub(crate) scene_lookup: Arc<SceneLookup>,
     pub(crate) ids: IdGenerator,
     pub(crate) scan_permits: Arc<Semaphore>,
-    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) parsed_scenes: Arc<ParsedScenes>,
     pub(crate) metrics: Arc<Metrics>,
     pub(crate) blobs: Blobs,
-    pub(crate) naming_service: NamingService,
+    pub(crate) naming_service: Arc<NamingService>,
     pub(crate) vlm: Option<Arc<Vlm>>,
     pub(crate) answer_repository: AnswerRepository,
-    pub(crate) transcripts: Transcripts,
+    pub(crate) transcripts: Arc<Transcripts>,
     pub(crate) limits: Limits,
-    pub(crate) service_locks: ServiceLocks,
+    pub(crate) service_locks: Arc<ServiceLocks>,
 }
 
 impl GroundingService {
-    /// Grounds one question in a parsed scene and keeps the answer.
+    /// Answers a question about a parsed scene and stores the answer.
     ///
     /// # Errors
-    /// [`Error`]: unknown or unparsed scene, a question that is none, no model or no money where a model was demanded, overload, time-out.
+    /// [`Error`] for an unknown or unparsed scene, an invalid question, overload, or a timeout; and
+    /// if the question requires a model that is missing or cannot be paid for.
     pub async fn ground(
         &self,
         scene_id: &str,
@@ -97,7 +98,7 @@ impl GroundingService {
         self.ground_for(scene_id, request, asker).await
     }
 
-    /// The same for somebody who has chosen the answer's id, or pays.
+    /// Like [`ground`](Self::ground), for a caller that sets the answer's id or adds a budget.
     pub(super) async fn ground_for(
         &self,
         scene_id: &str,
@@ -117,7 +118,8 @@ impl GroundingService {
                     start.elapsed(),
                 );
             }
-            // A batch steps aside for people and asks again at once.
+            // Not counted as a failure: a batch yields to interactive questions and retries at
+            // once.
             Err(Error::Overloaded) if is_batch => {}
             Err(error) => self.metrics.questions.failed(error.code()),
         }
@@ -132,9 +134,11 @@ impl GroundingService {
     ) -> Result<Answer, Error> {
         request.check()?;
         let (scene, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
-        let reviewer = self.reviewer(&request, &asker.caller)?;
+        let mut budgets = Vlm::budgets(request.max_cost_usd);
+        budgets.extend(asker.pays);
+        let models = QuestionModels::decide(self.vlm.as_ref(), &request, &asker.caller, budgets)?;
         let start = Instant::now();
-        if reviewer.is_some() && asker.may_name {
+        if models.has_reviewer() && asker.may_name {
             let naming =
                 self.naming_service.name_before_asking(&scene.id, &parse_id, &asker.caller);
             let named = match request.timeout_s {
@@ -162,12 +166,10 @@ impl GroundingService {
             },
             None => request,
         };
-        // A place among those who wait for the model, for as long as the question takes.
-        let _place = reviewer.as_ref().map(|vlm| vlm.place()).transpose()?;
-        let mut budgets = Vlm::budgets(request.max_cost_usd);
-        budgets.extend(asker.pays);
-        let asks_model = reviewer.is_some() || request.parser == ParserChoice::Vlm;
-        let ask = self.ask(&request, &asker.caller, reviewer, &budgets)?;
+        // A permit for the queue of the model, held until the question is answered.
+        let _place = models.queue_place()?;
+        let asks_model = models.has_reviewer() || request.parser == ParserChoice::Vlm;
+        let ask = models.into_ask(&request);
         let answered = match request.timeout_s {
             Some(seconds) => {
                 match timeout(
@@ -177,7 +179,7 @@ impl GroundingService {
                 .await
                 {
                     Ok(answered) => answered?,
-                    // Who did not insist on the model gets what there is without it.
+                    // A question that does not require the model falls back to the built-in answer.
                     Err(_) if asks_model && request.reasoner == ReasonerChoice::Auto => {
                         self.without_model(&request, &source, seconds).await?
                     }
@@ -191,8 +193,8 @@ impl GroundingService {
         let mut answer = self.told(&answered, asker.answer_id, scene.id, version, &source.parse);
         answer.in_frame = frame.map(|frame| frame.holding(&answer.targets));
         let model = self.vlm.as_ref().map_or("", |vlm| vlm.name());
-        // Nobody waits for an item of a batch, and it may have been paid for: it is kept as soon as
-        // that can be done.
+        // No client waits for an item of a batch, and its answer may have been paid for. Storing it
+        // is retried until the store is available again.
         let patience = if asker.is_batch { STORE_IS_BACK } else { Duration::ZERO };
         match self.keep_within(patience, &answer, model, &parse_id, answered.calls).await {
             Ok(true) => {}
@@ -200,7 +202,8 @@ impl GroundingService {
                 self.blobs.discard(self.blobs.answer(&answer.id)).await?;
                 return Err(Error::SceneNotFound { id: answer.scene_id });
             }
-            // Who asked wants to know; that it can not be kept is the operator's concern.
+            // The caller gets the answer in any case. That it could not be stored is for the
+            // operator.
             Err(error) => {
                 tracing::error!(
                     error = &error as &dyn std::error::Error,
@@ -212,7 +215,7 @@ impl GroundingService {
         Ok(filtered(answer, request.include.as_deref()))
     }
 
-    /// The built-in answer, for a question whose time was over before the model's came.
+    /// Returns the built-in answer to a question that timed out before the model replied.
     async fn without_model(
         &self,
         request: &GroundRequest,
@@ -224,14 +227,14 @@ impl GroundingService {
             parser: ParserChoice::Builtin,
             ..request.clone()
         };
-        let ask = self.ask(&request, &Caller::operator(), None, &[])?;
+        let ask = QuestionModels::built_in().into_ask(&request);
         let mut answered = pipeline::answer(source, ask).await?;
         answered.degraded = true;
         answered.corrections.push(format!("the model did not answer within {seconds} s"));
         Ok(answered)
     }
 
-    /// The same where the store may be away for so long.
+    /// Like `keep`, but retries for up to `patience` while the store is unavailable.
     async fn keep_within(
         &self,
         patience: Duration,
@@ -255,7 +258,7 @@ impl GroundingService {
         }
     }
 
-    /// Keeps an answer with what led to it; `false` when its scene is gone.
+    /// Stores an answer with its transcript. Returns `false` if its scene was deleted.
     async fn keep(
         &self,
         answer: &Answer,
@@ -273,10 +276,10 @@ impl GroundingService {
         Ok(self.answer_repository.insert_answer(new).await?)
     }
 
-    /// The candidates for a query, without reasoning over relations.
+    /// Returns the candidates for a query, without reasoning over relations.
     ///
     /// # Errors
-    /// As [`ground`](Self::ground).
+    /// Those of [`ground`](Self::ground).
     pub async fn shortlist(
         &self,
         scene_id: &str,
@@ -297,101 +300,7 @@ impl GroundingService {
         Ok(Shortlisted { query, candidates, encoder, cut })
     }
 
-    /// The model that reviews a question; `None` where the built-in reasoner decides, by choice or
-    /// because nothing may be spent.
-    fn reviewer(
-        &self,
-        request: &GroundRequest,
-        caller: &Caller,
-    ) -> Result<Option<Arc<Vlm>>, Error> {
-        let unpaid = self.is_unpaid(request, caller);
-        let asks =
-            request.reasoner != ReasonerChoice::Builtin || request.parser == ParserChoice::Vlm;
-        if let Some(vlm) =
-            self.vlm.as_ref().filter(|_| asks && !unpaid && request.max_cost_usd.is_some())
-            && !vlm.prices().are_known()
-        {
-            return Err(Error::invalid(
-                "/max_cost_usd",
-                "this server knows no prices of its model: only 0 can be held to",
-            ));
-        }
-        match (request.reasoner, &self.vlm) {
-            (ReasonerChoice::Builtin, _) | (ReasonerChoice::Auto, None) => Ok(None),
-            (ReasonerChoice::Auto, Some(_)) if unpaid => Ok(None),
-            (ReasonerChoice::Vlm, None) => Err(Error::VlmNotConfigured),
-            (ReasonerChoice::Vlm, Some(_)) if unpaid => Err(Error::OverBudget(OverBudget {
-                of: OF_QUESTION,
-                limit_usd: 0.0,
-                left_usd: 0.0,
-                wanted_usd: 0.0,
-            })),
-            (_, Some(vlm)) => Ok(Some(vlm.clone())),
-        }
-    }
-
-    /// Whether nothing may be spent on a question: it says so, or its key has a budget that nothing
-    /// can be held against.
-    fn is_unpaid(&self, request: &GroundRequest, caller: &Caller) -> bool {
-        let has_budget = caller.key.as_ref().is_some_and(|key| key.row.daily_usd.is_some());
-        request.max_cost_usd == Some(0.0)
-            || (has_budget && self.vlm.as_ref().is_some_and(|vlm| !vlm.prices().are_known()))
-    }
-
-    /// A request as the pipeline takes it.
-    fn ask(
-        &self,
-        request: &GroundRequest,
-        caller: &Caller,
-        reviewer: Option<Arc<Vlm>>,
-        budgets: &[Budget],
-    ) -> Result<Ask, Error> {
-        // The grammar reads where nothing may be spent.
-        let model = self.vlm.as_ref().filter(|_| !self.is_unpaid(request, caller));
-        let model =
-            model.map(|vlm| VlmParser { model: vlm.model_for(caller), budgets: budgets.to_vec() });
-        let parser: Arc<dyn QueryParser> = match (request.parser.beside(request.reasoner), model) {
-            (ParserChoice::Vlm, _) if self.vlm.is_none() => return Err(Error::VlmNotConfigured),
-            (ParserChoice::Vlm, Some(model)) => Arc::new(model),
-            (ParserChoice::Auto, Some(model)) => Arc::new(AutoParser(model)),
-            (ParserChoice::Builtin, _) | (_, None) => Arc::new(BuiltinParser),
-        };
-        let without_model = if request.reasoner == ReasonerChoice::Vlm {
-            WithoutModel::Fail
-        } else {
-            WithoutModel::BuiltIn
-        };
-        let review = reviewer.map(|vlm| Review {
-            model: vlm.model_for(caller),
-            budgets: budgets.to_vec(),
-            options: Options {
-                ablation: request.ablation,
-                evidence: request.evidence,
-                prompt: request.prompt,
-                json: vlm.json(),
-            },
-            without_model,
-        });
-        let question = Question {
-            query: request.query.clone(),
-            top_k: request.evidence.candidates(request.top_k) as usize,
-            convention: request.direction_convention,
-            observer: request.observer,
-            target_name: None,
-            candidates: request.candidates,
-            query_text: request.query_text,
-            min_confidence: request.min_confidence.unwrap_or(DEFAULT_MIN_CONFIDENCE),
-        };
-        Ok(Ask {
-            question,
-            parser,
-            without_parser: WithoutModel::BuiltIn,
-            allow_builtin_encoder: request.allow_builtin,
-            review,
-        })
-    }
-
-    /// What came of a question, as callers are told.
+    /// Converts the result of a question to the answer that callers get.
     fn told(
         &self,
         answered: &Answered,
@@ -481,7 +390,7 @@ impl GroundingService {
 }
 
 impl AnswerService {
-    /// An answer as it was given, whole: its JSON, byte for byte.
+    /// Returns the JSON of an answer, byte for byte as it was first returned.
     ///
     /// # Errors
     /// [`Error::AnswerNotFound`].
@@ -495,7 +404,7 @@ impl AnswerService {
     }
 }
 
-/// A status as it is written everywhere.
+/// Returns the spelling of a status.
 fn word(status: Status) -> &'static str {
     match status {
         Status::Grounded => "grounded",
@@ -505,7 +414,7 @@ fn word(status: Status) -> &'static str {
     }
 }
 
-/// One call, as told in the trace.
+/// Converts one call of a model to its form in the trace.
 fn call(record: &CallRecord) -> Call {
     let (reply, error) = (record.outcome.as_ref().ok(), record.outcome.as_ref().err().cloned());
     Call {
@@ -518,7 +427,7 @@ fn call(record: &CallRecord) -> Call {
     }
 }
 
-/// An answer with the parts that are wanted; all of them where nothing is said.
+/// Keeps the requested parts of an answer. Keeps all of them if none are named.
 fn filtered(mut answer: Answer, include: Option<&[Include]>) -> Answer {
     if let Some(include) = include {
         let wanted = |part| include.contains(&part);

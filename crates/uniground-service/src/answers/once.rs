@@ -1,20 +1,21 @@
-//! Questions that come again: under the same idempotency key the same answer, and a model is paid
-//! once.
+//! Repeated questions. The same idempotency key returns the same answer, and a model is paid once.
 
+use super::question_models::wants_model;
 use super::{QuestionCaller, filtered};
 use crate::error::Error;
 use crate::{Caller, GroundingService};
 use sha2::{Digest, Sha256};
 use tracing::Instrument;
 use uniground_types::answer::Answer;
-use uniground_types::question::{GroundRequest, ParserChoice, ReasonerChoice};
+use uniground_types::question::GroundRequest;
 
 impl GroundingService {
-    /// Grounds one question under an idempotency key; whether the answer was given before. The
-    /// question is answered to its end even if whoever asked has gone: they will come again.
+    /// Answers a question under an idempotency key. Also returns whether the answer was given
+    /// before. The question is answered to its end even if the client disconnects, because the
+    /// client will retry.
     ///
     /// # Errors
-    /// As [`ground`](Self::ground); [`Error::IdempotencyKeyReused`].
+    /// Those of [`ground`](Self::ground); [`Error::IdempotencyKeyReused`].
     pub async fn ground_once(
         &self,
         scene_id: &str,
@@ -35,19 +36,20 @@ impl GroundingService {
         key: &str,
     ) -> Result<(Answer, bool), Error> {
         request.check()?;
-        // What can not be asked at all uses up no key.
+        // Checked first: a question that cannot be asked uses up no key.
         self.scene_lookup.ready_scene(scene_id).await?;
         let key = caller.own(key.to_owned());
         let _turn = self.service_locks.answering(&key).await?;
         let digest = Sha256::digest(serde_json::to_vec(&(scene_id, &request))?);
         let asked: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
-        // The answer has its id before it is asked: one that was kept before a crash is known
-        // again.
+        // The answer's id is chosen before the question is asked. An answer that was stored before
+        // a crash is found again by it.
         let (known, answer_id) =
             match self.answer_repository.question_of_key(&key, &asked, &self.ids.new_id()).await {
                 Ok(known) => known,
-                // Nobody is paid: an answer that can not be kept is better than none.
-                Err(error) if !self.may_pay(&request) => {
+                // No model is paid for this question, so answering it without storing its key is
+                // better than failing.
+                Err(error) if self.vlm.is_none() || !wants_model(&request) => {
                     tracing::warn!(
                         error = &error as &dyn std::error::Error,
                         "idempotency key could not be stored; answering without it"
@@ -68,10 +70,5 @@ impl GroundingService {
         let asker =
             QuestionCaller { caller, answer_id, pays: None, is_batch: false, may_name: true };
         Ok((self.ground_for(scene_id, request, asker).await?, false))
-    }
-
-    fn may_pay(&self, request: &GroundRequest) -> bool {
-        self.vlm.is_some()
-            && (request.reasoner != ReasonerChoice::Builtin || request.parser == ParserChoice::Vlm)
     }
 }

@@ -1,4 +1,4 @@
-//! The pictures that go with an answer.
+//! The pictures of an answer.
 
 use super::StoredScene;
 use crate::AnswerService;
@@ -9,10 +9,10 @@ use uniground_geometry::scene::InstanceId;
 use uniground_grounding::pipeline::SceneSource;
 use uniground_render::{BoxStyle, LabelledBox, ROOM_VIEW, jpeg, scene_picture};
 
-/// The picture every answer has.
+/// The name of the picture that every answer has.
 pub(super) const GLOBAL: &str = "global";
-/// What a picture takes of a stored answer, of whatever version: fields that are missing are not
-/// drawn.
+/// The fields of a stored answer that a picture needs. Answers of earlier versions may lack some of
+/// them; those are not drawn.
 #[derive(Deserialize)]
 struct StoredAnswer {
     #[serde(default)]
@@ -34,12 +34,12 @@ struct DrawnCandidate {
     id: InstanceId,
 }
 
-/// More candidates than this only hide the room.
+/// The maximum number of candidates drawn. More would only hide the room.
 const MAX_CANDIDATES: usize = 5;
 
 impl AnswerService {
-    /// A picture of an answer by its name: as a model was shown it, where that is kept; the room is
-    /// drawn otherwise. JPEG.
+    /// Returns a picture of an answer by its name, as JPEG. This is the picture that a model was
+    /// shown, if it is stored. Otherwise the room is drawn.
     ///
     /// # Errors
     /// [`Error::AnswerNotFound`], [`Error::AnswerPictureNotFound`].
@@ -56,7 +56,8 @@ impl AnswerService {
         }
     }
 
-    /// The room from above: the answer's box, its anchor and the other candidates over the cloud.
+    /// Draws the room from above: the answer's box, its anchor and the other candidates over the
+    /// cloud.
     async fn drawn_picture(&self, id: &str) -> Result<Vec<u8>, Error> {
         let row = self
             .answer_repository
@@ -68,7 +69,7 @@ impl AnswerService {
             self.parsed_scenes.clone(),
             self.parsed_scenes.loaded_parse(&row.parse_id).await?,
         );
-        // Later boxes lie on top: candidates, anchor, answer.
+        // Later boxes cover earlier ones, hence the order: candidates, anchor, answer.
         let candidates = candidates
             .iter()
             .take(MAX_CANDIDATES)
@@ -79,7 +80,7 @@ impl AnswerService {
         source.compute(move |source| source.room_with(marks, &answer.candidate_names)).await
     }
 
-    /// The room of a scene's current parse from above, with instances marked. JPEG.
+    /// Draws the room of a scene's current parse from above, with instances marked. JPEG.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::InstanceNotFound`],
@@ -104,8 +105,8 @@ impl AnswerService {
 }
 
 impl StoredScene {
-    /// The room from above with boxes, the last on top; of several boxes of an instance the last.
-    /// JPEG.
+    /// Draws the room from above with boxes, as JPEG. Later boxes lie on top. If an instance has
+    /// several boxes, only the last one is drawn.
     fn room_with(
         &self,
         marks: Vec<(InstanceId, BoxStyle)>,

@@ -1,4 +1,4 @@
-//! A stored parse as the question pipeline sees it.
+//! A stored parse as the question pipeline's source of instances and pictures.
 
 use crate::ParsedScenes;
 use crate::error::Error;
@@ -26,31 +26,31 @@ use uniground_render::{RenderScene, Shot};
 use uniground_storage::{Blobs, PinnedPath, Scratch};
 use uniground_types::settings::ParsingSettings;
 
-/// Instances that questions may add to a parse.
+/// The maximum number of instances that questions may add to a parse.
 const MOST_FOUND: usize = 500;
 
-/// A parse, and the service that keeps it.
+/// A loaded parse, with the service that stores its files and rows.
 pub struct StoredScene {
-    scenes: ParsedScenes,
+    scenes: Arc<ParsedScenes>,
     pub parse: Arc<LoadedParse>,
 }
 
 impl StoredScene {
-    pub fn new(scenes: ParsedScenes, parse: Arc<LoadedParse>) -> Arc<Self> {
+    pub fn new(scenes: Arc<ParsedScenes>, parse: Arc<LoadedParse>) -> Arc<Self> {
         Arc::new(Self { scenes, parse })
     }
 
-    /// A file of the parse, if it is what was written.
+    /// Pins a file of the parse after checking that it is as it was written.
     pub fn check(&self, file: &Utf8Path) -> Result<PinnedPath, Error> {
         self.scenes.check_file(&self.parse.id, file)
     }
 
-    /// A folder of its own for as long as somebody holds it.
+    /// Creates a temporary folder. It is deleted when its handle is dropped.
     pub fn scratch(&self) -> Result<Scratch, Error> {
         Ok(self.scenes.blobs.scratch()?)
     }
 
-    /// What of the room is occupied, of parses asked about lately.
+    /// Returns the cached occupancy of recently used parses.
     pub fn known_occupancies(&self) -> &LruCache<Arc<Occupancy>> {
         &self.scenes.parse_cache.occupancies
     }
@@ -108,7 +108,7 @@ impl SceneSource for StoredScene {
         }
         let file = ParseFile::Cloud.of(&self.folder());
         let file = self.check(&file)?;
-        // Whoever asked has nothing to do with it.
+        // The caller is not at fault: the parse is damaged.
         let damaged = |error| match error {
             IngestError::Io { .. } => Error::Ingest(error),
             error => {
@@ -149,7 +149,8 @@ impl SceneSource for StoredScene {
     }
 
     async fn keep_names(&self, names: &BTreeMap<u32, String>) -> Result<(), Error> {
-        // They were given beside an answer that was paid for: that one is not lost with them.
+        // The names came with an answer that was paid for. That answer is returned even if the
+        // names cannot be stored.
         if let Err(error) = self.scenes.keep_names(&self.parse.id, names).await {
             tracing::warn!(
                 parse_id = self.parse.id,
@@ -169,10 +170,10 @@ impl SceneSource for StoredScene {
         let Some(frames) = read_frames(blobs, &self.folder(), &self.parse.content)? else {
             return Ok(None);
         };
-        // Any of them may show the place.
+        // Pins the whole scan, because any of its frames may show the place.
         let _scan = blobs.whole(&self.parse.content)?;
         let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
-        // As the parse was made: the same masks, or the built-in ones.
+        // Uses the masks of the parse: the same model, or the built-in ones.
         let models = &self.scenes.models;
         let segmenter = models
             .segmenters
@@ -186,7 +187,7 @@ impl SceneSource for StoredScene {
         };
         match pointing.find(place, &self.parse.instances, is_not) {
             Ok(found) => Ok(found),
-            // The scan's own pictures are not needed for an answer.
+            // An answer does not need the scan's own pictures.
             Err(ParseError::Frame(error)) => {
                 tracing::warn!(
                     parse_id = self.parse.id,
@@ -203,13 +204,13 @@ impl SceneSource for StoredScene {
         self: &Arc<Self>,
         found: Instance,
     ) -> Result<(Arc<Self>, InstanceId), Error> {
-        // Of a scene that grows it is kept before the next parse goes on from this one, or not at
-        // all: its id would be another's.
+        // In a growing scene, the instance is stored before the next parse continues from this one,
+        // or not at all. Otherwise another instance could get the same id.
         let _turn = self.scenes.service_locks.correcting(&self.parse.id).await?;
         let Some(id) =
             self.scenes.parse_repository.insert_found(&self.parse.id, &found, MOST_FOUND).await?
         else {
-            // For this question alone.
+            // The instance is used for this question only.
             let (mut parse, id) = (
                 LoadedParse::clone(&self.parse),
                 InstanceId(self.parse.instances.len() as u32 + 1),
@@ -232,8 +233,8 @@ impl SceneSource for StoredScene {
     }
 }
 
-/// A stored view; `None`, and a line in the log, where it can not be read. Parses from before masks
-/// were kept have drawn pictures alone.
+/// Reads a stored view. Returns `None` and logs a warning if it cannot be read. Parses of versions
+/// that stored no masks have drawn pictures only.
 fn shot(blobs: &Blobs, parse: &Utf8Path, id: InstanceId, at: usize, of: &View) -> Option<Shot> {
     let read = |file: Utf8PathBuf| {
         let decoded = blobs

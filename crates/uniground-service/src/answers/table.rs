@@ -1,10 +1,10 @@
-//! Figures of an answer as cells of a table.
+//! Formats the figures of an answer as cells of a table.
 
 use crate::error::Error;
 use std::io;
 use uniground_types::answer::Answer;
 
-/// Their columns.
+/// The names of the columns.
 pub const COLUMNS: [&str; 10] = [
     "predicted_id",
     "confidence",
@@ -18,7 +18,7 @@ pub const COLUMNS: [&str; 10] = [
     "cost_usd",
 ];
 
-/// Of one answer, in order of [`COLUMNS`]; what it does not have is empty.
+/// Returns the cells of an answer in the order of [`COLUMNS`]. Missing values are empty.
 pub fn cells(answer: Option<&Answer>) -> [String; COLUMNS.len()] {
     let Some(answer) = answer else { return Default::default() };
     let [center, size] =
@@ -40,7 +40,7 @@ pub fn cells(answer: Option<&Answer>) -> [String; COLUMNS.len()] {
     ]
 }
 
-/// Rows as CSV, without their header.
+/// Formats rows as CSV, without a header.
 pub fn written(rows: impl Iterator<Item = Result<Vec<String>, Error>>) -> Result<Vec<u8>, Error> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     for row in rows {

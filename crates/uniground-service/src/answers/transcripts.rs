@@ -1,4 +1,5 @@
-//! What a model was shown and said for an answer, kept as files for as long as the operator wants.
+//! Stores what a model was shown and replied for an answer, as files. The operator sets their
+//! retention.
 
 use crate::Limits;
 use crate::error::Error;
@@ -15,12 +16,12 @@ use uniground_types::transcript::{AnswerPrompt, AnswerReply, PromptCall, PromptP
 const PROMPT_FILE: &str = "prompt.json";
 const REPLY_FILE: &str = "reply.json";
 
-/// Path of a picture of an answer.
+/// Returns the URL path of an answer's picture.
 pub(super) fn picture_path(answer_id: &str, name: &str) -> String {
     format!("/v1/answers/{answer_id}/evidence/{name}.jpg")
 }
 
-/// Names of the pictures a model was shown, each once.
+/// Returns the names of the pictures that a model was shown, without duplicates.
 pub(super) fn pictures(records: &[CallRecord]) -> BTreeSet<&str> {
     let parts = records.iter().flat_map(|record| &record.request.user);
     parts
@@ -30,7 +31,7 @@ pub(super) fn pictures(records: &[CallRecord]) -> BTreeSet<&str> {
         .collect()
 }
 
-/// Prompts, replies and pictures that led to an answer.
+/// Stores the prompts, replies and pictures behind an answer.
 #[derive(Clone)]
 pub struct Transcripts {
     pub(crate) blobs: Blobs,
@@ -39,7 +40,7 @@ pub struct Transcripts {
 }
 
 impl Transcripts {
-    /// Writes down what was asked and said.
+    /// Stores what the model was asked and what it replied.
     pub(super) async fn keep_transcript(
         &self,
         answer: &Answer,
@@ -58,19 +59,19 @@ impl Transcripts {
         .await?
     }
 
-    /// What the model was shown and asked for an answer.
+    /// Returns what the model was shown and asked for an answer.
     ///
     /// # Errors
     /// [`Error::AnswerNotFound`]; [`Error::NoTranscript`] for answers of the built-in reasoner, and
-    /// once it is no longer kept.
+    /// after the transcript has expired.
     pub async fn answer_prompt(&self, id: &str) -> Result<AnswerPrompt, Error> {
         self.transcript(id, PROMPT_FILE).await
     }
 
-    /// What the model said.
+    /// Returns what the model replied.
     ///
     /// # Errors
-    /// As [`answer_prompt`](Self::answer_prompt).
+    /// Those of [`answer_prompt`](Self::answer_prompt).
     pub async fn answer_reply(&self, id: &str) -> Result<AnswerReply, Error> {
         self.transcript(id, REPLY_FILE).await
     }
@@ -83,7 +84,7 @@ impl Transcripts {
         Ok(serde_json::from_slice(&self.kept_file(id, file).await?)?)
     }
 
-    /// A file kept with an answer.
+    /// Reads a file that is stored with an answer.
     pub(super) async fn kept_file(&self, id: &str, file: &str) -> Result<Vec<u8>, Error> {
         self.answer_repository
             .answer(id)
@@ -94,7 +95,7 @@ impl Transcripts {
         kept.ok_or_else(|| Error::NoTranscript { id: id.into() })
     }
 
-    /// Removes what was kept for answers that are gone, in the background.
+    /// Removes the transcripts of deleted answers, in the background.
     pub(crate) async fn discard_transcripts(&self, answers: &[String]) -> Result<(), Error> {
         let folders = answers.iter().map(|answer| self.blobs.answer(answer)).collect();
         self.blobs.remove_later(self.blobs.set_aside(folders).await?);

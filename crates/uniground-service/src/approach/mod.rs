@@ -1,4 +1,4 @@
-//! Where a robot can stand for a thing, and the map of the floor it stands on.
+//! Finds where a robot can stand to reach or see an object, and maps the floor it stands on.
 
 use super::Caller;
 use super::answers::{CoordinateFrameView, StoredScene};
@@ -16,20 +16,20 @@ use uniground_types::approach::{
 };
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
-/// Places from which a robot can reach or see an instance.
+/// Finds poses from which a robot can reach or see an instance.
 #[derive(Clone)]
 pub struct ApproachService {
-    pub(crate) scene_lookup: SceneLookup,
-    pub(crate) parsed_scenes: ParsedScenes,
-    pub(crate) grounding_service: GroundingService,
+    pub(crate) scene_lookup: Arc<SceneLookup>,
+    pub(crate) parsed_scenes: Arc<ParsedScenes>,
+    pub(crate) grounding_service: Arc<GroundingService>,
 }
 
 impl ApproachService {
-    /// Finds places to stand for an instance, or for what a question means.
+    /// Finds standing poses for an instance, or for the object that a question means.
     ///
     /// # Errors
-    /// [`Error`]: unknown or unparsed scene, an instance there is none of or that is no thing, a request that makes no sense, coordinates that
-    /// the scene does not know, overload.
+    /// [`Error`] for an unknown or unparsed scene, an unknown instance or one that is not a thing,
+    /// an invalid request, coordinates that the scene does not have, or overload.
     pub async fn approach(
         &self,
         scene_id: &str,
@@ -113,20 +113,21 @@ impl ApproachService {
         Ok(told)
     }
 
-    /// The map of a scene's floor: what is higher above it than `height_m` is no obstacle.
+    /// Returns the map of a scene's floor. What is higher above the floor than `height_m` is not an
+    /// obstacle.
     ///
     /// # Errors
-    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`]; a height that
-    /// makes no sense.
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`]; an invalid
+    /// height.
     pub async fn floor(&self, scene_id: &str, height_m: f32) -> Result<FloorMap, Error> {
         let scene = self.mapped(scene_id, height_m).await?;
         scene.compute(move |scene| Ok(Floor::of(&*scene.occupancy()?, height_m).map().0)).await
     }
 
-    /// Its picture, PNG.
+    /// Returns the map of a scene's floor as a PNG picture.
     ///
     /// # Errors
-    /// As [`floor`](Self::floor).
+    /// Those of [`floor`](Self::floor).
     pub async fn floor_picture(&self, scene_id: &str, height_m: f32) -> Result<Vec<u8>, Error> {
         let scene = self.mapped(scene_id, height_m).await?;
         let drawn = scene.compute(move |scene| {
@@ -147,7 +148,8 @@ impl ApproachService {
         ))
     }
 
-    /// The answer to the question, where one is asked, and the parse that its ids are of.
+    /// Answers the request's question, if it has one. Also returns the parse that the answer's ids
+    /// belong to.
     async fn asked_about(
         &self,
         scene_id: &str,
@@ -164,8 +166,8 @@ impl ApproachService {
                 None => None,
             };
             let (row, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
-            // Another parse may have come in meanwhile, and its ids are others: then the question
-            // is asked of that one.
+            // A new parse with other ids may have been stored in the meantime. The question is then
+            // asked again for that parse.
             if answer
                 .as_ref()
                 .is_none_or(|answer| i64::from(answer.parse_version) == row.parse_version)
@@ -183,7 +185,8 @@ impl ApproachService {
     }
 }
 
-/// Asked of the built-in reasoner: it costs nothing, and a robot does not wait for a model.
+/// Returns a question for the built-in reasoner: it costs nothing, and a robot does not wait for a
+/// model.
 fn question(query: &str) -> GroundRequest {
     GroundRequest {
         reasoner: ReasonerChoice::Builtin,
@@ -192,7 +195,7 @@ fn question(query: &str) -> GroundRequest {
     }
 }
 
-/// `frame` is that of the robot's own place; `None` for the scene's.
+/// Converts the request. `frame` is the frame of the robot's pose, or `None` for the scene's own.
 fn wish_of(request: &ApproachRequest, frame: Option<&CoordinateFrameView>) -> Wish {
     let ApproachRequest {
         instance_id: _,
@@ -217,7 +220,7 @@ fn wish_of(request: &ApproachRequest, frame: Option<&CoordinateFrameView>) -> Wi
 }
 
 impl StoredScene {
-    /// What of the room is occupied: made once, and kept for the next question.
+    /// Returns the occupied space of the room. It is computed once and then cached.
     fn occupancy(&self) -> Result<Arc<Occupancy>, Error> {
         let known = self.known_occupancies();
         if let Some(occupancy) = known.get(&self.parse.id) {

@@ -1,5 +1,5 @@
-//! Questions of a batch: an item stores the fields it has of its own, its batch those that all
-//! items share.
+//! Questions of a batch. An item stores only its own fields. Fields that all items share are stored
+//! with the batch.
 
 use crate::error::Error;
 use serde::{Deserialize, Deserializer};
@@ -9,7 +9,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use uniground_types::question::GroundRequest;
 
-/// Stored separately from the other fields: of every item.
+/// The field of the scene. Every item stores it separately from the other fields.
 pub const SCENE_ID: &str = "scene_id";
 
 /// Fields that the items of a batch share.
@@ -17,13 +17,13 @@ pub const SCENE_ID: &str = "scene_id";
 pub struct BatchDefaults(BTreeMap<String, Box<RawValue>>);
 
 impl BatchDefaults {
-    /// Reads them as stored. A batch without any stores whole questions in its items.
+    /// Reads the stored defaults. A batch without defaults stores whole questions in its items.
     pub fn from_stored(json: Option<&str>) -> Result<Self, Error> {
         Ok(Self(json.map(serde_json::from_str).transpose()?.unwrap_or_default()))
     }
 
-    /// Returns the whole question of an item, its own fields before the shared ones. Text by text:
-    /// numbers keep their digits.
+    /// Returns the whole question of an item, with its own fields before the shared ones. The
+    /// fields are merged as text, so that numbers keep their digits.
     pub fn merge<'a>(&self, request: &'a str) -> Result<Cow<'a, str>, Error> {
         if self.0.is_empty() {
             return Ok(request.into());
@@ -35,9 +35,9 @@ impl BatchDefaults {
         Ok(serde_json::to_string(&all)?.into())
     }
 
-    /// Returns the words of an item's question; none where it has none.
+    /// Returns the words of an item's question, or an empty string if it has none.
     pub fn query_of(&self, request: &str) -> String {
-        /// The question's words, whatever they are and whatever else the item has.
+        /// The question's words, of any JSON type. Other fields of the item are ignored.
         #[derive(Default, Deserialize)]
         struct ItemQuery<'a> {
             #[serde(borrow, default, deserialize_with = "present")]
@@ -52,13 +52,13 @@ impl BatchDefaults {
     }
 }
 
-/// Takes the scene out of an item's fields; `shared` where the item names none.
+/// Removes the scene from an item's fields. Returns `shared` if the item names none.
 pub fn take_scene(fields: &mut Map<String, Value>, shared: &str) -> String {
     let own = fields.remove(SCENE_ID);
     own.map_or_else(|| shared.to_owned(), |id| id.as_str().unwrap_or_default().to_owned())
 }
 
-/// The question of an item.
+/// Parses the question of an item.
 pub fn question_of(request: &str) -> Result<GroundRequest, Error> {
     let mut reader = serde_json::Deserializer::from_str(request);
     let question: GroundRequest =
@@ -85,7 +85,7 @@ mod tests {
         serde_json::from_value(value).unwrap()
     }
 
-    /// How a question was stored before batches had defaults of their own.
+    /// Returns the form in which questions were stored before batches had defaults.
     fn whole(defaults: &Map<String, Value>, own: Map<String, Value>) -> String {
         let mut all = defaults.clone();
         all.extend(own);
@@ -119,7 +119,8 @@ mod tests {
         assert!(stored(&defaults).merge("no JSON").is_err());
     }
 
-    /// Of batches from before: nothing is read again, nothing changes.
+    /// Batches of earlier versions store whole questions. They are returned unchanged, without
+    /// parsing.
     #[test]
     fn whole_questions_stay_as_they_are() {
         let none = BatchDefaults::from_stored(None).unwrap();
@@ -146,7 +147,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever is shared and whatever is not: the question is the text that it was when items stored all of it.
+        /// However the fields are divided between shared and own ones, the merged question equals
+        /// the text of an item that stores all of them.
         #[test]
         fn merged_questions_are_those_that_were_stored_whole(
             shared in proptest::collection::btree_map("[a-c\"\\\\]{0,2}", "\\PC{0,8}", 0..4),

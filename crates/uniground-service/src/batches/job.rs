@@ -1,4 +1,4 @@
-//! Asking the questions of a batch.
+//! The job that answers the questions of a batch.
 
 use super::items::{BatchDefaults, question_of};
 use super::reason;
@@ -29,8 +29,8 @@ use uniground_telemetry::metrics::Metrics;
 use uniground_types::answer::{Answer, Usage};
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
-/// Asks batches. Some at once: a short one need not wait for a long one.
-pub struct BatchJob(pub BatchRunner);
+/// Runs batches. Several run at once, so that a short batch need not wait for a long one.
+pub struct BatchJob(pub Arc<BatchRunner>);
 
 #[derive(Serialize, Deserialize)]
 pub struct Payload {
@@ -40,7 +40,7 @@ pub struct Payload {
 impl JobKind for BatchJob {
     const NAME: &'static str = "batch";
     const CONCURRENCY: usize = 4;
-    /// What is finished is never asked again, so another try costs nothing.
+    /// Finished items are never asked again, so a retry costs nothing.
     const RETRY: Retry = Retry { interrupted: 100, transient: 10, backoff: Duration::from_secs(2) };
     type Payload = Payload;
 
@@ -49,38 +49,38 @@ impl JobKind for BatchJob {
     }
 }
 
-/// Items looked at together.
+/// Items read from the database at once.
 const WINDOW: u32 = 512;
-/// What was answered is written down after so long,
+/// The interval at which finished items are written,
 const WRITE_EVERY: Duration = Duration::from_millis(200);
-/// or when it is so much.
+/// or the number of finished items that triggers a write earlier.
 const WRITE_AFTER: usize = 64;
-/// Tries of a question that failed in a way that may pass, and the wait before the second; each
-/// later one is twice as long.
+/// Attempts at a question after transient errors, and the wait before the second attempt. Each
+/// later wait is twice as long.
 const TRIES: u32 = 4;
 const FIRST_WAIT: Duration = Duration::from_secs(1);
-/// How long a question waits that found all places taken: people come first.
+/// The wait of a question that found no free permit. Interactive questions go first.
 const STEP_ASIDE: Duration = Duration::from_millis(50);
 
-/// How long questions under way may take once somebody wants the job to stop. As long as requests
-/// have when the server stops.
+/// How long questions in progress may take after the job was asked to stop. Requests have the same
+/// time when the server stops.
 const GRACE: Duration = Duration::from_secs(5);
 
-/// How an item ended.
+/// The outcome of an item.
 enum ItemOutcome {
     Closed(ClosedItem),
-    /// The batch's money is spent: it waits.
+    /// The budget of the batch is exhausted, so the item waits.
     OverBudget,
 }
 
-/// A batch being asked.
+/// A batch in progress.
 struct BatchRun {
     service: BatchRunner,
     batch: BatchRow,
-    /// What its items share.
+    /// The fields that the items share.
     defaults: Arc<BatchDefaults>,
     budget: Option<Budget>,
-    /// Items that are answered or have failed, those of earlier runs too.
+    /// Items that were answered or failed, including those of earlier runs.
     done: u32,
     progress: Progress,
     hold: JobLease,
@@ -93,10 +93,10 @@ pub struct BatchRunner {
     pub(crate) metrics: Arc<Metrics>,
     pub(crate) batch_repository: BatchRepository,
     pub(crate) keyring: Keyring,
-    pub(crate) capacity: Capacity,
+    pub(crate) capacity: Arc<Capacity>,
     pub(crate) answer_repository: AnswerRepository,
     pub(crate) vlm: Option<Arc<Vlm>>,
-    pub(crate) grounding_service: GroundingService,
+    pub(crate) grounding_service: Arc<GroundingService>,
 }
 
 impl BatchRunner {
@@ -104,7 +104,8 @@ impl BatchRunner {
         &self,
         JobContext { hold, lost, payload, progress }: JobContext<Payload>,
     ) -> Result<String, Error> {
-        // Deleted meanwhile, or submitted by a server that did not live to see it through.
+        // Deleted in the meantime, or submitted to a server that was stopped before it had received
+        // all of it.
         let Some(batch) = self.batch_repository.batch(&payload.batch_id).await? else {
             return Ok("there is no such batch any more".into());
         };
@@ -123,7 +124,7 @@ impl BatchRunner {
             let Ok(caller) = self.keyring.caller_of(run.batch.key_id.as_deref()) else {
                 return run.pause(reason::KEY_REFUSED, "its key is refused").await;
             };
-            // Its answers take room too: on a disk that is nearly full it is put off.
+            // Answers need disk space too: on a nearly full disk the batch is postponed.
             self.capacity.check_disk(0)?;
             let items = self.batch_repository.open_batch_items(&run.batch.id, WINDOW).await?;
             if items.is_empty() {
@@ -139,7 +140,7 @@ impl BatchRunner {
     }
 }
 
-/// Whether what a batch may cost was enough.
+/// Whether the budget of the batch sufficed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum BudgetState {
     Enough,
@@ -147,36 +148,38 @@ enum BudgetState {
 }
 
 impl BatchRun {
-    /// Asks items, some at once, and writes down what comes of them.
+    /// Asks items concurrently and writes their results.
     async fn ask(&mut self, items: Vec<OpenItem>, caller: &Caller) -> Result<BudgetState, Error> {
         let asking = AtomicBool::new(true);
         let wanted = stream::iter(items).take_while(|_| ready(asking.load(Relaxed)));
         let (service, caller, budget) = (self.service.clone(), caller.clone(), self.budget.clone());
         let defaults = self.defaults.clone();
-        // Tasks of their own: while something is written here they go on, and do not sit on what it
-        // waits for.
+        // Separate tasks: they continue while this loop writes to the database. A suspended task
+        // could hold a resource that the write waits for.
         let task = |item: OpenItem| {
             let (service, caller, budget) = (service.clone(), caller.clone(), budget.clone());
             let (defaults, number) = (defaults.clone(), item.item);
             let asked =
                 async move { service.ask_item(item, &defaults, &caller, budget.as_ref()).await };
             let asked = AbortOnDropHandle::new(tokio::spawn(asked.in_current_span()));
-            // A question that panics fails, not its batch.
+            // A question that panics fails alone. Its batch continues.
             async move { asked.await.unwrap_or_else(|panic| Ok(failed(number, &panic.into()))) }
         };
         let width = self.batch.concurrency.unwrap_or(super::CONCURRENCY) as usize;
         let mut ends = pin!(wanted.map(task).buffer_unordered(width));
         let (mut closed, mut written, mut money) =
             (Vec::new(), Instant::now(), BudgetState::Enough);
-        // Why it stops, and until when it waits for what is under way: that has been paid for.
+        // Why the run stops, and how long it waits for questions in progress, which have been paid
+        // for.
         let (mut stop, mut is_cancelled): (Option<(Error, tokio::time::Instant)>, bool) =
             (None, false);
         let soon = || tokio::time::Instant::now() + GRACE;
-        // What was paid for is kept once the store is back.
+        // Answers that were paid for are stored once the database is available again.
         let when_it_is_back = || tokio::time::Instant::now() + STORE_IS_BACK;
         loop {
             let end = tokio::select! {
-                // Dropped, calls under way end: others make them by now.
+                // The lease is lost. Returning drops the calls in progress: another worker makes
+                // them now.
                 () = self.lost.cancelled() => return Err(StoreError::NotHeld.into()),
                 end = ends.next() => end,
                 () = sleep_until(stop.as_ref().map_or_else(when_it_is_back, |(_, until)| *until)), if stop.is_some() => None,
@@ -191,11 +194,12 @@ impl BatchRun {
                 None => break,
                 Some(Ok(ItemOutcome::Closed(item))) => closed.push(item),
                 Some(Ok(ItemOutcome::OverBudget)) => money = BudgetState::Spent,
-                // The store is in trouble: what is known is kept, and the job is tried again.
+                // The database is failing. Finished items are still written, and the job is
+                // retried.
                 Some(Err(error)) => drop(stop.get_or_insert_with(|| (error, when_it_is_back()))),
             }
-            // Of all items, so that a run that goes on gets further than the one before. Who is to
-            // stop is told above.
+            // The share of all items, so that a resumed run reports more progress than the run
+            // before it. Cancellation is handled in the `select!` above.
             let share = (self.done as f32 + closed.len() as f32) / self.batch.items.max(1) as f32;
             let _ = self.progress.report("asking", share);
             if closed.len() >= WRITE_AFTER || written.elapsed() >= WRITE_EVERY {
@@ -213,19 +217,19 @@ impl BatchRun {
         stop.map_or(Ok(money), |(error, _)| Err(error))
     }
 
-    /// Writes down what came of items; whether more are wanted.
+    /// Writes the results of items. Returns whether the batch goes on.
     async fn write(&mut self, closed: &mut Vec<ClosedItem>) -> Result<bool, Error> {
         self.service.batch_repository.close_batch_items(&self.hold, &self.batch.id, closed).await?;
         for item in closed.drain(..) {
             self.service.metrics.questions.item(&item.status);
             self.done += 1;
         }
-        // A key that is refused by now is found so before the next items.
+        // A key that was revoked or has expired is detected before the next items.
         Ok(self.service.keyring.caller_of(self.batch.key_id.as_deref()).is_ok()
             && self.is_wanted().await?)
     }
 
-    /// Whether nobody has paused, cancelled or removed it.
+    /// Returns whether the batch is still running: not paused, cancelled or deleted.
     async fn is_wanted(&self) -> Result<bool, Error> {
         Ok(self
             .service
@@ -249,8 +253,8 @@ impl BatchRun {
 }
 
 impl BatchRunner {
-    /// Asks one question, or finds the answer it got before a server was killed. Only what is wrong
-    /// with the store itself is an error.
+    /// Answers one question, or finds the answer it got before a server was killed. Returns an
+    /// error only if the store or the model is unavailable, not if the question fails.
     async fn ask_item(
         &self,
         open: OpenItem,
@@ -270,7 +274,8 @@ impl BatchRunner {
         }
         let request: GroundRequest =
             match defaults.merge(&request).and_then(|request| question_of(&request)) {
-                // What can not be paid for waits; it is not answered by something else.
+                // A question that cannot be paid for waits. It does not fall back to another
+                // reasoner.
                 Ok(request)
                     if budget.is_some()
                         && self.vlm.is_some()
@@ -305,13 +310,14 @@ impl BatchRunner {
                     }));
                 }
                 Err(Error::Overloaded) => sleep(STEP_ASIDE).await,
-                // The batch's own money, its key's or the server's of today: it waits. What the
-                // question itself may cost will not grow.
+                // The budget of the batch, of its key or of the server for today is exhausted: the
+                // item waits. The question's own budget will not grow, so it does not wait for
+                // that.
                 Err(Error::OverBudget(OverBudget { of, .. })) if of != OF_QUESTION => {
                     return Ok(ItemOutcome::OverBudget);
                 }
-                // Nothing of this kind can be asked now: the batch is put off, and no item fails
-                // for it.
+                // No question of this kind can be answered now. The batch is postponed, and no item
+                // fails for it.
                 Err(error @ (Error::Store(_) | Error::Io(_) | Error::VlmDown { .. })) => {
                     return Err(error);
                 }
@@ -325,8 +331,8 @@ impl BatchRunner {
     }
 }
 
-/// Of what is told about an item that failed: it repeats what was asked, and is stored with every
-/// item.
+/// The maximum length of an item's error. The text repeats parts of the question and is stored with
+/// every item.
 const MAX_DETAIL_CHARS: usize = 500;
 
 fn shortened(text: &str) -> String {
@@ -347,10 +353,10 @@ fn failed(item: u32, error: &Error) -> ItemOutcome {
     ItemOutcome::Closed(ClosedItem { item, status: "failed".into(), cost_usd: 0.0, error })
 }
 
-/// Whose budget it is, in messages.
+/// The name of the budget in messages.
 const THIS_BATCH: &str = "this batch";
 
-/// What a batch wants to know of an answer that is kept.
+/// The fields of a stored answer that a batch needs.
 #[derive(Deserialize)]
 struct AnswerSummary {
     status: String,

@@ -1,5 +1,5 @@
-//! Lists of questions: submitted whole, asked in the background, their results read while they are
-//! made.
+//! Batches: lists of questions that are submitted together and answered in the background. Results
+//! can be read while the batch runs.
 
 mod items;
 mod job;
@@ -14,34 +14,35 @@ pub use submission::{BatchBody, Submission};
 use crate::Capacity;
 use crate::error::Error;
 use job::Payload;
+use std::sync::Arc;
 use uniground_jobs::{JobKind, Jobs, JobsError};
 use uniground_storage::{BatchRepository, BatchRow, NewJob, ResumeOutcome, page};
 use uniground_types::batch::{Batch, BatchList, BatchState};
 
-/// Questions of a batch asked at once, where it does not say.
+/// Concurrent questions of a batch that does not specify a number.
 const CONCURRENCY: u32 = 4;
-/// More would only wait for each other.
+/// The maximum number of concurrent questions. More would only wait for each other.
 const MAX_CONCURRENCY: u32 = 64;
-/// Items a batch may have.
+/// The maximum number of items in a batch.
 const MAX_ITEMS: u32 = 1_000_000;
 const MAX_LABEL_CHARS: usize = 200;
 
-/// Why a batch is paused that nobody paused.
+/// Reasons for which the server pauses a batch.
 mod reason {
-    /// What it may cost is spent.
+    /// The budget of the batch is exhausted.
     pub const BUDGET_SPENT: &str = "budget_spent";
-    /// The key it was submitted with is refused by now.
+    /// The key that submitted the batch has been revoked or has expired.
     pub const KEY_REFUSED: &str = "key_refused";
     /// Its job was cancelled, failed, or ended just before it was resumed.
     pub const JOB_ENDED: &str = "job_ended";
 }
 
-/// Batches of questions.
+/// Lists, pauses, resumes and cancels batches.
 #[derive(Clone)]
 pub struct BatchService {
     pub(crate) batch_repository: BatchRepository,
     pub(crate) jobs: Jobs,
-    pub(crate) capacity: Capacity,
+    pub(crate) capacity: Arc<Capacity>,
 }
 
 impl BatchService {
@@ -52,7 +53,7 @@ impl BatchService {
         self.present_batch(row).await
     }
 
-    /// Batches, newest first.
+    /// Lists batches, newest first.
     ///
     /// # Errors
     /// [`Error::Store`].
@@ -66,7 +67,7 @@ impl BatchService {
         Ok(BatchList { batches, next_cursor })
     }
 
-    /// Stops asking until somebody resumes it. Questions under way are answered.
+    /// Pauses a batch until it is resumed. Questions in progress are answered.
     ///
     /// # Errors
     /// [`Error::BatchNotFound`], [`Error::BatchOver`].
@@ -74,18 +75,18 @@ impl BatchService {
         self.move_batch(id, &["running", "paused"], "paused").await
     }
 
-    /// Stops asking for good. What is answered stays.
+    /// Cancels a batch for good. Existing answers stay.
     ///
     /// # Errors
-    /// As [`pause_batch`](Self::pause_batch); cancelling twice is none.
+    /// Those of [`pause_batch`](Self::pause_batch). Cancelling a batch twice is not an error.
     pub async fn cancel_batch(&self, id: &str) -> Result<Batch, Error> {
         self.move_batch(id, &["running", "paused", "cancelled"], "cancelled").await
     }
 
-    /// Goes on with a batch that is paused. A batch that goes on already just does.
+    /// Resumes a paused batch. A running batch is left as it is.
     ///
     /// # Errors
-    /// As [`pause_batch`](Self::pause_batch); a full queue.
+    /// Those of [`pause_batch`](Self::pause_batch); a full queue.
     pub async fn resume_batch(&self, id: &str) -> Result<Batch, Error> {
         let row = self.batch_row(id).await?;
         self.jobs.check_queue_capacity::<BatchJob>(row.key_id.as_deref()).await?;
@@ -118,7 +119,8 @@ impl BatchService {
         self.batch_repository.batch(id).await?.ok_or_else(|| Error::BatchNotFound { id: id.into() })
     }
 
-    /// Where a batch stands, why, and how long it will take, seconds.
+    /// Returns the state of a batch, the reason for it, and the estimated remaining time in
+    /// seconds.
     async fn batch_state(
         &self,
         row: &BatchRow,
@@ -133,12 +135,12 @@ impl BatchService {
         };
         let (mut state, mut reason) = (row.state.clone(), row.reason.clone());
         if state == "running" && is_over {
-            // A job that ends well has moved its batch before: what was read before that is looked
-            // at again.
+            // A job that succeeds updates its batch before it ends. The batch may have been read
+            // before that, so it is read again.
             let now = self.batch_row(&row.id).await?;
             (state, reason) = (now.state, now.reason);
             if state == "running" && now.job_id == row.job_id {
-                // However it ended: nobody asks any more.
+                // The job has ended, for whatever reason, so no more questions are asked.
                 (state, reason) = ("paused".into(), Some(reason::JOB_ENDED.to_owned()));
             }
         }

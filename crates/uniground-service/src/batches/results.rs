@@ -1,4 +1,4 @@
-//! Results of a batch, in the order of its items, while they are made or afterwards.
+//! Results of a batch in item order, while it runs or afterwards.
 
 use super::items::BatchDefaults;
 use crate::answers::table;
@@ -16,23 +16,24 @@ use uniground_types::answer::Answer;
 use uniground_types::batch::BatchState;
 use uniground_types::job::JobError;
 
-/// What results are wanted, and how.
+/// The results that a caller requests, and their format.
 #[derive(Debug, Clone)]
 pub struct ResultRequest {
     pub batch_id: String,
-    /// The first item.
+    /// The first item to return.
     pub from: u32,
     pub format: LineFormat,
-    /// Wait for items that are still asked, while the batch runs; else end at the first that is.
+    /// Waits for unfinished items while the batch runs. Otherwise the stream ends before the first
+    /// unfinished item.
     pub follow: bool,
 }
 
-/// Items read together.
+/// Items read per page.
 const PAGE: u32 = 200;
-/// How often a batch is looked at that is followed.
+/// The polling interval of a followed batch.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
 
-/// A line of results; the answer is passed on as it is kept, byte for byte.
+/// A line of results. The answer is the stored JSON, byte for byte.
 #[derive(Serialize)]
 struct ResultLine<'a> {
     item: u32,
@@ -46,8 +47,8 @@ struct ResultLine<'a> {
 }
 
 impl BatchService {
-    /// Streams results in item order. The stream ends with the last item, or, unless it follows,
-    /// before the first that is not done.
+    /// Streams results in item order. The stream ends after the last item. Unless it follows the
+    /// batch, it ends before the first unfinished item.
     ///
     /// # Errors
     /// [`Error::BatchNotFound`].
@@ -75,7 +76,7 @@ impl BatchService {
         defaults: &BatchDefaults,
     ) -> Result<Option<(Bytes, ResultRequest)>, Error> {
         loop {
-            // Looked at before the items: what is closed after this is found next time.
+            // Read before the items, so that items closed after this are found in the next pass.
             let (state, ..) = self.batch_state(&self.batch_row(&wanted.batch_id).await?).await?;
             let rows =
                 self.batch_repository.batch_items(&wanted.batch_id, wanted.from, PAGE).await?;

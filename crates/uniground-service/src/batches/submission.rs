@@ -1,4 +1,4 @@
-//! Receiving a batch: items as JSON or as JSONL, of any length, a few at a time.
+//! Receives a batch: items as JSON or JSONL, of any length, a few at a time.
 
 use super::items::{SCENE_ID, take_scene};
 use super::job::Payload;
@@ -15,37 +15,38 @@ use uniground_storage::{BatchRepository, NewBatch, NewItem, NewJob, ReceivedBatc
 use uniground_types::batch::{Batch, BatchRequest};
 use uniground_types::numbers::zero_or_more;
 
-/// What comes with a batch.
+/// Metadata of a batch.
 #[derive(Debug, Clone, Default)]
 pub struct Submission {
     pub label: Option<String>,
     pub concurrency: Option<u32>,
     pub max_cost_usd: Option<f64>,
     pub idempotency_key: Option<String>,
-    /// Fields of every item that does not have them itself.
+    /// Default values for fields that an item does not have.
     pub defaults: Map<String, Value>,
 }
 
 /// The items of a batch.
 pub enum BatchBody<S> {
     Items(Vec<Map<String, Value>>),
-    /// An object a line.
+    /// JSONL: one object per line.
     Lines(S),
 }
 
-/// Items written together, and bytes of them: few enough that no question waits long for the
-/// database.
+/// The maximum number of items, and of their bytes, in one transaction. Small enough that questions
+/// do not wait long for the database.
 const TOGETHER: usize = 500;
 const BYTES_TOGETHER: usize = 1 << 20;
-/// No question needs a longer line. Defaults are a part of one.
+/// The maximum length of a line in bytes. All defaults together have the same limit.
 const MAX_LINE_BYTES: usize = 64 << 10;
-/// Bytes of all items of a batch and its defaults, as they are stored.
+/// The maximum bytes of all items of a batch and its defaults, as they are stored.
 const MAX_STORED_BYTES: u64 = 1 << 30;
-/// A shared scene is stored with every item: longer than any id is none.
+/// The maximum length of a shared scene id in bytes. It is stored with every item, and no id is
+/// longer.
 const MAX_SCENE_ID_BYTES: usize = 64;
 
 impl Submission {
-    /// Splits a JSON request into what comes with it and its items.
+    /// Splits a JSON request into metadata and items.
     #[must_use]
     pub fn of(
         request: BatchRequest,
@@ -72,25 +73,27 @@ impl Submission {
     }
 }
 
-/// What a retry is compared by: how the batch was submitted that its idempotency key has made.
+/// The form in which a submission is hashed. A repeated submission is hashed in the form of the
+/// batch that its idempotency key created, and then compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum DigestForm {
-    /// Each item as its own fields, the shared ones once.
+    /// Each item with its own fields, and the shared fields once.
     Shared,
-    /// Each item as a whole question: batches from before.
+    /// Each item as a whole question. Used by batches of earlier versions.
     Whole,
 }
 
-/// Takes items as they come and writes them some at a time.
+/// Receives items and writes them in groups.
 struct BatchReceiver<'a> {
     service: &'a BatchService,
-    /// Fields of every item that does not have them itself; without the scene once items come.
+    /// Default values for fields that an item does not have. The scene is removed when the first
+    /// item arrives.
     defaults: Map<String, Value>,
-    /// Of lines of defaults that have come.
+    /// The bytes of the lines of defaults received so far.
     defaults_bytes: usize,
     scene_id: String,
     form: DigestForm,
-    /// `None` for a batch that was submitted before: it is only compared.
+    /// `None` if the batch was submitted before. The items are then only compared.
     batch_id: Option<String>,
     digest: Sha256,
     waiting: Vec<NewItem>,
@@ -101,18 +104,17 @@ struct BatchReceiver<'a> {
 
 impl BatchReceiver<'_> {
     async fn take(&mut self, mut fields: Map<String, Value>) -> Result<(), Error> {
-        // "{"defaults": {...}}", before the first item.
+        // `{"defaults": {...}}` lines are allowed before the first item.
         if self.items == 0
             && fields.len() == 1
             && let Some(Value::Object(defaults)) = fields.get("defaults")
         {
-            // What comes in many lines is one list of defaults: together they are no longer than
-            // one line.
+            // Several lines of defaults form one set. Together they may be no longer than one line.
             self.defaults_bytes += fields["defaults"].to_string().len();
             if self.defaults_bytes > MAX_LINE_BYTES {
                 return Err(long_defaults());
             }
-            // The scene of the address stays, unless they name another.
+            // The scene in the URL applies unless the defaults name another.
             self.defaults.extend(defaults.clone());
             return Ok(());
         }
@@ -151,7 +153,7 @@ impl BatchReceiver<'_> {
         }
     }
 
-    /// No more defaults come: items do.
+    /// Finalizes the defaults when the first item arrives.
     fn settle_defaults(&mut self) -> Result<(), Error> {
         self.scene_id = take_scene(&mut self.defaults, "");
         if self.scene_id.len() > MAX_SCENE_ID_BYTES {
@@ -175,7 +177,7 @@ impl BatchReceiver<'_> {
         Value::Object(self.defaults.clone()).to_string()
     }
 
-    /// Writes what waits, where the disk has room for it.
+    /// Writes the buffered items if the disk has room.
     async fn write(&mut self) -> Result<(), Error> {
         let items = std::mem::take(&mut self.waiting);
         let bytes = std::mem::take(&mut self.waiting_bytes);
@@ -196,7 +198,7 @@ impl BatchReceiver<'_> {
         )
     }
 
-    /// Takes all items; a batch has at least one.
+    /// Receives all items. A batch needs at least one.
     async fn take_all<E>(
         &mut self,
         body: BatchBody<impl Stream<Item = Result<Bytes, E>> + Unpin>,
@@ -259,7 +261,7 @@ fn long_defaults() -> Error {
     Error::invalid("/defaults", format!("defaults have at most {MAX_LINE_BYTES} bytes as JSON"))
 }
 
-/// Fails where a batch is larger than batches may be.
+/// Returns an error if a batch exceeds the maximum size.
 fn check_size(stored_bytes: u64) -> Result<(), Error> {
     if stored_bytes > MAX_STORED_BYTES {
         Err(Error::BatchTooLarge { most_bytes: MAX_STORED_BYTES })
@@ -268,14 +270,14 @@ fn check_size(stored_bytes: u64) -> Result<(), Error> {
     }
 }
 
-/// A batch that is being received; deleted where its sender leaves.
+/// A batch that is still being received. Deleted if its client disconnects.
 struct UnfinishedBatch {
     batches: BatchRepository,
     id: Option<String>,
 }
 
 impl UnfinishedBatch {
-    /// Deletes it now, before its sender is answered.
+    /// Deletes the batch now, before the client is answered.
     async fn discard(&mut self) {
         if let Some(id) = self.id.clone() {
             discard(&self.batches, &id).await;
@@ -305,13 +307,14 @@ async fn discard(batches: &BatchRepository, id: &str) {
 }
 
 impl BatchService {
-    /// Takes a list of questions and starts asking them. All of it is taken or nothing.
+    /// Receives a list of questions and starts answering them. Stores all of them or none.
     ///
-    /// What is wrong with one question is that item's failure. The same submission again under its
-    /// idempotency key returns the batch it made.
+    /// An invalid question fails only its own item. The same submission with the same idempotency
+    /// key returns the batch that the first one created.
     ///
     /// # Errors
-    /// [`Error`]: what is no list of JSON objects, or empty, or too long; [`Error::IdempotencyKeyReused`]; a full queue or disk.
+    /// [`Error`] if the body is not a list of JSON objects, or is empty or too long;
+    /// [`Error::IdempotencyKeyReused`]; a full queue or disk.
     pub async fn create_batch<E, S: Stream<Item = Result<Bytes, E>> + Unpin>(
         &self,
         submission: Submission,
@@ -421,7 +424,7 @@ mod tests {
         let refused = check_size(MAX_STORED_BYTES + 1).unwrap_err();
         assert_eq!(
             (refused.code(), refused.to_string().as_str()),
-            ("batch_too_large", "a batch holds at most 1024 MB: send it in parts")
+            ("batch_too_large", "a batch holds at most 1024 MB: split it into several")
         );
     }
 }

@@ -1,4 +1,4 @@
-//! What is in a room, as annotations of an evaluation: `<scene>.scene.json`.
+//! Exports the contents of a room as annotations of an evaluation: `<scene>.scene.json`.
 
 use crate::CorrectionService;
 use crate::error::Error;
@@ -43,7 +43,7 @@ struct TurnedBox {
 }
 
 impl CorrectionService {
-    /// The things of a scene's current parse as people have corrected them; floor, walls and
+    /// Returns the things of a scene's current parse with corrections applied. Floor, walls and
     /// ceiling are left out.
     ///
     /// # Errors

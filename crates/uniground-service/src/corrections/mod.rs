@@ -1,8 +1,8 @@
-//! What people say of a scene's parse that is wrong: kept beside it, laid over it whenever it is
-//! looked at, and exported as ground truth.
+//! Corrections that people make to a scene's parse. They are stored separately from the parse,
+//! applied whenever it is read, and exported as ground truth.
 //!
-//! Corrections belong to the parse: ids of instances mean nothing in another. Scenes of the same
-//! bytes and settings share them with it.
+//! Corrections belong to a parse, because instance ids mean nothing in another parse. Scenes with
+//! the same content and settings share the parse and its corrections.
 
 mod ground_truth;
 
@@ -13,6 +13,7 @@ use super::answers::StoredScene;
 use crate::error::Error;
 use crate::{ParsedScenes, SceneLookup};
 use std::collections::BTreeSet;
+use std::sync::Arc;
 use uniground_geometry::scene::{Instance, InstanceId, Level, Owners, parts_of};
 use uniground_grounding::pipeline::SceneSource;
 use uniground_parsing::instances;
@@ -20,26 +21,27 @@ use uniground_storage::{CorrectionRepository, NewCorrection, ParseRepository};
 use uniground_types::corrections::{Change, Correction, CorrectionList};
 use uniground_types::settings::ParsingSettings;
 
-/// Corrections a parse can have.
+/// The maximum number of corrections of a parse.
 const MOST: u32 = 5000;
 const MAX_NAME_CHARS: usize = 100;
 const MAX_IDS: usize = 100;
 
-/// Corrections of instances by people.
+/// Adds, lists and undoes corrections of instances.
 #[derive(Clone)]
 pub struct CorrectionService {
     pub(crate) correction_repository: CorrectionRepository,
-    pub(crate) scene_lookup: SceneLookup,
-    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) scene_lookup: Arc<SceneLookup>,
+    pub(crate) parsed_scenes: Arc<ParsedScenes>,
     pub(crate) parse_repository: ParseRepository,
 }
 
 impl CorrectionService {
-    /// Corrects a scene's current parse: answers from now on know it.
+    /// Corrects a scene's current parse. Later answers take the correction into account.
     ///
     /// # Errors
-    /// [`Error::Invalid`], [`Error::InstanceNotFound`]; [`Error::NotAThing`] for a merge of what is
-    /// none, [`Error::NoParts`] for a split that leaves nothing; [`Error::TooManyCorrections`].
+    /// [`Error::Invalid`], [`Error::InstanceNotFound`]; [`Error::NotAThing`] for a merge of
+    /// instances that are not things, [`Error::NoParts`] for a split that leaves nothing;
+    /// [`Error::TooManyCorrections`].
     pub async fn correct(
         &self,
         scene_id: &str,
@@ -47,7 +49,7 @@ impl CorrectionService {
         caller: &Caller,
     ) -> Result<Correction, Error> {
         check(&change)?;
-        // One after the other: what is checked stays so until it is written.
+        // Under the lock: what is checked stays valid until the correction is stored.
         let (parse_id, _turn) = self.scene_lookup.turn_at_parse(scene_id).await?;
         let parse = self.parsed_scenes.loaded_parse(&parse_id).await?;
         let known = |id: InstanceId| {
@@ -71,7 +73,7 @@ impl CorrectionService {
             Change::Merge { instance_ids, .. } => {
                 for id in instance_ids {
                     let instance = known(*id)?;
-                    // Points of what was found for a question are not kept.
+                    // The points of instances that were found for a question are not stored.
                     if instance.level != Level::Thing
                         || instance.dismissed
                         || instance.found_for.is_some()
@@ -92,7 +94,7 @@ impl CorrectionService {
             .ok_or(Error::TooManyCorrections { most: MOST })
     }
 
-    /// What was said of a scene's current parse, newest first.
+    /// Lists the corrections of a scene's current parse, newest first.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
@@ -103,11 +105,11 @@ impl CorrectionService {
         Ok(CorrectionList { corrections })
     }
 
-    /// Takes a correction back.
+    /// Undoes a correction.
     ///
     /// # Errors
-    /// [`Error::CorrectionNotFound`]; [`Error::CorrectionInUse`] where a later one is about the
-    /// instance this one has made.
+    /// [`Error::CorrectionNotFound`]; [`Error::CorrectionInUse`] if a later correction refers to
+    /// the instance that this one created.
     pub async fn undo_correction(&self, scene_id: &str, id: &str) -> Result<Correction, Error> {
         let (parse_id, _turn) = self.scene_lookup.turn_at_parse(scene_id).await?;
         let corrections = self.correction_repository.corrections(&parse_id).await?;
@@ -141,7 +143,7 @@ impl CorrectionService {
 }
 
 impl StoredScene {
-    /// One thing of the points of several.
+    /// Merges the points of several instances into one instance.
     fn merged(&self, members: &[InstanceId]) -> Result<Instance, Error> {
         let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
         let (known, of_point) = (self.instances(), self.instance_of_point()?);
@@ -154,7 +156,7 @@ impl StoredScene {
     }
 }
 
-/// What can be told without looking at the scene.
+/// Checks what does not depend on the scene.
 fn check(change: &Change) -> Result<(), Error> {
     let name_fits = |name: &str| {
         let fits = !name.trim().is_empty()

@@ -1,4 +1,4 @@
-//! What is in a scene and how it stands to each other.
+//! The graph of a scene: its instances and the relations between them.
 
 use crate::InstanceService;
 use crate::error::Error;
@@ -12,8 +12,8 @@ use uniground_types::instances::Levels;
 use uniground_types::scene::InstanceId;
 
 impl InstanceService {
-    /// The graph of a scene's current parse; with `around`, of an instance of any level and what it
-    /// stands in a relation to.
+    /// Returns the graph of a scene's current parse. With `around`, returns only that instance, of
+    /// any level, and the instances related to it.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::InstanceNotFound`].
@@ -49,10 +49,10 @@ fn graph_of(parse: &LoadedParse, levels: Levels) -> Graph {
     Graph::of(SceneView { instances, extent: *extent, names, appearance: None }, levels, guessed)
 }
 
-/// A graph in a format, with its media type.
+/// Writes a graph in a format. Returns the media type and the text.
 ///
 /// # Errors
-/// Never for graphs of ours: JSON that can not be written.
+/// JSON that cannot be written. This never happens for these graphs.
 pub fn written(graph: &SceneGraph, format: GraphFormat) -> Result<(&'static str, String), Error> {
     Ok(match format {
         GraphFormat::Json => ("application/json", serde_json::to_string(graph)?),

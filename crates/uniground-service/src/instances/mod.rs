@@ -1,4 +1,4 @@
-//! Instances as the outside sees them, and their evidence pictures.
+//! Instances as callers of the API see them, and their evidence pictures.
 
 mod graph;
 
@@ -17,13 +17,13 @@ use uniground_types::instances::{InstanceList, InstanceView, Levels, ViewPicture
 
 /// A picture of an instance.
 pub enum EvidenceFile {
-    /// A JPEG file.
+    /// A stored JPEG file.
     Stored(PinnedPath),
-    /// The bytes of one.
+    /// The bytes of a JPEG file that was drawn on request.
     Drawn(Bytes),
 }
 
-/// An instance as callers see it.
+/// Converts an instance to the form that callers see.
 fn view_of(
     instance: Instance,
     model_name: Option<String>,
@@ -46,7 +46,7 @@ fn view_of(
         height_above_floor_m,
         views,
         names,
-        given_name: _, // told as the label
+        given_name: _, // returned as the label
         found_for,
         merged_from,
         dismissed,
@@ -83,17 +83,18 @@ fn view_of(
     }
 }
 
-/// Instances of a parsed scene.
+/// Returns the instances of a parsed scene and their pictures.
 #[derive(Clone)]
 pub struct InstanceService {
-    pub(crate) scene_lookup: SceneLookup,
-    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) scene_lookup: Arc<SceneLookup>,
+    pub(crate) parsed_scenes: Arc<ParsedScenes>,
     pub(crate) question_permits: QuestionPermits,
-    pub(crate) media_service: MediaService,
+    pub(crate) media_service: Arc<MediaService>,
 }
 
 impl InstanceService {
-    /// Instances of the current parse at these levels in order of id, those after `cursor` only.
+    /// Lists the instances of the current parse at these levels in order of id, starting after
+    /// `cursor`.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
@@ -119,7 +120,7 @@ impl InstanceService {
         })
     }
 
-    /// All instances of a parse but those that were dismissed, in order of id.
+    /// Returns all instances of a parse in order of id, except those that were dismissed.
     pub(super) async fn shown_instances(
         &self,
         parse: &LoadedParse,
@@ -127,7 +128,7 @@ impl InstanceService {
         self.views_of(parse, parse.instances.iter().filter(|instance| !instance.dismissed)).await
     }
 
-    /// Instances with the names they were given.
+    /// Converts instances to views with the names they were given.
     async fn views_of<'a>(
         &self,
         parse: &LoadedParse,
@@ -150,7 +151,7 @@ impl InstanceService {
         Ok(view_of(instance, name, parse.renamed.get(&id.0).cloned()))
     }
 
-    /// An evidence picture.
+    /// Returns an evidence picture.
     ///
     /// # Errors
     /// [`Error::ViewNotFound`] and those of [`instance`](Self::instance).
@@ -176,7 +177,7 @@ impl InstanceService {
         drawn.ok_or(Error::ViewNotFound { id, view, views })
     }
 
-    /// An instance of a scene's current parse, and the parse.
+    /// Returns an instance of a scene's current parse, with the parse.
     async fn known_instance(
         &self,
         scene_id: &str,

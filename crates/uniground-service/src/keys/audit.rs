@@ -1,5 +1,4 @@
-//! What was done: every request that changes what is stored, whose key it came with and what came
-//! of it.
+//! The audit log: every request that changes stored data, with its key and its outcome.
 
 use super::{Caller, Keyring};
 use crate::error::Error;
@@ -12,7 +11,7 @@ use uniground_storage::{AuditWriter, StoreError, now, page};
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::keys::{AuditEntry, AuditList};
 
-/// A request that is under way, and what came of it.
+/// A request and its outcome.
 #[derive(Debug, Clone)]
 pub struct AuditedRequest {
     pub method: String,
@@ -21,26 +20,25 @@ pub struct AuditedRequest {
     pub request_id: Option<String>,
 }
 
-/// The status of a request whose caller left before the answer: what it did is done.
+/// The status of a request whose client disconnected before the answer. Its changes remain.
 const LEFT: u16 = 499;
 
-/// A request that is written down however it ends: answered, or because whoever asked left, or
-/// because the handler panicked.
+/// A request whose audit entry is written however it ends: answered, abandoned by its client, or
+/// ended by a panic of the handler.
 pub struct PendingAudit {
     keys: Keyring,
     open: Option<(Caller, AuditedRequest)>,
 }
 
 impl PendingAudit {
-    /// It was answered. Whoever asked waits until that is written down, unless the database takes
-    /// too long.
+    /// Records the status of the answer. Waits until the entry is written, for at most `MAX_WAIT`.
     pub async fn answered(mut self, status: u16) {
         if let Some((caller, done)) = self.open.take() {
             let written = self
                 .keys
                 .audit_log
                 .push(self.keys.entry(&caller, AuditedRequest { status, ..done }));
-            // What waits longer is written all the same; what was dropped has been logged.
+            // An entry that is still queued is written later. Dropped entries have been logged.
             let _ = timeout(MAX_WAIT, written).await;
         }
     }
@@ -58,22 +56,21 @@ impl Drop for PendingAudit {
     }
 }
 
-/// No path of ours is longer.
+/// The maximum length of a stored path. No path of this API is longer.
 const MAX_PATH_CHARS: usize = 300;
-/// How long an answer is held back until its entry is written.
+/// The longest time for which an answer waits for its entry to be written.
 const MAX_WAIT: Duration = Duration::from_secs(2);
-/// Entries that may wait to be written.
+/// The maximum number of queued entries.
 const MAX_QUEUED: usize = 4096;
-/// Entries that are written in one transaction.
+/// The maximum number of entries written in one transaction.
 const MAX_TOGETHER: usize = 256;
-/// How often entries are tried to be written while the database is busy, and the pause in between.
+/// Attempts to write entries while the database is busy, and the pause between attempts.
 const ATTEMPTS: u32 = 5;
 const RETRY_AFTER: Duration = Duration::from_millis(200);
-/// How often the log says that entries were dropped, at most.
+/// The shortest interval between two log lines about dropped entries.
 const LOG_EVERY: Duration = Duration::from_secs(10);
 
-/// Writes audit entries in the background, in order. Entries that come together are written
-/// together.
+/// Writes audit entries in the background, in order. Queued entries are written together.
 #[derive(Clone)]
 pub(super) struct AuditLog {
     queue: mpsc::Sender<QueuedEntry>,
@@ -87,7 +84,7 @@ struct QueuedEntry {
 }
 
 impl AuditLog {
-    /// Begins to write; ends when the last handle is gone and everything is written.
+    /// Starts the writer. It ends when the last handle is dropped and all entries are written.
     pub fn start(writer: AuditWriter, metrics: Arc<Metrics>) -> Self {
         let (queue, pending) = mpsc::channel(MAX_QUEUED);
         let dropped = Arc::new(DroppedEntries { metrics, unlogged: Mutex::default() });
@@ -95,7 +92,8 @@ impl AuditLog {
         Self { queue, dropped }
     }
 
-    /// Queues an entry. The receiver ends when it was written, or dropped because too many wait.
+    /// Queues an entry. The receiver ends when the entry is written, or dropped because the queue
+    /// is full.
     fn push(&self, entry: AuditEntry) -> oneshot::Receiver<()> {
         let (written, receiver) = oneshot::channel();
         if let Err(error) = self.queue.try_send(QueuedEntry { entry, written }) {
@@ -137,7 +135,7 @@ async fn write(writer: &AuditWriter, entries: &[AuditEntry]) -> Result<(), Store
 /// Entries that were not written.
 struct DroppedEntries {
     metrics: Arc<Metrics>,
-    /// How many since the log last said so, and when that was.
+    /// How many entries were dropped since the last log line, and when that was.
     unlogged: Mutex<(usize, Option<Instant>)>,
 }
 
@@ -155,7 +153,7 @@ impl DroppedEntries {
 }
 
 impl Keyring {
-    /// Begins to write down what somebody does.
+    /// Starts the audit entry of a request.
     #[must_use]
     pub fn noting(&self, caller: Caller, done: AuditedRequest) -> PendingAudit {
         PendingAudit { keys: self.clone(), open: Some((caller, done)) }
@@ -168,7 +166,7 @@ impl Keyring {
         AuditEntry { id: self.ids.new_id(), at: now(), key_id, method, path, status, request_id }
     }
 
-    /// What was done, newest first.
+    /// Lists audit entries, newest first.
     ///
     /// # Errors
     /// [`Error::Store`].
@@ -198,7 +196,7 @@ mod tests {
         AuditedRequest { method: "DELETE".into(), path: path.into(), status: 0, request_id: None }
     }
 
-    /// All entries, once there are so many.
+    /// Returns all entries once there are at least `count`.
     async fn entries(keys: &Keyring, count: usize) -> Vec<AuditEntry> {
         loop {
             let entries = keys.audit(10_000, None).await.unwrap().entries;
@@ -227,7 +225,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let metrics = Arc::<Metrics>::default();
         let keys = keyring(&folder).await.counted_by(metrics.clone());
-        // The writer has no turn in between: there is one thread.
+        // The test has one thread, so the writer does not run in between.
         for _ in 0..FLOOD {
             drop(keys.noting(Caller::operator(), done("/flood")));
         }

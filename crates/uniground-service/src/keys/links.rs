@@ -1,8 +1,9 @@
-//! Links that work without a key: who made one, until when, and for what stands in the link, signed
-//! with a secret of this server's.
+//! Links that work without a key. A link states its maker and its expiry. It is signed, together
+//! with its path, with a secret of this server.
 //!
 //! ```text
-//! link = <expires, Unix seconds>.<id of the key, "own" or "none">.<HMAC-SHA-256 of both and the path, hex>
+//! link = <expires, Unix seconds>.<id of the key, "own" or "none">.<HMAC>
+//! HMAC = HMAC-SHA-256 of both and the path, hex
 //! ```
 
 use super::{Caller, KeyRejection, Keyring, equal, hex};
@@ -13,23 +14,23 @@ use sha2::{Digest, Sha256};
 use uniground_types::keys::Scope;
 use uniground_types::links::{Link, LinkList, LinkRequest};
 
-/// Names the query parameter.
+/// The name of the query parameter.
 pub const PARAMETER: &str = "link";
 const MOST_PATHS: usize = 500;
 const LONGEST_PATH: usize = 500;
 const SECONDS: std::ops::RangeInclusive<u32> = 10..=86_400;
-/// Stands for everything below.
+/// The suffix that stands for everything below a path.
 const ALL: &str = "/*";
-/// Made with the server's own key, and where no key was wanted.
+/// The maker of links created with the server's own key, and where no key is required.
 const OWN: &str = "own";
 const NONE: &str = "none";
 
-/// What links are signed with.
+/// The secret that signs links.
 #[derive(Clone)]
 pub struct LinkSecret(Hmac<Sha256>);
 
 impl LinkSecret {
-    /// Of any bytes that nobody else knows.
+    /// Derives a secret from any bytes that nobody else knows.
     #[must_use]
     pub fn new(secret: &[u8]) -> Self {
         let mut block = [0; 64];
@@ -37,10 +38,10 @@ impl LinkSecret {
         Self(Hmac::new(&block.into()))
     }
 
-    /// One of its own: links work until the server stops.
+    /// Generates a random secret. Links signed with it work until the server stops.
     ///
     /// # Errors
-    /// [`Error::Io`]: the system gives no random bytes.
+    /// [`Error::Io`] if the system provides no random bytes.
     pub fn random() -> Result<Self, Error> {
         let mut secret = [0; 32];
         getrandom::fill(&mut secret)
@@ -56,7 +57,7 @@ impl LinkSecret {
 }
 
 impl Keyring {
-    /// Links to paths, for whoever has them: what their maker may read.
+    /// Creates links to paths. Anyone with a link can read what its maker may read.
     ///
     /// # Errors
     /// [`Error::Invalid`].
@@ -83,7 +84,7 @@ impl Keyring {
             None => NONE,
         };
         let link = |(index, path): (usize, String)| {
-            // One resource, or all of one.
+            // The path names one resource, or everything below one.
             let is_path = path.strip_prefix("/v1/").is_some_and(|below| {
                 let (folder, is_all) =
                     below.strip_suffix(ALL).map_or((below, false), |folder| (folder, true));
@@ -111,7 +112,8 @@ impl Keyring {
         Ok(LinkList { links: paths.into_iter().enumerate().map(link).collect::<Result<_, _>>()? })
     }
 
-    /// A maker as it is signed: links of the server's own key go with that key.
+    /// Returns the maker as it is signed. The signature includes the server's own key, so links
+    /// made with it stop working when that key changes.
     fn signer(&self, maker: &str) -> String {
         match &self.own {
             Some(own) if maker == OWN => format!("{OWN} {own}"),
@@ -119,10 +121,10 @@ impl Keyring {
         }
     }
 
-    /// Who made a link to this path: they may read.
+    /// Returns the maker of a link to this path, with permission to read.
     ///
     /// # Errors
-    /// Why it does not work (any more).
+    /// Why the link is invalid or has expired.
     pub fn caller_of_link(
         &self,
         token: &str,
@@ -135,7 +137,7 @@ impl Keyring {
             return Err(KeyRejection::BadLink);
         };
         let expires: i64 = expires.parse().map_err(|_| KeyRejection::BadLink)?;
-        // The path itself, or everything below one of the folders it lies in.
+        // A link is signed for the path itself, or for everything below a folder that contains it.
         let folders =
             path.match_indices('/').skip(3).map(|(at, _)| format!("{}{ALL}", &path[..at]));
         let signer = self.signer(maker);

@@ -1,8 +1,7 @@
-//! Who asks: keys, what they allow, how often they may be used and what they may spend.
+//! API keys: callers, their scopes, rate limits and budgets.
 //!
-//! A key is 32 random bytes, shown once. Kept are its first characters, by which it is found, and
-//! its hash, by which it is known. Where no key was ever made and none is configured, nobody needs
-//! one.
+//! A key is 32 random bytes, shown once. The server stores its first characters, to look it up, and
+//! its hash, to verify it. If no key was ever created and none is configured, callers need no key.
 
 mod audit;
 mod links;
@@ -28,23 +27,23 @@ use uniground_telemetry::metrics::Metrics;
 use uniground_types::keys::{CreatedKey, Key, KeyList, NewKey, Scope};
 use uniground_types::numbers::zero_or_more;
 
-/// Characters of a secret by which it is found: `ug_` and eight more.
+/// The length of the prefix by which a key is looked up: `ug_` and eight more characters.
 const PREFIX_CHARS: usize = 11;
 const MAX_NAME_CHARS: usize = 200;
-/// How often it is written down that a key is used.
+/// The interval at which the last use of a key is stored.
 const NOTE_USE_EVERY: Duration = Duration::from_mins(1);
 
-/// Who asks.
+/// The caller of a request.
 #[derive(Debug, Clone)]
 pub struct Caller {
-    /// A key that was made here; none for the server's own, and where none is wanted.
+    /// The stored key of the caller. `None` for the server's own key, and where no key is required.
     pub key: Option<Arc<KnownKey>>,
     pub scope: Scope,
 }
 
 impl Caller {
-    /// Who may do everything: holders of the server's own key, and whoever comes where no key is
-    /// wanted.
+    /// Returns a caller with all permissions: a holder of the server's own key, or anyone where no
+    /// key is required.
     #[must_use]
     pub fn operator() -> Self {
         Self { key: None, scope: Scope::Admin }
@@ -55,7 +54,8 @@ impl Caller {
         self.key.as_ref().map(|key| key.row.id.as_str())
     }
 
-    /// A name somebody chose, as no other caller can have chosen it: nobody gets what another made.
+    /// Qualifies a name that this caller chose, so that it never equals a name that another caller
+    /// chose. A caller cannot reach what another one created.
     pub(super) fn own(&self, name: String) -> String {
         match self.key_id() {
             Some(id) => format!("{id}:{name}"),
@@ -72,25 +72,25 @@ pub struct KnownKey {
     noted: Mutex<Option<Instant>>,
 }
 
-/// What is left of a key's requests.
+/// The remaining requests of a key.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RateLimitStatus {
     pub per_minute: u32,
     pub left: u32,
-    /// Until all of it is there again, seconds.
+    /// Seconds until the full limit is available again.
     pub reset_s: u64,
 }
 
-/// Why a caller is turned away.
+/// Why a caller is rejected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum KeyRejection {
     NoKey,
     UnknownKey,
     Expired,
     Revoked,
-    /// A link that was not made here, or not for this path.
+    /// A link that this server did not sign, or that is for another path.
     BadLink,
-    /// A link whose time is over.
+    /// A link that has expired.
     LinkOver,
 }
 
@@ -104,10 +104,10 @@ impl KnownKey {
         Arc::new(Self { row, limit, noted: Mutex::default() })
     }
 
-    /// Counts a request of this process. `None`: it may come as often as it likes.
+    /// Counts a request in this process. Returns `None` if the key has no rate limit.
     ///
     /// # Errors
-    /// How long it has to wait, seconds, and what it may.
+    /// The seconds to wait, and the state of the limit.
     fn count(&self) -> Result<Option<RateLimitStatus>, (u64, RateLimitStatus)> {
         let Some(limit) = &self.limit else { return Ok(None) };
         let per_minute = self.row.requests_per_minute.unwrap_or(1);
@@ -127,14 +127,14 @@ impl KnownKey {
     }
 
     fn is_expired(&self, now: Timestamp) -> bool {
-        // Checked when it was made; what can not be read protects nobody.
+        // The time was validated when the key was created. An unreadable time counts as expired.
         self.row
             .expires_at
             .as_ref()
             .is_some_and(|at| at.parse().map_or(true, |at: Timestamp| at <= now))
     }
 
-    /// Why it is refused, if so.
+    /// Returns why the key is refused, if it is.
     pub(super) fn refusal(&self, now: Timestamp) -> Option<KeyRejection> {
         match &self.row.revoked_at {
             Some(_) => Some(KeyRejection::Revoked),
@@ -151,14 +151,14 @@ pub struct Keyring {
     locks: LockTable,
     /// SHA-256 of the server's own key, from its configuration.
     own: Option<Arc<str>>,
-    /// By prefix.
+    /// The keys by prefix.
     known: Arc<RwLock<HashMap<String, Arc<KnownKey>>>>,
     link_secret: LinkSecret,
     audit_log: AuditLog,
 }
 
 impl Keyring {
-    /// With the server's own key, where it has one.
+    /// Loads all keys, with the server's own key if one is configured.
     ///
     /// # Errors
     /// [`Error::Store`].
@@ -183,15 +183,15 @@ impl Keyring {
         })
     }
 
-    /// Counts audit entries that are dropped in these metrics.
+    /// Counts dropped audit entries in these metrics.
     #[must_use]
     pub fn counted_by(self, metrics: Arc<Metrics>) -> Self {
         let audit_log = AuditLog::start(self.keys.audit_writer(), metrics);
         Self { audit_log, ..self }
     }
 
-    /// Reads anew what other processes may have changed. A key that is as it was keeps the count of
-    /// its requests.
+    /// Reloads keys that other processes may have changed. An unchanged key keeps its request
+    /// count.
     ///
     /// # Errors
     /// [`Error::Store`].
@@ -206,32 +206,31 @@ impl Keyring {
         Ok(())
     }
 
-    /// With a secret that other servers know as well, or that outlives this one: links work there
-    /// too.
+    /// Uses a secret that other servers share, or that outlives this process. Links work there too.
     #[must_use]
     pub fn with_link_secret(self, link_secret: LinkSecret) -> Self {
         Self { link_secret, ..self }
     }
 
-    /// Whether callers must show a key: from the first one on, for good. Revoking the last one
-    /// locks the door, it does not open it.
+    /// Returns whether callers must present a key. True for good once the first key exists:
+    /// revoking the last key does not open the server to everyone.
     #[must_use]
     pub fn is_wanted(&self) -> bool {
         self.own.is_some() || !self.known.read().unwrap_or_else(PoisonError::into_inner).is_empty()
     }
 
-    /// Who shows this.
+    /// Returns the caller who presents this key.
     ///
     /// # Errors
-    /// Why nobody is known by it.
+    /// Why the key is rejected.
     pub fn caller(&self, presented: Option<&str>) -> Result<Caller, KeyRejection> {
         if !self.is_wanted() {
             return Ok(Caller::operator());
         }
         let presented = presented.ok_or(KeyRejection::NoKey)?;
         let hash = hash_of(presented);
-        // First, also where it is the server's own key as well: its limits hold, and it can be
-        // revoked.
+        // Stored keys are checked first, even if the same secret is also the server's own key:
+        // their limits apply, and they can be revoked.
         let found = presented.get(..PREFIX_CHARS).and_then(|prefix| self.by_prefix(prefix));
         if let Some(key) = found.filter(|key| equal(&key.row.hash, &hash)) {
             return match key.refusal(Timestamp::now()) {
@@ -249,11 +248,11 @@ impl Keyring {
         self.known.read().unwrap_or_else(PoisonError::into_inner).get(prefix).cloned()
     }
 
-    /// The caller a stored id means. What was begun for a key that is refused by now is not gone on
-    /// with.
+    /// Returns the caller that a stored key id stands for. Work that was started with a key is not
+    /// continued once the key has been revoked or has expired.
     ///
     /// # Errors
-    /// Why it is refused.
+    /// Why the key is refused.
     pub(super) fn caller_of(&self, key_id: Option<&str>) -> Result<Caller, KeyRejection> {
         let Some(id) = key_id else { return Ok(Caller::operator()) };
         let known = self.known.read().unwrap_or_else(PoisonError::into_inner);
@@ -265,11 +264,10 @@ impl Keyring {
         }
     }
 
-    /// Counts a request of a key, whichever process it came to. `None`: it may come as often as it
-    /// likes.
+    /// Counts a request of a key over all processes. Returns `None` if the key has no rate limit.
     ///
     /// # Errors
-    /// How long it has to wait, seconds, and what it may.
+    /// The seconds to wait, and the state of the limit.
     pub async fn count(
         &self,
         key: &KnownKey,
@@ -290,7 +288,7 @@ impl Keyring {
                 let wait_s = whole(wait_s).max(1);
                 Err((wait_s, RateLimitStatus { per_minute, left: 0, reset_s: wait_s }))
             }
-            // What this process has counted holds all the same.
+            // The count of this process still applies.
             Err(error) => {
                 tracing::warn!(
                     error = &error as &dyn std::error::Error,
@@ -301,7 +299,7 @@ impl Keyring {
         }
     }
 
-    /// Notes that a key was shown; once a minute it is written down. Nobody waits for that.
+    /// Records that a key was used. Stores this at most once a minute, in the background.
     pub fn note_use(&self, key: &Arc<KnownKey>) {
         let mut noted = key.noted.lock().unwrap_or_else(PoisonError::into_inner);
         if noted.is_some_and(|at| at.elapsed() < NOTE_USE_EVERY) {
@@ -319,10 +317,10 @@ impl Keyring {
         });
     }
 
-    /// Makes a key. Its secret is told here and never again.
+    /// Creates a key. Returns its secret, which is never shown again.
     ///
     /// # Errors
-    /// [`Error::Invalid`]: a name or a limit that is none.
+    /// [`Error::Invalid`] for an invalid name or limit.
     pub async fn create(&self, new: NewKey) -> Result<CreatedKey, Error> {
         let expires_at = check(&new)?;
         let NewKey { name, scope, expires_at: _, requests_per_minute, max_scenes, daily_usd } = new;
@@ -341,8 +339,8 @@ impl Keyring {
             last_used_at: None,
             revoked_at: None,
         };
-        // A task of its own: whoever asked may leave, and what is stored is known here all the
-        // same.
+        // A separate task: it finishes even if the client disconnects, so that a stored key is
+        // always known in memory.
         let (keys, new) = (self.clone(), row.clone());
         let inserted =
             tokio::spawn(
@@ -352,7 +350,7 @@ impl Keyring {
         Ok(CreatedKey { key: told(row, 0.0), secret })
     }
 
-    /// Keys, newest first.
+    /// Lists keys, newest first.
     ///
     /// # Errors
     /// [`Error::Store`].
@@ -366,7 +364,7 @@ impl Keyring {
         Ok(KeyList { keys, next_cursor })
     }
 
-    /// Has a key refused from now on. Its row stays: what was done with it stays readable.
+    /// Revokes a key. Its row stays, so that the audit log still shows what was done with it.
     ///
     /// # Errors
     /// [`Error::KeyNotFound`].
@@ -395,7 +393,7 @@ impl Keyring {
     }
 }
 
-/// A key as admins see it.
+/// Converts a key to the form that administrators see.
 fn told(row: KeyRow, spent_today_usd: f64) -> Key {
     let KeyRow {
         id,
@@ -426,7 +424,7 @@ fn told(row: KeyRow, spent_today_usd: f64) -> Key {
     }
 }
 
-/// Looks a wanted key over; its expiry as it is kept.
+/// Validates a new key. Returns its expiry in the stored form.
 fn check(new: &NewKey) -> Result<Option<String>, Error> {
     if new.name.trim().is_empty()
         || new.name.chars().count() > MAX_NAME_CHARS
@@ -467,7 +465,7 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Compares hashes: how long that takes says nothing about where they differ.
+/// Compares hashes in constant time: the duration does not reveal where they differ.
 fn equal(a: &str, b: &str) -> bool {
     a.len() == b.len()
         && a.bytes().zip(b.bytes()).fold(0, |difference, (a, b)| difference | (a ^ b)) == 0
@@ -526,7 +524,7 @@ mod tests {
             KeyRejection::NoKey,
             "the last key locks the door"
         );
-        // Not even as the server's own.
+        // Also rejected where it is the server's own key.
         drop(keys);
         let both = keyring(&folder, Some(&secret)).await;
         assert_eq!(both.caller(Some(&secret)).unwrap_err(), KeyRejection::Revoked);

@@ -1,5 +1,5 @@
-//! Naming all instances of a parse up front, as a job: questions with cached names then never wait
-//! for it.
+//! The job that names all instances of a parse in advance. Questions with stored names then never
+//! wait for naming.
 
 use super::answers::StoredScene;
 use super::vlm::{OF_KEY, WhenNamed};
@@ -18,14 +18,13 @@ use uniground_models::chat::{OverBudget, Session};
 use uniground_parsing::ParseError;
 use uniground_storage::{JobFilter, JobRepository, NameRepository};
 
-/// Names the objects of scenes. It waits for a model most of its time: several at once do not stand
-/// in each other's way.
-pub struct NamingJob(pub NamingService);
+/// Names the objects of scenes. A naming job mostly waits for a model, so several can run at once.
+pub struct NamingJob(pub Arc<NamingService>);
 
 #[derive(Serialize, Deserialize)]
 pub struct Payload {
     scene_id: String,
-    /// Who pays, beside the day's budget.
+    /// The key that pays, in addition to the daily budget.
     #[serde(default)]
     key_id: Option<String>,
 }
@@ -33,8 +32,8 @@ pub struct Payload {
 impl JobKind for NamingJob {
     const NAME: &'static str = "naming";
     const CONCURRENCY: usize = 4;
-    /// Each call is made with patience already; names that were given are kept, so that another try
-    /// only asks for the rest.
+    /// Each call has its own retries. Names are stored as they arrive, so a retry of the job asks
+    /// only for the rest.
     const RETRY: Retry = Retry { interrupted: 10, transient: 1, backoff: Duration::ZERO };
     type Payload = Payload;
 
@@ -43,24 +42,24 @@ impl JobKind for NamingJob {
     }
 }
 
-/// Has a model name the instances of a scene.
+/// Names the instances of a scene with a model.
 #[derive(Clone)]
 pub struct NamingService {
     pub(crate) vlm: Option<Arc<Vlm>>,
-    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) scene_lookup: Arc<SceneLookup>,
     pub(crate) jobs: Jobs,
     pub(crate) name_repository: NameRepository,
     pub(crate) job_repository: JobRepository,
     pub(crate) keyring: Keyring,
-    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) parsed_scenes: Arc<ParsedScenes>,
 }
 
 impl NamingService {
-    /// Names every object of a scene's current parse, in the background. What has a name already is
-    /// not paid for again.
+    /// Names every object of a scene's current parse, in the background. Objects that already have
+    /// a name are not paid for again.
     ///
     /// # Errors
-    /// [`Error`]: no model, an unknown or unparsed scene, a full queue.
+    /// [`Error`] if there is no model, the scene is unknown or unparsed, or the queue is full.
     pub async fn start_naming(&self, scene_id: &str, caller: &Caller) -> Result<Job, Error> {
         if self.vlm.is_none() {
             return Err(Error::VlmNotConfigured);
@@ -72,9 +71,8 @@ impl NamingService {
         Ok(self.jobs.submit::<NamingJob>(&scene.id, &payload, caller.key_id()).await?)
     }
 
-    /// Starts naming a scene that has just been parsed, where that is wanted. What stands against
-    /// it is told in the log: the parse is done. The server's own money pays, whoever uploaded
-    /// the scene.
+    /// Starts naming a scene that has just been parsed, if configured. Errors are only logged,
+    /// because the parse is done. The server's own budget pays, whoever uploaded the scene.
     pub(super) async fn name_when_parsed(&self, scene_id: &str) {
         if self.vlm.as_ref().is_none_or(|vlm| vlm.names() != WhenNamed::Parse) {
             return;
@@ -96,8 +94,8 @@ impl NamingService {
         }
     }
 
-    /// Waits until a scene is named, where that is wanted before the model's first question. A
-    /// question goes without names where they can not be had; its answer says so.
+    /// Waits until a scene is named, if names are required before the model's first question. If
+    /// the names are unavailable, the question is answered without them, and its answer says so.
     pub(super) async fn name_before_asking(
         &self,
         scene_id: &str,
@@ -125,12 +123,13 @@ impl NamingService {
             Some(job) => job.id,
             None => self.start_naming(scene_id, caller).await?.id,
         };
-        // Gone is over, too.
+        // A deleted job counts as finished too.
         let _ = self.jobs.follow(&job_id).await?.wait_for(|job| job.state.is_final()).await;
         Ok(())
     }
 
-    /// A budget that nothing can be held against pays for nothing.
+    /// Returns an error if a key has a budget but the model's prices are unknown, because nothing
+    /// can be charged to that budget.
     fn check_paid(&self, caller: &Caller) -> Result<(), Error> {
         let unknown = self.vlm.as_ref().is_some_and(|vlm| !vlm.prices().are_known());
         match caller.key.as_ref().and_then(|key| key.row.daily_usd).filter(|_| unknown) {
@@ -167,7 +166,7 @@ impl NamingService {
         let mut named = 0;
         let sheets: Vec<&[InstanceId]> = unnamed.chunks(naming::PER_SHEET).collect();
         for (number, ids) in sheets.iter().enumerate() {
-            // What is refused by now is not gone on with.
+            // Stops once the key has been revoked or has expired.
             self.keyring.caller_of(payload.key_id.as_deref()).map_err(|_| Error::KeyRefused)?;
             progress
                 .report("naming", number as f32 / sheets.len() as f32)
@@ -181,12 +180,12 @@ impl NamingService {
         self.name_repository
             .complete_name_index(&parse_id, vlm.name(), naming::NAMING_VERSION)
             .await?;
-        // From here on whoever asks is answered with all names.
+        // From here on, questions get all names.
         Ok(format!("{named} of {} objects named by {}", unnamed.len(), vlm.name()))
     }
 
-    /// Asks for the names of one sheet and keeps them: a job that is resumed goes on with the next.
-    /// What is not shown well enough to be asked about has the name "".
+    /// Asks for the names of one sheet and stores them, so that a resumed job continues with the
+    /// next sheet. Objects that are not shown well enough to be asked about get the name "".
     async fn name_sheet(
         &self,
         vlm: &Vlm,

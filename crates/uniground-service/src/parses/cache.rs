@@ -1,4 +1,4 @@
-//! Parses that stay in memory, so that a question does not wait for the database or a decoder.
+//! Keeps parses in memory, so that questions need neither the database nor a decoder.
 
 use bytes::Bytes;
 use camino::Utf8PathBuf;
@@ -13,58 +13,59 @@ use uniground_grounding::approach::Occupancy;
 use uniground_render::RenderScene;
 use uniground_storage::Scratch;
 
-/// A parse as stage 2 needs it.
+/// A parse in the form that stage 2 needs.
 #[derive(Clone)]
 pub struct LoadedParse {
     pub id: String,
-    /// The unpacked scan.
+    /// The folder of the unpacked scan.
     pub content: Utf8PathBuf,
-    /// With the names of the index, and as people have corrected them.
+    /// The instances with the names of the index and with corrections applied.
     pub instances: Vec<Instance>,
     pub names: NameIndex,
-    /// What somebody has said instances are called, by id.
+    /// The names that people have given, by instance id.
     pub renamed: BTreeMap<u32, String>,
-    /// Name and version of the model that named everything; `None` where none did.
+    /// Name and version of the model that named all instances. `None` if no model did.
     pub named_by: Option<String>,
     pub extent: Aabb,
-    /// From the coordinates of the files that were uploaded; `None` in parses from before it was
-    /// kept.
+    /// The transform from the coordinates of the uploaded files. `None` in parses of versions that
+    /// did not store it.
     pub source_to_scene: Option<SourceToScene>,
-    /// Name and version of what the parse was made with.
+    /// Name and version of the models that made the parse.
     pub masks: String,
     pub encoder: String,
     pub embeddings: Option<Embeddings>,
-    /// What that encoder has seen of frames as a whole.
+    /// The encoder's embeddings of whole frames.
     pub frame_embeddings: Option<FrameEmbeddings>,
 }
 
-/// Scenes whose instances stay in memory: a few kilobytes an instance.
+/// The number of scenes whose instances stay in memory. An instance takes a few kilobytes.
 const PARSES: usize = 64;
-/// Points of clouds that stay in memory, 17 bytes each.
+/// The number of points of clouds that stay in memory, 17 bytes each.
 const POINTS: usize = 8_000_000;
-/// Bytes of columns that stay in memory, for places to stand: 16 a cell of the floor and 8 an
+/// The bytes of columns that stay in memory for standing poses: 16 bytes per floor cell and 8 per
 /// occupied voxel.
 const OCCUPANCY_BYTES: usize = 128 << 20;
-/// Folders with points that were made since the start; each is as large as the scene's cloud.
+/// The number of folders with computed points that are cached. They were computed since the
+/// start, and each is as large as the scene's cloud.
 const MADE: usize = 16;
-/// Bytes of drawn pictures of instances that stay in memory.
+/// The bytes of drawn pictures of instances that stay in memory.
 const DRAWN_BYTES: usize = 64 << 20;
-/// Files whose state is remembered.
+/// The number of files whose verified state is remembered.
 const FILES: usize = 4096;
 
-/// What is known of parses without looking at the disk, by their ids.
+/// Caches the data of parses in memory, by parse id.
 pub struct ParseCache {
-    /// Each with how often what is known of it had changed by then.
+    /// Each parse with its number of changes when it was loaded.
     loaded: LruCache<(i64, Arc<LoadedParse>)>,
     pub render_scenes: LruCache<Arc<RenderScene>>,
-    /// What of the room is occupied. Corrections change nothing of it: it is of the points as they
-    /// were cut.
+    /// The occupied space of rooms. Corrections do not change it, because it depends only on the
+    /// points as stage 1 divided them.
     pub occupancies: LruCache<Arc<Occupancy>>,
-    /// Files that were found to be what was written, by path: their size and time then.
+    /// Verified files by path, with their size and modification time at that moment.
     pub sound: LruCache<(u64, SystemTime)>,
-    /// Points of parses from before they were kept.
+    /// Points computed for parses of versions that did not store them.
     pub points: LruCache<Arc<Scratch>>,
-    /// Pictures of instances, by the file a parse could have kept.
+    /// Pictures of instances, by the path of the file that a parse could have stored.
     pub drawn: LruCache<Bytes>,
 }
 
@@ -82,22 +83,22 @@ impl Default for ParseCache {
 }
 
 impl ParseCache {
-    /// A parse, unless what is known of it has changed since it was loaded.
+    /// Returns a parse, unless it has changed since it was loaded.
     pub fn loaded(&self, id: &str, changes: i64) -> Option<Arc<LoadedParse>> {
         self.loaded.get(id).filter(|(of, _)| *of == changes).map(|(_, parse)| parse)
     }
 
-    /// Keeps a parse that was loaded after so many changes.
+    /// Caches a parse that was loaded after this number of changes.
     pub fn keep(&self, parse: &Arc<LoadedParse>, changes: i64) {
         self.loaded.put(parse.id.clone(), (changes, parse.clone()), 1);
     }
 
-    /// Forgets a parse that is gone.
+    /// Removes a deleted parse.
     pub fn forget(&self, id: &str) {
         self.loaded.remove(id);
     }
 
-    /// How often parses were found in memory, and how often not.
+    /// Returns the number of cache hits and of cache misses.
     pub fn looks(&self) -> (u64, u64) {
         self.loaded.looks()
     }

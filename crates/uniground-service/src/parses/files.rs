@@ -1,4 +1,4 @@
-//! What a parse's folder holds, by name. The only place that knows.
+//! The names of the files in a parse's folder. No other module knows them.
 
 use crate::error::Error;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -17,19 +17,19 @@ use uniground_parsing::{ParseError, report_pictures};
 use uniground_render::{RenderScene, jpeg};
 use uniground_storage::{Blobs, Scratch};
 
-/// A file a caller can have.
+/// A file of a parse that callers can download.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ParseFile {
-    /// The cloud in its own colours, PLY.
+    /// The cloud in its own colors, PLY.
     Cloud,
-    /// The cloud coloured by instance, PLY.
+    /// The cloud colored by instance, PLY.
     Instances,
-    /// The cloud in an order of which every beginning is an even sample, with the instances of its
-    /// points; not in parses from before it was kept.
+    /// The cloud in an order of which every prefix is an even sample, with the instances of its
+    /// points. Missing in parses of versions that did not store it.
     Points,
-    /// The room from above, small; not in parses from before it was kept.
+    /// A small picture of the room from above. Missing in parses of versions that did not store it.
     Thumbnail,
-    /// What the instances look like: a numpy array; only where an encoder took part.
+    /// The embeddings of the instances as a numpy array. Present only if an encoder was used.
     Embeddings,
 }
 
@@ -51,8 +51,8 @@ const FRAME_EMBEDDINGS: [&str; 2] = ["frame_embeddings.npy", "frame_embeddings_o
 const VIEWS: &str = "views";
 const FRAMES: &str = "frames.json";
 
-/// An evidence picture of an instance, as parses keep it from before such pictures were drawn for
-/// who looks at them; `view` counts from 0.
+/// Returns the path of an evidence picture of an instance. Only parses of earlier versions store
+/// such pictures. Newer ones are drawn on request. `view` counts from 0.
 pub fn view(parse: &Utf8Path, instance: InstanceId, view: usize, picture: Picture) -> Utf8PathBuf {
     parse.join(VIEWS).join(view_name(instance, view, picture))
 }
@@ -65,13 +65,14 @@ fn view_name(instance: InstanceId, view: usize, picture: Picture) -> String {
     format!("{instance}-{view}-{kind}.jpg")
 }
 
-/// A photograph that views are of, through a pinhole: pictures for models are drawn from it.
+/// Returns the path of a photograph that views refer to, as a pinhole picture. Pictures for models
+/// are drawn from it.
 pub fn photograph(parse: &Utf8Path, frame: FrameIndex) -> Utf8PathBuf {
     parse.join(VIEWS).join(format!("photograph-{frame}"))
 }
 
-/// A frame's picture in colour, through a pinhole: kept beside the parse, or the scan's own;
-/// `None`, and a line in the log, where it can not be read.
+/// Reads a frame's color picture as a pinhole picture: the one stored with the parse, or the scan's
+/// own. Returns `None` and logs a warning if it cannot be read.
 pub fn read_photograph(
     blobs: &Blobs,
     parse: &Utf8Path,
@@ -95,8 +96,8 @@ pub fn read_photograph(
     picture.inspect_err(|error| tracing::warn!(%kept, error, "photograph could not be read")).ok()
 }
 
-/// The frames of a parse, with their picture files in the content's folder; `None` in parses that
-/// were made before frames were kept.
+/// Reads the frames of a parse, with their picture files in the content's folder. Returns `None`
+/// for parses of versions that did not store frames.
 ///
 /// # Errors
 /// An unreadable file.
@@ -110,7 +111,7 @@ pub fn read_frames(
     Ok(Some(kept.into_iter().map(|frame| frame.with_paths(|path| content.join(path))).collect()))
 }
 
-/// Paths are kept relative to the content, whose folder may lie elsewhere tomorrow.
+/// Paths are stored relative to the content, because its folder may move.
 fn write_frames(frames: &[FrameRef], content: &Utf8Path, parse: &Utf8Path) -> Result<(), Error> {
     let relative = |path: &Utf8Path| path.strip_prefix(content).unwrap_or(path).to_owned();
     let kept: Vec<FrameRef> =
@@ -118,7 +119,7 @@ fn write_frames(frames: &[FrameRef], content: &Utf8Path, parse: &Utf8Path) -> Re
     Ok(fs::write(parse.join(FRAMES), serde_json::to_vec(&kept)?)?)
 }
 
-/// What an encoder has seen, where one took part.
+/// Reads the embeddings, if an encoder was used.
 ///
 /// # Errors
 /// Unreadable files.
@@ -127,7 +128,8 @@ pub fn read_embeddings(blobs: &Blobs, parse: &Utf8Path) -> Result<Option<Embeddi
     Ok(Some(Embeddings::read(&rows, &fs::read(blobs.file(parse, NORMS.into())?)?)?))
 }
 
-/// What an encoder has seen of frames as a whole; `None` too in parses from before that was kept.
+/// Reads the encoder's embeddings of whole frames. Also returns `None` for parses of versions that
+/// did not store them.
 ///
 /// # Errors
 /// Unreadable files.
@@ -140,10 +142,11 @@ pub fn read_frame_embeddings(
     Ok(Some(FrameEmbeddings::read(&rows, &fs::read(blobs.file(parse, frames.into())?)?)?))
 }
 
-/// A file of a published folder; `None` where it was published without; blocks.
+/// Reads a file of a published folder. Returns `None` if the folder was published without it.
+/// Blocks.
 ///
 /// # Errors
-/// An unreadable file; that the object store can not be used.
+/// An unreadable file; an unavailable object store.
 pub fn read(
     blobs: &Blobs,
     folder: &Utf8Path,
@@ -159,11 +162,11 @@ fn if_kept<T>(got: io::Result<T>) -> io::Result<Option<T>> {
     }
 }
 
-/// Writes what a parse keeps: clouds, embeddings, pictures of the report, and the photographs that
-/// evidence is drawn from.
+/// Writes the files of a parse: clouds, embeddings, pictures of the report, and the photographs
+/// that evidence is drawn from.
 ///
 /// # Errors
-/// Those of the file system and of frames; cancellation.
+/// Errors of the file system and of frames; cancellation.
 pub fn write(
     scan: &ParsedScan,
     content: &Utf8Path,
@@ -191,7 +194,7 @@ pub fn write(
         .collect();
     for frame in scan.frames.iter().filter(|frame| shown.contains(&frame.index)) {
         let file = photograph(parse, frame.index);
-        // What views say of pixels is said of pinhole pictures.
+        // The pixel coordinates of views refer to pinhole pictures.
         match frame.optics.colour_lens {
             None => drop(fs::copy(&frame.colour, file)?),
             Some(_) => fs::write(file, jpeg(&frame.decode_colour().map_err(ParseError::from)?))?,
@@ -200,7 +203,7 @@ pub fn write(
     Ok(())
 }
 
-/// All but the order of the points, which takes as long as all of this.
+/// Writes everything except the ordered points, which take as long as all the rest.
 fn write_rest(
     scan: &ParsedScan,
     content: &Utf8Path,

@@ -1,4 +1,4 @@
-//! Parsing as a job.
+//! The job that parses a scene.
 
 use super::{files, settings_hash};
 use crate::error::Error;
@@ -30,18 +30,18 @@ use uniground_storage::{
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::settings::{ParseSettings, with_names_of_today};
 
-/// Parses scenes, one at a time: a parse uses every core it gets.
+/// Parses scenes one at a time, because a parse uses every core it gets.
 pub struct ParseJob {
-    pub runner: ParseRunner,
-    /// A model may name the objects of a scene as soon as it is parsed.
-    pub naming: NamingService,
+    pub runner: Arc<ParseRunner>,
+    /// Names the objects of a scene right after its parse, if configured.
+    pub naming: Arc<NamingService>,
 }
 
-/// What came of a parse that was not needed.
+/// The result of a parse job that had nothing to do.
 pub(super) const STORED_PARSE_USED: &str =
     "the stored parse of the same content and settings is used";
 
-/// What a parse is asked to do.
+/// The payload of a parse job.
 #[derive(Serialize, Deserialize)]
 pub struct Payload {
     pub(super) scene_id: String,
@@ -49,7 +49,8 @@ pub struct Payload {
     pub(super) settings: ParseSettings,
 }
 
-/// A job that waits may have been written by a server whose settings had other names.
+/// Reads the settings of a queued job. An earlier version, whose settings had other names, may have
+/// written it.
 fn settings_of_any_version<'de, D: serde::Deserializer<'de>>(
     deserializer: D,
 ) -> Result<ParseSettings, D::Error> {
@@ -58,18 +59,18 @@ fn settings_of_any_version<'de, D: serde::Deserializer<'de>>(
     serde_json::from_value(settings).map_err(serde::de::Error::custom)
 }
 
-/// How the files of a scan are read: what is true of them whatever they are parsed with.
+/// The settings that say how the files of a scan are read. They do not depend on other settings.
 const READING: [&str; 3] = ["up", "metres_per_unit", "levelling"];
 
-/// Settings that are asked for, with what an earlier job was told of how the files are read, as far
-/// as they do not say it themselves.
+/// Returns the requested settings. Where they do not say how files are read, that is taken from an
+/// earlier job.
 pub(super) fn with_reading_of(payload: &str, asked: Option<Value>) -> Option<Value> {
     let told: Option<Value> = serde_json::from_str(payload).ok();
     let Some(told) = told.as_ref().and_then(|told| told.pointer("/settings/import")) else {
         return asked;
     };
     let mut asked = asked.unwrap_or_else(|| json!({}));
-    // What is no object is refused, with a word on where, by whoever reads it.
+    // A value that is not an object is rejected by the code that parses it, with its location.
     let import =
         asked.as_object_mut().map(|settings| settings.entry("import").or_insert_with(|| json!({})));
     if let Some(import) = import.and_then(Value::as_object_mut) {
@@ -85,8 +86,7 @@ pub(super) fn with_reading_of(payload: &str, asked: Option<Value>) -> Option<Val
 impl JobKind for ParseJob {
     const NAME: &'static str = "parse";
     const CONCURRENCY: usize = 1;
-    /// A scan that could not be parsed can not be parsed tomorrow; a disk that was full may have
-    /// room.
+    /// A scan that failed to parse will fail again. A full disk may have room later.
     const RETRY: Retry = Retry { interrupted: 10, transient: 2, backoff: Duration::from_secs(5) };
     type Payload = Payload;
 
@@ -94,7 +94,7 @@ impl JobKind for ParseJob {
         let scene_id = job.payload.scene_id.clone();
         let told = loop {
             match self.runner.run_parse(&job).await {
-                // What is done is kept: nothing is computed twice.
+                // Finished stages are stored as checkpoints, so nothing is computed twice.
                 Err(error)
                     if error.is_object_store_unavailable()
                         && self.runner.wait_for_object_store(&job.progress).await =>
@@ -118,22 +118,22 @@ pub struct ParseRunner {
     pub(crate) blobs: Blobs,
     pub(crate) parse_repository: ParseRepository,
     pub(crate) correction_repository: CorrectionRepository,
-    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) parsed_scenes: Arc<ParsedScenes>,
     pub(crate) health_probe: HealthProbe,
     pub(crate) ids: IdGenerator,
     pub(crate) scene_repository: SceneRepository,
-    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) scene_lookup: Arc<SceneLookup>,
     pub(crate) models: Models,
     pub(crate) parse_pool: Arc<ThreadPool>,
-    pub(crate) capacity: Capacity,
+    pub(crate) capacity: Arc<Capacity>,
     pub(crate) metrics: Arc<Metrics>,
     pub(crate) reader: ScanReader,
-    pub(crate) service_locks: ServiceLocks,
+    pub(crate) service_locks: Arc<ServiceLocks>,
 }
 
 impl ParseRunner {
-    /// Waits until the object store can be had again; whether it can, before that takes too long or
-    /// the job is to stop.
+    /// Waits until the object store is available again. Returns `false` if that takes too long or
+    /// the job is cancelled.
     async fn wait_for_object_store(&self, progress: &Progress) -> bool {
         const PATIENCE: Duration = Duration::from_mins(10);
         const LOOK_EVERY: Duration = Duration::from_secs(2);
@@ -163,10 +163,10 @@ impl ParseRunner {
             self.blobs.content(&scene.content_hash),
             scene.content_hash.clone(),
         );
-        // Read from the import to the pictures of the report.
+        // Pinned from the import until the pictures of the report are done.
         let content = Arc::new(spawn_blocking(move || blobs.whole(&content)).await??);
-        // Every stage works on what the import made of the content; of a scan that has grown, of
-        // what it began with.
+        // All stages depend on the import of the content. The stages of a grown scan depend on the
+        // import of its first upload.
         let grown_from = first_upload(&content).await?;
         let origin = serde_json::to_string(&(
             STAGE_1_VERSION,
@@ -174,7 +174,7 @@ impl ParseRunner {
             &settings.import,
         ))?;
         let (span, start) = (tracing::Span::current(), Instant::now());
-        // Networks take nearly all of the time where they take part.
+        // Networks, where they are used, take nearly all of the time.
         let parsed_by = if self.models.loaded.is_empty() { 0.9 } else { 0.99 };
         let (blobs, pool, models, job_settings) =
             (self.blobs.clone(), self.parse_pool.clone(), self.models.clone(), settings.clone());
@@ -194,7 +194,7 @@ impl ParseRunner {
                 let task = Task::Import { content, settings, checkpoints: folder, origin };
                 service.import(&task, &checkpoints, &parsing.part(0.0, imported))?
             };
-            // In the pool of parses: what it does in parallel stays there, and gives way.
+            // Parallel work stays in the pool of parses, whose threads have a low priority.
             pool.install(|| {
                 service.capacity.check_memory(scan.memory_wanted())?;
                 Ok::<_, Error>(cut_scan(
@@ -210,7 +210,8 @@ impl ParseRunner {
         let cut = spawn_blocking(work).await?;
         stages.finish().await;
         let mut scan = cut?;
-        // What people say of the scene from here on is of the parse that is being written.
+        // The lock makes corrections wait from here on. They then apply to the parse that is being
+        // written.
         let turn = match grown_from {
             Some(_) if self.scene_lookup.scene_row(scene_id).await?.parse_id.is_some() => {
                 Some(self.scene_lookup.turn_at_parse(scene_id).await?)
@@ -270,7 +271,7 @@ impl ParseRunner {
         if inserted {
             self.scene_repository.set_scene_parse(scene_id, &id, job_id).await?;
         } else {
-            // Somebody parsed the same meanwhile, or the scene is gone.
+            // Another job stored the same parse in the meantime, or the scene was deleted.
             self.blobs.discard(self.blobs.parse(&id)).await?;
             if !self.take_stored_parse(&scene, settings, job_id).await? {
                 return Err(Error::SceneNotFound { id: scene_id.clone() });
@@ -288,7 +289,7 @@ impl ParseRunner {
         ))
     }
 
-    /// Has a scan imported, away from here where that is how this service reads; blocks.
+    /// Imports a scan, in a child process if this service is configured to. Blocks.
     fn import(
         &self,
         task: &Task,
@@ -304,20 +305,21 @@ impl ParseRunner {
             )));
         };
         let scan = stored_import(content, settings, checkpoints)?;
-        // A full disk, most likely: checkpoints are not written then.
+        // Most likely the disk is full: checkpoints are not written then.
         let scan = scan
             .ok_or_else(|| Error::Io(io::Error::other("the scan's import could not be stored")))?;
         Ok(scan.with_stages(stages))
     }
 
-    /// Makes a stored parse of the same content and settings the scene's own, where there is one.
+    /// Assigns a stored parse of the same content and settings to the scene. Returns `false` if
+    /// there is none.
     async fn take_stored_parse(
         &self,
         scene: &SceneRow,
         settings: &ParseSettings,
         job_id: &str,
     ) -> Result<bool, Error> {
-        // It stays until the scene refers to it.
+        // The lock keeps the parse until the scene refers to it.
         let _references = self.service_locks.parse_references().await?;
         let Some(parse_id) = self.parsed_scenes.stored_parse(&scene.content_hash, settings).await?
         else {
@@ -328,7 +330,7 @@ impl ParseRunner {
     }
 }
 
-/// The upload a scan began with, where it has grown since.
+/// Returns the hash of the first upload of a scan that has grown since.
 async fn first_upload(content: &Utf8Path) -> Result<Option<String>, Error> {
     let content = content.to_owned();
     let grown = spawn_blocking(move || GrownScan::read(&content)).await??;

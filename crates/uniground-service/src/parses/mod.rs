@@ -1,4 +1,4 @@
-//! Parses: the same content with the same settings is parsed once.
+//! Parses of scenes. The same content is parsed once with the same settings.
 
 mod cache;
 mod files;
@@ -22,6 +22,7 @@ use crate::{Capacity, SceneLookup, ServiceLocks};
 use job::Payload;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use uniground_jobs::{Job, JobKind, Jobs};
 use uniground_models::neural::Models;
 use uniground_parsing::scan::{STAGE_1_VERSION, names_of};
@@ -29,10 +30,10 @@ use uniground_storage::{Blobs, JobRepository, NewJob, PinnedPath, SceneRepositor
 use uniground_types::corrections::{Change, Correction};
 use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};
 
-/// A file somebody asks for.
+/// A file that a caller downloads.
 pub enum FileDownload {
     Here(PinnedPath),
-    /// An address of the object store's that works for a while.
+    /// A URL of the object store that works for a limited time.
     There(String),
 }
 
@@ -41,27 +42,27 @@ pub enum FileDownload {
 pub struct ParseService {
     pub(crate) models: Models,
     pub(crate) scene_repository: SceneRepository,
-    pub(crate) scene_lookup: SceneLookup,
-    pub(crate) service_locks: ServiceLocks,
-    pub(crate) capacity: Capacity,
+    pub(crate) scene_lookup: Arc<SceneLookup>,
+    pub(crate) service_locks: Arc<ServiceLocks>,
+    pub(crate) capacity: Arc<Capacity>,
     pub(crate) jobs: Jobs,
-    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) parsed_scenes: Arc<ParsedScenes>,
     pub(crate) job_repository: JobRepository,
     pub(crate) blobs: Blobs,
 }
 
 impl ParseService {
-    /// The models a parse started now is made with, unless it asks for others.
+    /// Returns the models of a parse that starts now, unless it requests others.
     #[must_use]
     pub fn parse_models(&self) -> ParseModels {
         names_of(&self.models)
     }
 
-    /// Parses a scene, in the background. A stored parse of the same content and settings is taken
-    /// at once.
+    /// Parses a scene in the background. A stored parse of the same content and settings is used at
+    /// once.
     ///
     /// # Errors
-    /// [`Error`] when the scene is unknown or the queue is full.
+    /// [`Error`] if the scene is unknown or the queue is full.
     pub async fn start_parse(
         &self,
         scene_id: &str,
@@ -81,7 +82,7 @@ impl ParseService {
         Ok(self.jobs.notify_worker::<ParseJob>(row))
     }
 
-    /// What a scene's parse comes to, before it is recorded.
+    /// Prepares a scene's parse, before it is recorded.
     pub(super) async fn wanted_parse(
         &self,
         scene_id: &str,
@@ -97,12 +98,13 @@ impl ParseService {
         Ok(WantedParse { payload, key_id: caller.key_id().map(str::to_owned), stored })
     }
 
-    /// Parses a scene again: a preset with single values replaced. How the files are read was
-    /// settled at the upload and stays, unless said: what is up, how long their unit is,
-    /// whether they are levelled.
+    /// Parses a scene again, with a preset in which single values are replaced.
+    ///
+    /// The settings of how files are read stay as in the upload, unless given: the up direction,
+    /// the length of the unit, and whether the scan is leveled.
     ///
     /// # Errors
-    /// [`Error`] for settings that make no sense, an unknown scene or a full queue.
+    /// [`Error`] for invalid settings, an unknown scene or a full queue.
     pub async fn reparse(
         &self,
         scene_id: &str,
@@ -123,11 +125,11 @@ impl ParseService {
         self.start_parse(scene_id, &settings, caller).await
     }
 
-    /// A file of a scene's current parse.
+    /// Returns a file of a scene's current parse.
     ///
     /// # Errors
-    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`]; [`Error::NoEmbeddings`] when no encoder
-    /// has seen the scene.
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`]; [`Error::NoEmbeddings`] if no encoder
+    /// was used for the scene.
     pub async fn parse_file(&self, scene_id: &str, file: ParseFile) -> Result<FileDownload, Error> {
         let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
         if file == ParseFile::Embeddings
@@ -146,7 +148,7 @@ impl ParseService {
     }
 }
 
-/// The names people have given, by id; the last one counts.
+/// Returns the names that people have given, by instance id. The last name counts.
 fn renamed(corrections: &[Correction]) -> BTreeMap<u32, String> {
     let name = |correction: &Correction| match (&correction.change, correction.made) {
         (Change::Rename { instance_id, name }, _) => Some((instance_id.0, name.clone())),
@@ -160,7 +162,7 @@ fn renamed(corrections: &[Correction]) -> BTreeMap<u32, String> {
         .collect()
 }
 
-/// A parse somebody wants: to be made, or there already.
+/// A requested parse: to be computed, or already stored.
 pub(super) struct WantedParse {
     payload: String,
     key_id: Option<String>,
@@ -179,7 +181,7 @@ impl WantedParse {
     }
 }
 
-/// Identifies settings and the code and models that read them.
+/// Returns a hash of settings, with the models and the version of the code that use them.
 fn settings_hash(settings: &ParseSettings, models: &ParseModels) -> Result<String, Error> {
     let mut hasher = Sha256::new();
     hasher.update(serde_json::to_vec(&(STAGE_1_VERSION, models, settings))?);

@@ -35,12 +35,12 @@ pub struct ParsedScenes {
     pub(crate) parse_cache: Arc<ParseCache>,
     pub(crate) correction_repository: CorrectionRepository,
     pub(crate) picture_cache: Arc<PictureCache>,
-    pub(crate) service_locks: ServiceLocks,
+    pub(crate) service_locks: Arc<ServiceLocks>,
     pub(crate) question_permits: QuestionPermits,
 }
 
 impl ParsedScenes {
-    /// Where the object store itself has a file of a parse, if callers are sent there.
+    /// Returns a link to a parse's file in the object store, if callers are sent there.
     pub(crate) async fn link_to(
         &self,
         parse_id: &str,
@@ -50,8 +50,8 @@ impl ParsedScenes {
         Ok(spawn_blocking(move || blobs.link(&folder, &file.of(&folder))).await??)
     }
 
-    /// The parse of a content under these settings and the models they choose, where there is one
-    /// and its files are.
+    /// Returns the parse of a content with these settings and the models they choose, if it exists
+    /// with its files.
     pub(crate) async fn stored_parse(
         &self,
         content_hash: &str,
@@ -70,8 +70,8 @@ impl ParsedScenes {
         Ok(None)
     }
 
-    /// Has a parse made anew whose files are lost or damaged, for every scene that uses it. Until
-    /// then the scenes keep what they have.
+    /// Starts a new parse for every scene that uses a parse whose files are lost or damaged. Until
+    /// it is done, the scenes keep the damaged one.
     ///
     /// # Errors
     /// [`Error::Store`].
@@ -98,10 +98,10 @@ impl ParsedScenes {
         Ok(())
     }
 
-    /// A file of a parse, once it is known to be what was written.
+    /// Returns a file of a parse after checking that it is as it was written.
     ///
     /// # Errors
-    /// [`Error::ParseDamaged`]: it is lost or damaged, and the parse is being made anew.
+    /// [`Error::ParseDamaged`] if it is lost or damaged. A new parse is then started.
     pub(crate) async fn sound_file(
         &self,
         parse_id: &str,
@@ -114,8 +114,8 @@ impl ParsedScenes {
         }
     }
 
-    /// A file of a parse, if it is what was written; blocks. What was looked at once and has not
-    /// changed since is believed.
+    /// Pins a file of a parse after checking that it is as it was written. A file that was checked
+    /// once and has not changed since is not checked again. Blocks.
     pub(crate) fn check_file(&self, parse_id: &str, file: &Utf8Path) -> Result<PinnedPath, Error> {
         let damaged = |what: String| Error::ParseDamaged { parse_id: parse_id.to_owned(), what };
         let of = |error: io::Error| match error.kind() {
@@ -123,7 +123,7 @@ impl ParsedScenes {
                 damaged(format!("{} is missing", file.file_name().unwrap_or_default()))
             }
             io::ErrorKind::InvalidData => damaged(error.to_string()),
-            // A disk that fails for a moment has lost nothing.
+            // A disk that fails for a moment has lost no data.
             _ => Error::Io(error),
         };
         let stamp = |file: &Utf8Path| fs::metadata(file).and_then(|m| Ok((m.len(), m.modified()?)));
@@ -141,7 +141,7 @@ impl ParsedScenes {
         Ok(kept)
     }
 
-    /// Has a damaged parse made anew, if that is what an error is about.
+    /// Starts a new parse if the error reports a damaged one. Returns the error.
     pub(crate) async fn after_damage(&self, error: Error) -> Error {
         match &error {
             Error::ParseDamaged { parse_id, .. } => {
@@ -151,9 +151,9 @@ impl ParsedScenes {
         }
     }
 
-    /// A parse in memory.
+    /// Returns a parse from memory, or loads it.
     pub(crate) async fn loaded_parse(&self, parse_id: &str) -> Result<Arc<LoadedParse>, Error> {
-        // Of now, not of when it is read: what changes in between is read once more.
+        // The number of changes is read before the parse. A change in between causes one more load.
         let changes = self.changes_of_parse(parse_id).await?;
         if let Some(parse) = self.parse_cache.loaded(parse_id, changes) {
             return Ok(parse);
@@ -163,8 +163,8 @@ impl ParsedScenes {
         Ok(parse)
     }
 
-    /// A parse that is looked at in passing: those that people ask about stay in memory, whatever
-    /// many are looked through.
+    /// Returns a parse without caching it. Scanning many scenes must not evict the parses that
+    /// questions use.
     pub(crate) async fn passing_parse(&self, parse_id: &str) -> Result<Arc<LoadedParse>, Error> {
         match self.parse_cache.loaded(parse_id, self.changes_of_parse(parse_id).await?) {
             Some(parse) => Ok(parse),
@@ -172,7 +172,7 @@ impl ParsedScenes {
         }
     }
 
-    /// How often what is known of a parse has changed: by this process or another.
+    /// Returns how often the data of a parse has changed, by this process or another.
     pub(crate) async fn changes_of_parse(&self, parse_id: &str) -> Result<i64, Error> {
         let changes = self.parse_repository.changes_of_parse(parse_id).await?;
         changes.ok_or_else(|| Error::SceneNotFound { id: parse_id.into() })
@@ -189,11 +189,11 @@ impl ParsedScenes {
         let (id, content, masks, encoder) =
             (parse_id.to_owned(), blobs.content(&row.content_hash), models.masks, models.encoder);
         let source_to_scene = import.and_then(|import| import.source_to_scene);
-        // Names are read as questions are: that computes.
+        // Names are parsed like questions, which takes CPU time.
         let read = move || {
             correct(&mut instances, &corrections);
-            // What was found since no encoder has seen; what was merged looks like its members
-            // together.
+            // Instances that were found later have no embedding. Merged instances get the joint
+            // embedding of their members.
             let embeddings = files::read_embeddings(&blobs, &folder)?.map(|seen| {
                 let seen = seen.padded_to(instances.len());
                 let merged = instances
@@ -227,7 +227,7 @@ impl ParsedScenes {
         spawn_blocking(read).await?
     }
 
-    /// What is wrong with a parse's files.
+    /// Returns what is wrong with a parse's files.
     pub(crate) async fn look_at_parse(
         &self,
         parse_id: &str,
@@ -237,7 +237,7 @@ impl ParsedScenes {
         Ok(spawn_blocking(move || blobs.look(&place, closely)).await??)
     }
 
-    /// Names the configured model gave to the instances of a parse.
+    /// Returns the names that the configured model gave to the instances of a parse.
     pub(crate) async fn names_of(&self, parse_id: &str) -> Result<BTreeMap<u32, String>, Error> {
         match &self.vlm {
             Some(vlm) => Ok(self
@@ -248,8 +248,8 @@ impl ParsedScenes {
         }
     }
 
-    /// Gives instances the names of the parse's index, where a model has named everything; that
-    /// model and the version of the question.
+    /// Sets the instances' names from the parse's index, if a model has named all of them. Returns
+    /// that model and the version of the question.
     pub(crate) async fn give_names(
         &self,
         parse_id: &str,
@@ -262,7 +262,7 @@ impl ParsedScenes {
         let mut names =
             self.name_repository.instance_names(parse_id, &model, naming::NAMING_VERSION).await?;
         for instance in instances {
-            // What was found for a question has a name of its own.
+            // An instance that was found for a question has its own name.
             let own = instance.given_name.take();
             instance.given_name =
                 names.remove(&instance.id.0).filter(|name| !name.is_empty()).or(own);
@@ -270,7 +270,7 @@ impl ParsedScenes {
         Ok(Some(naming::namer(&model)))
     }
 
-    /// Keeps names the configured model gave; those given before stay.
+    /// Stores names that the configured model gave. Existing names stay.
     pub(crate) async fn keep_names(
         &self,
         parse_id: &str,

@@ -1,5 +1,5 @@
-//! A parse that goes on from another: of a scene that has grown, what stays keeps its id, its names
-//! and what people have said of it.
+//! A parse that continues a previous one. In a scene that has grown, instances that stay keep their
+//! ids, names and corrections.
 
 use super::{ParseFile, read_frames};
 use crate::ParseRunner;
@@ -19,12 +19,12 @@ use uniground_types::changes::Changes;
 use uniground_types::corrections::Correction;
 use uniground_types::settings::InstanceSettings;
 
-/// The parse a scene has had.
+/// The previous parse of a scene.
 pub(super) struct PreviousParse {
     pub parse_id: String,
-    /// As that parse has found them, with what was made since.
+    /// The instances as that parse found them, with those added since.
     found: Vec<Instance>,
-    /// With their names, as people have corrected them.
+    /// The instances with their names and with corrections applied.
     shown: Vec<Instance>,
     corrections: Vec<Correction>,
     blobs: Blobs,
@@ -32,7 +32,7 @@ pub(super) struct PreviousParse {
     content: PinnedPath,
 }
 
-/// What the new parse has from the one before.
+/// What the new parse takes over from the previous one.
 pub(super) struct InheritedState {
     pub parse_id: String,
     pub changes: Changes,
@@ -40,7 +40,7 @@ pub(super) struct InheritedState {
 }
 
 impl ParseRunner {
-    /// The parse that the next one of a scene that has grown goes on from.
+    /// Loads the parse that the next parse of a grown scene continues.
     pub(super) async fn previous_parse(&self, parse_id: String) -> Result<PreviousParse, Error> {
         let loaded = self.parsed_scenes.loaded_parse(&parse_id).await?;
         let (blobs, folder, content) =
@@ -61,10 +61,10 @@ impl ParseRunner {
 }
 
 impl PreviousParse {
-    /// Brings a parse under the ids of this one, and tells what changed; blocks.
+    /// Gives a new parse the ids of this one and returns what changed. Blocks.
     ///
     /// # Errors
-    /// Unreadable frames, and calling off.
+    /// Unreadable frames; cancellation.
     pub fn continue_in(
         self,
         scan: &mut ParsedScan,
@@ -131,7 +131,7 @@ impl PreviousParse {
     }
 }
 
-/// Things that are the same to the bit.
+/// Returns pairs of instances whose boxes, point counts and levels are identical to the bit.
 fn identical(before: &[Instance], now: &[Instance]) -> Vec<(InstanceId, InstanceId)> {
     let is_same = |a: &Instance, b: &Instance| {
         !a.gone && a.raw_box == b.raw_box && a.point_count == b.point_count && a.level == b.level
@@ -141,7 +141,7 @@ fn identical(before: &[Instance], now: &[Instance]) -> Vec<(InstanceId, Instance
     now.iter().filter_map(pair).collect()
 }
 
-/// Whose each point is, as people have corrected it.
+/// Returns the owner of each point, with corrections applied.
 fn owned(instances: &[Instance], of_point: &[InstanceId], cloud: &PointCloud) -> Vec<InstanceId> {
     let owners = Owners::of(of_point, instances);
     of_point

@@ -13,7 +13,7 @@ use uniground_storage::Blobs;
 const FOLDER: &str = "report";
 const INDEX: &str = "index.json";
 
-/// What is stored of a picture beside its file.
+/// The entry of a picture in the index.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Entry {
     pub name: String,
@@ -31,12 +31,12 @@ pub(super) fn write(parse: &Utf8Path, pictures: Vec<ReportPicture>) -> Result<()
     Ok(fs::write(parse.join(FOLDER).join(INDEX), serde_json::to_vec(&index)?)?)
 }
 
-/// File of a picture; `name` is one of the index.
+/// Returns the file of a picture. `name` is one of the index.
 pub(super) fn picture(parse: &Utf8Path, name: &str) -> Utf8PathBuf {
     parse.join(FOLDER).join(format!("{name}.jpg"))
 }
 
-/// All pictures of a parse. Parses of earlier versions have none.
+/// Returns all pictures of a parse. Parses of earlier versions have none.
 pub(super) async fn index(blobs: Blobs, parse: Utf8PathBuf) -> Result<Vec<Entry>, Error> {
     let index =
         spawn_blocking(move || read(&blobs, &parse, parse.join(FOLDER).join(INDEX))).await??;

@@ -1,4 +1,4 @@
-//! What a parse did, in figures and pictures.
+//! The report of a parse, in figures and pictures.
 
 use super::report_files::{self, Entry};
 use crate::ParseService;
@@ -31,7 +31,7 @@ impl ParseService {
         })
     }
 
-    /// File of one picture of the current parse.
+    /// Returns the file of one picture of the current parse's report.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ReportPictureNotFound`].

@@ -1,5 +1,4 @@
-//! A parse for who looks at it: points, a small picture, the photographs and where they were taken
-//! from.
+//! Media of a parse for viewers: points, a thumbnail, photographs and their camera poses.
 
 use super::{FileDownload, ParseFile, photograph, read_frames, read_photograph, view};
 use crate::answers::StoredScene;
@@ -22,18 +21,18 @@ use uniground_parsing::{ParseError, report_pictures};
 use uniground_storage::{Blobs, PinnedPath, Scratch};
 use uniground_types::scene::{FrameList, FrameView};
 
-/// Points, pictures and photographs of a parsed scene.
+/// Returns points, pictures and photographs of a parsed scene.
 #[derive(Clone)]
 pub struct MediaService {
-    pub(crate) scene_lookup: SceneLookup,
-    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) scene_lookup: Arc<SceneLookup>,
+    pub(crate) parsed_scenes: Arc<ParsedScenes>,
     pub(crate) parse_cache: Arc<ParseCache>,
     pub(crate) drawing_lock: Arc<Mutex<()>>,
     pub(crate) blobs: Blobs,
 }
 
 impl MediaService {
-    /// The cloud of a scene's current parse, every beginning of which is an even sample.
+    /// Returns the cloud of a scene's current parse. Every prefix of it is an even sample.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`].
@@ -57,10 +56,10 @@ impl MediaService {
         Ok(FileDownload::Here(made.await?.path().join(POINTS).into()))
     }
 
-    /// The room of a scene's current parse, small.
+    /// Returns a small picture of the room of a scene's current parse.
     ///
     /// # Errors
-    /// As [`points`](Self::points).
+    /// Those of [`points`](Self::points).
     pub async fn thumbnail(&self, scene_id: &str) -> Result<EvidenceFile, Error> {
         let (scene, file) = self.kept(scene_id, ParseFile::Thumbnail).await?;
         if let Some(file) = file {
@@ -72,8 +71,8 @@ impl MediaService {
         drawn.await.map(|jpeg| EvidenceFile::Drawn(jpeg.into()))
     }
 
-    /// Computes for who looks at a scene, one after the other: questions go before, in places of
-    /// their own.
+    /// Runs a computation for a viewer, one at a time. Questions have permits of their own and go
+    /// first.
     pub(crate) async fn draw<T: Send + 'static>(
         &self,
         scene: Arc<StoredScene>,
@@ -91,7 +90,8 @@ impl MediaService {
         }
     }
 
-    /// A file of a scene's current parse; `None` in a parse from before it was kept.
+    /// Returns a file of a scene's current parse. Returns `None` for parses of versions that did
+    /// not store it.
     async fn kept(
         &self,
         scene_id: &str,
@@ -120,8 +120,8 @@ impl MediaService {
         })
     }
 
-    /// A picture of an instance in one of its views; `None`, and a line in the log, where the
-    /// photograph can not be read.
+    /// Returns a picture of an instance in one of its views. Returns `None` and logs a warning if
+    /// the photograph cannot be read.
     ///
     /// # Errors
     /// [`Error::ParseDamaged`].
@@ -136,14 +136,15 @@ impl MediaService {
         if let Some(file) = self.if_kept(&scene, file.clone()).await? {
             return Ok(Some(EvidenceFile::Stored(file)));
         }
-        // What merges have made may be taken back, and others may get their ids.
+        // Pictures of merged instances are not cached: a merge may be undone, and its id may be
+        // given to another instance.
         let stays = !instance.came_later();
         if let Some(drawn) = self.parse_cache.drawn.get(file.as_str()).filter(|_| stays) {
             return Ok(Some(EvidenceFile::Drawn(drawn)));
         }
         let (seen, known_as) = (instance.views[at].clone(), file.clone());
         let drawn = self.draw(scene, move |service, scene| {
-            // Somebody may have waited for the same.
+            // Another caller may have drawn the same picture while this one waited.
             if let Some(drawn) = service.parse_cache.drawn.get(known_as.as_str()).filter(|_| stays)
             {
                 return Ok(Some(drawn));
@@ -165,7 +166,7 @@ impl MediaService {
         Ok(Some(EvidenceFile::Drawn(drawn)))
     }
 
-    /// The frames of a scene's current parse.
+    /// Returns the frames of a scene's current parse.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
@@ -187,8 +188,8 @@ impl MediaService {
         Ok(FrameList { frames: frames.unwrap_or_default().into_iter().map(view).collect() })
     }
 
-    /// A photograph of a scene's scan, by its place in the scan's own list; with the instances it
-    /// shows drawn in, where that is wanted. JPEG or PNG as it was taken, else JPEG.
+    /// Returns a photograph of a scene's scan by its index in the scan's own list, as JPEG or PNG
+    /// as it was taken, otherwise as JPEG. On request, the instances that it shows are drawn in.
     ///
     /// # Errors
     /// [`Error::FrameNotFound`] and those of [`points`](Self::points).
@@ -229,14 +230,14 @@ impl MediaService {
 const POINTS: &str = "points.bin";
 
 impl StoredScene {
-    /// The things points belong to, as stage 1 has found them.
+    /// Returns the instance of each point, as stage 1 found it.
     pub fn instance_of_point(&self) -> Result<Vec<InstanceId>, Error> {
         let file = ParseFile::Instances.of(&self.folder());
         let file = self.check(&file)?;
         Ok(read_instance_of_point(BufReader::new(File::open(&file)?))?)
     }
 
-    /// What parses of today keep, made of one from before.
+    /// Computes the file of evenly sampled points for a parse of an earlier version without one.
     fn even_points(&self) -> Result<Scratch, Error> {
         let (render_scene, of_point) = (self.render_scene()?, self.instance_of_point()?);
         let scratch = self.scratch()?;

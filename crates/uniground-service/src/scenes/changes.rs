@@ -1,4 +1,4 @@
-//! What changed in a scene: since an earlier version, or from one scan of a room to another.
+//! Computes what changed in a scene: since an earlier version, or between two scans of one room.
 
 use crate::answers::StoredScene;
 use crate::error::Error;
@@ -22,26 +22,27 @@ use uniground_storage::{PinnedPath, SceneRepository, SceneRow};
 use uniground_types::changes::{Changes, ScanAlignment, SceneChanges, SceneVersion};
 use uniground_types::placement::SceneToFrame;
 
-/// The longest time that two scans are compared for.
+/// The timeout of a comparison of two scans.
 const COMPARISON_TIMEOUT: Duration = Duration::from_mins(1);
-/// Share of the first scan's points that must lie on the second.
+/// The smallest share of the first scan's points that must lie on the second.
 const LEAST_OVERLAP: f32 = 0.2;
 
 /// Compares two states of a room.
 #[derive(Clone)]
 pub struct ChangeService {
     pub(crate) scene_repository: SceneRepository,
-    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) scene_lookup: Arc<SceneLookup>,
     pub(crate) comparison_permits: Arc<Semaphore>,
-    pub(crate) parsed_scenes: ParsedScenes,
+    pub(crate) parsed_scenes: Arc<ParsedScenes>,
 }
 
 impl ChangeService {
-    /// What changed in a scene after its version `since`, as it grew.
+    /// Returns what changed in a scene that grew, from its version `since` to its current version.
     ///
     /// # Errors
-    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`]; [`Error::NoVersion`],
-    /// [`Error::VersionsApart`] where the scene was parsed anew in between, with other ids.
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::NoVersion`],
+    /// [`Error::VersionsApart`] if the scene was parsed again in between and its instances have new
+    /// ids.
     pub async fn changes_since(&self, scene_id: &str, since: u32) -> Result<SceneChanges, Error> {
         let (scene, _) = self.scene_lookup.ready_scene(scene_id).await?;
         let now = version(&scene);
@@ -54,7 +55,8 @@ impl ChangeService {
         }
         let known = self.scene_repository.scene_changes(scene_id, since).await?;
         let (mut changes, mut next) = (Changes::default(), now.version);
-        // From the last on backwards: where one is missing, ids are others.
+        // Walks back from the newest version. Where a version has no stored changes, the instances
+        // of earlier versions have other ids.
         for (version, _) in known.iter().rev() {
             if *version != next {
                 break;
@@ -75,11 +77,14 @@ impl ChangeService {
         })
     }
 
-    /// What is different in another scan of the same room. The first guess of how the two lie to
-    /// each other is their places in the same map, else that they were told in one world;
-    /// `refine` lays the clouds over each other from there.
+    /// Returns what differs between a scene and another scan of the same room.
     ///
-    /// Few are computed at once, not for long, and only as long as the caller waits.
+    /// The initial alignment comes from the poses of both scenes in the same map. Without a shared
+    /// map, both scans are assumed to use the same world coordinates. `refine` aligns the two
+    /// clouds, starting from there.
+    ///
+    /// The number of concurrent comparisons and their duration are limited. A comparison is
+    /// cancelled when the caller disconnects.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ScansApart`];
@@ -141,8 +146,8 @@ fn version(scene: &SceneRow) -> SceneVersion {
     }
 }
 
-/// From one scene to another by their places in the same map; where they are in none, they were
-/// told in one world.
+/// Returns the transform from one scene to another by their poses in the same map. Returns the
+/// identity if they share no map: both scans are then assumed to use the same world coordinates.
 fn in_one_map(from: &SceneRow, to: &SceneRow) -> Isometry3<f32> {
     let (Some(from_place), Some(to_place)) = (&from.scene_to_map, &to.scene_to_map) else {
         return Isometry3::identity();
@@ -198,12 +203,12 @@ fn compared(
     Ok((alignment, changes))
 }
 
-/// A parse as it is kept, for who compares.
+/// A stored parse, loaded for a comparison.
 struct ComparedParse {
     scene: Arc<RenderScene>,
     owner_of_point: Vec<InstanceId>,
     frames: Vec<FrameRef>,
-    /// What the frames are read from.
+    /// The pinned scan folder that the frames are read from.
     _scan: PinnedPath,
 }
 

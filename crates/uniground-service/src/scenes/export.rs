@@ -1,39 +1,40 @@
-//! A scene with what was found in it, as a file.
+//! Exports a scene with its instances as a file.
 
 use crate::answers::StoredScene;
 use crate::error::Error;
 use crate::{InstanceService, MediaService, ParsedScenes, SceneLookup};
 use sha2::{Digest, Sha256};
 use std::io::Cursor;
+use std::sync::Arc;
 use uniground_export::{Export, write_glb, write_ply, write_usdz};
 use uniground_grounding::pipeline::SceneSource;
 use uniground_types::answer::CoordinateFrame;
 use uniground_types::export::{ExportFormat, ExportedScene, MAX_POINTS};
 
-/// A scene as a file.
+/// An exported scene.
 pub struct ExportFile {
-    /// Letters, digits and `-_.`.
+    /// The file name. Contains only letters, digits and `-_.`.
     pub name: String,
     pub bytes: Vec<u8>,
-    /// Of the bytes: another one for others.
+    /// A hash of the bytes. Different bytes have a different fingerprint.
     pub fingerprint: String,
 }
 
-/// Scenes as files of other programs.
+/// Exports scenes in the formats of other programs.
 #[derive(Clone)]
 pub struct ExportService {
-    pub(crate) scene_lookup: SceneLookup,
-    pub(crate) parsed_scenes: ParsedScenes,
-    pub(crate) instance_service: InstanceService,
-    pub(crate) media_service: MediaService,
+    pub(crate) scene_lookup: Arc<SceneLookup>,
+    pub(crate) parsed_scenes: Arc<ParsedScenes>,
+    pub(crate) instance_service: Arc<InstanceService>,
+    pub(crate) media_service: Arc<MediaService>,
 }
 
 impl ExportService {
-    /// A scene's current parse as people have corrected it, with at most so many points.
+    /// Exports a scene's current parse, with corrections applied and at most `points` points.
     ///
     /// # Errors
-    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`]; a number of
-    /// points that makes no sense.
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`];
+    /// [`Error::Invalid`] if `points` is out of range.
     pub async fn export(
         &self,
         scene_id: &str,
@@ -57,7 +58,7 @@ impl ExportService {
             },
         };
         let scene = StoredScene::new(self.parsed_scenes.clone(), parse);
-        // One after the other: files of many are not in memory at once while they are made.
+        // Exports run one at a time, so that only one file is built in memory.
         let made = self.media_service.draw(scene, move |_, scene| {
             let bytes = match format {
                 ExportFormat::Json => serde_json::to_vec(&listed)?,
@@ -88,12 +89,12 @@ impl StoredScene {
     }
 }
 
-/// A scene's name as any system takes it for a file.
+/// Returns a scene's name as a file name that is valid on every system.
 fn file_name(scene: &str, format: ExportFormat) -> String {
     const LONGEST: usize = 80;
     let safe = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
     let name: String = scene.chars().take(LONGEST).map(safe).collect();
-    // Nothing hidden, nothing but an ending, and nothing that passes for an option.
+    // Strips what would make the file hidden, leave only an extension, or look like an option.
     let name = name.trim_matches(['.', '_', '-']);
     format!("{}.{}", if name.is_empty() { "scene" } else { name }, format.extension())
 }

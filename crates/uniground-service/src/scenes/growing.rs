@@ -1,4 +1,4 @@
-//! Frames added to a scene: received, checked against it, and laid beside what it is made of.
+//! Adds frames to a scene: receives them, checks them against it and stores both as a new content.
 
 use super::uploads::ReceivedArchive;
 use crate::answers::CoordinateFrameView;
@@ -26,18 +26,18 @@ use uniground_storage::{
 use uniground_types::placement::{FrameChoice, SceneToFrame};
 use uniground_types::scenes::Scene;
 
-/// Frames that are to be added, but for their bytes.
+/// Metadata of frames to add. The bytes follow separately.
 pub struct NewFrames {
-    /// What their file was called, where that is known.
+    /// The name of the uploaded file, if known.
     pub file_name: Option<String>,
-    /// Whose coordinates their poses are in.
+    /// The coordinate frame of their poses.
     pub world: FrameChoice,
     pub idempotency_key: Option<String>,
-    /// Bytes it says it has.
+    /// The size in bytes that the client announced.
     pub announced_bytes: u64,
 }
 
-/// Times a scene may grow: each is looked after in every parse.
+/// How often a scene may grow. Every parse processes all parts.
 const MOST_PARTS: usize = 200;
 
 /// Adds frames to a scene.
@@ -47,25 +47,25 @@ pub struct GrowthService {
     pub(crate) blobs: Blobs,
     pub(crate) parse_repository: ParseRepository,
     pub(crate) upload_permits: Arc<Semaphore>,
-    pub(crate) scene_lookup: SceneLookup,
-    pub(crate) parsed_scenes: ParsedScenes,
-    pub(crate) capacity: Capacity,
+    pub(crate) scene_lookup: Arc<SceneLookup>,
+    pub(crate) parsed_scenes: Arc<ParsedScenes>,
+    pub(crate) capacity: Arc<Capacity>,
     pub(crate) jobs: Jobs,
-    pub(crate) import_service: ImportService,
+    pub(crate) import_service: Arc<ImportService>,
     pub(crate) growth_lock: Arc<Mutex<()>>,
-    pub(crate) service_locks: ServiceLocks,
-    pub(crate) parse_service: ParseService,
+    pub(crate) service_locks: Arc<ServiceLocks>,
+    pub(crate) parse_service: Arc<ParseService>,
     pub(crate) reader: ScanReader,
     pub(crate) limits: Limits,
 }
 
 impl GrowthService {
-    /// Adds frames to a scene and starts parsing what they change. Until that is done questions are
-    /// answered as before; ids of what stays are the same afterwards.
+    /// Adds frames to a scene and starts parsing what they change. Until the parse is done,
+    /// questions are answered from the current parse. Instances that stay keep their ids.
     ///
     /// # Errors
-    /// [`Error`]: what is wrong with the upload; [`Error::SceneNotReady`], [`Error::NoMap`]; frames that do not lie in the scene;
-    /// [`Error::GrownTooOften`].
+    /// [`Error`] if the upload is invalid or the frames do not lie in the scene;
+    /// [`Error::SceneNotReady`], [`Error::NoMap`], [`Error::GrownTooOften`].
     pub async fn add_frames<E>(
         &self,
         scene_id: &str,
@@ -79,8 +79,8 @@ impl GrowthService {
         let (scene, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
         let parse = self.parsed_scenes.loaded_parse(&parse_id).await?;
         let to_scene = match CoordinateFrameView::of(world, &scene, parse.source_to_scene)? {
-            // In the files' own coordinates: whatever they are found to be whenever the scan is
-            // parsed.
+            // The poses are in the coordinates of the uploaded files. Every parse of the scan
+            // determines their transform anew.
             Some(_) if world == FrameChoice::Source => None,
             Some(frame) => Some(inverse(&frame.from_scene)),
             None => Some(SourceToScene::IDENTITY),
@@ -93,7 +93,7 @@ impl GrowthService {
         let key = idempotency_key.map(|key| caller.own(key));
         let part = ScanPart { hash: received.hash.clone(), to_scene };
         let request = hash_of(&("frames", scene_id, &part))?;
-        // One after the other: each grows from what the last has left.
+        // One at a time: each growth starts from the content that the previous one stored.
         let _turn = self.growth_lock.lock().await;
         if let Some(key) = &key
             && let Some((scene, before)) =
@@ -154,8 +154,8 @@ impl GrowthService {
         Ok((self.scene_lookup.present(scene).await?, job))
     }
 
-    /// Puts what a scene is made of and what was received in place as one content, once both checks
-    /// have nothing against it; its hash.
+    /// Publishes the scene's content and the received part together as one new content, if both
+    /// checks pass. Returns the hash of the new content.
     async fn lay_beside(
         &self,
         scene: SceneRow,
@@ -184,7 +184,7 @@ impl GrowthService {
         let publish = move || {
             let mut grown =
                 so_far.clone().unwrap_or_else(|| GrownScan::from_upload(&scene.content_hash));
-            // A scan that has grown before has its parts already.
+            // A scan that has grown before already has its parts.
             let below = if so_far.is_some() {
                 Utf8PathBuf::new()
             } else {
@@ -193,13 +193,14 @@ impl GrowthService {
             let mut sums = blobs.share(&content, &scratch, &below)?;
             grown.parts.push(part);
             let list = scratch.path().join(uniground_ingest::GROWN);
-            // Linked to the list of before, which never changes.
+            // This file is a hard link to the previous list. The previous list must never change.
             if so_far.is_some() {
                 fs::remove_file(&list)?;
                 sums.remove(Utf8Path::new(uniground_ingest::GROWN));
             }
             grown.write(scratch.path())?;
-            // What a scene has become is its own: its ids depend on what it was.
+            // The content of a grown scene belongs to that scene alone: its instance ids depend on
+            // its history. The scene's id is part of the hash for this reason.
             let hash = hash_of(&(&scene.id, &scene.content_hash, &grown))?;
             blobs.publish_knowing(scratch, &blobs.content(&hash), &sums)?;
             blobs.inherit_checkpoints(&scene.content_hash, &hash)?;
@@ -213,10 +214,10 @@ fn parse_to_scene(told: Option<SourceToScene>, source: Option<SourceToScene>) ->
     told.or(source).unwrap_or(SourceToScene::IDENTITY)
 }
 
-/// From other coordinates to the scene's.
+/// Returns the transform from another coordinate frame to the scene's.
 fn inverse(from_scene: &SceneToFrame) -> SourceToScene {
     let origin = from_scene.invert([0.0; 3]);
-    // How the axes of the others stand in the scene, unit by unit.
+    // The direction in the scene of each unit axis of the other frame.
     let axis = |i: usize| {
         let tip = from_scene.invert(std::array::from_fn(|k| f64::from(u8::from(k == i))));
         std::array::from_fn::<f64, 3, _>(|row| (tip[row] - origin[row]) * from_scene.scale)

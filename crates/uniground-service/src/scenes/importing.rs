@@ -1,4 +1,4 @@
-//! Scans that lie on the server's own disk, below the folder its operator named.
+//! Imports scans from the server's own disk, below the folder that the operator configured.
 
 use super::NewScene;
 use crate::error::Error;
@@ -16,12 +16,12 @@ use uniground_types::job::Job;
 use uniground_types::scenes::{ImportRequest, Scene};
 use uniground_types::settings::{ImportSettings, ParseSettings, check_metres_per_unit};
 
-/// Of a folder that is packed, sent together; and how many such pieces may wait.
+/// The chunk size for packing a folder, in bytes, and how many chunks may be buffered.
 const CHUNK_BYTES: usize = 256 << 10;
 const CHUNKS: usize = 4;
 
 impl ImportService {
-    /// Makes a scene of a file or folder of the server's, as if it had been uploaded.
+    /// Creates a scene from a file or folder on the server, as if it had been uploaded.
     ///
     /// # Errors
     /// [`Error::ImportNotAllowed`], [`Error::ImportNotFound`], and those of an upload.
@@ -51,8 +51,8 @@ impl ImportService {
                 self.create_scene(new(name, bytes), &mut body, caller).await
             }
             ScanOnDisk::Folder { path, name } => {
-                // Packed while it is received: bounded like any upload, and never on the disk
-                // twice.
+                // The folder is packed while it is received. The usual upload limits apply, and the
+                // archive is never stored on disk a second time.
                 let (sender, receiver) = mpsc::channel(CHUNKS);
                 let packing = spawn_blocking(move || {
                     packed(&path, &below, &sender).map_err(|error| told(&error, &below))
@@ -65,7 +65,7 @@ impl ImportService {
                     self.create_scene(new(format!("{name}.tar"), 0), &mut body, caller).await;
                 drop(body);
                 match (made, packing.await?) {
-                    // Why nothing more came is what helps.
+                    // The error of the packer explains why the upload was interrupted.
                     (Err(Error::UploadInterrupted { .. }), Err(why)) => {
                         Err(Error::invalid("/path", why))
                     }
@@ -82,11 +82,12 @@ enum ScanOnDisk {
     Folder { path: Utf8PathBuf, name: String },
 }
 
-/// What lies at a path below a folder.
+/// Returns the file or folder at a path below `root`.
 fn found(root: &Utf8Path, path: &str) -> Result<ScanOnDisk, Error> {
     let not_found = || Error::ImportNotFound { path: path.to_owned() };
     let root = root.canonicalize_utf8()?;
-    // Whoever leaves the folder is not told what lies there.
+    // The error is the same for every path outside the folder. It does not reveal what exists
+    // there.
     let path = root.join(path).canonicalize_utf8().map_err(|_| not_found())?;
     if !path.starts_with(&root) {
         return Err(not_found());
@@ -109,7 +110,7 @@ fn found(root: &Utf8Path, path: &str) -> Result<ScanOnDisk, Error> {
     Ok(ScanOnDisk::File { file, name, bytes })
 }
 
-/// Packs a folder into a body. Nothing that a link brings in from elsewhere goes with it.
+/// Packs a folder into a request body. Links that lead out of the root are not followed.
 fn packed(
     folder: &Utf8Path,
     root: &Utf8Path,
@@ -121,13 +122,13 @@ fn packed(
     let done =
         pack(folder, Links::Below(&root), &mut body).and_then(|()| body.flush().map_err(below));
     if done.is_err() {
-        // What was sent so far is no scan. Nobody may be listening any more.
+        // The archive sent so far is incomplete. The receiver may already be gone.
         let _ = to.blocking_send(Err(io::ErrorKind::BrokenPipe.into()));
     }
     done
 }
 
-/// What is written, to be received as an upload is.
+/// Sends what is written to the receiver of the upload.
 struct ArchiveWriter<'a>(&'a mpsc::Sender<io::Result<Bytes>>);
 
 impl Write for ArchiveWriter<'_> {
@@ -141,7 +142,7 @@ impl Write for ArchiveWriter<'_> {
     }
 }
 
-/// A message without where the server keeps its scans.
+/// Returns the error's message without the server's path.
 fn told(error: &PackingError, root: &Utf8Path) -> String {
     error.to_string().replace(root.as_str(), "").trim_start_matches('/').to_owned()
 }

@@ -2,6 +2,7 @@
 
 use crate::ServiceLocks;
 use crate::error::Error;
+use std::sync::Arc;
 use uniground_jobs::{Job, Jobs};
 use uniground_storage::{
     JobState, NamedLock, ParseRecord, ParseRepository, SceneRepository, SceneRow,
@@ -11,7 +12,7 @@ use uniground_types::scenes::{Scene, SceneCounts, SceneStatus};
 /// Finds scenes and their parses.
 #[derive(Clone)]
 pub struct SceneLookup {
-    pub(crate) service_locks: ServiceLocks,
+    pub(crate) service_locks: Arc<ServiceLocks>,
     pub(crate) scene_repository: SceneRepository,
     pub(crate) jobs: Jobs,
     pub(crate) parse_repository: ParseRepository,
@@ -28,7 +29,7 @@ impl SceneLookup {
         self.scene_repository.scene(id).await?.ok_or_else(|| Error::SceneNotFound { id: id.into() })
     }
 
-    /// A scene that has a parse, and the parse's id.
+    /// Returns a scene that has a parse, and the parse's id.
     pub(crate) async fn ready_scene(&self, id: &str) -> Result<(SceneRow, String), Error> {
         let row = self.scene_row(id).await?;
         match row.parse_id.clone() {
@@ -106,9 +107,9 @@ impl SceneLookup {
         Ok(scene)
     }
 
-    /// A scene's current parse, and the turn at changing what is known of it: while somebody has
-    /// that, nothing is corrected or found in it, and a scene that grows does not go on from
-    /// it.
+    /// Returns a scene's current parse and the lock for corrections of that parse. While the lock
+    /// is held, nobody else corrects the parse or adds instances to it, and no growing scene
+    /// continues from it.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].

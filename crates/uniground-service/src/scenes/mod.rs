@@ -1,4 +1,4 @@
-//! Scenes as the outside sees them.
+//! Scenes as callers of the API see them.
 
 mod changes;
 mod export;
@@ -24,6 +24,7 @@ use crate::error::Error;
 use crate::{ServiceLocks, Transcripts, sample};
 use bytes::Bytes;
 use std::convert::Infallible;
+use std::sync::Arc;
 use tokio::task::spawn_blocking;
 use uniground_jobs::{Job, Jobs};
 use uniground_storage::{
@@ -39,17 +40,17 @@ use uniground_types::settings::ParseSettings;
 #[derive(Clone)]
 pub struct SceneService {
     pub(crate) scene_repository: SceneRepository,
-    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) scene_lookup: Arc<SceneLookup>,
     pub(crate) reserve: Reserve,
     pub(crate) answer_repository: AnswerRepository,
     pub(crate) orphan_repository: OrphanRepository,
     pub(crate) jobs: Jobs,
-    pub(crate) transcripts: Transcripts,
-    pub(crate) service_locks: ServiceLocks,
+    pub(crate) transcripts: Arc<Transcripts>,
+    pub(crate) service_locks: Arc<ServiceLocks>,
 }
 
 impl SceneService {
-    /// Scenes that have these labels newest first, from `cursor` (the id the last page ended with).
+    /// Lists scenes with these labels, newest first. `cursor` is the last id of the previous page.
     ///
     /// # Errors
     /// [`Error::Store`].
@@ -66,8 +67,8 @@ impl SceneService {
             });
         let mut scenes = Vec::with_capacity(rows.len());
         for row in rows {
-            // Pages of scenes are looked through: what one scene was parsed with, and how that
-            // went, is asked of that scene.
+            // Lists leave out the settings and the report of a parse. Callers get them from the
+            // single scene.
             scenes.push(Scene {
                 settings: None,
                 report: None,
@@ -77,10 +78,10 @@ impl SceneService {
         Ok(SceneList { scenes, next_cursor })
     }
 
-    /// Renames a scene, files it, and says where it lies in a map.
+    /// Changes a scene's name, its labels and its pose in a map.
     ///
     /// # Errors
-    /// [`Error::SceneNotFound`], [`Error::Invalid`] for a name, a label or a rotation that is none.
+    /// [`Error::SceneNotFound`]; [`Error::Invalid`] for an invalid name, label or rotation.
     pub async fn change_scene(&self, id: &str, change: SceneChange) -> Result<Scene, Error> {
         let SceneChange { name, scene_to_map, map_frame_id, labels } = change;
         name.iter().try_for_each(|name| check_name("/name", name))?;
@@ -100,9 +101,11 @@ impl SceneService {
         self.scene_lookup.present(row).await
     }
 
-    /// Deletes a scene with its answers; its parse and files too when no other scene shares them.
-    /// What it leaves on the disk is out of the way at once and removed in the background:
-    /// gigabytes take their time. On a full disk the room for it comes from the reserve.
+    /// Deletes a scene with its answers. Its parse and files are deleted too if no other scene
+    /// shares them.
+    ///
+    /// Files are set aside at once and removed in the background, because removing gigabytes takes
+    /// time. If the disk is full, the reserve is released to make room for the deletion.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`].
@@ -124,7 +127,8 @@ impl SceneService {
     async fn try_to_delete(&self, id: &str) -> Result<Vec<Scratch>, Error> {
         self.scene_lookup.scene_row(id).await?;
         self.jobs.cancel_all_of(id).await?;
-        // Answers go first, some at a time: nobody waits for the last of a hundred thousand.
+        // Answers are deleted first, in small batches, because there may be a hundred thousand of
+        // them.
         loop {
             let answers = self.answer_repository.delete_some_answers(id).await?;
             if answers.is_empty() {
@@ -143,10 +147,10 @@ impl SceneService {
 }
 
 impl ImportService {
-    /// Makes a scene of the scan this program carries, and starts parsing it.
+    /// Creates a scene from the sample scan built into this program, and starts parsing it.
     ///
     /// # Errors
-    /// As [`create_scene`](Self::create_scene).
+    /// Those of [`create_scene`](Self::create_scene).
     pub async fn create_sample(&self, caller: &Caller) -> Result<(Scene, Option<Job>), Error> {
         let new = NewScene {
             name: Some(sample::NAME.to_owned()),

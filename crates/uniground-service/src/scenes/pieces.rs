@@ -1,34 +1,34 @@
-//! A body as it comes in: a megabyte at a time, and never too much. How slowly it may come is the
-//! business of whoever receives it (`http/body_rate.rs`).
+//! Reads a request body in pieces of about one megabyte, up to a size limit. The minimum transfer
+//! rate is checked by the receiver (`http/body_rate.rs`).
 
 use crate::error::Error;
 use bytes::Bytes;
 use futures::{Stream, StreamExt};
 
-/// Bytes that are written at once.
+/// The bytes that are written at once.
 const PIECE_BYTES: usize = 1 << 20;
 
-/// A body, piece by piece.
+/// A body that is read piece by piece.
 pub struct BodyPieces<S> {
     body: S,
     most: u64,
     max_bytes: u64,
     received: u64,
-    /// What ended it, told after what came before that.
+    /// The end of the body or its error. Reported after the bytes that came before it.
     end: Option<Result<(), Error>>,
 }
 
 impl<E, S: Stream<Item = Result<Bytes, E>> + Unpin> BodyPieces<S> {
-    /// Of a body that may have `most` bytes; where it has more, `max_bytes` is what is told.
+    /// Wraps a body of at most `most` bytes. The error for a larger body reports `max_bytes`.
     pub fn of(body: S, most: u64, max_bytes: u64) -> Self {
         Self { body, most, max_bytes, received: 0, end: None }
     }
 
-    /// The next piece; `None` at the end.
+    /// Returns the next piece, or `None` at the end.
     ///
     /// # Errors
-    /// [`Error::UploadTooLarge`], [`Error::UploadInterrupted`]; what came before that was given
-    /// out.
+    /// [`Error::UploadTooLarge`], [`Error::UploadInterrupted`]. The bytes received before the error
+    /// have already been returned.
     pub async fn next(&mut self) -> Result<Option<Vec<Bytes>>, Error> {
         let (mut piece, mut bytes) = (Vec::new(), 0);
         while bytes < PIECE_BYTES && self.end.is_none() {

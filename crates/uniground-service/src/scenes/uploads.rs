@@ -1,4 +1,5 @@
-//! Receiving an archive: streamed to disk and hashed, unpacked, checked, and only then a scene.
+//! Receives an archive: streams it to disk and hashes it, unpacks and checks it, then creates a
+//! scene.
 
 use super::pieces::BodyPieces;
 use crate::error::Error;
@@ -27,57 +28,56 @@ use uniground_storage::{
 use uniground_types::scenes::Scene;
 use uniground_types::settings::ParseSettings;
 
-/// What comes with an upload.
+/// Metadata of an upload.
 pub struct NewScene {
-    /// Default: what the archive calls itself.
+    /// The scene's name. Defaults to the name in the archive.
     pub name: Option<String>,
-    /// What its file was called, where that is known: endings tell what bytes do not.
+    /// The name of the uploaded file, if known. The extension helps where the bytes are ambiguous.
     pub file_name: Option<String>,
-    /// Parse at once, with these settings.
+    /// If set, the scene is parsed at once with these settings.
     pub parse: Option<ParseSettings>,
     pub idempotency_key: Option<String>,
-    /// Bytes it says it has.
+    /// The size in bytes that the client announced.
     pub announced_bytes: u64,
 }
 
 /// An archive on disk.
 pub struct ReceivedArchive {
     path: Utf8PathBuf,
-    /// Goes with this, where it is nobody else's.
+    /// The temporary file, deleted with this value. `None` if the file belongs to someone else.
     file: Option<NamedTempFile>,
-    /// What it was called, where that is known.
+    /// The name of the uploaded file. Empty if unknown.
     file_name: String,
     /// SHA-256 of the bytes, hex.
     pub hash: String,
     pub bytes: u64,
 }
 
-/// What is asked to be made of an archive.
+/// The scene to create from an archive.
 pub struct SceneToMake {
     pub name: Option<String>,
     pub parse: Option<ParseSettings>,
-    /// The caller's own.
+    /// The idempotency key, qualified by the caller.
     pub idempotency_key: Option<String>,
-    /// The scene that key made before, and what identifies the request it came with, where that
-    /// was noted.
+    /// The scene that this key created earlier, with the digest of that request if it was stored.
     pub made_before: Option<(SceneRow, Option<String>)>,
 }
 
-/// An archive unpacked and found to be a scan.
+/// An unpacked archive that is a valid scan.
 struct UnpackedScan {
     folder: Prepared,
-    /// What it calls itself.
+    /// The name in the archive.
     name: String,
 }
 
-/// Bytes of a file that are read and hashed at once.
+/// The bytes of a file that are read and hashed at once.
 const READ_BYTES: usize = 1 << 20;
 const MAX_NAME_CHARS: usize = 200;
 
 /// An archive being received.
 #[derive(Default)]
 struct ArchiveReceiver {
-    /// The first bytes.
+    /// The first bytes of the archive.
     head: Vec<u8>,
     hasher: Sha256,
     bytes: u64,
@@ -103,13 +103,14 @@ impl ArchiveReceiver {
     }
 }
 
-/// What is coming, by its first bytes.
+/// Detects the archive's format from its first bytes and file name.
 pub fn what_comes(head: &[u8], file_name: &str) -> Result<ArchiveFormat, Error> {
     ArchiveFormat::of_head(head, file_name).ok_or(Error::NoScan { what: what_it_is(head) })
 }
 
 impl ReceivedArchive {
-    /// The task that unpacks it into a folder, which is there and empty, and checks it as a scan.
+    /// Returns the task that unpacks the archive into an existing empty folder and checks that it
+    /// is a scan.
     pub fn unpacking(&self, into: &Utf8Path, limits: &UnpackLimits) -> Task {
         Task::Unpack {
             archive: self.path.clone(),
@@ -119,7 +120,7 @@ impl ReceivedArchive {
         }
     }
 
-    /// An archive that is on the disk already, read once; it stays there.
+    /// Reads and hashes an archive that is already on disk. The file stays there.
     pub fn read(path: Utf8PathBuf, file_name: &str) -> Result<Self, Error> {
         let (mut receiving, mut file, mut chunk) =
             (ArchiveReceiver::default(), File::open(&path)?, vec![0; READ_BYTES]);
@@ -134,19 +135,19 @@ impl ReceivedArchive {
     }
 }
 
-/// Makes scenes of uploaded archives and starts their parses.
+/// Creates scenes from uploaded archives and starts their parses.
 #[derive(Clone)]
 pub struct ImportService {
     pub(crate) import_root: Option<Utf8PathBuf>,
     pub(crate) scene_repository: SceneRepository,
     pub(crate) upload_permits: Arc<Semaphore>,
-    pub(crate) capacity: Capacity,
+    pub(crate) capacity: Arc<Capacity>,
     pub(crate) jobs: Jobs,
     pub(crate) blobs: Blobs,
     pub(crate) ids: IdGenerator,
-    pub(crate) service_locks: ServiceLocks,
-    pub(crate) parse_service: ParseService,
-    pub(crate) scene_lookup: SceneLookup,
+    pub(crate) service_locks: Arc<ServiceLocks>,
+    pub(crate) parse_service: Arc<ParseService>,
+    pub(crate) scene_lookup: Arc<SceneLookup>,
     pub(crate) key_repository: KeyRepository,
     pub(crate) content_repository: ContentRepository,
     pub(crate) limits: Limits,
@@ -154,21 +155,22 @@ pub struct ImportService {
 }
 
 impl ImportService {
-    /// Makes a scene from an uploaded archive and starts parsing it. Nothing is stored unless all
-    /// of it is fine.
+    /// Creates a scene from an uploaded archive and starts parsing it. Nothing is stored unless the
+    /// whole archive is valid.
     ///
-    /// The job is there only when parsing was asked for. The same request again under its
-    /// idempotency key returns the scene it made.
+    /// Returns a job only if parsing was requested. A repeated request with the same idempotency
+    /// key returns the scene that the first one created.
     ///
     /// # Errors
-    /// [`Error`]: what is wrong with the archive, or with the server's disk; [`Error::IdempotencyKeyReused`].
+    /// [`Error`] if the archive is invalid or the server's disk fails;
+    /// [`Error::IdempotencyKeyReused`].
     pub async fn create_scene<E>(
         &self,
         new: NewScene,
         body: impl Stream<Item = Result<Bytes, E>> + Unpin,
         caller: &Caller,
     ) -> Result<(Scene, Option<Job>), Error> {
-        // First: who is turned away costs nothing.
+        // Checked first, so that rejecting an upload costs nothing.
         let place = self.upload_permits.clone().try_acquire_owned();
         let place = place.map_err(|_| Error::TooMany { what: "uploads", most: MAX_UPLOADS })?;
         let NewScene { name, file_name, parse, idempotency_key, announced_bytes } = new;
@@ -194,10 +196,10 @@ impl ImportService {
             .await
     }
 
-    /// Makes a scene of an archive that is there, and starts parsing it.
+    /// Creates a scene from an archive that is already on disk, and starts parsing it.
     ///
     /// # Errors
-    /// As [`create_scene`](Self::create_scene).
+    /// Those of [`create_scene`](Self::create_scene).
     pub(crate) async fn make_scene(
         &self,
         asked: SceneToMake,
@@ -207,7 +209,8 @@ impl ImportService {
         let SceneToMake { name, parse, idempotency_key, made_before } = asked;
         let request = request_of(&received.hash, name.as_deref(), parse.as_ref())?;
         if let Some((scene, before)) = made_before {
-            // Servers of before requests were noted believed the key.
+            // Earlier versions stored no request digest. Their keys are accepted without
+            // comparison.
             return match before.is_none_or(|before| before == request) {
                 true => self.made_before(scene, parse, caller).await,
                 false => Err(Error::IdempotencyKeyReused),
@@ -217,7 +220,7 @@ impl ImportService {
             true => None,
             false => Some(self.unpack(received.clone()).await?),
         };
-        // Read before anybody has to wait for it: a scan of many files takes its time.
+        // Read before the lock is taken: a scan with many files takes a while.
         let name = match (name, &unpacked) {
             (Some(name), _) => name,
             (None, Some(unpacked)) => unpacked.name.clone(),
@@ -225,12 +228,12 @@ impl ImportService {
         };
         let mut references = self.service_locks.content_references().await?;
         if unpacked.is_none() && !self.has_content(&received.hash).await? {
-            // Its last scene was deleted in between.
+            // Its last scene was deleted in the meantime.
             drop(references);
             unpacked = Some(self.unpack(received.clone()).await?);
             references = self.service_locks.content_references().await?;
         }
-        // Again, with nobody beside: several uploads at once must not come to more.
+        // Checked again under the lock: concurrent uploads together must not exceed the quota.
         self.check_quota(caller).await?;
         if let Some(UnpackedScan { folder, .. }) = unpacked {
             let blobs = self.blobs.clone();
@@ -271,7 +274,7 @@ impl ImportService {
         self.check_quota_beside(0, caller).await
     }
 
-    /// Whether a key may have one more scene, where so many are on their way.
+    /// Checks that a key may have one more scene, counting the `coming` uploads in progress.
     pub(crate) async fn check_quota_beside(
         &self,
         coming: u32,
@@ -283,8 +286,8 @@ impl ImportService {
         if scenes >= most { Err(Error::TooManyScenes { most }) } else { Ok(()) }
     }
 
-    /// The scene an idempotency key made. A server that was killed in the middle may have left it
-    /// without its job.
+    /// Returns the scene that an idempotency key created. Starts its job if a server that was
+    /// killed in between did not.
     async fn made_before(
         &self,
         row: SceneRow,
@@ -300,7 +303,7 @@ impl ImportService {
         Ok((self.scene_lookup.scene(&row.id).await?, job))
     }
 
-    /// Whether these bytes are stored: in the database, and on the disk.
+    /// Returns whether this content is stored, both in the database and on disk.
     async fn has_content(&self, hash: &str) -> Result<bool, Error> {
         if !self.content_repository.has_content(hash).await? {
             return Ok(false);
@@ -317,7 +320,7 @@ impl ImportService {
         Ok(wrong.is_empty())
     }
 
-    /// Streams a body to a temporary file, hashed and written off the async threads.
+    /// Streams a body to a temporary file. Hashing and writing run outside the async threads.
     pub(super) async fn receive<E>(
         &self,
         body: impl Stream<Item = Result<Bytes, E>> + Unpin,
@@ -337,7 +340,8 @@ impl ImportService {
                 Ok::<_, io::Error>((file, receiving))
             });
             (file, receiving) = written.await??;
-            // Nobody sends a whole video to hear that it is none.
+            // The format is checked early. The client need not send a whole video before it is
+            // rejected.
             if receiving.head.len() == ArchiveFormat::HEAD_BYTES {
                 what_comes(&receiving.head, file_name)?;
             }
@@ -348,8 +352,8 @@ impl ImportService {
         receiving.finish(path, Some(file), file_name)
     }
 
-    /// Unpacks what came, puts it through the importer's checks, and has all of it ready to be
-    /// published.
+    /// Unpacks a received archive, runs the importer's checks, and prepares the folder for
+    /// publishing.
     async fn unpack(&self, received: Arc<ReceivedArchive>) -> Result<UnpackedScan, Error> {
         let blobs = self.blobs.clone();
         let folder = spawn_blocking(move || blobs.scratch()).await??;
@@ -358,8 +362,8 @@ impl ImportService {
         let blobs = self.blobs.clone();
         spawn_blocking(move || {
             if let Some(file) = &received.file {
-                // It is all unpacked: nothing of the archive that is still in memory has to reach
-                // the disk.
+                // The archive is unpacked. Truncating it drops its cached pages before they are
+                // written to disk.
                 file.as_file().set_len(0)?;
             }
             let folder = blobs.prepare(folder, &blobs.content(&received.hash))?;
@@ -368,7 +372,7 @@ impl ImportService {
         .await?
     }
 
-    /// Checks a scan and returns what it calls itself.
+    /// Checks a scan and returns its name.
     async fn checked_name(&self, check: Task) -> Result<String, Error> {
         Ok(match self.reader.check(check).await? {
             TaskOutcome::Scan { name } => name_or_scene(name),
@@ -376,14 +380,14 @@ impl ImportService {
         })
     }
 
-    /// What a stored archive calls itself.
+    /// Returns the name of a stored archive.
     async fn archive_name(&self, hash: &str) -> Result<String, Error> {
         let (blobs, content) = (self.blobs.clone(), self.blobs.content(hash));
         let Ok(scan) = spawn_blocking(move || blobs.whole(&content)).await? else {
             return Ok(name_or_scene(None));
         };
-        // Removed in between: it is unpacked again, and called what scenes without a name are
-        // called.
+        // If the content was removed in the meantime, it is unpacked again, and the scene gets the
+        // default name.
         Ok(self
             .checked_name(Task::Inspect { folder: scan.to_path_buf() })
             .await
@@ -391,7 +395,7 @@ impl ImportService {
     }
 }
 
-/// Identifies what was asked for under an idempotency key.
+/// Returns the digest of a request, which is compared when its idempotency key is used again.
 fn request_of(
     hash: &str,
     name: Option<&str>,
@@ -401,12 +405,12 @@ fn request_of(
     Ok(digest.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// What an archive calls itself, where that is a name.
+/// Returns the archive's name if it is valid, else "scene".
 fn name_or_scene(name: Option<String>) -> String {
     name.filter(|name| check_name("/name", name).is_ok()).unwrap_or_else(|| "scene".into())
 }
 
-/// A scene's name is one line of text.
+/// Checks that a scene's name is one line of text.
 pub(crate) fn check_name(pointer: &str, name: &str) -> Result<(), Error> {
     if name.trim().is_empty() {
         return Err(Error::invalid(pointer, "a name must not be empty"));

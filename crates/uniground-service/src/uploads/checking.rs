@@ -1,14 +1,14 @@
-//! Whether what has come is what was sent.
+//! Checks received bytes against the checksum of their sender.
 
 use bytes::Bytes;
 use sha1::Sha1;
 use sha2::digest::DynDigest;
 use sha2::{Digest, Sha256};
 
-/// How a sum is made.
+/// The hash function of a checksum.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ChecksumAlgorithm {
-    /// For senders that know no better: it tells damage on the way, not intent.
+    /// For clients without SHA-256. Detects damage in transit, not tampering.
     Sha1,
     Sha256,
 }
@@ -37,14 +37,14 @@ impl ChecksumAlgorithm {
     }
 }
 
-/// What a part's bytes come to.
+/// The expected checksum of a part.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Checksum {
     pub algorithm: ChecksumAlgorithm,
     pub sum: Vec<u8>,
 }
 
-/// A part being summed up.
+/// Computes the checksum of a part while it is received.
 pub struct ChecksumCheck {
     hasher: Box<dyn DynDigest + Send>,
     sum: Vec<u8>,

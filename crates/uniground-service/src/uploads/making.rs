@@ -1,4 +1,4 @@
-//! Uploads that are all there become scenes.
+//! Creates scenes from complete uploads.
 
 use super::parts::file_name;
 use crate::error::Error;
@@ -13,12 +13,12 @@ use uniground_types::problem::Problem;
 use uniground_types::scenes::Scene;
 use uniground_types::settings::ParseSettings;
 
-/// How an error is told to callers.
+/// Converts an error to the problem that callers see.
 pub type Explain = fn(Error) -> Problem;
 
 impl UploadService {
-    /// Makes scenes of uploads that are all there and were not made one: their server was stopped,
-    /// or a queue or the disk was full.
+    /// Creates scenes from complete uploads that have none yet, because the server was stopped, or
+    /// because a queue or the disk was full.
     ///
     /// # Errors
     /// [`Error::Store`].
@@ -49,8 +49,8 @@ impl UploadService {
         Ok(())
     }
 
-    /// Makes a scene of an upload that is all there, or notes why there is none. Its file has had
-    /// its time then.
+    /// Creates a scene from a complete upload, or records why it cannot become one. Deletes the
+    /// uploaded file afterwards.
     pub(super) async fn make_upload(
         &self,
         row: UploadRow,
@@ -90,8 +90,8 @@ impl UploadService {
         settings.import.up = wanted.up;
         let (path, name) = (self.blobs.upload(&row.id), file_name(row).to_owned());
         let received = Arc::new(spawn_blocking(move || ReceivedArchive::read(path, &name)).await??);
-        // Made twice, by a server that was killed between the scene and the note of it, it is one
-        // scene.
+        // The idempotency key makes sure of one scene, even if a server was killed after creating
+        // the scene and before recording it.
         let key = caller
             .own(wanted.idempotency_key.clone().unwrap_or_else(|| format!("upload {}", row.id)));
         let made_before = self.scene_repository.scene_of_idempotency_key(&key).await?;
@@ -110,13 +110,13 @@ impl UploadService {
     }
 }
 
-/// Whether an upload may become a scene a while later.
+/// Returns whether creating the scene may succeed later.
 fn is_transient(error: &Error) -> bool {
     error.is_transient()
         || matches!(error, Error::Jobs(JobsError::QueueFull { .. }) | Error::Background(_))
 }
 
-/// For services that nobody uploads to.
+/// Describes errors for services without an HTTP layer.
 pub fn unexplained(error: Error) -> Problem {
     Problem {
         kind: "about:blank".into(),

@@ -1,10 +1,10 @@
-//! Uploads that come in parts: begun with a length, gone on with where they stopped, whatever
-//! happened in between. No protocol is known here: what tells parts apart is the offset they begin
-//! at.
+//! Resumable uploads: started with a length, and resumed at the current offset after any
+//! interruption. This module knows no protocol. A part is identified by the offset at which it
+//! begins.
 //!
-//! How much of an upload is there is what its record says, which is written after the bytes are on
-//! the disk. A server that is killed, and a machine that loses its power, forget what was not noted
-//! yet, never more.
+//! The stored record says how many bytes were received. It is written after the bytes are on disk.
+//! A killed server or a power failure loses only the bytes received since the last write of the
+//! record.
 
 mod checking;
 mod making;
@@ -30,38 +30,39 @@ use uniground_storage::{
 };
 use uniground_types::uploads::{Upload, UploadState};
 
-/// An upload about to begin.
+/// A new upload.
 pub struct NewUpload {
-    /// Bytes it will have.
+    /// The total length in bytes.
     pub length: u64,
-    /// What is to be made of it.
+    /// The scene to create from it.
     pub wanted: SceneRequest,
 }
 
-/// Uploads that one key may have unfinished at once.
+/// The maximum number of unfinished uploads of one key.
 const MOST_OF_A_KEY: u32 = 32;
 
 /// Resumable uploads.
 #[derive(Clone)]
 pub struct UploadService {
     pub(crate) upload_repository: UploadRepository,
-    pub(crate) service_locks: ServiceLocks,
+    pub(crate) service_locks: Arc<ServiceLocks>,
     pub(crate) keyring: Keyring,
     pub(crate) explain: Explain,
     pub(crate) blobs: Blobs,
     pub(crate) scene_repository: SceneRepository,
-    pub(crate) capacity: Capacity,
-    pub(crate) import_service: ImportService,
+    pub(crate) capacity: Arc<Capacity>,
+    pub(crate) import_service: Arc<ImportService>,
     pub(crate) limits: Limits,
     pub(crate) jobs: Jobs,
     pub(crate) upload_permits: Arc<Semaphore>,
 }
 
 impl UploadService {
-    /// Begins an upload; its bytes follow in parts.
+    /// Starts an upload. Its bytes follow in parts.
     ///
     /// # Errors
-    /// [`Error`]: a length or name that makes no sense, no room, no quota, or too many that are unfinished.
+    /// [`Error`] if the length or a name is invalid, the disk has no room, the quota is exhausted,
+    /// or too many uploads are unfinished.
     pub async fn begin_upload(&self, new: NewUpload, caller: &Caller) -> Result<Upload, Error> {
         let NewUpload { length, wanted } = new;
         let max_bytes = self.limits.max_upload_bytes;
@@ -77,7 +78,7 @@ impl UploadService {
         if wanted.parse {
             self.jobs.check_queue_capacity::<ParseJob>(caller.key_id()).await?;
         }
-        // With nobody beside: several at once must not come to more.
+        // Checked under a lock: concurrent starts together must not exceed the limits.
         let _beginning = self.service_locks.beginning_uploads().await?;
         let since = self.oldest_upload().map_or_else(String::new, |oldest| oldest.to_string());
         let unfinished = self.upload_repository.unfinished_uploads(&since, caller.key_id()).await?;
@@ -89,20 +90,20 @@ impl UploadService {
         if let Some(most) = most {
             return Err(Error::TooManyUploads { most });
         }
-        // What others have announced is as good as taken.
+        // Bytes that other uploads announced count as used.
         self.capacity.check_disk(length.saturating_add(unfinished.announced_bytes))?;
         self.import_service.check_quota_beside(unfinished.of_key, caller).await?;
         let row = self.upload_repository.insert_upload(&wanted, length, caller.key_id()).await?;
         Ok(self.present_upload(row))
     }
 
-    /// The most an upload may have.
+    /// Returns the largest size of an upload in bytes.
     #[must_use]
     pub fn max_upload_bytes(&self) -> u64 {
         self.limits.max_upload_bytes
     }
 
-    /// An upload as it stands.
+    /// Returns the state of an upload.
     ///
     /// # Errors
     /// [`Error::UploadNotFound`], [`Error::UploadExpired`].
@@ -110,15 +111,15 @@ impl UploadService {
         Ok(self.present_upload(self.upload_row(id, caller).await?))
     }
 
-    /// What whoever began an upload wanted back.
+    /// Returns the note that the client stored with the upload.
     ///
     /// # Errors
-    /// As [`upload`](Self::upload).
+    /// Those of [`upload`](Self::upload).
     pub async fn upload_note(&self, id: &str, caller: &Caller) -> Result<Option<String>, Error> {
         Ok(self.upload_row(id, caller).await?.wanted.note)
     }
 
-    /// Gives an upload up, or forgets one that is over; its scene stays.
+    /// Cancels an upload, or deletes the record of a finished one. Its scene stays.
     ///
     /// # Errors
     /// [`Error::UploadNotFound`], [`Error::UploadExpired`], [`Error::UploadBusy`].
@@ -131,7 +132,7 @@ impl UploadService {
         Ok(self.blobs.discard(self.blobs.upload(id)).await?)
     }
 
-    /// The record of a caller's upload, which claims no more than is on the disk.
+    /// Returns the record of a caller's upload. The offset never exceeds what is on disk.
     async fn upload_row(&self, id: &str, caller: &Caller) -> Result<UploadRow, Error> {
         let row = self
             .upload_repository
@@ -148,7 +149,8 @@ impl UploadService {
         self.as_on_disk(row).await
     }
 
-    /// A record without its file, as a restored backup has it, is an upload that begins anew.
+    /// Lowers the offset to the bytes that are on disk. The offset becomes zero if the file is
+    /// missing, as after restoring a backup.
     async fn as_on_disk(&self, row: UploadRow) -> Result<UploadRow, Error> {
         if row.came_of.is_some() || row.received == 0 {
             return Ok(row);
@@ -158,7 +160,8 @@ impl UploadService {
         Ok(UploadRow { received: row.received.min(there), ..row })
     }
 
-    /// Uploads that were not gone on with since then are over; `None`: none ever is.
+    /// Returns the time since when uploads must have been active. Older uploads have expired.
+    /// Returns `None` if uploads never expire.
     fn oldest_upload(&self) -> Option<Timestamp> {
         let days = self.limits.retention.uploads_days;
         (days > 0).then(|| Timestamp::now().checked_sub(hours(days)).unwrap_or(Timestamp::MIN))

@@ -1,4 +1,4 @@
-//! Parts of an upload as they come in.
+//! Receives the parts of an upload.
 
 use super::checking::{Checksum, ChecksumCheck};
 use crate::error::Error;
@@ -14,28 +14,31 @@ use uniground_types::uploads::Upload;
 
 /// A part of an upload.
 pub struct UploadPart<S> {
-    /// Where it goes: as much as was there before.
+    /// The offset at which the part begins. Must equal the bytes received so far.
     pub offset: u64,
-    /// Bytes it says it has.
+    /// The size in bytes that the client announced.
     pub announced_bytes: u64,
-    /// Nothing of it is kept that does not come to this.
+    /// The expected checksum. A part that does not match is discarded.
     pub checksum: Option<Checksum>,
     pub body: S,
 }
 
-/// What a kill may cost: so much is put on the disk and noted at once.
+/// Bytes between two saves. A killed server loses at most this much.
 const SAVE_BYTES: u64 = 32 << 20;
 
 impl UploadService {
-    /// Goes on with an upload. What came of a part that breaks off is kept, unless it has a
-    /// checksum, which nobody can know then. With the last part the upload becomes a scene, or
-    /// is refused: what came of it is told by the answer, not as an error. Done to its end even if
-    /// the sender has gone.
+    /// Appends a part to an upload.
+    ///
+    /// If a part breaks off, the bytes received so far are stored, unless the part has a checksum,
+    /// because an incomplete part cannot be checked.
+    ///
+    /// After the last part the upload becomes a scene or is rejected. A rejection is reported in
+    /// the returned upload, not as an error. This runs to its end even if the client disconnects.
     ///
     /// # Errors
     /// [`Error::WrongOffset`], [`Error::UploadBusy`], [`Error::ChecksumMismatch`],
-    /// [`Error::UploadInterrupted`] and others about the body; what stands in the way of making
-    /// a scene and may pass: that is tried again by itself.
+    /// [`Error::UploadInterrupted`] and other errors of the body; transient errors while creating
+    /// the scene, which the server retries by itself.
     pub async fn append<E, S>(
         &self,
         id: &str,
@@ -62,7 +65,7 @@ impl UploadService {
     {
         let place = self.upload_permits.clone().try_acquire_owned();
         let place = place.map_err(|_| Error::TooMany { what: "uploads", most: MAX_UPLOADS })?;
-        // Whose it is not is not told that somebody is at work on it.
+        // Checked before the lock: other callers must not learn that the upload is busy.
         self.upload_row(id, caller).await?;
         let _turn = self.service_locks.at_upload(id).await?;
         let mut row = self.upload_row(id, caller).await?;
@@ -86,7 +89,7 @@ impl UploadService {
         Ok(self.present_upload(row))
     }
 
-    /// Takes a part as far as it comes.
+    /// Receives a part up to its end or to the point where it breaks off.
     async fn take_part<E, S>(
         &self,
         mut row: UploadRow,
@@ -110,14 +113,15 @@ impl UploadService {
                 file.write(&piece).map(|()| (file, checking))
             });
             (file, checking) = written.await??;
-            // The first bytes at once: nobody sends a whole video to hear that it is none.
+            // The first bytes are saved at once, so that an invalid file is rejected before the
+            // client sends all of it.
             let is_beginning = row.received < HEAD_BYTES && file.bytes() >= HEAD_BYTES;
             if checking.is_none() && (is_beginning || file.unsaved() >= SAVE_BYTES) {
                 (row, file) = self.save_part(row, file).await?;
             }
         };
         if let Some(checking) = checking {
-            // A part that broke off can not be checked.
+            // A part that broke off cannot be checked.
             end?;
             return match checking.holds() {
                 true => Ok(self.save_part(row, file).await?.0),
@@ -130,7 +134,7 @@ impl UploadService {
         end.map(|()| row)
     }
 
-    /// Puts what has come on the disk and notes it, in this order.
+    /// Writes the received bytes to disk, then updates the record, in this order.
     async fn save_part(
         &self,
         row: UploadRow,
@@ -152,7 +156,7 @@ impl UploadService {
 
 const HEAD_BYTES: u64 = ArchiveFormat::HEAD_BYTES as u64;
 
-/// What an upload's file was called; endings tell what bytes do not.
+/// Returns the file name of an upload. The extension helps where the bytes are ambiguous.
 pub(super) fn file_name(row: &UploadRow) -> &str {
     row.wanted.file_name.as_deref().or(row.wanted.name.as_deref()).unwrap_or_default()
 }

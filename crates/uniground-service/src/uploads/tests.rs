@@ -14,11 +14,11 @@ use uniground_ingest::archive::UnpackLimits;
 use uniground_storage::{BlobHome, Location, Store};
 use uniground_types::stats::Retention;
 
-/// A service at rest over a folder of its own.
+/// An upload service without workers, over its own folder.
 struct Rested {
     data: TempDir,
     store: Store,
-    service: UploadService,
+    service: std::sync::Arc<UploadService>,
 }
 
 impl Rested {
@@ -73,7 +73,7 @@ impl Rested {
     }
 }
 
-/// Bytes in chunks of odd lengths, and then it breaks off, or does not.
+/// Bytes in chunks of uneven lengths. The body then ends or breaks off.
 fn body(
     bytes: &[u8],
     end: Option<()>,
@@ -94,35 +94,36 @@ fn sum_of(bytes: &[u8]) -> Checksum {
     Checksum { algorithm: ChecksumAlgorithm::Sha256, sum: Sha256::digest(bytes).to_vec() }
 }
 
-/// Begins as an archive does, so that nobody turns it away for its first bytes.
+/// Starts like an archive, so that its first bytes are accepted.
 fn archive(length: usize) -> Vec<u8> {
     let mut bytes: Vec<u8> = (0..length).map(|i| (i * i % 251) as u8).collect();
     bytes[..4].copy_from_slice(b"PK\x03\x04");
     bytes
 }
 
-/// What happens to a part on its way.
+/// What happens to a part in transit.
 #[derive(Debug, Clone, Copy)]
 enum Fate {
     Arrives,
     BreaksOff,
     Checked,
-    /// Its bytes are not those of its checksum.
+    /// The bytes do not match the checksum.
     Damaged,
-    /// A checksum, and then it breaks off.
+    /// Has a checksum and breaks off.
     CheckedAndCut,
-    /// It begins elsewhere.
+    /// Begins at another offset.
     Misplaced,
-    /// It has more than the upload has room for.
+    /// Is longer than the rest of the upload.
     TooLong,
-    /// The server is killed after some of it was written and not noted.
+    /// The server is killed after writing bytes that are not recorded yet.
     Killed,
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// Whatever happens to parts on their way, what is there is what was sent, and an offset never claims more.
+    /// Whatever happens to the parts, the stored bytes equal the sent bytes, and the offset never
+    /// exceeds them.
     #[test]
     fn parts_broken_anywhere_come_to_the_same_bytes(
         length in 4usize..60_000,
@@ -133,7 +134,8 @@ proptest! {
         let bytes = archive(length);
         Runtime::new().unwrap().block_on(async {
             let mut rested = Rested::new().await;
-            // One more than are sent: it is never all there, and nobody makes a scene of it.
+            // One byte more than is sent, so that the upload never completes and no scene is
+            // created.
             let id = rested.begun(length + 1).await;
             let mut there = 0;
             for (size, fate) in parts {
@@ -183,7 +185,7 @@ async fn two_senders_at_once_are_told_apart() {
         let id = id.clone();
         async move { service.append(&id, part(0, None, receiver), Caller::operator()).await }
     });
-    // Done when the first has taken it: from then on the first is at work on it.
+    // Returns once the first part has been taken. From then on the upload is busy.
     sender.send(Ok::<_, Infallible>(Bytes::from(bytes[..1000].to_vec()))).await.unwrap();
     let second = rested.append(&id, part(0, None, body(&bytes[..0], None))).await;
     assert!(matches!(second, Err(Error::UploadBusy { .. })), "{second:?}");
@@ -206,7 +208,7 @@ async fn two_senders_at_once_are_told_apart() {
     ));
 }
 
-/// More than was announced is not taken; what fits is kept.
+/// Bytes beyond the announced length are rejected. The bytes that fit are stored.
 #[tokio::test]
 async fn a_body_that_does_not_end_is_cut() {
     let rested = Rested::new().await;
@@ -217,7 +219,7 @@ async fn a_body_that_does_not_end_is_cut() {
     assert!(there <= 20_000 && fs::read(rested.store.blobs.upload(&id)).unwrap() == bytes[..there]);
 }
 
-/// A backup has the record and not the file; and a file whose record is gone is nobody's.
+/// A backup contains the record but not the file. A file without a record is an orphan.
 #[tokio::test]
 async fn a_record_without_its_file_begins_anew() {
     let rested = Rested::new().await;

@@ -1,52 +1,52 @@
-//! A model whose server is down is not asked for a while: nobody waits for what will not come. Now
-//! and then one question tries it.
+//! A circuit breaker for the model's server. While the server is down, questions do not wait for
+//! it. From time to time one question tries it again.
 
 use jiff::Timestamp;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// What a call says of the model's server.
+/// What a call reveals about the model's server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CallSignal {
     /// It answered.
     Up,
-    /// It can not be reached: that is sure at once.
+    /// It cannot be reached. One such call is enough to open the circuit.
     Gone,
-    /// It said that it can not answer now: that is sure after a few in a row.
+    /// It reported that it cannot answer now. A few such calls in a row open the circuit.
     Failing,
-    /// It answered, but not to this question: says nothing of others.
+    /// It answered, but not this question. Says nothing about other questions.
     Unclear,
 }
 
-/// The first wait before it is tried again; each is twice as long.
+/// The wait before the server is first tried again. Each later wait is twice as long.
 const FIRST_WAIT: Duration = Duration::from_secs(5);
 const LONGEST_WAIT: Duration = Duration::from_mins(2);
-/// Calls in a row that failed before a server that can be reached is taken to be down.
+/// Failed calls in a row after which a reachable server counts as down.
 const FAILURES: u32 = 5;
 
-/// Whether a model is asked.
+/// Decides whether the model is called.
 #[derive(Default)]
 pub struct CircuitBreaker(Mutex<CircuitState>);
 
 #[derive(Default)]
 struct CircuitState {
-    /// Calls in a row that came to nothing, what the last one came to, and when the first of them
-    /// was.
+    /// The number of failed calls in a row, the outcome of the last one, and the time of the first
+    /// one.
     failing: Option<(u32, &'static str, String)>,
-    /// Calls in a row after which it was taken to be down, or might have been.
+    /// Calls in a row whose signal was `Gone` or `Failing`: the server is down, or may be.
     down: u32,
     open: Option<OpenCircuit>,
 }
 
-/// Nobody is let through.
+/// The circuit is open: calls are rejected.
 struct OpenCircuit {
     until: Instant,
     wait: Duration,
-    /// Somebody tries it now, since then.
+    /// A call is trying the server, since this time.
     trying: Option<Instant>,
 }
 
-/// Who tries and never comes back does not keep others from it for longer.
+/// A try that never ends blocks other tries no longer than this.
 const LONGEST_TRY: Duration = Duration::from_mins(10);
 
 impl CircuitBreaker {
@@ -54,10 +54,10 @@ impl CircuitBreaker {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Lets a call through, or says how long it is before one may try.
+    /// Admits a call, or returns the time until a call may try.
     ///
     /// # Errors
-    /// How long.
+    /// The time to wait.
     pub fn admit(&self, now: Instant) -> Result<(), Duration> {
         let mut state = self.state();
         let Some(open) = &mut state.open else { return Ok(()) };
@@ -71,7 +71,7 @@ impl CircuitBreaker {
         Ok(())
     }
 
-    /// Notes what came of a call, in a word.
+    /// Records the outcome of a call, with a word for it.
     pub fn note(&self, sign: CallSignal, word: &'static str, now: Instant) {
         let mut state = self.state();
         if sign == CallSignal::Up {
@@ -83,7 +83,7 @@ impl CircuitBreaker {
         state.failing = Some((calls + 1, word, since));
         state.down = match sign {
             CallSignal::Gone | CallSignal::Failing => state.down + 1,
-            // It is there.
+            // The server is up.
             CallSignal::Up | CallSignal::Unclear => 0,
         };
         let is_down = sign == CallSignal::Gone || state.down >= FAILURES;
@@ -91,14 +91,14 @@ impl CircuitBreaker {
         state.open = is_down.then(|| OpenCircuit { until: now + wait, wait, trying: None });
     }
 
-    /// Somebody who tried it left before there was an answer: the next one may.
+    /// Records that a trying call was abandoned before its answer. The next call may try.
     pub fn left(&self) {
         if let Some(open) = &mut self.state().open {
             open.trying = None;
         }
     }
 
-    /// Whether the model answered when it was asked last; else since when it has not.
+    /// Returns whether the model answered its last call. Otherwise describes since when it has not.
     pub fn condition(&self) -> Result<(), String> {
         match &self.state().failing {
             None => Ok(()),

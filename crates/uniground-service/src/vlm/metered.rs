@@ -1,4 +1,4 @@
-//! Calls of the model, written down before they are made and counted when they end.
+//! Records calls of the model before they are made, and counts them when they end.
 
 use super::circuit::{CallSignal, CircuitBreaker};
 use super::{OF_EVERYBODY, OF_KEY, today};
@@ -19,17 +19,17 @@ use uniground_storage::{
 };
 use uniground_telemetry::metrics::Metrics;
 
-/// What may come of a call.
+/// The outcomes of a call.
 const ANSWERED: &str = "answered";
 const REFUSED: &str = "refused";
 const UNREACHABLE: &str = "unreachable";
 const UNREADABLE: &str = "unreadable";
-/// It was taken to be down.
+/// The server was considered down.
 const NOT_ASKED: &str = "not_asked";
-/// Whoever asked left before there was an answer.
+/// The caller left before the answer.
 const ABANDONED: &str = "abandoned";
 
-/// How long a call waits for a database that is away, and how often it looks.
+/// How long a call waits for an unavailable database, and the interval between attempts.
 const DATABASE_IS_BACK: Duration = Duration::from_secs(30);
 const LOOK_AGAIN: Duration = Duration::from_secs(1);
 
@@ -47,7 +47,7 @@ fn outcome_of(answered: &Result<ChatReply, ChatFailure>) -> &'static str {
     }
 }
 
-/// What a call says of the model's server; nothing where it never got there.
+/// Returns what a call reveals about the model's server. Returns `None` if it never reached it.
 fn sign_of(answered: &Result<ChatReply, ChatFailure>) -> Option<CallSignal> {
     match answered {
         Ok(_) => Some(CallSignal::Up),
@@ -64,8 +64,8 @@ fn sign_of(answered: &Result<ChatReply, ChatFailure>) -> Option<CallSignal> {
     }
 }
 
-/// A model whose calls are written down before they are made: whatever becomes of the server or of
-/// who asked, what was spent is known. They are counted, too.
+/// A model whose calls are recorded before they are made. The spending is known even if this server
+/// is killed or the caller leaves. Calls are also counted in metrics.
 #[derive(Clone)]
 pub struct MeteredModel {
     model: Arc<dyn ChatModel>,
@@ -73,9 +73,9 @@ pub struct MeteredModel {
     ids: IdGenerator,
     metrics: Arc<Metrics>,
     circuit: Arc<CircuitBreaker>,
-    /// Most that may be spent in a day (UTC), US dollars.
+    /// The daily spending limit (UTC day), in US dollars.
     daily_usd: Option<f64>,
-    /// Whose calls they are.
+    /// The key of the caller.
     key: Option<Arc<KnownKey>>,
 }
 
@@ -91,12 +91,12 @@ impl MeteredModel {
         Self { model, spending, ids, metrics, circuit: Arc::default(), daily_usd, key: None }
     }
 
-    /// The same for somebody: what calls cost is written down for them, too.
+    /// Returns the same model for a caller, to whom the cost of calls is charged too.
     pub fn of(&self, caller: &Caller) -> Self {
         Self { key: caller.key.clone(), ..self.clone() }
     }
 
-    /// Whether its server is there.
+    /// Returns the circuit breaker of the model's server.
     pub fn circuit(&self) -> &Arc<CircuitBreaker> {
         &self.circuit
     }
@@ -108,8 +108,8 @@ impl MeteredModel {
             return self.model.ask(request).await;
         }
         let thought_usd = prices.thought_usd(request);
-        // Who leaves before the call is made has bought nothing, whether or not the money is aside
-        // by then; who leaves while the model thinks has asked it all the same.
+        // A caller that leaves before the call is made pays nothing, even if the money is already
+        // reserved. A caller that leaves while the model computes pays for the call.
         let mut call =
             OpenCall { spending: self.spending.clone(), open: Some((self.ids.new_id(), 0.0)) };
         let id = call.open.as_ref().map_or("", |(id, _)| id);
@@ -139,8 +139,8 @@ impl MeteredModel {
         outcome
     }
 
-    /// Puts money aside. In the middle of a question, whose first call was paid, the database may
-    /// be away for a moment.
+    /// Reserves the cost of a call. Retries while the database is busy, because earlier calls of
+    /// the same question may already be paid.
     async fn reserve(
         &self,
         id: &str,
@@ -150,7 +150,7 @@ impl MeteredModel {
         loop {
             match self.spending.reserve_spending(id, wish).await {
                 Err(error) if error.is_busy() && start.elapsed() < DATABASE_IS_BACK => {
-                    sleep(LOOK_AGAIN).await
+                    sleep(LOOK_AGAIN).await;
                 }
                 reserved => return reserved,
             }
@@ -219,11 +219,11 @@ impl ChatModel for MeteredModel {
     }
 }
 
-/// A call that will be counted, also when nobody waits for its end.
+/// Counts a call, even if its caller leaves before the end.
 struct CallCounter<'a> {
     metered: &'a MeteredModel,
     start: Instant,
-    /// What the call is taken to cost as long as it is under way.
+    /// The estimated cost of the call while it is in progress.
     thought_usd: Option<f64>,
 }
 
@@ -236,10 +236,10 @@ impl Drop for CallCounter<'_> {
     }
 }
 
-/// A call under way.
+/// A call in progress.
 struct OpenCall {
     spending: SpendingRepository,
-    /// Its reservation, and what it is taken to cost.
+    /// The reservation, with the expected cost.
     open: Option<(String, f64)>,
 }
 
@@ -260,7 +260,8 @@ impl Drop for OpenCall {
     }
 }
 
-/// What can not be settled stays reserved, and counts as spent when the server starts next.
+/// Settles a reservation. If that fails, the money stays reserved and counts as spent after the
+/// next start of the server.
 async fn settle(spending: &SpendingRepository, id: &str, usd: f64) {
     if let Err(error) = spending.settle_spending(id, usd).await {
         tracing::warn!(

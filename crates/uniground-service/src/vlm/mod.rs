@@ -1,4 +1,4 @@
-//! The configured vision-language model, and what may be spent on it.
+//! The configured vision-language model and its spending limits.
 
 mod circuit;
 mod metered;
@@ -13,43 +13,43 @@ use uniground_models::chat::{Budget, ChatModel, Prices};
 use uniground_storage::{SpendingRepository, Store, now};
 use uniground_telemetry::metrics::Metrics;
 
-/// A model and how it is used here.
+/// A model with its settings.
 pub struct Vlm {
     model: MeteredModel,
     spending: SpendingRepository,
     settings: VlmSettings,
-    /// Questions that wait for the model; more are told to come back.
+    /// Permits to wait for the model. Questions beyond them are rejected.
     places: Arc<Semaphore>,
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct VlmSettings {
-    /// Most that may be spent in a day (UTC), US dollars.
+    /// The daily spending limit (UTC day), in US dollars.
     pub daily_usd: Option<f64>,
-    /// Ask for JSON by a schema.
+    /// Requests JSON that follows a schema.
     pub json: bool,
-    /// When it names everything in a scene.
+    /// When the model names all instances of a scene.
     pub names: WhenNamed,
 }
 
-/// When the model names everything in a scene, unasked.
+/// When the model names all instances of a scene automatically.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum WhenNamed {
-    /// Never: only where somebody asks for it (`POST /v1/scenes/{id}/names`)
+    /// Never. Only on request (`POST /v1/scenes/{id}/names`).
     #[default]
     Off,
-    /// Before the first question that the model reviews; that question waits for it
+    /// Before the first question that the model reviews. That question waits for the names.
     Lazy,
-    /// As soon as a scene is parsed
+    /// As soon as a scene is parsed.
     Parse,
 }
 
-/// Whose budgets there are, in messages.
+/// The names of budgets in messages.
 pub(super) const OF_QUESTION: &str = "this question";
 pub(super) const OF_KEY: &str = "this key today";
 const OF_EVERYBODY: &str = "today";
 
-/// Questions that may wait for the model at once.
+/// The maximum number of questions that wait for the model.
 const MAX_WAITING: usize = 256;
 
 impl Vlm {
@@ -65,7 +65,7 @@ impl Vlm {
         Self { model, spending, settings, places: Arc::new(Semaphore::new(MAX_WAITING)) }
     }
 
-    /// Its server was looked at and can not be reached: nobody has to find out.
+    /// Records that a probe could not reach the server, so that no question has to find out.
     pub fn found_gone(&self) {
         self.model.circuit().note(circuit::CallSignal::Gone, "unreachable", Instant::now());
     }
@@ -78,12 +78,12 @@ impl Vlm {
         self.model.prices()
     }
 
-    /// The model, asked for somebody.
+    /// Returns the model for a caller.
     pub(super) fn model_for(&self, caller: &Caller) -> Arc<dyn ChatModel> {
         Arc::new(self.model.of(caller))
     }
 
-    /// Whether the model answered when it was asked last; else since when it has not.
+    /// Returns whether the model answered its last call. Otherwise describes since when it has not.
     pub(super) fn condition(&self) -> Result<(), String> {
         self.model.circuit().condition()
     }
@@ -96,34 +96,34 @@ impl Vlm {
         self.settings.json
     }
 
-    /// A place among those who wait.
+    /// Acquires a permit to wait for the model.
     pub(super) fn place(&self) -> Result<OwnedSemaphorePermit, Error> {
         self.places.clone().try_acquire_owned().map_err(|_| Error::Overloaded)
     }
 
-    /// Questions that have a place among those who wait.
+    /// Returns the number of questions that hold a permit to wait.
     pub(super) fn waiting(&self) -> usize {
         MAX_WAITING.saturating_sub(self.places.available_permits())
     }
 
-    /// US dollars.
+    /// Returns the daily limit in US dollars.
     pub(super) fn daily_limit_usd(&self) -> Option<f64> {
         self.settings.daily_usd
     }
 
-    /// US dollars, calls under way left out.
+    /// Returns today's spending in US dollars, without calls in progress.
     pub(super) async fn spent_today_usd(&self) -> Result<f64, Error> {
         Ok(self.spending.spent_on(&today()).await?)
     }
 
-    /// What pays for a question of its own. The day's money, everybody's and a key's, is looked at
-    /// with every call: all processes share it.
+    /// Returns the budgets of a single question. The daily budgets of the server and of its keys
+    /// are checked with every call, because all processes share them.
     pub(super) fn budgets(of_question: Option<f64>) -> Vec<Budget> {
         of_question.map(|usd| Budget::new(OF_QUESTION, usd)).into_iter().collect()
     }
 }
 
-/// Today's date, UTC.
+/// Returns today's date, UTC.
 pub(super) fn today() -> String {
     now()[..10].to_owned()
 }
