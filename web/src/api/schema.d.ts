@@ -31,9 +31,11 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * The Model Context Protocol, for agents: the tools `list_scenes`, `ground`, `find_in_scenes`, `list_objects`, `get_object`,
-         *     `relations`, `approach` and `render_view`, and scenes and reports as resources.
-         * @description Streamable HTTP, revisions 2024-11-05 to 2026-07-28, without sessions; answers are JSON. A call a POST; nothing is sent unasked.
+         * The Model Context Protocol, for agents: the tools `list_scenes`, `ground`, `find_in_scenes`,
+         *     `list_objects`, `get_object`, `relations`, `approach` and `render_view`, and scenes and reports
+         *     as resources.
+         * @description Streamable HTTP, revisions 2024-11-05 to 2026-07-28, without sessions; answers are JSON. A call
+         *     a POST; nothing is sent unasked.
          */
         post: operations["mcp"];
         delete?: never;
@@ -68,7 +70,8 @@ export interface paths {
         };
         /**
          * Whether the service can do its work.
-         * @description A vision-language model that does not answer is told in `vlm` and does not count: built-in parts answer meanwhile.
+         * @description A vision-language model that does not answer is told in `vlm` and does not count: built-in parts
+         *     answer meanwhile.
          */
         get: operations["readyz"];
         put?: never;
@@ -121,9 +124,10 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * A picture that goes with an answer: `global.jpg`, and for answers of a model `candidate-7.jpg` or `names-1.jpg`, exactly as it was shown.
-         * @description The room itself is always there: where no model was shown one, it is drawn from above with the answer's box (green), its anchor (red)
-         *     and the other candidates (blue).
+         * A picture that goes with an answer: `global.jpg`, and for answers of a model `candidate-7.jpg`
+         *     or `names-1.jpg`, exactly as it was shown.
+         * @description The room itself is always there: where no model was shown one, it is drawn from above with the
+         *     answer's box (green), its anchor (red) and the other candidates (blue).
          */
         get: operations["get_answer_picture"];
         put?: never;
@@ -141,7 +145,10 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** What the model was asked for an answer: every message, in order. Kept for as long as the server's operator wants. */
+        /**
+         * What the model was asked for an answer: every message, in order. Kept for as long as the
+         *     server's operator wants.
+         */
         get: operations["get_answer_prompt"];
         put?: never;
         post?: never;
@@ -175,7 +182,10 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** Lists what was done, newest first: every request that was let through to change something, whatever came of it. */
+        /**
+         * Lists what was done, newest first: every request that was let through to change something,
+         *     whatever came of it.
+         */
         get: operations["list_audit"];
         put?: never;
         post?: never;
@@ -197,8 +207,9 @@ export interface paths {
         put?: never;
         /**
          * Submits a list of questions, to be asked in the background.
-         * @description As JSON, or streamed as JSONL (`application/jsonl`), a question a line: 100,000 lines are no trouble. A first line `{"defaults": {…}}` holds
-         *     for all. What is wrong with one question is that item's failure; a line that is no JSON object refuses the whole. Nothing is ever asked
+         * @description As JSON, or streamed as JSONL (`application/jsonl`), a question a line: 100,000 lines are no
+         *     trouble. A first line `{"defaults": {…}}` holds for all. What is wrong with one question is that
+         *     item's failure; a line that is no JSON object refuses the whole. Nothing is ever asked
          *     twice: not after a restart, not when the same list is sent again under its `Idempotency-Key`.
          */
         post: operations["create_batch"];
@@ -304,8 +315,8 @@ export interface paths {
         put?: never;
         /**
          * Finds out in which of many scenes something is.
-         * @description Every scene is looked into without a model; those that most likely have it are asked in full, and their answers kept. A key's rate counts
-         *     each of these; there is no `Idempotency-Key`.
+         * @description Every scene is looked into without a model; those that most likely have it are asked in full,
+         *     and their answers kept. A key's rate counts each of these; there is no `Idempotency-Key`.
          */
         post: operations["ground_many"];
         delete?: never;
@@ -400,7 +411,10 @@ export interface paths {
         get?: never;
         put?: never;
         post?: never;
-        /** Revokes a key: it is refused from now on, and its batches pause. What was done with it stays readable. */
+        /**
+         * Revokes a key: it is refused from now on, and its batches pause. What was done with it stays
+         *     readable.
+         */
         delete: operations["revoke_key"];
         options?: never;
         head?: never;
@@ -417,8 +431,10 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Makes links that work without a key for a while: for pictures, clouds and event streams in a page, where no header can be sent.
-         * @description A link reads what its path names, no more, and stops with the key it was made with. It is the path with the query parameter `link`.
+         * Makes links that work without a key for a while: for pictures, clouds and event streams in a
+         *     page, where no header can be sent.
+         * @description A link reads what its path names, no more, and stops with the key it was made with. It is the
+         *     path with the query parameter `link`.
          */
         post: operations["create_links"];
         delete?: never;
@@ -456,9 +472,10 @@ export interface paths {
         put?: never;
         /**
          * Uploads a scan.
-         * @description The body is the scan itself, streamed: an archive (zip, tar, tar.zst), a cloud or a mesh; or a form with one as its file. What it is, its
-         *     bytes say, whatever the content type. It is checked before anything is stored; parsing then runs as a job. The same bytes under the
-         *     same settings are parsed only once.
+         * @description The body is the scan itself, streamed: an archive (zip, tar, tar.zst), a cloud or a mesh; or a
+         *     form with one as its file. What it is, its bytes say, whatever the content type. It is checked
+         *     before anything is stored; parsing then runs as a job. The same bytes under the same settings
+         *     are parsed only once.
          */
         post: operations["create_scene"];
         delete?: never;
@@ -494,8 +511,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * The things of the current parse as people have corrected them: the annotations that `uniground eval` reads beside a scan, as
-         *     `<scene>.scene.json`.
+         * The things of the current parse as people have corrected them: the annotations that `uniground
+         *     eval` reads beside a scan, as `<scene>.scene.json`.
          */
         get: operations["get_annotations"];
         put?: never;
@@ -516,9 +533,11 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Where a robot can stand to see a thing, or to reach it: free floor, a view of the thing, and a way there.
-         * @description `none_possible` and `not_grounded` are answers, not errors: `failed` says which condition left no place, `cells` what each one left.
-         *     A `query` is answered by the built-in reasoner and its answer is kept.
+         * Where a robot can stand to see a thing, or to reach it: free floor, a view of the thing, and a
+         *     way there.
+         * @description `none_possible` and `not_grounded` are answers, not errors: `failed` says which condition left
+         *     no place, `cells` what each one left. A `query` is answered by the built-in reasoner and its
+         *     answer is kept.
          */
         post: operations["approach"];
         delete?: never;
@@ -534,7 +553,10 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** What changed in a scene since an earlier version of it, or from this scan to another one of the same room. */
+        /**
+         * What changed in a scene since an earlier version of it, or from this scan to another one of the
+         *     same room.
+         */
         get: operations["get_changes"];
         put?: never;
         post?: never;
@@ -568,13 +590,17 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** Lists the corrections of the current parse, newest first, with who made them and which were taken back. */
+        /**
+         * Lists the corrections of the current parse, newest first, with who made them and which were
+         *     taken back.
+         */
         get: operations["list_corrections"];
         put?: never;
         /**
-         * Corrects what the current parse has found: a name, junk, things that are one, a thing that is several.
-         * @description Answers from now on know it. A correction belongs to the parse: scenes of the same bytes and settings share it, a new parse starts
-         *     without.
+         * Corrects what the current parse has found: a name, junk, things that are one, a thing that is
+         *     several.
+         * @description Answers from now on know it. A correction belongs to the parse: scenes of the same bytes and
+         *     settings share it, a new parse starts without.
          */
         post: operations["correct_scene"];
         delete?: never;
@@ -608,8 +634,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * What the instances look like: a numpy array of half floats, one unit vector per instance in order of id, zero for those no frame
-         *     shows. The scene's `models` name the encoder.
+         * What the instances look like: a numpy array of half floats, one unit vector per instance in
+         *     order of id, zero for those no frame shows. The scene's `models` name the encoder.
          */
         get: operations["get_embeddings"];
         put?: never;
@@ -628,9 +654,10 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * The scene with what was found in it, for other programs: GLB, PLY, USDZ or JSON, as people have corrected it.
-         * @description Coordinates are metres in the frame of the scene (Z up); in GLB the node at the root turns them into glTF's Y up. Sent as an attachment
-         *     named after the scene.
+         * The scene with what was found in it, for other programs: GLB, PLY, USDZ or JSON, as people have
+         *     corrected it.
+         * @description Coordinates are metres in the frame of the scene (Z up); in GLB the node at the root turns them
+         *     into glTF's Y up. Sent as an attachment named after the scene.
          */
         get: operations["export_scene"];
         put?: never;
@@ -648,7 +675,10 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** The map of a scene's floor as `map_server` of ROS reads it: this is the file beside the picture `floor.png`. */
+        /**
+         * The map of a scene's floor as `map_server` of ROS reads it: this is the file beside the picture
+         *     `floor.png`.
+         */
         get: operations["get_floor"];
         put?: never;
         post?: never;
@@ -665,7 +695,10 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** The floor from above: white is free, black occupied, grey never seen; left is the least x, the first row the greatest y. */
+        /**
+         * The floor from above: white is free, black occupied, grey never seen; left is the least x, the
+         *     first row the greatest y.
+         */
         get: operations["get_floor_picture"];
         put?: never;
         post?: never;
@@ -686,10 +719,12 @@ export interface paths {
         get: operations["list_frames"];
         put?: never;
         /**
-         * Adds frames to a scene: colour and depth pictures with poses, in any layout that a scan may have.
-         * @description They are checked against the scene before anything is kept, and parsed in the background: what was seen of frames before is used again.
-         *     What the new frames look through is gone, surfaces they find are new. What stays keeps its id, names and corrections;
-         *     `GET /v1/scenes/{scene_id}/changes` tells what came, went and moved. Questions are answered as before until then.
+         * Adds frames to a scene: colour and depth pictures with poses, in any layout that a scan may
+         *     have.
+         * @description They are checked against the scene before anything is kept, and parsed in the background: what
+         *     was seen of frames before is used again. What the new frames look through is gone, surfaces they
+         *     find are new. What stays keeps its id, names and corrections; `GET /v1/scenes/{scene_id}/
+         *     changes` tells what came, went and moved. Questions are answered as before until then.
          */
         post: operations["add_frames"];
         delete?: never;
@@ -705,7 +740,10 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** A photograph of the scan, by its index in the list of frames: as it was taken, or with the instances of the current parse over it. */
+        /**
+         * A photograph of the scan, by its index in the list of frames: as it was taken, or with the
+         *     instances of the current parse over it.
+         */
         get: operations["get_photograph"];
         put?: never;
         post?: never;
@@ -723,8 +761,10 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * What is in a scene and how it stands to each other: things, the building and zones, and what carries, holds or stands beside what.
-         * @description The relations are those that questions are answered by, as far as they do not depend on who looks.
+         * What is in a scene and how it stands to each other: things, the building and zones, and what
+         *     carries, holds or stands beside what.
+         * @description The relations are those that questions are answered by, as far as they do not depend on who
+         *     looks.
          */
         get: operations["get_graph"];
         put?: never;
@@ -746,7 +786,8 @@ export interface paths {
         put?: never;
         /**
          * Grounds one expression in a parsed scene.
-         * @description `no_match` and `ambiguous` are answers, not errors: `box` is `null` and, for `ambiguous`, `alternatives` lists the tied objects.
+         * @description `no_match` and `ambiguous` are answers, not errors: `box` is `null` and, for `ambiguous`,
+         *     `alternatives` lists the tied objects.
          */
         post: operations["ground"];
         delete?: never;
@@ -762,7 +803,10 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** The instances of a scene's current parse, in order of id: the largest first, then parts and wholes where these are asked for. */
+        /**
+         * The instances of a scene's current parse, in order of id: the largest first, then parts and
+         *     wholes where these are asked for.
+         */
         get: operations["list_instances"];
         put?: never;
         post?: never;
@@ -834,7 +878,8 @@ export interface paths {
         put?: never;
         /**
          * Has the vision-language model name every object of the current parse, in the background.
-         * @description Names do not depend on questions and are kept; what has one is not paid for again. Questions with `evidence: "cached_names"` use them.
+         * @description Names do not depend on questions and are kept; what has one is not paid for again. Questions
+         *     with `evidence: "cached_names"` use them.
          */
         post: operations["name_instances"];
         delete?: never;
@@ -868,10 +913,12 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * The cloud of the current parse for whoever looks at it over a network: twelve bytes a point, and every beginning is an even sample of
-         *     the whole, so that a part (`Range: bytes=0-2400031` for 200,000 points) is a picture already.
-         * @description Little endian: `UGP1`, number of points (u32), bytes per point (u32, 12), 0 (u32), origin (three f32, metres), step (f32, metres); then
-         *     for each point its position (three u16: origin + step x number), red, green, blue (u8), and the id of its thing (three bytes, 0 for none).
+         * The cloud of the current parse for whoever looks at it over a network: twelve bytes a point, and
+         *     every beginning is an even sample of the whole, so that a part (`Range: bytes=0-2400031` for
+         *     200,000 points) is a picture already.
+         * @description Little endian: `UGP1`, number of points (u32), bytes per point (u32, 12), 0 (u32), origin (three
+         *     f32, metres), step (f32, metres); then for each point its position (three u16: origin + step x
+         *     number), red, green, blue (u8), and the id of its thing (three bytes, 0 for none).
          */
         get: operations["get_points"];
         put?: never;
@@ -889,7 +936,10 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** What the current parse did: counts, seconds and memory per stage, warnings, settings, and pictures of every step. */
+        /**
+         * What the current parse did: counts, seconds and memory per stage, warnings, settings, and
+         *     pictures of every step.
+         */
         get: operations["get_report"];
         put?: never;
         post?: never;
@@ -963,8 +1013,10 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Makes a scene of a scan that lies on the server's own disk, below the folder its operator named (`--import-root`).
-         * @description As an upload of the same file; a folder is packed first, and nothing that a link brings in from elsewhere goes with it.
+         * Makes a scene of a scan that lies on the server's own disk, below the folder its operator named
+         *     (`--import-root`).
+         * @description As an upload of the same file; a folder is packed first, and nothing that a link brings in from
+         *     elsewhere goes with it.
          */
         post: operations["import_scene"];
         delete?: never;
@@ -982,7 +1034,10 @@ export interface paths {
         };
         get?: never;
         put?: never;
-        /** Makes a scene of the living room this program carries, and parses it: something to ask about at once. */
+        /**
+         * Makes a scene of the living room this program carries, and parses it: something to ask about at
+         *     once.
+         */
         post: operations["create_sample_scene"];
         delete?: never;
         options?: never;
@@ -1019,8 +1074,9 @@ export interface paths {
         /**
          * Begins an upload that comes in parts.
          * @description In the words of [tus 1.0](https://tus.io/protocols/resumable-upload), for its clients. `Location` is the upload; its bytes go there with
-         *     `PATCH`, from the offset that `HEAD` tells. The first of them may come with this request, as `application/offset+octet-stream`. When all
-         *     are there it becomes a scene, exactly as `POST /v1/scenes` makes one.
+         *     `PATCH`, from the offset that `HEAD` tells. The first of them may come with this request, as
+         *     `application/offset+octet-stream`. When all are there it becomes a scene, exactly as `POST
+         *     /v1/scenes` makes one.
          */
         post: operations["create_upload"];
         delete?: never;
@@ -1040,7 +1096,10 @@ export interface paths {
         /** An upload as it stands: how much of it is there, the scene it has become, or why there is none. */
         get: operations["get_upload"];
         put?: never;
-        /** The same as `PATCH` or `DELETE`, for those whose network lets neither through: `X-HTTP-Method-Override` says which. */
+        /**
+         * The same as `PATCH` or `DELETE`, for those whose network lets neither through:
+         *     `X-HTTP-Method-Override` says which.
+         */
         post: operations["append_to_upload_by_post"];
         /** Gives an upload up, or forgets one that is over; its scene stays. */
         delete: operations["delete_upload"];
@@ -1049,8 +1108,9 @@ export interface paths {
         head: operations["get_upload_offset"];
         /**
          * Goes on with an upload, from the offset it is at.
-         * @description With its last bytes it becomes a scene, which `uniground-scene-id` names; content that is no scan is refused with what is wrong with it.
-         *     What came of a part that breaks off is kept; of one with a checksum, which can not be checked then, nothing.
+         * @description With its last bytes it becomes a scene, which `uniground-scene-id` names; content that is no
+         *     scan is refused with what is wrong with it. What came of a part that breaks off is kept; of one
+         *     with a checksum, which can not be checked then, nothing.
          */
         patch: operations["append_to_upload"];
         trace?: never;
@@ -1082,24 +1142,37 @@ export interface components {
             confidence: number;
             /** @description Numbered from 1 within the parse the answer comes from. */
             id: components["schemas"]["InstanceId"];
-            /** @description What it is called, without regard to the question; empty in answers given before this was told. */
+            /**
+             * @description What it is called, without regard to the question; empty in answers given before this was
+             *     told.
+             */
             name?: string;
             oriented_box?: components["schemas"]["OrientedBox"] | null;
-            /** @description Path of the picture that shows it best, a crop; `null` where no frame shows it, and where there is no service. */
+            /**
+             * @description Path of the picture that shows it best, a crop; `null` where no frame shows it, and where
+             *     there is no service.
+             */
             view?: string | null;
         };
         /** @description The answer to a question. `box` is set when the status is `grounded`, or `uncertain`. */
         Answer: {
-            /** @description Other instances that may be meant, likeliest first: where `ambiguous`, the tied ones lead. Empty for `no_match`. */
+            /**
+             * @description Other instances that may be meant, likeliest first: where `ambiguous`, the tied ones lead.
+             *     Empty for `no_match`.
+             */
             alternatives: components["schemas"]["Alternative"][];
             /** @description The six fields. */
             answer: components["schemas"]["SixFields"];
             box?: components["schemas"]["Aabb"] | null;
-            /** @description Best first, at most `top_k`. Things a model was shown for their place have score 0. Absent where `include` leaves it out. */
+            /**
+             * @description Best first, at most `top_k`. Things a model was shown for their place have score 0. Absent
+             *     where `include` leaves it out.
+             */
             candidates?: components["schemas"]["Candidate"][] | null;
             /**
              * Format: float
-             * @description Belief in the answer, `0..=1`; for `no_match`, that nothing fits: 0.5 where it is not known what is asked for.
+             * @description Belief in the answer, `0..=1`; for `no_match`, that nothing fits: 0.5 where it is not known
+             *     what is asked for.
              */
             confidence: number;
             /**
@@ -1107,9 +1180,15 @@ export interface components {
              * @description How many there are; absent where the question asks for one thing.
              */
             count?: number | null;
-            /** @description A built-in part took the place of a model that could not be used, or that never chose a candidate; `trace.corrections` says why. */
+            /**
+             * @description A built-in part took the place of a model that could not be used, or that never chose a
+             *     candidate; `trace.corrections` says why.
+             */
             degraded?: boolean;
-            /** @description Convention for left, right, front and back: `paper`, `viewer` or `observer`. "Facing the door" in the question comes before it. */
+            /**
+             * @description Convention for left, right, front and back: `paper`, `viewer` or `observer`. "Facing the
+             *     door" in the question comes before it.
+             */
             direction_convention: string;
             /** @description Paths of the pictures that go with the answer. */
             evidence?: string[] | null;
@@ -1136,11 +1215,15 @@ export interface components {
             seen?: components["schemas"]["Seen"] | null;
             /** @description Whether one object fits, surely or not, several or none. */
             status: components["schemas"]["Status"];
-            /** @description `false`: the server could not keep this answer (its disk is full, say). It is given here and can not be asked for again. */
+            /**
+             * @description `false`: the server could not keep this answer (its disk is full, say). It is given here
+             *     and can not be asked for again.
+             */
             stored?: boolean;
             /**
-             * @description All things the question means, best first: several where it asks for several ("the chairs", "how many mugs"), else the answer's own;
-             *     empty unless `grounded` or `uncertain`, and in answers given before this was told.
+             * @description All things the question means, best first: several where it asks for several ("the chairs",
+             *     "how many mugs"), else the answer's own; empty unless `grounded` or `uncertain`, and in
+             *     answers given before this was told.
              */
             targets?: components["schemas"]["Target"][];
             /** @description What each step took, milliseconds. */
@@ -1180,7 +1263,8 @@ export interface components {
             frames?: number;
             /**
              * Format: float
-             * @description Level `l` grows the tight box by `l` times this share of its width and height, per side. Paper: 0.1.
+             * @description Level `l` grows the tight box by `l` times this share of its width and height, per side.
+             *     Paper: 0.1.
              * @default 0.10000000149011612
              */
             level_step?: number;
@@ -1251,7 +1335,8 @@ export interface components {
          */
         ApproachRequest: {
             /**
-             * @description Whose coordinates `from` is in, and in which poses are told beside the scene's own (`in_frame`).
+             * @description Whose coordinates `from` is in, and in which poses are told beside the scene's own
+             *     (`in_frame`).
              * @default scene
              */
             frame?: components["schemas"]["FrameChoice"];
@@ -1259,7 +1344,8 @@ export interface components {
             instance_id?: components["schemas"]["InstanceId"] | null;
             /**
              * Format: float
-             * @description Greatest horizontal distance from the middle of the robot to the thing's nearest point, metres.
+             * @description Greatest horizontal distance from the middle of the robot to the thing's nearest point,
+             *     metres.
              * @default 2.5
              */
             max_distance_m?: number;
@@ -1271,11 +1357,15 @@ export interface components {
             max_poses?: number;
             /**
              * Format: float
-             * @description Least horizontal distance from the middle of the robot to the thing's nearest point, metres.
+             * @description Least horizontal distance from the middle of the robot to the thing's nearest point,
+             *     metres.
              * @default 0
              */
             min_distance_m?: number;
-            /** @description What to find, in plain English: answered by the built-in reasoner, and kept like any answer. */
+            /**
+             * @description What to find, in plain English: answered by the built-in reasoner, and kept like any
+             *     answer.
+             */
             query?: string | null;
             /** @description Who is to stand there. */
             robot: components["schemas"]["Robot"];
@@ -1387,13 +1477,17 @@ export interface components {
             concurrency?: number | null;
             /** @description Fields of every item that does not have them itself, `scene_id` too. */
             defaults?: Record<string, never>;
-            /** @description Questions: `scene_id`, `query`, and whatever else a question may have. Longer lists are sent as JSONL, an item a line. */
+            /**
+             * @description Questions: `scene_id`, `query`, and whatever else a question may have. Longer lists are
+             *     sent as JSONL, an item a line.
+             */
             items: components["schemas"]["BatchItem"][];
             /** @description For people. */
             label?: string | null;
             /**
              * Format: double
-             * @description Most that all questions together may cost, US dollars. Where it is spent, the batch pauses. With it, `auto` items are asked as `vlm`.
+             * @description Most that all questions together may cost, US dollars. Where it is spent, the batch pauses.
+             *     With it, `auto` items are asked as `vlm`.
              */
             max_cost_usd?: number | null;
         };
@@ -1446,10 +1540,14 @@ export interface components {
             latency_ms: number;
             /**
              * Format: int64
-             * @description Tokens of the prompt as the endpoint counts them, estimated where it does not; 0 without a reply.
+             * @description Tokens of the prompt as the endpoint counts them, estimated where it does not; 0 without a
+             *     reply.
              */
             prompt_tokens: number;
-            /** @description `parse`, `naming`, `spatial`, or what was wrong before: `out_of_set`, `unreadable`, `inconsistent`. */
+            /**
+             * @description `parse`, `naming`, `spatial`, or what was wrong before: `out_of_set`, `unreadable`,
+             *     `inconsistent`.
+             */
             purpose: string;
         };
         /** @description An instance that may be meant. */
@@ -1458,7 +1556,10 @@ export interface components {
             box: components["schemas"]["Aabb"];
             /** @description Numbered from 1 within the parse; instances with more points come first. */
             id: components["schemas"]["InstanceId"];
-            /** @description What it is called, without regard to the question; empty in answers given before this was told. */
+            /**
+             * @description What it is called, without regard to the question; empty in answers given before this was
+             *     told.
+             */
             name?: string;
             oriented_box?: components["schemas"]["OrientedBox"] | null;
             /**
@@ -1471,7 +1572,10 @@ export interface components {
              * @description Fit to the question, `0..=1`.
              */
             score: number;
-            /** @description Path of the picture that shows it best, a crop; `null` where no frame shows it, and where there is no service. */
+            /**
+             * @description Path of the picture that shows it best, a crop; `null` where no frame shows it, and where
+             *     there is no service.
+             */
             view?: string | null;
         };
         /**
@@ -1556,15 +1660,24 @@ export interface components {
         Changes: {
             /** @description Things that stand where nothing was before. */
             appeared: components["schemas"]["ChangedThing"][];
-            /** @description Things nobody had seen before, though they may have been there: no frame had looked at their places, or too few for it to be known. */
+            /**
+             * @description Things nobody had seen before, though they may have been there: no frame had looked at
+             *     their places, or too few for it to be known.
+             */
             first_seen: components["schemas"]["ChangedThing"][];
             /** @description Things whose place is empty now. */
             gone: components["schemas"]["ChangedThing"][];
             /** @description Things that are gone in one place and, alike in size, colour and name, appeared in another. */
             moved: components["schemas"]["MovedThing"][];
-            /** @description Things in places that the later scan did not look at: nobody knows whether they are still there. */
+            /**
+             * @description Things in places that the later scan did not look at: nobody knows whether they are still
+             *     there.
+             */
             not_seen: components["schemas"]["ChangedThing"][];
-            /** @description Things of before that are no things of their own any more, though their surfaces are still there: the same points are grouped otherwise. */
+            /**
+             * @description Things of before that are no things of their own any more, though their surfaces are still
+             *     there: the same points are grouped otherwise.
+             */
             regrouped: components["schemas"]["ChangedThing"][];
             /**
              * Format: int32
@@ -1608,13 +1721,15 @@ export interface components {
         CorrectionSettings: {
             /**
              * Format: float
-             * @description From this F-score on a mask that was found in the frame anyway is believed, and the segmenter not asked again. `null`: always ask.
+             * @description From this F-score on a mask that was found in the frame anyway is believed, and the
+             *     segmenter not asked again. `null`: always ask.
              * @default 0.800000011920929
              */
             known_agreement?: number | null;
             /**
              * Format: float
-             * @description A mask agrees with the projection from this F-score on: it holds its pixels and not much else.
+             * @description A mask agrees with the projection from this F-score on: it holds its pixels and not much
+             *     else.
              * @default 0.6000000238418579
              */
             min_agreement?: number;
@@ -1653,8 +1768,9 @@ export interface components {
         /** @description Bytes on the disk. */
         DiskUse: {
             /**
-             * @description Files by kind: `contents` (scans), `parses`, `checkpoints`, `answers` (what models were shown), `uploads` (in parts), `tmp`, `quarantine`. Measured in the
-             *     background, a minute apart at least; `null` until that was done once.
+             * @description Files by kind: `contents` (scans), `parses`, `checkpoints`, `answers` (what models were
+             *     shown), `uploads` (in parts), `tmp`, `quarantine`. Measured in the background, a minute
+             *     apart at least; `null` until that was done once.
              */
             blob_bytes?: {
                 [key: string]: number;
@@ -1679,13 +1795,17 @@ export interface components {
         ExportedScene: {
             /** @description The frame of all coordinates. */
             frame: components["schemas"]["CoordinateFrame"];
-            /** @description Things, floor, walls and ceiling among them, then parts and wholes, in order of id; what was dismissed is left out. */
+            /**
+             * @description Things, floor, walls and ceiling among them, then parts and wholes, in order of id; what
+             *     was dismissed is left out.
+             */
             instances: components["schemas"]["InstanceView"][];
             /** @description What the scene is called. */
             name: string;
             /**
              * Format: int32
-             * @description Which parse the instances are of: counted from 1, one more whenever the scene is parsed again.
+             * @description Which parse the instances are of: counted from 1, one more whenever the scene is parsed
+             *     again.
              */
             parse_version: number;
             /** @description UUIDv7. */
@@ -1707,8 +1827,8 @@ export interface components {
             pointer: string;
         };
         /**
-         * @description The map of a scene's floor, as `map_server` of ROS reads it: this JSON is YAML too. The picture's upper left pixel is at the least x and
-         *     the greatest y.
+         * @description The map of a scene's floor, as `map_server` of ROS reads it: this JSON is YAML too. The
+         *     picture's upper left pixel is at the least x and the greatest y.
          */
         FloorMap: {
             /**
@@ -1718,7 +1838,8 @@ export interface components {
             floor_z_m: number;
             /**
              * Format: float
-             * @description A pixel `p` is free where `(255 - p) / 255` is below this: white, 254. In between it is unknown: grey, 205.
+             * @description A pixel `p` is free where `(255 - p) / 255` is below this: white, 254. In between it is
+             *     unknown: grey, 205.
              */
             free_thresh: number;
             /**
@@ -1751,7 +1872,10 @@ export interface components {
              * @description A pixel `p` is occupied where `(255 - p) / 255` is above this: black, 0.
              */
             occupied_thresh: number;
-            /** @description x, y and yaw of the lower left corner of the lower left pixel; metres, world frame, and radians, always 0. */
+            /**
+             * @description x, y and yaw of the lower left corner of the lower left pixel; metres, world frame, and
+             *     radians, always 0.
+             */
             origin: number[];
             /**
              * Format: float
@@ -1784,7 +1908,8 @@ export interface components {
             z?: number;
         };
         /**
-         * @description Whose coordinates a question and its answer's boxes are in. The scene's own are told in any case.
+         * @description Whose coordinates a question and its answer's boxes are in. The scene's own are told in any
+         *     case.
          * @enum {string}
          */
         FrameChoice: "scene" | "source" | "map";
@@ -1815,7 +1940,10 @@ export interface components {
         };
         /** @description A photograph: pinhole camera and pose. */
         FrameView: {
-            /** @description Takes points of the camera (x right, y down, z forward) to the scene's world (Z up), metres; rows of a 4 x 4 matrix. */
+            /**
+             * @description Takes points of the camera (x right, y down, z forward) to the scene's world (Z up),
+             *     metres; rows of a 4 x 4 matrix.
+             */
             camera_to_world: number[][];
             /**
              * Format: float
@@ -1860,20 +1988,22 @@ export interface components {
             max_depth_m?: number;
             /**
              * Format: float
-             * @description A place becomes a point when it was seen by at least this share of the frames that see a place on average: what hardly anybody saw
-             *     is mostly noise.
+             * @description A place becomes a point when it was seen by at least this share of the frames that see a
+             *     place on average: what hardly anybody saw is mostly noise.
              * @default 0.25
              */
             min_share_of_mean?: number;
             /**
              * Format: float
-             * @description A pixel whose depth differs from a neighbour's by more than this share lies on a silhouette, where sensors smear.
+             * @description A pixel whose depth differs from a neighbour's by more than this share lies on a
+             *     silhouette, where sensors smear.
              * @default 0.05000000074505806
              */
             silhouette_tolerance?: number;
             /**
              * Format: float
-             * @description Distances are kept this many voxels to either side of a surface. More survives more noise, less keeps thin things apart.
+             * @description Distances are kept this many voxels to either side of a surface. More survives more noise,
+             *     less keeps thin things apart.
              * @default 5
              */
             truncation_voxels?: number;
@@ -1900,7 +2030,8 @@ export interface components {
             relation: components["schemas"]["GraphRelation"];
             /**
              * Format: float
-             * @description How well it holds by the geometry that answers questions, `0..=1`; 1 for what the parse itself says (support, parts).
+             * @description How well it holds by the geometry that answers questions, `0..=1`; 1 for what the parse
+             *     itself says (support, parts).
              */
             score: number;
             /**
@@ -1934,7 +2065,10 @@ export interface components {
         GroundRequest: {
             /** @description For experiments: what a vision-language model is not told. */
             ablation?: components["schemas"]["Ablation"];
-            /** @description Where the encoder fails, or is not the one the scene was parsed with, answer by names and measures; the answer is marked `degraded`. */
+            /**
+             * @description Where the encoder fails, or is not the one the scene was parsed with, answer by names and
+             *     measures; the answer is marked `degraded`.
+             */
             allow_builtin?: boolean;
             /** @description Who chooses the candidates that a vision-language model is shown. */
             candidates?: components["schemas"]["CandidateSource"];
@@ -1942,25 +2076,31 @@ export interface components {
             direction_convention?: components["schemas"]["DirectionConvention"];
             /** @description What a vision-language model is shown of the candidates. */
             evidence?: components["schemas"]["EvidenceMode"];
-            /** @description Whose coordinates `observer` is in, and boxes are told in beside the scene's own: `in_frame` of the answer. */
+            /**
+             * @description Whose coordinates `observer` is in, and boxes are told in beside the scene's own:
+             *     `in_frame` of the answer.
+             */
             frame?: components["schemas"]["FrameChoice"];
             /** @description Optional parts to send back; all when left out. */
             include?: components["schemas"]["Include"][] | null;
             /**
              * Format: double
-             * @description Most this question may cost, US dollars; the built-in reasoner costs nothing. 0: no model is asked.
+             * @description Most this question may cost, US dollars; the built-in reasoner costs nothing. 0: no model
+             *     is asked.
              */
             max_cost_usd?: number | null;
             /**
              * Format: float
-             * @description Least belief for a `grounded` answer, `0..=1`: below it the answer is `uncertain`. Left out: 0.5, where four of five are
-             *     right of what somebody named who looked, two of three of what only measures name. 0: nothing is uncertain.
+             * @description Least belief for a `grounded` answer, `0..=1`: below it the answer is `uncertain`. Left
+             *     out: 0.5, where four of five are right of what somebody named who looked, two of three
+             *     of what only measures name. 0: nothing is uncertain.
              */
             min_confidence?: number | null;
             observer?: components["schemas"]["Observer"] | null;
             /**
-             * @description Who reads the question. `auto`, which it is when left out: the grammar, and the configured model where the grammar's reading leaves
-             *     something open; never the model where `reasoner` is `builtin`.
+             * @description Who reads the question. `auto`, which it is when left out: the grammar, and the configured
+             *     model where the grammar's reading leaves something open; never the model where
+             *     `reasoner` is `builtin`.
              */
             parser?: components["schemas"]["ParserChoice"];
             /** @description What a vision-language model is told. */
@@ -2009,7 +2149,10 @@ export interface components {
              * @description Points in the archive's own cloud; `null` when the cloud is fused from the frames.
              */
             cloud_points?: number | null;
-            /** @description Layout that the files were read as: `uniground-scene/1`, `color-depth-pose`, `tum-rgbd` and so on. */
+            /**
+             * @description Layout that the files were read as: `uniground-scene/1`, `color-depth-pose`, `tum-rgbd` and
+             *     so on.
+             */
             format: string;
             /**
              * Format: int32
@@ -2018,7 +2161,8 @@ export interface components {
             frames: number;
             /**
              * Format: int32
-             * @description Frames left out: their pose is marked as lost (infinite), or a file of theirs is damaged or missing. The warnings name them.
+             * @description Frames left out: their pose is marked as lost (infinite), or a file of theirs is damaged or
+             *     missing. The warnings name them.
              */
             frames_skipped: number;
             levelling?: components["schemas"]["Levelling"] | null;
@@ -2026,11 +2170,15 @@ export interface components {
             pose: components["schemas"]["PoseConvention"];
             /**
              * Format: float
-             * @description Share of sampled points that agree with the depth pictures they project into, `0..=1`; `null` where it could not be measured.
+             * @description Share of sampled points that agree with the depth pictures they project into, `0..=1`;
+             *     `null` where it could not be measured.
              */
             reprojection_agreement?: number | null;
             source_to_scene?: components["schemas"]["SourceToScene"] | null;
-            /** @description The axis of the files next to what is up; the stored scene has Z up. Of a tilted world `levelling` says the rest. */
+            /**
+             * @description The axis of the files next to what is up; the stored scene has Z up. Of a tilted world
+             *     `levelling` says the rest.
+             */
             up: components["schemas"]["UpAxis"];
             /** @description What is odd but was accepted, each with its file or frame. */
             warnings: string[];
@@ -2041,7 +2189,8 @@ export interface components {
             levelling?: components["schemas"]["LevellingChoice"];
             /**
              * Format: double
-             * @description Length of one unit of the files' clouds and poses, metres, for files that are not in metres; default: told by their size.
+             * @description Length of one unit of the files' clouds and poses, metres, for files that are not in
+             *     metres; default: told by their size.
              */
             metres_per_unit?: number | null;
             /** @description Name of the scene; default: what the archive calls itself. */
@@ -2052,7 +2201,8 @@ export interface components {
              */
             parse?: boolean;
             /**
-             * @description A file or folder below the one that the server's operator named, relative to it: whatever can be uploaded, a folder unpacked.
+             * @description A file or folder below the one that the server's operator named, relative to it: whatever
+             *     can be uploaded, a folder unpacked.
              * @example monday/kitchen
              */
             path: string;
@@ -2080,7 +2230,8 @@ export interface components {
             levelling?: components["schemas"]["LevellingChoice"];
             /**
              * Format: double
-             * @description Length of one unit of the files' clouds and poses, metres. `null`: metres, unless a cloud without cameras is far too large for that.
+             * @description Length of one unit of the files' clouds and poses, metres. `null`: metres, unless a cloud
+             *     without cameras is far too large for that.
              * @default null
              */
             metres_per_unit?: number | null;
@@ -2106,7 +2257,8 @@ export interface components {
         };
         /**
          * Format: int32
-         * @description Number of an instance within its scene, counted from 1: things in falling order of points, then parts and wholes, best shown first.
+         * @description Number of an instance within its scene, counted from 1: things in falling order of points, then
+         *     parts and wholes, best shown first.
          */
         InstanceId: number;
         /** @description One page of a scene's instances. */
@@ -2119,17 +2271,22 @@ export interface components {
              */
             next_cursor?: number | null;
         };
-        /** @description Which regions become instances, and how stray points and the sensor's noise are kept out of their boxes. */
+        /**
+         * @description Which regions become instances, and how stray points and the sensor's noise are kept out of
+         *     their boxes.
+         */
         InstanceSettings: {
             /**
              * Format: float
-             * @description Regions with which no mask agrees better (IoU over their visible points, mean over frames) are no instances. Not in the paper.
+             * @description Regions with which no mask agrees better (IoU over their visible points, mean over frames)
+             *     are no instances. Not in the paper.
              * @default 0.20000000298023224
              */
             min_agreement?: number;
             /**
              * Format: int32
-             * @description Regions of fewer points than this that no frame shows on 16 x 16 pixels are specks and no instances; 0: none are. Not in the paper.
+             * @description Regions of fewer points than this that no frame shows on 16 x 16 pixels are specks and no
+             *     instances; 0: none are. Not in the paper.
              * @default 50
              */
             min_points?: number;
@@ -2141,7 +2298,8 @@ export interface components {
             noise_sigmas?: number;
             /**
              * Format: float
-             * @description At most this many parts and wholes for each thing are offered beside the things; 0: none. Not in the paper.
+             * @description At most this many parts and wholes for each thing are offered beside the things; 0: none.
+             *     Not in the paper.
              * @default 1.5
              */
             parts_and_wholes?: number;
@@ -2165,7 +2323,8 @@ export interface components {
             stray_voxel_m?: number;
             /**
              * Format: float
-             * @description An extent up to this many standard deviations of the sensor's noise is thin. The noise is measured on the scan itself.
+             * @description An extent up to this many standard deviations of the sensor's noise is thin. The noise is
+             *     measured on the scan itself.
              * @default 12
              */
             thin_sigmas?: number;
@@ -2184,16 +2343,22 @@ export interface components {
             colours: {
                 [key: string]: number;
             };
-            /** @description Somebody has said that it is no thing, or not one: no answer, and listed only with `level=all`. */
+            /**
+             * @description Somebody has said that it is no thing, or not one: no answer, and listed only with
+             *     `level=all`.
+             */
             dismissed?: boolean;
             /**
-             * @description The question it was found for: a vision-language model saw it in a photograph, and it was no instance yet. `null` for what the
-             *     parse has found.
+             * @description The question it was found for: a vision-language model saw it in a photograph, and it was
+             *     no instance yet. `null` for what the parse has found.
              */
             found_for?: string | null;
             /** @description What somebody has said it is called; `null` where nobody has. */
             given_name?: string | null;
-            /** @description Of a scene that has grown: it was there in an earlier version. Its id is never another's; dismissed as well. */
+            /**
+             * @description Of a scene that has grown: it was there in an earlier version. Its id is never another's;
+             *     dismissed as well.
+             */
             gone?: boolean;
             /**
              * Format: float
@@ -2201,8 +2366,9 @@ export interface components {
              */
             height_above_floor_m: number;
             /**
-             * @description Numbered from 1 within the parse: things in falling order of points, then parts and wholes; another parse numbers anew, but for scenes
-             *     that have grown: what stays keeps its id there, and what comes is numbered on.
+             * @description Numbered from 1 within the parse: things in falling order of points, then parts and wholes;
+             *     another parse numbers anew, but for scenes that have grown: what stays keeps its id
+             *     there, and what comes is numbered on.
              */
             id: components["schemas"]["InstanceId"];
             /** @description What the encoder would call it, without having heard a question. */
@@ -2211,9 +2377,15 @@ export interface components {
             level?: components["schemas"]["Level"];
             /** @description Mean 8-bit sRGB. */
             mean_rgb: number[];
-            /** @description The instances that somebody has said are one thing, this one; empty for what the parse has found. */
+            /**
+             * @description The instances that somebody has said are one thing, this one; empty for what the parse has
+             *     found.
+             */
             merged_from?: components["schemas"]["InstanceId"][];
-            /** @description What the configured vision-language model calls it, without having heard a question; `null` until it was asked. */
+            /**
+             * @description What the configured vision-language model calls it, without having heard a question; `null`
+             *     until it was asked.
+             */
             model_name?: string | null;
             /** @description Best first, at most five; empty for parts of the building, and where nothing fits. */
             names: components["schemas"]["NameGuess"][];
@@ -2243,13 +2415,14 @@ export interface components {
         Job: {
             /**
              * Format: int32
-             * @description While it waits, and where one job is asked for: how many of its kind were asked for before it and wait as well. Keys take turns, so
-             *     one with few jobs waits for fewer.
+             * @description While it waits, and where one job is asked for: how many of its kind were asked for before
+             *     it and wait as well. Keys take turns, so one with few jobs waits for fewer.
              */
             ahead?: number | null;
             /**
              * Format: int32
-             * @description How often it was started; 0 while it waits for the first time, or when its result was there already.
+             * @description How often it was started; 0 while it waits for the first time, or when its result was there
+             *     already.
              */
             attempts: number;
             /** @description When it was asked for, RFC 3339 UTC. */
@@ -2284,7 +2457,10 @@ export interface components {
         };
         /** @description Why a job, or an item of a batch, failed; `code` is stable. */
         JobError: {
-            /** @description Stable, like the codes of problems; `interrupted` when the server stopped too often while the job ran. */
+            /**
+             * @description Stable, like the codes of problems; `interrupted` when the server stopped too often while
+             *     the job ran.
+             */
             code: string;
             /** @description For people: names the file, frame or model at fault. */
             detail: string;
@@ -2353,7 +2529,8 @@ export interface components {
             created_at: string;
             /**
              * Format: double
-             * @description Most that its questions may cost in a day (UTC), US dollars; `null`: what the server may spend.
+             * @description Most that its questions may cost in a day (UTC), US dollars; `null`: what the server may
+             *     spend.
              */
             daily_usd?: number | null;
             /** @description From then on it is refused, RFC 3339 UTC; `null`: never. */
@@ -2397,7 +2574,8 @@ export interface components {
             next_cursor?: string | null;
         };
         /**
-         * @description What an instance is among the others. Every point belongs to one thing or none; parts and wholes overlap them.
+         * @description What an instance is among the others. Every point belongs to one thing or none; parts and wholes
+         *     overlap them.
          * @enum {string}
          */
         Level: "thing" | "part" | "whole";
@@ -2415,7 +2593,10 @@ export interface components {
              * @description Angle between the axis called up in the files and what was found to be up, degrees.
              */
             tilt_deg: number;
-            /** @description Whether the scene was turned by it. Worlds that are level within a few degrees stay as they are. */
+            /**
+             * @description Whether the scene was turned by it. Worlds that are level within a few degrees stay as they
+             *     are.
+             */
             turned: boolean;
         };
         /**
@@ -2448,7 +2629,8 @@ export interface components {
              */
             expires_in_s?: number;
             /**
-             * @description Paths of this server below `/v1/`, 1 to 500. One that ends in `/*` stands for everything below it, like `/v1/scenes/{scene_id}/*`.
+             * @description Paths of this server below `/v1/`, 1 to 500. One that ends in `/*` stands for everything
+             *     below it, like `/v1/scenes/{scene_id}/*`.
              * @example [
              *       "/v1/scenes/01a1ff70-0000-7000-8000-000000000001/*"
              *     ]
@@ -2461,7 +2643,10 @@ export interface components {
             batch: number;
             /** @description Dimensions of an embedding; none for masks. */
             dimensions?: number | null;
-            /** @description SHA-256 over the bundle's files; of the manifest and the server's models where those run elsewhere. */
+            /**
+             * @description SHA-256 over the bundle's files; of the manifest and the server's models where those run
+             *     elsewhere.
+             */
             fingerprint: string;
             /** @description The library that computes; none where networks run elsewhere. */
             library?: string | null;
@@ -2476,14 +2661,20 @@ export interface components {
         };
         /** @description What came of a question about many scenes. */
         ManyAnswers: {
-            /** @description Best first: what is grounded before what is ambiguous, uncertain, or not there; then by confidence. */
+            /**
+             * @description Best first: what is grounded before what is ambiguous, uncertain, or not there; then by
+             *     confidence.
+             */
             answers: components["schemas"]["SceneAnswer"][];
             /**
              * Format: int32
              * @description How many scenes were looked into.
              */
             looked_into: number;
-            /** @description More than 1,000 scenes were meant: those were looked into that most likely have it, by what their things are called. */
+            /**
+             * @description More than 1,000 scenes were meant: those were looked into that most likely have it, by what
+             *     their things are called.
+             */
             narrowed?: boolean;
             /** @description Scenes that could not be asked, and why: those that are not parsed yet, for the most part. */
             not_asked: components["schemas"]["NotAsked"][];
@@ -2541,8 +2732,8 @@ export interface components {
              */
             hop_decay?: number;
             /**
-             * @description Superpoints on different planes of the building, or on one and before it, are never joined, and small patches of a plane return to
-             *     it. Not in the paper.
+             * @description Superpoints on different planes of the building, or on one and before it, are never joined,
+             *     and small patches of a plane return to it. Not in the paper.
              * @default true
              */
             keep_planes_apart?: boolean;
@@ -2564,7 +2755,8 @@ export interface components {
              */
             normalisation?: components["schemas"]["Normalisation"];
             /**
-             * @description Superpoints with a small gap between them are no neighbours where frames see through it. Not in the paper.
+             * @description Superpoints with a small gap between them are no neighbours where frames see through it.
+             *     Not in the paper.
              * @default true
              */
             split_at_depth_edges?: boolean;
@@ -2585,7 +2777,8 @@ export interface components {
         /** @description Which of the server's models take part. */
         ModelChoice: {
             /**
-             * @description Where a model fails the built-in parts do the work instead, and the report says so. Otherwise the parse fails.
+             * @description Where a model fails the built-in parts do the work instead, and the report says so.
+             *     Otherwise the parse fails.
              * @default false
              */
             allow_builtin?: boolean;
@@ -2602,25 +2795,40 @@ export interface components {
         };
         /** @description The models a server was started with. */
         ModelList: {
-            /** @description The neural models that take part in parses and questions; empty when all parts are built in. */
+            /**
+             * @description The neural models that take part in parses and questions; empty when all parts are built
+             *     in.
+             */
             models: components["schemas"]["LoadedModel"][];
-            /** @description The vision-language model that reasons, by the name its endpoint knows it by; `null` when none is configured. */
+            /**
+             * @description The vision-language model that reasons, by the name its endpoint knows it by; `null` when
+             *     none is configured.
+             */
             vlm?: string | null;
         };
         /** @description Name and version of the parts an answer came from. */
         Models: {
-            /** @description Compared words with instances: a model as `name@fingerprint`, or built-in names and measures, like `attributes-2`. */
+            /**
+             * @description Compared words with instances: a model as `name@fingerprint`, or built-in names and
+             *     measures, like `attributes-2`.
+             */
             encoder: string;
-            /** @description Cut pictures into masks when the scene was parsed: a model as `name@fingerprint`, or the built-in part, like `rgbd-2`. */
+            /**
+             * @description Cut pictures into masks when the scene was parsed: a model as `name@fingerprint`, or the
+             *     built-in part, like `rgbd-2`.
+             */
             masks: string;
             /**
-             * @description Named the scene's things without having heard a question, and answers used its names: a model with the version of its prompt;
-             *     `null` where no model has named them all.
+             * @description Named the scene's things without having heard a question, and answers used its names: a
+             *     model with the version of its prompt; `null` where no model has named them all.
              */
             names?: string | null;
             /** @description Empty in answers given before this was recorded. */
             parser?: string;
-            /** @description Decided: a vision-language model with the version of its prompt, or the built-in reasoner, like `builtin-3`. */
+            /**
+             * @description Decided: a vision-language model with the version of its prompt, or the built-in reasoner,
+             *     like `builtin-3`.
+             */
             reasoner: string;
         };
         /** @description A thing that is elsewhere. */
@@ -2649,7 +2857,8 @@ export interface components {
         NewKey: {
             /**
              * Format: double
-             * @description Most that its questions may cost in a day (UTC), US dollars. Default: what the server may spend.
+             * @description Most that its questions may cost in a day (UTC), US dollars. Default: what the server may
+             *     spend.
              */
             daily_usd?: number | null;
             /**
@@ -2725,20 +2934,32 @@ export interface components {
         ParsedQuerySummary: {
             /** @description Other things the question tells the place by: "round table", "door". */
             anchors: string[];
-            /** @description What it is to be like: "red", "small", "not blue", "with 2 drawers", "tallest". Empty when only a noun was asked for. */
+            /**
+             * @description What it is to be like: "red", "small", "not blue", "with 2 drawers", "tallest". Empty when
+             *     only a noun was asked for.
+             */
             attributes: string[];
             /** @description Words that could not be used. */
             not_understood: string[];
-            /** @description How the target stands to the anchors, as the question says it; after "not" where it was denied. */
+            /**
+             * @description How the target stands to the anchors, as the question says it; after "not" where it was
+             *     denied.
+             */
             relations: string[];
             /** @description The noun asked for, as the question says it. */
             target: string;
         };
         /** @description Models a parse was made with: name and version each. */
         ParseModels: {
-            /** @description Looked at instances: a model as `name@fingerprint`, or built-in names and measures, like `attributes-2`. */
+            /**
+             * @description Looked at instances: a model as `name@fingerprint`, or built-in names and measures, like
+             *     `attributes-2`.
+             */
             encoder: string;
-            /** @description Cut pictures into masks: a model as `name@fingerprint`, or the built-in part, like `rgbd-2`. */
+            /**
+             * @description Cut pictures into masks: a model as `name@fingerprint`, or the built-in part, like
+             *     `rgbd-2`.
+             */
             masks: string;
         };
         /**
@@ -2755,7 +2976,8 @@ export interface components {
         ParseReport: {
             /**
              * Format: int32
-             * @description Regions that became no instance because the masks of the frames that see them show something else; their points belong to nothing.
+             * @description Regions that became no instance because the masks of the frames that see them show
+             *     something else; their points belong to nothing.
              */
             dropped?: number;
             /**
@@ -2780,7 +3002,8 @@ export interface components {
             points: number;
             /**
              * Format: int32
-             * @description Regions that became no instance because they have too few points and no frame shows more of them than a few pixels.
+             * @description Regions that became no instance because they have too few points and no frame shows more of
+             *     them than a few pixels.
              */
             specks?: number;
             /** @description What each stage did and took, in order. */
@@ -2963,7 +3186,8 @@ export interface components {
             correction?: components["schemas"]["CorrectionSettings"];
             /**
              * Format: float
-             * @description A point fits the measured depth when `|z - d| <= this * d`. Paper: 0.15, which is loose; 0.02 measures better.
+             * @description A point fits the measured depth when `|z - d| <= this * d`. Paper: 0.15, which is loose;
+             *     0.02 measures better.
              * @default 0.019999999552965164
              */
             depth_tolerance?: number;
@@ -3185,7 +3409,10 @@ export interface components {
         };
         /** @description What was said to the model in one call. */
         PromptCall: {
-            /** @description `parse`, `naming`, `spatial`, or what was wrong: `out_of_set`, `unreadable`, `inconsistent`. */
+            /**
+             * @description `parse`, `naming`, `spatial`, or what was wrong: `out_of_set`, `unreadable`,
+             *     `inconsistent`.
+             */
             purpose: string;
             /** @description The JSON schema asked for, if one was. */
             schema?: Record<string, never> | null;
@@ -3226,17 +3453,23 @@ export interface components {
             disk?: string;
             /** @description How instances and words are compared. */
             encoder: string;
-            /** @description `ok`, or why the inference server does not answer; absent where networks run in the server itself. */
+            /**
+             * @description `ok`, or why the inference server does not answer; absent where networks run in the server
+             *     itself.
+             */
             inference_server?: string | null;
             /** @description Where masks come from. */
             masks: string;
             /** @description The neural models among these, loaded and run once at the start. */
             models: components["schemas"]["LoadedModel"][];
-            /** @description Whether database, folder, disk, workers and inference server are all `ok`; the HTTP status is 503 otherwise. */
+            /**
+             * @description Whether database, folder, disk, workers and inference server are all `ok`; the HTTP status
+             *     is 503 otherwise.
+             */
             ready: boolean;
             /**
-             * @description `ok`, or since when the vision-language model has answered no call; absent where none is configured. It does not count for `ready`:
-             *     built-in parts answer meanwhile.
+             * @description `ok`, or since when the vision-language model has answered no call; absent where none is
+             *     configured. It does not count for `ready`: built-in parts answer meanwhile.
              */
             vlm?: string | null;
             /** @description `ok`, or `stopped` with the kinds of jobs that are no longer worked on. */
@@ -3265,7 +3498,10 @@ export interface components {
             /** @description JPEG, relative to the server. */
             url: string;
         };
-        /** @description How long things are kept, in days, and how much of what only saves time. 0 days: for ever, except for evidence. */
+        /**
+         * @description How long things are kept, in days, and how much of what only saves time. 0 days: for ever,
+         *     except for evidence.
+         */
         Retention: {
             /**
              * Format: int32
@@ -3333,7 +3569,8 @@ export interface components {
             colour_edge?: number;
             /**
              * Format: float
-             * @description Angle between neighbouring normals that counts as one unit of edge where the surface is concave, degrees.
+             * @description Angle between neighbouring normals that counts as one unit of edge where the surface is
+             *     concave, degrees.
              * @default 25
              */
             concave_edge_deg?: number;
@@ -3390,7 +3627,8 @@ export interface components {
         Robot: {
             /**
              * Format: float
-             * @description Where it sees from: above the middle of its footprint, metres above the floor, at most `height_m`.
+             * @description Where it sees from: above the middle of its footprint, metres above the floor, at most
+             *     `height_m`.
              * @example 1.2
              */
             eye_height_m: number;
@@ -3408,7 +3646,8 @@ export interface components {
             radius_m: number;
             /**
              * Format: float
-             * @description How far its arm reaches out of the cylinder, metres. Left out, it only has to see the thing.
+             * @description How far its arm reaches out of the cylinder, metres. Left out, it only has to see the
+             *     thing.
              * @example 0.7
              */
             reach_m?: number | null;
@@ -3427,7 +3666,8 @@ export interface components {
         SamSettings: {
             /**
              * Format: int32
-             * @description Encoded pictures are kept on disk until the parse is done, for the prompts of defect correction; at most so many megabytes.
+             * @description Encoded pictures are kept on disk until the parse is done, for the prompts of defect
+             *     correction; at most so many megabytes.
              * @default 4096
              */
             cache_mb?: number;
@@ -3463,7 +3703,8 @@ export interface components {
             min_predicted_iou?: number;
             /**
              * Format: float
-             * @description Least overlap of a mask with itself when its threshold moves by `stability_margin` both ways.
+             * @description Least overlap of a mask with itself when its threshold moves by `stability_margin` both
+             *     ways.
              * @default 0.699999988079071
              */
             min_stability?: number;
@@ -3484,7 +3725,8 @@ export interface components {
              */
             prompts?: components["schemas"]["SamPrompts"];
             /**
-             * @description Also asks four overlapping quarters of each picture, each with half the points per side: small things, at five times the encoding.
+             * @description Also asks four overlapping quarters of each picture, each with half the points per side:
+             *     small things, at five times the encoding.
              * @default false
              */
             quarters?: boolean;
@@ -3495,12 +3737,16 @@ export interface components {
              */
             stability_margin?: number;
             /**
-             * @description Whether a second id image has a vote, in which wholes cover their parts: masks up to a quarter of the picture, the largest last.
+             * @description Whether a second id image has a vote, in which wholes cover their parts: masks up to a
+             *     quarter of the picture, the largest last.
              * @default true
              */
             wholes?: boolean;
         };
-        /** @description From the coordinates of the earlier scan to those of the later one: `to = rotation * from + translation_m`. */
+        /**
+         * @description From the coordinates of the earlier scan to those of the later one: `to = rotation * from +
+         *     translation_m`.
+         */
         ScanAlignment: {
             /**
              * Format: float
@@ -3540,11 +3786,15 @@ export interface components {
             /** @description What that map's frame is called; `null` where nobody has said. */
             map_frame_id?: string | null;
             models?: components["schemas"]["ParseModels"] | null;
-            /** @description One line of 1 to 200 characters, given at the upload, taken from the archive, or `scene`. Need not be unique. */
+            /**
+             * @description One line of 1 to 200 characters, given at the upload, taken from the archive, or `scene`.
+             *     Need not be unique.
+             */
             name: string;
             /**
              * Format: int32
-             * @description Number of the current parse, from 1; 0 before the first. Questions use the current one until a newer is ready.
+             * @description Number of the current parse, from 1; 0 before the first. Questions use the current one
+             *     until a newer is ready.
              */
             parse_version: number;
             report?: components["schemas"]["ParseReport"] | null;
@@ -3569,8 +3819,9 @@ export interface components {
         /** @description What is to be different about a scene; what is left out stays. */
         SceneChange: {
             /**
-             * @description What the scene is filed under, all of it: labels that are left out are taken away. At most 20; names of 1 to 63 letters, digits, `.`,
-             *     `_`, `-` and `/`, values of 1 to 100 characters without commas.
+             * @description What the scene is filed under, all of it: labels that are left out are taken away. At most
+             *     20; names of 1 to 63 letters, digits, `.`, `_`, `-` and `/`, values of 1 to 100
+             *     characters without commas.
              */
             labels?: {
                 [key: string]: string;
@@ -3617,9 +3868,15 @@ export interface components {
              */
             superpoints: number;
         };
-        /** @description A scene graph: things, parts, wholes, the building and zones, and relations between them. Metres, world frame (Z up). */
+        /**
+         * @description A scene graph: things, parts, wholes, the building and zones, and relations between them.
+         *     Metres, world frame (Z up).
+         */
         SceneGraph: {
-            /** @description In order of their nodes. What goes without saying is left out: a symmetric relation stands once, and no relation has its inverse. */
+            /**
+             * @description In order of their nodes. What goes without saying is left out: a symmetric relation stands
+             *     once, and no relation has its inverse.
+             */
             edges: components["schemas"]["GraphEdge"][];
             /** @description The frame of all coordinates. */
             frame: components["schemas"]["CoordinateFrame"];
@@ -3650,7 +3907,10 @@ export interface components {
              * @description Number of the current parse, from 1.
              */
             parse_version: number;
-            /** @description The cloud by superpoint and by instance, and instances over up to three frames; empty for parses of old versions. */
+            /**
+             * @description The cloud by superpoint and by instance, and instances over up to three frames; empty for
+             *     parses of old versions.
+             */
             pictures: components["schemas"]["ReportPictureLink"][];
             /** @description UUIDv7 of the scene. */
             scene_id: string;
@@ -3673,7 +3933,10 @@ export interface components {
             /** @description In units of the other coordinates. */
             translation: number[];
         };
-        /** @description Where a scene lies in somebody's map: `map = rotation * scene + translation_m`, in metres on both sides. */
+        /**
+         * @description Where a scene lies in somebody's map: `map = rotation * scene + translation_m`, in metres on
+         *     both sides.
+         */
         SceneToMap: {
             /**
              * @description Unit quaternion `x, y, z, w`, as ROS has it.
@@ -3719,20 +3982,29 @@ export interface components {
             /** @description The picture it is seen in, one of the answer's evidence: `candidate-7`, `global`. */
             picture: string;
         };
-        /** @description Candidates without reasoning over relations: by appearance where an encoder has seen the scene, by names and attributes otherwise. */
+        /**
+         * @description Candidates without reasoning over relations: by appearance where an encoder has seen the scene,
+         *     by names and attributes otherwise.
+         */
         Shortlisted: {
             /** @description Best first; instances that do not fit at all are left out. */
             candidates: components["schemas"]["Candidate"][];
             /** @description The sentence is longer than the encoder reads: its end does not count. */
             cut: boolean;
-            /** @description Compared words with instances: a model as `name@fingerprint`, or built-in names and measures, like `attributes-2`. */
+            /**
+             * @description Compared words with instances: a model as `name@fingerprint`, or built-in names and
+             *     measures, like `attributes-2`.
+             */
             encoder: string;
             /** @description The query, word for word. */
             query: string;
         };
         /** @description A query for candidates only. */
         ShortlistRequest: {
-            /** @description Where the encoder fails, or is not the one the scene was parsed with, rank by names and measures. */
+            /**
+             * @description Where the encoder fails, or is not the one the scene was parsed with, rank by names and
+             *     measures.
+             */
             allow_builtin?: boolean;
             /** @description Scores are likelihoods against a vocabulary instead of cosines. */
             calibrated?: boolean;
@@ -3767,12 +4039,16 @@ export interface components {
             predicted_id?: components["schemas"]["InstanceId"] | null;
             /** @description The relation the decision used, in the question's words. */
             relation_used?: string | null;
-            /** @description Whether the chosen candidate's own name means what the question asks for; `null` when nothing was chosen. */
+            /**
+             * @description Whether the chosen candidate's own name means what the question asks for; `null` when
+             *     nothing was chosen.
+             */
             target_name_matches?: boolean | null;
         };
         /**
-         * @description From the coordinates of the files that were uploaded to the scene's (metres, Z up): `scene = rotation * (metres_per_unit * source) +
-         *     translation_m`. In double precision: what lies at map coordinates keeps its place.
+         * @description From the coordinates of the files that were uploaded to the scene's (metres, Z up): `scene =
+         *     rotation * (metres_per_unit * source) + translation_m`. In double precision: what lies at map
+         *     coordinates keeps its place.
          */
         SourceToScene: {
             /**
@@ -3804,22 +4080,30 @@ export interface components {
         StageReport: {
             /**
              * Format: int32
-             * @description Largest resident memory of the whole process during the stage, 10^6 bytes; `null` where the system does not tell.
+             * @description Largest resident memory of the whole process during the stage, 10^6 bytes; `null` where the
+             *     system does not tell.
              */
             peak_memory_mb?: number | null;
             /**
              * Format: int64
-             * @description How many came out: points, superpoints, masks over all frames, regions, proposals of parts and wholes, instances, sightings of instances.
+             * @description How many came out: points, superpoints, masks over all frames, regions, proposals of parts
+             *     and wholes, instances, sightings of instances.
              */
             produced?: number;
-            /** @description Whether they were kept from an earlier parse of the scan that got so far under the same settings. */
+            /**
+             * @description Whether they were kept from an earlier parse of the scan that got so far under the same
+             *     settings.
+             */
             reused?: boolean;
             /**
              * Format: float
              * @description Wall-clock.
              */
             seconds: number;
-            /** @description `import`, `superpoints`, `masks_and_lifting`, `gaps`, `planes`, `merging`, `part_merging`, `hierarchy`, `refinement`, `views`, `instances`, or with models `appearance`. */
+            /**
+             * @description `import`, `superpoints`, `masks_and_lifting`, `gaps`, `planes`, `merging`, `part_merging`,
+             *     `hierarchy`, `refinement`, `views`, `instances`, or with models `appearance`.
+             */
             stage: string;
         };
         /** @description A moment, as `builtin_interfaces/Time` has it. */
@@ -3839,7 +4123,8 @@ export interface components {
         StandingPose: {
             /**
              * Format: float
-             * @description From the middle of the robot to the nearest obstacle; never less than the robot's radius. `null` where there is none at all.
+             * @description From the middle of the robot to the nearest obstacle; never less than the robot's radius.
+             *     `null` where there is none at all.
              */
             clearance_m?: number | null;
             /**
@@ -3850,8 +4135,8 @@ export interface components {
             /** @description What to look at: the middle of what is in sight of the thing. */
             look_at: number[];
             /**
-             * @description From the start to here, corner by corner, straight in between; free of obstacles by the robot's radius, to within half a cell of the
-             *     grid. Empty without `from`.
+             * @description From the start to here, corner by corner, straight in between; free of obstacles by the
+             *     robot's radius, to within half a cell of the grid. Empty without `from`.
              */
             path: number[][];
             /**
@@ -3868,7 +4153,8 @@ export interface components {
             reach_m: number;
             /**
              * Format: float
-             * @description Share of the thing's points that nothing else hides from the eye, `0..=1`; what it hides of itself counts as seen.
+             * @description Share of the thing's points that nothing else hides from the eye, `0..=1`; what it hides of
+             *     itself counts as seen.
              */
             visible_share: number;
             /** @description Why here, in words. */
@@ -3883,7 +4169,8 @@ export interface components {
         Start: {
             /**
              * Format: float
-             * @description How far that is from what was asked for, metres; more than a cell where `from` was not free.
+             * @description How far that is from what was asked for, metres; more than a cell where `from` was not
+             *     free.
              */
             moved_m: number;
             /** @description Whether the robot can stand where it says it is. */
@@ -3933,7 +4220,10 @@ export interface components {
              * @description Answers that can be asked for again.
              */
             answers: number;
-            /** @description Batches by state: `running`, `paused`, `succeeded`, `cancelled`; one whose job ended early counts as running here. */
+            /**
+             * @description Batches by state: `running`, `paused`, `succeeded`, `cancelled`; one whose job ended early
+             *     counts as running here.
+             */
             batches: {
                 [key: string]: number;
             };
@@ -3974,7 +4264,8 @@ export interface components {
             colour_weight?: number;
             /**
              * Format: float
-             * @description Region growing does not cross patches rougher than this (surface variation, 0 flat to 1/3 isotropic).
+             * @description Region growing does not cross patches rougher than this (surface variation, 0 flat to 1/3
+             *     isotropic).
              * @default 1
              */
             curvature?: number;
@@ -4004,7 +4295,8 @@ export interface components {
             spatial_weight?: number;
             /**
              * Format: float
-             * @description Edge of a voxel, metres. Paper: 0.05. Finer follows object borders better; sparse clouds are cut coarser.
+             * @description Edge of a voxel, metres. Paper: 0.05. Finer follows object borders better; sparse clouds
+             *     are cut coarser.
              * @default 0.02500000037252903
              */
             voxel_m?: number;
@@ -4117,7 +4409,10 @@ export interface components {
         Upload: {
             /** @description When it was begun, RFC 3339 UTC. */
             created_at: string;
-            /** @description When it is removed unless more of it comes, RFC 3339 UTC; of one that is over, when it is forgotten. `null`: never. */
+            /**
+             * @description When it is removed unless more of it comes, RFC 3339 UTC; of one that is over, when it is
+             *     forgotten. `null`: never.
+             */
             expires_at?: string | null;
             /** @description UUIDv7; in order of time. */
             id: string;
@@ -4182,7 +4477,10 @@ export interface components {
         };
         /** @description A mask over a box, in cells of equal size, as COCO writes run lengths: its tools read it. */
         ViewMask: {
-            /** @description Lengths of runs down the columns, outside and inside by turns, in COCO's compressed letters. */
+            /**
+             * @description Lengths of runs down the columns, outside and inside by turns, in COCO's compressed
+             *     letters.
+             */
             counts: string;
             /** @description Rows and columns of cells, at most 64 each. */
             size: number[];
@@ -6059,7 +6357,10 @@ export interface operations {
     get_batch_results: {
         parameters: {
             query?: {
-                /** @description Wait for items that are still asked, until the batch ends or pauses; else the results end at the first that is. */
+                /**
+                 * @description Wait for items that are still asked, until the batch ends or pauses; else the results end
+                 *     at the first that is.
+                 */
                 follow?: boolean;
                 /** @description `jsonl` or `csv`. */
                 format?: "jsonl" | "csv";
@@ -8018,7 +8319,10 @@ export interface operations {
             query?: {
                 /** @description Whether a world that is tilted is turned level. */
                 levelling?: "auto" | "off";
-                /** @description Length of one unit of the files' clouds and poses, metres, for files that are not in metres; default: told by their size. */
+                /**
+                 * @description Length of one unit of the files' clouds and poses, metres, for files that are not in
+                 *     metres; default: told by their size.
+                 */
                 metres_per_unit?: number;
                 /** @description Name of the scene; default: what the archive calls itself. */
                 name?: string;
@@ -8026,7 +8330,10 @@ export interface operations {
                 parse?: boolean;
                 /** @description Settings to parse with. */
                 preset?: "default" | "paper";
-                /** @description The axis that points up in the files, for archives that do not say; default: the axis the cameras hold up. */
+                /**
+                 * @description The axis that points up in the files, for archives that do not say; default: the axis the
+                 *     cameras hold up.
+                 */
                 up?: "x" | "-x" | "y" | "-y" | "z" | "-z";
             };
             header?: {
@@ -9104,7 +9411,10 @@ export interface operations {
     get_changes: {
         parameters: {
             query?: {
-                /** @description With `to`: whether the two clouds are laid over each other, from their places in the same map or in one world. Default: yes. */
+                /**
+                 * @description With `to`: whether the two clouds are laid over each other, from their places in the same
+                 *     map or in one world. Default: yes.
+                 */
                 align?: boolean;
                 /** @description A version of the scene: what changed after it, as frames were added. Default: its first. */
                 since?: number;
@@ -10114,7 +10424,10 @@ export interface operations {
             query: {
                 /** @description Kind of file. */
                 format: "glb" | "ply" | "usdz" | "json";
-                /** @description Most points in the file: a larger cloud is thinned evenly, always to the same points. JSON has none. */
+                /**
+                 * @description Most points in the file: a larger cloud is thinned evenly, always to the same points. JSON
+                 *     has none.
+                 */
                 points?: number;
             };
             header?: never;
@@ -10776,7 +11089,10 @@ export interface operations {
     add_frames: {
         parameters: {
             query?: {
-                /** @description Whose coordinates the poses are in: those of the files the scene was made of (default), the scene's, or those of the map it lies in. */
+                /**
+                 * @description Whose coordinates the poses are in: those of the files the scene was made of (default), the
+                 *     scene's, or those of the map it lies in.
+                 */
                 world?: ("scene" | "source" | "map") & Record<string, never>;
             };
             header?: {
@@ -11187,7 +11503,10 @@ export interface operations {
     get_graph: {
         parameters: {
             query?: {
-                /** @description An instance: it and what it stands in a relation to, alone, its parts and wholes among them whatever `level` says. */
+                /**
+                 * @description An instance: it and what it stands in a relation to, alone, its parts and wholes among them
+                 *     whatever `level` says.
+                 */
                 around?: number;
                 /** @description JSON, `GraphML`, or lines of text for a language model. */
                 format?: "json" | "graphml" | "text";
@@ -12147,7 +12466,10 @@ export interface operations {
     get_instance_view: {
         parameters: {
             query?: {
-                /** @description The full frame with the object outlined in a red box, or a crop of it with darker surroundings. */
+                /**
+                 * @description The full frame with the object outlined in a red box, or a crop of it with darker
+                 *     surroundings.
+                 */
                 picture?: "frame" | "crop";
             };
             header?: never;
@@ -13922,7 +14244,10 @@ export interface operations {
                 parse?: boolean;
                 /** @description Settings to parse with. */
                 preset?: "default" | "paper";
-                /** @description The axis that points up in the files, for archives that do not say; default: the axis the cameras hold up. */
+                /**
+                 * @description The axis that points up in the files, for archives that do not say; default: the axis the
+                 *     cameras hold up.
+                 */
                 up?: "x" | "-x" | "y" | "-y" | "z" | "-z";
             };
             header: {
