@@ -75,7 +75,7 @@ async fn an_error_is_told_once_with_route_request_and_cause() {
         .iter()
         .filter(|line| spans(line).iter().any(|span| span["id"] == job.id.as_str()))
         .collect();
-    assert!(of_job.iter().any(|line| line["fields"]["message"] == "job done"), "{of_job:#?}");
+    assert!(of_job.iter().any(|line| line["fields"]["message"] == "job succeeded"), "{of_job:#?}");
     let job_span = &spans(of_job[0])[0];
     assert_eq!(
         (job_span["kind"].as_str(), job_span["subject"].as_str()),
