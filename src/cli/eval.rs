@@ -212,11 +212,11 @@ fn tell_losses(report: &Report) {
 /// The model, live or from recorded answers; these know their model.
 fn vlm_client(args: &RunArgs) -> anyhow::Result<Option<ChatClient>> {
     if let Some(file) = &args.replay {
-        let (notify_worker, model) = ReplayCache::replay(file).context("--replay")?;
+        let (recorded, model) = ReplayCache::replay(file).context("--replay")?;
         let vlm_model = args.vlm.vlm_model.clone().or(Some(model));
         // Nobody is asked: any address will do.
         let vlm_url = args.vlm.vlm_url.clone().or_else(|| Some("http://localhost".into()));
-        return VlmConfig { vlm_url, vlm_model, ..args.vlm.clone() }.client(notify_worker);
+        return VlmConfig { vlm_url, vlm_model, ..args.vlm.clone() }.client(recorded);
     }
     let cache = args
         .record

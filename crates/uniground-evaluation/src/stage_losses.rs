@@ -9,7 +9,7 @@ use super::segmentation::{AnnotatedObject, InstanceScore, recall, score_instance
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 use uniground_geometry::progress::Progress;
-use uniground_geometry::scene::{Frame, FrameIndex, InstanceId};
+use uniground_geometry::scene::{DepthCache, Frame, FrameIndex, InstanceId};
 use uniground_parsing::checkpoints::Checkpoints;
 use uniground_parsing::labels::Labels;
 use uniground_parsing::lifting::{FrameVisibility, Lifted, LiftingInput};
@@ -91,12 +91,14 @@ pub fn climb(
 
     let judged = ScoredMaskSource { masks, truth: room.masks(), best: Mutex::default() };
     let visibility = Visibility::new(cloud, &superpoints.of_point, settings.depth_tolerance);
+    let depths = DepthCache::new(0);
     let lifting = LiftingInput {
         visibility: &visibility,
         superpoint_of_point: &superpoints.of_point,
         masks: &judged,
     };
-    let (lifted, _) = lifting.all(&frames, Checkpoints::none().log("lifting", &()), &quiet)?;
+    let (lifted, _) =
+        lifting.all(&frames, &depths, Checkpoints::none().log("lifting", &()), &quiet)?;
     let (tables, masks_of, _) = Lifted::apart(lifted);
     let best = judged.best.into_inner().unwrap_or_else(PoisonError::into_inner);
     let pixels = objects.iter().map(|object| in_best_views(&best, object.id)).collect();
@@ -155,7 +157,7 @@ pub fn climb(
         cloud,
         &visibility,
         superpoints.spread(&joined),
-        &frames,
+        (&frames, &depths),
         &masks_of,
         &quiet,
     )?;
@@ -166,7 +168,8 @@ pub fn climb(
     let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
     let flats =
         FlatCandidates::of(cloud, &superpoints, &planes, &labels, &cameras, &settings.instances);
-    let sighted = views::all_sighted(labelled, Some(&flats), &frames, &masks_of, &quiet)?;
+    let sighted =
+        views::all_sighted(labelled, Some(&flats), (&frames, &depths), &masks_of, &quiet)?;
     let built = instances::build(
         cloud,
         &superpoints,

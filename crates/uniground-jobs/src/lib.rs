@@ -7,11 +7,13 @@
 
 mod kind;
 mod queue;
+mod request;
 mod watchers;
 mod worker;
 
 pub use kind::{JobContext, JobFailure, JobKind, Retry};
 pub use queue::{Jobs, JobsError};
+pub use request::JobRequest;
 pub use uniground_types::job::{Job, JobError, JobList};
 
 use jiff::Timestamp;

@@ -1,7 +1,7 @@
 //! Submitting, watching and cancelling jobs.
 
 use super::watchers::JobWatchers;
-use super::{Job, JobKind, JobList, job_of};
+use super::{Job, JobKind, JobList, JobRequest, job_of};
 use jiff::Timestamp;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -9,7 +9,7 @@ use std::time::Duration;
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 use uniground_storage::{
-    JobFilter, JobRepository, JobRow, JobState, NewJob, QueueLengths, StoreError, page,
+    InsertedJob, JobFilter, JobRepository, JobRow, JobState, QueueLengths, StoreError, page,
 };
 use uniground_telemetry::metrics::Metrics;
 
@@ -120,13 +120,34 @@ impl Jobs {
         payload: &K::Payload,
         key_id: Option<&str>,
     ) -> Result<Job, JobsError> {
-        self.check_queue_capacity::<K>(key_id).await?;
-        let payload = serde_json::to_string(payload).map_err(StoreError::from)?;
-        let row = self
-            .repository
-            .insert_job(subject, &NewJob { kind: K::NAME, payload: &payload, key_id, done: None })
-            .await?;
-        Ok(self.notify_worker::<K>(row))
+        let job = JobRequest::<K>::new(payload, key_id)?;
+        let row = self.enqueue(&job, self.repository.insert_job(subject, &job.row())).await?;
+        Ok(self.to_job(row))
+    }
+
+    /// Queues a job in the transaction `insert`, which stores [`JobRequest::row`] together with
+    /// what the job works on. Wakes a worker after the commit. `insert` does not run if the queue
+    /// is full.
+    ///
+    /// # Errors
+    /// [`JobsError::QueueFull`] when too many jobs of its kind are queued, and those of `insert`.
+    pub async fn enqueue<K: JobKind, T: InsertedJob>(
+        &self,
+        job: &JobRequest<K>,
+        insert: impl Future<Output = Result<T, StoreError>>,
+    ) -> Result<T, JobsError> {
+        if job.is_limited {
+            self.check_queue_capacity::<K>(job.row().key_id).await?;
+        }
+        let outcome = insert.await?;
+        match outcome.inserted_job().map(|row| row.state) {
+            Some(JobState::Queued) => self.bell(K::NAME).notify_one(),
+            Some(state) if state.is_final() => {
+                self.metrics.jobs.finished(K::NAME, state.word(), None);
+            }
+            _ => {}
+        }
+        Ok(outcome)
     }
 
     /// Checks that another job of this kind may be queued for an API key. The last tenth of the
@@ -162,17 +183,6 @@ impl Jobs {
         Ok(())
     }
 
-    /// Converts an inserted job to its API form, and wakes its lane if it is queued.
-    #[allow(clippy::must_use_candidate)] // It also wakes the lane.
-    pub fn notify_worker<K: JobKind>(&self, row: JobRow) -> Job {
-        match row.state {
-            JobState::Queued => self.bell(K::NAME).notify_one(),
-            state if state.is_final() => self.metrics.jobs.finished(K::NAME, state.word(), None),
-            _ => {}
-        }
-        job_of(row, Timestamp::now())
-    }
-
     /// Returns the current state of a job.
     ///
     /// # Errors
@@ -184,7 +194,7 @@ impl Jobs {
             JobState::Queued => Some(self.repository.jobs_ahead(&row.kind, id).await?),
             _ => None,
         };
-        Ok(Job { ahead, ..self.as_it_stands(row) })
+        Ok(Job { ahead, ..self.to_job(row) })
     }
 
     /// Returns jobs, newest first; with a `cursor` (an id) only those before it.
@@ -199,14 +209,13 @@ impl Jobs {
     ) -> Result<JobList, JobsError> {
         let (rows, next_cursor) =
             page(self.repository.jobs(filter, limit + 1, cursor).await?, limit, |row| &row.id);
-        Ok(JobList {
-            jobs: rows.into_iter().map(|row| self.as_it_stands(row)).collect(),
-            next_cursor,
-        })
+        Ok(JobList { jobs: rows.into_iter().map(|row| self.to_job(row)).collect(), next_cursor })
     }
 
-    /// Merges in the progress from memory, which is newer than the row.
-    pub(super) fn as_it_stands(&self, mut row: JobRow) -> Job {
+    /// Converts a row to its API form. A job that runs in this process has its progress from
+    /// memory, which is newer than the row.
+    #[must_use]
+    pub fn to_job(&self, mut row: JobRow) -> Job {
         if row.state == JobState::Running
             && let Some(running) = self.running().get(&row.id)
         {
@@ -429,22 +438,56 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_recorded_job_is_counted_if_it_is_over_and_rings_if_it_waits() {
+    async fn enqueue_wakes_a_worker_after_the_insert_and_not_before() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = jobs(&folder, 10).await;
+        let job = JobRequest::<Parsing>::new(&vec![1], Some("k")).unwrap();
+        let row = jobs
+            .enqueue(&job, async {
+                let row = jobs.repository.insert_job("s", &job.row()).await;
+                assert!(!rang(&jobs, Parsing::NAME), "woken before the transaction ended");
+                row
+            })
+            .await
+            .unwrap();
+        assert!(rang(&jobs, Parsing::NAME));
+        assert_eq!((row.payload.as_str(), row.state), ("[1]", JobState::Queued));
+        let none = jobs.enqueue(&job, async { Ok(None::<JobRow>) }).await.unwrap();
+        assert!(none.is_none() && !rang(&jobs, Parsing::NAME), "nothing was inserted");
+    }
+
+    #[tokio::test]
+    async fn enqueue_does_not_insert_into_a_full_queue_unless_the_job_has_no_limit() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = jobs(&folder, 0).await;
+        let job = JobRequest::<Parsing>::new(&vec![], None).unwrap();
+        let insert = || jobs.repository.insert_job("s", &job.row());
+        let full = jobs.enqueue(&job, insert()).await;
+        assert!(matches!(full, Err(JobsError::QueueFull { queued: 0, .. })), "{full:?}");
+        assert!(jobs.list(&JobFilter::default(), 9, None).await.unwrap().jobs.is_empty());
+        jobs.enqueue(&job.clone().without_limit(), insert()).await.unwrap();
+        jobs.enqueue(&job.clone().with_result("p".into(), "stored"), insert()).await.unwrap();
+        assert_eq!(jobs.list(&JobFilter::default(), 9, None).await.unwrap().jobs.len(), 2);
+    }
+
+    #[tokio::test]
+    async fn enqueue_counts_a_job_that_is_finished_and_wakes_nobody_for_it() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         fill(&jobs, 1, None).await;
         let (hold, _) = take(&jobs).await;
-        let row = async || jobs.repository.job(&hold.job_id).await.unwrap().unwrap();
-        assert_eq!(jobs.notify_worker::<Parsing>(row().await).state, JobState::Running);
-        let told = jobs.metrics().text();
-        assert!(!told.contains("kind=\"parsing\""), "one that runs counts nowhere: {told}");
+        let job = JobRequest::<Parsing>::new(&vec![], None).unwrap();
+        let row = async || Ok(jobs.repository.job(&hold.job_id).await.unwrap().unwrap());
+        jobs.enqueue(&job, row()).await.unwrap();
+        let metrics = jobs.metrics().text();
+        assert!(!metrics.contains("kind=\"parsing\""), "a running job is not counted: {metrics}");
         jobs.repository.finish_job(&hold, JobState::Succeeded, Some("done"), None).await.unwrap();
-        let job = jobs.notify_worker::<Parsing>(row().await);
+        let job = jobs.to_job(jobs.enqueue(&job, row()).await.unwrap());
         assert_eq!((job.state, job.message.as_deref()), (JobState::Succeeded, Some("done")));
-        let told = jobs.metrics().text();
+        let metrics = jobs.metrics().text();
         let counted = "uniground_jobs_finished_total{kind=\"parsing\",state=\"succeeded\"} 1";
-        assert!(told.contains(counted), "{told}");
-        assert!(!rang(&jobs, Parsing::NAME), "neither waits");
+        assert!(metrics.contains(counted), "{metrics}");
+        assert!(!rang(&jobs, Parsing::NAME), "a worker was woken for a finished job");
     }
 
     #[tokio::test]

@@ -273,7 +273,7 @@ impl Jobs {
                     );
                     let _ = shutdown.run_until_cancelled(time::sleep(LOOK_EVERY)).await;
                 }
-                notify_worker => return notify_worker,
+                recorded => return recorded,
             }
         }
     }

@@ -9,7 +9,9 @@ use super::views::{LabelledPoints, Sighting, all_sightings, visible_pixels};
 use image::{RgbImage, imageops};
 use std::collections::BTreeMap;
 use uniground_geometry::progress::Progress;
-use uniground_geometry::scene::{FrameIndex, FrameRef, Instance, InstanceId, Level, stream_frames};
+use uniground_geometry::scene::{
+    DepthCache, FrameIndex, FrameRef, Instance, InstanceId, Level, stream_frames,
+};
 use uniground_models::neural::DualEncoder;
 use uniground_types::settings::AppearanceSettings;
 
@@ -64,7 +66,7 @@ pub type Outlines = BTreeMap<FrameIndex, BTreeMap<InstanceId, Outline>>;
 /// # Errors
 /// [`ParseError`]: an unreadable frame, a model that fails, cancellation.
 pub fn look(
-    frames: &[FrameRef],
+    (frames, depths): (&[FrameRef], &DepthCache),
     instances: &[Instance],
     boxes: &FrameBoxes,
     labelled: LabelledPoints,
@@ -85,7 +87,7 @@ pub fn look(
             let picture = frame.decode_colour()?;
             let corrected = match correction {
                 Some(correction) => {
-                    correct(frame, &picture, labelled, correction, &seen, progress)?
+                    correct(frame, depths, &picture, labelled, correction, &seen, progress)?
                 }
                 None => BTreeMap::new(),
             };
@@ -121,21 +123,32 @@ pub fn of_known(
     settings: &AppearanceSettings,
 ) -> Result<Vec<f32>, ParseError> {
     let quiet = Progress::silent();
-    let seen = all_sightings(labelled, frames, &MasksOfFrames::new(), &quiet)?;
+    let depths = &DepthCache::new(0);
+    let seen = all_sightings(labelled, (frames, depths), &MasksOfFrames::new(), &quiet)?;
     let boxes = choose(instances, &seen, settings);
-    Ok(look(frames, instances, &boxes, labelled, (None, Some(encoder)), settings, &quiet)?.0)
+    Ok(look(
+        (frames, depths),
+        instances,
+        &boxes,
+        labelled,
+        (None, Some(encoder)),
+        settings,
+        &quiet,
+    )?
+    .0)
 }
 
 /// For instances with projected boxes, returns the masks that agree with the projection.
 fn correct(
     frame: &FrameRef,
+    depths: &DepthCache,
     picture: &RgbImage,
     labelled: LabelledPoints,
     Correction { corrector, known }: Correction,
     boxes: &BTreeMap<InstanceId, [u32; 4]>,
     progress: &Progress,
 ) -> Result<BTreeMap<InstanceId, Outline>, ParseError> {
-    let depth = frame.decode_depth()?;
+    let depth = depths.depth(frame)?;
     let known: Vec<KnownMasks> = known
         .get(&frame.index)
         .into_iter()

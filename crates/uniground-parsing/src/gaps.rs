@@ -11,7 +11,9 @@ use rayon::prelude::*;
 use std::collections::BTreeSet;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::progress::Progress;
-use uniground_geometry::scene::{Camera, DepthImage, FrameRef, PointCloud, stream_frames};
+use uniground_geometry::scene::{
+    Camera, DepthCache, DepthImage, FrameRef, PointCloud, stream_frames,
+};
 use uniground_geometry::voxels::VoxelGrid;
 use uniground_geometry::{Point3, Vector3};
 
@@ -37,7 +39,7 @@ pub fn without_depth_edges(
     cloud: &PointCloud,
     superpoints: &Superpoints,
     voxel_m: f32,
-    frames: &[FrameRef],
+    (frames, depths): (&[FrameRef], &DepthCache),
     depth_tolerance: f32,
     progress: &Progress,
 ) -> Result<Vec<(u32, u32)>, ParseError> {
@@ -48,7 +50,7 @@ pub fn without_depth_edges(
         frames,
         |frame| {
             progress.check()?;
-            let (camera, depth) = (frame.depth_camera(), frame.decode_depth()?);
+            let (camera, depth) = (frame.depth_camera(), depths.depth(frame)?);
             Ok::<_, ParseError>(
                 gaps.iter()
                     .map(|gap| vote(&gap.middle, &camera, &depth, depth_tolerance))
@@ -227,8 +229,15 @@ mod tests {
             let (cloud, superpoints) = two_squares(apart_m);
             let frames: Vec<FrameRef> =
                 (0..).zip(depths_m).map(|(i, &depth_m)| frame(folder, i, depth_m)).collect();
-            without_depth_edges(&cloud, &superpoints, VOXEL_M, &frames, 0.02, &Progress::silent())
-                .unwrap()
+            without_depth_edges(
+                &cloud,
+                &superpoints,
+                VOXEL_M,
+                (&frames, &DepthCache::new(0)),
+                0.02,
+                &Progress::silent(),
+            )
+            .unwrap()
         };
         let (wall, closed) = (2.0, 1.0);
         assert_eq!(neighbours(0.07, &[wall, closed, wall]), []);

@@ -61,7 +61,8 @@ use uniground_geometry::Point3;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::{
-    FrameEmbeddings, FrameError, FrameRef, ParseReport, ParsedScene, PointCloud, SceneBundle,
+    DepthCache, FrameEmbeddings, FrameError, FrameRef, ParseReport, ParsedScene, PointCloud,
+    SceneBundle,
 };
 use uniground_models::neural::{DualEncoder, ModelError};
 use uniground_models::{attributes, calibration};
@@ -129,6 +130,9 @@ impl<'a> Perception<'a> {
 /// whole.
 const FRAMES_LOOKED_AT: f32 = 0.97;
 
+/// Memory for decoded depth pictures, which most stages read, bytes.
+const DECODED_DEPTH_BYTES: usize = 32 << 20;
+
 /// Parses a scene into instances. Stages found in `checkpoints` are loaded from there.
 ///
 /// # Errors
@@ -147,8 +151,17 @@ pub fn parse(
     let ends = perception.ends();
 
     let perceiving = progress.part(0.0, ends[1]);
+    let depths = DepthCache::new(DECODED_DEPTH_BYTES);
     let LiftedFrames { cloud, frames, mut superpoints, lifted, checkpoints } =
-        lift_frames::perceive(bundle, perception, settings, checkpoints, &perceiving, &mut watch)?;
+        lift_frames::perceive(
+            bundle,
+            perception,
+            settings,
+            &depths,
+            checkpoints,
+            &perceiving,
+            &mut watch,
+        )?;
     let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
     let visibility = Visibility::new(&cloud, &superpoints.of_point, settings.depth_tolerance);
     let (tables, masks_of, sharpness_of) = Lifted::apart(lifted);
@@ -164,7 +177,7 @@ pub fn parse(
                 &cloud,
                 &superpoints,
                 voxel_m,
-                &frames,
+                (&frames, &depths),
                 settings.depth_tolerance,
                 progress,
             )?;
@@ -175,6 +188,7 @@ pub fn parse(
     let seen = ScanObservations {
         cloud: &cloud,
         frames: &frames,
+        depths: &depths,
         superpoints: &superpoints,
         visibility: &visibility,
         tables: &tables,
@@ -194,7 +208,8 @@ pub fn parse(
             &centers(&frames),
             &settings.instances,
         );
-        let sighted = views::all_sighted(labelled, Some(&flats), &frames, &masks_of, &viewing)?;
+        let sighted =
+            views::all_sighted(labelled, Some(&flats), (&frames, &depths), &masks_of, &viewing)?;
         outcome.produced = sighted.sightings.len();
         Ok::<_, ParseError>(sighted)
     })?;
@@ -221,7 +236,7 @@ pub fn parse(
             let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
             let looking = progress.part(ends[7], FRAMES_LOOKED_AT);
             let (rows, outlines) = appearance::look(
-                &frames,
+                (&frames, &depths),
                 &instances,
                 &looked_at,
                 labelled,
@@ -291,6 +306,7 @@ pub fn parse(
 struct ScanObservations<'a> {
     cloud: &'a PointCloud,
     frames: &'a [FrameRef],
+    depths: &'a DepthCache,
     superpoints: &'a Superpoints,
     visibility: &'a Visibility,
     tables: &'a [FrameVisibility],
@@ -315,7 +331,8 @@ fn group(
     progress: &Progress,
     watch: &mut Stopwatch,
 ) -> Result<RegionGrouping, ParseError> {
-    let ScanObservations { cloud, frames, superpoints, visibility, tables, masks_of } = seen;
+    let ScanObservations { cloud, frames, depths, superpoints, visibility, tables, masks_of } =
+        seen;
     let ends = perception.ends();
     let planes = watch.time("planes", |outcome| {
         let planes =
@@ -381,8 +398,14 @@ fn group(
         false => region_of,
         true => watch.time("refinement", |outcome| {
             let refining = progress.part(ends[4], ends[5]);
-            let refined =
-                refinement::refine(cloud, visibility, region_of, frames, masks_of, &refining)?;
+            let refined = refinement::refine(
+                cloud,
+                visibility,
+                region_of,
+                (frames, depths),
+                masks_of,
+                &refining,
+            )?;
             outcome.produced = count(&refined);
             Ok::<_, ParseError>(refined)
         })?,

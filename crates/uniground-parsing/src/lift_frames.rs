@@ -10,7 +10,7 @@ use super::superpoints::{self, Superpoints};
 use super::visibility::Visibility;
 use super::{ParseError, Perception, StageOutcome, Stopwatch};
 use uniground_geometry::progress::Progress;
-use uniground_geometry::scene::{FrameRef, PointCloud, SceneBundle};
+use uniground_geometry::scene::{DepthCache, FrameRef, PointCloud, SceneBundle};
 use uniground_types::settings::{
     FrameSamplingSettings, ParsingSettings, RgbdSettings, SamSettings, SuperpointSettings,
 };
@@ -52,6 +52,7 @@ pub(super) fn perceive(
     bundle: SceneBundle,
     perception: &Perception,
     settings: &ParsingSettings,
+    depths: &DepthCache,
     checkpoints: &Checkpoints,
     progress: &Progress,
     watch: &mut Stopwatch,
@@ -85,6 +86,7 @@ pub(super) fn perceive(
         };
         lifting.all(
             frames,
+            depths,
             checkpoints.log(stage, &lifted_with(perception.masks, settings)),
             progress,
         )

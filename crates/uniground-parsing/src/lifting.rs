@@ -11,7 +11,7 @@ use super::visibility::Visibility;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use uniground_geometry::progress::Progress;
-use uniground_geometry::scene::{Frame, FrameIndex, FrameRef, stream_frames};
+use uniground_geometry::scene::{DepthCache, Frame, FrameIndex, FrameRef, stream_frames};
 
 /// What one frame sees, by one of its id images. Rows are sorted by superpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -96,6 +96,7 @@ impl LiftingInput<'_> {
     pub fn all(
         &self,
         frames: &[FrameRef],
+        depths: &DepthCache,
         mut log: StageLog<Lifted>,
         progress: &Progress,
     ) -> Result<(Vec<Lifted>, bool), ParseError> {
@@ -111,7 +112,7 @@ impl LiftingInput<'_> {
             &frames[kept..],
             |frame| {
                 progress.check()?;
-                let frame = frame.decode()?;
+                let frame = frame.decode_with(depths.depth(frame)?)?;
                 let images = self.masks.masks(&frame, progress)?;
                 let tables = lift(self.visibility, self.superpoint_of_point, &frame, &images);
                 let (masks, sharpness) =
@@ -216,7 +217,7 @@ mod tests {
         Frame {
             index: FrameIndex(0),
             colour: image::RgbImage::new(4, 4),
-            depth: DepthImage { width: 4, height: 4, depth_m },
+            depth: DepthImage { width: 4, height: 4, depth_m }.into(),
             colour_camera: camera,
             depth_camera: camera,
         }
@@ -508,11 +509,18 @@ mod tests {
             LiftingInput { visibility: &visibility, superpoint_of_point: &[0], masks: &halves };
         let nowhere = Checkpoints::none();
         let cancelled = Progress::new(|_, _| {}, || true);
-        let stopped = lifting.all(&frames, nowhere.log("masks", &0), &cancelled).unwrap_err();
+        let stopped = lifting
+            .all(&frames, &DepthCache::new(0), nowhere.log("masks", &0), &cancelled)
+            .unwrap_err();
         assert!(matches!(stopped, ParseError::Cancelled(_)), "{stopped:?}");
         assert_eq!(halves.0.load(Ordering::Relaxed), 0, "nothing was cut into masks");
         frames[0].depth = folder.join("missing.png");
-        let failed = lifting.all(&frames, nowhere.log("masks", &0), &Progress::silent());
+        let failed = lifting.all(
+            &frames,
+            &DepthCache::new(0),
+            nowhere.log("masks", &0),
+            &Progress::silent(),
+        );
         assert!(matches!(failed, Err(ParseError::Frame(_))), "{:?}", failed.map(drop));
     }
 

@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use uniground_geometry::Point3;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{
-    Camera, DepthImage, FrameIndex, FrameRef, Instance, InstanceId, View, stream_frames,
+    Camera, DepthCache, DepthImage, FrameIndex, FrameRef, Instance, InstanceId, View, stream_frames,
 };
 use uniground_geometry::statistics::{median, quantile};
 use uniground_types::settings::ViewSettings;
@@ -238,11 +238,11 @@ const TRIM: f32 = 0.01;
 /// [`ParseError`]: an unreadable frame, or cancellation.
 pub fn all_sightings(
     labelled: LabelledPoints,
-    frames: &[FrameRef],
+    (frames, depths): (&[FrameRef], &DepthCache),
     masks: &MasksOfFrames,
     progress: &Progress,
 ) -> Result<Vec<Sighting>, ParseError> {
-    Ok(all_sighted(labelled, None, frames, masks, progress)?.sightings)
+    Ok(all_sighted(labelled, None, (frames, depths), masks, progress)?.sightings)
 }
 
 /// Same as [`all_sightings`], plus the reliefs of flat things.
@@ -252,7 +252,7 @@ pub fn all_sightings(
 pub fn all_sighted(
     labelled: LabelledPoints,
     flats: Option<&FlatCandidates>,
-    frames: &[FrameRef],
+    (frames, depths): (&[FrameRef], &DepthCache),
     masks: &MasksOfFrames,
     progress: &Progress,
 ) -> Result<InstanceViews, ParseError> {
@@ -263,7 +263,7 @@ pub fn all_sighted(
         |frame| {
             progress.check()?;
             let masks = masks.get(&frame.index).map_or(&[][..], Vec::as_slice);
-            let depth = frame.decode_depth()?;
+            let depth = depths.depth(frame)?;
             let camera = frame.depth_camera();
             let points = labelled.visibility.around_frame(&camera, &depth);
             let heights =

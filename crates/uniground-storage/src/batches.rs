@@ -1,7 +1,7 @@
 //! Batches and their items.
 
 use super::database::{Database, number, without_nul};
-use super::{JobLease, JobRow, NewJob, Reserve, StoreError, now};
+use super::{InsertedJob, JobLease, JobRow, NewJob, Reserve, StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{AssertSqlSafe, FromRow, Row};
 use std::collections::BTreeMap;
@@ -115,12 +115,30 @@ pub enum ResumeOutcome {
     Over,
 }
 
+impl InsertedJob for ResumeOutcome {
+    fn inserted_job(&self) -> Option<&JobRow> {
+        match self {
+            Self::By(job) => Some(job),
+            Self::GoesOn | Self::Over => None,
+        }
+    }
+}
+
 /// The result of submitting a batch.
 pub enum SubmitOutcome {
     New(JobRow),
     /// The batch that was submitted earlier under the same idempotency key.
     MadeBefore(BatchRow),
     KeyReused,
+}
+
+impl InsertedJob for SubmitOutcome {
+    fn inserted_job(&self) -> Option<&JobRow> {
+        match self {
+            Self::New(job) => Some(job),
+            Self::MadeBefore(_) | Self::KeyReused => None,
+        }
+    }
 }
 
 /// Columns of a [`BatchRow`]. Defaults are read only where they are used: they are up to 64 kB.

@@ -4,7 +4,8 @@ use super::database::number;
 use super::scenes::{add_job, made_by_key};
 use super::writer::Transaction;
 use super::{
-    ContentRepository, JobRow, NewJob, ParseRepository, SceneRepository, SceneRow, StoreError, now,
+    ContentRepository, InsertedJob, JobRow, NewJob, ParseRepository, SceneRepository, SceneRow,
+    StoreError, now,
 };
 use camino::Utf8PathBuf;
 use uniground_types::changes::Changes;
@@ -31,6 +32,15 @@ pub enum GrowthOutcome {
     Before(SceneRow),
     /// The key was used for another request.
     KeyReused,
+}
+
+impl InsertedJob for GrowthOutcome {
+    fn inserted_job(&self) -> Option<&JobRow> {
+        match self {
+            Self::Now(_, job) => Some(job),
+            Self::Overtaken | Self::Before(_) | Self::KeyReused => None,
+        }
+    }
 }
 
 /// What a parse takes over from the previous one.

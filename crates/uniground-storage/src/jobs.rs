@@ -114,6 +114,24 @@ pub struct NewJob<'a> {
     pub done: Option<(&'a str, &'a str)>,
 }
 
+/// The outcome of a transaction that may have inserted a job.
+pub trait InsertedJob {
+    /// Returns the job that the transaction inserted.
+    fn inserted_job(&self) -> Option<&JobRow>;
+}
+
+impl InsertedJob for JobRow {
+    fn inserted_job(&self) -> Option<&JobRow> {
+        Some(self)
+    }
+}
+
+impl InsertedJob for Option<JobRow> {
+    fn inserted_job(&self) -> Option<&JobRow> {
+        self.as_ref()
+    }
+}
+
 pub(super) async fn insert(
     connection: &mut AnyConnection,
     id: &str,

@@ -67,7 +67,8 @@ pub use growth::{ContinuedParse, GrowthOutcome, SceneGrowth};
 pub use health::{HealthProbe, StoreHealth};
 pub use integrity::{BrokenReference, IntegrityRepository};
 pub use jobs::{
-    JobFilter, JobLease, JobRecovery, JobRepository, JobRow, JobState, NewJob, QueueLengths,
+    InsertedJob, JobFilter, JobLease, JobRecovery, JobRepository, JobRow, JobState, NewJob,
+    QueueLengths,
 };
 pub use keys::{AuditWriter, KeyRepository, KeyRow};
 pub use lock_table::LockTable;

@@ -4,7 +4,7 @@ use super::database::Database;
 use super::growth::number_changes;
 use super::records::read_or_none;
 use super::writer::Transaction;
-use super::{Blobs, ContentRepository, JobRow, NewJob, StoreError, now};
+use super::{Blobs, ContentRepository, InsertedJob, JobRow, NewJob, StoreError, now};
 use camino::Utf8PathBuf;
 use sqlx::any::AnyRow;
 use sqlx::{AnyConnection, AssertSqlSafe, FromRow, Row};
@@ -87,6 +87,15 @@ pub enum InsertOutcome {
     MadeBefore(SceneRow),
     /// The key was used for another request.
     KeyReused,
+}
+
+impl InsertedJob for InsertOutcome {
+    fn inserted_job(&self) -> Option<&JobRow> {
+        match self {
+            Self::New(_, job) => job.as_deref(),
+            Self::MadeBefore(_) | Self::KeyReused => None,
+        }
+    }
 }
 
 pub(super) async fn made_by_key(

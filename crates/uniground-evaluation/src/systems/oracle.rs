@@ -5,7 +5,8 @@ use uniground_geometry::boxes::OrientedBox;
 use uniground_geometry::colour::ColourHistogram;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{
-    Embeddings, FrameRef, Instance, InstanceId, NameGuess, PointCloud, Structure, Support,
+    DepthCache, Embeddings, FrameRef, Instance, InstanceId, NameGuess, PointCloud, Structure,
+    Support,
 };
 use uniground_geometry::{Point3, Vector3};
 use uniground_models::neural::DualEncoder;
@@ -139,7 +140,12 @@ pub(super) fn view(
     let labels = Labels::of_things(&instance_of_point);
     let visibility = visibility(&own, &instance_of_point, settings);
     let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
-    let seen = views::all_sightings(labelled, frames, &MasksOfFrames::new(), &Progress::silent())?;
+    let seen = views::all_sightings(
+        labelled,
+        (frames, &DepthCache::new(0)),
+        &MasksOfFrames::new(),
+        &Progress::silent(),
+    )?;
     views::choose(instances, seen, frames, &SharpnessOfFrames::new(), &settings.views);
     Ok(())
 }

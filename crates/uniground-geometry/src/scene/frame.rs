@@ -7,6 +7,7 @@ use image::{DynamicImage, GrayImage, ImageReader, Limits, RgbImage};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::io;
+use std::sync::Arc;
 
 /// File locations and camera of one frame. Decoding happens in [`FrameRef::decode`].
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -93,7 +94,7 @@ pub struct Frame {
     /// 8-bit sRGB.
     pub colour: RgbImage,
     /// On its own grid, see [`colour_on_depth_grid`](Self::colour_on_depth_grid).
-    pub depth: DepthImage,
+    pub depth: Arc<DepthImage>,
     /// Projects into pixels of `colour`.
     pub colour_camera: Camera,
     /// Projects into pixels of `depth`.
@@ -129,10 +130,18 @@ impl FrameRef {
     /// # Errors
     /// [`FrameError`] naming the frame and the file.
     pub fn decode(&self) -> Result<Frame, FrameError> {
+        self.decode_with(Arc::new(self.decode_depth()?))
+    }
+
+    /// Reads the color picture of this frame. `depth` is its decoded depth picture.
+    ///
+    /// # Errors
+    /// [`FrameError`] naming the frame and the file.
+    pub fn decode_with(&self, depth: Arc<DepthImage>) -> Result<Frame, FrameError> {
         Ok(Frame {
             index: self.index,
             colour: self.decode_colour()?,
-            depth: self.decode_depth()?,
+            depth,
             colour_camera: self.colour_camera(),
             depth_camera: self.depth_camera(),
         })

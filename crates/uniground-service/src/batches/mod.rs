@@ -15,8 +15,8 @@ use crate::Capacity;
 use crate::error::Error;
 use job::Payload;
 use std::sync::Arc;
-use uniground_jobs::{JobKind, Jobs, JobsError};
-use uniground_storage::{BatchRepository, BatchRow, NewJob, ResumeOutcome, page};
+use uniground_jobs::{JobRequest, Jobs, JobsError};
+use uniground_storage::{BatchRepository, BatchRow, ResumeOutcome, page};
 use uniground_types::batch::{Batch, BatchList, BatchState};
 
 /// Concurrent questions of a batch that does not specify a number.
@@ -89,17 +89,11 @@ impl BatchService {
     /// Those of [`pause_batch`](Self::pause_batch); a full queue.
     pub async fn resume_batch(&self, id: &str) -> Result<Batch, Error> {
         let row = self.batch_row(id).await?;
-        self.jobs.check_queue_capacity::<BatchJob>(row.key_id.as_deref()).await?;
-        let payload = serde_json::to_string(&Payload { batch_id: id.to_owned() })?;
-        let job = NewJob {
-            kind: BatchJob::NAME,
-            payload: &payload,
-            key_id: row.key_id.as_deref(),
-            done: None,
-        };
-        match self.batch_repository.resume_batch(id, &job).await? {
-            ResumeOutcome::By(job) => drop(self.jobs.notify_worker::<BatchJob>(*job)),
-            ResumeOutcome::GoesOn => {}
+        let payload = Payload { batch_id: id.to_owned() };
+        let job = JobRequest::<BatchJob>::new(&payload, row.key_id.as_deref())?;
+        let resume = self.batch_repository.resume_batch(id, &job.row());
+        match self.jobs.enqueue(&job, resume).await? {
+            ResumeOutcome::By(_) | ResumeOutcome::GoesOn => {}
             ResumeOutcome::Over => {
                 return Err(Error::BatchOver { id: id.into(), state: row.state });
             }

@@ -10,8 +10,8 @@ use futures::{Stream, StreamExt};
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 use tokio::task::yield_now;
-use uniground_jobs::JobKind;
-use uniground_storage::{BatchRepository, NewBatch, NewItem, NewJob, ReceivedBatch, SubmitOutcome};
+use uniground_jobs::JobRequest;
+use uniground_storage::{BatchRepository, NewBatch, NewItem, ReceivedBatch, SubmitOutcome};
 use uniground_types::batch::{Batch, BatchRequest};
 use uniground_types::numbers::zero_or_more;
 
@@ -382,9 +382,8 @@ impl BatchService {
             Err(error) => Err(error),
         };
         match submitted {
-            Ok(SubmitOutcome::New(job)) => {
+            Ok(SubmitOutcome::New(_)) => {
                 unfinished.id = None;
-                self.jobs.notify_worker::<BatchJob>(job);
                 self.batch(&id).await
             }
             Ok(SubmitOutcome::MadeBefore(before)) => {
@@ -407,10 +406,11 @@ impl BatchService {
         received: &ReceivedBatch<'_>,
         caller: &Caller,
     ) -> Result<SubmitOutcome, Error> {
-        let payload = serde_json::to_string(&Payload { batch_id: received.id.to_owned() })?;
-        let job =
-            NewJob { kind: BatchJob::NAME, payload: &payload, key_id: caller.key_id(), done: None };
-        Ok(self.batch_repository.submit_batch(received, &job).await?)
+        let payload = Payload { batch_id: received.id.to_owned() };
+        // Its capacity was checked before the questions were received.
+        let job = JobRequest::<BatchJob>::new(&payload, caller.key_id())?.without_limit();
+        let submit = self.batch_repository.submit_batch(received, &job.row());
+        Ok(self.jobs.enqueue(&job, submit).await?)
     }
 }
 

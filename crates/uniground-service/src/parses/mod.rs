@@ -23,10 +23,10 @@ use job::Payload;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use uniground_jobs::{Job, JobKind, Jobs};
+use uniground_jobs::{Job, JobRequest, Jobs};
 use uniground_models::neural::Models;
 use uniground_parsing::scan::{STAGE_1_VERSION, names_of};
-use uniground_storage::{Blobs, JobRepository, NewJob, PinnedPath, SceneRepository};
+use uniground_storage::{Blobs, JobRepository, PinnedPath, SceneRepository};
 use uniground_types::corrections::{Change, Correction};
 use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};
 
@@ -75,11 +75,11 @@ impl ParseService {
         let wanted = self.wanted_parse(&scene.id, &scene.content_hash, settings, caller).await?;
         if wanted.stored.is_none() {
             self.capacity.check_disk(0)?;
-            self.jobs.check_queue_capacity::<ParseJob>(caller.key_id()).await?;
         }
-        let row = self.scene_repository.insert_scene_job(&scene.id, wanted.job()).await?;
-        let row = row.ok_or_else(|| Error::SceneNotFound { id: scene.id })?;
-        Ok(self.jobs.notify_worker::<ParseJob>(row))
+        let insert = self.scene_repository.insert_scene_job(&scene.id, wanted.job.row());
+        let row = self.jobs.enqueue(&wanted.job, insert).await?;
+        let row = row.ok_or_else(|| Error::SceneNotFound { id: scene.id.clone() })?;
+        Ok(self.jobs.to_job(row))
     }
 
     /// Prepares a scene's parse, before it is recorded.
@@ -90,12 +90,13 @@ impl ParseService {
         settings: &ParseSettings,
         caller: &Caller,
     ) -> Result<WantedParse, Error> {
-        let payload = serde_json::to_string(&Payload {
-            scene_id: scene_id.to_owned(),
-            settings: settings.clone(),
-        })?;
+        let payload = Payload { scene_id: scene_id.to_owned(), settings: settings.clone() };
+        let mut job = JobRequest::new(&payload, caller.key_id())?;
         let stored = self.parsed_scenes.stored_parse(content_hash, settings).await?;
-        Ok(WantedParse { payload, key_id: caller.key_id().map(str::to_owned), stored })
+        if let Some(id) = &stored {
+            job = job.with_result(id.clone(), job::STORED_PARSE_USED);
+        }
+        Ok(WantedParse { job, stored })
     }
 
     /// Parses a scene again, with a preset in which single values are replaced.
@@ -164,21 +165,8 @@ fn renamed(corrections: &[Correction]) -> BTreeMap<u32, String> {
 
 /// A requested parse: to be computed, or already stored.
 pub(super) struct WantedParse {
-    payload: String,
-    key_id: Option<String>,
+    pub(super) job: JobRequest<ParseJob>,
     pub(super) stored: Option<String>,
-}
-
-impl WantedParse {
-    pub(super) fn job(&self) -> NewJob<'_> {
-        let done = self.stored.as_deref().map(|id| (id, job::STORED_PARSE_USED));
-        NewJob {
-            kind: ParseJob::NAME,
-            payload: &self.payload,
-            key_id: self.key_id.as_deref(),
-            done,
-        }
-    }
 }
 
 /// Returns a hash of settings, with the models and the version of the code that use them.

@@ -13,11 +13,11 @@ use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{Instance, correct};
 use uniground_grounding::vlm::naming;
 use uniground_grounding::{NameIndex, PictureCache};
-use uniground_jobs::{JobKind, Jobs};
+use uniground_jobs::{JobRequest, Jobs};
 use uniground_models::neural::Models;
 use uniground_parsing::scan::{chosen, names_of};
 use uniground_storage::{
-    Blobs, CheckDepth, CorrectionRepository, DamagedFile, NameRepository, NewJob, ParseRecord,
+    Blobs, CheckDepth, CorrectionRepository, DamagedFile, NameRepository, ParseRecord,
     ParseRepository, PinnedPath, SceneRepository,
 };
 use uniground_types::settings::ParseSettings;
@@ -80,19 +80,16 @@ impl ParsedScenes {
             self.parse_repository.parse(parse_id).await?.map(|parse| parse.record().settings);
         for scene in self.parse_repository.retire_parse(parse_id).await? {
             let Some(settings) = &settings else { continue };
-            let payload = serde_json::to_string(&Payload {
-                scene_id: scene.id.clone(),
-                settings: settings.clone(),
-            })?;
-            let job = NewJob { kind: ParseJob::NAME, payload: &payload, key_id: None, done: None };
-            if let Some(row) = self.scene_repository.insert_scene_job(&scene.id, job).await? {
+            let payload = Payload { scene_id: scene.id.clone(), settings: settings.clone() };
+            let job = JobRequest::<ParseJob>::new(&payload, None)?.without_limit();
+            let insert = self.scene_repository.insert_scene_job(&scene.id, job.row());
+            if let Some(row) = self.jobs.enqueue(&job, insert).await? {
                 tracing::info!(
                     parse_id,
                     scene_id = scene.id,
                     job_id = row.id,
                     "parsing a scene again"
                 );
-                self.jobs.notify_worker::<ParseJob>(row);
             }
         }
         Ok(())

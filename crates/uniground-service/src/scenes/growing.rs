@@ -127,21 +127,20 @@ impl GrowthService {
             .map(|parse| parse.record().settings)
             .unwrap_or_default();
         let wanted = self.parse_service.wanted_parse(scene_id, &laid, &settings, caller).await?;
-        let grew = self.scene_repository.grow_scene(SceneGrowth {
+        let grow = self.scene_repository.grow_scene(SceneGrowth {
             scene_id,
             from_content: &from_content,
             content_hash: &laid,
             content_bytes: bytes,
             key: key.as_deref().map(|key| (key, request.as_str())),
-            job: wanted.job(),
+            job: wanted.job.row(),
         });
-        let grew = grew.await?;
+        let grew = self.jobs.enqueue(&wanted.job, grow).await?;
         drop(references);
         match grew {
-            GrowthOutcome::Now(row, job) => Ok((
-                self.scene_lookup.present(row).await?,
-                self.jobs.notify_worker::<ParseJob>(*job),
-            )),
+            GrowthOutcome::Now(row, job) => {
+                Ok((self.scene_lookup.present(row).await?, self.jobs.to_job(*job)))
+            }
             GrowthOutcome::Before(row) => self.grown_before(row).await,
             GrowthOutcome::KeyReused => Err(Error::IdempotencyKeyReused),
             GrowthOutcome::Overtaken => Err(Error::GrowthOvertaken { id: scene_id.to_owned() }),

@@ -3,7 +3,6 @@
 
 use super::pieces::BodyPieces;
 use crate::error::Error;
-use crate::parses::WantedParse;
 use crate::{
     Caller, Capacity, Limits, MAX_UPLOADS, ParseJob, ParseService, SceneLookup, ServiceLocks,
 };
@@ -246,25 +245,24 @@ impl ImportService {
             }
             None => None,
         };
-        if wanted.as_ref().is_some_and(|wanted| wanted.stored.is_none()) {
-            self.jobs.check_queue_capacity::<ParseJob>(caller.key_id()).await?;
-        }
-        let inserted = self.scene_repository.insert_scene(NewSceneRow {
+        let insert = self.scene_repository.insert_scene(NewSceneRow {
             id: &id,
             name: &name,
             content_hash: &received.hash,
             content_bytes: received.bytes,
             key_id: caller.key_id(),
             key: idempotency_key.as_deref().map(|key| (key, request.as_str())),
-            job: wanted.as_ref().map(WantedParse::job),
+            job: wanted.as_ref().map(|wanted| wanted.job.row()),
         });
-        let inserted = inserted.await?;
+        let inserted = match &wanted {
+            Some(wanted) => self.jobs.enqueue(&wanted.job, insert).await?,
+            None => insert.await?,
+        };
         drop(references);
         match inserted {
-            InsertOutcome::New(row, job) => Ok((
-                self.scene_lookup.present(row).await?,
-                job.map(|job| self.jobs.notify_worker::<ParseJob>(*job)),
-            )),
+            InsertOutcome::New(row, job) => {
+                Ok((self.scene_lookup.present(row).await?, job.map(|job| self.jobs.to_job(*job))))
+            }
             InsertOutcome::MadeBefore(row) => self.made_before(row, parse, caller).await,
             InsertOutcome::KeyReused => Err(Error::IdempotencyKeyReused),
         }
