@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: check web web-check web-test demo serve test models test-postgres test-vectors test-objects test-deploy test-cluster test-models lint deny fmt book fuzz mutants attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-programs bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers bench-isolation
+.PHONY: check web web-check web-test demo serve test models test-postgres test-vectors test-objects test-deploy test-cluster test-models lint deny fmt book fuzz packages mutants attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-programs bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers bench-isolation
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -74,6 +74,9 @@ book: ## The manual as pages, to target/book (installs mdbook into .venv-book)
 
 fuzz: ## Every fuzz target for SECONDS=60 each (needs a nightly compiler and cargo-fuzz)
 	scripts/fuzz.sh $(or $(SECONDS),60)
+
+packages: ## What a release publishes, to dist/: an archive and a Python wheel, each installed and tried
+	PYTHON=$(PYTHON) scripts/packages.sh
 
 mutants: ## Small changes to the method's code, and how many of them a unit test notices (SHARD=0/12)
 	scripts/mutants.sh $(or $(SHARD),0/12)
