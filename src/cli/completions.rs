@@ -1,4 +1,4 @@
-//! `uniground completions`: what a shell needs to complete this program's words.
+//! `uniground completions`: prints a completion script for a shell.
 
 use super::Cli;
 use clap::CommandFactory;
@@ -15,7 +15,7 @@ pub struct CompletionsArgs {
 }
 
 pub fn run(CompletionsArgs { shell }: &CompletionsArgs) -> anyhow::Result<()> {
-    // What generates them panics where nobody reads on.
+    // The generator panics when standard output is closed early, so the script is built in memory.
     let mut script = Vec::new();
     generate(*shell, &mut Cli::command(), "uniground", &mut script);
     Ok(io::stdout().write_all(&script)?)
