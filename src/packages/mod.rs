@@ -34,7 +34,7 @@ pub enum FetchError {
         "{part}: no package has it for {system}: install it and name its file with ORT_DYLIB_PATH"
     )]
     NoBuild { part: &'static str, system: String },
-    #[error("{package}: {address} can not be asked: {why}. Is there a network? {remedy}")]
+    #[error("{package}: {address} cannot be reached: {why}. Check the network connection. {remedy}")]
     Unreachable { package: String, address: String, why: String, remedy: String },
     #[error("{package}: {address} does not have {archive}. {remedy}")]
     NotListed { package: String, address: String, archive: String, remedy: String },
@@ -46,7 +46,7 @@ pub enum FetchError {
         "{package}: the archive is not {expected} bytes long: the download broke off, or it is not what was published; fetch again"
     )]
     WrongSize { package: String, expected: u64 },
-    #[error("{package}: the archive can not be unpacked: {why}")]
+    #[error("{package}: the archive cannot be unpacked: {why}")]
     Archive { package: String, why: String },
     #[error("{file}: {why}")]
     File { file: Utf8PathBuf, why: io::Error },

@@ -39,7 +39,7 @@ where
 {
     ensure!(
         Url::parse(endpoint).is_ok_and(|url| url.has_host()),
-        "--otlp-endpoint: this is not an address"
+        "--otlp-endpoint: invalid URL"
     );
     super::hide_secrets_of(endpoint);
     choose_cryptography();
