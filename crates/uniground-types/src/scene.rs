@@ -259,8 +259,7 @@ pub struct ImportReport {
     /// Transform from the files to the scene. `null` in records from older versions.
     #[serde(default)]
     pub source_to_scene: Option<SourceToScene>,
-    /// How level the world of the files is, and by what that was told; `null` where nothing was
-    /// there to tell by.
+    /// Tilt of the files' world and its evidence. `null` if it could not be estimated.
     #[serde(default)]
     pub levelling: Option<Levelling>,
     /// Direction of the poses in the files.
