@@ -99,7 +99,7 @@ pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyho
     }
     match batch.state {
         BatchState::Paused => {
-            let why = batch.reason.unwrap_or_else(|| "paused by a user".into());
+            let why = batch.reason.unwrap_or_else(|| "by a user".into());
             bail!("the batch is paused ({why}). Run the same command again to resume it.")
         }
         BatchState::Cancelled => bail!("the batch was cancelled"),

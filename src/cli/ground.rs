@@ -85,7 +85,7 @@ fn eyes(text: &str) -> Result<ObserverArg, String> {
     match numbers.as_deref() {
         Some(&[x, y, yaw_deg]) => Ok(ObserverArg { at: [x, y], z: None, yaw_deg }),
         Some(&[x, y, z, yaw_deg]) => Ok(ObserverArg { at: [x, y], z: Some(z), yaw_deg }),
-        _ => Err("expected x,y,yaw or x,y,z,yaw: metres, and degrees from +X towards +Y".into()),
+        _ => Err("expected x,y,yaw or x,y,z,yaw in meters, with the yaw in degrees from +X towards +Y".into()),
     }
 }
 

@@ -64,7 +64,7 @@ struct ImportOutput<'a> {
     #[serde(flatten)]
     report: &'a ImportReport,
     neighbours: Option<NeighborAgreement>,
-    /// Full extent of the cloud, metres.
+    /// Full extent of the cloud, meters.
     extent_m: Option<[f32; 3]>,
 }
 

@@ -29,14 +29,14 @@ const STREAMED_UNLESS_JSON: &str = "/v1/batches";
 /// The slowest body that is accepted.
 #[derive(Debug, Clone, Copy)]
 struct MinimumRate {
-    /// Longest pause between two pieces.
+    /// Maximum pause between two chunks.
     silence: Duration,
     /// Longest time for a body of any size; for a streamed one, the time after which its rate
     /// counts.
     grace: Duration,
-    /// Least average rate of a body that takes longer than `grace`; `None`: none may.
+    /// Minimum average rate of a body that takes longer than `grace`. `None`: no body may.
     bytes_per_s: Option<u64>,
-    /// Longest time for the whole body.
+    /// Maximum time for the whole body.
     total: Duration,
 }
 

@@ -207,8 +207,8 @@ impl BodyProgress {
         self.arrived().waiting_since = None;
     }
 
-    /// Returns how far the client is behind one that sends [`EXPECTED_BYTES_PER_S`]; `None` if it
-    /// is not, or if nobody waits for it.
+    /// Returns how far the client lags behind [`EXPECTED_BYTES_PER_S`]. `None` if it does not lag,
+    /// or if the server does not wait for it.
     fn lag(&self, now: Instant) -> Option<Duration> {
         let arrived = self.arrived();
         let waited = arrived.waited + now.saturating_duration_since(arrived.waiting_since?);
@@ -229,8 +229,8 @@ impl ConnectionLimiter {
         self.taken.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes a place, if need be that of the connection whose client has kept the server waiting
-    /// longest. Returns `None` while all requests are being answered.
+    /// Takes a slot. If all are taken, closes the connection that has kept the server waiting
+    /// longest. Returns `None` if all connections have running requests.
     fn enter(&self) -> Option<ConnectionSlot> {
         let (mut taken, now) = (self.taken(), Instant::now());
         if taken.len() >= self.most {

@@ -43,8 +43,8 @@ pub fn checked(limit: u32, cursor: Option<String>) -> Result<(u32, Option<String
     Ok((limit, cursor))
 }
 
-/// Returns whether a text is an id as it is stored. A UUID in braces or capitals would be parsed
-/// too, but ids are compared as text.
+/// Returns whether a text is an id in its stored form. UUIDs in braces or capitals are rejected,
+/// because ids are compared as text.
 fn is_id(text: &str) -> bool {
     text.parse().is_ok_and(|id: Uuid| id.to_string() == text)
 }

@@ -36,7 +36,7 @@ pub(super) fn all() -> Vec<Tool> {
         ),
         tool::<Ground, Grounded>(
             "ground",
-            "Finds the object that a sentence describes and returns its 3D box: \"the black chair closest to the door\". The status tells if no object or several objects fit.",
+            "Finds the object that a sentence describes and returns its 3D box: \"the black chair closest to the door\". The status shows whether no object or several objects fit.",
         ),
         tool::<FindInScenes, FoundBriefs>(
             "find_in_scenes",

@@ -116,7 +116,7 @@ impl ParseSettings {
         let fusion = &self.import.fusion;
         for (pointer, fine, expected) in [
             ("/min_share_of_mean", (0.0..=1.0).contains(&fusion.min_share_of_mean), "0 to 1"),
-            ("/voxel_m", (0.001..=1.0).contains(&fusion.voxel_m), "0.001 to 1 metres"),
+            ("/voxel_m", (0.001..=1.0).contains(&fusion.voxel_m), "0.001 to 1 meters"),
             ("/truncation_voxels", (1.0..=20.0).contains(&fusion.truncation_voxels), "1 to 20"),
             ("/max_depth_m", fusion.max_depth_m.is_finite() && fusion.max_depth_m > 0.0, "above 0"),
             (

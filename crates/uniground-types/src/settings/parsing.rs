@@ -131,7 +131,7 @@ impl ParsingSettings {
             (
                 "/superpoints/voxel_m",
                 (0.001..=10.0).contains(&superpoints.voxel_m),
-                "0.001 to 10 metres",
+                "0.001 to 10 meters",
             ),
             (
                 "/superpoints/seed_m",
@@ -206,7 +206,7 @@ impl ParsingSettings {
             (
                 "/instances/stray_voxel_m",
                 (0.001..=10.0).contains(&instances.stray_voxel_m),
-                "0.001 to 10 metres",
+                "0.001 to 10 meters",
             ),
             ("/instances/min_agreement", share(instances.min_agreement), "0 to 1"),
             (
