@@ -125,9 +125,9 @@ impl AccessConfig {
     /// Returns an error if the secret cannot be read or is too short.
     pub fn link_secret(&self) -> anyhow::Result<Option<LinkSecret>> {
         let secret = match &self.link_secret_file {
-            Some(file) => Some(
-                fs::read_to_string(file).with_context(|| format!("the secret file {file}"))?,
-            ),
+            Some(file) => {
+                Some(fs::read_to_string(file).with_context(|| format!("the secret file {file}"))?)
+            }
             None => std::env::var("UNIGROUND_LINK_SECRET").ok(),
         };
         let Some(secret) = secret.map(|secret| secret.trim().to_owned()) else { return Ok(None) };
@@ -169,9 +169,9 @@ impl WebhookConfig {
             Some(file) => {
                 fs::read_to_string(file).with_context(|| format!("the secret file {file}"))?
             }
-            None => {
-                std::env::var("UNIGROUND_WEBHOOK_SECRET").context("--webhook-url requires --webhook-secret-file or UNIGROUND_WEBHOOK_SECRET")?
-            }
+            None => std::env::var("UNIGROUND_WEBHOOK_SECRET").context(
+                "--webhook-url requires --webhook-secret-file or UNIGROUND_WEBHOOK_SECRET",
+            )?,
         };
         telemetry::hide(secret.trim());
         Ok(Some(Webhook::new(url, &secret, self.webhook_allow_private).context("--webhook-url")?))

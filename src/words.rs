@@ -16,10 +16,7 @@ pub fn provider() -> impl TypedValueParser<Value = Provider> {
 }
 
 pub fn preset() -> impl TypedValueParser<Value = ParsePreset> {
-    words(&[
-        ("default", "Best accuracy over several rooms"),
-        ("paper", "The values of the paper"),
-    ])
+    words(&[("default", "Best accuracy over several rooms"), ("paper", "The values of the paper")])
 }
 
 pub fn reasoner() -> impl TypedValueParser<Value = ReasonerChoice> {
@@ -43,7 +40,8 @@ pub fn evidence() -> impl TypedValueParser<Value = EvidenceMode> {
         ("full", "Photographs of every candidate, as in the paper"),
         (
             "cached-names",
-            "Cached names from a model and a smaller render; photographs only of candidates with the same name",
+            "Cached names from a model and a smaller render; photographs only of candidates with \
+             the same name",
         ),
         ("sheet", "One photograph each of 24 candidates, on contact sheets"),
         ("two-step", "Contact sheets first, then photographs of the best three"),

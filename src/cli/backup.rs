@@ -24,7 +24,10 @@ pub struct BackupArgs {
 
 pub async fn run(BackupArgs { to, data_dir, json: as_json }: &BackupArgs) -> anyhow::Result<()> {
     telemetry::start_quiet();
-    ensure!(!(*as_json && to == "-"), "--json cannot be used when the backup goes to standard output");
+    ensure!(
+        !(*as_json && to == "-"),
+        "--json cannot be used when the backup goes to standard output"
+    );
     let begun = Instant::now();
     let done = back_up(data_dir, BackupTarget::of(to)).await?;
     let BackupReport { scenes, answers, folders, bytes, new_folders, new_bytes, left_out } = done;
@@ -49,7 +52,8 @@ pub async fn run(BackupArgs { to, data_dir, json: as_json }: &BackupArgs) -> any
     match left_out.len() {
         0 => Ok(()),
         n => bail!(
-            "{n} folders are missing or damaged and are not in the backup. Run `uniground doctor --data-dir {data_dir}`."
+            "{n} folders are missing or damaged and are not in the backup. Run `uniground doctor \
+             --data-dir {data_dir}`."
         ),
     }
 }

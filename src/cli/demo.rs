@@ -48,7 +48,8 @@ const QUESTIONS: [&str; 4] = [
     "the green fridge",
 ];
 /// Hint on how to run the demo with models.
-const WITH_MODELS: &str = "With two small models it finds more objects but takes minutes:\n  uniground models fetch && uniground demo --masks auto --encoder auto";
+const WITH_MODELS: &str = "With two small models it finds more objects but takes minutes:\n  \
+                           uniground models fetch && uniground demo --masks auto --encoder auto";
 /// Maximum number of objects to list.
 const LISTED: usize = 12;
 

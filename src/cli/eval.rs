@@ -277,7 +277,9 @@ fn compare(args: &DiffArgs) -> anyhow::Result<()> {
             .flat_map(|report| queries(&report))
             .collect();
         write!(out, "{}", describe(&changes, |id| known.get(id).cloned()))?;
-        unpaired.iter().try_for_each(|cell| writeln!(out, "{cell}: only in one of the two reports"))?;
+        unpaired
+            .iter()
+            .try_for_each(|cell| writeln!(out, "{cell}: only in one of the two reports"))?;
     }
     ensure!(!changes.is_empty(), "the two reports have no cell in common");
     Ok(())

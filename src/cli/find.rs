@@ -74,8 +74,7 @@ fn print(found: &ManyAnswers) -> anyhow::Result<()> {
         0 => String::new(),
         left_out => format!(", {left_out} could not be searched: {}", found.not_asked[0].detail),
     };
-    let narrowed =
-        if found.narrowed { ", the most likely of more than 1,000" } else { "" };
+    let narrowed = if found.narrowed { ", the most likely of more than 1,000" } else { "" };
     eprintln!("{} searched{narrowed}{left_out}", counted(found.looked_into));
     Ok(())
 }

@@ -63,9 +63,13 @@ pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
             // Compacting rewrites the database. The rows are removed even if it fails, but the
             // database file does not shrink.
             Err(error) if error.is_full() => {
-                eprintln!("not enough disk space to compact the database. Free some space and run gc again.");
+                eprintln!(
+                    "not enough disk space to compact the database. Free some space and run gc \
+                     again."
+                );
             }
-            compacted => compacted.context("the entries were removed, but the database could not be compacted")?,
+            compacted => compacted
+                .context("the entries were removed, but the database could not be compacted")?,
         }
     }
     store.close().await;

@@ -85,7 +85,10 @@ fn eyes(text: &str) -> Result<ObserverArg, String> {
     match numbers.as_deref() {
         Some(&[x, y, yaw_deg]) => Ok(ObserverArg { at: [x, y], z: None, yaw_deg }),
         Some(&[x, y, z, yaw_deg]) => Ok(ObserverArg { at: [x, y], z: Some(z), yaw_deg }),
-        _ => Err("expected x,y,yaw or x,y,z,yaw in meters, with the yaw in degrees from +X towards +Y".into()),
+        _ => Err(
+            "expected x,y,yaw or x,y,z,yaw in meters, with the yaw in degrees from +X towards +Y"
+                .into(),
+        ),
     }
 }
 
@@ -103,10 +106,7 @@ pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
     let usage = |kind, message: &str| -> ! { wrong_usage("ground", kind, message) };
     if args.frame == FrameChoice::Source && args.observer.is_some_and(|eyes| eyes.z.is_none()) {
         // The files may have another up axis and other units.
-        usage(
-            ErrorKind::ValueValidation,
-            "--observer: with --frame source, give all of x,y,z,yaw",
-        );
+        usage(ErrorKind::ValueValidation, "--observer: with --frame source, give all of x,y,z,yaw");
     }
     let request = GroundRequest {
         top_k: args.top_k,
@@ -120,12 +120,13 @@ pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
     let answer = match (&args.scan, &args.scene) {
         (Some(_), _) if args.server.given().is_some() => usage(
             ErrorKind::ArgumentConflict,
-            "a local scan is processed without a server, so --server cannot be used. To ask a server, run \
-             uniground upload SCAN, then uniground ground --scene SCENE QUESTION",
+            "a local scan is processed without a server, so --server cannot be used. To ask a \
+             server, run uniground upload SCAN, then uniground ground --scene SCENE QUESTION",
         ),
         (Some(_), _) if args.frame == FrameChoice::Map => usage(
             ErrorKind::ArgumentConflict,
-            "--frame map cannot be used with a local scan. It needs a scene of a server that has a map transform.",
+            "--frame map cannot be used with a local scan. It needs a scene of a server that has a \
+             map transform.",
         ),
         (Some(scan), _) => Box::pin(local::answer(scan, &args.local, request)).await?,
         (None, Some(scene)) => ask(args, scene, &request).await?,
@@ -135,7 +136,8 @@ pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
         ),
         (None, None) => usage(
             ErrorKind::MissingRequiredArgument,
-            "the scan or the scene is missing. Use uniground ground SCAN QUESTION for a local scan, or --scene SCENE for a scene of a server.",
+            "the scan or the scene is missing. Use uniground ground SCAN QUESTION for a local \
+             scan, or --scene SCENE for a scene of a server.",
         ),
     };
     match args.json {
@@ -197,10 +199,12 @@ fn print(answer: &Answer) -> anyhow::Result<()> {
 /// Returns a warning that a built-in component replaced a model, with the reasons.
 fn without_model(answer: &Answer) -> String {
     let why = answer.trace.iter().flat_map(|trace| &trace.corrections).map(String::as_str);
-    std::iter::once("DEGRADED: a model could not be used for this answer; built-in components replaced it")
-        .chain(why)
-        .collect::<Vec<_>>()
-        .join("\n  ")
+    std::iter::once(
+        "DEGRADED: a model could not be used for this answer; built-in components replaced it",
+    )
+    .chain(why)
+    .collect::<Vec<_>>()
+    .join("\n  ")
 }
 
 #[cfg(test)]

@@ -40,7 +40,8 @@ pub fn with_help(error: anyhow::Error) -> anyhow::Error {
                 .url()
                 .map_or_else(|| "this address".into(), |url| url.origin().ascii_serialization());
             let why = error.chain().last().map(ToString::to_string).unwrap_or_default();
-            let help = "Is it running? `uniground serve` starts one. For another address, use --server, or UNIGROUND_SERVER";
+            let help = "Is it running? `uniground serve` starts one. For another address, use \
+                        --server, or UNIGROUND_SERVER";
             anyhow::anyhow!("cannot connect to the server at {address}: {why}\n{help}")
         }
         Some(ClientError::Problem(problem)) if problem.status == 401 => {
@@ -49,18 +50,24 @@ pub fn with_help(error: anyhow::Error) -> anyhow::Error {
                     true => "this server does not accept the key in UNIGROUND_API_KEY",
                     false => "set UNIGROUND_API_KEY to your key",
                 };
-            ended(&error, &format!("{help}; an administrator can create one with `uniground key create`"))
+            ended(
+                &error,
+                &format!("{help}; an administrator can create one with `uniground key create`"),
+            )
         }
         Some(ClientError::Problem(problem)) if problem.code == "scope_missing" => ended(
             &error,
-            "an administrator can create a key with more rights: `uniground key create NAME --scope write`",
+            "an administrator can create a key with more rights: `uniground key create NAME \
+             --scope write`",
         ),
         Some(ClientError::Problem(problem)) if problem.code == "scene_not_found" => {
             ended(&error, "`uniground scenes` lists all scenes")
         }
-        Some(ClientError::BadAddress(_)) => {
-            ended(&error, "the address must look like http://127.0.0.1:8080. Set it with --server, or UNIGROUND_SERVER")
-        }
+        Some(ClientError::BadAddress(_)) => ended(
+            &error,
+            "the address must look like http://127.0.0.1:8080. Set it with --server, or \
+             UNIGROUND_SERVER",
+        ),
         Some(ClientError::Unexpected { .. }) => ended(
             &error,
             "Is this a uniground server? For another address, use --server, or UNIGROUND_SERVER",

@@ -134,9 +134,9 @@ fn summary(
     };
     lines.push(("frames", format!("{}{skipped}", report.frames)));
     if report.frames > 0 {
-        let agreement = report.reprojection_agreement.map_or("unknown".into(), |a| {
-            format!("{:.0}% of the points in view", a * 100.0)
-        });
+        let agreement = report
+            .reprojection_agreement
+            .map_or("unknown".into(), |a| format!("{:.0}% of the points in view", a * 100.0));
         lines.push((
             "depth fits",
             format!("{agreement} (poses {:?}, cameras {})", report.pose, report.camera_axes),

@@ -117,7 +117,12 @@ impl KeyStore {
     ) -> anyhow::Result<Self> {
         let store = Store::open_beside(folder, &database.location, &blobs.home()?)
             .await
-            .with_context(|| format!("data folder {folder} (if its server is running, omit --data-dir and use --server)"))?;
+            .with_context(|| {
+                format!(
+                    "data folder {folder} (if its server is running, omit --data-dir and use \
+                     --server)"
+                )
+            })?;
         let keys = Keyring::open(&store, None).await?;
         Ok(Self::Folder(Box::new(StoppedServer { keys, store })))
     }
@@ -178,12 +183,9 @@ pub async fn run(args: &KeyArgs) -> anyhow::Result<()> {
             let revoked = revoked?;
             match place.json {
                 true => print_json(&revoked),
-                false => Ok(writeln!(
-                    io::stdout(),
-                    "revoked {} ({})",
-                    revoked.prefix,
-                    revoked.name
-                )?),
+                false => {
+                    Ok(writeln!(io::stdout(), "revoked {} ({})", revoked.prefix, revoked.name)?)
+                }
             }
         }
     }

@@ -46,8 +46,9 @@ pub struct LocalArgs {
 /// Delay between attempts to open a folder that another process uses.
 const AGAIN: Duration = Duration::from_millis(200);
 /// Hint on how to ask with models.
-const WITH_MODELS: &str = "Names come from size and color only. Two small models find more objects but take minutes: run \
-                           `uniground models fetch`, then --masks auto --encoder auto";
+const WITH_MODELS: &str = "Names come from size and color only. Two small models find more \
+                           objects but take minutes: run `uniground models fetch`, then --masks auto \
+                           --encoder auto";
 
 /// # Errors
 /// Returns an error if the scan, the folder or the question is invalid.
@@ -82,9 +83,7 @@ fn usual_cache() -> anyhow::Result<Utf8PathBuf> {
     let caches =
         folder("XDG_CACHE_HOME").or_else(|| folder("HOME").map(|home| home.join(".cache")));
     Ok(caches
-        .context(
-            "--cache FOLDER is required because neither XDG_CACHE_HOME nor HOME is set",
-        )?
+        .context("--cache FOLDER is required because neither XDG_CACHE_HOME nor HOME is set")?
         .join("uniground"))
 }
 
@@ -104,7 +103,8 @@ async fn start(
             Err(error) if is_used(&error) => {
                 if !std::mem::replace(&mut is_told, true) {
                     eprintln!(
-                        "{cache} is in use by another uniground process; waiting (--cache FOLDER selects another folder)"
+                        "{cache} is in use by another uniground process; waiting (--cache FOLDER \
+                         selects another folder)"
                     );
                 }
                 sleep(AGAIN).await;

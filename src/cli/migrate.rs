@@ -83,7 +83,8 @@ pub async fn run(args: &MigrateArgs) -> anyhow::Result<()> {
     }
     if moved.texts_changed > 0 {
         println!(
-            "in {} texts, NUL characters were replaced by U+FFFD because PostgreSQL cannot store them",
+            "in {} texts, NUL characters were replaced by U+FFFD because PostgreSQL cannot store \
+             them",
             moved.texts_changed
         );
     }

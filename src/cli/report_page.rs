@@ -24,9 +24,9 @@ pub(super) fn render(
     );
     let _ = write!(
         page,
-        "<p>{} points, {} of {} frames used, {} superpoints, {} instances ({} structural), {} parts and wholes, {} without a view; \
-         dropped {} regions that no mask supports and {} specks. \
-         Read as {}, up was {}, poses {:?}.</p>",
+        "<p>{} points, {} of {} frames used, {} superpoints, {} instances ({} structural), \
+         {} parts and wholes, {} without a view; dropped {} regions that no mask supports and {} \
+         specks. Read as {}, up was {}, poses {:?}.</p>",
         report.points,
         report.frames_used,
         import.frames,
@@ -63,7 +63,10 @@ pub(super) fn render(
             escaped(&picture.title)
         );
     }
-    page.push_str("<h2>Instances</h2><table><tr><th>id<th>level<th>name<th>center, m<th>size, m<th>points<th>rests on</tr>");
+    page.push_str(
+        "<h2>Instances</h2><table><tr><th>id<th>level<th>name<th>center, m<th>size, m<th>points\
+         <th>rests on</tr>",
+    );
     for instance in &scene.instances {
         let triple = |v: [f32; 3]| format!("{:.2} {:.2} {:.2}", v[0], v[1], v[2]);
         let _ = write!(

@@ -27,14 +27,16 @@ pub async fn id_of(client: &Client, wanted: &str) -> anyhow::Result<String> {
     match &found[..] {
         [only] => Ok(only.id.clone()),
         [] if scenes.is_empty() => bail!(
-            "there is no scene {wanted:?}: the server has no scenes yet\n`uniground upload SCAN` adds one"
+            "there is no scene {wanted:?}: the server has no scenes yet\n`uniground upload SCAN` \
+             adds one"
         ),
         [] => bail!(
             "there is no scene {wanted:?}; the scenes are\n{}\n`uniground scenes` shows details",
             listed(&scenes.iter().collect::<Vec<_>>())
         ),
         several => bail!(
-            "{wanted:?} matches {} scenes:\n{}\ngive more of the name or of the id; `uniground scenes` shows details",
+            "{wanted:?} matches {} scenes:\n{}\ngive more of the name or of the id; `uniground \
+             scenes` shows details",
             several.len(),
             listed(several)
         ),
@@ -48,13 +50,15 @@ pub async fn known_or(client: &Client, wanted: &str, error: ClientError) -> anyh
             match all(client).await {
                 Ok(scenes) if scenes.is_empty() => {
                     anyhow::anyhow!(
-                        "there is no scene {wanted}: the server has no scenes yet\n`uniground upload SCAN` adds one"
+                        "there is no scene {wanted}: the server has no scenes yet\n`uniground \
+                         upload SCAN` adds one"
                     )
                 }
                 Ok(scenes) => {
                     let listed = listed(&scenes.iter().collect::<Vec<_>>());
                     anyhow::anyhow!(
-                        "there is no scene {wanted}; the scenes are\n{listed}\n`uniground scenes` shows details"
+                        "there is no scene {wanted}; the scenes are\n{listed}\n`uniground scenes` \
+                         shows details"
                     )
                 }
                 Err(_) => error.into(),

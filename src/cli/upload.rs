@@ -114,7 +114,8 @@ async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
             eprintln!("ask: uniground ground --scene {named}{flag} \"the chair next to the door\"");
         }
         false => eprintln!(
-            "the parse is running; ask: uniground ground --scene {named}{flag} --wait \"the chair next to the door\""
+            "the parse is running; ask: uniground ground --scene {named}{flag} --wait \"the chair \
+             next to the door\""
         ),
     }
     Ok(())

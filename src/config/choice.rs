@@ -162,8 +162,11 @@ impl ModelChooser<'_> {
             self.lying.iter().filter(|bundle| bundle.role == Some(role)).cloned().collect();
         let names: Vec<&str> = candidates.iter().map(|bundle| bundle.name.as_str()).collect();
         if names.is_empty() {
-            let kind = if role == Role::Masks { "segmentation model" } else { "image-text encoder" };
-            return format!("built in (no {kind} in {folder}; run uniground models fetch to get one)");
+            let kind =
+                if role == Role::Masks { "segmentation model" } else { "image-text encoder" };
+            return format!(
+                "built in (no {kind} in {folder}; run uniground models fetch to get one)"
+            );
         }
         let names = names.join(", ");
         if self.engine.is_none() {

@@ -82,8 +82,10 @@ fn registry(
     let base = base.with_context(|| {
         format!("{}: invalid registry address", by.as_deref().unwrap_or_default())
     })?;
-    let remedy =
-        by.map_or_else(|| format!("{remedy}."), |by| format!("{remedy}. The current one comes from {by}."));
+    let remedy = by.map_or_else(
+        || format!("{remedy}."),
+        |by| format!("{remedy}. The current one comes from {by}."),
+    );
     Ok(Registry { base, remedy })
 }
 

@@ -153,9 +153,8 @@ impl Modify for BearerAuth {
     fn modify(&self, openapi: &mut utoipa::openapi::OpenApi) {
         let components = openapi.components.get_or_insert_default();
         let mut scheme = Http::new(HttpAuthScheme::Bearer);
-        scheme.description = Some(
-            "The scope that an operation requires: read, write or admin.".into(),
-        );
+        scheme.description =
+            Some("The scope that an operation requires: read, write or admin.".into());
         components.add_security_scheme("key", SecurityScheme::Http(scheme));
     }
 }

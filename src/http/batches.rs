@@ -97,7 +97,8 @@ pub async fn create(
             {
                 return Err(ProblemResponse::invalid(
                     "query",
-                    "put these options into the JSON body: defaults.scene_id, label, concurrency, max_cost_usd",
+                    "put these options into the JSON body: defaults.scene_id, label, concurrency, \
+                     max_cost_usd",
                 ));
             }
             let Json(request) = Json::<BatchRequest>::from_request(request, &()).await?;
@@ -108,7 +109,8 @@ pub async fn create(
                 .await?
         }
         other => {
-            let detail = format!("a batch must be application/json or application/jsonl, not {other:?}");
+            let detail =
+                format!("a batch must be application/json or application/jsonl, not {other:?}");
             return Err(ProblemResponse::new(
                 StatusCode::UNSUPPORTED_MEDIA_TYPE,
                 "unsupported_media_type",

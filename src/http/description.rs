@@ -13,7 +13,8 @@ use utoipa::openapi::{Content, Header, Ref, RefOr, Response, ResponseBuilder, Sc
     info(
         title = "uniground",
         description = "3D visual grounding as a service: upload a scan of a room, ask in plain words, get the object's 3D box. \
-            Lengths are in meters in a right-handed world frame with Z up. Boxes have a center and a full extent. \
+            Lengths are in meters in a right-handed world frame with Z up. \
+            Boxes have a center and a full extent. \
             Errors are RFC 9457 problem details with a stable `code`."
     ),
     servers((url = "/", description = "This server")),
@@ -72,9 +73,11 @@ fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static
             "scene_not_found",
             "there is no scene 01a1ff70-0000-7000-8000-000000000001",
         ),
-        "408" => {
-            problem("The body arrives too slowly", "body_too_slow", "a JSON body must arrive within 20 s")
-        }
+        "408" => problem(
+            "The body arrives too slowly",
+            "body_too_slow",
+            "a JSON body must arrive within 20 s",
+        ),
         "409" => problem(
             "Conflict with the current state",
             "scene_not_ready",
@@ -104,7 +107,8 @@ fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static
         "421" => problem(
             "The Host header is not allowed",
             "host_not_allowed",
-            "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
+            "the host name evil.example is not allowed: start the server with --allowed-host, or \
+             use an API key",
         ),
         "422" => problem(
             "A field or parameter is invalid",
@@ -114,7 +118,8 @@ fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static
         "423" => problem(
             "Locked by another request",
             "upload_busy",
-            "upload 01a1ff70-0000-7000-8000-000000000001 is in use: another request sends to it, or a scene is being made of it. Ask for its offset later",
+            "upload 01a1ff70-0000-7000-8000-000000000001 is in use: another request sends to it, \
+             or a scene is being made of it. Ask for its offset later",
         ),
         "429" => problem(
             "Too many requests: retry after `Retry-After`",
@@ -136,11 +141,7 @@ fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static
             "vlm_down",
             "the vision-language model's server is down: the next attempt is in 20 s",
         ),
-        "504" => problem(
-            "Timeout",
-            "question_timed_out",
-            "the question took longer than 5 s",
-        ),
+        "504" => problem("Timeout", "question_timed_out", "the question took longer than 5 s"),
         "507" => problem(
             "The disk is full",
             "storage_full",

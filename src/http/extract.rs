@@ -91,10 +91,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ProblemResponse> {
         if names_nul(parts) {
-            return Err(ProblemResponse::invalid(
-                "query",
-                "must not contain a NUL character",
-            ));
+            return Err(ProblemResponse::invalid("query", "must not contain a NUL character"));
         }
         match axum::extract::Query::<T>::from_request_parts(parts, state).await {
             Ok(axum::extract::Query(value)) => Ok(Self(value)),

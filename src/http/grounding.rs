@@ -94,7 +94,8 @@ pub async fn ground_many(
     if headers.contains_key("idempotency-key") {
         return Err(ProblemResponse::invalid(
             "Idempotency-Key",
-            "is not supported for questions about many scenes: the stored answers are in /v1/answers",
+            "is not supported for questions about many scenes: the stored answers are in \
+             /v1/answers",
         ));
     }
     Ok(axum::Json(app.services.grounding.ground_many(request, caller).await?))

@@ -38,7 +38,8 @@ pub async fn check(State(app): State<App>, request: Request, next: Next) -> Resp
     match host {
         Some(host) if !allowed.allows(host.host()) => {
             let detail = format!(
-                "the host name {} is not allowed: start the server with --allowed-host, or use an API key",
+                "the host name {} is not allowed: start the server with --allowed-host, or use an \
+                 API key",
                 host.host()
             );
             ProblemResponse::new(StatusCode::MISDIRECTED_REQUEST, "host_not_allowed", detail)

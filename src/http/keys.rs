@@ -32,7 +32,8 @@ pub async fn create(
 ) -> Result<(StatusCode, axum::Json<CreatedKey>), ProblemResponse> {
     // On an open server, a stranger could otherwise lock out everybody else.
     if app.allowed_hosts.is_none() && !app.services.keyring.is_wanted() {
-        let detail = "the first key of a publicly reachable server must be created on the command line: uniground key create --data-dir";
+        let detail = "the first key of a publicly reachable server must be created on the command \
+                      line: uniground key create --data-dir";
         return Err(ProblemResponse::new(StatusCode::FORBIDDEN, "first_key_by_hand", detail));
     }
     Ok((StatusCode::CREATED, axum::Json(app.services.keyring.create(new).await?)))

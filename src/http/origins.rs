@@ -114,6 +114,7 @@ pub async fn answer(State(cors): State<CorsLayer>, request: Request, next: Next)
 }
 
 fn foreign(_: ProtectionError) -> Response {
-    let detail = "this request comes from a web page of another origin: to allow it, start the server with --cors-origin and that origin";
+    let detail = "this request comes from a web page of another origin: to allow it, start the \
+                  server with --cors-origin and that origin";
     ProblemResponse::new(StatusCode::FORBIDDEN, "origin_not_allowed", detail).into_response()
 }

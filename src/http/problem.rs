@@ -115,7 +115,9 @@ impl From<Error> for ProblemResponse {
             StatusCode::INSUFFICIENT_STORAGE if error.is_disk_full() => {
                 "the server's disk is full: delete scenes, or ask its operator to free space".into()
             }
-            StatusCode::SERVICE_UNAVAILABLE if error.is_store_busy() => "the server's database is busy: try again in a moment".into(),
+            StatusCode::SERVICE_UNAVAILABLE if error.is_store_busy() => {
+                "the server's database is busy: try again in a moment".into()
+            }
             StatusCode::SERVICE_UNAVAILABLE if error.is_object_store_unavailable() => {
                 "the object store cannot be reached: try again in a moment".into()
             }

@@ -162,7 +162,8 @@ pub(super) async fn file_of_form(
     body: BodyDataStream,
     boundary: String,
 ) -> Result<(Option<String>, Field<'static>), ProblemResponse> {
-    const NO_FILE: &str = "the form contains no file: send one, for example with curl -F scan=@room.zip";
+    const NO_FILE: &str =
+        "the form contains no file: send one, for example with curl -F scan=@room.zip";
     let refused =
         |detail: &str| ProblemResponse::new(StatusCode::BAD_REQUEST, "malformed_form", detail);
     let is_found = Arc::new(AtomicBool::new(false));

@@ -163,8 +163,9 @@ pub struct Metadata {
 pub fn metadata(headers: &HeaderMap) -> Result<Metadata, ProblemResponse> {
     let Some(value) = headers.get(METADATA) else { return Ok(Metadata::default()) };
     let value = value.to_str().ok().filter(|value| value.len() <= MOST_METADATA);
-    let value = value
-        .ok_or_else(|| wrong(&METADATA, &format!("must have at most {MOST_METADATA} visible characters")))?;
+    let value = value.ok_or_else(|| {
+        wrong(&METADATA, &format!("must have at most {MOST_METADATA} visible characters"))
+    })?;
     let pairs = value.split(',').map(str::trim).filter(|pair| !pair.is_empty()).map(|pair| {
         let (key, coded) = pair.split_once(' ').unwrap_or((pair, ""));
         let text =

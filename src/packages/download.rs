@@ -41,8 +41,9 @@ pub fn archive(
     tell(Event::Begins(package.to_string(), package.bytes));
     let (mut sum, mut piece, mut received) = (Sha256::new(), vec![0; PIECE_BYTES], 0);
     loop {
-        let read =
-            body.read(&mut piece).map_err(|e| broken(format!("the download was interrupted: {e}")))?;
+        let read = body
+            .read(&mut piece)
+            .map_err(|e| broken(format!("the download was interrupted: {e}")))?;
         if read == 0 {
             break;
         }

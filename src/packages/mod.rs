@@ -34,16 +34,20 @@ pub enum FetchError {
         "{part}: there is no package for {system}. Install it and set ORT_DYLIB_PATH to its file."
     )]
     NoBuild { part: &'static str, system: String },
-    #[error("{package}: {address} cannot be reached: {why}. Check the network connection. {remedy}")]
+    #[error(
+        "{package}: {address} cannot be reached: {why}. Check the network connection. {remedy}"
+    )]
     Unreachable { package: String, address: String, why: String, remedy: String },
     #[error("{package}: {address} does not have {archive}. {remedy}")]
     NotListed { package: String, address: String, archive: String, remedy: String },
     #[error(
-        "{package}: {what} has the SHA-256 {found}, expected {expected}: it differs from the published file and was not installed"
+        "{package}: {what} has the SHA-256 {found}, expected {expected}: it differs from the \
+         published file and was not installed"
     )]
     WrongHash { package: String, what: String, found: String, expected: &'static str },
     #[error(
-        "{package}: the archive is not {expected} bytes long: the download was incomplete, or the file differs from the published one. Fetch it again."
+        "{package}: the archive is not {expected} bytes long: the download was incomplete, or the \
+         file differs from the published one. Fetch it again."
     )]
     WrongSize { package: String, expected: u64 },
     #[error("{package}: the archive cannot be unpacked: {why}")]

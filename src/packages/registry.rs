@@ -108,9 +108,8 @@ impl Registry {
             // The slash between a scope and a name is part of the name.
             Source::Npm => (package.name.replace('/', "%2F"), NPM_ACCEPTS),
         };
-        let page = self
-            .below(&page)
-            .ok_or_else(|| self.unreachable(package, "invalid URL".into()))?;
+        let page =
+            self.below(&page).ok_or_else(|| self.unreachable(package, "invalid URL".into()))?;
         let asked = client
             .get(page)
             .header(ACCEPT, accepts)

@@ -147,7 +147,12 @@ impl ApproachRequest {
         match (&self.instance_id, &self.query) {
             (Some(_), None) => {}
             (None, Some(query)) => check_query(query)?,
-            _ => return Err(FieldError::new("", "exactly one of instance_id and query is required")),
+            _ => {
+                return Err(FieldError::new(
+                    "",
+                    "exactly one of instance_id and query is required",
+                ));
+            }
         }
         let Robot { radius_m, height_m, eye_height_m, reach_m } = self.robot;
         numbers::above_zero("/robot/radius_m", radius_m, MAX_RADIUS_M)?;

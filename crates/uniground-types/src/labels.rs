@@ -25,7 +25,8 @@ pub fn check_labels(at: &str, labels: &Labels) -> Result<(), FieldError> {
         let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"._-/".contains(&byte);
         if !(1..=LONGEST_NAME).contains(&name.len()) || !name.bytes().all(plain) {
             let detail = format!(
-                "{name:?} is not a label name: use 1 to {LONGEST_NAME} letters, digits, '.', '_', '-' and '/'"
+                "{name:?} is not a label name: use 1 to {LONGEST_NAME} letters, digits, '.', '_', \
+                 '-' and '/'"
             );
             return Err(FieldError::new(at, detail));
         }
@@ -35,7 +36,8 @@ pub fn check_labels(at: &str, labels: &Labels) -> Result<(), FieldError> {
             || value.chars().any(|c| c.is_control() || c == ',')
         {
             let detail = format!(
-                "{name} must be one line of 1 to {LONGEST_VALUE} characters without commas or surrounding blanks"
+                "{name} must be one line of 1 to {LONGEST_VALUE} characters without commas or \
+                 surrounding blanks"
             );
             return Err(FieldError::new(at, detail));
         }
@@ -51,7 +53,10 @@ pub fn read_labels(at: &str, text: &str) -> Result<Labels, FieldError> {
     let mut labels = Labels::new();
     for part in text.split(',') {
         let Some((name, value)) = part.split_once('=') else {
-            return Err(FieldError::new(at, format!("{part:?} is not a label: use name=value, like building=A,floor=2")));
+            return Err(FieldError::new(
+                at,
+                format!("{part:?} is not a label: use name=value, like building=A,floor=2"),
+            ));
         };
         if labels.insert(name.trim().to_owned(), value.trim().to_owned()).is_some() {
             return Err(FieldError::new(at, format!("{} is given twice", name.trim())));

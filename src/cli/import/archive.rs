@@ -47,7 +47,10 @@ pub(super) fn write(out: &Utf8Path, frames: &[FrameRef], cloud: &PointCloud) -> 
             measured.height,
             units,
         );
-        put(&depth, &png(picture.context("the size of the depth picture does not match")?.into())?)?;
+        put(
+            &depth,
+            &png(picture.context("the size of the depth picture does not match")?.into())?,
+        )?;
         let m = frame.camera_to_world.to_homogeneous();
         let rows: String =
             m.row_iter().map(|r| format!("{} {} {} {}\n", r[0], r[1], r[2], r[3])).collect();

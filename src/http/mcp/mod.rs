@@ -29,9 +29,10 @@ use uniground_service::error::Error;
 use uniground_service::{Caller, Services};
 use uniground_types::problem::Problem;
 
-const INSTRUCTIONS: &str = "Finds objects in scanned rooms. Start with list_scenes. ground answers a question with a 3D box. \
-    find_in_scenes finds the scenes that contain an object. Lengths are in meters, Z is up, boxes have a center and a full extent. \
-    Instance ids belong to one scene. With a status other than grounded, the result is not certain: ask the user, or check with \
+const INSTRUCTIONS: &str = "Finds objects in scanned rooms. Start with list_scenes. ground answers \
+    a question with a 3D box. find_in_scenes finds the scenes that contain an object. Lengths are \
+    in meters, Z is up, boxes have a center and a full extent. Instance ids belong to one scene. \
+    With a status other than grounded, the result is not certain: ask the user, or check with \
     render_view.";
 
 /// Maximum size of a message, bytes. Unknown methods are echoed and logged.
@@ -129,7 +130,10 @@ impl ServerHandler for Mcp {
         .await;
         let unknown = || {
             ErrorData::invalid_params(
-                format!("there is no tool {:?}: tools/list lists the available tools", request.name),
+                format!(
+                    "there is no tool {:?}: tools/list lists the available tools",
+                    request.name
+                ),
                 None,
             )
         };
@@ -160,7 +164,11 @@ impl ServerHandler for Mcp {
     ) -> Result<ReadResourceResponse, ErrorData> {
         let contents = resources::read(&self.services, &request.uri).await.map_err(failed)?;
         let contents = contents.ok_or_else(|| {
-            ErrorData::resource_not_found("unknown resource: use uniground://scenes/{scene_id} or uniground://scenes/{scene_id}/report", None)
+            ErrorData::resource_not_found(
+                "unknown resource: use uniground://scenes/{scene_id} or \
+                 uniground://scenes/{scene_id}/report",
+                None,
+            )
         })?;
         Ok(ReadResourceResult::new(vec![contents]).into())
     }

@@ -30,13 +30,11 @@ const OBJECTS: u32 = 100;
 /// Returns all tools, in the order an agent needs them.
 pub(super) fn all() -> Vec<Tool> {
     vec![
-        tool::<ListScenes, SceneBriefs>(
-            "list_scenes",
-            "Lists the scenes, newest first.",
-        ),
+        tool::<ListScenes, SceneBriefs>("list_scenes", "Lists the scenes, newest first."),
         tool::<Ground, Grounded>(
             "ground",
-            "Finds the object that a sentence describes and returns its 3D box: \"the black chair closest to the door\". The status shows whether no object or several objects fit.",
+            "Finds the object that a sentence describes and returns its 3D box: \"the black chair \
+             closest to the door\". The status shows whether no object or several objects fit.",
         ),
         tool::<FindInScenes, FoundBriefs>(
             "find_in_scenes",
@@ -52,15 +50,18 @@ pub(super) fn all() -> Vec<Tool> {
         ),
         tool::<Relations, SceneGraph>(
             "relations",
-            "Returns the relations between objects: on, inside, above, next to, parts, and zones such as a kitchen.",
+            "Returns the relations between objects: on, inside, above, next to, parts, and zones \
+             such as a kitchen.",
         ),
         tool::<Approach, Approached>(
             "approach",
-            "Returns poses from which a robot can see or reach an object, with paths, or the condition that excluded all poses.",
+            "Returns poses from which a robot can see or reach an object, with paths, or the \
+             condition that excluded all poses.",
         ),
         without_output::<RenderView>(
             "render_view",
-            "Renders a picture of a scene with marked objects, or returns the photograph with the best view of an object.",
+            "Renders a picture of a scene with marked objects, or returns the photograph with the \
+             best view of an object.",
         ),
     ]
 }
@@ -236,7 +237,7 @@ async fn render_view(services: &Services, arguments: JsonObject) -> Result<CallT
         (ViewKind::Photograph, None) => {
             return Err(Error::invalid(
                 "/instance_ids",
-                "must name an instance for the view "photograph"",
+                "must name an instance for the view photograph",
             ));
         }
     };
