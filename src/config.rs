@@ -55,7 +55,7 @@ pub struct ServeConfig {
     pub data_dir: Utf8PathBuf,
     #[command(flatten)]
     pub database: DatabaseConfig,
-    /// Work that this process does. With PostgreSQL, other processes can do the rest
+    /// Role of this process. With PostgreSQL, other processes can do the rest of the work
     #[arg(long, env = "UNIGROUND_ROLE", value_enum, default_value_t, value_name = "ROLE")]
     pub role: Role,
     #[command(flatten)]
@@ -379,6 +379,7 @@ pub struct LimitsConfig {
 #[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, Clone, clap::Args)]
 pub struct LogConfig {
+    /// Format of the log on stderr
     #[arg(long, env = "UNIGROUND_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]
     pub log_format: LogFormat,
     /// Export traces of requests, jobs and model calls to this OpenTelemetry collector (OTLP over

@@ -22,8 +22,8 @@ pub fn preset() -> impl TypedValueParser<Value = ParsePreset> {
 pub fn reasoner() -> impl TypedValueParser<Value = ReasonerChoice> {
     words(&[
         ("auto", "The vision-language model if one is configured, else the built-in reasoner"),
-        ("vlm", ""),
-        ("builtin", ""),
+        ("vlm", "Always the vision-language model"),
+        ("builtin", "Always the built-in reasoner, without a model"),
     ])
 }
 

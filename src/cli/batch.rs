@@ -42,7 +42,7 @@ struct RunArgs {
     /// Display name of the batch
     #[arg(long)]
     label: Option<String>,
-    /// Number of questions answered in parallel
+    /// Number of questions answered in parallel, 1 to 64 [default: 4]
     #[arg(long)]
     concurrency: Option<u32>,
     /// Spending limit for the whole batch, US dollars

@@ -11,6 +11,7 @@ bash: uniground completions bash > ~/.local/share/bash-completion/completions/un
 zsh:  uniground completions zsh > a folder of $fpath, as _uniground
 fish: uniground completions fish > ~/.config/fish/completions/uniground.fish")]
 pub struct CompletionsArgs {
+    /// Shell to generate the script for
     shell: Shell,
 }
 
