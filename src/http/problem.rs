@@ -107,7 +107,7 @@ impl From<Error> for ProblemResponse {
             _ if status.is_server_error() => {
                 tracing::error!(code, cause = with_causes(&error), "request failed");
             }
-            _ => tracing::debug!(code, cause = with_causes(&error), "request refused"),
+            _ => tracing::debug!(code, cause = with_causes(&error), "request rejected"),
         }
         let detail = match status {
             // Internal causes are logged but not returned to the caller.
