@@ -47,8 +47,8 @@ pub struct LocalArgs {
 const AGAIN: Duration = Duration::from_millis(200);
 /// Hint on how to ask with models.
 const WITH_MODELS: &str = "Names come from size and color only. Two small models find more \
-                           objects but take minutes: run `uniground models fetch`, then --masks auto \
-                           --encoder auto";
+                           objects but take minutes: run `uniground models fetch`, then use --masks \
+                           auto --encoder auto";
 
 /// # Errors
 /// Returns an error if the scan, the folder or the question is invalid.

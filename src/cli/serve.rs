@@ -40,7 +40,9 @@ pub async fn until_stopped(
     io::stdout().flush()?;
     tokio::select! {
         _ = terminate.recv() => tracing::info!("SIGTERM received; shutting down"),
-        Some(()) = async { hangup.as_mut()?.recv().await } => tracing::info!("SIGHUP received; shutting down"),
+        Some(()) = async { hangup.as_mut()?.recv().await } => {
+            tracing::info!("SIGHUP received; shutting down");
+        }
         _ = interrupt.recv() => tracing::info!("interrupt received; shutting down"),
         () = running.ended() => tracing::error!("server stopped unexpectedly"),
     }
