@@ -56,7 +56,8 @@ pub async fn start_part(
 async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<RunningService> {
     ensure!(
         !part.needs_others() || matches!(config.database.location, Location::Postgres(_)),
-        "a process that does a part only needs others over the same database: say --database postgres://…, or let \"uniground serve\" do everything"
+        "a process with only a part of the work needs a shared database: set --database \
+         postgres://…, or run everything with \"uniground serve\""
     );
     let api_key = config.api_key()?;
     let webhook = config.webhook.webhook()?;
@@ -77,7 +78,8 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
     }
     ensure!(
         keys.is_wanted() || !config.wants_keys(),
-        "{} can be reached from other machines: make a key (uniground key create), set UNIGROUND_API_KEY or --api-key-file, or say --allow-anybody",
+        "{} can be reached from other machines and no key is set: create one (uniground key \
+         create), set UNIGROUND_API_KEY or --api-key-file, or pass --allow-anybody",
         config.listen
     );
     // On a network address, keys exist or the operator has allowed access without keys.

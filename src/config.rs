@@ -1,4 +1,5 @@
-//! Configuration: every flag is also an environment variable; units are in the names.
+//! Configuration of the service. Every flag is also an environment variable. Units are in the
+//! names.
 
 mod blobs;
 mod choice;
@@ -43,18 +44,18 @@ const DEFAULT_KEEP_FREE_BYTES: u64 = 256 << 20;
 const DEFAULT_READER_MEMORY_MB: u64 = 4096;
 
 /// `uniground serve`
-#[allow(clippy::doc_markdown)] // Help is no Markdown.
+#[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ServeConfig {
-    /// Address to listen on; port 0 picks a free one. Anything but loopback needs a key
+    /// Listen address. Port 0 picks a free port. Addresses other than loopback require a key
     #[arg(long, env = "UNIGROUND_LISTEN", default_value = "127.0.0.1:8080")]
     pub listen: SocketAddr,
-    /// Folder for the database and the scenes' files
+    /// Data folder for the database and the files of scenes
     #[arg(long, env = "UNIGROUND_DATA_DIR", default_value = "./data")]
     pub data_dir: Utf8PathBuf,
     #[command(flatten)]
     pub database: DatabaseConfig,
-    /// What this process does of the whole; with PostgreSQL others may do the rest
+    /// Role of this process. With PostgreSQL, other processes can do the rest of the work
     #[arg(long, env = "UNIGROUND_ROLE", value_enum, default_value_t, value_name = "ROLE")]
     pub role: Role,
     #[command(flatten)]
@@ -63,8 +64,8 @@ pub struct ServeConfig {
     pub access: AccessConfig,
     #[command(flatten)]
     pub models: ModelsConfig,
-    /// Fetch what --masks and --encoder want and do not find, checked, before the server starts;
-    /// without a network it starts all the same
+    /// Fetch missing models for --masks and --encoder before the server starts, verified by
+    /// checksum. The server starts even if this fails
     #[arg(long, env = "UNIGROUND_FETCH_MODELS")]
     pub fetch_models: bool,
     #[command(flatten)]
@@ -77,20 +78,20 @@ pub struct ServeConfig {
     pub log: LogConfig,
 }
 
-/// Who may ask.
-#[allow(clippy::doc_markdown)] // Help is no Markdown.
+/// Access control.
+#[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct AccessConfig {
-    /// File that holds the key callers must show as a bearer token (or the key itself in
-    /// UNIGROUND_API_KEY)
+    /// File with the API key that callers send as a bearer token. The key itself can be set in
+    /// UNIGROUND_API_KEY
     #[arg(long, env = "UNIGROUND_API_KEY_FILE", value_name = "FILE")]
     pub api_key_file: Option<Utf8PathBuf>,
-    /// Serve a non-loopback address without a key: anybody who reaches it can read and delete
-    /// every scene
+    /// Allow access without a key on a non-loopback address. Anybody who can reach it can read and
+    /// delete every scene
     #[arg(long, env = "UNIGROUND_ALLOW_ANYBODY")]
     pub allow_anybody: bool,
-    /// Another name this server may be called by without a key, besides localhost; may be given
-    /// several times, or with commas
+    /// Additional host name accepted for requests without a key, besides localhost. May be repeated
+    /// or comma-separated
     #[arg(
         long = "allowed-host",
         env = "UNIGROUND_ALLOWED_HOSTS",
@@ -98,7 +99,8 @@ pub struct AccessConfig {
         value_delimiter = ','
     )]
     pub allowed_hosts: Vec<String>,
-    /// Origin whose pages may use this server from a browser, like <https://robots.example>; may be given several times, or with commas
+    /// Origin whose web pages may call this server from a browser (CORS), like
+    /// <https://robots.example>. May be repeated or comma-separated
     #[arg(
         long = "cors-origin",
         env = "UNIGROUND_CORS_ORIGINS",
@@ -106,70 +108,70 @@ pub struct AccessConfig {
         value_delimiter = ','
     )]
     pub cors_origins: Vec<String>,
-    /// Folder of this machine whose scans may be imported without being uploaded (POST
+    /// Folder of this machine from which scans may be imported without upload (POST
     /// /v1/scenes/import)
     #[arg(long, env = "UNIGROUND_IMPORT_ROOT", value_name = "DIR")]
     pub import_root: Option<Utf8PathBuf>,
-    /// File that holds what links without a key are signed with (or the secret itself in
-    /// UNIGROUND_LINK_SECRET); default: a new one at each start
+    /// File with the secret that signs links without a key. The secret itself can be set in
+    /// UNIGROUND_LINK_SECRET [default: a new secret at each start]
     #[arg(long, env = "UNIGROUND_LINK_SECRET_FILE", value_name = "FILE")]
     pub link_secret_file: Option<Utf8PathBuf>,
 }
 
 impl AccessConfig {
-    /// What links are signed with, if that is given.
+    /// Returns the configured secret that signs links.
     ///
     /// # Errors
-    /// When it can not be read, or is too short to protect anything.
+    /// Returns an error if the secret cannot be read or is too short.
     pub fn link_secret(&self) -> anyhow::Result<Option<LinkSecret>> {
         let secret = match &self.link_secret_file {
-            Some(file) => Some(
-                fs::read_to_string(file).with_context(|| format!("the secret's file {file}"))?,
-            ),
+            Some(file) => {
+                Some(fs::read_to_string(file).with_context(|| format!("the secret file {file}"))?)
+            }
             None => std::env::var("UNIGROUND_LINK_SECRET").ok(),
         };
         let Some(secret) = secret.map(|secret| secret.trim().to_owned()) else { return Ok(None) };
         ensure!(
             secret.len() >= MIN_KEY_BYTES,
-            "the links' secret is too short: at least {MIN_KEY_BYTES} characters"
+            "the link secret is too short: it needs at least {MIN_KEY_BYTES} characters"
         );
         telemetry::hide(&secret);
         Ok(Some(LinkSecret::new(secret.as_bytes())))
     }
 }
 
-/// A server that is told when jobs end, as Standard Webhooks have it. The secret is in
+/// Webhook for finished jobs, in the format of Standard Webhooks. The secret is in
 /// UNIGROUND_WEBHOOK_SECRET or in a file.
-#[allow(clippy::doc_markdown)] // Help is no Markdown.
+#[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct WebhookConfig {
-    /// Address that is told when a job ends
+    /// URL that receives a webhook when a job ends
     #[arg(long, env = "UNIGROUND_WEBHOOK_URL", value_name = "URL")]
     pub webhook_url: Option<String>,
-    /// File that holds what webhooks are signed with, whsec_ and base64 (or the secret itself in
-    /// UNIGROUND_WEBHOOK_SECRET)
+    /// File with the secret that signs webhooks: whsec_ and base64. The secret itself can be set in
+    /// UNIGROUND_WEBHOOK_SECRET
     #[arg(long, env = "UNIGROUND_WEBHOOK_SECRET_FILE", value_name = "FILE")]
     pub webhook_secret_file: Option<Utf8PathBuf>,
-    /// Let webhooks go to this machine and its own network
+    /// Allow webhooks to loopback and private network addresses
     #[arg(long, env = "UNIGROUND_WEBHOOK_ALLOW_PRIVATE")]
     pub webhook_allow_private: bool,
 }
 
 impl WebhookConfig {
-    /// The webhook, if one is configured.
+    /// Returns the webhook, if one is configured.
     ///
     /// # Errors
-    /// An address that is none, or is private; a secret that is missing or none.
+    /// Returns an error for an invalid or private address, and for a missing or invalid secret.
     pub fn webhook(&self) -> anyhow::Result<Option<Webhook>> {
         let Some(url) = &self.webhook_url else { return Ok(None) };
         telemetry::hide_secrets_of(url);
         let secret = match &self.webhook_secret_file {
             Some(file) => {
-                fs::read_to_string(file).with_context(|| format!("the secret's file {file}"))?
+                fs::read_to_string(file).with_context(|| format!("the secret file {file}"))?
             }
-            None => {
-                std::env::var("UNIGROUND_WEBHOOK_SECRET").context("--webhook-url needs a secret")?
-            }
+            None => std::env::var("UNIGROUND_WEBHOOK_SECRET").context(
+                "--webhook-url requires --webhook-secret-file or UNIGROUND_WEBHOOK_SECRET",
+            )?,
         };
         telemetry::hide(secret.trim());
         Ok(Some(Webhook::new(url, &secret, self.webhook_allow_private).context("--webhook-url")?))
@@ -178,55 +180,54 @@ impl WebhookConfig {
 
 /// A vision-language model behind an OpenAI-compatible chat endpoint. Its key is in
 /// UNIGROUND_VLM_API_KEY or in a file.
-#[allow(clippy::doc_markdown)] // Help is no Markdown.
+#[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, Clone, clap::Args)]
 pub struct VlmConfig {
-    /// Address of a chat endpoint, like <https://host/v1>
+    /// Base URL of an OpenAI-compatible chat endpoint, like <https://host/v1>
     #[arg(long, env = "UNIGROUND_VLM_URL", value_name = "URL")]
     pub vlm_url: Option<String>,
-    /// Model to ask there
+    /// Name of the vision-language model at the endpoint
     #[arg(long, env = "UNIGROUND_VLM_MODEL", value_name = "NAME")]
     pub vlm_model: Option<String>,
-    /// File that holds the endpoint's key (or the key itself in UNIGROUND_VLM_API_KEY)
+    /// File with the API key of the endpoint. The key itself can be set in UNIGROUND_VLM_API_KEY
     #[arg(long, env = "UNIGROUND_VLM_API_KEY_FILE", value_name = "FILE")]
     pub vlm_api_key_file: Option<Utf8PathBuf>,
-    /// Price of a million prompt tokens, US dollars
+    /// Price per million prompt tokens, US dollars
     #[arg(long, env = "UNIGROUND_VLM_PROMPT_USD", default_value_t = 0.0, value_name = "USD")]
     pub vlm_prompt_usd: f64,
-    /// Price of a million completion tokens, US dollars
+    /// Price per million completion tokens, US dollars
     #[arg(long, env = "UNIGROUND_VLM_COMPLETION_USD", default_value_t = 0.0, value_name = "USD")]
     pub vlm_completion_usd: f64,
-    /// Most that may be spent on the model in a day (UTC), US dollars; needs prices
+    /// Spending limit for the model per day (UTC), US dollars. Requires both prices
     #[arg(long, env = "UNIGROUND_VLM_DAILY_USD", value_name = "USD")]
     pub vlm_daily_usd: Option<f64>,
-    /// Requests to the endpoint at once
+    /// Maximum number of parallel requests to the endpoint
     #[arg(long, env = "UNIGROUND_VLM_CONCURRENCY", default_value_t = DEFAULT_VLM_CONCURRENCY, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub vlm_concurrency: u32,
-    /// Seconds one attempt may take
+    /// Timeout of one attempt, seconds
     #[arg(long, env = "UNIGROUND_VLM_TIMEOUT_S", default_value_t = DEFAULT_VLM_TIMEOUT_S, value_name = "SECONDS", value_parser = clap::value_parser!(u64).range(1..=3600))]
     pub vlm_timeout_s: u64,
-    /// Attempts for one call; the wait between them doubles
+    /// Maximum number of attempts per call. The delay between attempts doubles
     #[arg(long, env = "UNIGROUND_VLM_ATTEMPTS", default_value_t = DEFAULT_VLM_ATTEMPTS, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=20))]
     pub vlm_attempts: u32,
-    /// The first wait between two attempts, milliseconds
+    /// Delay before the second attempt, milliseconds
     #[arg(long, env = "UNIGROUND_VLM_BACKOFF_MS", default_value_t = DEFAULT_VLM_BACKOFF_MS, value_name = "MS")]
     pub vlm_backoff_ms: u64,
-    /// When the model names everything in a scene: its names decide what is meant from then on,
-    /// whoever answers
+    /// When the model names all objects of a scene. The names are then used by every reasoner
     #[arg(long, env = "UNIGROUND_NAMES", value_enum, default_value_t)]
     pub names: NamingChoice,
-    /// Ask for answers as JSON by a schema, where the endpoint knows schemas
+    /// Request answers as JSON with a schema, if the endpoint supports it
     #[arg(long, env = "UNIGROUND_VLM_JSON")]
     pub vlm_json: bool,
 }
 
-/// When the model names everything in a scene, unasked.
+/// When the model names all objects of a scene automatically.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum NamingChoice {
-    /// Never: only where somebody asks for it (`POST /v1/scenes/{id}/names`)
+    /// Never. Only on request (`POST /v1/scenes/{id}/names`)
     #[default]
     Off,
-    /// Before the first question that the model reviews; that question waits for it
+    /// Before the first question that the model answers. That question waits
     Lazy,
     /// As soon as a scene is parsed
     Parse,
@@ -262,11 +263,11 @@ impl Default for VlmConfig {
 }
 
 impl VlmConfig {
-    /// The client, if a model is configured.
+    /// Returns the client, if a model is configured.
     ///
     /// # Errors
-    /// An address without a model or the other way round, an address that is none, or an unreadable
-    /// key file.
+    /// Returns an error if only one of address and model is set, for an invalid address, and for an
+    /// unreadable key file.
     pub fn client(&self, replay_cache: ReplayCache) -> anyhow::Result<Option<ChatClient>> {
         let Self {
             vlm_url,
@@ -280,12 +281,12 @@ impl VlmConfig {
         let (base_url, model) = match (vlm_url, vlm_model) {
             (None, None) => return Ok(None),
             (Some(url), Some(model)) => (url.clone(), model.clone()),
-            (Some(_), None) => bail!("--vlm-url needs --vlm-model"),
-            (None, Some(_)) => bail!("--vlm-model needs --vlm-url"),
+            (Some(_), None) => bail!("--vlm-url requires --vlm-model"),
+            (None, Some(_)) => bail!("--vlm-model requires --vlm-url"),
         };
         ensure!(
             reqwest::Url::parse(&base_url).is_ok_and(|url| url.has_host()),
-            "--vlm-url: this is not an address"
+            "--vlm-url: invalid URL"
         );
         let api_key = match vlm_api_key_file {
             Some(file) => Some(
@@ -309,11 +310,11 @@ impl VlmConfig {
                 "{flag}: must be 0 or more"
             );
         }
-        // Without prices nothing seems to cost anything, and a budget would protect nobody.
+        // Without prices every cost is 0, so a budget would have no effect.
         let is_free = *vlm_prompt_usd == 0.0 && *vlm_completion_usd == 0.0;
         ensure!(
             !is_free || vlm_daily_usd.is_none(),
-            "--vlm-daily-usd needs --vlm-prompt-usd and --vlm-completion-usd"
+            "--vlm-daily-usd requires --vlm-prompt-usd and --vlm-completion-usd"
         );
         let prices = Prices { prompt_usd: *vlm_prompt_usd, completion_usd: *vlm_completion_usd };
         let patience = RetryPolicy {
@@ -335,52 +336,54 @@ impl VlmConfig {
     }
 }
 
-/// What requests may take.
+/// Limits for requests and jobs.
 #[derive(Debug, Clone, clap::Args)]
 pub struct LimitsConfig {
-    /// Largest upload accepted, bytes
+    /// Maximum size of an upload, bytes
     #[arg(long, env = "UNIGROUND_MAX_UPLOAD_BYTES", default_value_t = DEFAULT_MAX_UPLOAD_BYTES)]
     pub max_upload_bytes: u64,
-    /// Uploads in parts that may be unfinished at once
+    /// Maximum number of unfinished resumable uploads
     #[arg(long, env = "UNIGROUND_MAX_UNFINISHED_UPLOADS", default_value_t = DEFAULT_MAX_UNFINISHED_UPLOADS, value_name = "N")]
     pub max_unfinished_uploads: u32,
-    /// Largest size an archive may unpack to, bytes
+    /// Maximum unpacked size of an archive, bytes
     #[arg(long, env = "UNIGROUND_MAX_UNPACKED_BYTES", default_value_t = UnpackLimits::default().max_bytes)]
     pub max_unpacked_bytes: u64,
-    /// Parses that may wait; more uploads are told to come back later
+    /// Maximum number of queued parses. Further uploads are rejected with Retry-After
     #[arg(long, env = "UNIGROUND_MAX_QUEUED_JOBS", default_value_t = DEFAULT_MAX_QUEUED_JOBS)]
     pub max_queued_jobs: u32,
-    /// Questions answered at once
+    /// Maximum number of questions answered in parallel
     #[arg(long, env = "UNIGROUND_MAX_CONCURRENT_QUESTIONS", default_value_t = DEFAULT_MAX_CONCURRENT_QUESTIONS, value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub max_concurrent_questions: u32,
-    /// Connections open at once
+    /// Maximum number of open connections
     #[arg(long, env = "UNIGROUND_MAX_CONNECTIONS", default_value_t = DEFAULT_MAX_CONNECTIONS, value_parser = clap::value_parser!(u32).range(8..=65_536))]
     pub max_connections: u32,
-    /// Room on the disk that uploads, parses and batches leave to the rest, bytes
+    /// Free disk space that uploads, parses and batches must leave, bytes
     #[arg(long, env = "UNIGROUND_KEEP_FREE_BYTES", default_value_t = DEFAULT_KEEP_FREE_BYTES)]
     pub keep_free_bytes: u64,
-    /// Memory that the server may come to hold; a parse that would take more is not begun.
-    /// Default: its container's limit, or the machine's
+    /// Memory limit of the server, bytes. A parse that would exceed it does not start [default: the
+    /// limit of the container, or the memory of the machine]
     #[arg(long, env = "UNIGROUND_MAX_MEMORY_BYTES")]
     pub max_memory_bytes: Option<u64>,
-    /// Memory that a process which imports an uploaded scan may take, MB; one that checks an
-    /// upload may take a quarter of it
+    /// Memory limit of a process that imports an uploaded scan, MB. A process that checks an upload
+    /// may use a quarter of it
     #[arg(long, env = "UNIGROUND_READER_MEMORY_MB", default_value_t = DEFAULT_READER_MEMORY_MB, value_name = "MB", value_parser = clap::value_parser!(u64).range(256..=1_048_576))]
     pub reader_memory_mb: u64,
-    /// Program that reads uploaded scans in processes of its own; default: this one
+    /// Executable that reads uploaded scans in separate processes [default: this executable]
     #[arg(long, hide = true, value_name = "FILE")]
     pub reader_program: Option<Utf8PathBuf>,
     #[command(flatten)]
     pub retention: RetentionConfig,
 }
 
-/// What the log looks like, and where traces go. Its level is `RUST_LOG`'s, `info` by default.
-#[allow(clippy::doc_markdown)] // Help is no Markdown.
+/// Log format and trace export. `RUST_LOG` sets the level; the default is `info`.
+#[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, Clone, clap::Args)]
 pub struct LogConfig {
+    /// Format of the log on stderr
     #[arg(long, env = "UNIGROUND_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]
     pub log_format: LogFormat,
-    /// Send traces of requests, jobs and model calls to this OpenTelemetry collector, OTLP over HTTP, like <http://127.0.0.1:4318>
+    /// Export traces of requests, jobs and model calls to this OpenTelemetry collector (OTLP over
+    /// HTTP), like <http://127.0.0.1:4318>
     #[arg(long, env = "UNIGROUND_OTLP_ENDPOINT", value_name = "URL")]
     pub otlp_endpoint: Option<String>,
 }
@@ -425,7 +428,7 @@ impl LimitsConfig {
 }
 
 impl LimitsConfig {
-    /// Processes that read uploaded scans.
+    /// Returns the processes that read uploaded scans.
     #[must_use]
     pub fn scan_reader(&self) -> ScanReader {
         ScanReader::isolated(ChildProcess::new(
@@ -436,10 +439,10 @@ impl LimitsConfig {
 }
 
 impl ServeConfig {
-    /// The server's own key, if it is given one.
+    /// Returns the configured API key of the server.
     ///
     /// # Errors
-    /// When it can not be read, or is too short to protect anything.
+    /// Returns an error if the key cannot be read or is too short.
     pub fn api_key(&self) -> anyhow::Result<Option<String>> {
         let key = match &self.access.api_key_file {
             Some(file) => {
@@ -450,13 +453,14 @@ impl ServeConfig {
         let Some(key) = key.map(|key| key.trim().to_owned()) else { return Ok(None) };
         ensure!(
             key.len() >= MIN_KEY_BYTES,
-            "the API key is too short: at least {MIN_KEY_BYTES} characters"
+            "the API key is too short: it needs at least {MIN_KEY_BYTES} characters"
         );
         telemetry::hide(&key);
         Ok(Some(key))
     }
 
-    /// Whether this server can be reached from other machines and nothing was said about that.
+    /// Returns whether other machines can reach this server while neither a key nor
+    /// `--allow-anybody` is set.
     #[must_use]
     pub fn wants_keys(&self) -> bool {
         !self.listen.ip().is_loopback() && !self.access.allow_anybody

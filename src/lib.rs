@@ -1,5 +1,5 @@
-//! uniground: 3D visual grounding as a service. The method is in [`uniground_core`], what crosses
-//! the wire in [`uniground_types`].
+//! uniground: 3D visual grounding as a service. [`uniground_core`] implements the method and
+//! [`uniground_types`] the types of the API.
 pub mod app;
 pub mod cli;
 pub mod config;

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     match uniground::cli::run(&uniground::cli::Cli::parse()) {
         Ok(()) => ExitCode::SUCCESS,
-        // `| head` has seen enough: no failure.
+        // A closed pipe, as with `| head`, is not an error.
         Err(error)
             if error
                 .downcast_ref::<io::Error>()

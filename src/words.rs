@@ -1,4 +1,4 @@
-//! Words of the command line for values of the pipelines and the API, with a line of help each.
+//! Parsers for the enum values of the command line, with a help text for each value.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use serde::de::DeserializeOwned;
@@ -16,53 +16,51 @@ pub fn provider() -> impl TypedValueParser<Value = Provider> {
 }
 
 pub fn preset() -> impl TypedValueParser<Value = ParsePreset> {
-    words(&[
-        ("default", "What measures best over several rooms"),
-        ("paper", "Every value the paper states"),
-    ])
+    words(&[("default", "Best accuracy over several rooms"), ("paper", "The values of the paper")])
 }
 
 pub fn reasoner() -> impl TypedValueParser<Value = ReasonerChoice> {
     words(&[
-        ("auto", "A vision-language model when one is configured, else the built-in reasoner"),
-        ("vlm", ""),
-        ("builtin", ""),
+        ("auto", "The vision-language model if one is configured, else the built-in reasoner"),
+        ("vlm", "Always the vision-language model"),
+        ("builtin", "Always the built-in reasoner, without a model"),
     ])
 }
 
 pub fn scope() -> impl TypedValueParser<Value = Scope> {
     words(&[
-        ("read", "Look at everything, and ask"),
+        ("read", "View everything and ask questions"),
         ("write", "Also upload, parse and delete scenes, and submit batches"),
-        ("admin", "Also make and revoke keys"),
+        ("admin", "Also create and revoke keys"),
     ])
 }
 
 pub fn evidence() -> impl TypedValueParser<Value = EvidenceMode> {
     words(&[
-        ("full", "Photographs of every candidate with every question, as in the paper"),
+        ("full", "Photographs of every candidate, as in the paper"),
         (
             "cached-names",
-            "Names that a model gave once, and a smaller render; photographs only of candidates the question can not tell apart by name",
+            "Cached names from a model and a smaller render; photographs only of candidates with \
+             the same name",
         ),
         ("sheet", "One photograph each of 24 candidates, on contact sheets"),
-        ("two-step", "Contact sheets first, then photographs of the three that remain"),
+        ("two-step", "Contact sheets first, then photographs of the best three"),
     ])
 }
 
 pub fn frame() -> impl TypedValueParser<Value = FrameChoice> {
     words(&[
-        ("scene", "The scene's own: metres, Z up"),
-        ("source", "Those of the files the scan was read from"),
-        ("map", "Those of the map that the scene lies in (scene_to_map)"),
+        ("scene", "The scene's own frame: meters, Z up"),
+        ("source", "The frame of the uploaded files"),
+        ("map", "The frame of the scene's map (scene_to_map)"),
     ])
 }
 
 /// Parses an amount in US dollars.
 ///
 /// # Errors
-/// Returns an error for an invalid amount. `NaN` is refused: JSON cannot represent it, so it would
-/// be left out, and the limit with it.
+/// Returns an error for an invalid amount. `NaN` is rejected, because JSON cannot represent it and
+/// would drop the limit.
 pub fn usd(text: &str) -> Result<f64, String> {
     checked(text, |usd| numbers::zero_or_more("", usd))
 }
@@ -80,7 +78,7 @@ fn checked(text: &str, check: impl FnOnce(f64) -> Result<(), FieldError>) -> Res
     check(number).map(|()| number).map_err(|error| error.detail)
 }
 
-/// Parses words in the spelling of the command line. The API writes them with underscores.
+/// Parses values in the spelling of the command line. The API writes them with underscores.
 fn words<T: DeserializeOwned + Clone + Send + Sync + 'static>(
     known: &[(&'static str, &'static str)],
 ) -> impl TypedValueParser<Value = T> {

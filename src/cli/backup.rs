@@ -1,4 +1,4 @@
-//! `uniground backup`: a consistent copy of a data folder, while its server runs.
+//! `uniground backup`: writes a consistent copy of a data folder. The server may keep running.
 
 use super::output::print_json;
 use super::table::size;
@@ -11,20 +11,23 @@ use uniground_storage::{BackupReport, BackupTarget, back_up};
 
 #[derive(Debug, clap::Args)]
 pub struct BackupArgs {
-    /// A folder, which is brought up to date if it is an earlier backup; or an archive: NAME.tar,
-    /// NAME.tar.zst, - for standard output
+    /// Where to write the backup: a folder, an archive (NAME.tar or NAME.tar.zst), or - for
+    /// standard output. An earlier backup folder is updated in place
     to: Utf8PathBuf,
-    /// Folder of the server, which may run
+    /// Data folder of the server. The server may be running
     #[arg(long, env = "UNIGROUND_DATA_DIR", default_value = "./data")]
     data_dir: Utf8PathBuf,
-    /// Print what it came to as JSON; not beside an archive on standard output
+    /// Print a summary as JSON. Cannot be combined with a backup to standard output
     #[arg(long)]
     json: bool,
 }
 
 pub async fn run(BackupArgs { to, data_dir, json: as_json }: &BackupArgs) -> anyhow::Result<()> {
     telemetry::start_quiet();
-    ensure!(!(*as_json && to == "-"), "--json: standard output is the backup itself");
+    ensure!(
+        !(*as_json && to == "-"),
+        "--json cannot be used when the backup goes to standard output"
+    );
     let begun = Instant::now();
     let done = back_up(data_dir, BackupTarget::of(to)).await?;
     let BackupReport { scenes, answers, folders, bytes, new_folders, new_bytes, left_out } = done;
@@ -49,7 +52,8 @@ pub async fn run(BackupArgs { to, data_dir, json: as_json }: &BackupArgs) -> any
     match left_out.len() {
         0 => Ok(()),
         n => bail!(
-            "{n} folders are lost or damaged and not in the backup: see uniground doctor --data-dir {data_dir}"
+            "{n} folders are missing or damaged and are not in the backup. Run `uniground doctor \
+             --data-dir {data_dir}`."
         ),
     }
 }

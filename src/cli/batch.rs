@@ -1,4 +1,4 @@
-//! `uniground batch`: lists of questions to a running server.
+//! `uniground batch`: sends lists of questions to a running server.
 
 use super::output::print_json;
 use super::resolve_scene;
@@ -23,34 +23,34 @@ pub struct BatchArgs {
 
 #[derive(Debug, clap::Subcommand)]
 enum Command {
-    /// Ask every question of a file and write the answers, in order; the same command again goes on
-    /// where it stopped
+    /// Answer every question in a file and write the results in order. Running the same command
+    /// again resumes where it stopped
     Run(RunArgs),
 }
 
 #[derive(Debug, clap::Args)]
 struct RunArgs {
-    /// Questions, a line each: plain, or as JSON with a scene of their own and whatever else a
-    /// question may have
+    /// File with one question per line: plain text, or a JSON object with its own scene and any
+    /// other request fields
     file: Utf8PathBuf,
-    /// The scene of lines that name none: its name, its id, or how one of them begins
+    /// Scene for lines that name none: its name, its id, or the beginning of either
     #[arg(long)]
     scene: Option<String>,
-    /// Where results go, a line of JSON each; default: standard output
+    /// Write results to this file, one JSON object per line [default: standard output]
     #[arg(long)]
     out: Option<Utf8PathBuf>,
-    /// For people
+    /// Display name of the batch
     #[arg(long)]
     label: Option<String>,
-    /// Questions asked at once
+    /// Number of questions answered in parallel, 1 to 64 [default: 4]
     #[arg(long)]
     concurrency: Option<u32>,
-    /// Most that all questions together may cost, US dollars
+    /// Spending limit for the whole batch, US dollars
     #[arg(long, value_name = "USD", value_parser = words::usd)]
     max_cost_usd: Option<f64>,
     #[command(flatten)]
     server: ServerArgs,
-    /// Print what became of the batch as JSON; results then go to --out
+    /// Print the final state of the batch as JSON. Requires --out for the results
     #[arg(long, requires = "out")]
     json: bool,
 }
@@ -72,7 +72,7 @@ pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyho
             bar.set_position(u64::from(result.item) + 1);
             Ok::<(), anyhow::Error>(())
         });
-        // A server that is restarted goes on with the batch; so does this.
+        // The server resumes the batch after a restart, so the client keeps polling.
         if let Err(error) = read.await
             && !error.downcast_ref::<ClientError>().is_some_and(is_passing)
         {
@@ -80,7 +80,7 @@ pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyho
         }
         batch = match client.batch(&batch.id).await {
             Err(error) if is_passing(&error) => {
-                bar.set_message("the server is away");
+                bar.set_message("server unavailable, retrying");
                 tokio::time::sleep(AWAY).await;
                 continue;
             }
@@ -99,18 +99,19 @@ pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyho
     }
     match batch.state {
         BatchState::Paused => {
-            let why = batch.reason.unwrap_or_else(|| "somebody paused it".into());
-            bail!("the batch is paused ({why}): the same command goes on with it")
+            let why = batch.reason.unwrap_or_else(|| "by a user".into());
+            bail!("the batch is paused ({why}). Run the same command again to resume it.")
         }
         BatchState::Cancelled => bail!("the batch was cancelled"),
         BatchState::Running | BatchState::Succeeded => Ok(()),
     }
 }
 
-/// How long a server that is away is waited for before it is asked again.
+/// Delay before the client contacts an unavailable server again.
 const AWAY: Duration = Duration::from_secs(1);
 
-/// The same questions under the same options are the same batch, however often they are submitted.
+/// Submits the batch. The idempotency key is a hash of the questions and options, so submitting the
+/// same input again returns the same batch.
 async fn submit(
     client: &Client,
     args: &RunArgs,
@@ -134,7 +135,7 @@ async fn submit(
     }
 }
 
-/// JSONL of a file's lines; a line that is no JSON object is a question.
+/// Converts the lines of a file to JSONL. A line that is not a JSON object becomes a question.
 fn lines_of(text: &str) -> String {
     let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
     let item = |line: &str| {
@@ -143,14 +144,14 @@ fn lines_of(text: &str) -> String {
     lines.map(|line| item(line) + "\n").collect()
 }
 
-/// Results that are written, and how many there are.
+/// Writes results and counts them.
 struct ResultWriter {
     to: Box<dyn Write>,
     lines: u32,
 }
 
 impl ResultWriter {
-    /// Goes on behind the last whole line.
+    /// Opens the output for appending after the last complete line.
     fn open(path: Option<&Utf8Path>) -> anyhow::Result<Self> {
         let Some(path) = path else { return Ok(Self { to: Box::new(io::stdout()), lines: 0 }) };
         let before = if path.exists() {
@@ -176,7 +177,7 @@ impl ResultWriter {
     }
 }
 
-/// Whether the server may be there again in a moment.
+/// Whether retrying the request may succeed.
 fn is_passing(error: &ClientError) -> bool {
     match error {
         ClientError::Transport(_) => true,
@@ -203,7 +204,7 @@ fn told(batch: &Batch) -> String {
     let statuses: Vec<String> =
         batch.by_status.iter().map(|(status, number)| format!("{number} {status}")).collect();
     format!(
-        "batch {}: {} of {} questions asked ({}), {}",
+        "batch {}: {} of {} questions done ({}), {}",
         batch.id,
         batch.done,
         batch.items,

@@ -1,4 +1,4 @@
-//! `uniground completions`: what a shell needs to complete this program's words.
+//! `uniground completions`: prints a completion script for a shell.
 
 use super::Cli;
 use clap::CommandFactory;
@@ -11,11 +11,12 @@ bash: uniground completions bash > ~/.local/share/bash-completion/completions/un
 zsh:  uniground completions zsh > a folder of $fpath, as _uniground
 fish: uniground completions fish > ~/.config/fish/completions/uniground.fish")]
 pub struct CompletionsArgs {
+    /// Shell to generate the script for
     shell: Shell,
 }
 
 pub fn run(CompletionsArgs { shell }: &CompletionsArgs) -> anyhow::Result<()> {
-    // What generates them panics where nobody reads on.
+    // The generator panics when standard output is closed early, so the script is built in memory.
     let mut script = Vec::new();
     generate(*shell, &mut Cli::command(), "uniground", &mut script);
     Ok(io::stdout().write_all(&script)?)

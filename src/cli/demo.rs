@@ -1,5 +1,5 @@
-//! `uniground demo`: the whole job on the sample scene, against a real server on a free loopback
-//! port.
+//! `uniground demo`: runs upload, parse and questions on the sample scene, against a real server on
+//! a free loopback port.
 
 use super::private::PrivateServer;
 use super::{job_progress, table};
@@ -19,21 +19,21 @@ use uniground_types::scenes::Scene;
 
 #[derive(Debug, clap::Args)]
 pub struct DemoArgs {
-    /// The scan to show [default: the sample scene, which is inside this program]
+    /// Scan to use instead of the built-in sample scene
     #[arg(long, value_name = "FILE")]
     scene: Option<Utf8PathBuf>,
-    /// Ask this instead of the four sample questions; may be given several times
+    /// Ask this question instead of the four sample questions. May be repeated
     #[arg(long = "ask", value_name = "QUESTION")]
     questions: Vec<String>,
-    /// Write pictures here
+    /// Folder for the result pictures
     #[arg(long, default_value = "demo-out", value_name = "FOLDER")]
     out: Utf8PathBuf,
-    // Not of the environment: the demo is quick unless somebody says otherwise here.
-    /// Where 2D masks come from: builtin, auto, or a bundle, as for the server; a segmenter takes
-    /// seconds a frame
+    // Ignores the environment, so that the demo is fast by default.
+    /// Source of 2D masks: builtin, auto, or a bundle name. A segmentation model takes seconds per
+    /// frame
     #[arg(long, default_value = BUILTIN, value_name = "BUNDLE")]
     masks: String,
-    /// What compares pictures and words: builtin, auto, or a bundle, as for the server
+    /// Image and text encoder: builtin, auto, or a bundle name
     #[arg(long, default_value = BUILTIN, value_name = "BUNDLE")]
     encoder: String,
     #[command(flatten)]
@@ -47,10 +47,10 @@ const QUESTIONS: [&str; 4] = [
     "the mug on the coffee table",
     "the green fridge",
 ];
-/// The sample scene: the demo runs from any folder.
-/// How the same goes with models.
-const WITH_MODELS: &str = "With two small networks more is found, in minutes instead of seconds:\n  uniground models fetch && uniground demo --masks auto --encoder auto";
-/// How many of the found objects are listed.
+/// Hint on how to run the demo with models.
+const WITH_MODELS: &str = "With two small models it finds more objects but takes minutes:\n  \
+                           uniground models fetch && uniground demo --masks auto --encoder auto";
+/// Maximum number of objects to list.
 const LISTED: usize = 12;
 
 pub async fn run(args: &DemoArgs) -> anyhow::Result<()> {
@@ -96,9 +96,9 @@ async fn show(args: &DemoArgs, client: &Client) -> anyhow::Result<()> {
         client.models().await?.models.into_iter().map(|model| model.name).collect();
     match used.is_empty() {
         true => {
-            println!("Names come from sizes and colours only: no model was used. {WITH_MODELS}");
+            println!("No model was used, so names come from size and color only. {WITH_MODELS}");
         }
-        false => println!("Models that took part: {}.", used.join(", ")),
+        false => println!("Models used: {}.", used.join(", ")),
     }
     println!("Pictures of the room with each answer's box:");
     pictures.iter().for_each(|path| println!("  {path}"));
@@ -117,7 +117,7 @@ async fn upload(client: &Client, archive: Option<&Utf8Path>) -> anyhow::Result<S
     println!("Uploading {name} ({:.1} MB)", bytes.len() as f64 / 1e6);
     let start = Instant::now();
     let created = client.create_scene(None, kind.media_type(), bytes).await?;
-    let job = created.job.context("the server did not start to parse")?;
+    let job = created.job.context("the server did not start a parse")?;
     let told = job_progress::outcome(&job_progress::follow(client, &job.id).await?)?;
     println!("Parsed in {:.1} s: {told}\n", start.elapsed().as_secs_f32());
     Ok(client.scene(&created.scene.id).await?)
@@ -127,7 +127,7 @@ async fn print_found(client: &Client, scene: &Scene) -> anyhow::Result<()> {
     let instances = client.instances(&scene.id, 1000).await?.instances;
     let objects = instances.iter().filter(|i| i.structure.is_none());
     println!(
-        "Found {} objects and {} parts of the building; the largest objects:",
+        "Found {} objects and {} building elements (walls, floor, ceiling). Largest objects:",
         objects.clone().count(),
         instances.len() - objects.clone().count()
     );

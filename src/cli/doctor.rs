@@ -1,5 +1,5 @@
-//! `uniground doctor`: whether a data folder is whole, and what can be done where it is not. The
-//! server must not run.
+//! `uniground doctor`: checks the consistency of a data folder and repairs it. The server must be
+//! stopped.
 
 use super::output::print_json;
 use super::table;
@@ -13,17 +13,18 @@ use uniground_storage::Store;
 
 #[derive(Debug, clap::Args)]
 pub struct DoctorArgs {
-    /// Folder of the server, which must not run
+    /// Data folder of the server. The server must be stopped
     #[arg(long, env = "UNIGROUND_DATA_DIR", default_value = "./data")]
     data_dir: Utf8PathBuf,
     #[command(flatten)]
     database: DatabaseConfig,
     #[command(flatten)]
     blobs: BlobsConfig,
-    /// Make again what can be made, take strays to the quarantine, end what has no end
+    /// Repair: rebuild derived data, move orphan files to the quarantine folder, close unfinished
+    /// jobs
     #[arg(long)]
     repair: bool,
-    /// Print what was found as JSON
+    /// Print the findings as JSON
     #[arg(long)]
     json: bool,
 }
@@ -31,7 +32,7 @@ pub struct DoctorArgs {
 pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
     telemetry::start_quiet();
     let DoctorArgs { data_dir, database, blobs, repair, json: as_json } = args;
-    ensure!(data_dir.is_dir(), "there is no folder {data_dir}");
+    ensure!(data_dir.is_dir(), "folder {data_dir} does not exist");
     let store = Store::open_as_it_is(data_dir, &database.location, &blobs.home()?).await;
     let store = store.with_context(|| format!("the data folder {data_dir}"))?;
     let limits = LimitsConfig::default().service_limits();
@@ -40,7 +41,7 @@ pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
     if findings.is_empty() {
         match as_json {
             true => print_json(&as_value(data_dir, &findings, None))?,
-            false => println!("{data_dir} is whole"),
+            false => println!("{data_dir}: no problems found"),
         }
         store.close().await;
         return Ok(());
@@ -58,11 +59,11 @@ pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
     match waiting {
         _ if *as_json => print_json(&as_value(data_dir, &findings, waiting))?,
         Some(waiting) => {
-            println!("repaired: {}; {waiting} parses wait for the server", cured.len());
+            println!("repaired: {}; {waiting} parses will run when the server starts", cured.len());
         }
         None if cured.is_empty() => {}
         None => println!(
-            "{} of them can be repaired: uniground doctor --repair --data-dir {data_dir}",
+            "{} of them can be repaired. Run: uniground doctor --repair --data-dir {data_dir}",
             cured.len()
         ),
     }
@@ -75,11 +76,12 @@ pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
     };
     match open {
         0 => Ok(()),
-        open => bail!("{open} findings are open"),
+        open => bail!("{open} problems remain"),
     }
 }
 
-/// What was found, with what is done about it; `waiting` parses are told where that was done.
+/// Returns the findings and their remedies as JSON. `waiting` is the number of queued parses, set
+/// after a repair.
 fn as_value(data_dir: &Utf8Path, findings: &[Finding], waiting: Option<u32>) -> serde_json::Value {
     let findings: Vec<_> = findings
         .iter()

@@ -1,4 +1,4 @@
-//! `uniground eval`: a suite through the system, and two reports side by side.
+//! `uniground eval`: runs an evaluation suite and compares two reports.
 
 use super::Cli;
 use crate::config::{BundlesConfig, VlmConfig};
@@ -29,86 +29,86 @@ pub struct EvalArgs {
 
 #[derive(Debug, Subcommand)]
 enum EvalCommand {
-    /// Compare two reports: which expressions flipped
+    /// Compare two reports and list the expressions whose result changed
     Diff(DiffArgs),
 }
 
 #[derive(Debug, Args)]
 struct DiffArgs {
-    /// The earlier report (its folder or report.json), or a baseline
+    /// Earlier report (its folder or report.json), or a baseline file
     before: Utf8PathBuf,
-    /// The later report
+    /// Later report
     after: Utf8PathBuf,
     /// Print the comparison as JSON
     #[arg(long)]
     json: bool,
 }
 
-// Help is read on a terminal, where backticks are noise.
+// clap prints the help without Markdown rendering, so backticks are omitted.
 #[allow(clippy::doc_markdown)]
 #[derive(Debug, Args)]
 struct RunArgs {
-    /// A folder with *.queries.json, suite.json or task folders; or a list (ScanRefer,
-    /// EmbodiedScan) or table (Nr3D, Sr3D, VLM-Grounder)
+    /// Suite to run: a folder with *.queries.json, suite.json or task folders; a list (ScanRefer,
+    /// EmbodiedScan); or a table (Nr3D, Sr3D, VLM-Grounder)
     suite: Option<Utf8PathBuf>,
-    /// Write report.json, report.md, index.html here; replies are kept here too, so that a run
-    /// goes on where it stopped
+    /// Output folder for report.json, report.md and index.html. Replies are stored there too, so an
+    /// interrupted run resumes
     #[arg(long, default_value = "eval-out")]
     out: Utf8PathBuf,
-    /// Where scans and annotations of the scenes lie, if not beside the suite
+    /// Folder with the scans and annotations of the scenes [default: next to the suite]
     #[arg(long, value_name = "FOLDER")]
     scenes: Option<Utf8PathBuf>,
-    /// What to vary: `axis=value,value;axis=…` over source, names, preset, masks, encoder, parser,
-    /// reasoner, candidates, query_text, prompt, ablation, evidence, top_k, convention, and
-    /// settings of a parse like parsing.merging.max_hop
+    /// Configurations to compare: axis=value,value;axis=… with the axes source, names, preset,
+    /// masks, encoder, parser, reasoner, candidates, query_text, prompt, ablation, evidence, top_k,
+    /// convention, and parse settings such as parsing.merging.max_hop
     #[arg(long, default_value = "", value_parser = check_matrix)]
     matrix: String,
-    /// Ask a running server instead of this executable (its key: UNIGROUND_API_KEY)
+    /// Evaluate a running server instead of this executable. Its key is read from UNIGROUND_API_KEY
     #[arg(long, value_name = "URL")]
     server: Option<String>,
     #[command(flatten)]
     models: BundlesConfig,
     #[command(flatten)]
     vlm: VlmConfig,
-    /// Record every answer of the model here; what is recorded already is not asked again
+    /// Record model replies in this file. Recorded requests are not sent again
     #[arg(long, value_name = "FILE", conflicts_with_all = ["replay", "server"])]
     record: Option<Utf8PathBuf>,
-    /// Take the model's answers from this record: nothing is asked and nothing costs
+    /// Replay model replies from this file. Sends no requests and costs nothing
     #[arg(long, value_name = "FILE", conflicts_with = "server")]
     replay: Option<Utf8PathBuf>,
-    /// Most the model may cost in this run, US dollars: questions past that fail
+    /// Model spending limit for this run, US dollars. Questions beyond it fail
     #[arg(long, value_name = "USD", value_parser = words::usd, conflicts_with = "server")]
     max_usd: Option<f64>,
-    /// Questions asked at once; latencies are honest with one
+    /// Number of questions answered in parallel. Use 1 to measure latency
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
     concurrency: u16,
-    /// Score this many expressions, drawn by --seed
+    /// Score a random sample of this many expressions. See --seed
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(1..))]
     sample: Option<u32>,
-    /// Score the expressions of this many scenes, drawn by --seed; --sample then draws among these
+    /// Score the expressions of this many random scenes. --sample then draws from these
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(1..))]
     sample_scenes: Option<u32>,
-    /// Of the sample and of the bootstrap
+    /// Random seed of the sample and the bootstrap
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// ScanNet's scannetv2-labels.combined.tsv: tells unique from multiple by ScanRefer's eighteen
-    /// classes
+    /// Path of ScanNet's scannetv2-labels.combined.tsv. Splits results into unique and multiple by
+    /// ScanRefer's eighteen classes
     #[arg(long, value_name = "FILE")]
     label_map: Option<Utf8PathBuf>,
-    /// Hand over annotated target classes and anchors, as the paper's code does; the report says
-    /// so
+    /// Pass annotated target classes and anchors to the system, as the paper's code does. The
+    /// report states this
     #[arg(long)]
     paper_compatible: bool,
-    /// What to call this run in the report, e.g. the commit
+    /// Label of this run in the report, for example the commit
     #[arg(long)]
     label: Option<String>,
-    /// Pictures of failures that become part of the page, per cell; the rest are links
+    /// Number of failure pictures embedded in the page per cell. Others are linked
     #[arg(long, default_value_t = 200, value_name = "COUNT")]
     embed: usize,
-    /// Fail when a cell is worse than in this baseline or report by more than luck
+    /// Fail when a cell is significantly worse than in this baseline or report
     #[arg(long, value_name = "FILE")]
     baseline: Option<Utf8PathBuf>,
-    /// Write what later runs are held against
+    /// Write a baseline file for later runs
     #[arg(long, value_name = "FILE")]
     write_baseline: Option<Utf8PathBuf>,
 }
@@ -124,7 +124,7 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
         (Some(EvalCommand::Diff(diff)), _) => compare(diff),
         (None, Some(suite)) => evaluate(suite, &args.run),
         (None, None) => Cli::command()
-            .error(ErrorKind::MissingRequiredArgument, "a suite is needed: uniground eval SUITE")
+            .error(ErrorKind::MissingRequiredArgument, "a suite is required: uniground eval SUITE")
             .exit(),
     }
 }
@@ -181,7 +181,7 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
     tell_losses(&report);
     ensure!(
         report.cells.iter().any(|cell| !cell.outcomes.is_empty()),
-        "nothing was scored: every expression was left out"
+        "nothing was scored: every expression was skipped"
     );
     let now = Baseline::of(&report);
     if let Some(file) = &args.write_baseline {
@@ -190,13 +190,13 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
     baseline.map_or(Ok(()), |baseline| hold_against(&baseline, &now, &report, &mut out))
 }
 
-/// What was left out or failed, on the error stream: figures alone do not show it.
+/// Prints what was skipped or failed to stderr, since the scores do not show it.
 fn tell_losses(report: &Report) {
     for cell in &report.cells {
         let all = cell.outcomes.len() + cell.left_out.len();
         if let Some(first) = cell.left_out.first() {
             eprintln!(
-                "{}: {} of {all} expressions left out: {}",
+                "{}: {} of {all} expressions skipped: {}",
                 cell.name,
                 cell.left_out.len(),
                 first.reason
@@ -209,12 +209,12 @@ fn tell_losses(report: &Report) {
     }
 }
 
-/// The model, live or from recorded answers; these know their model.
+/// Returns the client of the model, either live or replaying a record. A record names its model.
 fn vlm_client(args: &RunArgs) -> anyhow::Result<Option<ChatClient>> {
     if let Some(file) = &args.replay {
         let (recorded, model) = ReplayCache::replay(file).context("--replay")?;
         let vlm_model = args.vlm.vlm_model.clone().or(Some(model));
-        // Nobody is asked: any address will do.
+        // A replay sends no requests, so any address works.
         let vlm_url = args.vlm.vlm_url.clone().or_else(|| Some("http://localhost".into()));
         return VlmConfig { vlm_url, vlm_model, ..args.vlm.clone() }.client(recorded);
     }
@@ -231,8 +231,7 @@ fn vlm_client(args: &RunArgs) -> anyhow::Result<Option<ChatClient>> {
     Ok(client)
 }
 
-/// Fails on a drop, and on cells or expressions the baseline has and the run has not: what is not
-/// measured can not be held.
+/// Fails on a significant drop, and when the run lacks cells or expressions of the baseline.
 fn hold_against(
     baseline: &Baseline,
     now: &Baseline,
@@ -249,7 +248,7 @@ fn hold_against(
     writeln!(out, "{}", describe(&changes, |id| queries.get(id).cloned()))?;
     let missing: Vec<&String> =
         baseline.cells.keys().filter(|name| !now.cells.contains_key(*name)).collect();
-    ensure!(missing.is_empty(), "the baseline has cells this run has not: {missing:?}");
+    ensure!(missing.is_empty(), "this run lacks cells of the baseline: {missing:?}");
     for (name, before) in &baseline.cells {
         let gone =
             before.right.keys().filter(|id| !now.cells[name].right.contains_key(*id)).count();
@@ -260,7 +259,7 @@ fn hold_against(
         .filter(|c| c.thresholds.iter().any(Change::is_drop))
         .map(|c| c.cell.as_str())
         .collect();
-    ensure!(drops.is_empty(), "worse than the baseline by more than luck: {}", drops.join("; "));
+    ensure!(drops.is_empty(), "significantly worse than the baseline: {}", drops.join("; "));
     Ok(())
 }
 
@@ -271,16 +270,18 @@ fn compare(args: &DiffArgs) -> anyhow::Result<()> {
     if args.json {
         writeln!(out, "{}", serde_json::to_string_pretty(&changes)?)?;
     } else {
-        // Either may be a baseline, which knows no words.
+        // A baseline stores no query texts.
         let known: HashMap<String, String> = [&args.before, &args.after]
             .into_iter()
             .filter_map(|path| Report::read(path).ok())
             .flat_map(|report| queries(&report))
             .collect();
         write!(out, "{}", describe(&changes, |id| known.get(id).cloned()))?;
-        unpaired.iter().try_for_each(|cell| writeln!(out, "{cell}: in one of the two only"))?;
+        unpaired
+            .iter()
+            .try_for_each(|cell| writeln!(out, "{cell}: only in one of the two reports"))?;
     }
-    ensure!(!changes.is_empty(), "the two have no cell in common");
+    ensure!(!changes.is_empty(), "the two reports have no cell in common");
     Ok(())
 }
 
@@ -289,7 +290,7 @@ fn queries(report: &Report) -> HashMap<String, String> {
     outcomes.map(|o| (comparison_key(o), o.query.clone())).collect()
 }
 
-/// One line that is written over; nothing where nobody watches.
+/// Prints progress on one line that is overwritten. Prints nothing when stderr is not a terminal.
 fn show_progress(step: &Step) {
     if io::stderr().is_terminal() {
         eprint!("\r{:>4} of {} {:<24.24} {:<48.48}\r", step.done, step.of, step.scene, step.cell);

@@ -1,5 +1,5 @@
-//! Packages fetched for somebody who watches: a bar on a terminal, a line a package elsewhere, a
-//! line a file that is in place.
+//! Downloads packages with progress output: a bar on a terminal, otherwise one line per package and
+//! per installed file.
 
 use crate::config::{ModelsConfig, registries};
 use crate::packages::{Event, InstallTarget, PARTS, PackagePart, Places, fetch};
@@ -8,11 +8,11 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{self, IsTerminal, Write};
 use uniground_core::models::neural::OnnxRuntime;
 
-/// Fetches one part after the other; one that fails keeps nobody from the rest. What is in place is
-/// told on `out`, the rest on stderr.
+/// Fetches the parts one after the other and continues after a failure. Prints installed files to
+/// `out` and everything else to stderr.
 ///
 /// # Errors
-/// How many could not be fetched, after each was told; an address of a registry that is none.
+/// Returns an error that lists the parts that could not be fetched, or an invalid registry address.
 pub fn fetch_all(
     parts: &[&PackagePart],
     places: &Places,
@@ -37,8 +37,8 @@ pub fn fetch_all(
     }
 }
 
-/// What a server with these flags would use and does not find. A library that is found anywhere
-/// will do.
+/// Returns the parts that a server with this configuration needs and does not have. Any library
+/// that can be loaded counts as present.
 pub fn wanted(config: &ModelsConfig) -> Vec<&'static PackagePart> {
     let is_bundle_wanted = |part: &&PackagePart| matches!(part.home, InstallTarget::Bundle(name, role) if config.wants(role, name));
     let bundles: Vec<&PackagePart> = PARTS.iter().filter(is_bundle_wanted).collect();
@@ -58,7 +58,7 @@ struct ProgressBarView<'a> {
 impl ProgressBarView<'_> {
     fn tell(&mut self, event: Event) {
         match event {
-            Event::There(folder) => self.line(&format!("{folder} is there")),
+            Event::There(folder) => self.line(&format!("{folder} is already installed")),
             Event::Placed(file) => self.line(file.as_str()),
             Event::Begins(package, bytes) if io::stderr().is_terminal() => {
                 self.bar = Some(bar(package, bytes));
@@ -72,7 +72,7 @@ impl ProgressBarView<'_> {
     }
 
     fn line(&mut self, text: &str) {
-        // Nobody has to listen: files are in place all the same.
+        // A closed output does not matter: the files are installed.
         let _told = writeln!(self.out, "{text}");
     }
 }
@@ -97,7 +97,7 @@ mod tests {
             encoder: encoder.into(),
             ..ModelsConfig::builtin()
         };
-        // A library somebody named: the usual one is nobody's wish.
+        // The user named a library, so the default one is not needed.
         config.bundles.runtime.onnxruntime_lib = Some("elsewhere.so".into());
         wanted(&config).iter().map(|part| part.name).collect()
     }

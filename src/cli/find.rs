@@ -1,4 +1,4 @@
-//! `uniground find`: in which of a server's scenes something is.
+//! `uniground find`: finds the scenes of a server that contain an object.
 
 use super::output::print_json;
 use super::server::ServerArgs;
@@ -9,29 +9,29 @@ use uniground_types::labels::{Labels, read_labels};
 use uniground_types::many::{ManyAnswers, ManyGroundRequest};
 use uniground_types::question::ReasonerChoice;
 
-#[allow(clippy::doc_markdown)] // Help is no Markdown.
+#[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Exit codes: 0 answered, whether it was found or not; 1 not answered; 2 wrong usage."
+    after_help = "Exit codes: 0 answered, even if nothing was found; 1 error; 2 invalid arguments."
 )]
 pub struct FindArgs {
-    /// What to find, in plain English
+    /// Description of the object in English
     #[arg(value_name = "QUESTION")]
     query: String,
-    /// Look in this scene alone: its name, its id, or how one of them begins; may be given several
-    /// times
+    /// Search only this scene: its name, its id, or the beginning of either. May be repeated
     #[arg(long, value_name = "SCENE")]
     scene: Vec<String>,
-    /// Look only in scenes with these labels
+    /// Search only scenes with all of these labels
     #[arg(long, value_name = "NAME=VALUE,...", value_parser = labels)]
     labels: Option<Labels>,
-    /// How many scenes are answered in full
+    /// Number of scenes answered in full
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=20))]
     top_k: u32,
-    /// Who decides: a vision-language model where the server has one, or always, or never
+    /// Which reasoner decides: a vision-language model if the server has one (auto), always, or
+    /// never
     #[arg(long, default_value = "auto", value_parser = words::reasoner())]
     reasoner: ReasonerChoice,
-    /// Most all of it may cost, US dollars
+    /// Spending limit for the whole search, US dollars
     #[arg(long, value_name = "USD", value_parser = words::usd)]
     max_cost_usd: Option<f64>,
     /// Print the answers as JSON
@@ -72,11 +72,10 @@ fn print(found: &ManyAnswers) -> anyhow::Result<()> {
     }
     let left_out = match found.not_asked.len() {
         0 => String::new(),
-        left_out => format!(", {left_out} could not be asked: {}", found.not_asked[0].detail),
+        left_out => format!(", {left_out} could not be searched: {}", found.not_asked[0].detail),
     };
-    let narrowed =
-        if found.narrowed { ", the likeliest of more than there is time for" } else { "" };
-    eprintln!("{} looked into{narrowed}{left_out}", counted(found.looked_into));
+    let narrowed = if found.narrowed { ", the most likely of more than 1,000" } else { "" };
+    eprintln!("{} searched{narrowed}{left_out}", counted(found.looked_into));
     Ok(())
 }
 

@@ -1,4 +1,4 @@
-//! `uniground gc`: lets a stopped server's folder go of everything that was kept long enough.
+//! `uniground gc`: applies the retention settings to the data folder of a stopped server.
 
 use super::table;
 use crate::config::{BlobsConfig, DatabaseConfig, LimitsConfig, RetentionConfig};
@@ -11,25 +11,24 @@ use uniground_storage::Store;
 
 #[derive(Debug, clap::Args)]
 pub struct GcArgs {
-    /// Folder of the server, which must not run
+    /// Data folder of the server. The server must be stopped
     #[arg(long, env = "UNIGROUND_DATA_DIR", default_value = "./data")]
     data_dir: Utf8PathBuf,
     #[command(flatten)]
     database: DatabaseConfig,
     #[command(flatten)]
     blobs: BlobsConfig,
-    /// Only tell what would go; nothing is written
+    /// Show what would be removed without removing it
     #[arg(long)]
     dry_run: bool,
-    /// As JSON
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
     #[command(flatten)]
     retention: RetentionConfig,
 }
 
-/// Unused room in the database for which it is written anew, where nothing was removed now: what a
-/// refused batch has left, say.
+/// Unused bytes in the database from which it is compacted even if this run removed nothing.
 const WORTH_COMPACTING_BYTES: u64 = 16 << 20;
 
 pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
@@ -54,18 +53,23 @@ pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
         );
     } else {
         println!("{}", table::of_removed(&removed));
-        let verb = if *dry_run { "would go" } else { "gone" };
+        let verb = if *dry_run { "would be removed" } else { "removed" };
         println!("{verb}: {entries} entries, {}", table::size(bytes));
     }
     drop(services);
     if !dry_run && (entries > 0 || store.retention.unused_bytes().await? >= WORTH_COMPACTING_BYTES)
     {
         match store.retention.compact().await {
-            // Compacting writes the database once more: what was removed has made its room, for rows if not for files.
+            // Compacting rewrites the database. The rows are removed even if it fails, but the
+            // database file does not shrink.
             Err(error) if error.is_full() => {
-                eprintln!("the disk has too little room to compact the database: run gc again when it has more");
+                eprintln!(
+                    "not enough disk space to compact the database. Free some space and run gc \
+                     again."
+                );
             }
-            compacted => compacted.context("what was removed is gone, but the database could not give its room back to the disk")?,
+            compacted => compacted
+                .context("the entries were removed, but the database could not be compacted")?,
         }
     }
     store.close().await;

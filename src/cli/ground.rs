@@ -1,4 +1,4 @@
-//! `uniground ground`: one question, about a scan in this process or to a running server.
+//! `uniground ground`: answers one question about a local scan or a scene of a running server.
 
 use super::local::{self, LocalArgs};
 use super::output::{alarming, print_json};
@@ -16,46 +16,47 @@ use uniground_types::question::{
 };
 use uniground_types::scenes::{Scene, SceneStatus};
 
-#[allow(clippy::doc_markdown)] // Help is no Markdown.
+#[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, clap::Args)]
 #[command(
     allow_missing_positional = true,
     override_usage = "uniground ground [OPTIONS] SCAN QUESTION\n       uniground ground [OPTIONS] --scene SCENE QUESTION",
-    after_help = "Exit codes: 0 answered, whatever the status (no match, too); 1 not answered; 2 wrong usage."
+    after_help = "Exit codes: 0 answered, even if nothing matches; 1 error; 2 invalid arguments."
 )]
 pub struct GroundArgs {
-    /// A scan to ask about without a server: a folder, an archive, a .sens or .r3d file, a cloud
-    /// or a mesh
+    /// Local scan to ask about, without a server: a folder, an archive, a .sens or .r3d file, a
+    /// point cloud or a mesh
     #[arg(value_name = "SCAN", conflicts_with = "scene")]
     scan: Option<Utf8PathBuf>,
-    /// What to find, in plain English
+    /// Description of the object in English
     #[arg(value_name = "QUESTION", required = true)]
     query: String,
-    /// A scene of a server to ask about: its name, its id, or how one of them begins
+    /// Scene of a server to ask about: its name, its id, or the beginning of either
     #[arg(long)]
     scene: Option<String>,
     #[command(flatten)]
     server: ServerArgs,
-    /// Wait for a scene that is still being parsed
+    /// Wait for the scene if it is still being parsed
     #[arg(long, requires = "scene")]
     wait: bool,
-    /// Candidates to keep
+    /// Maximum number of candidates
     #[arg(long, default_value_t = 5)]
     top_k: u32,
-    /// Who decides: a vision-language model where the server has one, or always, or never
+    /// Which reasoner decides: a vision-language model if the server has one (auto), always, or
+    /// never
     #[arg(long, default_value = "auto", value_parser = words::reasoner())]
     reasoner: ReasonerChoice,
-    /// What a model is shown of the candidates
+    /// What the model is shown of each candidate
     #[arg(long, default_value = "full", value_parser = words::evidence())]
     evidence: EvidenceMode,
-    /// Most the question may cost, US dollars
+    /// Spending limit for the question, US dollars
     #[arg(long, value_name = "USD", value_parser = words::usd)]
     max_cost_usd: Option<f64>,
-    /// Who "me" is, and from where left and right are seen: metres, and the direction of view in
-    /// degrees from +X towards +Y. Without Z, eyes are at 1.5 m
+    /// Observer for "me", left and right: position in meters and view direction in degrees from +X
+    /// towards +Y. Without Z, the eye height is 1.5 m
     #[arg(long, value_name = "X,Y[,Z],YAW", allow_hyphen_values = true, value_parser = eyes)]
     observer: Option<ObserverArg>,
-    /// Whose coordinates --observer is in, and boxes are told in beside the scene's own
+    /// Coordinate frame of --observer, and an additional frame for the boxes of the answer
     #[arg(long, default_value = "scene", value_parser = words::frame())]
     frame: FrameChoice,
     /// Print the answer as JSON
@@ -65,7 +66,7 @@ pub struct GroundArgs {
     local: LocalArgs,
 }
 
-/// Somebody who stands in the room, as the command line has it.
+/// The value of `--observer`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct ObserverArg {
     at: [f64; 2],
@@ -73,7 +74,7 @@ struct ObserverArg {
     yaw_deg: f64,
 }
 
-/// Above a floor at zero, where nobody says.
+/// Default eye height above a floor at zero.
 const EYE_HEIGHT_M: f64 = 1.5;
 
 fn eyes(text: &str) -> Result<ObserverArg, String> {
@@ -84,7 +85,10 @@ fn eyes(text: &str) -> Result<ObserverArg, String> {
     match numbers.as_deref() {
         Some(&[x, y, yaw_deg]) => Ok(ObserverArg { at: [x, y], z: None, yaw_deg }),
         Some(&[x, y, z, yaw_deg]) => Ok(ObserverArg { at: [x, y], z: Some(z), yaw_deg }),
-        _ => Err("expected x,y,yaw or x,y,z,yaw: metres, and degrees from +X towards +Y".into()),
+        _ => Err(
+            "expected x,y,yaw or x,y,z,yaw in meters, with the yaw in degrees from +X towards +Y"
+                .into(),
+        ),
     }
 }
 
@@ -101,11 +105,8 @@ impl ObserverArg {
 pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
     let usage = |kind, message: &str| -> ! { wrong_usage("ground", kind, message) };
     if args.frame == FrameChoice::Source && args.observer.is_some_and(|eyes| eyes.z.is_none()) {
-        // Files may have another axis up, and other units.
-        usage(
-            ErrorKind::ValueValidation,
-            "--observer: in the files' own coordinates all of x,y,z,yaw are wanted",
-        );
+        // The files may have another up axis and other units.
+        usage(ErrorKind::ValueValidation, "--observer: with --frame source, give all of x,y,z,yaw");
     }
     let request = GroundRequest {
         top_k: args.top_k,
@@ -119,22 +120,24 @@ pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
     let answer = match (&args.scan, &args.scene) {
         (Some(_), _) if args.server.given().is_some() => usage(
             ErrorKind::ArgumentConflict,
-            "a scan is asked about in this process, without --server; to ask a server: uniground upload SCAN, then \
-             uniground ground --scene SCENE QUESTION",
+            "a local scan is processed without a server, so --server cannot be used. To ask a \
+             server, run uniground upload SCAN, then uniground ground --scene SCENE QUESTION",
         ),
         (Some(_), _) if args.frame == FrameChoice::Map => usage(
             ErrorKind::ArgumentConflict,
-            "a scan on the disk lies in no map: --frame map is for scenes of a server that were told where",
+            "--frame map cannot be used with a local scan. It needs a scene of a server that has a \
+             map transform.",
         ),
         (Some(scan), _) => Box::pin(local::answer(scan, &args.local, request)).await?,
         (None, Some(scene)) => ask(args, scene, &request).await?,
         (None, None) if Utf8Path::new(&args.query).exists() => usage(
             ErrorKind::MissingRequiredArgument,
-            &format!("what is to be found in {}? The question comes after the scan", args.query),
+            &format!("the question is missing. Give it after the scan {}.", args.query),
         ),
         (None, None) => usage(
             ErrorKind::MissingRequiredArgument,
-            "where is it to be found? uniground ground SCAN QUESTION asks about a scan on the disk, --scene SCENE about one of a server",
+            "the scan or the scene is missing. Use uniground ground SCAN QUESTION for a local \
+             scan, or --scene SCENE for a scene of a server.",
         ),
     };
     match args.json {
@@ -164,13 +167,13 @@ async fn ask(args: &GroundArgs, scene: &str, request: &GroundRequest) -> anyhow:
     }
 }
 
-/// Why a scene has no parse, and what helps.
+/// Returns why a scene has no parse, with a hint.
 async fn not_ready(client: &Client, id: &str, error: ClientError) -> anyhow::Error {
     match client.scene(id).await {
         Ok(Scene { error: Some(why), .. }) => hints::ParseFailed(why).into(),
         Ok(Scene { status: SceneStatus::Parsing, .. }) => hints::ended(
             &error.into(),
-            "--wait waits until it is; `uniground scenes` tells how far it has come",
+            "--wait waits until it is ready; `uniground scenes` shows the progress",
         ),
         _ => error.into(),
     }
@@ -193,13 +196,15 @@ fn print(answer: &Answer) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// That a built-in part answered where a model was to, and why.
+/// Returns a warning that a built-in component replaced a model, with the reasons.
 fn without_model(answer: &Answer) -> String {
     let why = answer.trace.iter().flat_map(|trace| &trace.corrections).map(String::as_str);
-    std::iter::once("DEGRADED: a model was to take part in this answer and did not; built-in parts took its place")
-        .chain(why)
-        .collect::<Vec<_>>()
-        .join("\n  ")
+    std::iter::once(
+        "DEGRADED: a model could not be used for this answer; built-in components replaced it",
+    )
+    .chain(why)
+    .collect::<Vec<_>>()
+    .join("\n  ")
 }
 
 #[cfg(test)]

@@ -1,5 +1,4 @@
-//! Errors end with the command that helps: a last line, for somebody who does not know the manual
-//! by heart.
+//! Adds a last line to errors: a command or setting that helps.
 
 use camino::Utf8Path;
 use uniground_client::ClientError;
@@ -7,12 +6,12 @@ use uniground_core::ingest::{IngestError, IngestErrorKind};
 use uniground_core::scan::ScanError;
 use uniground_types::job::JobError;
 
-/// A parse that failed, as its job tells.
+/// A failed parse, with the error of its job.
 #[derive(Debug, thiserror::Error)]
 #[error("the scan could not be parsed: {} ({})", .0.detail, .0.code)]
 pub struct ParseFailed(pub JobError);
 
-/// Codes of problems that are the scan's own: what a service says of one it can not read.
+/// Problem codes that are caused by the scan itself.
 const OF_SCANS: [&str; 16] = [
     "archive_unreadable",
     "archive_entry_unsafe",
@@ -32,45 +31,52 @@ const OF_SCANS: [&str; 16] = [
     "scan_too_costly",
 ];
 
-/// An error with what helps, where it is one of those that everybody meets.
+/// Adds a hint to the most common errors.
 pub fn with_help(error: anyhow::Error) -> anyhow::Error {
     match error.chain().find_map(|cause| cause.downcast_ref::<ClientError>()) {
         Some(ClientError::Transport(transport)) if transport.is_connect() => {
-            // A password in the address is no part of the origin.
+            // The origin leaves out a password in the address.
             let address = transport
                 .url()
                 .map_or_else(|| "this address".into(), |url| url.origin().ascii_serialization());
             let why = error.chain().last().map(ToString::to_string).unwrap_or_default();
-            let help = "is it running? `uniground serve` starts one; one at another address: --server, or UNIGROUND_SERVER";
-            anyhow::anyhow!("no server answers at {address}: {why}\n{help}")
+            let help = "Is it running? `uniground serve` starts one. For another address, use \
+                        --server, or UNIGROUND_SERVER";
+            anyhow::anyhow!("cannot connect to the server at {address}: {why}\n{help}")
         }
         Some(ClientError::Problem(problem)) if problem.status == 401 => {
             let help =
                 match std::env::var_os("UNIGROUND_API_KEY").is_some_and(|key| !key.is_empty()) {
-                    true => "the key in UNIGROUND_API_KEY is none that this server takes",
+                    true => "this server does not accept the key in UNIGROUND_API_KEY",
                     false => "set UNIGROUND_API_KEY to your key",
                 };
-            ended(&error, &format!("{help}; `uniground key create` makes one, with an admin's key"))
+            ended(
+                &error,
+                &format!("{help}; an administrator can create one with `uniground key create`"),
+            )
         }
         Some(ClientError::Problem(problem)) if problem.code == "scope_missing" => ended(
             &error,
-            "`uniground key create NAME --scope write` makes a key that may more, with an admin's key",
+            "an administrator can create a key with more rights: `uniground key create NAME \
+             --scope write`",
         ),
         Some(ClientError::Problem(problem)) if problem.code == "scene_not_found" => {
-            ended(&error, "`uniground scenes` lists what there is")
+            ended(&error, "`uniground scenes` lists all scenes")
         }
-        Some(ClientError::BadAddress(_)) => {
-            ended(&error, "an address is like http://127.0.0.1:8080: --server, or UNIGROUND_SERVER")
-        }
+        Some(ClientError::BadAddress(_)) => ended(
+            &error,
+            "the address must look like http://127.0.0.1:8080. Set it with --server, or \
+             UNIGROUND_SERVER",
+        ),
         Some(ClientError::Unexpected { .. }) => ended(
             &error,
-            "is this a server of uniground? another address: --server, or UNIGROUND_SERVER",
+            "Is this a uniground server? For another address, use --server, or UNIGROUND_SERVER",
         ),
         _ => error,
     }
 }
 
-/// What is wrong with a scan, which scan, and how more is learned of it.
+/// Adds the name of the scan and a hint to an error about it.
 pub fn of_scan(error: anyhow::Error, scan: &Utf8Path) -> anyhow::Error {
     let code = error.chain().find_map(|cause| match (cause.downcast_ref(), cause.downcast_ref()) {
         (Some(ClientError::Problem(problem)), _) => Some(problem.code.as_str()),
@@ -89,23 +95,23 @@ pub fn of_scan(error: anyhow::Error, scan: &Utf8Path) -> anyhow::Error {
     };
     match (code, local.map(IngestError::kind)) {
         (Some("up_unknown"), _) | (_, Some(IngestErrorKind::UpUnknown)) => {
-            ended("say which axis of the files points up: --up z, or x, y, -x, -y, -z")
+            ended("give the axis of the files that points up: --up z (or x, y, -x, -y, -z)")
         }
         (None, None | Some(IngestErrorKind::Cancelled)) => error,
         (Some(code), _) if !OF_SCANS.contains(&code) => error,
         _ => ended(&format!(
-            "`uniground import {} --check` tells how a scan is read, and what is wrong with it",
+            "`uniground import {} --check` shows how the scan is read and what is wrong with it",
             quoted(scan.as_str())
         )),
     }
 }
 
-/// An error whose last line is what helps.
+/// Appends a hint as the last line of an error.
 pub fn ended(error: &anyhow::Error, help: &str) -> anyhow::Error {
     anyhow::anyhow!("{error:#}\n{help}")
 }
 
-/// A word as a shell takes it for one.
+/// Quotes a word for a shell, if needed.
 pub fn quoted(word: &str) -> String {
     let is_plain = |c: char| c.is_alphanumeric() || "-_./:@%+=,".contains(c);
     match !word.is_empty() && word.chars().all(is_plain) {

@@ -1,5 +1,4 @@
-//! `uniground import`: looks at a scan of any layout, says how it is read, and writes it down in
-//! the neutral one.
+//! `uniground import`: checks how a scan is read and converts it to the neutral layout.
 
 mod archive;
 mod page;
@@ -21,25 +20,26 @@ use uniground_types::settings::{ImportSettings, LevellingChoice};
 
 #[derive(Debug, clap::Args)]
 pub struct ImportArgs {
-    /// A scan: a folder, an archive, a .sens or .r3d file, a cloud or a mesh
+    /// Scan to read: a folder, an archive, a .sens or .r3d file, a point cloud or a mesh
     scan: Utf8PathBuf,
-    /// Only look: files, poses, and a sample of the pictures; no cloud is fused
+    /// Check only the files, the poses and a sample of the pictures. Skips the fusion of a point
+    /// cloud
     #[arg(long)]
     check: bool,
-    /// Write the scan in the neutral layout (scene.json): rectified pictures, poses level with Z
-    /// up, metres
+    /// Write the scan in the neutral layout (scene.json): rectified pictures, leveled poses, Z up,
+    /// meters
     #[arg(long, value_name = "FILE.zip", conflicts_with = "check")]
     out: Option<Utf8PathBuf>,
-    /// Write index.html with pictures and report.json here
+    /// Write an HTML page with pictures, and report.json, to this folder
     #[arg(long, value_name = "FOLDER")]
     report: Option<Utf8PathBuf>,
-    /// The axis that points up in the scan: x, -x, y, -y, z or -z
+    /// Axis that points up in the scan: x, -x, y, -y, z or -z
     #[arg(long, allow_hyphen_values = true, value_parser = super::parse::up_axis)]
     up: Option<UpAxis>,
-    /// Length of one unit of the scan's cloud and poses, metres
-    #[arg(long, value_name = "METRES", value_parser = words::metres_per_unit)]
+    /// Length of one unit of the scan's cloud and poses, meters
+    #[arg(long, value_name = "METERS", value_parser = words::metres_per_unit)]
     metres_per_unit: Option<f64>,
-    /// Leave a tilted world tilted
+    /// Keep the tilt of the scan instead of leveling it
     #[arg(long)]
     no_levelling: bool,
     /// Print the report as JSON
@@ -47,24 +47,24 @@ pub struct ImportArgs {
     json: bool,
 }
 
-/// A scan as it came in.
+/// An imported scan with its report.
 struct ImportedScanInfo {
     report: ImportReport,
     frames: Vec<FrameRef>,
-    /// `None`: only looked at, and it has no cloud of its own.
+    /// `None` if the scan was only checked and has no point cloud of its own.
     cloud: Option<PointCloud>,
-    /// How well frames agree with the next; `None` where they do not overlap.
+    /// How well each frame agrees with the next; `None` if frames do not overlap.
     neighbours: Option<NeighborAgreement>,
     seconds: f32,
 }
 
-/// What is written as JSON: the report a scene keeps, and what is looked at here only.
+/// The JSON output: the import report and the additional checks of this command.
 #[derive(Serialize)]
 struct ImportOutput<'a> {
     #[serde(flatten)]
     report: &'a ImportReport,
     neighbours: Option<NeighborAgreement>,
-    /// Full extent of the cloud, metres.
+    /// Full extent of the cloud, meters.
     extent_m: Option<[f32; 3]>,
 }
 
@@ -80,7 +80,7 @@ impl<'a> ImportOutput<'a> {
 }
 
 pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
-    ensure!(args.scan.exists(), "{}: there is no such file or folder", args.scan);
+    ensure!(args.scan.exists(), "{}: no such file or folder", args.scan);
     let settings = ImportSettings {
         up: args.up,
         metres_per_unit: args.metres_per_unit,
@@ -122,7 +122,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What a person wants to know, a line each.
+/// Returns the summary for the terminal as pairs of title and value.
 fn summary(
     ImportedScanInfo { report, cloud, seconds, neighbours, .. }: &ImportedScanInfo,
 ) -> Vec<(&'static str, String)> {
@@ -134,9 +134,9 @@ fn summary(
     };
     lines.push(("frames", format!("{}{skipped}", report.frames)));
     if report.frames > 0 {
-        let agreement = report.reprojection_agreement.map_or("not to be told".into(), |a| {
-            format!("{:.0}% of the points in view", a * 100.0)
-        });
+        let agreement = report
+            .reprojection_agreement
+            .map_or("unknown".into(), |a| format!("{:.0}% of the points in view", a * 100.0));
         lines.push((
             "depth fits",
             format!("{agreement} (poses {:?}, cameras {})", report.pose, report.camera_axes),
@@ -156,11 +156,11 @@ fn summary(
             format!("tilted by {:.1} degrees, turned level: {}", level.tilt_deg, level.evidence)
         }
         Some(level) => format!("level within {:.1} degrees: {}", level.tilt_deg, level.evidence),
-        None => "taken as it is".into(),
+        None => "not leveled".into(),
     };
     lines.push(("up", format!("{} ({level})", report.up.name())));
     if let Some(extent) = cloud.as_ref().and_then(|cloud| Aabb::around(&cloud.positions)) {
-        let whose = if report.cloud_points.is_some() { "its own" } else { "fused" };
+        let whose = if report.cloud_points.is_some() { "from the scan" } else { "fused" };
         let points = cloud.as_ref().map_or(0, PointCloud::len);
         lines.push((
             "cloud",
@@ -177,12 +177,12 @@ fn summary(
     lines
 }
 
-/// Views of the cloud: into the room, from the side (upright things stand up) and from above.
+/// Rendered views of the cloud. The side view shows whether upright objects stand upright.
 const VIEWS: [(&str, &str, Orbit); 3] = [
     ("room", "Into the room", ROOM_VIEW),
     (
         "side",
-        "From the side, level: floors are lines",
+        "From the side (a level floor is a line)",
         Orbit { width: 1024, height: 600, azimuth_deg: -90.0, tilt_deg: 89.0 },
     ),
     ("top", "From above", Orbit { width: 1024, height: 768, azimuth_deg: -90.0, tilt_deg: 0.5 }),
@@ -210,7 +210,7 @@ fn write_report(
     }
     if let Some(sheet) = page::contact_sheet(&imported.frames) {
         fs::write(out.join("frames.jpg"), jpeg(&sheet))?;
-        pictures.push(("frames", "Frames over the scan"));
+        pictures.push(("frames", "Sample frames"));
     }
     fs::write(out.join("report.json"), serde_json::to_vec_pretty(&ImportOutput::of(imported))?)?;
     fs::write(out.join("index.html"), page::render(scan, &summary(imported), &pictures))?;

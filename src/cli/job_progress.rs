@@ -1,5 +1,4 @@
-//! A scan on its way into a service, for somebody who watches: bytes sent, then stages of the
-//! parse.
+//! Uploads a scan and shows the progress of the upload and of the parse.
 
 use super::hints;
 use super::scan_file::ScanFile;
@@ -21,10 +20,10 @@ use uniground_types::scenes::Created;
 const SENDING: &str = "{bar:40} {percent:>3}%  {msg:<20} {bytes} of {total_bytes}, {eta} left";
 const PARSING: &str = "{bar:40} {percent:>3}%  {msg}";
 
-/// Uploads a scan; `query` as the API describes it.
+/// Uploads a scan. `query` holds the query parameters of the API.
 ///
 /// # Errors
-/// A file that can not be read, [`ClientError`].
+/// Returns an error if a file cannot be read, or a [`ClientError`].
 pub async fn send(
     client: &Client,
     scan: &ScanFile,
@@ -38,10 +37,10 @@ pub async fn send(
     Ok(sent?)
 }
 
-/// Adds a scan's frames to a scene.
+/// Adds the frames of a scan to a scene.
 ///
 /// # Errors
-/// A file that can not be read, [`ClientError`].
+/// Returns an error if a file cannot be read, or a [`ClientError`].
 pub async fn add(
     client: &Client,
     scan: &ScanFile,
@@ -57,7 +56,7 @@ pub async fn add(
     Ok(sent?)
 }
 
-/// Shows a job to its end: a live bar on a terminal, a line a stage elsewhere.
+/// Follows a job until it ends: a progress bar on a terminal, otherwise one line per stage.
 ///
 /// # Errors
 /// [`ClientError`].
@@ -81,10 +80,10 @@ pub async fn follow(client: &Client, job_id: &str) -> Result<Job, ClientError> {
     job
 }
 
-/// What came of a parse, in a sentence.
+/// Returns the result message of a parse.
 ///
 /// # Errors
-/// Why nothing came of it.
+/// Returns the reason if the parse failed or was cancelled.
 pub fn outcome(job: &Job) -> anyhow::Result<String> {
     match (job.state, &job.error) {
         (JobState::Succeeded, _) => Ok(job.message.clone().unwrap_or_default()),
@@ -95,7 +94,7 @@ pub fn outcome(job: &Job) -> anyhow::Result<String> {
 
 fn bar(length: u64, template: &str) -> ProgressBar {
     let bar = ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::stderr());
-    // A template is a constant: it parses, or the test below fails.
+    // The templates are constants; a test checks that they parse.
     if let Ok(style) = ProgressStyle::with_template(template) {
         bar.set_style(style);
     }
@@ -115,7 +114,7 @@ fn stage_of(job: &Job) -> &str {
     }
 }
 
-/// A file as the body of a request. Its length is told, so that a server without room says so
+/// A file as a request body. It has a known length, so that a server without space rejects it
 /// before the first byte.
 struct UploadBody {
     stream: ReaderStream<tokio::fs::File>,

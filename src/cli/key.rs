@@ -1,4 +1,4 @@
-//! `uniground key`: who may ask a server.
+//! `uniground key`: manages the API keys of a server.
 
 use super::output::print_json;
 use super::table;
@@ -21,31 +21,31 @@ pub struct KeyArgs {
 
 #[derive(Debug, clap::Subcommand)]
 enum Command {
-    /// Make a key and print its secret, which is kept nowhere else
+    /// Create a key and print its secret. The secret is shown only once
     Create(CreateArgs),
     /// List keys, newest first
     List(ListArgs),
-    /// Have a key refused from now on
+    /// Revoke a key. It is rejected from then on
     Revoke(RevokeArgs),
 }
 
 #[derive(Debug, clap::Args)]
 struct CreateArgs {
-    /// Who will hold it, for people
+    /// Name of the holder, for display
     name: String,
-    /// What it allows: read (look and ask), write (upload and change), admin (keys)
+    /// Access level: read (view and ask), write (also upload and change), admin (also manage keys)
     #[arg(long, default_value = "read", value_parser = words::scope())]
     scope: Scope,
-    /// Days after which it is refused
+    /// Days until the key expires [default: never]
     #[arg(long, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(1..=36_500))]
     expires_in_days: Option<u32>,
-    /// Requests a minute
+    /// Maximum requests per minute
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     requests_per_minute: Option<u32>,
-    /// Scenes it may have uploaded and not deleted
+    /// Maximum number of scenes the key may own
     #[arg(long, value_name = "N")]
     max_scenes: Option<u32>,
-    /// Most that its questions may cost in a day (UTC), US dollars
+    /// Spending limit per day (UTC), US dollars
     #[arg(long, value_name = "USD", value_parser = words::usd)]
     daily_usd: Option<f64>,
     #[command(flatten)]
@@ -60,41 +60,41 @@ struct ListArgs {
 
 #[derive(Debug, clap::Args)]
 struct RevokeArgs {
-    /// Its id, or how its secret begins (ug_ and eight more)
+    /// Id of the key, or the beginning of its secret (ug_ and eight more characters)
     key: String,
     #[command(flatten)]
     place: KeyTarget,
 }
 
-/// Whose keys: a running server's, or those of a data folder whose server is stopped.
-#[allow(clippy::doc_markdown)] // Help is no Markdown.
+/// The key store: a running server, or the data folder of a stopped one.
+#[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, clap::Args)]
 struct KeyTarget {
-    /// Address of the server; an admin's key in UNIGROUND_API_KEY
+    /// Address of the server. Set UNIGROUND_API_KEY to an admin key
     #[arg(long, env = "UNIGROUND_SERVER", default_value = "http://127.0.0.1:8080")]
     server: String,
-    /// Folder of a server that does not run, instead: for the first key of all
+    /// Use the data folder of a stopped server instead, for example to create the first key
     #[arg(long)]
     data_dir: Option<Utf8PathBuf>,
     #[command(flatten)]
     database: DatabaseConfig,
     #[command(flatten)]
     blobs: BlobsConfig,
-    /// Print JSON
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
 
-/// As many as a page holds.
+/// Maximum page size of the API.
 const PAGE: u32 = 100;
 
-/// A data folder whose server is stopped.
+/// The data folder of a stopped server.
 struct StoppedServer {
     keys: Keyring,
     store: Store,
 }
 
-/// Where keys are made, listed and revoked.
+/// Creates, lists and revokes keys.
 enum KeyStore {
     Server(Client),
     Folder(Box<StoppedServer>),
@@ -117,7 +117,12 @@ impl KeyStore {
     ) -> anyhow::Result<Self> {
         let store = Store::open_beside(folder, &database.location, &blobs.home()?)
             .await
-            .with_context(|| format!("the data folder {folder} (while its server runs, leave --data-dir out and ask the server)"))?;
+            .with_context(|| {
+                format!(
+                    "data folder {folder} (if its server is running, omit --data-dir and use \
+                     --server)"
+                )
+            })?;
         let keys = Keyring::open(&store, None).await?;
         Ok(Self::Folder(Box::new(StoppedServer { keys, store })))
     }
@@ -178,12 +183,9 @@ pub async fn run(args: &KeyArgs) -> anyhow::Result<()> {
             let revoked = revoked?;
             match place.json {
                 true => print_json(&revoked),
-                false => Ok(writeln!(
-                    io::stdout(),
-                    "{} ({}) is refused from now on",
-                    revoked.prefix,
-                    revoked.name
-                )?),
+                false => {
+                    Ok(writeln!(io::stdout(), "revoked {} ({})", revoked.prefix, revoked.name)?)
+                }
             }
         }
     }
@@ -218,14 +220,14 @@ async fn create(args: &CreateArgs) -> anyhow::Result<()> {
     }
     writeln!(io::stdout(), "{}", created.secret)?;
     eprintln!(
-        "a key that may {}, shown this once: Authorization: Bearer {}_…",
+        "key with scope {}, shown only once. Use it as: Authorization: Bearer {}_…",
         created.key.scope.word(),
         created.key.prefix
     );
     Ok(())
 }
 
-/// By id or by how the secret begins.
+/// Revokes a key by its id or by the beginning of its secret.
 async fn revoke(keys: &KeyStore, key: &str) -> anyhow::Result<Key> {
     let found: Vec<Key> = keys
         .all()
@@ -233,6 +235,6 @@ async fn revoke(keys: &KeyStore, key: &str) -> anyhow::Result<Key> {
         .into_iter()
         .filter(|known| known.id == key || known.prefix == key)
         .collect();
-    ensure!(!found.is_empty(), "there is no key {key}");
+    ensure!(!found.is_empty(), "key {key} not found");
     keys.revoke(&found[0].id).await
 }

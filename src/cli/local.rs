@@ -1,8 +1,8 @@
-//! A question about a scan on the disk, without a server: a service of this process's own parses
-//! it, answers and stops.
+//! Answers a question about a local scan. A private service in this process parses the scan,
+//! answers and stops.
 //!
-//! Its folder stays: the same bytes under the same settings are known again, by their hash, and the
-//! next question is answered at once.
+//! The cache folder is reused: a scan with the same bytes and settings is found by its hash and is
+//! not parsed again.
 
 use super::private::PrivateServer;
 use super::scan_file::ScanFile;
@@ -21,37 +21,37 @@ use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::question::{GroundRequest, Include};
 use uniground_types::scenes::Scene;
 
-#[allow(clippy::doc_markdown)] // Help is no Markdown.
+#[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, clap::Args)]
 pub struct LocalArgs {
-    /// Where parses are kept between questions; may be deleted at any time [default: uniground in
-    /// $XDG_CACHE_HOME, or in ~/.cache]
+    /// Cache folder for parses. May be deleted at any time [default: uniground in $XDG_CACHE_HOME,
+    /// or in ~/.cache]
     #[arg(long, value_name = "FOLDER", conflicts_with = "scene")]
     cache: Option<Utf8PathBuf>,
-    /// The axis that points up in the scan: x, -x, y, -y, z or -z
+    /// Axis that points up in the scan: x, -x, y, -y, z or -z
     #[arg(long, allow_hyphen_values = true, value_parser = super::parse::up_axis, conflicts_with = "scene")]
     up: Option<UpAxis>,
-    // Not of the environment: whoever is in a hurry gets an answer in seconds unless something
-    // else is said here.
-    /// Where 2D masks come from: builtin, auto, or a bundle, as for the server; a segmenter takes
-    /// seconds a frame
+    // Ignores the environment, so that the default answers in seconds.
+    /// Source of 2D masks: builtin, auto, or a bundle name. A segmentation model takes seconds per
+    /// frame
     #[arg(long, default_value = BUILTIN, value_name = "BUNDLE")]
     masks: String,
-    /// What compares pictures and words: builtin, auto, or a bundle, as for the server
+    /// Image and text encoder: builtin, auto, or a bundle name
     #[arg(long, default_value = BUILTIN, value_name = "BUNDLE")]
     encoder: String,
     #[command(flatten)]
     bundles: BundlesConfig,
 }
 
-/// How often a folder is tried again that somebody else uses.
+/// Delay between attempts to open a folder that another process uses.
 const AGAIN: Duration = Duration::from_millis(200);
-/// How the same goes with models.
-const WITH_MODELS: &str = "Names come from sizes and colours only. With two small networks more is found, in minutes instead of seconds: \
-                           `uniground models fetch`, then --masks auto --encoder auto";
+/// Hint on how to ask with models.
+const WITH_MODELS: &str = "Names come from size and color only. Two small models find more \
+                           objects but take minutes: run `uniground models fetch`, then use --masks \
+                           auto --encoder auto";
 
 /// # Errors
-/// What is wrong with the scan, the folder or the question.
+/// Returns an error if the scan, the folder or the question is invalid.
 pub async fn answer(
     scan: &Utf8Path,
     args: &LocalArgs,
@@ -83,13 +83,11 @@ fn usual_cache() -> anyhow::Result<Utf8PathBuf> {
     let caches =
         folder("XDG_CACHE_HOME").or_else(|| folder("HOME").map(|home| home.join(".cache")));
     Ok(caches
-        .context(
-            "--cache FOLDER: where are parses to be kept? Neither XDG_CACHE_HOME nor HOME says",
-        )?
+        .context("--cache FOLDER is required because neither XDG_CACHE_HOME nor HOME is set")?
         .join("uniground"))
 }
 
-/// Waits for whoever asks a question with the same folder.
+/// Starts the private service. Waits while another process uses the same folder.
 async fn start(
     cache: &Utf8Path,
     LocalArgs { masks, encoder, bundles, .. }: &LocalArgs,
@@ -105,7 +103,8 @@ async fn start(
             Err(error) if is_used(&error) => {
                 if !std::mem::replace(&mut is_told, true) {
                     eprintln!(
-                        "another uniground uses {cache}: waiting for it (--cache FOLDER takes another folder)"
+                        "{cache} is in use by another uniground process; waiting (--cache FOLDER \
+                         selects another folder)"
                     );
                 }
                 sleep(AGAIN).await;
@@ -121,12 +120,12 @@ async fn ask(
     request: GroundRequest,
 ) -> anyhow::Result<Answer> {
     let scene = parsed(client, asked).await.map_err(|error| hints::of_scan(error, asked.scan))?;
-    // Pictures are asked of the service, which is gone by then.
+    // The evidence pictures are left out, because the service that stores them stops.
     let include = Some(vec![Include::Candidates, Include::Trace]);
     Ok(client.ground(&scene, &GroundRequest { include, ..request }).await?)
 }
 
-/// The id of the scan's scene, parsed as it is wanted.
+/// Returns the id of the scene of this scan, parsed with the requested settings.
 async fn parsed(
     client: &Client,
     LocalQuestion { scan, file, hash, cache, args }: &LocalQuestion<'_>,
@@ -151,7 +150,7 @@ async fn parsed(
     eprintln!("parsing {scan}");
     let told = job_progress::outcome(&job_progress::follow(client, &job.id).await?)?;
     eprintln!(
-        "parsed in {:.1} s: {told}; kept in {cache}, so that the next question needs no parse",
+        "parsed in {:.1} s: {told}; cached in {cache} for the next question",
         begun.elapsed().as_secs_f32()
     );
     if client.models().await?.models.is_empty() {
@@ -160,13 +159,12 @@ async fn parsed(
     Ok(scene.id)
 }
 
-/// The scene that was made of the same bytes.
+/// Returns the scene that was created from the same bytes, if any.
 async fn known(client: &Client, hash: &str) -> Result<Option<Scene>, ClientError> {
     Ok(resolve_scene::all(client).await?.into_iter().find(|scene| scene.content_hash == *hash))
 }
 
-/// What was interrupted earlier goes on where it stopped when it is asked for again, and keeps
-/// nobody waiting until then.
+/// Cancels other unfinished jobs. They resume when their scan is requested again.
 async fn give_up_others(client: &Client) -> Result<(), ClientError> {
     for state in ["running", "queued"] {
         for job in client.jobs(&[("kind", "parse"), ("state", state)]).await?.jobs {

@@ -1,4 +1,4 @@
-//! `uniground man`: the manual's pages for `man`, made of the same words as --help.
+//! `uniground man`: prints or writes man pages, generated from the help texts.
 
 use super::Cli;
 use anyhow::Context;
@@ -9,14 +9,14 @@ use std::io::{self, Write};
 
 #[derive(Debug, clap::Args)]
 pub struct ManArgs {
-    /// Write a page for every command here; without it the first page goes to standard output:
+    /// Write a page per command to this folder. Without it, the main page goes to standard output:
     /// uniground man | man -l -
     #[arg(long, value_name = "FOLDER")]
     out: Option<Utf8PathBuf>,
 }
 
 pub fn run(ManArgs { out }: &ManArgs) -> anyhow::Result<()> {
-    // Pages of their own for the words of `help` would say nothing.
+    // Pages for the `help` subcommand would be redundant.
     let command = Cli::command().disable_help_subcommand(true);
     let Some(out) = out else {
         let mut page = Vec::new();

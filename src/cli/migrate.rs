@@ -1,5 +1,5 @@
-//! `uniground migrate`: a store moved over to another folder, another database, or both. No server
-//! may run on either.
+//! `uniground migrate`: moves a store to another folder, another database, or both. No server may
+//! use either.
 
 use super::output::print_json;
 use super::table;
@@ -14,13 +14,13 @@ use uniground_storage::{
     Location, MigrationProgress, MigrationReport, StoreLocation, migrate_data,
 };
 
-#[allow(clippy::doc_markdown)] // Help is no Markdown.
+#[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, clap::Args)]
 pub struct MigrateArgs {
-    /// The data folder that is moved; its server must not run. It stays as it is
+    /// Data folder to move. Its server must be stopped. The folder is not changed
     #[arg(long, value_name = "FOLDER")]
     from: Utf8PathBuf,
-    /// Where its rows are: "sqlite", in a file of the folder, or postgres://USER@HOST/DATABASE
+    /// Source database: "sqlite" (a file in the folder) or postgres://USER@HOST/DATABASE
     #[arg(
         long,
         env = "UNIGROUND_FROM_DATABASE",
@@ -29,12 +29,12 @@ pub struct MigrateArgs {
         default_value = "sqlite"
     )]
     from_database: Location,
-    /// Where it goes: an empty folder, or one that is not there yet. The same folder: only its
-    /// rows move, to the other database
+    /// Destination folder, empty or not existing yet. Give the same folder as --from to move only
+    /// the database
     #[arg(long, value_name = "FOLDER")]
     to: Utf8PathBuf,
-    /// Where its rows go: "sqlite", or postgres://USER@HOST/DATABASE, an empty database that is
-    /// there
+    /// Destination database: "sqlite", or postgres://USER@HOST/DATABASE (an existing, empty
+    /// database)
     #[arg(
         long,
         env = "UNIGROUND_TO_DATABASE",
@@ -43,7 +43,7 @@ pub struct MigrateArgs {
         default_value = "sqlite"
     )]
     to_database: Location,
-    /// Print what was moved as JSON
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
@@ -79,11 +79,12 @@ pub async fn run(args: &MigrateArgs) -> anyhow::Result<()> {
         begun.elapsed().as_secs_f32()
     );
     for (folder, what) in &moved.damaged {
-        println!("damaged before, and as it was: {folder}: {what}");
+        println!("already damaged, copied unchanged: {folder}: {what}");
     }
     if moved.texts_changed > 0 {
         println!(
-            "{} texts had a character that PostgreSQL does not keep (NUL): U+FFFD stands there",
+            "in {} texts, NUL characters were replaced by U+FFFD because PostgreSQL cannot store \
+             them",
             moved.texts_changed
         );
     }
@@ -95,12 +96,12 @@ fn told(place: &StoreLocation) -> String {
     format!("{} ({})", place.data_dir, place.database)
 }
 
-/// What is to be done now.
+/// Returns the next steps for the user.
 fn next(from: &StoreLocation, to: &StoreLocation, moved: &MigrationReport) -> String {
     let database = if to.database == Location::Folder {
         "sqlite".to_owned()
     } else {
-        format!("{}, as it was said here", to.database)
+        format!("{} (as given to this command)", to.database)
     };
     let start = format!("start the server with --data-dir {} --database {database}", to.data_dir);
     let (is_in_place, rows) = (moved.files.is_empty(), format!("the rows in {}", from.database));
@@ -110,7 +111,7 @@ fn next(from: &StoreLocation, to: &StoreLocation, moved: &MigrationReport) -> St
         None if from.database == Location::Folder => from.data_dir.to_string(),
         None => format!("{} and {rows}", from.data_dir),
     };
-    format!("{start}; when all is well, remove {old}: nothing uses it any more")
+    format!("{start}. After you have checked it, remove {old}, which is no longer used.")
 }
 
 fn as_value(
@@ -134,7 +135,7 @@ fn as_value(
     })
 }
 
-/// A bar on a terminal, a line a part elsewhere.
+/// Shows progress: a bar on a terminal, otherwise one line per part.
 #[derive(Default)]
 struct ProgressBarView {
     part: Option<String>,

@@ -50,53 +50,51 @@ pub struct Cli {
 enum Command {
     /// Run the service
     Serve(Box<ServeConfig>),
-    /// Do jobs beside servers over the same PostgreSQL: parses, names, batches. Takes what serve
-    /// takes
+    /// Run a worker that processes jobs (parses, naming, batches) for servers on the same
+    /// PostgreSQL database. Takes the options of serve
     Worker(Box<WorkerConfig>),
-    /// Show the whole job on the sample scene
+    /// Run a complete example on the sample scene
     Demo(demo::DemoArgs),
-    /// Ask one question: about a scan on the disk, without a server, or about a scene of a running
-    /// one
+    /// Answer one question about a local scan, or about a scene of a running server
     Ground(Box<ground::GroundArgs>),
-    /// Bring a scan to a running server, and wait for its parse
+    /// Upload a scan to a running server and wait for its parse
     Upload(upload::UploadArgs),
-    /// Find out in which scene of a running server something is
+    /// Find the scenes of a running server that contain an object
     Find(find::FindArgs),
     /// List the scenes of a running server
     Scenes(scenes::ScenesArgs),
-    /// Ask a running server many questions
+    /// Run many questions on a server
     Batch(batch::BatchArgs),
-    /// Serve a data folder to an agent on this machine: the Model Context Protocol over stdin and
-    /// stdout. The page and the API are at a port of loopback beside it that the system picks,
-    /// whatever --listen says
+    /// Serve a data folder to a local agent over the Model Context Protocol (stdin and stdout). The
+    /// page and the API also run, on a free loopback port; --listen is ignored
     Mcp(Box<ServeConfig>),
-    /// Make, list and revoke the keys of callers
+    /// Create, list and revoke API keys
     Key(key::KeyArgs),
-    /// Look how a scan of any layout is read, and write it in the neutral one
+    /// Check how a scan is read, and convert it to the neutral layout
     Import(import::ImportArgs),
-    /// Cut a scan into instances, without a server
+    /// Segment a scan into instances, without a server
     Parse(parse::ParseArgs),
-    /// Score expressions with known answers
+    /// Evaluate on expressions with known answers
     Eval(Box<eval::EvalArgs>),
     /// Fetch, list and verify model bundles
     Models(models::ModelsArgs),
-    /// Look whether a data folder is whole, and repair what can be
+    /// Check the consistency of a data folder, and repair it
     Doctor(doctor::DoctorArgs),
-    /// Let a stopped server's folder go of everything that was kept long enough
+    /// Remove expired data from the folder of a stopped server
     Gc(Box<gc::GcArgs>),
-    /// Copy everything that is stored, also while the server runs
+    /// Back up all data. The server may be running
     Backup(backup::BackupArgs),
-    /// Make a data folder of a backup
+    /// Restore a data folder from a backup
     Restore(restore::RestoreArgs),
-    /// Move everything that is stored to another data folder, another database, or both, and back
+    /// Move all data to another data folder, another database, or both
     Migrate(migrate::MigrateArgs),
     /// Print the OpenAPI description of the service
     Openapi,
-    /// Print what a shell needs to complete the words of this program
+    /// Print a shell completion script
     Completions(completions::CompletionsArgs),
-    /// Print or write pages for man
+    /// Print or write man pages
     Man(man::ManArgs),
-    /// Read one uploaded scan for the service that started this process
+    /// Read one uploaded scan in a sandboxed process. Started by the service
     #[command(hide = true)]
     IsolatedReader,
 }
@@ -104,7 +102,7 @@ enum Command {
 /// Runs the chosen subcommand.
 ///
 /// # Errors
-/// Whatever went wrong, for `main` to print.
+/// Returns the error of the subcommand, for `main` to print.
 pub fn run(cli: &Cli) -> anyhow::Result<()> {
     run_command(&cli.command).map_err(hints::with_help)
 }
@@ -146,11 +144,11 @@ fn run_command(command: &Command) -> anyhow::Result<()> {
     }
 }
 
-/// Ends the program as clap does where what was typed does not go together: the message, how it is
-/// used, and 2.
+/// Exits like clap for invalid combinations of arguments: prints the message and the usage, and
+/// exits with code 2.
 fn wrong_usage(subcommand: &str, kind: ErrorKind, message: &str) -> ! {
     let mut cli = Cli::command();
-    // Without that a subcommand does not know what comes before its name.
+    // Builds the command tree, so that the usage of the subcommand includes the program name.
     cli.build();
     match cli.find_subcommand_mut(subcommand) {
         Some(subcommand) => subcommand.error(kind, message).exit(),

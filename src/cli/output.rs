@@ -1,18 +1,18 @@
-//! How results are printed: as JSON, and words that nobody should overlook.
+//! Prints results as JSON, and warnings in red.
 
 use clap::builder::styling::{AnsiColor, Style};
 use serde::Serialize;
 use std::io::{self, IsTerminal, Write};
 
-/// A value as JSON on standard output.
+/// Prints a value as JSON on standard output.
 ///
 /// # Errors
-/// Standard output can not be written.
+/// Returns an error if standard output cannot be written.
 pub fn print_json(value: &impl Serialize) -> anyhow::Result<()> {
     Ok(writeln!(io::stdout(), "{}", serde_json::to_string_pretty(value)?)?)
 }
 
-/// Red on a terminal that shows colours; elsewhere the words alone.
+/// Formats a warning in red if the terminal supports color.
 pub fn alarming(words: &str) -> String {
     let is_set = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
     let is_dumb = std::env::var_os("TERM").is_some_and(|term| term == "dumb");

@@ -1,4 +1,4 @@
-//! `uniground parse`: stage 1 on a folder or an archive, without a server.
+//! `uniground parse`: parses a folder or an archive, without a server.
 
 use super::{hints, report_page};
 use crate::config::{ChosenModels, ModelsConfig};
@@ -19,20 +19,20 @@ use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};
 
 #[derive(Debug, clap::Args)]
 pub struct ParseArgs {
-    /// A scan: a folder, an archive, a .sens or .r3d file, a cloud or a mesh
+    /// Scan to parse: a folder, an archive, a .sens or .r3d file, a point cloud or a mesh
     scan: Utf8PathBuf,
-    /// Write index.html with pictures of every step, report.json, instances.json, instances.ply
-    /// and embeddings.npy here
+    /// Write index.html with pictures of every step, report.json, instances.json, instances.ply and
+    /// embeddings.npy to this folder
     #[arg(long, value_name = "FOLDER")]
     report: Option<Utf8PathBuf>,
-    /// Where settings start from
+    /// Preset of settings
     #[arg(long, default_value = "default", value_parser = words::preset())]
     preset: ParsePreset,
-    /// Single values that replace those of the preset, as JSON: the `settings` of the HTTP parse
-    /// request
+    /// JSON file with settings that override the preset, in the format of "settings" in the HTTP
+    /// parse request
     #[arg(long, value_name = "FILE")]
     settings: Option<Utf8PathBuf>,
-    /// The axis that points up in the scan: x, -x, y, -y, z or -z
+    /// Axis that points up in the scan: x, -x, y, -y, z or -z
     #[arg(long, allow_hyphen_values = true, value_parser = up_axis)]
     up: Option<UpAxis>,
     #[command(flatten)]
@@ -70,7 +70,7 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
         ensure!(!out.as_str().is_empty(), "--report: the folder's name is empty");
         fs::create_dir_all(out).with_context(|| format!("--report {out}"))?;
     }
-    ensure!(args.scan.exists(), "{}: there is no such file or folder", args.scan);
+    ensure!(args.scan.exists(), "{}: no such file or folder", args.scan);
     let folder =
         ScanFolder::of(&args.scan).map_err(|error| hints::of_scan(error.into(), &args.scan))?;
     let ChosenModels { models, told, warnings } = args.models.load()?;
@@ -108,7 +108,7 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// One line that is written over; nothing where nobody watches.
+/// Prints progress on one line that is overwritten. Prints nothing when stderr is not a terminal.
 fn show_progress(stage: &str, done: f32) {
     if std::io::stderr().is_terminal() {
         let percent =

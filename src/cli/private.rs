@@ -1,4 +1,4 @@
-//! A service of this process's own: on a free loopback port, for nobody else.
+//! Runs a private service in this process, on a free loopback port.
 
 use super::server::client;
 use crate::app::{self, RunningService};
@@ -18,7 +18,7 @@ pub struct PrivateServer {
 
 impl PrivateServer {
     /// # Errors
-    /// When the folder or a model can not be used.
+    /// Returns an error if the folder or a model cannot be used.
     pub async fn start(data_dir: Utf8PathBuf, models: ModelsConfig) -> anyhow::Result<Self> {
         let config = ServeConfig {
             listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
@@ -36,12 +36,12 @@ impl PrivateServer {
         };
         let running = app::start(&config).await?;
         let address = running.address;
-        // Where the environment has a key, the service wants it as any other does.
+        // The key in the environment applies to this service too.
         Ok(Self { client: client(&format!("http://{address}"))?, address, running })
     }
 
     /// # Errors
-    /// When a part of the service had panicked before.
+    /// Returns an error if a task of the service panicked.
     pub async fn stop(self) -> anyhow::Result<()> {
         self.running.stop().await
     }

@@ -1,4 +1,4 @@
-//! `index.html` of `uniground parse --report`: one page that shows what every stage did.
+//! Renders `index.html` of `uniground parse --report`, which shows the result of every stage.
 
 use camino::Utf8Path;
 use std::fmt::Write;
@@ -10,7 +10,7 @@ const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1060px;ma
 table{border-collapse:collapse}td,th{padding:.2rem .8rem;border-bottom:1px solid #ddd;text-align:left}td.n{text-align:right}\
 img{max-width:100%;border:1px solid #ddd}figure{margin:1.5rem 0}.warning{background:#fff4d6;padding:.3rem .8rem;margin:.3rem 0}";
 
-/// The whole page; pictures are links to `<name>.jpg` beside it.
+/// Renders the page. Pictures are links to `<name>.jpg` beside it.
 pub(super) fn render(
     scan: &Utf8Path,
     import: &ImportReport,
@@ -24,9 +24,9 @@ pub(super) fn render(
     );
     let _ = write!(
         page,
-        "<p>{} points, {} of {} frames used, {} superpoints, {} instances ({} structural), {} parts and wholes, {} of all without a view; \
-         {} regions that no mask shows and {} specks dropped. \
-         Read as {}, up was {}, poses {:?}.</p>",
+        "<p>{} points, {} of {} frames used, {} superpoints, {} instances ({} structural), \
+         {} parts and wholes, {} without a view; dropped {} regions that no mask supports and {} \
+         specks. Read as {}, up was {}, poses {:?}.</p>",
         report.points,
         report.frames_used,
         import.frames,
@@ -44,7 +44,7 @@ pub(super) fn render(
     for warning in import.warnings.iter().chain(&report.warnings) {
         let _ = write!(page, "<p class=\"warning\">{}</p>", escaped(warning));
     }
-    page.push_str("<h2>Stages</h2><table><tr><th>stage<th>seconds<th>peak memory<th>came out</tr>");
+    page.push_str("<h2>Stages</h2><table><tr><th>stage<th>seconds<th>peak memory<th>output</tr>");
     for stage in &report.stages {
         let memory = stage.peak_memory_mb.map_or_else(|| "-".to_owned(), |mb| format!("{mb} MB"));
         let name = escaped(&stage.stage);
@@ -63,7 +63,10 @@ pub(super) fn render(
             escaped(&picture.title)
         );
     }
-    page.push_str("<h2>Instances</h2><table><tr><th>id<th>level<th>name<th>centre, m<th>size, m<th>points<th>rests on</tr>");
+    page.push_str(
+        "<h2>Instances</h2><table><tr><th>id<th>level<th>name<th>center, m<th>size, m<th>points\
+         <th>rests on</tr>",
+    );
     for instance in &scene.instances {
         let triple = |v: [f32; 3]| format!("{:.2} {:.2} {:.2}", v[0], v[1], v[2]);
         let _ = write!(

@@ -1,4 +1,4 @@
-//! Which scene somebody means: by its id, by how that begins, or by its name.
+//! Resolves a scene argument: an id, the beginning of an id, or a name.
 
 use super::hints::quoted;
 use super::table;
@@ -6,18 +6,18 @@ use anyhow::bail;
 use uniground_client::{Client, ClientError};
 use uniground_types::scenes::{Scene, SceneStatus};
 
-/// As many as a page holds.
+/// Maximum page size of the API.
 const PAGE: u32 = 100;
-/// Scenes that an error lists.
+/// Maximum number of scenes listed in an error.
 const LISTED: usize = 12;
-/// Characters of an id that is written out.
+/// Length of a complete id.
 const ID: usize = 36;
 
-/// The id of the scene that is meant. A whole id is believed: whether there is such a scene is
-/// asked with what is done next.
+/// Returns the id of the scene. A complete id is returned without a request; the next request
+/// reports whether the scene exists.
 ///
 /// # Errors
-/// None, or several: the message lists what there is. [`ClientError`].
+/// Returns an error that lists the scenes if none or several match, or a [`ClientError`].
 pub async fn id_of(client: &Client, wanted: &str) -> anyhow::Result<String> {
     if wanted.len() == ID && wanted.parse::<uuid::Uuid>().is_ok() {
         return Ok(wanted.to_owned());
@@ -27,34 +27,38 @@ pub async fn id_of(client: &Client, wanted: &str) -> anyhow::Result<String> {
     match &found[..] {
         [only] => Ok(only.id.clone()),
         [] if scenes.is_empty() => bail!(
-            "there is no scene {wanted:?}: there are none yet\n`uniground upload SCAN` brings one"
+            "there is no scene {wanted:?}: the server has no scenes yet\n`uniground upload SCAN` \
+             adds one"
         ),
         [] => bail!(
-            "there is no scene {wanted:?}; there are\n{}\n`uniground scenes` tells more of them",
+            "there is no scene {wanted:?}; the scenes are\n{}\n`uniground scenes` shows details",
             listed(&scenes.iter().collect::<Vec<_>>())
         ),
         several => bail!(
-            "{wanted:?} may be any of {} scenes:\n{}\nsay more of the name, or of the id; `uniground scenes` tells more of them",
+            "{wanted:?} matches {} scenes:\n{}\ngive more of the name or of the id; `uniground \
+             scenes` shows details",
             several.len(),
             listed(several)
         ),
     }
 }
 
-/// What was to be done with a scene, and there is none such: what there is instead.
+/// Adds the list of existing scenes to a `scene_not_found` error.
 pub async fn known_or(client: &Client, wanted: &str, error: ClientError) -> anyhow::Error {
     match &error {
         ClientError::Problem(problem) if problem.code == "scene_not_found" => {
             match all(client).await {
                 Ok(scenes) if scenes.is_empty() => {
                     anyhow::anyhow!(
-                        "there is no scene {wanted}: there are none yet\n`uniground upload SCAN` brings one"
+                        "there is no scene {wanted}: the server has no scenes yet\n`uniground \
+                         upload SCAN` adds one"
                     )
                 }
                 Ok(scenes) => {
                     let listed = listed(&scenes.iter().collect::<Vec<_>>());
                     anyhow::anyhow!(
-                        "there is no scene {wanted}; there are\n{listed}\n`uniground scenes` tells more of them"
+                        "there is no scene {wanted}; the scenes are\n{listed}\n`uniground scenes` \
+                         shows details"
                     )
                 }
                 Err(_) => error.into(),
@@ -64,7 +68,7 @@ pub async fn known_or(client: &Client, wanted: &str, error: ClientError) -> anyh
     }
 }
 
-/// Every scene of a server, newest first.
+/// Returns every scene of a server, newest first.
 ///
 /// # Errors
 /// [`ClientError`].
@@ -80,8 +84,8 @@ pub async fn all(client: &Client) -> Result<Vec<Scene>, ClientError> {
     }
 }
 
-/// What `--scene` needs to say so that this scene is meant and no other: its name, or its id where
-/// that is shared.
+/// Returns the shortest unambiguous value of `--scene` for a scene: its name, or its id if the name
+/// is not unique.
 pub fn shortest(scenes: &[Scene], scene: &Scene) -> String {
     match matching(scenes, &scene.name)[..] {
         [only] if only.id == scene.id => quoted(&scene.name),
@@ -89,8 +93,8 @@ pub fn shortest(scenes: &[Scene], scene: &Scene) -> String {
     }
 }
 
-/// The first of these that finds any: the id, the name, the name in other letters, the beginning of
-/// an id or a name.
+/// Returns the matches of the first rule that has any: id, exact name, name without case, beginning
+/// of an id or a name.
 fn matching<'a>(scenes: &'a [Scene], wanted: &str) -> Vec<&'a Scene> {
     let lower = wanted.to_lowercase();
     let ways: [&dyn Fn(&Scene) -> bool; 4] = [
@@ -112,7 +116,7 @@ fn listed(scenes: &[&Scene]) -> String {
         let state = match scene.status {
             SceneStatus::Ready => "",
             SceneStatus::Parsing => ", being parsed",
-            SceneStatus::Failed => ", could not be parsed",
+            SceneStatus::Failed => ", parse failed",
             SceneStatus::Uploaded => ", not parsed",
         };
         format!("  {}  {}, {} old{state}", scene.id, scene.name, table::age(&scene.created_at))

@@ -1,4 +1,4 @@
-//! `uniground restore`: a data folder from a backup.
+//! `uniground restore`: restores a data folder from a backup.
 
 use super::output::print_json;
 use super::table::size;
@@ -10,15 +10,15 @@ use uniground_storage::{BackupSource, RestoreReport, check, restore};
 
 #[derive(Debug, clap::Args)]
 pub struct RestoreArgs {
-    /// The backup: a folder, an archive, or - for an archive on standard input
+    /// Backup to restore: a folder, an archive, or - for an archive on standard input
     from: Utf8PathBuf,
-    /// Folder to restore to: empty, or not there yet
+    /// Destination folder, empty or not existing yet
     #[arg(long, env = "UNIGROUND_DATA_DIR", required_unless_present = "check")]
     data_dir: Option<Utf8PathBuf>,
-    /// Only look whether every byte of the backup is as it was written
+    /// Only verify the checksums of the backup
     #[arg(long)]
     check: bool,
-    /// Print what it held as JSON
+    /// Print the contents as JSON
     #[arg(long)]
     json: bool,
 }
@@ -29,9 +29,9 @@ pub async fn run(
     telemetry::start_quiet();
     let source = BackupSource::of(from);
     let (restored, done) = match data_dir {
-        _ if *only_check => (check(source).await?, format!("{from} is whole")),
+        _ if *only_check => (check(source).await?, format!("{from}: all checksums match")),
         Some(data_dir) => (restore(source, data_dir).await?, format!("restored to {data_dir}")),
-        None => bail!("--data-dir: where to restore to"),
+        None => bail!("--data-dir is required"),
     };
     let RestoreReport { taken_at, program, scenes, answers, folders, bytes, left_out } = restored;
     if *as_json {
@@ -43,7 +43,7 @@ pub async fn run(
         }));
     }
     println!("{done}: {scenes} scenes, {answers} answers, {folders} folders, {}", size(bytes));
-    println!("as it was at {taken_at}, by uniground {program}");
+    println!("backup taken at {taken_at} by uniground {program}");
     for (folder, what) in left_out {
         println!("not in the backup: {folder}: {what}");
     }

@@ -1,5 +1,5 @@
-//! A scan on the disk as the bytes that are uploaded: a file as it is where a service knows it by
-//! its bytes, everything else packed.
+//! Prepares a local scan for upload. Archives and `.sens` files are sent unchanged; everything else
+//! is packed.
 
 use super::hints;
 use anyhow::{Context, ensure};
@@ -12,7 +12,7 @@ use uniground_core::ingest::{ArchiveFormat, ScanFolder};
 use uniground_service::packing::{Links, pack};
 
 pub struct ScanFile {
-    /// What a scene of it is called where nobody says: the file's name without its ending.
+    /// Default name of the scene: the file name without its extension.
     pub name: String,
     source: Source,
 }
@@ -20,15 +20,16 @@ pub struct ScanFile {
 enum Source {
     /// An archive or a `.sens` file.
     File(Utf8PathBuf),
-    /// Everything else, as a folder: clouds too, whose names tell what their bytes do not.
+    /// Everything else, packed as a folder. Point clouds are included, because only their file name
+    /// shows the format.
     Folder(ScanFolder),
 }
 
 impl ScanFile {
     /// # Errors
-    /// Nothing is there, or nothing that is read.
+    /// Returns an error if the scan does not exist or its format is unknown.
     pub fn open(scan: &Utf8Path) -> anyhow::Result<Self> {
-        ensure!(scan.exists(), "{scan}: there is no such file or folder");
+        ensure!(scan.exists(), "{scan}: no such file or folder");
         let name = name_of(scan);
         let source = match is_known_by_its_bytes(scan).with_context(|| scan.to_string())? {
             true => Source::File(scan.to_owned()),
@@ -39,10 +40,10 @@ impl ScanFile {
         Ok(Self { name, source })
     }
 
-    /// SHA-256 of the bytes, hex: what a service knows the scan by.
+    /// Returns the SHA-256 of the bytes as hex. A service finds known scans by it.
     ///
     /// # Errors
-    /// A file that can not be read.
+    /// Returns an error if a file cannot be read.
     pub fn hash(&self) -> anyhow::Result<String> {
         let mut hashing = Hashing(Sha256::new());
         match &self.source {
@@ -52,10 +53,10 @@ impl ScanFile {
         Ok(hashing.0.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
     }
 
-    /// The bytes, to be read from the beginning, and how many they are.
+    /// Returns the bytes, positioned at the start, and their number.
     ///
     /// # Errors
-    /// A file that can not be read, no room for what is packed.
+    /// Returns an error if a file cannot be read or the packed scan does not fit on disk.
     pub fn bytes(&self) -> anyhow::Result<(File, u64)> {
         let file = match &self.source {
             Source::File(path) => File::open(path).with_context(|| path.to_string())?,
@@ -71,7 +72,8 @@ impl ScanFile {
     }
 }
 
-/// Of `room.tar.zst`, `room`; of `.` and `..`, what the folder is called.
+/// Returns the name without extensions: `room` for `room.tar.zst`. `.` and `..` give the folder's
+/// name.
 fn name_of(scan: &Utf8Path) -> String {
     let whole = scan.canonicalize_utf8();
     let name = scan.file_name().or_else(|| whole.as_deref().ok()?.file_name()).unwrap_or("scan");
@@ -86,7 +88,8 @@ fn is_known_by_its_bytes(scan: &Utf8Path) -> io::Result<bool> {
     let mut head = Vec::new();
     File::open(scan)?.take(ArchiveFormat::HEAD_BYTES as u64).read_to_end(&mut head)?;
     let packed = ArchiveFormat::of_head(&head, scan.as_str());
-    // What is called an archive and is none is for the service to tell.
+    // A file with the name of an archive is sent unchanged, so that the service reports why it is
+    // invalid.
     Ok(matches!(packed, Some(ArchiveFormat::Archive(_) | ArchiveFormat::Sens))
         || ArchiveKind::of_file_name(scan.as_str()).is_some())
 }

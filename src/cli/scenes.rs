@@ -1,4 +1,4 @@
-//! `uniground scenes`: what a server has.
+//! `uniground scenes`: lists the scenes of a server.
 
 use super::output::print_json;
 use super::server::ServerArgs;
@@ -38,13 +38,13 @@ pub async fn run(args: &ScenesArgs) -> anyhow::Result<()> {
     Ok(writeln!(io::stdout(), "{}", table::of_scenes(&rows))?)
 }
 
-/// How far a scene has come, in words.
+/// Returns the state of a scene as text, with the progress of its parse.
 async fn state(client: &Client, scene: &Scene) -> Result<String, ClientError> {
     Ok(match (scene.status, &scene.job_id, &scene.error) {
         (SceneStatus::Parsing, Some(job), _) => {
             let job = client.job(job).await?;
             match job.state {
-                JobState::Queued => "waits to be parsed".into(),
+                JobState::Queued => "queued".into(),
                 _ => format!("parsing, {:.0} %", job.progress * 100.0),
             }
         }

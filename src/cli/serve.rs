@@ -1,4 +1,4 @@
-//! `uniground serve`: the service, until SIGTERM, SIGHUP or Ctrl-C.
+//! `uniground serve`: runs the service until SIGTERM, SIGHUP or Ctrl-C.
 
 use super::fetching::{fetch_all, wanted};
 use crate::app::{self, RunningService};
@@ -9,8 +9,7 @@ use std::fs;
 use std::io::{self, Write};
 use tokio::signal::unix::{SignalKind, signal};
 
-/// Fetches what the server would use and does not find, if that is wished. Whatever becomes of it,
-/// the server can start.
+/// Fetches missing models if `--fetch-models` is set. The server starts even if this fails.
 pub fn fetch(config: &ServeConfig) {
     if !config.fetch_models {
         return;
@@ -18,7 +17,7 @@ pub fn fetch(config: &ServeConfig) {
     let places =
         Places { models: config.models.bundles.models.clone(), library: LIBRARY_FOLDER.into() };
     if let Err(error) = fetch_all(&wanted(&config.models), &places, &mut io::stderr()) {
-        eprintln!("{error:#}; the server goes on with what is there");
+        eprintln!("{error:#}; the server starts with the models that are installed");
     }
 }
 
@@ -26,12 +25,12 @@ pub async fn run(config: &ServeConfig) -> anyhow::Result<()> {
     until_stopped(config, app::start(config)).await
 }
 
-/// Runs what `start` starts until somebody stops it.
+/// Runs the service until a signal arrives.
 pub async fn until_stopped(
     config: &ServeConfig,
     start: impl Future<Output = anyhow::Result<RunningService>>,
 ) -> anyhow::Result<()> {
-    // Sends what is left when this ends.
+    // Dropping this sends the remaining traces.
     let _traces = telemetry::start(&config.log)?;
     let mut terminate = signal(SignalKind::terminate())?;
     let mut interrupt = signal(SignalKind::interrupt())?;
@@ -40,16 +39,18 @@ pub async fn until_stopped(
     println!("listening on http://{}", running.address);
     io::stdout().flush()?;
     tokio::select! {
-        _ = terminate.recv() => tracing::info!("SIGTERM: stopping"),
-        Some(()) = async { hangup.as_mut()?.recv().await } => tracing::info!("SIGHUP: stopping"),
-        _ = interrupt.recv() => tracing::info!("interrupted: stopping"),
+        _ = terminate.recv() => tracing::info!("SIGTERM received; shutting down"),
+        Some(()) = async { hangup.as_mut()?.recv().await } => {
+            tracing::info!("SIGHUP received; shutting down");
+        }
+        _ = interrupt.recv() => tracing::info!("interrupt received; shutting down"),
         () = running.ended() => tracing::error!("server stopped unexpectedly"),
     }
     running.stop().await
 }
 
-/// Returns whether this process was started with SIGHUP ignored, as `nohup` does: then it goes on
-/// when its terminal is closed. Known on Linux only.
+/// Returns whether this process was started with SIGHUP ignored, as `nohup` does. It then keeps
+/// running when its terminal closes. Works on Linux only.
 fn ignores_hangup() -> bool {
     const SIGHUP_BIT: u64 = 1;
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Which server a command speaks to, and with which key.
+//! Options for the address and the key of the server.
 
 use clap::Args;
 use uniground_client::{Client, ClientError};
@@ -6,7 +6,7 @@ use uniground_client::{Client, ClientError};
 const DEFAULT: &str = "http://127.0.0.1:8080";
 const VARIABLE: &str = "UNIGROUND_SERVER";
 
-#[allow(clippy::doc_markdown)] // Help is no Markdown.
+#[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, Args)]
 pub struct ServerArgs {
     /// Address of the server [default: http://127.0.0.1:8080]
@@ -19,12 +19,12 @@ impl ServerArgs {
         self.server.as_deref().unwrap_or(DEFAULT)
     }
 
-    /// What the flag says where it was given, and not the environment.
+    /// Returns the value of the flag, and `None` if it comes from the environment.
     pub fn given(&self) -> Option<&str> {
         self.server.as_deref().filter(|server| std::env::var(VARIABLE).as_deref() != Ok(server))
     }
 
-    /// What the next command has to repeat to speak to the same server.
+    /// Returns the flag to repeat in the next command for the same server.
     pub fn flag(&self) -> String {
         self.given().map_or_else(String::new, |server| format!(" --server {server}"))
     }
@@ -36,7 +36,7 @@ impl ServerArgs {
     }
 }
 
-/// Whoever sets `UNIGROUND_API_KEY` asks with that key.
+/// Creates a client that uses the key in `UNIGROUND_API_KEY`, if set.
 ///
 /// # Errors
 /// [`ClientError::BadAddress`].

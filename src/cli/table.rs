@@ -1,4 +1,4 @@
-//! Answers as tables people can read.
+//! Formats answers and lists as tables.
 
 use comfy_table::{ColumnConstraint, ContentArrangement, Table, presets};
 use jiff::Timestamp;
@@ -16,7 +16,7 @@ use uniground_types::scenes::Scene;
 
 const WIDTH: u16 = 110;
 
-/// Scenes in which something may be, the likeliest first.
+/// Formats the scenes of a search, best first.
 pub fn of_many(found: &ManyAnswers) -> Table {
     let mut table = empty();
     table.set_header(["Scene", "Status", "ID", "What", "Box (m, Z up)"]);
@@ -50,7 +50,7 @@ fn status_of(answer: &Answer) -> &'static str {
     }
 }
 
-/// The six fields, box, status and time of one answer.
+/// Formats one answer: the six fields, box, status and time.
 pub fn of_answer(answer: &Answer) -> Table {
     let fields = &answer.answer;
     let or_none = |text: Option<String>| text.unwrap_or_else(|| "none".into());
@@ -95,7 +95,7 @@ fn name_of_frame(InFrame { frame, frame_id, .. }: &InFrame) -> String {
     match (frame, frame_id) {
         (FrameChoice::Map, Some(id)) => format!("Box in {id} (m)"),
         (FrameChoice::Map, None) => "Box in the map (m)".into(),
-        (FrameChoice::Source | FrameChoice::Scene, _) => "Box in the files".into(),
+        (FrameChoice::Source | FrameChoice::Scene, _) => "Box (source frame)".into(),
     }
 }
 
@@ -108,10 +108,10 @@ fn of_placed_box(PlacedBox { center: c, size: s, orientation: q, .. }: &PlacedBo
     )
 }
 
-/// Scenes of a server, each with how far it has come.
+/// Formats the scenes of a server with their state.
 pub fn of_scenes(scenes: &[(&Scene, String)]) -> Table {
     let mut table = empty();
-    table.set_header(vec!["ID", "Name", "State", "Things", "Age"]);
+    table.set_header(vec!["ID", "Name", "State", "Objects", "Age"]);
     for (scene, state) in scenes {
         let things =
             scene.counts.as_ref().map_or_else(String::new, |counts| counts.instances.to_string());
@@ -123,24 +123,24 @@ pub fn of_scenes(scenes: &[(&Scene, String)]) -> Table {
             age(&scene.created_at),
         ]);
     }
-    // A part of an id that is broken in two can not be copied.
+    // The id stays on one line, so that it can be copied.
     if let Some(column) = table.column_mut(0) {
         column.set_constraint(ColumnConstraint::ContentWidth);
     }
     table
 }
 
-/// What changed in a scene, a row a thing.
+/// Formats the changes of a scene, one row per object.
 pub fn of_changes(changes: &Changes) -> Table {
     let Changes { appeared, gone, moved, first_seen, not_seen, regrouped, unchanged: _ } = changes;
     let mut table = empty();
-    table.set_header(vec!["Change", "ID", "Thing", "Box (m, Z up)"]);
+    table.set_header(vec!["Change", "ID", "Object", "Box (m, Z up)"]);
     let lists = [
         ("appeared", appeared),
         ("gone", gone),
         ("first seen", first_seen),
-        ("not seen again", not_seen),
-        ("no thing of its own any more", regrouped),
+        ("not observed", not_seen),
+        ("regrouped", regrouped),
     ];
     for MovedThing { before, after, distance_m } in moved {
         let ids = if before.id == after.id {
@@ -163,7 +163,7 @@ pub fn of_changes(changes: &Changes) -> Table {
     table
 }
 
-/// How long ago something was, for people; the time itself where it can not be told.
+/// Formats how long ago a time was. Returns the text unchanged if it is not a timestamp.
 pub fn age(at: &str) -> String {
     let Ok(then) = at.parse::<Timestamp>() else { return at.to_owned() };
     match Timestamp::now().as_second() - then.as_second() {
@@ -174,10 +174,10 @@ pub fn age(at: &str) -> String {
     }
 }
 
-/// What is wrong with a data folder.
+/// Formats the findings of the doctor.
 pub fn of_findings(findings: &[Finding]) -> Table {
     let mut table = empty();
-    table.set_header(vec!["What", "Trouble", "Remedy"]);
+    table.set_header(vec!["Problem", "Details", "Remedy"]);
     for Finding { trouble, detail } in findings {
         table.add_row(vec![
             trouble.to_string(),
@@ -188,11 +188,11 @@ pub fn of_findings(findings: &[Finding]) -> Table {
     table
 }
 
-/// Keys of a server.
+/// Formats the keys of a server.
 pub fn of_keys(keys: &[Key]) -> Table {
     let mut table = empty();
     table.set_header(vec![
-        "Begins",
+        "Prefix",
         "Name",
         "Scope",
         "Limits",
@@ -202,14 +202,14 @@ pub fn of_keys(keys: &[Key]) -> Table {
     ]);
     for key in keys {
         let limits = [
-            key.requests_per_minute.map(|n| format!("{n} a minute")),
+            key.requests_per_minute.map(|n| format!("{n}/min")),
             key.max_scenes.map(|n| format!("{n} scenes")),
-            key.daily_usd.map(|usd| format!("{usd} USD a day")),
+            key.daily_usd.map(|usd| format!("{usd} USD/day")),
         ];
         let state = match (&key.revoked_at, &key.expires_at) {
             (Some(at), _) => format!("revoked {}", day_of(at)),
             (None, Some(at)) => format!("until {}", day_of(at)),
-            (None, None) => "good".into(),
+            (None, None) => "active".into(),
         };
         table.add_row(vec![
             key.prefix.clone(),
@@ -226,7 +226,7 @@ pub fn of_keys(keys: &[Key]) -> Table {
     table
 }
 
-/// What was kept long enough.
+/// Formats the entries that retention removed.
 pub fn of_removed(removed: &[RetentionReport]) -> Table {
     let mut table = empty();
     table.set_header(vec!["Kind", "Entries", "Size", "Why"]);
@@ -236,10 +236,10 @@ pub fn of_removed(removed: &[RetentionReport]) -> Table {
     table
 }
 
-/// What was moved from one store to another; what there was none of is left out.
+/// Formats the result of a migration, without empty kinds.
 pub fn of_moved(moved: &MigrationReport) -> Table {
     let mut table = empty();
-    table.set_header(vec!["What", "How many", "Size", "Of it copied"]);
+    table.set_header(vec!["What", "Count", "Size", "Copied"]);
     for (name, rows) in moved.rows.iter().filter(|(_, rows)| *rows > 0) {
         table.add_row(vec![
             format!("rows of {name}"),
@@ -265,7 +265,7 @@ fn day_of(at: &str) -> &str {
     at.get(..10).unwrap_or(at)
 }
 
-/// Bytes for people.
+/// Formats a number of bytes.
 pub fn size(bytes: u64) -> String {
     match bytes {
         0..1000 => format!("{bytes} bytes"),
@@ -275,10 +275,10 @@ pub fn size(bytes: u64) -> String {
     }
 }
 
-/// The tied objects of an ambiguous answer.
+/// Formats the tied objects of an ambiguous answer.
 pub fn of_alternatives(alternatives: &[Alternative]) -> Table {
     let mut table = empty();
-    table.set_header(vec!["Could be", "Belief", "Box (m, Z up)"]);
+    table.set_header(vec!["Candidate", "Confidence", "Box (m, Z up)"]);
     for alternative in alternatives {
         table.add_row(vec![
             alternative.id.to_string(),
@@ -289,10 +289,10 @@ pub fn of_alternatives(alternatives: &[Alternative]) -> Table {
     table
 }
 
-/// The largest objects of a scene.
+/// Formats the largest objects of a scene.
 pub fn of_instances<'a>(instances: impl Iterator<Item = &'a InstanceView>) -> Table {
     let mut table = empty();
-    table.set_header(vec!["ID", "Looks like", "Colours", "Points", "Box (m, Z up)"]);
+    table.set_header(vec!["ID", "Name", "Colors", "Points", "Box (m, Z up)"]);
     for instance in instances {
         let mut colours: Vec<_> = instance.colours.iter().collect();
         colours.sort_by(|a, b| b.1.total_cmp(a.1));

@@ -1,4 +1,5 @@
-//! `uniground upload`: a scan to a running server, or more frames to a scene it has, and the parse.
+//! `uniground upload`: uploads a scan to a running server, or adds frames to an existing scene, and
+//! waits for the parse.
 
 use super::output::print_json;
 use super::scan_file::ScanFile;
@@ -15,26 +16,26 @@ use uniground_types::scenes::Created;
 
 #[derive(Debug, clap::Args)]
 pub struct UploadArgs {
-    /// A scan: a folder, an archive, a .sens or .r3d file, a cloud or a mesh
+    /// Scan to upload: a folder, an archive, a .sens or .r3d file, a point cloud or a mesh
     scan: Utf8PathBuf,
-    /// A scene to add the scan's frames to, by name or id: what stays keeps its id, and what came,
-    /// went and moved is told
+    /// Add the frames to this scene (name or id) instead of creating one. Unchanged objects keep
+    /// their ids, and the changes are printed
     #[arg(long, value_name = "SCENE", conflicts_with_all = ["name", "up", "metres_per_unit", "no_levelling"])]
     to: Option<String>,
-    /// With --to: whose coordinates the poses are in, those of the files the scene was made of,
-    /// the scene's, or those of the map it lies in
+    /// Coordinate frame of the poses, with --to: the frame of the scene's original files, the
+    /// scene's own frame, or the frame of its map
     #[arg(long, requires = "to", default_value = "source", value_parser = words::frame())]
     world: FrameChoice,
-    /// What to call the scene [default: the file's name without its ending]
+    /// Name of the scene [default: the file name without its extension]
     #[arg(long)]
     name: Option<String>,
-    /// The axis that points up in the scan: x, -x, y, -y, z or -z
+    /// Axis that points up in the scan: x, -x, y, -y, z or -z
     #[arg(long, allow_hyphen_values = true, value_parser = super::parse::up_axis)]
     up: Option<UpAxis>,
-    /// Length of one unit of the scan's cloud and poses, metres
-    #[arg(long, value_name = "METRES", value_parser = words::metres_per_unit)]
+    /// Length of one unit of the scan's cloud and poses, meters
+    #[arg(long, value_name = "METERS", value_parser = words::metres_per_unit)]
     metres_per_unit: Option<f64>,
-    /// Leave a tilted world tilted
+    /// Keep the tilt of the scan instead of leveling it
     #[arg(long)]
     no_levelling: bool,
     /// Do not wait for the parse
@@ -56,7 +57,7 @@ pub async fn run(args: &UploadArgs) -> anyhow::Result<()> {
     done.map_err(|error| hints::of_scan(error, &args.scan))
 }
 
-/// More frames for a scene that is there.
+/// Adds frames to an existing scene.
 async fn add(client: &Client, scene: &str, args: &UploadArgs) -> anyhow::Result<()> {
     let id = resolve_scene::id_of(client, scene).await?;
     let before = client.scene(&id).await?;
@@ -74,15 +75,15 @@ async fn add(client: &Client, scene: &str, args: &UploadArgs) -> anyhow::Result<
         (true, _) => print_json(&changes),
         (false, true) => Ok(writeln!(
             io::stdout(),
-            "nothing changed: {} things as before",
+            "nothing changed: {} objects unchanged",
             changes.changes.unchanged
         )?),
         (false, false) => Ok(writeln!(io::stdout(), "{}", table::of_changes(&changes.changes))?),
     }
 }
 
-/// The id goes to standard output, and everything for people to stderr: `scene=$(uniground upload
-/// room.zip)`.
+/// Uploads a scan. Prints the id to standard output and everything else to stderr, for use as
+/// `scene=$(uniground upload room.zip)`.
 async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
     let file = ScanFile::open(&args.scan)?;
     let name = args.name.as_deref().unwrap_or(&file.name);
@@ -105,7 +106,7 @@ async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
         true => print_json(&scene)?,
         false => writeln!(io::stdout(), "{}", scene.id)?,
     }
-    // Only a key that may not list has no names.
+    // A key without permission to list scenes gets no names.
     let known = resolve_scene::all(client).await.unwrap_or_default();
     let (named, flag) = (resolve_scene::shortest(&known, &scene), args.server.flag());
     match is_awaited || job.is_none() {
@@ -113,7 +114,8 @@ async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
             eprintln!("ask: uniground ground --scene {named}{flag} \"the chair next to the door\"");
         }
         false => eprintln!(
-            "it is being parsed; ask: uniground ground --scene {named}{flag} --wait \"the chair next to the door\""
+            "the parse is running; ask: uniground ground --scene {named}{flag} --wait \"the chair \
+             next to the door\""
         ),
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! `uniground worker`: does jobs beside servers over the same database, until SIGTERM, SIGHUP or
+//! `uniground worker`: processes jobs for servers on the same database, until SIGTERM, SIGHUP or
 //! Ctrl-C.
 
 use super::serve;

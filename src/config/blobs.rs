@@ -1,4 +1,4 @@
-//! Where scans, parses and transcripts are kept.
+//! Storage of scans, parses and transcripts.
 
 use crate::telemetry;
 use anyhow::{Context, bail};
@@ -10,29 +10,29 @@ use uniground_storage::{AccessKeys, BlobHome, BlobsAt, Links};
 const DEFAULT_CACHE_BYTES: u64 = 50 << 30;
 const DEFAULT_GRACE_S: u64 = 24 * 60 * 60;
 
-/// In the data folder, or in an object store that speaks S3. Its address, region and keys are those
-/// other programs use: AWS_ENDPOINT_URL, AWS_REGION, AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY,
-/// AWS_SESSION_TOKEN, or the machine's role.
-#[allow(clippy::doc_markdown)] // Help is no Markdown.
+/// Storage in the data folder or in an S3-compatible object store. The endpoint, region and keys
+/// come from the usual variables: AWS_ENDPOINT_URL, AWS_REGION, AWS_ACCESS_KEY_ID,
+/// AWS_SECRET_ACCESS_KEY, AWS_SESSION_TOKEN, or from the role of the machine.
+#[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, Clone, clap::Args)]
 pub struct BlobsConfig {
-    /// Where scans and parses are kept: "folder", in the data folder, or s3://BUCKET/PREFIX; the
-    /// data folder then holds copies of what is used
+    /// Storage of scans and parses: "folder" (the data folder), or s3://BUCKET/PREFIX. With S3, the
+    /// data folder holds a local cache
     #[arg(long = "blobs", env = "UNIGROUND_BLOBS", value_name = "PLACE", default_value = "folder")]
     pub at: BlobsAt,
-    /// File with keys to the bucket, as ~/.aws/credentials has them (its profile "default", or the
-    /// one of AWS_PROFILE)
+    /// File with the keys of the bucket, in the format of ~/.aws/credentials. Uses the profile
+    /// "default", or the one in AWS_PROFILE
     #[arg(long, env = "UNIGROUND_BLOBS_CREDENTIALS_FILE", value_name = "FILE")]
     pub blobs_credentials_file: Option<Utf8PathBuf>,
-    /// What copies that nobody uses may come to, bytes
+    /// Maximum size of unused files in the local cache of S3 objects, bytes
     #[arg(long, env = "UNIGROUND_BLOBS_CACHE_BYTES", default_value_t = DEFAULT_CACHE_BYTES, value_name = "BYTES")]
     pub blobs_cache_bytes: u64,
-    /// Send callers to the object store for clouds, points and embeddings, by links that work for
-    /// a quarter of an hour; they must reach it
+    /// Redirect downloads of clouds, points and embeddings to the object store, with links that are
+    /// valid for 15 minutes. Clients must be able to reach the store
     #[arg(long, env = "UNIGROUND_BLOBS_REDIRECT")]
     pub blobs_redirect: bool,
-    /// How old objects must be that no record speaks of to be removed, seconds; putting one scan
-    /// there may take half of it
+    /// Age at which orphan objects in the bucket are removed, seconds. Storing one scan must take
+    /// at most half of it
     #[arg(long, env = "UNIGROUND_BLOBS_GRACE_S", default_value_t = DEFAULT_GRACE_S, value_name = "SECONDS", value_parser = clap::value_parser!(u64).range(1..))]
     pub blobs_grace_s: u64,
 }
@@ -50,10 +50,10 @@ impl Default for BlobsConfig {
 }
 
 impl BlobsConfig {
-    /// The place, with the keys to it. From here on no key gets into the log.
+    /// Returns the storage location with its keys, and redacts the keys from the log.
     ///
     /// # Errors
-    /// A file of keys that can not be read, or has none.
+    /// Returns an error if the credentials file cannot be read or has no keys.
     pub fn home(&self) -> anyhow::Result<BlobHome> {
         let BlobsAt::Bucket(bucket) = &self.at else { return Ok(BlobHome::Folder) };
         for secret in ["AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN"] {
@@ -81,7 +81,7 @@ impl BlobsConfig {
     }
 }
 
-/// The keys of a profile.
+/// Returns the keys of a profile.
 fn keys_of(text: &str, profile: &str) -> anyhow::Result<AccessKeys> {
     let (mut is_ours, mut id, mut secret, mut session) = (false, None, None, None);
     for line in text.lines().map(str::trim) {

@@ -1,4 +1,4 @@
-//! Which models a process works with: those named, or what lies in the folder of bundles.
+//! Chooses the models of a process: the configured ones, or the bundles found in the models folder.
 
 use super::models::{BundlesConfig, ModelsConfig};
 use super::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS};
@@ -9,22 +9,22 @@ use uniground_core::models::neural::{
 };
 use uniground_evaluation::systems::ModelLoader;
 
-/// What a segmenter costs where it runs on processor cores: seconds where the built-in masks take a
-/// tenth of one (docs/MODELS.md).
+/// Warning about the speed of a segmentation model on the CPU. The built-in masks take about 0.1 s
+/// per frame (docs/MODELS.md).
 const SEGMENTER_COST: &str =
-    "SAM 2 tiny takes about 6 s a frame on two cores; --masks builtin is fast";
+    "SAM 2 tiny takes about 6 s per frame on two cores; --masks builtin is fast";
 
-/// The models, and how they came to be chosen.
+/// The loaded models and the reasons for the choice.
 #[derive(Debug)]
 pub struct ChosenModels {
     pub models: Models,
-    /// Masks and encoder, and why these: one line for people.
+    /// The chosen masks and encoder with the reasons, on one line.
     pub told: String,
-    /// What lies in the folder of bundles and can not be used.
+    /// Warnings about unusable bundles in the models folder.
     pub warnings: Vec<String>,
 }
 
-/// What was asked for.
+/// The value of `--masks` or `--encoder`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ModelChoice<'a> {
     Auto,
@@ -34,7 +34,7 @@ enum ModelChoice<'a> {
 }
 
 impl<'a> ModelChoice<'a> {
-    /// Reads a flag; `own` is what the built-in part calls itself.
+    /// Parses a flag. `own` is the name of the built-in component.
     fn of(flag: &'a str, own: &str) -> Self {
         match flag {
             AUTO => Self::Auto,
@@ -58,12 +58,12 @@ impl BundlesConfig {
 }
 
 impl ModelsConfig {
-    /// Loads what is configured, and under `auto` the first bundle by name that works. Blocks: not
-    /// for asynchronous code.
+    /// Loads the configured models. With `auto`, loads the first bundle by name that works. Blocks:
+    /// not for asynchronous code.
     ///
     /// # Errors
-    /// What is wrong with a bundle that was named, or with a library, a provider or an inference
-    /// server that was.
+    /// Returns an error if a configured bundle, library, provider or inference server cannot be
+    /// used.
     pub fn load(&self) -> anyhow::Result<ChosenModels> {
         let Self { masks, encoder, bundles } = self;
         let (masks, encoder) =
@@ -87,7 +87,7 @@ impl ModelsConfig {
                 Err(error) if is_named || !bundles.is_usual() => return Err(error),
                 Err(error) => choosing
                     .warnings
-                    .push(format!("bundles in {} can not be used: {error:#}", bundles.models)),
+                    .push(format!("bundles in {} cannot be used: {error:#}", bundles.models)),
             }
         }
         let masks = choosing.choose(Role::Masks, masks).context("--masks")?;
@@ -96,7 +96,7 @@ impl ModelsConfig {
         Ok(ChosenModels { models, told: format!("masks: {masks}; encoder: {encoder}"), warnings })
     }
 
-    /// Whether a bundle would be used if it lay in the folder of bundles.
+    /// Returns whether a bundle would be used if it were in the models folder.
     #[must_use]
     pub fn wants(&self, role: Role, bundle: &str) -> bool {
         let wish = match role {
@@ -113,10 +113,9 @@ impl ModelsConfig {
 
 struct ModelChooser<'a> {
     bundles: &'a BundlesConfig,
-    /// What lies in the folder of bundles, by name; only looked at where something is left to
-    /// choose.
+    /// Bundles in the models folder, by name. Filled only for `auto`.
     lying: Vec<BundleListing>,
-    /// Only where something may have to run.
+    /// Set only if a network may have to run.
     engine: Option<Box<dyn Engine>>,
     models: Models,
     warnings: Vec<String>,
@@ -127,9 +126,9 @@ impl ModelChooser<'_> {
         let folder = &self.bundles.models;
         match list(folder) {
             Ok(lying) => self.lying = lying,
-            // Most have none.
+            // A missing folder is normal.
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-            Err(error) => self.warnings.push(format!("{folder} can not be looked at: {error}")),
+            Err(error) => self.warnings.push(format!("{folder} cannot be read: {error}")),
         }
         let unreadable = self.lying.iter().filter(|bundle| bundle.role.is_none());
         self.warnings.extend(unreadable.filter_map(|bundle| bundle.problem.clone()));
@@ -139,10 +138,10 @@ impl ModelChooser<'_> {
         self.lying.iter().any(|bundle| bundle.role == Some(role))
     }
 
-    /// Loads what a role is to be done with, and tells what and why.
+    /// Loads the models for a role and returns a description of the choice.
     fn choose(&mut self, role: Role, wish: ModelChoice) -> anyhow::Result<String> {
         match wish {
-            ModelChoice::Builtin => Ok("built in (as asked)".into()),
+            ModelChoice::Builtin => Ok("built in (as configured)".into()),
             ModelChoice::Named(names) => {
                 let names_of_masks = names.split('+');
                 let names: Vec<&str> =
@@ -150,25 +149,28 @@ impl ModelChooser<'_> {
                 for name in &names {
                     self.models = self.with(role, &folder_of(name, &self.bundles.models))?;
                 }
-                Ok(format!("{} (as asked)", names.join("+")))
+                Ok(format!("{} (as configured)", names.join("+")))
             }
             ModelChoice::Auto => Ok(self.choose_lying(role)),
         }
     }
 
-    /// The first by name that works.
+    /// Chooses the first bundle by name that works.
     fn choose_lying(&mut self, role: Role) -> String {
         let folder = &self.bundles.models;
         let candidates: Vec<BundleListing> =
             self.lying.iter().filter(|bundle| bundle.role == Some(role)).cloned().collect();
         let names: Vec<&str> = candidates.iter().map(|bundle| bundle.name.as_str()).collect();
         if names.is_empty() {
-            let kind = if role == Role::Masks { "segmenter" } else { "dual encoder" };
-            return format!("built in (no {kind} in {folder}; uniground models fetch brings one)");
+            let kind =
+                if role == Role::Masks { "segmentation model" } else { "image-text encoder" };
+            return format!(
+                "built in (no {kind} in {folder}; run uniground models fetch to get one)"
+            );
         }
         let names = names.join(", ");
         if self.engine.is_none() {
-            return format!("built in (nothing is there to run {names})");
+            return format!("built in ({names} found, but no runtime for it)");
         }
         for bundle in &candidates {
             match self.with(role, &bundle.folder) {
@@ -184,15 +186,15 @@ impl ModelChooser<'_> {
                     return format!("{} (found in {folder}{cost})", bundle.name);
                 }
                 Err(error) => {
-                    self.warnings.push(format!("{} can not be used: {error:#}", bundle.name));
+                    self.warnings.push(format!("{} cannot be used: {error:#}", bundle.name));
                 }
             }
         }
-        format!("built in (broken: {names})")
+        format!("built in (unusable: {names})")
     }
 
     fn with(&self, role: Role, folder: &camino::Utf8Path) -> anyhow::Result<Models> {
-        let engine = self.engine.as_deref().context("nothing runs networks")?;
+        let engine = self.engine.as_deref().context("no runtime for neural networks")?;
         let models = self.models.clone();
         let loaded: Result<Models, ModelError> = match role {
             Role::Masks => models.with_segmenter(engine, folder),

@@ -1,14 +1,14 @@
-//! Where rows are kept.
+//! Database configuration.
 
 use std::time::Duration;
 use uniground_storage::{LEASE, Location};
 
-/// Which database.
-#[allow(clippy::doc_markdown)] // Help is no Markdown.
+/// Options of the database.
+#[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, Clone, PartialEq, Eq, clap::Args)]
 pub struct DatabaseConfig {
-    /// Where rows are kept: "sqlite", in a file of the data folder, or
-    /// postgres://USER@HOST/DATABASE (password: there, in PGPASSWORD or in ~/.pgpass)
+    /// Database for all records: "sqlite" (a file in the data folder), or
+    /// postgres://USER@HOST/DATABASE. The password is in the URL, in PGPASSWORD or in ~/.pgpass
     #[arg(
         long = "database",
         env = "UNIGROUND_DATABASE",
@@ -17,28 +17,28 @@ pub struct DatabaseConfig {
         default_value = "sqlite"
     )]
     pub location: Location,
-    /// Seconds after which a process that was not seen is taken to be gone, and what it was at
-    /// work on is given to others; the same for all. Only with PostgreSQL
+    /// Lease duration, seconds. A process that misses its heartbeats for this long loses its jobs
+    /// to other workers. Must be the same for all processes. PostgreSQL only
     #[arg(long, env = "UNIGROUND_LEASE_S", default_value_t = LEASE.as_secs(), value_name = "SECONDS", value_parser = clap::value_parser!(u64).range(10..=3600))]
     pub lease_s: u64,
-    /// Where what encoders have seen is looked for, for questions about more rooms than are looked
-    /// into one by one
+    /// Vector index that preselects scenes, for questions about more scenes than are searched one
+    /// by one
     #[arg(long, env = "UNIGROUND_VECTORS", value_enum, default_value_t, value_name = "WHERE")]
     pub vectors: Vectors,
 }
 
-/// Where vectors are looked for.
+/// The vector index for questions about many scenes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Vectors {
-    /// Nowhere: names tell which rooms are worth a look
+    /// No vector index. Object names preselect the scenes
     #[default]
     Off,
-    /// In PostgreSQL, which has the extension pgvector
+    /// PostgreSQL with the extension pgvector
     Pgvector,
 }
 
 impl DatabaseConfig {
-    /// After which a process that was not seen is taken to be gone.
+    /// Time after which a process without heartbeats counts as lost.
     #[must_use]
     pub fn lease(&self) -> Duration {
         Duration::from_secs(self.lease_s)

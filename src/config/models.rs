@@ -1,4 +1,4 @@
-//! Flags for neural models: which bundles, where they lie, what runs them.
+//! Flags of neural models: which bundles, where they are, and what runs them.
 
 use super::{AUTO, BUILTIN};
 use crate::{telemetry, words};
@@ -8,27 +8,27 @@ use std::time::Duration;
 use uniground_core::models::neural::{Engine, OnnxRuntime, Provider, RuntimeSettings};
 use uniground_endpoints::inference::RemoteServer;
 
-/// Where ONNX Runtime's library is fetched to; the first place it is looked for.
+/// Folder into which ONNX Runtime is fetched, and the first one searched for it.
 pub const LIBRARY_FOLDER: &str = "./.onnxruntime";
 
-/// Neural models: bundles of ONNX networks, run here or behind an inference server.
-#[allow(clippy::doc_markdown)] // Help is no Markdown.
+/// Neural models: bundles of ONNX networks, run locally or on an inference server.
+#[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ModelsConfig {
-    /// Where 2D masks come from: auto (the first segmenter in --models that works, else built in),
-    /// builtin, or a segmenter's bundle, by name or folder; several joined by + all have a vote
+    /// Source of 2D masks: auto (the first segmentation bundle in --models that works, else
+    /// builtin), builtin, or a bundle by name or folder. Join several with + to combine their masks
     #[arg(long, env = "UNIGROUND_MASKS", default_value = AUTO, value_name = "BUNDLE")]
     pub masks: String,
-    /// What compares pictures and words: auto (the first dual encoder in --models that works, else
-    /// built in), builtin, or a dual encoder's bundle, by name or folder
+    /// Image and text encoder: auto (the first encoder bundle in --models that works, else
+    /// builtin), builtin, or a bundle by name or folder
     #[arg(long, env = "UNIGROUND_ENCODER", default_value = AUTO, value_name = "BUNDLE")]
     pub encoder: String,
     #[command(flatten)]
     pub bundles: BundlesConfig,
 }
 
-/// Where bundles lie and what runs them.
-#[allow(clippy::doc_markdown, rustdoc::invalid_html_tags)] // Help is no Markdown.
+/// The folder of bundles and what runs them.
+#[allow(clippy::doc_markdown, rustdoc::invalid_html_tags)] // Help is plain text.
 #[derive(Debug, Clone, clap::Args)]
 pub struct BundlesConfig {
     /// Folder with model bundles
@@ -36,27 +36,27 @@ pub struct BundlesConfig {
     pub models: Utf8PathBuf,
     #[command(flatten)]
     pub runtime: RuntimeConfig,
-    /// Run the bundles' networks at this inference server (KServe v2 protocol) instead of here,
-    /// under the names <bundle>-<file>
+    /// Run networks on this inference server (KServe v2 protocol) instead of locally. The model
+    /// names there are <bundle>-<file>
     #[arg(long, env = "UNIGROUND_INFERENCE_URL", value_name = "URL")]
     pub inference_url: Option<String>,
-    /// How long one call to the inference server may take, seconds
+    /// Timeout of one call to the inference server, seconds
     #[arg(long, env = "UNIGROUND_INFERENCE_TIMEOUT_S", default_value_t = DEFAULT_INFERENCE_TIMEOUT_S, value_name = "SECONDS", value_parser = clap::value_parser!(u64).range(1..))]
     pub inference_timeout_s: u64,
 }
 
-/// The library that runs networks on this machine.
-#[allow(clippy::doc_markdown)] // Help is no Markdown.
+/// The library that runs networks locally.
+#[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct RuntimeConfig {
-    /// ONNX Runtime's library [default: ORT_DYLIB_PATH, ./.onnxruntime/libonnxruntime.so, or
-    /// beside the executable]
+    /// Path of the ONNX Runtime library [default: ORT_DYLIB_PATH, ./.onnxruntime/libonnxruntime.so,
+    /// or next to the executable]
     #[arg(long, env = "UNIGROUND_ONNXRUNTIME_LIB", value_name = "FILE")]
     pub onnxruntime_lib: Option<Utf8PathBuf>,
-    /// What networks run on; one that is not there is an error
+    /// Execution provider for networks. Startup fails if it is not available
     #[arg(long, env = "UNIGROUND_PROVIDER", default_value_t, value_name = "PROVIDER", value_parser = words::provider())]
     pub provider: Provider,
-    /// Cores a network may use [default: all]
+    /// Number of CPU cores a network may use [default: all]
     #[arg(long, env = "UNIGROUND_MODEL_THREADS", value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..))]
     pub model_threads: Option<u16>,
 }
@@ -64,7 +64,7 @@ pub struct RuntimeConfig {
 const DEFAULT_INFERENCE_TIMEOUT_S: u64 = 60;
 
 impl ModelsConfig {
-    /// No model, whatever lies where.
+    /// Returns a configuration without models.
     #[must_use]
     pub fn builtin() -> Self {
         Self { masks: BUILTIN.into(), encoder: BUILTIN.into(), bundles: BundlesConfig::default() }
@@ -83,8 +83,7 @@ impl Default for BundlesConfig {
 }
 
 impl BundlesConfig {
-    /// Nothing was said about what runs networks: where the usual library is not found, nobody
-    /// asked for it.
+    /// Returns whether no runtime option is set. A missing default library is then not an error.
     #[must_use]
     pub fn is_usual(&self) -> bool {
         let RuntimeConfig { onnxruntime_lib, provider, model_threads: _ } = &self.runtime;
@@ -93,17 +92,17 @@ impl BundlesConfig {
             && *provider == Provider::default()
     }
 
-    /// The engine that runs networks. Blocks: not for asynchronous code.
+    /// Returns the engine that runs networks. Blocks: not for asynchronous code.
     ///
     /// # Errors
-    /// What is wrong with the library; an address that is none.
+    /// Returns an error if the library cannot be used or the address is invalid.
     pub fn engine(&self) -> anyhow::Result<Box<dyn Engine>> {
         Ok(match &self.inference_url {
             Some(url) => {
                 telemetry::hide_secrets_of(url);
                 ensure!(
                     reqwest::Url::parse(url).is_ok_and(|url| url.has_host()),
-                    "--inference-url: this is not an address"
+                    "--inference-url: invalid URL"
                 );
                 Box::new(RemoteServer::new(url, Duration::from_secs(self.inference_timeout_s))?)
             }

@@ -1,35 +1,35 @@
-//! What of the whole a process does: all of it, or a part beside others over the same database.
+//! The work of a process: everything, or a part next to other processes on the same database.
 
 use super::ServeConfig;
 use uniground_jobs::JobKind;
 use uniground_service::{BatchJob, NamingJob, ParseJob};
 
-/// What `uniground serve` does.
+/// The role of `uniground serve`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Role {
-    /// Answers requests and does the work that waits
+    /// Answers requests and runs jobs
     #[default]
     All,
-    /// Answers requests only: jobs are done by `uniground worker`
+    /// Only answers requests. Jobs run in `uniground worker`
     Api,
 }
 
-/// Work that waits in a queue.
+/// A kind of background job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum JobType {
-    /// Scans that are cut into instances
+    /// Parses of scans
     Parse,
-    /// Scenes whose things a model names
+    /// Naming of all objects of a scene by a model
     Naming,
-    /// Lists of questions
+    /// Batches of questions
     Batch,
 }
 
 impl JobType {
-    /// All there is.
+    /// All kinds of jobs.
     pub const ALL: [Self; 3] = [Self::Parse, Self::Naming, Self::Batch];
 
-    /// As its jobs are stored.
+    /// Returns the name of the kind in the database.
     #[must_use]
     pub const fn kind(self) -> &'static str {
         match self {
@@ -41,28 +41,28 @@ impl JobType {
 }
 
 /// `uniground worker`
-#[allow(clippy::doc_markdown)] // Help is no Markdown.
+#[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, Clone, clap::Args)]
-#[command(mut_arg("listen", |arg| arg.default_value("127.0.0.1:8081").help("Address of /healthz, /readyz and /metrics; port 0 picks a free one")))]
+#[command(mut_arg("listen", |arg| arg.default_value("127.0.0.1:8081").help("Address of /healthz, /readyz and /metrics; port 0 picks a free port")))]
 #[command(mut_arg("role", |arg| arg.hide(true)))]
 pub struct WorkerConfig {
-    /// Which jobs to do
+    /// Kinds of jobs to run, comma-separated
     #[arg(long, env = "UNIGROUND_KINDS", value_enum, value_delimiter = ',', default_values_t = JobType::ALL, value_name = "KIND")]
     pub kinds: Vec<JobType>,
-    /// Jobs of each kind at once; default: 1 parse, 1 naming, 4 batches
+    /// Number of jobs of each kind to run in parallel [default: 1 parse, 1 naming, 4 batches]
     #[arg(long, env = "UNIGROUND_CONCURRENCY", value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
     pub concurrency: Option<u16>,
     #[command(flatten)]
     pub serve: ServeConfig,
 }
 
-/// What a process does.
+/// The work that a process does.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ProcessRole {
-    /// Whether it answers requests; if not, it only tells how it is.
+    /// Whether it serves the API. If not, it only serves health checks and metrics.
     pub serves: bool,
     pub works: Vec<JobType>,
-    /// Jobs of each kind at once, where somebody says.
+    /// Number of parallel jobs of each kind, if configured.
     pub concurrency: Option<usize>,
 }
 
@@ -87,7 +87,7 @@ impl From<&WorkerConfig> for ProcessRole {
 }
 
 impl ProcessRole {
-    /// Whether others have to do the rest.
+    /// Returns whether other processes have to do the rest of the work.
     #[must_use]
     pub fn needs_others(&self) -> bool {
         !self.serves || self.works.is_empty()

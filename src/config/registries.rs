@@ -1,6 +1,6 @@
-//! Which registries packages come from: those their own tools are told, else the public ones.
+//! Chooses the package registries: those configured for pip and npm, or the public ones.
 //!
-//! Only addresses are read: an `.npmrc` holds tokens as well, and those are none of our business.
+//! Reads only the addresses. An `.npmrc` may also contain tokens, which are ignored.
 
 use crate::packages::{Registries, Registry};
 use anyhow::Context;
@@ -10,20 +10,20 @@ use std::fs;
 
 const PYPI: &str = "https://pypi.org/simple";
 const NPM: &str = "https://registry.npmjs.org";
-/// Pip's file for the whole machine.
+/// System-wide configuration file of pip.
 const PIP_CONF: &str = "/etc/pip.conf";
 
-/// The registries to ask.
+/// Returns the registries to use.
 ///
 /// # Errors
-/// An address that is none, with what says it.
+/// Returns an error for an invalid address, with the setting that contains it.
 pub fn registries() -> anyhow::Result<Registries> {
     let environment = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
     let file = |path: &Utf8PathBuf| fs::read_to_string(path).ok();
     told(&environment, &file)
 }
 
-/// `environment` looks up variables, `file` reads what is there.
+/// Finds the registries. `environment` looks up variables and `file` reads a file.
 fn told(
     environment: &dyn Fn(&str) -> Option<String>,
     file: &dyn Fn(&Utf8PathBuf) -> Option<String>,
@@ -60,12 +60,12 @@ fn told(
         pypi: registry(
             pypi,
             PYPI,
-            "Another index is named with PIP_INDEX_URL, or index-url in pip.conf",
+            "Set another index with PIP_INDEX_URL, or index-url in pip.conf",
         )?,
         npm: registry(
             npm,
             NPM,
-            "Another registry is named with NPM_CONFIG_REGISTRY, or registry in .npmrc",
+            "Set another registry with NPM_CONFIG_REGISTRY, or registry in .npmrc",
         )?,
     })
 }
@@ -77,17 +77,19 @@ fn registry(
 ) -> anyhow::Result<Registry> {
     let (address, by) =
         told.map_or_else(|| (public.to_owned(), None), |(address, by)| (address, Some(by)));
-    // It may hold a password: the message does without it.
+    // The address may contain a password, so the message does not show it.
     let base = Url::parse(&address).ok().filter(Url::has_host);
     let base = base.with_context(|| {
-        format!("{}: this is not the address of a registry", by.as_deref().unwrap_or_default())
+        format!("{}: invalid registry address", by.as_deref().unwrap_or_default())
     })?;
-    let remedy =
-        by.map_or_else(|| format!("{remedy}."), |by| format!("{remedy}; this one is from {by}."));
+    let remedy = by.map_or_else(
+        || format!("{remedy}."),
+        |by| format!("{remedy}. The current one comes from {by}."),
+    );
     Ok(Registry { base, remedy })
 }
 
-/// `index-url` of the section that holds for all of pip's commands.
+/// Returns `index-url` from the `global` section of a pip configuration.
 fn index_of_pip(text: &str) -> Option<String> {
     let mut section = "";
     for line in text.lines().map(str::trim) {
@@ -103,7 +105,7 @@ fn index_of_pip(text: &str) -> Option<String> {
     None
 }
 
-/// The line `registry=`; every other one is none of our business.
+/// Returns the value of the line `registry=`. Ignores all other lines.
 fn registry_of_npm(text: &str) -> Option<String> {
     text.lines().find_map(|line| {
         let (key, value) = line.split_once('=')?;

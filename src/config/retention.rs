@@ -1,45 +1,43 @@
-//! How long things are kept.
+//! Retention settings.
 
 use uniground_types::stats::Retention;
 
-/// How long things are kept, and how much of what only saves time. What is over goes once a day;
-/// `uniground gc` does it at once.
+/// Retention periods and size limits. Expired data is removed once a day, or immediately by
+/// `uniground gc`.
 #[derive(Debug, Clone, clap::Args)]
 pub struct RetentionConfig {
-    /// Days for which answers are kept; 0: for ever
+    /// Retention of answers, days. 0 keeps them forever
     #[arg(long, env = "UNIGROUND_KEEP_ANSWERS_DAYS", default_value_t = Retention::default().answers_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_answers_days: u32,
-    /// Days for which the pictures, prompts and replies of answers by a model are kept; 0: none
-    /// are
+    /// Retention of pictures, prompts and replies of model answers, days. 0 stores none
     #[arg(long, env = "UNIGROUND_KEEP_EVIDENCE_DAYS", default_value_t = Retention::default().evidence_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_evidence_days: u32,
-    /// Days for which jobs are kept that are over and that no scene and no batch refers to; 0: for
-    /// ever
+    /// Retention of finished jobs that no scene or batch refers to, days. 0 keeps them forever
     #[arg(long, env = "UNIGROUND_KEEP_JOBS_DAYS", default_value_t = Retention::default().jobs_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_jobs_days: u32,
-    /// Days for which batches are kept that are over, with their items; their answers have an age
-    /// of their own; 0: for ever
+    /// Retention of finished batches and their items, days. Their answers have their own retention.
+    /// 0 keeps them forever
     #[arg(long, env = "UNIGROUND_KEEP_BATCHES_DAYS", default_value_t = Retention::default().batches_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_batches_days: u32,
-    /// Days for which the idempotency key of an upload or a question is remembered; 0: for good
+    /// Retention of idempotency keys of uploads and questions, days. 0 keeps them forever
     #[arg(long, env = "UNIGROUND_KEEP_IDEMPOTENCY_DAYS", default_value_t = Retention::default().idempotency_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_idempotency_days: u32,
-    /// Days for which it is remembered what was changed, and with whose key; 0: for ever
+    /// Retention of the audit log, days. 0 keeps it forever
     #[arg(long, env = "UNIGROUND_KEEP_AUDIT_DAYS", default_value_t = Retention::default().audit_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_audit_days: u32,
-    /// Days for which a parse is kept that no scene and no answer refers to any more; 0: as long
-    /// as its scan
+    /// Retention of parses that no scene or answer refers to, days. 0 keeps them as long as their
+    /// scan
     #[arg(long, env = "UNIGROUND_KEEP_SUPERSEDED_DAYS", default_value_t = Retention::default().superseded_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_superseded_days: u32,
-    /// Days for which an upload that comes in parts waits for the next one, and for which it is
-    /// told what came of it; 0: for ever
+    /// Retention of resumable uploads without progress, and of the results of finished ones, days.
+    /// 0 keeps them forever
     #[arg(long, env = "UNIGROUND_KEEP_UPLOADS_DAYS", default_value_t = Retention::default().uploads_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_uploads_days: u32,
-    /// Days for which finished stages of parses are kept that no parse uses; 0: as long as their
-    /// scan
+    /// Retention of parse checkpoints (finished stages) that no parse uses, days. 0 keeps them as
+    /// long as their scan
     #[arg(long, env = "UNIGROUND_KEEP_CHECKPOINTS_DAYS", default_value_t = Retention::default().checkpoints_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_checkpoints_days: u32,
-    /// Most that finished stages of parses may take together, bytes
+    /// Maximum total size of parse checkpoints, bytes
     #[arg(long, env = "UNIGROUND_MAX_CHECKPOINTS_BYTES", default_value_t = Retention::default().checkpoints_bytes, value_name = "BYTES")]
     pub max_checkpoints_bytes: u64,
 }

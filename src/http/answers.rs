@@ -21,35 +21,36 @@ use uniground_types::problem::Problem;
 use uniground_types::transcript::{AnswerPrompt, AnswerReply};
 use utoipa::IntoParams;
 
-/// Which answers are wanted; what is not said is any.
+/// Filters of the list. Omitted filters match everything.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ListParameters {
-    /// About this scene.
+    /// Answers about this scene.
     scene_id: Option<String>,
-    /// To questions of this batch.
+    /// Answers to questions of this batch.
     batch_id: Option<String>,
-    /// With this status.
+    /// Answers with this status.
     #[param(inline)]
     status: Option<Status>,
-    /// Given then or later, RFC 3339.
+    /// Answers from this time on, RFC 3339.
     #[param(format = DateTime)]
     since: Option<String>,
-    /// Given before, RFC 3339.
+    /// Answers before this time, RFC 3339.
     #[param(format = DateTime)]
     until: Option<String>,
-    /// Entries per page.
+    /// Number of entries per page.
     #[param(minimum = 1, maximum = 100, default = 20)]
     limit: Option<u32>,
-    /// `next_cursor` of the page before.
+    /// `next_cursor` of the previous page.
     cursor: Option<String>,
-    /// All of them instead of a page: as JSON, a line each, or as a table of their figures.
+    /// Streams all answers instead of one page: as JSONL or as CSV. Cannot be combined with `limit`
+    /// and `cursor`.
     #[param(inline)]
     format: Option<LineFormat>,
 }
 
-/// Lists answers that were kept, newest first: a page, or with `format` all of them, streamed.
+/// Lists stored answers, newest first: one page, or with `format` all of them as a stream.
 #[utoipa::path(
     get, path = "/v1/answers", operation_id = "list_answers", tag = "grounding", params(ListParameters),
     responses(
@@ -78,11 +79,11 @@ pub async fn list(
         if limit.is_some() || cursor.is_some() {
             return Err(ProblemResponse::invalid(
                 "format",
-                "gives all answers: without limit and cursor",
+                "cannot be combined with limit and cursor",
             ));
         }
         let shutdown = app.shutdown.clone().cancelled_owned();
-        // Who reads a long list does not keep the server from stopping.
+        // Ends the stream on shutdown, so that a long download does not delay it.
         let lines = futures::StreamExt::take_until(
             app.services.answers.all_answers(filter, format),
             shutdown,
@@ -100,7 +101,7 @@ fn time(parameter: &str, text: Option<String>) -> Result<Option<Timestamp>, Erro
     time.map_err(|_| Error::invalid(parameter, "must be a time like 2026-11-22T18:00:00Z"))
 }
 
-/// An answer as it was given, whole.
+/// Returns an answer.
 #[utoipa::path(
     get, path = "/v1/answers/{answer_id}", operation_id = "get_answer", tag = "grounding", params(("answer_id" = String, Path)),
     responses(
@@ -121,14 +122,14 @@ pub async fn get(
     ))
 }
 
-/// A picture that goes with an answer: `global.jpg`, and for answers of a model `candidate-7.jpg`
-/// or `names-1.jpg`, exactly as it was shown.
+/// Returns a picture of an answer's evidence: `global.jpg`, and for answers of a model
+/// `candidate-7.jpg` or `names-1.jpg`, exactly as the model received it.
 ///
-/// The room itself is always there: where no model was shown one, it is drawn from above with the
-/// answer's box (green), its anchor (red) and the other candidates (blue).
+/// `global.jpg` always exists. If no model received one, it is drawn from above with the answer's
+/// box (green), its anchor (red) and the other candidates (blue).
 #[utoipa::path(
     get, path = "/v1/answers/{answer_id}/evidence/{picture}", operation_id = "get_answer_picture", tag = "grounding",
-    params(("answer_id" = String, Path), ("picture" = String, Path, description = "`global.jpg`, or as the answer's `evidence` names it")),
+    params(("answer_id" = String, Path), ("picture" = String, Path, description = "`global.jpg`, or a name from the answer's `evidence`")),
     responses(
         (status = 200, body = Binary, content_type = "image/jpeg"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -147,8 +148,8 @@ pub async fn picture(
     ))
 }
 
-/// What the model was asked for an answer: every message, in order. Kept for as long as the
-/// server's operator wants.
+/// Returns the prompt of an answer: every message to the model, in order. Subject to the retention
+/// of evidence.
 #[utoipa::path(
     get, path = "/v1/answers/{answer_id}/prompt", operation_id = "get_answer_prompt", tag = "grounding", params(("answer_id" = String, Path)),
     responses(
@@ -166,7 +167,7 @@ pub async fn prompt(
     Ok(Json(app.services.transcripts.answer_prompt(&answer_id).await?))
 }
 
-/// What the model said, word by word.
+/// Returns the model's replies for an answer, unchanged. Subject to the retention of evidence.
 #[utoipa::path(
     get, path = "/v1/answers/{answer_id}/reply", operation_id = "get_answer_reply", tag = "grounding", params(("answer_id" = String, Path)),
     responses(

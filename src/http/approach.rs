@@ -12,12 +12,12 @@ use uniground_types::approach::{Approach, ApproachRequest, FloorMap};
 use uniground_types::problem::Problem;
 use utoipa::IntoParams;
 
-/// Where a robot can stand to see a thing, or to reach it: free floor, a view of the thing, and a
-/// way there.
+/// Computes poses from which a robot can see or reach an object: on free floor, with a view of the
+/// object and a path to it.
 ///
-/// `none_possible` and `not_grounded` are answers, not errors: `failed` says which condition left
-/// no place, `cells` what each one left. A `query` is answered by the built-in reasoner and its
-/// answer is kept.
+/// `none_possible` and `not_grounded` are results, not errors: `failed` names the condition that
+/// excluded all positions, and `cells` counts what each condition left. The built-in reasoner
+/// answers a `query`, and that answer is stored.
 #[utoipa::path(
     post, path = "/v1/scenes/{scene_id}/approach", operation_id = "approach", tag = "grounding", params(("scene_id" = String, Path)), request_body = ApproachRequest,
     responses(
@@ -48,7 +48,7 @@ pub async fn approach(
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct FloorParameters {
-    /// Height of the robot, metres: what is higher above the floor is no obstacle.
+    /// Height of the robot, meters. Anything higher is not an obstacle.
     #[serde(default = "default_height")]
     #[param(minimum = 0.1, maximum = 3, default = 1.8)]
     height_m: f32,
@@ -58,8 +58,8 @@ fn default_height() -> f32 {
     1.8
 }
 
-/// The map of a scene's floor as `map_server` of ROS reads it: this is the file beside the picture
-/// `floor.png`.
+/// Returns the metadata of a scene's floor map in the format of the ROS `map_server`. The image is
+/// `floor.png` next to it.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/floor", operation_id = "get_floor", tag = "scenes", params(("scene_id" = String, Path), FloorParameters),
     responses(
@@ -81,8 +81,8 @@ pub async fn floor(
     Ok(axum::Json(app.services.approach.floor(&scene_id, height_m).await?))
 }
 
-/// The floor from above: white is free, black occupied, grey never seen; left is the least x, the
-/// first row the greatest y.
+/// Returns the floor map: white is free, black is occupied, gray is unknown. The left edge has the
+/// smallest x, the first row the largest y.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/floor.png", operation_id = "get_floor_picture", tag = "scenes", params(("scene_id" = String, Path), FloorParameters),
     responses(

@@ -1,5 +1,4 @@
-//! Who asks, and whether they may: keys as bearer tokens, scopes, rates. What was done is written
-//! down.
+//! Authentication and authorization: bearer tokens, scopes, rate limits and the audit log.
 
 use super::problem::{ProblemResponse, request_id};
 use super::{App, Scopes};
@@ -13,17 +12,18 @@ use uniground_types::keys::Scope;
 use utoipa::Modify;
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
 
-/// As in the draft standard "`RateLimit` header fields for HTTP".
+/// The `RateLimit` header of the IETF draft "`RateLimit` header fields for HTTP".
 pub(super) const RATE_LIMIT: HeaderName = HeaderName::from_static("ratelimit");
 pub(super) const RATE_LIMIT_POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
 
-/// Lets a request past whose caller may do what its route does, and writes down what changed
-/// something.
+/// Checks that the caller may use the route, and records requests that change data in the audit
+/// log.
 pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> Response {
     let Some(wanted) = app.scopes.wanted_by(&request) else { return next.run(request).await };
     let link = take_link(request.uri_mut());
     let (keys, shown) = (&app.services.keyring, bearer(request.headers()));
-    // A link stands in for a key where none is shown, to read what is there: asking may cost money.
+    // A signed link replaces a missing key for reading only. It must not allow questions, which may
+    // cost money.
     let caller = match &link {
         Some(link) if shown.is_none() && keys.is_wanted() && request.method().is_safe() => {
             keys.caller_of_link(link, request.uri().path(), Timestamp::now())
@@ -46,7 +46,7 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
     };
     if caller.scope < wanted {
         let detail = format!(
-            "this key may {:?}, this needs a key that may {:?}",
+            "this key has the scope {:?}, but this request requires {:?}",
             caller.scope.word(),
             wanted.word()
         );
@@ -55,8 +55,8 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
             allowance,
         );
     }
-    // Whatever needs more than reading changes something, or looks at what only admins see. Links
-    // are handed to others.
+    // Requests with a scope above read change data or return admin data. Creating links is recorded
+    // too, because links give access to others.
     let is_noted = wanted > Scope::Read || request.uri().path() == "/v1/links";
     let noting = (is_noted && !request.method().is_safe()).then(|| {
         let (method, path) = (request.method().to_string(), request.uri().path().to_owned());
@@ -72,7 +72,7 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
     limited(response, allowance)
 }
 
-/// What makes a link work; the rest of the query stays.
+/// Removes the link token from the query and returns it.
 fn take_link(uri: &mut Uri) -> Option<String> {
     let query = uri.query()?;
     let is_link =
@@ -88,7 +88,7 @@ fn take_link(uri: &mut Uri) -> Option<String> {
     Some(link)
 }
 
-/// The token somebody shows.
+/// Returns the bearer token of the request.
 fn bearer(headers: &HeaderMap) -> Option<&str> {
     let shown = headers.get(header::AUTHORIZATION)?.to_str().ok()?;
     let (scheme, token) = shown.split_once(' ')?;
@@ -98,12 +98,12 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
 fn unauthorized(denied: KeyRejection) -> Response {
     let detail = match denied {
         KeyRejection::NoKey | KeyRejection::UnknownKey => {
-            "this server wants a key: Authorization: Bearer <key>"
+            "this server requires an API key: send the header Authorization: Bearer <key>"
         }
         KeyRejection::Expired => "this key has expired",
         KeyRejection::Revoked => "this key was revoked",
-        KeyRejection::BadLink => "this link was not signed by this server, or is for another path",
-        KeyRejection::LinkOver => "this link has expired: POST /v1/links makes another",
+        KeyRejection::BadLink => "this link was not signed by this server, or covers another path",
+        KeyRejection::LinkOver => "this link has expired: create another with POST /v1/links",
     };
     let mut refused =
         ProblemResponse::new(StatusCode::UNAUTHORIZED, "unauthorized", detail).into_response();
@@ -115,13 +115,13 @@ fn too_fast(wait_s: u64) -> Response {
     ProblemResponse::new(
         StatusCode::TOO_MANY_REQUESTS,
         "rate_limited",
-        format!("this key asks too often: try again in {wait_s} s"),
+        format!("this key has reached its rate limit: try again in {wait_s} s"),
     )
     .after(u32::try_from(wait_s).unwrap_or(u32::MAX))
     .into_response()
 }
 
-/// Tells what is left of the key's requests.
+/// Adds the remaining requests of the key to the response.
 fn limited(mut response: Response, allowance: Option<RateLimitStatus>) -> Response {
     if let Some(RateLimitStatus { per_minute, left, reset_s }) = allowance {
         let told = [
@@ -137,25 +137,24 @@ fn limited(mut response: Response, allowance: Option<RateLimitStatus>) -> Respon
     response
 }
 
-/// The scopes of all routes.
+/// Returns the scopes of all routes.
 #[must_use]
 pub fn scopes() -> Scopes {
     Scopes::of(&super::openapi())
 }
 
-/// Who asks, for handlers.
+/// The caller of a request, for handlers.
 pub type CallerExtension = axum::Extension<Caller>;
 
-/// Declares the bearer scheme in the description.
+/// Adds the bearer scheme to the OpenAPI description.
 pub struct BearerAuth;
 
 impl Modify for BearerAuth {
     fn modify(&self, openapi: &mut utoipa::openapi::OpenApi) {
         let components = openapi.components.get_or_insert_default();
         let mut scheme = Http::new(HttpAuthScheme::Bearer);
-        scheme.description = Some(
-            "The scopes of an operation name what a key must allow: read, write or admin.".into(),
-        );
+        scheme.description =
+            Some("The scope that an operation requires: read, write or admin.".into());
         components.add_security_scheme("key", SecurityScheme::Http(scheme));
     }
 }

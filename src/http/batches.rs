@@ -16,33 +16,34 @@ use uniground_types::batch::{Batch, BatchList, BatchRequest, BatchResult};
 use uniground_types::problem::Problem;
 use utoipa::IntoParams;
 
-/// What JSONL can not say beside its items.
+/// Options of a batch sent as JSONL.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct CreateParameters {
-    /// JSONL only: the scene of lines without one.
+    /// JSONL only: scene of items without one.
     scene_id: Option<String>,
-    /// JSONL only: for people.
+    /// JSONL only: display name.
     #[param(max_length = 200)]
     label: Option<String>,
-    /// JSONL only: questions asked at once.
+    /// JSONL only: number of questions answered in parallel.
     #[param(minimum = 1, maximum = 64)]
     concurrency: Option<u32>,
-    /// JSONL only: most that all questions together may cost, US dollars.
+    /// JSONL only: spending limit for the whole batch, US dollars.
     #[param(minimum = 0)]
     max_cost_usd: Option<f64>,
 }
 
-/// Submits a list of questions, to be asked in the background.
+/// Submits a batch of questions that run in the background.
 ///
-/// As JSON, or streamed as JSONL (`application/jsonl`), a question a line: 100,000 lines are no
-/// trouble. A first line `{"defaults": {…}}` holds for all. What is wrong with one question is that
-/// item's failure; a line that is no JSON object refuses the whole. Nothing is ever asked
-/// twice: not after a restart, not when the same list is sent again under its `Idempotency-Key`.
+/// The body is JSON, or JSONL (`application/jsonl`) with one question per line, which is streamed
+/// and may have 100,000 lines. A first line `{"defaults": {…}}` applies to all items. An invalid
+/// question only fails its item; a line that is not a JSON object rejects the batch. No question
+/// runs twice, even after a restart, or when the same list is sent again with its
+/// `Idempotency-Key`.
 #[utoipa::path(
     post, path = "/v1/batches", operation_id = "create_batch", tag = "batches",
-    params(CreateParameters, ("Idempotency-Key" = Option<String>, Header, description = "The same key again returns the batch it made")),
+    params(CreateParameters, ("Idempotency-Key" = Option<String>, Header, description = "A repeated key returns the batch of the first request")),
     request_body(content((BatchRequest = "application/json"), (String = "application/jsonl"))),
     responses(
         (status = 202, body = Batch),
@@ -96,7 +97,8 @@ pub async fn create(
             {
                 return Err(ProblemResponse::invalid(
                     "query",
-                    "a JSON body says all of this itself: defaults.scene_id, label, concurrency, max_cost_usd",
+                    "put these options into the JSON body: defaults.scene_id, label, concurrency, \
+                     max_cost_usd",
                 ));
             }
             let Json(request) = Json::<BatchRequest>::from_request(request, &()).await?;
@@ -107,7 +109,8 @@ pub async fn create(
                 .await?
         }
         other => {
-            let detail = format!("a batch is application/json or application/jsonl, not {other:?}");
+            let detail =
+                format!("a batch must be application/json or application/jsonl, not {other:?}");
             return Err(ProblemResponse::new(
                 StatusCode::UNSUPPORTED_MEDIA_TYPE,
                 "unsupported_media_type",
@@ -137,7 +140,7 @@ pub async fn list(
     Ok(axum::Json(app.services.batches.batches(limit, cursor.as_deref()).await?))
 }
 
-/// A batch as it stands: how far it is, what it cost, how long it will take.
+/// Returns a batch with its progress, cost and estimated remaining time.
 #[utoipa::path(
     get, path = "/v1/batches/{batch_id}", operation_id = "get_batch", tag = "batches", params(("batch_id" = String, Path)),
     responses(
@@ -159,21 +162,21 @@ pub async fn get(
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ResultParameters {
-    /// The first item wanted: who was cut off goes on here.
+    /// Index of the first item to return. Use it to resume an interrupted download.
     #[serde(default)]
     #[param(minimum = 0, default = 0)]
     from: u32,
-    /// `jsonl` or `csv`.
+    /// Format: `jsonl` or `csv`.
     #[serde(default)]
     #[param(inline)]
     format: LineFormat,
-    /// Wait for items that are still asked, until the batch ends or pauses; else the results end
-    /// at the first that is.
+    /// Whether to wait for running items until the batch ends or pauses. If `false`, the results
+    /// end before the first unfinished item.
     #[serde(default)]
     follow: bool,
 }
 
-/// Results in the order of the items, a line each, as far as they are there.
+/// Returns the results in the order of the items, one per line.
 #[utoipa::path(
     get, path = "/v1/batches/{batch_id}/results", operation_id = "get_batch_results", tag = "batches", params(("batch_id" = String, Path), ResultParameters),
     responses(
@@ -196,12 +199,12 @@ pub async fn results(
         .batches
         .batch_results(ResultRequest { batch_id, from, format, follow })
         .await?;
-    // Who follows a batch does not keep the server from stopping.
+    // Ends the stream on shutdown, so that a follower does not delay it.
     let results = futures::StreamExt::take_until(results, shutdown);
     Ok(([(header::CONTENT_TYPE, media_type_of(format))], Body::from_stream(results)))
 }
 
-/// Of things written one after the other.
+/// Returns the media type of a line format.
 pub(super) fn media_type_of(format: LineFormat) -> &'static str {
     match format {
         LineFormat::Jsonl => "application/jsonl",
@@ -209,7 +212,7 @@ pub(super) fn media_type_of(format: LineFormat) -> &'static str {
     }
 }
 
-/// Stops asking until somebody resumes it. Questions under way are answered.
+/// Pauses a batch. Running questions are finished.
 #[utoipa::path(
     post, path = "/v1/batches/{batch_id}/pause", operation_id = "pause_batch", tag = "batches", params(("batch_id" = String, Path)),
     responses(
@@ -229,7 +232,7 @@ pub async fn pause(
     Ok(axum::Json(app.services.batches.pause_batch(&batch_id).await?))
 }
 
-/// Goes on with a batch that is paused.
+/// Resumes a paused batch.
 #[utoipa::path(
     post, path = "/v1/batches/{batch_id}/resume", operation_id = "resume_batch", tag = "batches", params(("batch_id" = String, Path)),
     responses(
@@ -249,7 +252,7 @@ pub async fn resume(
     Ok(axum::Json(app.services.batches.resume_batch(&batch_id).await?))
 }
 
-/// Stops asking for good. What is answered stays.
+/// Cancels a batch. Existing answers are kept.
 #[utoipa::path(
     post, path = "/v1/batches/{batch_id}/cancel", operation_id = "cancel_batch", tag = "batches", params(("batch_id" = String, Path)),
     responses(

@@ -29,14 +29,14 @@ const STREAMED_UNLESS_JSON: &str = "/v1/batches";
 /// The slowest body that is accepted.
 #[derive(Debug, Clone, Copy)]
 struct MinimumRate {
-    /// Longest pause between two pieces.
+    /// Maximum pause between two chunks.
     silence: Duration,
     /// Longest time for a body of any size; for a streamed one, the time after which its rate
     /// counts.
     grace: Duration,
-    /// Least average rate of a body that takes longer than `grace`; `None`: none may.
+    /// Minimum average rate of a body that takes longer than `grace`. `None`: no body may.
     bytes_per_s: Option<u64>,
-    /// Longest time for the whole body.
+    /// Maximum time for the whole body.
     total: Duration,
 }
 
@@ -87,7 +87,7 @@ impl MinimumRate {
         if let Some(bytes_per_s) = self.bytes_per_s {
             Error::UploadTooSlow { bytes_per_s, silence_s: self.silence.as_secs() }.into()
         } else {
-            let detail = format!("a JSON body is sent within {} s", self.total.as_secs());
+            let detail = format!("a JSON body must arrive within {} s", self.total.as_secs());
             ProblemResponse::new(StatusCode::REQUEST_TIMEOUT, "body_too_slow", detail)
         }
     }
@@ -227,7 +227,7 @@ mod tests {
         total: Duration::from_millis(400),
     };
 
-    /// What a handler that reads its body answers to so many pieces, so long apart.
+    /// Returns the response of a handler that reads a body of so many pieces with this delay.
     async fn answer(rate: MinimumRate, pieces: usize, apart: Duration) -> Response {
         let body = stream::iter(0..pieces).then(move |_| async move {
             tokio::time::sleep(apart).await;
@@ -284,7 +284,7 @@ mod tests {
             (1 << 20, s(1000), s(20)),
             (1 << 20, s(1014), s(10)),
             (1 << 20, s(1024), s(0)),
-            // Quick enough, and too long all the same.
+            // Fast enough per second, but above the total limit.
             (1 << 40, s(86_390), s(10)),
             (1 << 40, s(86_400), s(0)),
         ] {
@@ -301,7 +301,7 @@ mod tests {
     fn uploads_and_lists_of_questions_are_streamed_and_json_is_not() {
         for (route, content_type, is_streamed) in [
             ("/v1/scenes", "application/zip", true),
-            // What an upload is, its bytes say.
+            // The content type of an upload does not matter.
             ("/v1/scenes", "application/json", true),
             ("/v1/uploads/{upload_id}", "application/offset+octet-stream", true),
             ("/v1/batches", "application/jsonl", true),

@@ -1,10 +1,8 @@
-//! Connections: how many there are, how long they may take over what, and who leaves when there are
-//! too many.
+//! Limits the number of connections and their durations.
 //!
-//! A connection that sends nothing costs its sender nothing, so it must cost us little: where all
-//! places are taken, the one that has kept the server waiting longest gives its place to a
-//! newcomer. That is one that is idle or half way through a header, or one whose request's
-//! body comes slowly. Those whose request is being answered keep theirs.
+//! If all slots are taken, the connection that has kept the server waiting longest is closed for a
+//! new one: one that is idle, that is sending a header, or whose request body arrives slowly.
+//! Connections whose request is being processed are kept.
 
 use super::problem::ProblemResponse;
 use axum::Router;
@@ -30,15 +28,15 @@ use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 use uniground_telemetry::metrics::Metrics;
 
-/// A header that takes longer is not waited for; nor is the next request of a connection.
+/// Timeout for a request header and for the next request of a connection.
 const HEADER_TIME: Duration = Duration::from_secs(15);
-/// A reader that takes nothing for so long is not written to any more.
+/// Timeout for writing to a client that does not read.
 const WRITE_TIME: Duration = Duration::from_secs(30);
-/// Bytes of a request's line and headers.
+/// Maximum size of a request's line and headers, bytes.
 const MAX_HEADER_BYTES: usize = 64 << 10;
 
-/// Serves until `shutdown`; then requests under way are finished. Trouble with one connection is
-/// that connection's.
+/// Serves until `shutdown`, then finishes running requests. An error of one connection does not
+/// affect others.
 pub async fn serve(
     listener: TcpListener,
     router: Router,
@@ -64,7 +62,7 @@ pub async fn serve(
                 ))),
                 None => drop(tokio::spawn(turn_away(stream, metrics.clone()))),
             },
-            // Out of file descriptors, say: those in use come back.
+            // For example, the process is out of file descriptors. Connections that end free some.
             Err(error) => {
                 tracing::warn!(%error, "connection could not be accepted");
                 sleep(Duration::from_millis(100)).await;
@@ -81,8 +79,7 @@ async fn connection(
     place: ConnectionSlot,
     watcher: hyper_util::server::graceful::Watcher,
 ) {
-    // A small answer does not wait for the acknowledgement of the one before. One that can not be
-    // told is sent all the same.
+    // Disables Nagle's algorithm, so that small responses are not delayed. An error is ignored.
     let _ = stream.set_nodelay(true);
     let mut stream = TimeoutStream::new(stream);
     stream.set_write_timeout(Some(WRITE_TIME));
@@ -109,7 +106,7 @@ async fn connection(
     }
 }
 
-/// Says that there is no room, for those who listen.
+/// Answers a rejected connection with 503.
 async fn turn_away(mut stream: TcpStream, metrics: Arc<Metrics>) {
     metrics.requests.connections_refused.inc();
     let body = ProblemResponse::no_connection().body();
@@ -120,20 +117,20 @@ async fn turn_away(mut stream: TcpStream, metrics: Arc<Metrics>) {
     let _ = timeout(Duration::from_secs(1), stream.write_all(response.as_bytes())).await;
 }
 
-/// Who is connected.
+/// Tracks the open connections.
 #[derive(Clone)]
 struct ConnectionLimiter {
     most: usize,
-    /// By order of arrival.
+    /// State of each connection, in the order of arrival.
     taken: Arc<Mutex<BTreeMap<u64, ConnectionState>>>,
     next: Arc<AtomicU64>,
     metrics: Arc<Metrics>,
 }
 
 struct ConnectionState {
-    /// Requests under way, their answers included.
+    /// Number of running requests, including their responses.
     busy: usize,
-    /// When it was last without one.
+    /// Time when the last request ended.
     idle_since: Instant,
     body: BodyProgress,
     close: CancellationToken,
@@ -150,7 +147,7 @@ impl ConnectionState {
     }
 }
 
-/// A connection's place; free again when this is dropped.
+/// A slot of a connection. Freed on drop.
 struct ConnectionSlot {
     places: ConnectionLimiter,
     number: u64,
@@ -210,8 +207,8 @@ impl BodyProgress {
         self.arrived().waiting_since = None;
     }
 
-    /// Returns how far the client is behind one that sends [`EXPECTED_BYTES_PER_S`]; `None` if it
-    /// is not, or if nobody waits for it.
+    /// Returns how far the client lags behind [`EXPECTED_BYTES_PER_S`]. `None` if it does not lag,
+    /// or if the server does not wait for it.
     fn lag(&self, now: Instant) -> Option<Duration> {
         let arrived = self.arrived();
         let waited = arrived.waited + now.saturating_duration_since(arrived.waiting_since?);
@@ -232,8 +229,8 @@ impl ConnectionLimiter {
         self.taken.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes a place, if need be that of the connection whose client has kept the server waiting
-    /// longest. Returns `None` while all requests are being answered.
+    /// Takes a slot. If all are taken, closes the connection that has kept the server waiting
+    /// longest. Returns `None` if all connections have running requests.
     fn enter(&self) -> Option<ConnectionSlot> {
         let (mut taken, now) = (self.taken(), Instant::now());
         if taken.len() >= self.most {
@@ -264,7 +261,7 @@ impl Drop for ConnectionSlot {
     }
 }
 
-/// A request under way.
+/// A running request.
 struct ActiveRequest(Arc<ConnectionSlot>);
 
 impl ActiveRequest {
@@ -285,7 +282,7 @@ impl Drop for ActiveRequest {
     }
 }
 
-/// A response's body, under way until it is sent.
+/// A response body that counts as running until it is sent.
 struct TrackedBody {
     body: Body,
     _busy: ActiveRequest,

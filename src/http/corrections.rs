@@ -11,11 +11,10 @@ use uniground_service::GroundTruth;
 use uniground_types::corrections::{Change, Correction, CorrectionList};
 use uniground_types::problem::Problem;
 
-/// Corrects what the current parse has found: a name, junk, things that are one, a thing that is
-/// several.
+/// Corrects the current parse: renames, dismisses, merges or splits instances.
 ///
-/// Answers from now on know it. A correction belongs to the parse: scenes of the same bytes and
-/// settings share it, a new parse starts without.
+/// Later answers use the correction. It belongs to the parse: scenes with the same bytes and
+/// settings share it, and a new parse starts without corrections.
 #[utoipa::path(
     post, path = "/v1/scenes/{scene_id}/corrections", operation_id = "correct_scene", tag = "instances", params(("scene_id" = String, Path)),
     request_body = Change,
@@ -45,8 +44,8 @@ pub async fn create(
     ))
 }
 
-/// Lists the corrections of the current parse, newest first, with who made them and which were
-/// taken back.
+/// Lists the corrections of the current parse, newest first, with their authors, including undone
+/// ones.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/corrections", operation_id = "list_corrections", tag = "instances", params(("scene_id" = String, Path)),
     responses(
@@ -65,7 +64,7 @@ pub async fn list(
     Ok(axum::Json(app.services.corrections.corrections(&scene_id).await?))
 }
 
-/// Takes a correction back. It stays in the list; what it had changed is as it was before.
+/// Undoes a correction. It stays in the list as undone.
 #[utoipa::path(
     delete, path = "/v1/scenes/{scene_id}/corrections/{correction_id}", operation_id = "undo_correction", tag = "instances",
     params(("scene_id" = String, Path), ("correction_id" = String, Path)),
@@ -86,8 +85,8 @@ pub async fn undo(
     Ok(axum::Json(app.services.corrections.undo_correction(&scene_id, &correction_id).await?))
 }
 
-/// The things of the current parse as people have corrected them: the annotations that `uniground
-/// eval` reads beside a scan, as `<scene>.scene.json`.
+/// Returns the corrected objects of the current parse as annotations for `uniground eval`, as
+/// `<scene>.scene.json`.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/annotations", operation_id = "get_annotations", tag = "instances", params(("scene_id" = String, Path)),
     responses(

@@ -1,4 +1,4 @@
-//! The OpenAPI description: what is true of every operation is said here once.
+//! Completes the OpenAPI description with everything that applies to all operations.
 
 use super::auth::BearerAuth;
 use super::problem::title_of;
@@ -13,150 +13,150 @@ use utoipa::openapi::{Content, Header, Ref, RefOr, Response, ResponseBuilder, Sc
     info(
         title = "uniground",
         description = "3D visual grounding as a service: upload a scan of a room, ask in plain words, get the object's 3D box. \
-            Lengths are metres in a right-handed world with Z up; boxes are centre and full extent. \
+            Lengths are in meters in a right-handed world frame with Z up. \
+            Boxes have a center and a full extent. \
             Errors are RFC 9457 problem details with a stable `code`."
     ),
-    servers((url = "/", description = "The server that tells this")),
+    servers((url = "/", description = "This server")),
     tags(
-        (name = "scenes", description = "Scans and their parses"),
-        (name = "uploads", description = "Scans that come in parts"),
+        (name = "scenes", description = "Scenes and their parses"),
+        (name = "uploads", description = "Resumable uploads"),
         (name = "instances", description = "Objects found in a scene"),
         (name = "grounding", description = "Questions and answers"),
-        (name = "agents", description = "The same for language models"),
-        (name = "batches", description = "Lists of questions, asked in the background"),
-        (name = "jobs", description = "Work in the background"),
-        (name = "keys", description = "Who may ask, and what was done"),
-        (name = "service", description = "Health and numbers")
+        (name = "agents", description = "Tools for language models (MCP)"),
+        (name = "batches", description = "Lists of questions that run in the background"),
+        (name = "jobs", description = "Background jobs"),
+        (name = "keys", description = "API keys and the audit log"),
+        (name = "service", description = "Health and statistics")
     ),
     modifiers(&BearerAuth)
 )]
 pub struct Description;
 
-/// Most entries of any list: of a batch, its questions.
+/// Maximum number of entries of any list: the questions of a batch.
 const MOST_ITEMS: usize = 1_000_000;
 const PROBLEM: &str = "application/problem+json";
 const FILE: &str = "application/octet-stream";
 
-/// What a status means wherever it is met, with a code as an example; problems without one here are
-/// described where they stand.
+/// Returns the description of a status with an example problem. Operations may override it.
 fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static str)>)> {
     let problem = |description, code, detail| Some((description, Some((code, detail))));
     match status {
-        "200" => Some(("As asked for", None)),
-        "201" => Some(("Made", None)),
-        "202" => Some(("Taken; the work goes on in the background", None)),
-        "204" => Some(("Done; there is nothing to tell", None)),
-        "206" => Some(("The part that `Range` names", None)),
-        "304" => Some(("Nothing has changed since the `ETag` that `If-None-Match` shows", None)),
+        "200" => Some(("Success", None)),
+        "201" => Some(("Created", None)),
+        "202" => Some(("Accepted; the work continues in the background", None)),
+        "204" => Some(("Success, without content", None)),
+        "206" => Some(("The part requested by `Range`", None)),
+        "304" => Some(("Not modified since the `ETag` in `If-None-Match`", None)),
         "400" => problem(
-            "The body can not be read",
+            "The body cannot be parsed",
             "malformed_json",
             "expected `,` or `}` at line 1 column 17",
         ),
         "401" => problem(
-            "No key, or one that is not known (any more)",
+            "The API key is missing or invalid",
             "unauthorized",
-            "this server wants a key: Authorization: Bearer <key>",
+            "this server requires an API key: send the header Authorization: Bearer <key>",
         ),
         "402" => problem(
-            "The money for it is spent",
+            "The spending limit is reached",
             "budget_spent",
             "the question's budget does not pay for another call",
         ),
         "403" => problem(
-            "The key may not do this",
+            "The key lacks the required scope",
             "scope_missing",
-            "this key may \"read\", this needs a key that may \"write\"",
+            "this key has the scope \"read\", but this request requires \"write\"",
         ),
         "404" => problem(
-            "There is no such thing",
+            "Not found",
             "scene_not_found",
             "there is no scene 01a1ff70-0000-7000-8000-000000000001",
         ),
-        "408" => {
-            problem("The body comes too slowly", "body_too_slow", "a JSON body is sent within 20 s")
-        }
+        "408" => problem(
+            "The body arrives too slowly",
+            "body_too_slow",
+            "a JSON body must arrive within 20 s",
+        ),
         "409" => problem(
-            "Not as things are now",
+            "Conflict with the current state",
             "scene_not_ready",
             "scene 01a1ff70-0000-7000-8000-000000000001 has not been parsed yet",
         ),
         "410" => problem(
-            "It is over",
+            "No longer available",
             "upload_expired",
-            "upload 01a1ff70-0000-7000-8000-000000000001 was not gone on with for too long: begin a new one",
+            "upload 01a1ff70-0000-7000-8000-000000000001 has expired: begin a new one",
         ),
         "412" => problem(
-            "Another version of tus",
+            "Unsupported version of tus",
             "tus_version_unknown",
-            "uploads in parts speak tus 1.0: send the header Tus-Resumable: 1.0.0",
+            "resumable uploads use tus 1.0: send the header Tus-Resumable: 1.0.0",
         ),
         "413" => problem(
             "The body is too large",
             "body_too_large",
-            "a JSON body has at most 1048576 bytes",
+            "a JSON body must have at most 1048576 bytes",
         ),
         "415" => problem(
-            "Another content type is wanted",
+            "Unsupported content type",
             "unsupported_media_type",
             "the body must be application/json, not \"text/plain\"",
         ),
-        "416" => Some(("The file has no such part", None)),
+        "416" => Some(("The requested range does not exist", None)),
         "421" => problem(
-            "The server is called by a name that is not its own",
+            "The Host header is not allowed",
             "host_not_allowed",
-            "this server is not evil.example",
+            "the host name evil.example is not allowed: start the server with --allowed-host, or \
+             use an API key",
         ),
         "422" => problem(
-            "A field or parameter makes no sense",
+            "A field or parameter is invalid",
             "invalid_request",
             "/top_k: must be 1 to 100",
         ),
         "423" => problem(
-            "Somebody is at work on it",
+            "Locked by another request",
             "upload_busy",
-            "somebody is sending to upload 01a1ff70-0000-7000-8000-000000000001, or it is being made a scene: ask for its offset when that is over",
+            "upload 01a1ff70-0000-7000-8000-000000000001 is in use: another request sends to it, \
+             or a scene is being made of it. Ask for its offset later",
         ),
         "429" => problem(
-            "Too much at once: again after `Retry-After`",
+            "Too many requests: retry after `Retry-After`",
             "rate_limited",
-            "this key asks too often: try again in 12 s",
+            "this key has reached its rate limit: try again in 12 s",
         ),
         "460" => problem(
-            "The checksum is of other bytes",
+            "The checksum does not match",
             "checksum_mismatch",
             "the checksum does not match the bytes received: send this part again",
         ),
         "502" => problem(
             "A model failed",
             "vlm_unavailable",
-            "the vision-language model could not be asked, in 5 attempts: it answered 500",
+            "the vision-language model could not be reached in 5 attempts: it answered 500",
         ),
         "503" => problem(
-            "Not now: again after `Retry-After`",
+            "Temporarily unavailable: retry after `Retry-After`",
             "vlm_down",
-            "the vision-language model's server is down: it is tried again in 20 s",
+            "the vision-language model's server is down: the next attempt is in 20 s",
         ),
-        "504" => problem(
-            "It took longer than was allowed",
-            "question_timed_out",
-            "the question took longer than 5 s",
-        ),
+        "504" => problem("Timeout", "question_timed_out", "the question took longer than 5 s"),
         "507" => problem(
             "The disk is full",
             "storage_full",
-            "the server's disk is full: delete scenes, or ask its operator",
+            "the server's disk is full: delete scenes, or ask its operator to free space",
         ),
         _ => None,
     }
 }
 
-/// Says of every operation what its own attributes leave out: what its statuses mean, with
-/// examples, and what any request may meet.
+/// Adds what the attributes of operations omit: descriptions and examples of statuses, and the
+/// statuses that any request may get.
 pub fn complete(openapi: &mut utoipa::openapi::OpenApi) {
     for (path, item) in &mut openapi.paths.paths {
         let PathItem { get, post, patch, delete, head, options, .. } = item;
-        // What tells headers only is never 304.
+        // Responses with headers only are never 304.
         for (operation, changes) in [
             (get, false),
             (post, true),
@@ -172,7 +172,7 @@ pub fn complete(openapi: &mut utoipa::openapi::OpenApi) {
                     .responses
                     .iter_mut()
                     .for_each(|(status, response)| describe(status, response));
-                // Said, and not left out: anybody may.
+                // Declares explicitly that no key is required.
                 operation
                     .security
                     .get_or_insert_with(|| vec![security::SecurityRequirement::default()]);
@@ -186,11 +186,11 @@ pub fn complete(openapi: &mut utoipa::openapi::OpenApi) {
     }
 }
 
-/// What any request may be answered, whatever it is about.
+/// Adds the responses that any request may get.
 fn may_meet(operation: &mut Operation, path: &str, changes: bool) {
     let responses = &mut operation.responses.responses;
     let sends_file = match responses.get("200") {
-        // What comes in several formats is made when it is asked for, and whole.
+        // Responses in several formats are generated on request, without ranges.
         Some(RefOr::T(response)) => {
             response.content.len() == 1 && response.content.contains_key(FILE)
         }
@@ -203,9 +203,9 @@ fn may_meet(operation: &mut Operation, path: &str, changes: bool) {
     for status in read.into_iter().chain(part) {
         responses.entry(status.as_str().to_owned()).or_insert_with(|| Response::new("").into());
     }
-    // A body that comes too slowly.
+    // A body that arrives too slowly.
     let refused_bodies = operation.request_body.is_some().then_some(StatusCode::REQUEST_TIMEOUT);
-    // A page of another origin; a name that is not the server's.
+    // A web page of another origin, or a host name that is not allowed.
     let refused = changes
         .then_some(StatusCode::FORBIDDEN)
         .into_iter()
@@ -245,7 +245,7 @@ fn describe(status: &str, response: &mut RefOr<Response>) {
     });
 }
 
-/// No list is without an end.
+/// Sets a maximum length for all lists.
 fn bound(schema: &mut RefOr<Schema>) {
     let RefOr::T(schema) = schema else { return };
     match schema {

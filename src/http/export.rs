@@ -17,11 +17,11 @@ use utoipa::IntoParams;
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ExportParameters {
-    /// Kind of file.
+    /// File format.
     #[param(inline)]
     format: ExportFormat,
-    /// Most points in the file: a larger cloud is thinned evenly, always to the same points. JSON
-    /// has none.
+    /// Maximum number of points in the file. A larger cloud is thinned evenly and
+    /// deterministically. Ignored for JSON.
     #[serde(default = "default_points")]
     #[param(minimum = 1, maximum = 2_000_000, default = 500_000)]
     points: u32,
@@ -31,11 +31,10 @@ fn default_points() -> u32 {
     DEFAULT_POINTS
 }
 
-/// The scene with what was found in it, for other programs: GLB, PLY, USDZ or JSON, as people have
-/// corrected it.
+/// Exports the scene with its corrected instances as GLB, PLY, USDZ or JSON.
 ///
-/// Coordinates are metres in the frame of the scene (Z up); in GLB the node at the root turns them
-/// into glTF's Y up. Sent as an attachment named after the scene.
+/// Coordinates are in meters in the scene's frame (Z up). In GLB, the root node rotates them to
+/// glTF's Y up. The response is an attachment named after the scene.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/export", operation_id = "export_scene", tag = "scenes", params(("scene_id" = String, Path), ExportParameters),
     responses(

@@ -7,7 +7,7 @@ use axum::http::request::Parts;
 use axum::http::{StatusCode, header};
 use serde::de::DeserializeOwned;
 
-/// Largest JSON body read.
+/// Maximum size of a JSON body, bytes.
 const MAX_JSON_BYTES: usize = 1 << 20;
 
 /// A JSON body.
@@ -35,13 +35,13 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
             ProblemResponse::new(
                 StatusCode::PAYLOAD_TOO_LARGE,
                 "body_too_large",
-                format!("a JSON body has at most {MAX_JSON_BYTES} bytes"),
+                format!("a JSON body must have at most {MAX_JSON_BYTES} bytes"),
             )
         })?;
         if holds_nul(&bytes) {
             return Err(ProblemResponse::invalid(
                 "body",
-                "a text holds a NUL character, which no text has",
+                "a string contains a NUL character, which is not allowed",
             ));
         }
         let mut reader = serde_json::Deserializer::from_slice(&bytes);
@@ -70,7 +70,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
     }
 }
 
-/// Whether a text in JSON has a NUL character: not every database could keep it.
+/// Returns whether a JSON string contains a NUL character. PostgreSQL cannot store them.
 fn holds_nul(json: &[u8]) -> bool {
     const ESCAPED: &[u8] = b"u0000";
     let is_escape =
@@ -78,7 +78,7 @@ fn holds_nul(json: &[u8]) -> bool {
     json.windows(ESCAPED.len()).enumerate().any(|(at, window)| window == ESCAPED && is_escape(at))
 }
 
-/// Whether an address names a NUL character.
+/// Returns whether a URL contains a NUL character.
 fn names_nul(parts: &Parts) -> bool {
     parts.uri.path_and_query().is_some_and(|address| address.as_str().contains("%00"))
 }
@@ -91,10 +91,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ProblemResponse> {
         if names_nul(parts) {
-            return Err(ProblemResponse::invalid(
-                "query",
-                "it holds a NUL character, which no text has",
-            ));
+            return Err(ProblemResponse::invalid("query", "must not contain a NUL character"));
         }
         match axum::extract::Query::<T>::from_request_parts(parts, state).await {
             Ok(axum::extract::Query(value)) => Ok(Self(value)),
@@ -108,7 +105,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
     }
 }
 
-/// A path segment that names something; what can not be a name of that kind does not exist.
+/// A path segment with an id or name. An invalid one gives 404.
 pub struct Path<T>(pub T);
 
 impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for Path<T> {
@@ -119,7 +116,7 @@ impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for Path<T>
             return Err(ProblemResponse::new(
                 StatusCode::NOT_FOUND,
                 "not_found",
-                "nothing has a name with a NUL character",
+                "a path cannot contain a NUL character",
             ));
         }
         match axum::extract::Path::<T>::from_request_parts(parts, state).await {
@@ -131,10 +128,10 @@ impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for Path<T>
     }
 }
 
-/// Longest idempotency key, bytes.
+/// Maximum length of an idempotency key, bytes.
 const MAX_IDEMPOTENCY_KEY_BYTES: usize = 255;
 
-/// The header `Idempotency-Key`, where the request has one.
+/// The header `Idempotency-Key`, if present.
 pub struct IdempotencyKey(pub Option<String>);
 
 impl<S: Send + Sync> FromRequestParts<S> for IdempotencyKey {

@@ -18,24 +18,23 @@ use utoipa::IntoParams;
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct GraphParameters {
-    /// JSON, `GraphML`, or lines of text for a language model.
+    /// Format: JSON, `GraphML`, or lines of text for a language model.
     #[serde(default)]
     #[param(inline)]
     format: GraphFormat,
-    /// Things and the building; besides these parts, wholes, or all of them.
+    /// Levels of the nodes: objects and building elements (default), additionally parts, wholes, or
+    /// all.
     #[serde(default)]
     #[param(inline)]
     level: Levels,
-    /// An instance: it and what it stands in a relation to, alone, its parts and wholes among them
-    /// whatever `level` says.
+    /// Id of an instance. Limits the graph to it and its related nodes, including its parts and
+    /// wholes regardless of `level`.
     around: Option<u32>,
 }
 
-/// What is in a scene and how it stands to each other: things, the building and zones, and what
-/// carries, holds or stands beside what.
+/// Returns the scene graph: objects, building elements and zones, and the relations between them.
 ///
-/// The relations are those that questions are answered by, as far as they do not depend on who
-/// looks.
+/// The relations are those used for answering questions, except viewpoint-dependent ones.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/graph", operation_id = "get_graph", tag = "instances", params(("scene_id" = String, Path), GraphParameters),
     responses(

@@ -12,19 +12,19 @@ use uniground_types::many::{ManyAnswers, ManyGroundRequest};
 use uniground_types::problem::Problem;
 use uniground_types::question::{GroundRequest, ShortlistRequest};
 
-/// Grounds one expression in a parsed scene.
+/// Answers a question about a parsed scene.
 ///
-/// `no_match` and `ambiguous` are answers, not errors: `box` is `null` and, for `ambiguous`,
+/// `no_match` and `ambiguous` are results, not errors: `box` is `null` and, for `ambiguous`,
 /// `alternatives` lists the tied objects.
 #[utoipa::path(
     post, path = "/v1/scenes/{scene_id}/ground", operation_id = "ground", tag = "grounding",
     params(
         ("scene_id" = String, Path),
-        ("Idempotency-Key" = Option<String>, Header, description = "The same key again returns the answer it got: a model is paid once, however often a question is sent"),
+        ("Idempotency-Key" = Option<String>, Header, description = "A repeated key returns the first answer, so that a retry does not call the model again"),
     ),
     request_body = GroundRequest,
     responses(
-        (status = 200, body = Answer, headers(("Idempotent-Replayed" = Option<String>, description = "`true`: this answer was given before, under the same `Idempotency-Key`"))),
+        (status = 200, body = Answer, headers(("Idempotent-Replayed" = Option<String>, description = "`true` if the answer was stored earlier under the same `Idempotency-Key`"))),
         (status = 400, body = Problem, content_type = "application/problem+json"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 402, body = Problem, content_type = "application/problem+json"),
@@ -60,10 +60,11 @@ pub async fn ground(
     Ok(response)
 }
 
-/// Finds out in which of many scenes something is.
+/// Finds the scenes that contain an object.
 ///
-/// Every scene is looked into without a model; those that most likely have it are asked in full,
-/// and their answers kept. A key's rate counts each of these; there is no `Idempotency-Key`.
+/// Searches every scene without a model, then answers the question for the most likely scenes and
+/// stores these answers. Each of them counts towards the rate limit of the key. `Idempotency-Key`
+/// is not supported.
 #[utoipa::path(
     post, path = "/v1/ground", operation_id = "ground_many", tag = "grounding", request_body = ManyGroundRequest,
     responses(
@@ -89,19 +90,21 @@ pub async fn ground_many(
     headers: HeaderMap,
     Json(request): Json<ManyGroundRequest>,
 ) -> Result<axum::Json<ManyAnswers>, ProblemResponse> {
-    // Better than to pay twice for who believes that it is heeded.
+    // Rejects the header, because a client that relies on it could pay twice.
     if headers.contains_key("idempotency-key") {
         return Err(ProblemResponse::invalid(
             "Idempotency-Key",
-            "questions about many scenes take none: what was answered is in /v1/answers",
+            "is not supported for questions about many scenes: the stored answers are in \
+             /v1/answers",
         ));
     }
     Ok(axum::Json(app.services.grounding.ground_many(request, caller).await?))
 }
 
-/// The candidates for a query, without reasoning over relations.
+/// Returns the candidates for a query without spatial reasoning.
 ///
-/// By appearance where an encoder has seen the scene, by names and attributes otherwise.
+/// Candidates are ranked by appearance if an encoder has processed the scene, else by names and
+/// attributes.
 #[utoipa::path(
     post, path = "/v1/scenes/{scene_id}/shortlist", operation_id = "shortlist", tag = "grounding", params(("scene_id" = String, Path)), request_body = ShortlistRequest,
     responses(

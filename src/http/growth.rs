@@ -1,4 +1,5 @@
-//! `/v1/scenes/{id}/frames` to add to, and `/v1/scenes/{id}/changes`: scenes that grow.
+//! `/v1/scenes/{id}/frames` and `/v1/scenes/{id}/changes`: adding frames to a scene, and its
+//! changes.
 
 use super::Binary;
 use super::extract::{IdempotencyKey, Path, Query};
@@ -22,8 +23,8 @@ use utoipa::IntoParams;
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct AddParameters {
-    /// Whose coordinates the poses are in: those of the files the scene was made of (default), the
-    /// scene's, or those of the map it lies in.
+    /// Frame of the poses: that of the scene's original files (default), the scene's own, or that
+    /// of its map.
     #[serde(default = "of_the_files")]
     #[param(default = "source", inline)]
     world: FrameChoice,
@@ -33,20 +34,20 @@ fn of_the_files() -> FrameChoice {
     FrameChoice::Source
 }
 
-/// Adds frames to a scene: colour and depth pictures with poses, in any layout that a scan may
-/// have.
+/// Adds frames to a scene: color and depth pictures with poses, in any supported layout.
 ///
-/// They are checked against the scene before anything is kept, and parsed in the background: what
-/// was seen of frames before is used again. What the new frames look through is gone, surfaces they
-/// find are new. What stays keeps its id, names and corrections; `GET /v1/scenes/{scene_id}/
-/// changes` tells what came, went and moved. Questions are answered as before until then.
+/// The frames are checked against the scene before they are stored, then parsed in the background;
+/// results of earlier frames are reused. Points that the new frames see through are removed, and
+/// new surfaces are added. Unchanged objects keep their ids, names and corrections. `GET
+/// /v1/scenes/{scene_id}/changes` returns the changes. Until the parse is finished, questions use
+/// the previous version.
 #[utoipa::path(
     post, path = "/v1/scenes/{scene_id}/frames", operation_id = "add_frames", tag = "scenes",
     params(
         ("scene_id" = String, Path), AddParameters,
-        ("Idempotency-Key" = Option<String>, Header, description = "The same key again returns what it led to"),
+        ("Idempotency-Key" = Option<String>, Header, description = "A repeated key returns the result of the first request"),
     ),
-    request_body(content = Binary, content_type = "application/octet-stream", description = "As for a new scene: an archive, or a form with one"),
+    request_body(content = Binary, content_type = "application/octet-stream", description = "As for a new scene: an archive, or a form with an archive"),
     responses(
         (status = 202, body = Created),
         (status = 400, body = Problem, content_type = "application/problem+json"),
@@ -93,17 +94,17 @@ pub async fn add_frames(
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ChangesParameters {
-    /// A version of the scene: what changed after it, as frames were added. Default: its first.
+    /// Earlier version of the scene to compare with. Default: the first.
     #[param(minimum = 1)]
     since: Option<u32>,
-    /// Another scene of the same room: what is different there. Not together with `since`.
+    /// Id of another scene of the same room to compare with. Cannot be combined with `since`.
     to: Option<String>,
-    /// With `to`: whether the two clouds are laid over each other, from their places in the same
-    /// map or in one world. Default: yes.
+    /// With `to`: whether to register the two clouds, starting from their shared map or world
+    /// coordinates. Default: `true`.
     align: Option<bool>,
 }
 
-/// What changed in a scene since an earlier version of it, or from this scan to another one of the
+/// Returns the changes of a scene since an earlier version, or compared with another scan of the
 /// same room.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/changes", operation_id = "get_changes", tag = "scenes",
@@ -126,7 +127,7 @@ pub async fn changes(
 ) -> Result<axum::Json<SceneChanges>, ProblemResponse> {
     let changes = match (since, to) {
         (Some(_), Some(_)) => {
-            return Err(Error::invalid("/to", "ask for since or for to, not for both").into());
+            return Err(Error::invalid("/to", "cannot be combined with since").into());
         }
         (None, Some(to)) => {
             app.services.changes.changes_to(&scene_id, &to, align.unwrap_or(true)).await?
@@ -134,7 +135,7 @@ pub async fn changes(
         (since, None) if align.is_none() => {
             app.services.changes.changes_since(&scene_id, since.unwrap_or(1)).await?
         }
-        (_, None) => return Err(Error::invalid("/align", "it goes with to").into()),
+        (_, None) => return Err(Error::invalid("/align", "requires to").into()),
     };
     Ok(axum::Json(changes))
 }

@@ -10,7 +10,7 @@ use uniground_storage::StoreHealth;
 use uniground_types::problem::Problem;
 use uniground_types::service::{Health as Alive, ModelList, Readiness};
 
-/// The models this server was started with; none when all parts are built in.
+/// Lists the models of this server. Empty if only built-in components are used.
 #[utoipa::path(
     get, path = "/v1/models", operation_id = "list_models", tag = "service",
     responses((status = 200, body = ModelList), (status = 401, body = Problem, content_type = "application/problem+json"), (status = 429, body = Problem, content_type = "application/problem+json")),
@@ -23,16 +23,16 @@ pub async fn models(State(app): State<App>) -> Json<ModelList> {
     })
 }
 
-/// Whether the process is alive.
+/// Returns whether the process is alive.
 #[utoipa::path(get, path = "/healthz", operation_id = "healthz", tag = "service", responses((status = 200, body = Alive)))]
 pub async fn healthz() -> Json<Alive> {
     Json(Alive { status: "ok".into(), version: env!("CARGO_PKG_VERSION").into() })
 }
 
-/// Whether the service can do its work.
+/// Returns whether the service is ready.
 ///
-/// A vision-language model that does not answer is told in `vlm` and does not count: built-in parts
-/// answer meanwhile.
+/// An unreachable vision-language model is reported in `vlm` but does not affect readiness, because
+/// built-in components take over.
 #[utoipa::path(get, path = "/readyz", operation_id = "readyz", tag = "service", responses((status = 200, body = Readiness), (status = 503, body = Readiness)))]
 pub async fn readyz(State(app): State<App>) -> Response {
     let health = app.services.health.health().await;

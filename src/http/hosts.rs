@@ -1,5 +1,5 @@
-//! By which names a server without a key may be called. A page in somebody's browser can have its
-//! own name point to this machine; its requests then carry that name, and are refused.
+//! Allowed host names of a server without a key. Protects against DNS rebinding: a web page could
+//! point its own host name to this machine, but its requests carry that name and are rejected.
 
 use super::App;
 use super::problem::ProblemResponse;
@@ -10,7 +10,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use std::net::IpAddr;
 
-/// Names besides loopback's own.
+/// Allowed host names besides loopback names.
 pub struct AllowedHosts(Vec<String>);
 
 impl AllowedHosts {
@@ -27,18 +27,19 @@ impl AllowedHosts {
     }
 }
 
-/// Refuses requests to a name that is none of ours.
+/// Rejects requests with a host name that is not allowed.
 pub async fn check(State(app): State<App>, request: Request, next: Next) -> Response {
-    // With a key, who asks knows it.
+    // If a key is required, DNS rebinding is harmless.
     let allowed = app.allowed_hosts.as_ref().filter(|_| !app.services.keyring.is_wanted());
     let Some(allowed) = allowed else { return next.run(request).await };
     let host = request.headers().get(header::HOST).and_then(|host| host.to_str().ok());
     let host = host.and_then(|host| host.parse::<Authority>().ok());
-    // Without a name it is no browser.
+    // Browsers always send a host name.
     match host {
         Some(host) if !allowed.allows(host.host()) => {
             let detail = format!(
-                "this server is not {}: start it with --allowed-host, or with a key",
+                "the host name {} is not allowed: start the server with --allowed-host, or use an \
+                 API key",
                 host.host()
             );
             ProblemResponse::new(StatusCode::MISDIRECTED_REQUEST, "host_not_allowed", detail)

@@ -19,14 +19,14 @@ use utoipa::IntoParams;
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ListParameters {
-    /// Instances per page.
+    /// Number of instances per page.
     #[serde(default = "default_limit")]
     #[param(minimum = 1, maximum = 1000, default = 100)]
     limit: u32,
-    /// `next_cursor` of the page before.
+    /// `next_cursor` of the previous page.
     #[serde(default)]
     cursor: u32,
-    /// Things alone, their parts, wholes of several, or all of them.
+    /// Levels to list: objects (default), parts, wholes, or all.
     #[serde(default)]
     #[param(inline)]
     level: Levels,
@@ -36,8 +36,8 @@ fn default_limit() -> u32 {
     100
 }
 
-/// The instances of a scene's current parse, in order of id: the largest first, then parts and
-/// wholes where these are asked for.
+/// Lists the instances of a scene's current parse, ordered by id: the largest objects first, then
+/// parts and wholes.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/instances", operation_id = "list_instances", tag = "instances", params(("scene_id" = String, Path), ListParameters),
     responses(
@@ -61,7 +61,7 @@ pub async fn list(
     Ok(Json(app.services.instances.instances(&scene_id, level, limit, cursor).await?))
 }
 
-/// One instance.
+/// Returns an instance.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/instances/{instance_id}", operation_id = "get_instance", tag = "instances",
     params(("scene_id" = String, Path), ("instance_id" = u32, Path)),
@@ -85,14 +85,14 @@ pub async fn get(
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ViewParameters {
-    /// The full frame with the object outlined in a red box, or a crop of it with darker
-    /// surroundings.
+    /// Kind of picture: the full frame with the object outlined and a red box (default), or a crop
+    /// with darkened surroundings.
     #[serde(default)]
     #[param(inline)]
     picture: ViewPicture,
 }
 
-/// A picture that shows the instance: the best view is `0.jpg`.
+/// Returns a picture of an instance. `0.jpg` is the best view.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/instances/{instance_id}/views/{view}", operation_id = "get_instance_view", tag = "instances",
     params(("scene_id" = String, Path), ("instance_id" = u32, Path), ("view" = String, Path, description = "`{k}.jpg`, k from 0"), ViewParameters),
@@ -117,7 +117,7 @@ pub async fn view(
         ProblemResponse::new(
             StatusCode::NOT_FOUND,
             "view_not_found",
-            format!("views are 0.jpg, 1.jpg, ...; not {view:?}"),
+            format!("there is no view {view:?}: views are named 0.jpg, 1.jpg, ..."),
         )
     })?;
     send_picture(

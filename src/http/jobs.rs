@@ -19,34 +19,34 @@ use uniground_storage::{JobFilter, JobState};
 use uniground_types::problem::Problem;
 use utoipa::IntoParams;
 
-/// One event of a job's stream.
+/// An event of a job's stream.
 #[derive(utoipa::ToSchema)]
 #[expect(dead_code, reason = "the stream writes these fields as lines of text")]
 pub struct JobEvent {
-    /// Names the moment; send it back as `Last-Event-ID` to go on from there.
+    /// Event id. Send it as `Last-Event-ID` to resume the stream.
     id: String,
-    /// `progress` or `done`.
+    /// Event type: `progress` or `done`.
     event: String,
-    /// The job, as JSON.
+    /// The job as JSON.
     data: String,
 }
 
-/// Which jobs are wanted; what is not said is any.
+/// Filters of the list. Omitted filters match everything.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ListParameters {
-    /// `parse`, `naming`, `batch`.
+    /// Kind of job: `parse`, `naming`, `batch`.
     kind: Option<String>,
-    /// Where they stand.
+    /// State of the job.
     #[param(inline)]
     state: Option<JobState>,
-    /// What they work on: the id of a scene, or of a batch.
+    /// Id of the scene or batch that the job works on.
     subject: Option<String>,
-    /// Entries per page.
+    /// Number of entries per page.
     #[param(minimum = 1, maximum = 100, default = 20)]
     limit: Option<u32>,
-    /// `next_cursor` of the page before.
+    /// `next_cursor` of the previous page.
     cursor: Option<String>,
 }
 
@@ -71,7 +71,7 @@ pub async fn list(
     Ok(Json(app.services.jobs.list(&filter, limit, cursor.as_deref()).await.map_err(Error::from)?))
 }
 
-/// A job as it stands.
+/// Returns a job.
 #[utoipa::path(
     get, path = "/v1/jobs/{job_id}", operation_id = "get_job", tag = "jobs", params(("job_id" = String, Path)),
     responses(
@@ -89,11 +89,11 @@ pub async fn get(
     Ok(Json(app.services.jobs.get(&job_id).await.map_err(Error::from)?))
 }
 
-/// Asks a job to stop. A finished job stays as it is.
+/// Requests the cancellation of a job. A finished job is not changed.
 #[utoipa::path(
     delete, path = "/v1/jobs/{job_id}", operation_id = "cancel_job", tag = "jobs", params(("job_id" = String, Path)),
     responses(
-        (status = 202, body = Job, description = "Asked to stop; the job as it stands"),
+        (status = 202, body = Job, description = "Cancellation requested; returns the job"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 403, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
@@ -108,9 +108,10 @@ pub async fn cancel(
     Ok((StatusCode::ACCEPTED, Json(app.services.jobs.cancel(&job_id).await.map_err(Error::from)?)))
 }
 
-/// Follows a job: `progress` events while it goes on, then one `done`; data is the job.
+/// Streams the progress of a job: `progress` events, then one `done` event. Their data is the job.
 ///
-/// `Last-Event-ID` resumes: progress the caller has seen is not sent again; the end is always told.
+/// With `Last-Event-ID`, progress that the client has received is not sent again. The `done` event
+/// is always sent.
 #[utoipa::path(
     get, path = "/v1/jobs/{job_id}/events", operation_id = "follow_job", tag = "jobs",
     params(("job_id" = String, Path), ("Last-Event-ID" = Option<String>, Header)),
@@ -127,28 +128,28 @@ pub async fn events(
     Path(job_id): Path<String>,
     headers: HeaderMap,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, ProblemResponse> {
-    // First: who is turned away costs nothing.
+    // Checked first, so that a rejected request is cheap.
     let place = app.event_streams.place()?;
     let job = app.services.jobs.follow(&job_id).await.map_err(Error::from)?;
     let seen = headers.get("last-event-id").and_then(|v| v.to_str().ok()).map(str::to_owned);
     let following = JobStream { job, seen, shutdown: app.shutdown };
     let stream = stream::unfold(Some(following), move |following| {
-        // The place is the stream's: free when it ends.
+        // The permit lives as long as the stream.
         let _ = &place;
         async move { next_event(following?).await }
     });
     Ok(Sse::new(stream).keep_alive(KeepAlive::default()))
 }
 
-/// One who follows a job.
+/// State of an event stream.
 struct JobStream {
     job: watch::Receiver<Job>,
-    /// The last moment told.
+    /// Id of the last sent event.
     seen: Option<String>,
     shutdown: CancellationToken,
 }
 
-/// The next event the caller has not seen, and who goes on to follow then; `None` ends the stream.
+/// Returns the next event and the new state of the stream. `None` ends the stream.
 async fn next_event(
     mut following: JobStream,
 ) -> Option<(Result<Event, Infallible>, Option<JobStream>)> {
@@ -175,7 +176,7 @@ async fn next_event(
     }
 }
 
-/// Names a moment of a job: equal ids, equal state.
+/// Returns the id of an event. Equal ids mean equal states.
 fn event_id(job: &Job) -> String {
     let stage = job.stage.as_deref().unwrap_or("-");
     format!("{}.{:?}.{stage}.{:.0}", job.attempts, job.state, job.progress * 1000.0)

@@ -9,9 +9,9 @@ use axum::http::StatusCode;
 use uniground_types::keys::{AuditList, CreatedKey, Key, KeyList, NewKey};
 use uniground_types::problem::Problem;
 
-/// Makes a key. Its secret is in this answer and nowhere else.
+/// Creates an API key. Its secret is returned only in this response.
 ///
-/// From the first key on, everybody needs one.
+/// Once a key exists, all requests require one.
 #[utoipa::path(
     post, path = "/v1/keys", operation_id = "create_key", tag = "keys", request_body = NewKey,
     responses(
@@ -30,9 +30,10 @@ pub async fn create(
     State(app): State<App>,
     Json(new): Json<NewKey>,
 ) -> Result<(StatusCode, axum::Json<CreatedKey>), ProblemResponse> {
-    // Where anybody may ask, a stranger would lock everybody else out.
+    // On an open server, a stranger could otherwise lock out everybody else.
     if app.allowed_hosts.is_none() && !app.services.keyring.is_wanted() {
-        let detail = "the first key of a server that others can reach is made by hand: uniground key create --data-dir";
+        let detail = "the first key of a publicly reachable server must be created on the command \
+                      line: uniground key create --data-dir";
         return Err(ProblemResponse::new(StatusCode::FORBIDDEN, "first_key_by_hand", detail));
     }
     Ok((StatusCode::CREATED, axum::Json(app.services.keyring.create(new).await?)))
@@ -58,8 +59,7 @@ pub async fn list(
     Ok(axum::Json(app.services.keyring.list(limit, cursor.as_deref()).await?))
 }
 
-/// Revokes a key: it is refused from now on, and its batches pause. What was done with it stays
-/// readable.
+/// Revokes a key. It is rejected from then on, and its batches pause. Its audit entries are kept.
 #[utoipa::path(
     delete, path = "/v1/keys/{key_id}", operation_id = "revoke_key", tag = "keys", params(("key_id" = String, Path)),
     responses(
@@ -78,8 +78,8 @@ pub async fn revoke(
     Ok(axum::Json(app.services.keyring.revoke(&key_id).await?))
 }
 
-/// Lists what was done, newest first: every request that was let through to change something,
-/// whatever came of it.
+/// Lists the audit log, newest first: all authorized requests that could change data, including
+/// failed ones.
 #[utoipa::path(
     get, path = "/v1/audit", operation_id = "list_audit", tag = "keys", params(Page),
     responses(

@@ -9,11 +9,11 @@ use jiff::Timestamp;
 use uniground_types::links::{LinkList, LinkRequest};
 use uniground_types::problem::Problem;
 
-/// Makes links that work without a key for a while: for pictures, clouds and event streams in a
-/// page, where no header can be sent.
+/// Creates signed links that work without a key for a limited time, for pictures, clouds and event
+/// streams in a web page, where no header can be sent.
 ///
-/// A link reads what its path names, no more, and stops with the key it was made with. It is the
-/// path with the query parameter `link`.
+/// A link only allows reading its path and becomes invalid with its key. It is the path with the
+/// query parameter `link`.
 #[utoipa::path(
     post, path = "/v1/links", operation_id = "create_links", tag = "keys", request_body = LinkRequest,
     responses(

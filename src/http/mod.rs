@@ -1,4 +1,5 @@
-//! The HTTP face: decode, authorise, call one service function, encode. One file per resource.
+//! The HTTP layer: decodes requests, authorizes them, calls one service function and encodes the
+//! result. One file per resource.
 
 mod answers;
 mod approach;
@@ -70,27 +71,27 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 use utoipa_swagger_ui::{Config, SwaggerUi};
 
-/// What handlers share.
+/// State shared by all handlers.
 #[derive(Clone)]
 pub struct App {
     pub services: Services,
-    /// What each route wants of its callers.
+    /// Required scopes of the routes.
     pub scopes: Arc<Scopes>,
-    /// Cancelled when the server stops: open event streams end.
+    /// Cancelled on shutdown, so that open event streams end.
     pub shutdown: CancellationToken,
-    /// Where requests are counted.
+    /// Metrics of the requests.
     pub metrics: Arc<Metrics>,
-    /// By which names this server may be called; any, where not set.
+    /// Allowed host names. `None` allows any.
     pub allowed_hosts: Option<Arc<AllowedHosts>>,
-    /// Pages of which origins may use this server.
+    /// Allowed origins of web pages.
     pub origins: Origins,
     pub event_streams: EventStreams,
-    /// The use cases as tools.
+    /// The MCP service.
     pub mcp: McpOverHttp,
 }
 
-/// Places for event streams: one that nobody reads costs a connection and no more, so they may have
-/// half of those.
+/// Permits for event streams. An idle stream costs only its connection, so streams may use half of
+/// the connections.
 #[derive(Clone)]
 pub struct EventStreams {
     places: Arc<Semaphore>,
@@ -98,37 +99,37 @@ pub struct EventStreams {
 }
 
 impl EventStreams {
-    /// Those of a server that has so many connections at most.
+    /// Creates the permits for a server with this maximum number of connections.
     #[must_use]
     pub fn beside(connections: usize) -> Self {
         let most = connections / 2;
         Self { places: Arc::new(Semaphore::new(most)), most }
     }
 
-    /// A place, as long as it is held.
+    /// Takes a permit.
     ///
     /// # Errors
-    /// [`Error::TooMany`].
+    /// Returns [`Error::TooMany`] if all permits are taken.
     pub fn place(&self) -> Result<OwnedSemaphorePermit, Error> {
         let place = self.places.clone().try_acquire_owned();
         place.map_err(|_| Error::TooMany { what: "event streams", most: self.most })
     }
 
-    /// Streams that are open.
+    /// Returns the number of open streams.
     #[must_use]
     pub fn open(&self) -> usize {
         self.most.saturating_sub(self.places.available_permits())
     }
 }
 
-/// Bytes: a file as it is.
+/// The bytes of a file.
 #[derive(utoipa::ToSchema)]
 #[schema(value_type = String, format = Binary)]
 struct Binary(#[expect(dead_code, reason = "only its schema is used")] Vec<u8>);
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 
-/// Routes and their description, in step by construction.
+/// All routes with their descriptions, which cannot diverge.
 fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(Description::openapi())
         .routes(routes!(scenes::create, scenes::list))
@@ -188,32 +189,31 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(health::readyz))
 }
 
-/// The OpenAPI description, as served at `/openapi.json`.
+/// Returns the OpenAPI description, as served at `/openapi.json`.
 #[must_use]
 pub fn openapi() -> utoipa::openapi::OpenApi {
     described().1
 }
 
-/// The routes, and what is said of them.
+/// Returns the routes and their description.
 fn described() -> (Router<App>, utoipa::openapi::OpenApi) {
     let (router, mut openapi) = routes().split_for_parts();
     description::complete(&mut openapi);
     (router, openapi)
 }
 
-/// The whole application.
+/// Returns the router of the complete application.
 pub fn router(app: App) -> Router {
     let (router, openapi) = described();
-    // Nobody outside is asked whether the description is valid.
+    // The online validator is disabled.
     let description = SwaggerUi::new("/docs")
         .url("/openapi.json", openapi)
         .config(Config::default().validator_url("none"));
-    // Health, the description and the pages are open to everybody: the key protects scans and
-    // questions.
+    // Health, the description and the page need no key. Keys protect scans and questions.
     layered(app, router, Router::from(description).merge(page::router()))
 }
 
-/// Of a process that answers no questions: how it is, and what it counts.
+/// Returns the router of a worker process: health checks and metrics only.
 pub fn watched(app: App) -> Router {
     let routes = OpenApiRouter::new()
         .routes(routes!(stats::metrics))
@@ -222,10 +222,10 @@ pub fn watched(app: App) -> Router {
     layered(app, routes.into(), Router::new())
 }
 
-/// Routes with all that lies around them; `open` ones want no key.
+/// Adds all layers to the routes. `open` routes need no key.
 fn layered(app: App, routes: Router<App>, open: Router) -> Router {
     routes
-        // Handlers of these routes are the only readers of bodies.
+        // Only the handlers of these routes read bodies.
         .layer(middleware::from_fn(body_rate::limit))
         .layer(middleware::from_fn(caching::mark))
         .layer(middleware::from_fn_with_state(app.clone(), auth::check))
@@ -247,7 +247,7 @@ fn layered(app: App, routes: Router<App>, open: Router) -> Router {
         .layer(always(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
         .layer(always(header::X_FRAME_OPTIONS, "DENY"))
         .layer(always(header::REFERRER_POLICY, "no-referrer"))
-        // Scans of somebody's home: no cache on the way keeps them.
+        // Scans of homes are private: no shared cache may store them.
         .layer(always(header::CACHE_CONTROL, "no-store"))
         .layer(PropagateRequestIdLayer::new(REQUEST_ID))
         .layer(
@@ -255,7 +255,7 @@ fn layered(app: App, routes: Router<App>, open: Router) -> Router {
                 .make_span_with(span_of)
                 .on_request(())
                 .on_response(DefaultOnResponse::new().level(Level::DEBUG))
-                // Who answers with an error has logged why.
+                // Errors are logged where they occur.
                 .on_failure(()),
         )
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
@@ -263,8 +263,8 @@ fn layered(app: App, routes: Router<App>, open: Router) -> Router {
         .layer(MapRequestLayer::new(without_odd_id))
 }
 
-/// Pictures are compressed already; lists that are read while they grow would wait for a whole
-/// block.
+/// Skips pictures, which are already compressed, and growing lists, which would be delayed by
+/// compression blocks.
 fn worth_compressing() -> impl Predicate {
     DefaultPredicate::new()
         .and(NotForContentType::const_new("application/jsonl"))
@@ -275,8 +275,7 @@ fn always(name: HeaderName, value: &'static str) -> SetResponseHeaderLayer<Heade
     SetResponseHeaderLayer::if_not_present(name, HeaderValue::from_static(value))
 }
 
-/// A caller's own request id is taken where it is one: short, and nothing that could pass for
-/// something else in a log.
+/// Keeps a request id from the caller only if it is short and safe to log.
 fn without_odd_id(mut request: Request) -> Request {
     const LONGEST: usize = 128;
     let fits = |id: &[u8]| {
@@ -289,7 +288,7 @@ fn without_odd_id(mut request: Request) -> Request {
     request
 }
 
-/// Every line that is logged for a request carries its id, method and route.
+/// Creates the span of a request with its id, method and route for all log lines.
 fn span_of(request: &Request) -> Span {
     let id = request.headers().get(REQUEST_ID).and_then(|id| id.to_str().ok()).unwrap_or_default();
     let route = request
@@ -301,7 +300,7 @@ fn span_of(request: &Request) -> Span {
     span
 }
 
-/// The panic itself is on stderr, with its place; here it gets the request's ids.
+/// Logs the ids of a request whose handler panicked. The panic message itself is on stderr.
 fn panicked(_: Box<dyn std::any::Any + Send>) -> Response {
     tracing::error!(code = "internal", "request handler panicked");
     ProblemResponse::internal().into_response()

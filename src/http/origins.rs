@@ -1,6 +1,6 @@
-//! Which web pages may use this server from a browser. Its own may; others where they are named
-//! (`--cors-origin`). Browsers ask before they send most things (CORS); what they send unasked, a
-//! form or a plain POST, is refused when it comes from somewhere else.
+//! Allowed origins of web pages: the server's own page, and those given with `--cors-origin`.
+//! Browsers ask before most requests (CORS). Requests that they send without asking, like forms and
+//! plain POSTs, are rejected if they come from another origin.
 
 use super::problem::ProblemResponse;
 use super::{REQUEST_ID, auth, tus};
@@ -14,19 +14,19 @@ use tower::{Layer, ServiceExt};
 use tower_http::cors::{AllowOrigin, CorsLayer};
 use tower_http::csrf::{ConfigError, CsrfLayer, ProtectionError};
 
-/// Origins as browsers write them: scheme, host, and port where it is not the scheme's own.
+/// Origins in the format of browsers: scheme, host, and the port if it is not the default.
 #[derive(Debug, Clone, Default)]
 pub struct Origins {
     named: Vec<HeaderValue>,
     protection: CsrfLayer,
 }
 
-/// How long a browser remembers that it may ask.
+/// Time for which browsers cache the CORS permission.
 const REMEMBER: Duration = Duration::from_mins(10);
 
 impl Origins {
     /// # Errors
-    /// What is no origin.
+    /// Returns an error for an invalid origin.
     pub fn new(origins: &[String]) -> Result<Self, ConfigError> {
         let mut all = Self::default();
         for origin in origins {
@@ -37,7 +37,7 @@ impl Origins {
         Ok(all)
     }
 
-    /// Answers browsers that ask for pages of these origins.
+    /// Returns the CORS layer for these origins.
     pub fn cors(&self) -> CorsLayer {
         let asked = [
             header::AUTHORIZATION,
@@ -96,14 +96,13 @@ impl Origins {
             .max_age(REMEMBER)
     }
 
-    /// Refuses what a page of another origin has a browser send.
+    /// Returns the layer that rejects requests from pages of other origins.
     pub fn protection(&self) -> CsrfLayer<fn(ProtectionError) -> Response> {
         self.protection.clone().with_rejection_response(foreign)
     }
 }
 
-/// Answers browsers that ask whether their pages may. CORS takes every `OPTIONS` for that; one that
-/// asks for something else goes its way.
+/// Answers CORS preflight requests. Other `OPTIONS` requests go to their handlers.
 pub async fn answer(State(cors): State<CorsLayer>, request: Request, next: Next) -> Response {
     if request.method() == Method::OPTIONS
         && !request.headers().contains_key(header::ACCESS_CONTROL_REQUEST_METHOD)
@@ -115,6 +114,7 @@ pub async fn answer(State(cors): State<CorsLayer>, request: Request, next: Next)
 }
 
 fn foreign(_: ProtectionError) -> Response {
-    let detail = "this comes from a page of another origin: start the server with --cors-origin and that origin, if it may";
+    let detail = "this request comes from a web page of another origin: to allow it, start the \
+                  server with --cors-origin and that origin";
     ProblemResponse::new(StatusCode::FORBIDDEN, "origin_not_allowed", detail).into_response()
 }

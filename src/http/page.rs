@@ -1,6 +1,6 @@
-//! `/`, `/viewer` and `/assets/…`: the page people open. It is built from `web/` (`make web`) and
-//! carried in the program, so that it works offline. No key is wanted for it: it holds nothing, and
-//! asks the API like everybody else.
+//! `/`, `/viewer` and `/assets/…`: the web page. It is built from `web/` (`make web`) and embedded
+//! in the executable, so it works offline. It needs no key, because it contains no data and uses
+//! the API like any client.
 
 use super::problem::no_such_route;
 use axum::Router;
@@ -21,19 +21,19 @@ use std::sync::LazyLock;
 #[exclude = "SOURCES"]
 struct PageFiles;
 
-/// What the page may load and do: only what is its own, nothing inline, in nobody's frame. Pictures
-/// come through `fetch`, which can show a key, and are drawn from memory (`blob:`).
+/// Content security policy: only own files, nothing inline, no framing. Pictures are loaded with
+/// `fetch`, which can send a key, and shown from memory (`blob:`).
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; \
     base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// The first file: it names the others, so it is asked for anew each time.
+/// The start page. It names the other files, so it is revalidated each time.
 const INDEX: &str = "index.html";
 const ASK_AGAIN: &str = "no-cache";
 
-/// The others have a hash of their bytes in their names.
+/// Cache policy of the other files, whose names contain a hash of their bytes.
 const FOR_EVER: &str = "public, max-age=31536000, immutable";
 
-/// A file of the page, as it is and compressed.
+/// A file of the page, uncompressed and compressed.
 struct File {
     media_type: &'static str,
     plain: Bytes,
@@ -97,7 +97,7 @@ fn takes_gzip(asked: &HeaderMap) -> bool {
     })
 }
 
-/// The page's routes.
+/// Returns the routes of the page.
 pub fn router<S: Clone + Send + Sync + 'static>() -> Router<S> {
     Router::new()
         .route("/", get(index))

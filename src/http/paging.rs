@@ -1,24 +1,24 @@
-//! Pages of lists.
+//! Pagination of lists.
 
 use serde::Deserialize;
 use uniground_service::error::Error;
 use utoipa::IntoParams;
 use uuid::Uuid;
 
-/// Which page of a list is wanted.
+/// Pagination parameters.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct Page {
-    /// Entries per page.
+    /// Number of entries per page, 1 to 100. Default: 20.
     #[serde(default = "default_limit")]
     #[param(minimum = 1, maximum = 100, default = 20)]
     limit: u32,
-    /// `next_cursor` of the page before.
+    /// `next_cursor` of the previous page.
     cursor: Option<String>,
 }
 
-/// Entries per page, where nobody says.
+/// Default number of entries per page.
 pub const DEFAULT_LIMIT: u32 = 20;
 
 fn default_limit() -> u32 {
@@ -26,25 +26,25 @@ fn default_limit() -> u32 {
 }
 
 impl Page {
-    /// Limit and cursor, an id.
+    /// Returns the checked limit and cursor. The cursor must be an id.
     pub fn checked(self) -> Result<(u32, Option<String>), Error> {
         checked(self.limit, self.cursor)
     }
 }
 
-/// The same for lists with more parameters.
+/// Checks the limit and the cursor of lists with more parameters.
 pub fn checked(limit: u32, cursor: Option<String>) -> Result<(u32, Option<String>), Error> {
     if !(1..=100).contains(&limit) {
         return Err(Error::invalid("limit", "must be 1 to 100"));
     }
     if cursor.as_ref().is_some_and(|cursor| !is_id(cursor)) {
-        return Err(Error::invalid("cursor", "must be the next_cursor of the page before"));
+        return Err(Error::invalid("cursor", "must be the next_cursor of the previous page"));
     }
     Ok((limit, cursor))
 }
 
-/// Returns whether a text is an id as it is stored. A UUID in braces or capitals would be parsed
-/// too, but ids are compared as text.
+/// Returns whether a text is an id in its stored form. UUIDs in braces or capitals are rejected,
+/// because ids are compared as text.
 fn is_id(text: &str) -> bool {
     text.parse().is_ok_and(|id: Uuid| id.to_string() == text)
 }

@@ -1,5 +1,5 @@
-//! Errors on the wire: RFC 9457 problem details with a stable code. The one place that knows HTTP
-//! statuses.
+//! API errors: RFC 9457 problem details with a stable code. The only module that maps errors to
+//! HTTP statuses.
 
 use super::REQUEST_ID;
 use axum::Json;
@@ -13,7 +13,7 @@ use uniground_jobs::JobsError;
 use uniground_service::error::Error;
 use uniground_types::problem::{FieldError, Problem};
 
-/// A request that was refused: the problem as a response.
+/// An error response with its problem.
 #[derive(Debug, Clone)]
 pub struct ProblemResponse(Box<Problem>);
 
@@ -37,11 +37,11 @@ impl ProblemResponse {
         Self::new(
             StatusCode::INTERNAL_SERVER_ERROR,
             "internal",
-            "something went wrong inside the server; its log has the cause",
+            "internal server error: the cause is in the server's log",
         )
     }
 
-    /// All connections are taken.
+    /// Returns the error for an exhausted connection limit.
     #[must_use]
     pub fn no_connection() -> Self {
         Self::new(
@@ -51,19 +51,19 @@ impl ProblemResponse {
         )
     }
 
-    /// The problem itself.
+    /// Returns the problem.
     #[must_use]
     pub fn problem(self) -> Problem {
         *self.0
     }
 
-    /// The problem as JSON.
+    /// Returns the problem as JSON.
     #[must_use]
     pub fn body(&self) -> String {
         serde_json::json!(*self.0).to_string()
     }
 
-    /// The caller may try again after so many seconds.
+    /// Sets `Retry-After`, in seconds.
     #[must_use]
     pub fn after(mut self, seconds: u32) -> Self {
         self.0.retry_after_s = Some(seconds);
@@ -88,7 +88,7 @@ impl From<Problem> for ProblemResponse {
     }
 }
 
-/// An error as callers are told of it.
+/// Converts an error to a problem.
 #[must_use]
 pub fn told(error: Error) -> Problem {
     ProblemResponse::from(error).problem()
@@ -97,27 +97,29 @@ pub fn told(error: Error) -> Problem {
 impl From<Error> for ProblemResponse {
     fn from(error: Error) -> Self {
         let (code, status) = (error.code(), status_of(&error));
-        // The only line about it: route and request id are those of the request's span.
+        // The only log line about the error. The span of the request adds its route and id.
         match status {
             StatusCode::BAD_GATEWAY | StatusCode::GATEWAY_TIMEOUT => {
                 tracing::warn!(code, cause = with_causes(&error), "request failed");
             }
-            // Told when it was found to be down.
+            // Already logged when the model went down.
             _ if matches!(error, Error::VlmDown { .. }) => tracing::debug!(code, "request failed"),
             _ if status.is_server_error() => {
                 tracing::error!(code, cause = with_causes(&error), "request failed");
             }
-            _ => tracing::debug!(code, cause = with_causes(&error), "request refused"),
+            _ => tracing::debug!(code, cause = with_causes(&error), "request rejected"),
         }
         let detail = match status {
-            // What broke inside is for the log, not for the caller.
+            // Internal causes are logged but not returned to the caller.
             StatusCode::INTERNAL_SERVER_ERROR => Self::internal().0.detail,
             StatusCode::INSUFFICIENT_STORAGE if error.is_disk_full() => {
-                "the server's disk is full: delete scenes, or ask its operator".into()
+                "the server's disk is full: delete scenes, or ask its operator to free space".into()
             }
-            StatusCode::SERVICE_UNAVAILABLE if error.is_store_busy() => "the server's database is busy: try again in a moment".into(),
+            StatusCode::SERVICE_UNAVAILABLE if error.is_store_busy() => {
+                "the server's database is busy: try again in a moment".into()
+            }
             StatusCode::SERVICE_UNAVAILABLE if error.is_object_store_unavailable() => {
-                "the object store that scans and parses are kept in can not be reached: try again in a moment".into()
+                "the object store cannot be reached: try again in a moment".into()
             }
             _ => error.to_string(),
         };
@@ -141,8 +143,8 @@ impl From<Error> for ProblemResponse {
     }
 }
 
-/// Status of each error. No wildcard over our own kinds: a new one does not compile until somebody
-/// decides.
+/// Returns the status of an error. Without a wildcard for own kinds, so that new ones must be added
+/// here.
 fn status_of(error: &Error) -> StatusCode {
     if error.is_disk_full() {
         return StatusCode::INSUFFICIENT_STORAGE;
@@ -243,17 +245,17 @@ fn status_of(error: &Error) -> StatusCode {
     }
 }
 
-/// A status in words; the one that HTTP does not know is tus's own.
+/// Returns the title of a status. 460 is defined by tus.
 pub(super) fn title_of(status: StatusCode) -> &'static str {
     status.canonical_reason().unwrap_or("Checksum Mismatch")
 }
 
-/// A status of tus's own.
+/// Returns tus's status for a checksum mismatch.
 fn checksum_mismatch() -> StatusCode {
     StatusCode::from_u16(460).unwrap_or(StatusCode::BAD_REQUEST)
 }
 
-/// What is repeated of a request in its refusal: enough to see what is meant.
+/// Maximum length of request content that is repeated in an error, characters.
 const LONGEST_TEXT: usize = 1000;
 
 fn shorten(text: &mut String) {
@@ -285,7 +287,7 @@ impl IntoResponse for ProblemResponse {
     }
 }
 
-/// Writes the request's id into problem bodies.
+/// Adds the request id to problem bodies.
 pub async fn name_request(request: Request, next: Next) -> Response {
     let id = request_id(request.headers());
     let mut response = next.run(request).await;
@@ -294,7 +296,7 @@ pub async fn name_request(request: Request, next: Next) -> Response {
             let headers = response.headers().clone();
             let mut named =
                 ProblemResponse::from(Problem { request_id: id, ..problem }).into_response();
-            // Keep what handlers and layers said beside the body ("Allow" and the like).
+            // Keeps headers that handlers and layers added (like "Allow").
             headers.into_iter().filter_map(|(name, value)| Some((name?, value))).for_each(
                 |(name, value)| {
                     if name != header::CONTENT_LENGTH {
@@ -316,7 +318,7 @@ pub async fn no_such_route(uri: Uri) -> ProblemResponse {
     ProblemResponse::new(
         StatusCode::NOT_FOUND,
         "no_such_route",
-        format!("there is nothing at {}", uri.path()),
+        format!("there is no route {}", uri.path()),
     )
 }
 
@@ -324,6 +326,6 @@ pub async fn method_not_allowed(method: Method, uri: Uri) -> ProblemResponse {
     ProblemResponse::new(
         StatusCode::METHOD_NOT_ALLOWED,
         "method_not_allowed",
-        format!("{method} is not possible at {}", uri.path()),
+        format!("the method {method} is not allowed for {}", uri.path()),
     )
 }

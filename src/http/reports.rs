@@ -13,8 +13,8 @@ use uniground_service::error::Error;
 use uniground_types::problem::Problem;
 use uniground_types::scenes::SceneReport;
 
-/// What the current parse did: counts, seconds and memory per stage, warnings, settings, and
-/// pictures of every step.
+/// Returns the report of the current parse: counts, seconds and memory per stage, warnings,
+/// settings, and pictures of every step.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/report", operation_id = "get_report", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
@@ -33,7 +33,7 @@ pub async fn get(
     Ok(Json(app.services.parses.scene_report(&scene_id).await?))
 }
 
-/// A picture of the current parse.
+/// Returns a picture of the current parse.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/report/{picture}", operation_id = "get_report_picture", tag = "scenes",
     params(("scene_id" = String, Path), ("picture" = String, Path, description = "`{name}.jpg` as listed in the report")),

@@ -1,5 +1,4 @@
-//! A scene for who looks at it: points, a small picture, photographs and where they were taken
-//! from.
+//! Media for viewing a scene: points, thumbnail, photographs and their poses.
 
 use super::caching::{send_download, send_file};
 use super::extract::{Path, Query};
@@ -14,19 +13,20 @@ use uniground_types::problem::Problem;
 use uniground_types::scene::FrameList;
 use utoipa::IntoParams;
 
-/// The cloud of the current parse for whoever looks at it over a network: twelve bytes a point, and
-/// every beginning is an even sample of the whole, so that a part (`Range: bytes=0-2400031` for
-/// 200,000 points) is a picture already.
+/// Returns the cloud of the current parse in a compact format for viewers. Points are ordered so
+/// that every prefix is an even sample: a part (`Range: bytes=0-2400031` for 200,000 points) can be
+/// shown.
 ///
-/// Little endian: `UGP1`, number of points (u32), bytes per point (u32, 12), 0 (u32), origin (three
-/// f32, metres), step (f32, metres); then for each point its position (three u16: origin + step x
-/// number), red, green, blue (u8), and the id of its thing (three bytes, 0 for none).
+/// Little endian header: `UGP1`, number of points (u32), bytes per point (u32, 12), 0 (u32), origin
+/// (three f32, meters), step (f32, meters). Then for each point: position (three u16, coordinate =
+/// origin + step x number), red, green, blue (u8), and the id of its object (three bytes, 0 for
+/// none).
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/points.bin", operation_id = "get_points", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = Binary, content_type = "application/octet-stream"),
-        (status = 206, description = "The part that `Range` names", body = Binary, content_type = "application/octet-stream"),
-        (status = 307, description = "Where the object store has it, if the server sends callers there", headers(("location" = String))),
+        (status = 206, description = "The part requested by `Range`", body = Binary, content_type = "application/octet-stream"),
+        (status = 307, description = "Redirect to the object store, if the server is configured for it", headers(("location" = String))),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
@@ -43,7 +43,7 @@ pub async fn points(
         .await
 }
 
-/// The room of the current parse from above, 320 x 240 pixels.
+/// Returns a picture of the current parse from above, 320 x 240 pixels.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/thumbnail.jpg", operation_id = "get_thumbnail", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
@@ -63,7 +63,7 @@ pub async fn thumbnail(
     send_picture(app.services.media.thumbnail(&scene_id).await?, &asked).await
 }
 
-/// The photographs of a scan: where each was taken from, and with what camera.
+/// Lists the photographs of a scan with their poses and cameras.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/frames", operation_id = "list_frames", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
@@ -86,14 +86,14 @@ pub async fn frames(
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct PhotographParameters {
-    /// With the instances it shows laid over it in their colours.
+    /// Whether to overlay the visible instances in their colors.
     #[serde(default)]
     #[param(default = false)]
     instances: bool,
 }
 
-/// A photograph of the scan, by its index in the list of frames: as it was taken, or with the
-/// instances of the current parse over it.
+/// Returns a photograph of the scan by its index in the list of frames, optionally with the
+/// instances of the current parse.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/frames/{frame}/photograph.jpg", operation_id = "get_photograph", tag = "scenes",
     params(("scene_id" = String, Path), ("frame" = u32, Path), PhotographParameters),
@@ -116,7 +116,7 @@ pub async fn photograph(
     send_picture(app.services.media.frame_picture(&scene_id, frame, instances).await?, &asked).await
 }
 
-/// A picture from a file, or one that was drawn.
+/// Sends a picture from a file, or a generated one.
 pub(super) async fn send_picture(
     picture: EvidenceFile,
     asked: &HeaderMap,

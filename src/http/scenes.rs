@@ -35,25 +35,25 @@ use utoipa::IntoParams;
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct CreateParameters {
-    /// Name of the scene; default: what the archive calls itself.
+    /// Name of the scene. Default: the name in the archive.
     #[param(max_length = 200)]
     name: Option<String>,
-    /// `false` only stores the scan.
+    /// `false` stores the scan without parsing it. Default: `true`.
     #[serde(default = "yes")]
     #[param(default = true)]
     parse: bool,
-    /// The axis that points up in the files, for archives that do not say; default: the axis the
-    /// cameras hold up.
+    /// Axis of the files that points up, for archives that do not state it. Default: the axis that
+    /// the cameras hold up.
     #[param(inline)]
     up: Option<UpAxis>,
-    /// Length of one unit of the files' clouds and poses, metres, for files that are not in
-    /// metres; default: told by their size.
+    /// Length of one unit of the files' clouds and poses, meters. Default: estimated from their
+    /// size.
     metres_per_unit: Option<f64>,
-    /// Whether a world that is tilted is turned level.
+    /// Whether to level a tilted world.
     #[serde(default)]
     #[param(inline)]
     levelling: LevellingChoice,
-    /// Settings to parse with.
+    /// Preset of the parse settings.
     #[serde(default)]
     #[param(inline)]
     preset: ParsePreset,
@@ -65,16 +65,16 @@ fn yes() -> bool {
 
 /// Uploads a scan.
 ///
-/// The body is the scan itself, streamed: an archive (zip, tar, tar.zst), a cloud or a mesh; or a
-/// form with one as its file. What it is, its bytes say, whatever the content type. It is checked
-/// before anything is stored; parsing then runs as a job. The same bytes under the same settings
-/// are parsed only once.
+/// The body is the scan itself, streamed: an archive (zip, tar, tar.zst), a point cloud or a mesh;
+/// or a form with one of these as its file. The format is detected from the bytes, regardless of
+/// the content type. The scan is checked before it is stored, then parsed in a job. The same bytes
+/// with the same settings are parsed only once.
 #[utoipa::path(
     post, path = "/v1/scenes", operation_id = "create_scene", tag = "scenes",
-    params(CreateParameters, ("Idempotency-Key" = Option<String>, Header, description = "The same key again returns the scene it made")),
+    params(CreateParameters, ("Idempotency-Key" = Option<String>, Header, description = "A repeated key returns the scene of the first request")),
     request_body(
         content((Binary = "application/zip"), (Binary = "application/x-tar"), (Binary = "application/zstd"), (Binary = "application/octet-stream")),
-        description = "An archive of any layout that is read, a cloud or a mesh"
+        description = "An archive in a supported layout, a point cloud or a mesh"
     ),
     responses(
         (status = 202, body = Created),
@@ -123,14 +123,13 @@ pub async fn create(
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
 
-/// Makes a scene of a scan that lies on the server's own disk, below the folder its operator named
-/// (`--import-root`).
+/// Imports a scan from the server's disk, from the folder configured with `--import-root`.
 ///
-/// As an upload of the same file; a folder is packed first, and nothing that a link brings in from
-/// elsewhere goes with it.
+/// Works like an upload of the same file. A folder is packed first; links that lead out of it are
+/// not followed.
 #[utoipa::path(
     post, path = "/v1/scenes/import", operation_id = "import_scene", tag = "scenes", request_body = ImportRequest,
-    params(("Idempotency-Key" = Option<String>, Header, description = "The same key again returns the scene it made")),
+    params(("Idempotency-Key" = Option<String>, Header, description = "A repeated key returns the scene of the first request")),
     responses(
         (status = 202, body = Created),
         (status = 400, body = Problem, content_type = "application/problem+json"),
@@ -155,15 +154,16 @@ pub async fn import(
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
 
-/// Bytes of a form before its file.
+/// Maximum number of bytes in a form before its file.
 const BEFORE_FILE_BYTES: usize = 64 << 10;
 
-/// The first file of a form: what it is called, and its bytes.
+/// Returns the first file of a form: its name and its bytes.
 pub(super) async fn file_of_form(
     body: BodyDataStream,
     boundary: String,
 ) -> Result<(Option<String>, Field<'static>), ProblemResponse> {
-    const NO_FILE: &str = "this form has no file: curl -F scan=@room.zip sends one";
+    const NO_FILE: &str =
+        "the form contains no file: send one, for example with curl -F scan=@room.zip";
     let refused =
         |detail: &str| ProblemResponse::new(StatusCode::BAD_REQUEST, "malformed_form", detail);
     let is_found = Arc::new(AtomicBool::new(false));
@@ -172,7 +172,7 @@ pub(super) async fn file_of_form(
         let chunk = chunk.map_err(std::io::Error::other)?;
         if !found.load(Ordering::Relaxed) && before > BEFORE_FILE_BYTES {
             return Err(std::io::Error::other(format!(
-                "nothing but {BEFORE_FILE_BYTES} bytes of other things before its file"
+                "no file within the first {BEFORE_FILE_BYTES} bytes"
             )));
         }
         before += chunk.len();
@@ -190,8 +190,7 @@ pub(super) async fn file_of_form(
     Err(refused(NO_FILE))
 }
 
-/// Makes a scene of the living room this program carries, and parses it: something to ask about at
-/// once.
+/// Creates a scene from the sample scan that is embedded in the server, and parses it.
 #[utoipa::path(
     post, path = "/v1/scenes/sample", operation_id = "create_sample_scene", tag = "scenes",
     responses(
@@ -210,18 +209,18 @@ pub async fn create_sample(
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
 
-/// Which scenes are wanted.
+/// Filters of the list.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ListParameters {
-    /// Those with all of these labels.
+    /// Scenes with all of these labels.
     #[param(example = "building=A,floor=2")]
     labels: Option<String>,
-    /// Entries per page.
+    /// Number of entries per page.
     #[param(minimum = 1, maximum = 100, default = 20)]
     limit: Option<u32>,
-    /// `next_cursor` of the page before.
+    /// `next_cursor` of the previous page.
     cursor: Option<String>,
 }
 
@@ -249,7 +248,7 @@ pub async fn list(
     ))
 }
 
-/// One scene.
+/// Returns a scene.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}", operation_id = "get_scene", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
@@ -267,7 +266,7 @@ pub async fn get(
     Ok(axum::Json(app.services.scene_lookup.scene(&scene_id).await?))
 }
 
-/// Renames a scene, files it under labels, and says where it lies in a map.
+/// Changes a scene's name, labels, or map transform.
 #[utoipa::path(
     patch, path = "/v1/scenes/{scene_id}", operation_id = "change_scene", tag = "scenes", params(("scene_id" = String, Path)), request_body = SceneChange,
     responses(
@@ -291,7 +290,7 @@ pub async fn change(
     Ok(axum::Json(app.services.scenes.change_scene(&scene_id, change).await?))
 }
 
-/// Deletes a scene with its answers.
+/// Deletes a scene and its answers.
 #[utoipa::path(
     delete, path = "/v1/scenes/{scene_id}", operation_id = "delete_scene", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
@@ -311,7 +310,8 @@ pub async fn delete(
     Ok(StatusCode::NO_CONTENT)
 }
 
-/// Parses a scene again, into a new version. Questions use the old one until the new one is ready.
+/// Parses a scene again as a new version. Questions use the previous version until the new one is
+/// ready.
 #[utoipa::path(
     post, path = "/v1/scenes/{scene_id}/parse", operation_id = "parse_scene", tag = "scenes", params(("scene_id" = String, Path)), request_body = ParseRequest,
     responses(
@@ -339,10 +339,10 @@ pub async fn parse(
     ))
 }
 
-/// Has the vision-language model name every object of the current parse, in the background.
+/// Starts a job in which the vision-language model names every object of the current parse.
 ///
-/// Names do not depend on questions and are kept; what has one is not paid for again. Questions
-/// with `evidence: "cached_names"` use them.
+/// Names do not depend on questions and are stored. Objects that have a name are not sent to the
+/// model again. Questions with `evidence: "cached_names"` use the names.
 #[utoipa::path(
     post, path = "/v1/scenes/{scene_id}/names", operation_id = "name_instances", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
@@ -366,12 +366,12 @@ pub async fn name(
     ))
 }
 
-/// The cloud in its own colours, PLY.
+/// Returns the cloud with its original colors as PLY.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/cloud.ply", operation_id = "get_cloud", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = Binary, content_type = "application/octet-stream"),
-        (status = 307, description = "Where the object store has it, if the server sends callers there", headers(("location" = String))),
+        (status = 307, description = "Redirect to the object store, if the server is configured for it", headers(("location" = String))),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
@@ -388,12 +388,12 @@ pub async fn cloud(
     send_download(file, "application/octet-stream", &asked).await
 }
 
-/// The cloud coloured by instance, PLY; each point carries its instance id.
+/// Returns the cloud colored by instance as PLY, with the instance id of each point.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/instances.ply", operation_id = "get_instances_cloud", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = Binary, content_type = "application/octet-stream"),
-        (status = 307, description = "Where the object store has it, if the server sends callers there", headers(("location" = String))),
+        (status = 307, description = "Redirect to the object store, if the server is configured for it", headers(("location" = String))),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
@@ -410,13 +410,14 @@ pub async fn instances_cloud(
     send_download(file, "application/octet-stream", &asked).await
 }
 
-/// What the instances look like: a numpy array of half floats, one unit vector per instance in
-/// order of id, zero for those no frame shows. The scene's `models` name the encoder.
+/// Returns the embeddings of the instances: a numpy array of half floats, one unit vector per
+/// instance ordered by id, zero for instances that no frame shows. The scene's `models` name the
+/// encoder.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/embeddings.npy", operation_id = "get_embeddings", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = Binary, content_type = "application/octet-stream"),
-        (status = 307, description = "Where the object store has it, if the server sends callers there", headers(("location" = String))),
+        (status = 307, description = "Redirect to the object store, if the server is configured for it", headers(("location" = String))),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),

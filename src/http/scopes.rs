@@ -1,4 +1,4 @@
-//! Which scope a route wants: what its own description says, so that the two can not differ.
+//! Required scopes of the routes, read from the OpenAPI description, so that both always agree.
 
 use axum::extract::{MatchedPath, Request};
 use axum::http::Method;
@@ -7,12 +7,12 @@ use std::collections::HashMap;
 use uniground_types::keys::Scope;
 use utoipa::openapi::OpenApi;
 
-/// Scopes by route and method; a route that is described without a key is open to everybody.
+/// Scopes by route and method. `None` means that no key is required.
 #[derive(Debug)]
 pub struct Scopes(HashMap<(String, Method), Option<Scope>>);
 
 impl Scopes {
-    /// Reads `security` of every operation: `[{"key": ["write"]}, {}]`.
+    /// Reads the field `security` of every operation: `[{"key": ["write"]}, {}]`.
     #[must_use]
     pub fn of(description: &OpenApi) -> Self {
         let description = serde_json::to_value(description).unwrap_or_default();
@@ -26,8 +26,8 @@ impl Scopes {
         Self(scopes)
     }
 
-    /// What a request's route wants; `None`: nothing. What is not described is for nobody but
-    /// admins.
+    /// Returns the scope that a request's route requires, or `None` if it requires no key. Routes
+    /// without a description require admin.
     #[must_use]
     pub fn wanted_by(&self, request: &Request) -> Option<Scope> {
         let method = if request.method() == Method::HEAD { &Method::GET } else { request.method() };
@@ -38,7 +38,7 @@ impl Scopes {
 
 fn scope_of(operation: &Value) -> Option<Scope> {
     let wanted = operation["security"].as_array()?.iter().find_map(|way| way.get("key"))?;
-    // A key without a scope: the most is wanted until somebody decides.
+    // A security entry without a scope requires admin.
     let scope = wanted.as_array().and_then(|scopes| scopes.first()).and_then(Value::as_str);
     Some(scope.and_then(|word| Scope::try_from(word.to_owned()).ok()).unwrap_or(Scope::Admin))
 }

@@ -11,7 +11,7 @@ use uniground_telemetry::metrics::MEDIA_TYPE;
 use uniground_types::problem::Problem;
 use uniground_types::stats::Stats;
 
-/// What this server holds, does and may spend, in numbers.
+/// Returns statistics of the server: stored data, jobs, spending, disk usage and retention.
 #[utoipa::path(
     get, path = "/v1/stats", operation_id = "get_stats", tag = "service",
     responses(
@@ -25,7 +25,7 @@ pub async fn stats(State(app): State<App>) -> Result<Json<Stats>, ProblemRespons
     Ok(Json(app.services.stats.stats().await?))
 }
 
-/// The same and more for Prometheus, in the `OpenMetrics` text format.
+/// Returns metrics for Prometheus in the `OpenMetrics` text format.
 #[utoipa::path(
     get, path = "/metrics", operation_id = "metrics", tag = "service",
     responses(
@@ -40,7 +40,7 @@ pub async fn metrics(State(app): State<App>) -> Response {
     ([(header::CONTENT_TYPE, MEDIA_TYPE)], app.services.stats.scrape().await).into_response()
 }
 
-/// Counts a request, however it ends.
+/// Counts a request and its outcome.
 pub async fn count(State(app): State<App>, request: Request, next: Next) -> Response {
     let route = request.extensions().get::<MatchedPath>().map(MatchedPath::as_str);
     let underway = app.metrics.requests.begin(request.method().as_str(), route);

@@ -1,6 +1,6 @@
-//! The words of tus 1.0, a protocol for uploads that are gone on with (<https://tus.io/protocols/resumable-upload>): its headers and its
-//! version. What they mean is the service's business, so that another protocol can stand beside
-//! this one.
+//! Headers and version of tus 1.0, a protocol for resumable uploads
+//! (<https://tus.io/protocols/resumable-upload>). The service implements the uploads independently
+//! of the protocol.
 
 use super::problem::ProblemResponse;
 use axum::extract::Request;
@@ -25,17 +25,17 @@ pub const METADATA: HeaderName = HeaderName::from_static("upload-metadata");
 pub const CHECKSUM: HeaderName = HeaderName::from_static("upload-checksum");
 pub const EXPIRES: HeaderName = HeaderName::from_static("upload-expires");
 pub const METHOD_OVERRIDE: HeaderName = HeaderName::from_static("x-http-method-override");
-/// What the upload has become; no words of tus's.
+/// Header with the scene of an upload. Not part of tus.
 pub const SCENE_ID: HeaderName = HeaderName::from_static("uniground-scene-id");
 pub const JOB_ID: HeaderName = HeaderName::from_static("uniground-job-id");
 
 const SPOKEN: HeaderValue = HeaderValue::from_static("1.0.0");
 const EXTENSIONS: &str = "creation,creation-with-upload,checksum,expiration,termination";
 const PART: &str = "application/offset+octet-stream";
-/// Longest metadata kept, bytes.
+/// Maximum length of the metadata, bytes.
 const MOST_METADATA: usize = 8 << 10;
 
-/// The version of tus that is spoken here.
+/// The supported version of tus.
 #[derive(utoipa::ToSchema)]
 #[expect(dead_code, reason = "only its schema is used")]
 pub enum Version {
@@ -43,13 +43,13 @@ pub enum Version {
     Spoken,
 }
 
-/// Answers only who speaks this version, and says which one it is.
+/// Rejects requests with another version of tus, and adds the version to responses.
 pub async fn speak(request: Request, next: Next) -> Response {
     let is_asked =
         matches!(*request.method(), Method::POST | Method::HEAD | Method::PATCH | Method::DELETE);
     let mut response = match is_asked && request.headers().get(RESUMABLE) != Some(&SPOKEN) {
         true => {
-            let detail = "uploads in parts speak tus 1.0: send the header Tus-Resumable: 1.0.0";
+            let detail = "resumable uploads use tus 1.0: send the header Tus-Resumable: 1.0.0";
             let refused = ProblemResponse::new(
                 StatusCode::PRECONDITION_FAILED,
                 "tus_version_unknown",
@@ -63,7 +63,7 @@ pub async fn speak(request: Request, next: Next) -> Response {
     response
 }
 
-/// What this server can do.
+/// Returns the capabilities of this server.
 pub fn capabilities(max_bytes: u64) -> Response {
     let algorithms = ChecksumAlgorithm::ALL.map(ChecksumAlgorithm::word).join(",");
     let told = [
@@ -75,7 +75,7 @@ pub fn capabilities(max_bytes: u64) -> Response {
     (StatusCode::NO_CONTENT, AppendHeaders(told)).into_response()
 }
 
-/// How far an upload is, and what it has become.
+/// Returns the state of an upload as headers.
 pub fn state(upload: &Upload) -> HeaderMap {
     let mut headers = HeaderMap::new();
     headers.insert(OFFSET, upload.offset.into());
@@ -95,13 +95,13 @@ pub fn state(upload: &Upload) -> HeaderMap {
     headers
 }
 
-/// Whether a body is a part of an upload.
+/// Returns whether the body is a part of an upload.
 pub fn is_part(headers: &HeaderMap) -> bool {
     headers.get(header::CONTENT_TYPE).is_some_and(|media_type| media_type == PART)
 }
 
 /// # Errors
-/// When it is something else.
+/// Returns an error for another content type.
 pub fn check_part(headers: &HeaderMap) -> Result<(), ProblemResponse> {
     if is_part(headers) {
         return Ok(());
@@ -109,29 +109,29 @@ pub fn check_part(headers: &HeaderMap) -> Result<(), ProblemResponse> {
     Err(ProblemResponse::new(
         StatusCode::UNSUPPORTED_MEDIA_TYPE,
         "unsupported_media_type",
-        format!("a part of an upload is {PART}"),
+        format!("a part of an upload must have the content type {PART}"),
     ))
 }
 
-/// A header that is a number of bytes.
+/// Parses a header with a number of bytes.
 ///
 /// # Errors
-/// When it is missing, or none.
+/// Returns an error if the header is missing or invalid.
 pub fn bytes(headers: &HeaderMap, name: &HeaderName) -> Result<u64, ProblemResponse> {
     let value = headers
         .get(name)
         .and_then(|value| value.to_str().ok())
         .filter(|value| value.bytes().all(|byte| byte.is_ascii_digit()));
-    // SQLite and many clients count with 63 bits.
+    // SQLite and many clients use signed 64-bit integers.
     let value =
         value.and_then(|value| value.parse().ok()).filter(|bytes| i64::try_from(*bytes).is_ok());
-    value.ok_or_else(|| wrong(name, "a number of bytes is wanted"))
+    value.ok_or_else(|| wrong(name, "must be a number of bytes"))
 }
 
-/// What a part's bytes are said to come to.
+/// Parses the checksum of a part.
 ///
 /// # Errors
-/// When that is no checksum known here.
+/// Returns an error for an unknown or invalid checksum.
 pub fn checksum(headers: &HeaderMap) -> Result<Option<Checksum>, ProblemResponse> {
     let Some(value) = headers.get(CHECKSUM) else { return Ok(None) };
     let read = || {
@@ -143,28 +143,29 @@ pub fn checksum(headers: &HeaderMap) -> Result<Option<Checksum>, ProblemResponse
     };
     let known = ChecksumAlgorithm::ALL.map(ChecksumAlgorithm::word).join(" or ");
     read().map(Some).ok_or_else(|| {
-        wrong(&CHECKSUM, &format!("{known} is wanted, a space, and the sum in base64"))
+        wrong(&CHECKSUM, &format!("must be {known}, a space, and the checksum in base64"))
     })
 }
 
-/// What is said of an upload.
+/// Metadata of an upload.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Metadata {
-    /// The header as it came.
+    /// The unchanged header.
     pub header: Option<String>,
-    /// Keys and texts.
+    /// Keys and values.
     pub pairs: Vec<(String, String)>,
 }
 
-/// What is said of an upload.
+/// Parses the metadata of an upload.
 ///
 /// # Errors
-/// When it can not be read.
+/// Returns an error if the header is invalid.
 pub fn metadata(headers: &HeaderMap) -> Result<Metadata, ProblemResponse> {
     let Some(value) = headers.get(METADATA) else { return Ok(Metadata::default()) };
     let value = value.to_str().ok().filter(|value| value.len() <= MOST_METADATA);
-    let value = value
-        .ok_or_else(|| wrong(&METADATA, &format!("at most {MOST_METADATA} visible characters")))?;
+    let value = value.ok_or_else(|| {
+        wrong(&METADATA, &format!("must have at most {MOST_METADATA} visible characters"))
+    })?;
     let pairs = value.split(',').map(str::trim).filter(|pair| !pair.is_empty()).map(|pair| {
         let (key, coded) = pair.split_once(' ').unwrap_or((pair, ""));
         let text =
@@ -173,7 +174,7 @@ pub fn metadata(headers: &HeaderMap) -> Result<Metadata, ProblemResponse> {
     });
     let pairs: Option<Vec<_>> = pairs.collect();
     let pairs = pairs.ok_or_else(|| {
-        wrong(&METADATA, "pairs of a key and a text in base64 are wanted, with commas between them")
+        wrong(&METADATA, "must be comma-separated pairs of a key and a base64 value")
     })?;
     Ok(Metadata { header: Some(value.to_owned()).filter(|value| !value.is_empty()), pairs })
 }

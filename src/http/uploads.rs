@@ -1,4 +1,4 @@
-//! `/v1/uploads`: scans that come in parts, in the words of tus 1.0.
+//! `/v1/uploads`: resumable uploads with tus 1.0.
 
 use super::extract::{IdempotencyKey, Path, Query};
 use super::problem::ProblemResponse;
@@ -28,26 +28,26 @@ pub fn routes() -> OpenApiRouter<App> {
         .layer(from_fn(tus::speak))
 }
 
-/// What is to be made of an upload. `Upload-Metadata` says the same under the same names; where
-/// both do, this counts.
+/// Options of the scene. `Upload-Metadata` accepts the same names; these parameters take
+/// precedence.
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct UploadParameters {
-    /// Name of the scene; default: what the archive calls itself.
+    /// Name of the scene. Default: the name in the archive.
     #[param(max_length = 200)]
     name: Option<String>,
-    /// What the file is called; its ending tells what its bytes do not.
+    /// File name. Its extension identifies formats that the bytes do not.
     #[param(max_length = 200)]
     filename: Option<String>,
-    /// `false` only stores the scan.
+    /// `false` stores the scan without parsing it.
     #[param(default = true)]
     parse: Option<bool>,
-    /// The axis that points up in the files, for archives that do not say; default: the axis the
-    /// cameras hold up.
+    /// Axis of the files that points up, for archives that do not state it. Default: the axis that
+    /// the cameras hold up.
     #[param(inline)]
     up: Option<UpAxis>,
-    /// Settings to parse with.
+    /// Preset of the parse settings.
     #[param(inline)]
     preset: Option<ParsePreset>,
 }
@@ -67,7 +67,7 @@ impl UploadParameters {
                 }
                 "up" => parameters.up = Some(word("up", text)?),
                 "preset" => parameters.preset = Some(word("preset", text)?),
-                // For whoever sends it.
+                // Other keys are for the client's own use.
                 _ => {}
             }
         }
@@ -90,27 +90,27 @@ fn word<T: DeserializeOwned>(key: &str, text: String) -> Result<T, ProblemRespon
         .map_err(|error| ProblemResponse::invalid(key, error.to_string()))
 }
 
-/// Begins an upload that comes in parts.
+/// Begins a resumable upload.
 ///
-/// In the words of [tus 1.0](https://tus.io/protocols/resumable-upload), for its clients. `Location` is the upload; its bytes go there with
-/// `PATCH`, from the offset that `HEAD` tells. The first of them may come with this request, as
-/// `application/offset+octet-stream`. When all are there it becomes a scene, exactly as `POST
-/// /v1/scenes` makes one.
+/// Implements [tus 1.0](https://tus.io/protocols/resumable-upload). `Location` is the URL of the
+/// upload. Send the bytes there with `PATCH`, from the offset that `HEAD` returns. The first bytes
+/// may be sent with this request as `application/offset+octet-stream`. When the upload is complete,
+/// a scene is created as with `POST /v1/scenes`.
 #[utoipa::path(
     post, path = "/v1/uploads", operation_id = "create_upload", tag = "uploads",
     params(
         UploadParameters,
-        ("Tus-Resumable" = inline(tus::Version), Header, description = "The version of tus"),
-        ("Upload-Length" = u64, Header, description = "Bytes of the whole"),
-        ("Upload-Metadata" = Option<String>, Header, description = "`filename`, `name`, `parse`, `up`, `preset`, their texts in base64"),
-        ("Upload-Checksum" = Option<String>, Header, description = "Of the bytes that come with it: `sha1` or `sha256`, a space, base64"),
-        ("Idempotency-Key" = Option<String>, Header, description = "Uploads under the same key become one scene"),
+        ("Tus-Resumable" = inline(tus::Version), Header, description = "Version of tus"),
+        ("Upload-Length" = u64, Header, description = "Total number of bytes"),
+        ("Upload-Metadata" = Option<String>, Header, description = "`filename`, `name`, `parse`, `up`, `preset`, with values in base64"),
+        ("Upload-Checksum" = Option<String>, Header, description = "Checksum of the body: `sha1` or `sha256`, a space, base64"),
+        ("Idempotency-Key" = Option<String>, Header, description = "Uploads with the same key create one scene"),
     ),
     responses(
         (status = 201, body = Upload, headers(
-            ("Location" = String, description = "The upload"),
-            ("Upload-Offset" = u64, description = "Bytes that are there"),
-            ("Upload-Expires" = String, description = "When it is removed unless more of it comes"),
+            ("Location" = String, description = "URL of the upload"),
+            ("Upload-Offset" = u64, description = "Number of received bytes"),
+            ("Upload-Expires" = String, description = "Time when the upload expires without further bytes"),
         )),
         (status = 400, body = Problem, content_type = "application/problem+json"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -140,7 +140,7 @@ pub async fn create(
     let (parse, preset) = (parse.unwrap_or(true), preset.unwrap_or_default());
     let wanted =
         SceneRequest { name, file_name: filename, parse, up, preset, idempotency_key, note };
-    // Before there is an upload that nobody hears of.
+    // Checked before an upload is created, whose URL the client would not learn.
     let checksum = tus::checksum(&headers)?;
     let upload = app.services.uploads.begin_upload(NewUpload { length, wanted }, &caller).await?;
     let location = format!("/v1/uploads/{}", upload.id);
@@ -165,15 +165,15 @@ pub async fn create(
     Ok(response)
 }
 
-/// Tells what of tus this server can do.
+/// Returns the tus capabilities of this server.
 #[utoipa::path(
     options, path = "/v1/uploads", operation_id = "upload_capabilities", tag = "uploads",
     responses(
-        (status = 204, description = "Versions, extensions and the largest upload, in headers", headers(
-            ("Tus-Version" = String, description = "Versions of tus"),
-            ("Tus-Extension" = String, description = "Its extensions that are known here"),
-            ("Tus-Max-Size" = u64, description = "Bytes of the largest upload"),
-            ("Tus-Checksum-Algorithm" = String, description = "Checksums that are known here"),
+        (status = 204, description = "Versions, extensions and the maximum size, in headers", headers(
+            ("Tus-Version" = String, description = "Supported versions of tus"),
+            ("Tus-Extension" = String, description = "Supported extensions"),
+            ("Tus-Max-Size" = u64, description = "Maximum size of an upload, bytes"),
+            ("Tus-Checksum-Algorithm" = String, description = "Supported checksum algorithms"),
         )),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 403, body = Problem, content_type = "application/problem+json"),
@@ -185,7 +185,7 @@ pub async fn capabilities(State(app): State<App>) -> Response {
     tus::capabilities(app.services.uploads.max_upload_bytes())
 }
 
-/// An upload as it stands: how much of it is there, the scene it has become, or why there is none.
+/// Returns an upload with its offset, its scene, or the reason why it was rejected.
 #[utoipa::path(
     get, path = "/v1/uploads/{upload_id}", operation_id = "get_upload", tag = "uploads", params(("upload_id" = String, Path)),
     responses(
@@ -206,25 +206,25 @@ pub async fn get(
     Ok(axum::Json(app.services.uploads.upload(&upload_id, &caller).await?))
 }
 
-/// How much of an upload is there, in headers.
+/// Returns the offset of an upload in headers.
 #[utoipa::path(
     head, path = "/v1/uploads/{upload_id}", operation_id = "get_upload_offset", tag = "uploads",
-    params(("upload_id" = String, Path), ("Tus-Resumable" = inline(tus::Version), Header, description = "The version of tus")),
+    params(("upload_id" = String, Path), ("Tus-Resumable" = inline(tus::Version), Header, description = "Version of tus")),
     responses(
-        (status = 200, description = "Where to go on", headers(
-            ("Upload-Offset" = u64, description = "Bytes that are there"),
-            ("Upload-Length" = u64, description = "Bytes of the whole"),
-            ("Upload-Metadata" = String, description = "As it came"),
-            ("Upload-Expires" = String, description = "When it is removed unless more of it comes"),
-            ("uniground-scene-id" = String, description = "The scene it has become"),
-            ("uniground-job-id" = String, description = "The job that parses the scene"),
+        (status = 200, description = "The current offset", headers(
+            ("Upload-Offset" = u64, description = "Number of received bytes"),
+            ("Upload-Length" = u64, description = "Total number of bytes"),
+            ("Upload-Metadata" = String, description = "The unchanged metadata"),
+            ("Upload-Expires" = String, description = "Time when the upload expires without further bytes"),
+            ("uniground-scene-id" = String, description = "Id of the created scene"),
+            ("uniground-job-id" = String, description = "Id of the parse job"),
         )),
-        (status = 401, description = "No key, or one that is not known (any more)"),
-        (status = 403, description = "The key may not do this"),
-        (status = 404, description = "There is no such upload"),
-        (status = 410, description = "It was not gone on with for too long"),
-        (status = 412, description = "Another version of tus"),
-        (status = 429, description = "Too much at once: again after `Retry-After`"),
+        (status = 401, description = "The API key is missing or invalid"),
+        (status = 403, description = "The key lacks the required scope"),
+        (status = 404, description = "Upload not found"),
+        (status = 410, description = "The upload has expired"),
+        (status = 412, description = "Unsupported version of tus"),
+        (status = 429, description = "Too many requests: retry after `Retry-After`"),
     ),
     security(("key" = ["write"]), ())
 )]
@@ -243,26 +243,26 @@ pub async fn head(
     Ok(headers.into_response())
 }
 
-/// Goes on with an upload, from the offset it is at.
+/// Appends bytes to an upload, at its current offset.
 ///
-/// With its last bytes it becomes a scene, which `uniground-scene-id` names; content that is no
-/// scan is refused with what is wrong with it. What came of a part that breaks off is kept; of one
-/// with a checksum, which can not be checked then, nothing.
+/// The last bytes complete the upload: a scene is created, and `uniground-scene-id` names it. An
+/// invalid scan is rejected with a description of the problem. The received bytes of an interrupted
+/// part are kept, unless the part has a checksum.
 #[utoipa::path(
     patch, path = "/v1/uploads/{upload_id}", operation_id = "append_to_upload", tag = "uploads",
     params(
         ("upload_id" = String, Path),
-        ("Tus-Resumable" = inline(tus::Version), Header, description = "The version of tus"),
-        ("Upload-Offset" = u64, Header, description = "Bytes that are there already"),
-        ("Upload-Checksum" = Option<String>, Header, description = "Of this part: `sha1` or `sha256`, a space, base64"),
+        ("Tus-Resumable" = inline(tus::Version), Header, description = "Version of tus"),
+        ("Upload-Offset" = u64, Header, description = "Current offset of the upload"),
+        ("Upload-Checksum" = Option<String>, Header, description = "Checksum of this part: `sha1` or `sha256`, a space, base64"),
     ),
     request_body(content = super::Binary, content_type = "application/offset+octet-stream"),
     responses(
-        (status = 204, description = "It is on the disk", headers(
-            ("Upload-Offset" = u64, description = "Bytes that are there"),
-            ("Upload-Expires" = String, description = "When it is removed unless more of it comes"),
-            ("uniground-scene-id" = String, description = "The scene it has become"),
-            ("uniground-job-id" = String, description = "The job that parses the scene"),
+        (status = 204, description = "The bytes are stored", headers(
+            ("Upload-Offset" = u64, description = "Number of received bytes"),
+            ("Upload-Expires" = String, description = "Time when the upload expires without further bytes"),
+            ("uniground-scene-id" = String, description = "Id of the created scene"),
+            ("uniground-job-id" = String, description = "Id of the parse job"),
         )),
         (status = 400, body = Problem, content_type = "application/problem+json"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -270,7 +270,7 @@ pub async fn head(
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 408, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json", headers(
-            ("Upload-Offset" = u64, description = "Where to go on"),
+            ("Upload-Offset" = u64, description = "The current offset"),
         )),
         (status = 410, body = Problem, content_type = "application/problem+json"),
         (status = 412, body = Problem, content_type = "application/problem+json"),
@@ -294,20 +294,20 @@ pub async fn append(
     take(&app, &upload_id, caller, &headers, request.into_body()).await
 }
 
-/// The same as `PATCH` or `DELETE`, for those whose network lets neither through:
-/// `X-HTTP-Method-Override` says which.
+/// Does the same as `PATCH` or `DELETE`, for networks that block these methods.
+/// `X-HTTP-Method-Override` selects the method.
 #[utoipa::path(
     post, path = "/v1/uploads/{upload_id}", operation_id = "append_to_upload_by_post", tag = "uploads",
     params(
         ("upload_id" = String, Path),
-        ("Tus-Resumable" = inline(tus::Version), Header, description = "The version of tus"),
+        ("Tus-Resumable" = inline(tus::Version), Header, description = "Version of tus"),
         ("X-HTTP-Method-Override" = String, Header, description = "`PATCH` or `DELETE`"),
-        ("Upload-Offset" = Option<u64>, Header, description = "Bytes that are there already"),
-        ("Upload-Checksum" = Option<String>, Header, description = "Of this part: `sha1` or `sha256`, a space, base64"),
+        ("Upload-Offset" = Option<u64>, Header, description = "Current offset of the upload"),
+        ("Upload-Checksum" = Option<String>, Header, description = "Checksum of this part: `sha1` or `sha256`, a space, base64"),
     ),
     request_body(content = super::Binary, content_type = "application/offset+octet-stream"),
     responses(
-        (status = 204, description = "As that method answers"),
+        (status = 204, description = "As for the selected method"),
         (status = 400, body = Problem, content_type = "application/problem+json"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 403, body = Problem, content_type = "application/problem+json"),
@@ -342,15 +342,15 @@ pub async fn post(
         _ => Err(ProblemResponse::new(
             StatusCode::BAD_REQUEST,
             "header_wrong",
-            "x-http-method-override: PATCH or DELETE is wanted",
+            "x-http-method-override: must be PATCH or DELETE",
         )),
     }
 }
 
-/// Gives an upload up, or forgets one that is over; its scene stays.
+/// Cancels an upload, or removes the record of a finished one. Its scene is kept.
 #[utoipa::path(
     delete, path = "/v1/uploads/{upload_id}", operation_id = "delete_upload", tag = "uploads",
-    params(("upload_id" = String, Path), ("Tus-Resumable" = inline(tus::Version), Header, description = "The version of tus")),
+    params(("upload_id" = String, Path), ("Tus-Resumable" = inline(tus::Version), Header, description = "Version of tus")),
     responses(
         (status = 204, description = "Gone"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -398,7 +398,7 @@ async fn take(
     }
 }
 
-/// How far an upload is; why there is no scene, where it was refused.
+/// Returns the state of an upload, or the reason why it was rejected.
 fn came_of(status: StatusCode, upload: Upload) -> Response {
     let headers = tus::state(&upload);
     match (&upload.problem, status) {

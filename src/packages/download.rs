@@ -41,14 +41,15 @@ pub fn archive(
     tell(Event::Begins(package.to_string(), package.bytes));
     let (mut sum, mut piece, mut received) = (Sha256::new(), vec![0; PIECE_BYTES], 0);
     loop {
-        let read =
-            body.read(&mut piece).map_err(|e| broken(format!("the download broke off: {e}")))?;
+        let read = body
+            .read(&mut piece)
+            .map_err(|e| broken(format!("the download was interrupted: {e}")))?;
         if read == 0 {
             break;
         }
         sum.update(&piece[..read]);
         to.write_all(&piece[..read])
-            .map_err(|e| broken(format!("the download can not be written down: {e}")))?;
+            .map_err(|e| broken(format!("the download cannot be written to disk: {e}")))?;
         received += read as u64;
         tell(Event::Received(received));
     }
@@ -63,5 +64,5 @@ pub fn archive(
         let (package, what, expected) = (package.to_string(), "the archive".into(), package.sha256);
         return Err(FetchError::WrongHash { package, what, found, expected });
     }
-    to.rewind().map_err(|e| broken(format!("the download can not be read again: {e}")))
+    to.rewind().map_err(|e| broken(format!("the download cannot be read from disk: {e}")))
 }

@@ -31,22 +31,26 @@ use uniground_core::models::with_causes;
 #[allow(missing_docs)] // Every message describes its variant.
 pub enum FetchError {
     #[error(
-        "{part}: no package has it for {system}: install it and name its file with ORT_DYLIB_PATH"
+        "{part}: there is no package for {system}. Install it and set ORT_DYLIB_PATH to its file."
     )]
     NoBuild { part: &'static str, system: String },
-    #[error("{package}: {address} can not be asked: {why}. Is there a network? {remedy}")]
+    #[error(
+        "{package}: {address} cannot be reached: {why}. Check the network connection. {remedy}"
+    )]
     Unreachable { package: String, address: String, why: String, remedy: String },
     #[error("{package}: {address} does not have {archive}. {remedy}")]
     NotListed { package: String, address: String, archive: String, remedy: String },
     #[error(
-        "{package}: {what} has the SHA-256 {found}, expected {expected}: it is not what was published, and was not placed"
+        "{package}: {what} has the SHA-256 {found}, expected {expected}: it differs from the \
+         published file and was not installed"
     )]
     WrongHash { package: String, what: String, found: String, expected: &'static str },
     #[error(
-        "{package}: the archive is not {expected} bytes long: the download broke off, or it is not what was published; fetch again"
+        "{package}: the archive is not {expected} bytes long: the download was incomplete, or the \
+         file differs from the published one. Fetch it again."
     )]
     WrongSize { package: String, expected: u64 },
-    #[error("{package}: the archive can not be unpacked: {why}")]
+    #[error("{package}: the archive cannot be unpacked: {why}")]
     Archive { package: String, why: String },
     #[error("{file}: {why}")]
     File { file: Utf8PathBuf, why: io::Error },

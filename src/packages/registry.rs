@@ -108,9 +108,8 @@ impl Registry {
             // The slash between a scope and a name is part of the name.
             Source::Npm => (package.name.replace('/', "%2F"), NPM_ACCEPTS),
         };
-        let page = self
-            .below(&page)
-            .ok_or_else(|| self.unreachable(package, "this is not an address".into()))?;
+        let page =
+            self.below(&page).ok_or_else(|| self.unreachable(package, "invalid URL".into()))?;
         let asked = client
             .get(page)
             .header(ACCEPT, accepts)
@@ -122,7 +121,7 @@ impl Registry {
         let answer = asked.error_for_status().map_err(|e| self.unreachable(package, why(e)))?;
         let from = answer.url().clone();
         let link = read(answer, package).map_err(|why| {
-            self.unreachable(package, format!("its answer can not be read: {why}"))
+            self.unreachable(package, format!("its response cannot be read: {why}"))
         })?;
         let address =
             link.and_then(|link| from.join(&link).ok()).ok_or_else(|| self.not_listed(package))?;

@@ -271,7 +271,7 @@ fn a_registry_that_is_not_there_is_told_with_what_to_do() {
     bench.registries.pypi.base = Url::parse(&format!("http://me:secret@{gone}/simple")).unwrap();
     let error = bench.fetch().unwrap_err().to_string();
     assert!(
-        error.contains(&format!("networks 1.0: http://{gone}/simple can not be asked")),
+        error.contains(&format!("networks 1.0: http://{gone}/simple cannot be reached")),
         "{error}"
     );
     assert!(error.contains("Try another registry.") && !error.contains("secret"), "{error}");

@@ -37,10 +37,7 @@ pub(super) fn sent_to<S>(
 where
     S: Subscriber + for<'a> LookupSpan<'a> + Send + Sync,
 {
-    ensure!(
-        Url::parse(endpoint).is_ok_and(|url| url.has_host()),
-        "--otlp-endpoint: this is not an address"
-    );
+    ensure!(Url::parse(endpoint).is_ok_and(|url| url.has_host()), "--otlp-endpoint: invalid URL");
     super::hide_secrets_of(endpoint);
     choose_cryptography();
     let url = format!("{}/v1/traces", endpoint.trim_end_matches('/'));

@@ -86,7 +86,7 @@ pub async fn run(form: Form, report: &mut Report) {
         "lost {lost}, failed {failed}, parts {parts}, doctor: {}",
         doctor.lines().last().unwrap_or_default()
     );
-    let whole = doctor.contains("is whole");
+    let whole = doctor.contains("no problems found");
     let held = lost == 0
         && failed == 0
         && answered
@@ -127,7 +127,7 @@ async fn not_asked(report: &mut Report) {
         let job = finished(&process.client, &created.job.unwrap().id).await;
         let answered = process.client.ground(&scene.id, &ask("the red sofa")).await.is_ok();
         process.terminate();
-        let whole = doctor(folder).contains("is whole");
+        let whole = doctor(folder).contains("no problems found");
         let held = job.state == JobState::Succeeded && answered && whole;
         report.row(
             &format!("1 {case} before growth ends, never asked"),

@@ -347,7 +347,7 @@ async fn the_command_goes_on_where_it_was_cut_off() {
     let whole = std::fs::read_to_string(&out).unwrap();
     assert_eq!(whole.lines().count(), QUERIES.len());
     assert!(
-        String::from_utf8_lossy(&done.stderr).contains("4 of 4 questions asked"),
+        String::from_utf8_lossy(&done.stderr).contains("4 of 4 questions done"),
         "{}",
         String::from_utf8_lossy(&done.stderr)
     );

@@ -182,7 +182,7 @@ fn a_drop_against_the_baseline_fails_and_names_what_was_lost() {
     let fallen = fallen.args(["--baseline", baseline.as_str()]).output().unwrap();
     assert_eq!(fallen.status.code(), Some(1));
     assert!(
-        text(&fallen.stderr).contains("worse than the baseline by more than luck: source=oracle"),
+        text(&fallen.stderr).contains("significantly worse than the baseline: source=oracle"),
         "{}",
         text(&fallen.stderr)
     );
@@ -360,7 +360,7 @@ fn wrong_usage_is_told_before_anything_runs() {
     for (args, expected) in [
         (&["--matrix", "reasoner=vlm"][..], "no vision-language model is configured"),
         (&["--matrix", "encoder=no-such-bundle"], "no-such-bundle/model.json"),
-        (&["--server", "http://127.0.0.1:1"], "no server answers at http://127.0.0.1:1"),
+        (&["--server", "http://127.0.0.1:1"], "cannot connect to the server at http://127.0.0.1:1"),
         (&["--baseline", "no-such.json"], "no-such.json"),
     ] {
         let output = eval(&out, args);

@@ -178,7 +178,7 @@ async fn what_goes_wrong_is_told_to_the_model() {
             json!({"scene_id": nobody, "robot": {"radius_m": 0.2, "height_m": 1, "eye_height_m": 2}, "query": "x"}),
             "eye_height_m",
         ),
-        ("render_view", json!({"scene_id": nobody, "view": "photograph"}), "name one"),
+        ("render_view", json!({"scene_id": nobody, "view": "photograph"}), "must name an instance"),
     ] {
         let reply = call(client, tool, arguments.clone()).await;
         let text = reply["content"][0]["text"].as_str().unwrap();
@@ -195,7 +195,7 @@ async fn what_goes_wrong_is_told_to_the_model() {
         &json!({"jsonrpc": "2.0", "id": 1, "method": "resources/read", "params": {"uri": "file:///etc/passwd"}}),
     )
     .await;
-    assert!(text.contains("resources are uniground://"), "{text}");
+    assert!(text.contains("use uniground://scenes/"), "{text}");
     let (status, _) =
         send(client, &json!({"jsonrpc": "2.0", "method": "notifications/initialized"})).await;
     assert_eq!(status, StatusCode::ACCEPTED);

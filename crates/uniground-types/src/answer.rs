@@ -1,4 +1,4 @@
-//! Answers: the six fields of the paper, boxes, status, and what led there.
+//! Answers: the paper's six fields, boxes, status, and how the answer was found.
 
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::placement::InFrame;
@@ -6,211 +6,209 @@ use crate::scene::{InstanceId, Support};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Whether the question has an answer in this room.
+/// Status of an answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
-    /// One object fits, or several were asked for and are there: see `targets`.
+    /// One object fits, or all requested objects were found. See `targets`.
     Grounded,
-    /// One object (or several) fits best, with less belief than the question's `min_confidence`: a
-    /// guess, with its box. Not to be acted on unasked.
+    /// The best match has a confidence below the question's `min_confidence`. The answer has a box,
+    /// but should be confirmed before acting on it.
     Uncertain,
-    /// Several objects fit alike: see `alternatives`.
+    /// Several objects fit equally well. See `alternatives`.
     Ambiguous,
-    /// Nothing in the room fits.
+    /// No object in the scene fits.
     NoMatch,
 }
 
-/// Why nothing was chosen.
+/// Why no object was chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum NoMatchReason {
-    /// Nothing that was found in the room is such a thing, or has the colour asked for.
+    /// The scene has no object of this kind, or none with the requested color.
     Absent,
-    /// The word for the thing means nothing to the parts that answered: whether it is there is not
-    /// known.
+    /// The built-in components do not know the word for the object, so its presence is unknown.
     NotRecognised,
-    /// Most words are of another language, and the built-in parser reads English only.
+    /// Most words are not English, and the built-in parser supports only English.
     NotEnglish,
-    /// There is such a thing, but not where the question says.
+    /// The scene has such an object, but not at the described location.
     Elsewhere,
-    /// A vision-language model looked and found none.
+    /// A vision-language model looked and found no such object.
     NoneSeen,
-    /// A vision-language model sees it, but it is none of the instances: `seen` tells where.
+    /// A vision-language model sees the object, but no instance covers it. `seen` gives its
+    /// location.
     NotListed,
 }
 
-/// The paper's six fields.
+/// The six output fields of the paper.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SixFields {
-    /// Id of the chosen instance; `null` unless `grounded` or `uncertain`.
+    /// Id of the chosen instance. `null` unless the status is `grounded` or `uncertain`.
     pub predicted_id: Option<InstanceId>,
-    /// Why, in words a person can check.
+    /// Explanation of the decision for people.
     pub explanation: String,
-    /// What each candidate is called, by id, without regard to the question.
+    /// Names of the candidates by id, independent of the question.
     #[cfg_attr(feature = "openapi", schema(value_type = BTreeMap<String, String>))]
     pub candidate_names: BTreeMap<u32, String>,
-    /// Whether the chosen candidate's own name means what the question asks for; `null` when
-    /// nothing was chosen.
+    /// Whether the name of the chosen candidate matches the question. `null` if no candidate was
+    /// chosen.
     pub target_name_matches: Option<bool>,
-    /// The anchor the decision used.
+    /// Id of the anchor that the decision used.
     pub anchor_id: Option<InstanceId>,
-    /// The relation the decision used, in the question's words.
+    /// The relation that the decision used, in the question's words.
     pub relation_used: Option<String>,
 }
 
-/// Where a vision-language model sees what is asked for, though no instance is it.
+/// Location in a picture where a vision-language model sees an object that is not an instance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Seen {
-    /// The picture it is seen in, one of the answer's evidence: `candidate-7`, `global`.
+    /// Name of the picture in the answer's evidence: `candidate-7`, `global`.
     pub picture: String,
-    /// From the left and the upper rim, shares of the picture's width and height, `0..=1`.
+    /// Position from the left and the top, as fractions of the picture's width and height, `0..=1`.
     pub at: [f32; 2],
-    /// What the model calls it.
+    /// Name that the model gives the object.
     pub name: String,
 }
 
-/// Another instance the question may mean.
+/// Another instance that the question may refer to.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Alternative {
-    /// Numbered from 1 within the parse the answer comes from.
+    /// Id within the parse of the answer, from 1.
     pub id: InstanceId,
-    /// What it is called, without regard to the question; empty in answers given before this was
-    /// told.
+    /// Name of the object, independent of the question. Empty in answers from older versions.
     #[serde(default)]
     pub name: String,
-    /// Share of the belief, `0..=1`.
+    /// Share of the total confidence, `0..=1`.
     pub confidence: f32,
-    /// Axis-aligned box, stray points left out; metres, world frame (Z up).
+    /// Axis-aligned box without outlier points; meters, world frame (Z up).
     #[serde(rename = "box")]
     pub aabb: Aabb,
-    /// Box turned about the vertical to fit it; absent in answers given before this was told.
+    /// Box rotated about the vertical axis. Absent in answers from older versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub oriented_box: Option<OrientedBox>,
-    /// Path of the picture that shows it best, a crop; `null` where no frame shows it, and where
-    /// there is no service.
+    /// Path of a cropped picture with the best view of the object. `null` if no frame shows it, or
+    /// without a server.
     #[serde(default)]
     pub view: Option<String>,
 }
 
-/// A thing the question means.
+/// An object that the question refers to.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Target {
-    /// Numbered from 1 within the parse the answer comes from.
+    /// Id within the parse of the answer, from 1.
     pub id: InstanceId,
-    /// What it is called, without regard to the question.
+    /// Name of the object, independent of the question.
     pub name: String,
-    /// Belief that it is meant, `0..=1`.
+    /// Confidence that the question refers to it, `0..=1`.
     pub confidence: f32,
-    /// Axis-aligned box, stray points left out; metres, world frame (Z up).
+    /// Axis-aligned box without outlier points; meters, world frame (Z up).
     #[serde(rename = "box")]
     pub aabb: Aabb,
-    /// Box turned about the vertical to fit it; metres, world frame (Z up).
+    /// Box rotated about the vertical axis; meters, world frame (Z up).
     pub oriented_box: OrientedBox,
-    /// What it stands on or hangs on; absent in answers given before this was told.
+    /// What the object stands on or hangs on. Absent in answers from older versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub support: Option<Support>,
-    /// The thing it is a part of; `null` for what is no part.
+    /// Id of the object that this instance is a part of. `null` if it is not a part.
     #[serde(default)]
     pub parent: Option<InstanceId>,
 }
 
-/// How the question was understood.
+/// The parsed question.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ParsedQuerySummary {
-    /// The noun asked for, as the question says it.
+    /// Noun of the target, in the question's words.
     pub target: String,
-    /// What it is to be like: "red", "small", "not blue", "with 2 drawers", "tallest". Empty when
-    /// only a noun was asked for.
+    /// Required attributes of the target: "red", "small", "not blue", "with 2 drawers", "tallest".
+    /// May be empty.
     pub attributes: Vec<String>,
-    /// Other things the question tells the place by: "round table", "door".
+    /// Other objects that describe the location: "round table", "door".
     pub anchors: Vec<String>,
-    /// How the target stands to the anchors, as the question says it; after "not" where it was
-    /// denied.
+    /// Relations between the target and the anchors, in the question's words. A negated relation
+    /// starts with "not".
     pub relations: Vec<String>,
-    /// Words that could not be used.
+    /// Words that were ignored because they were not understood.
     pub not_understood: Vec<String>,
 }
 
-/// Wall-clock milliseconds per step.
+/// Duration per step, wall-clock milliseconds.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Timings {
-    /// Reading the question, the call included where a model reads.
+    /// Parsing the question, including the model call if a model parses it.
     pub parse_query: f64,
-    /// Getting the instances ready to be compared with the question.
+    /// Loading the instances for comparison with the question.
     pub shortlist: f64,
-    /// Pictures for a vision-language model; the built-in reasoner needs none.
+    /// Preparing pictures for a vision-language model. 0 for the built-in reasoner.
     pub evidence: f64,
-    /// Deciding: geometry, and the calls of a vision-language model where one reviews.
+    /// Deciding: geometric reasoning, and the calls of a vision-language model if one is used.
     pub reason: f64,
-    /// From reading the question to the decision.
+    /// Total from parsing the question to the decision.
     pub total: f64,
 }
 
-/// An instance that may be meant.
+/// An instance that the question may refer to.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Candidate {
-    /// Numbered from 1 within the parse; instances with more points come first.
+    /// Id within the parse, from 1. Instances with more points have lower ids.
     pub id: InstanceId,
-    /// What it is called, without regard to the question; empty in answers given before this was
-    /// told.
+    /// Name of the object, independent of the question. Empty in answers from older versions.
     #[serde(default)]
     pub name: String,
-    /// From 1.
+    /// Rank, from 1.
     pub rank: u32,
-    /// Fit to the question, `0..=1`.
+    /// How well it fits the question, `0..=1`.
     pub score: f32,
-    /// Axis-aligned box, stray points left out; metres, world frame (Z up).
+    /// Axis-aligned box without outlier points; meters, world frame (Z up).
     #[serde(rename = "box")]
     pub aabb: Aabb,
-    /// Box turned about the vertical to fit it; absent in answers given before this was told.
+    /// Box rotated about the vertical axis. Absent in answers from older versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub oriented_box: Option<OrientedBox>,
-    /// Path of the picture that shows it best, a crop; `null` where no frame shows it, and where
-    /// there is no service.
+    /// Path of a cropped picture with the best view of the object. `null` if no frame shows it, or
+    /// without a server.
     #[serde(default)]
     pub view: Option<String>,
 }
 
-/// Name and version of the parts an answer came from.
+/// Names and versions of the components that produced an answer.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Models {
-    /// Cut pictures into masks when the scene was parsed: a model as `name@fingerprint`, or the
-    /// built-in part, like `rgbd-2`.
+    /// Component that segmented the pictures of the scene: a model as `name@fingerprint`, or a
+    /// built-in component like `rgbd-2`.
     pub masks: String,
-    /// Compared words with instances: a model as `name@fingerprint`, or built-in names and
-    /// measures, like `attributes-2`.
+    /// Component that compared words with instances: a model as `name@fingerprint`, or a built-in
+    /// component like `attributes-2`.
     pub encoder: String,
-    /// Empty in answers given before this was recorded.
+    /// Component that parsed the question. Empty in answers from older versions.
     #[serde(default)]
     pub parser: String,
-    /// Named the scene's things without having heard a question, and answers used its names: a
-    /// model with the version of its prompt; `null` where no model has named them all.
+    /// Model that named all objects of the scene, with the version of its prompt. `null` if no
+    /// model has named them.
     #[serde(default)]
     pub names: Option<String>,
-    /// Decided: a vision-language model with the version of its prompt, or the built-in reasoner,
-    /// like `builtin-3`.
+    /// Component that decided: a vision-language model with the version of its prompt, or the
+    /// built-in reasoner, like `builtin-3`.
     pub reasoner: String,
 }
 
-/// The frame all coordinates are in.
+/// The coordinate frame of all coordinates.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct CoordinateFrame {
-    /// The axis that points up, always `z`: scans are turned when they are imported.
+    /// The axis that points up. Always `z`, because scans are rotated during import.
     #[cfg_attr(feature = "openapi", schema(example = "z"))]
     pub up: String,
-    /// Unit of lengths, always `m` (metres).
+    /// Unit of lengths. Always `m` (meters).
     #[cfg_attr(feature = "openapi", schema(example = "m"))]
     pub units: String,
 }
@@ -225,48 +223,47 @@ impl Default for CoordinateFrame {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Call {
-    /// `parse`, `naming`, `spatial`, or what was wrong before: `out_of_set`, `unreadable`,
-    /// `inconsistent`.
+    /// Purpose of the call: `parse`, `naming`, `spatial`, or the defect of the previous reply that
+    /// it corrects: `out_of_set`, `unreadable`, `inconsistent`.
     pub purpose: String,
-    /// How often the endpoint was tried; 0 when nothing was sent.
+    /// Number of requests sent to the endpoint. 0 if none was sent.
     pub attempts: u32,
-    /// Wall-clock milliseconds over all attempts, waits between them included.
+    /// Total duration in milliseconds, including all attempts and the delays between them.
     pub latency_ms: f64,
-    /// Tokens of the prompt as the endpoint counts them, estimated where it does not; 0 without a
-    /// reply.
+    /// Tokens of the prompt as reported by the endpoint, else estimated. 0 without a reply.
     pub prompt_tokens: u64,
-    /// Tokens of the reply, counted alike; 0 without a reply.
+    /// Tokens of the reply, counted the same way. 0 without a reply.
     pub completion_tokens: u64,
-    /// Why there was no reply.
+    /// Error if there was no reply.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
 }
 
-/// What happened on the way; empty when nothing was asked of a model and nothing went wrong.
+/// Model calls and corrections. Empty if no model was called and no error occurred.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Trace {
-    /// In the order they were made, reading the question included; at most three.
+    /// Calls in order, including the one that parses the question. At most three.
     pub calls: Vec<Call>,
-    /// What was wrong and what was done about it, a sentence each, in order.
+    /// Problems and how they were handled, one sentence each, in order.
     pub corrections: Vec<String>,
 }
 
-/// What an answer took of a vision-language model; all zero when none was asked.
+/// Usage of vision-language models. All values are 0 if none was called.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Usage {
-    /// Calls that got a reply.
+    /// Number of calls that got a reply.
     pub vlm_calls: u32,
     /// Tokens of all prompts that got a reply.
     pub prompt_tokens: u64,
     /// Tokens of all replies.
     pub completion_tokens: u64,
-    /// US dollars, at the prices the server was given; 0 where it was given none.
+    /// Cost in US dollars at the configured prices. 0 if no prices are configured.
     pub cost_usd: f64,
 }
 
-/// Answers of before this was said were kept.
+/// Default of `stored` for answers from older versions.
 fn kept() -> bool {
     true
 }
@@ -275,105 +272,104 @@ fn kept() -> bool {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct AnswerList {
-    /// Newest first, each as it was given.
+    /// Answers, newest first.
     pub answers: Vec<Answer>,
-    /// `cursor` of the next page; `null` on the last.
+    /// Cursor of the next page. `null` on the last page.
     pub next_cursor: Option<String>,
 }
 
-/// The answer to a question. `box` is set when the status is `grounded`, or `uncertain`.
+/// The answer to a question. `box` is set if the status is `grounded` or `uncertain`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Answer {
-    /// UUIDv7; in order of time.
+    /// UUIDv7, so ids sort by time.
     pub id: String,
-    /// UUIDv7 of the scene that was asked about.
+    /// UUIDv7 of the scene.
     pub scene_id: String,
-    /// Number of the scene's parse that was asked, from 1; instance ids belong to it.
+    /// Version of the scene's parse that was used, from 1. Instance ids belong to it.
     pub parse_version: u32,
-    /// The question, word for word.
+    /// The question, unchanged.
     pub query: String,
-    /// Whether one object fits, surely or not, several or none.
+    /// Whether an object was found: `grounded`, `uncertain`, `ambiguous` or `no_match`.
     pub status: Status,
-    /// Why nothing was chosen; absent unless `no_match`.
+    /// Why no object was chosen. Absent unless the status is `no_match`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub no_match_reason: Option<NoMatchReason>,
-    /// Where a vision-language model sees what is asked for, though no instance is it; `null`
-    /// unless the reason is `not_listed`.
+    /// Location where a vision-language model sees an object that is not an instance. `null` unless
+    /// the reason is `not_listed`.
     #[serde(default)]
     pub seen: Option<Seen>,
-    /// The six fields.
+    /// The six output fields of the paper.
     pub answer: SixFields,
-    /// Axis-aligned box of the answer, metres, world frame (Z up); `null` unless `grounded` or
-    /// `uncertain`.
+    /// Axis-aligned box of the answer; meters, world frame (Z up). `null` unless the status is
+    /// `grounded` or `uncertain`.
     #[serde(rename = "box")]
     pub aabb: Option<Aabb>,
-    /// Box of the answer turned about the vertical to fit it; `null` unless `grounded` or
+    /// Box of the answer rotated about the vertical axis. `null` unless the status is `grounded` or
     /// `uncertain`.
     pub oriented_box: Option<OrientedBox>,
-    /// Belief in the answer, `0..=1`; for `no_match`, that nothing fits: 0.5 where it is not known
-    /// what is asked for.
+    /// Confidence in the answer, `0..=1`. For `no_match`, confidence that no object fits; 0.5 if
+    /// the question was not understood.
     pub confidence: f32,
-    /// Best first, at most `top_k`. Things a model was shown for their place have score 0. Absent
-    /// where `include` leaves it out.
+    /// Candidates, best first, at most `top_k`. Objects shown to a model only for orientation have
+    /// score 0. Absent if `include` omits them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub candidates: Option<Vec<Candidate>>,
-    /// Other instances that may be meant, likeliest first: where `ambiguous`, the tied ones lead.
-    /// Empty for `no_match`.
+    /// Other instances that the question may refer to, most likely first. If `ambiguous`, the tied
+    /// instances come first. Empty for `no_match`.
     pub alternatives: Vec<Alternative>,
-    /// All things the question means, best first: several where it asks for several ("the chairs",
-    /// "how many mugs"), else the answer's own; empty unless `grounded` or `uncertain`, and in
-    /// answers given before this was told.
+    /// All objects that the question refers to, best first. More than one if the question asks for
+    /// several ("the chairs", "how many mugs"). Empty unless `grounded` or `uncertain`, and in
+    /// answers from older versions.
     #[serde(default)]
     pub targets: Vec<Target>,
-    /// How many there are; absent where the question asks for one thing.
+    /// Number of matching objects. Absent if the question asks for a single object.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub count: Option<u32>,
-    /// How the question was understood.
+    /// The parsed question.
     pub parsed_query: ParsedQuerySummary,
-    /// Who found, compared, read and decided.
+    /// Components that produced the answer.
     pub models: Models,
-    /// A built-in part took the place of a model that could not be used, or that never chose a
-    /// candidate; `trace.corrections` says why.
+    /// Whether a built-in component replaced a model that failed or returned no valid candidate.
+    /// `trace.corrections` gives the reason.
     #[serde(default)]
     pub degraded: bool,
-    /// `false`: the server could not keep this answer (its disk is full, say). It is given here
-    /// and can not be asked for again.
+    /// Whether the server stored this answer. If `false` (for example on a full disk), the answer
+    /// cannot be fetched again.
     #[serde(default = "kept")]
     pub stored: bool,
-    /// Convention for left, right, front and back: `paper`, `viewer` or `observer`. "Facing the
-    /// door" in the question comes before it.
+    /// Convention for left, right, front and back: `paper`, `viewer` or `observer`. An orientation
+    /// in the question, like "facing the door", takes precedence.
     pub direction_convention: String,
-    /// The frame of all boxes here, but for those of `in_frame`.
+    /// The coordinate frame of all boxes except those in `in_frame`.
     pub frame: CoordinateFrame,
-    /// The boxes of `targets` in the coordinates the question asked for; absent where it asked for
-    /// the scene's.
+    /// Boxes of `targets` in the requested frame. Absent if the scene's own frame was requested.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub in_frame: Option<InFrame>,
-    /// Paths of the pictures that go with the answer.
+    /// Paths of the pictures used as evidence.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub evidence: Option<Vec<String>>,
-    /// Calls and corrections on the way; absent where `include` leaves it out.
+    /// Model calls and corrections. Absent if `include` omits them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trace: Option<Trace>,
-    /// What the calls took and cost.
+    /// Usage and cost of the model calls.
     pub usage: Usage,
-    /// What each step took, milliseconds.
+    /// Duration of each step, milliseconds.
     pub timings_ms: Timings,
 }
 
-/// Candidates without reasoning over relations: by appearance where an encoder has seen the scene,
-/// by names and attributes otherwise.
+/// Candidates without spatial reasoning: ranked by appearance if an encoder has processed the
+/// scene, else by names and attributes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Shortlisted {
-    /// The query, word for word.
+    /// The query, unchanged.
     pub query: String,
-    /// Best first; instances that do not fit at all are left out.
+    /// Candidates, best first. Instances that do not fit are omitted.
     pub candidates: Vec<Candidate>,
-    /// Compared words with instances: a model as `name@fingerprint`, or built-in names and
-    /// measures, like `attributes-2`.
+    /// Component that compared words with instances: a model as `name@fingerprint`, or a built-in
+    /// component like `attributes-2`.
     pub encoder: String,
-    /// The sentence is longer than the encoder reads: its end does not count.
+    /// Whether the query was truncated because it is longer than the encoder's input.
     pub cut: bool,
 }

@@ -1,4 +1,4 @@
-//! Where a robot can stand to see or reach a thing: what is asked and told.
+//! Standing poses from which a robot can see or reach an object: requests and results.
 
 use crate::answer::{CoordinateFrame, Status};
 use crate::geometry::boxes::{Aabb, OrientedBox};
@@ -9,47 +9,48 @@ use crate::question::check_query;
 use crate::scene::{InstanceId, Support};
 use serde::{Deserialize, Serialize};
 
-/// Obstacles are known up to this height above the floor, metres: no robot is taller.
+/// Maximum height of a robot, meters. Obstacles are mapped up to this height above the floor.
 pub const MAX_HEIGHT_M: f32 = 3.0;
-/// What is lower than this above the floor is no obstacle: a robot is higher.
+/// Minimum height of obstacles above the floor, meters. Anything lower is ignored.
 const MIN_HEIGHT_M: f32 = 0.1;
 const MAX_RADIUS_M: f32 = 2.0;
 const MAX_REACH_M: f32 = 5.0;
 const MAX_DISTANCE_M: f32 = 20.0;
 const MAX_POSES: u32 = 20;
 
-/// A robot as an upright cylinder on the floor.
+/// A robot, modeled as an upright cylinder on the floor.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Robot {
-    /// Of the circle around its footprint, metres.
+    /// Radius of the circle around its footprint, meters.
     #[cfg_attr(feature = "openapi", schema(exclusive_minimum = 0, maximum = 2, example = 0.25))]
     pub radius_m: f32,
-    /// What is higher above the floor than this it passes under, metres.
+    /// Height of the robot, meters. It passes under anything higher.
     #[cfg_attr(feature = "openapi", schema(minimum = 0.1, maximum = 3, example = 1.3))]
     pub height_m: f32,
-    /// Where it sees from: above the middle of its footprint, metres above the floor, at most
+    /// Height of the camera above the floor, meters, over the center of the footprint. At most
     /// `height_m`.
     #[cfg_attr(feature = "openapi", schema(exclusive_minimum = 0, maximum = 3, example = 1.2))]
     pub eye_height_m: f32,
-    /// How far its arm reaches out of the cylinder, metres. Left out, it only has to see the
-    /// thing.
+    /// Reach of the arm beyond the cylinder, meters. If omitted, the robot only has to see the
+    /// object.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(exclusive_minimum = 0, maximum = 5, example = 0.7))]
     pub reach_m: Option<f32>,
 }
 
-/// A place on the floor: metres, world frame (Z up), unless a request's `frame` says otherwise.
+/// A position on the floor, meters. World frame (Z up) unless the request sets another `frame`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FloorPoint {
-    /// Metres along X.
+    /// X, meters.
     pub x: f64,
-    /// Metres along Y.
+    /// Y, meters.
     pub y: f64,
-    /// Metres along Z: wanted where the `frame`'s Z does not point up, of no importance elsewhere.
+    /// Z, meters. Required if the Z axis of `frame` does not point up, otherwise ignored. Default:
+    /// 0.
     #[serde(default, skip_serializing_if = "is_zero")]
     #[cfg_attr(feature = "openapi", schema(default = 0))]
     pub z: f64,
@@ -59,7 +60,7 @@ fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 
-/// Asks where to stand for a thing: one of `instance_id` and `query`.
+/// A request for standing poses. Exactly one of `instance_id` and `query` is required.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[cfg_attr(feature = "openapi", schema(example = json!({
@@ -67,37 +68,37 @@ fn is_zero(value: &f64) -> bool {
 })))]
 #[serde(deny_unknown_fields)]
 pub struct ApproachRequest {
-    /// An instance of the scene's current parse.
+    /// Id of an instance of the scene's current parse.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub instance_id: Option<InstanceId>,
-    /// What to find, in plain English: answered by the built-in reasoner, and kept like any
-    /// answer.
+    /// Description of the object in English. The built-in reasoner answers it, and the answer is
+    /// stored.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 1000))]
     pub query: Option<String>,
-    /// Who is to stand there.
+    /// The robot.
     pub robot: Robot,
-    /// Where the robot is: poses it can not drive to are left out, and each has its path. Left
-    /// out, poses lie in the largest free area near the thing that is no pocket: of half a
-    /// square metre at least, unless there is no larger one anywhere.
+    /// Start position of the robot. Poses that it cannot drive to are omitted, and each pose has a
+    /// path. If omitted, poses lie in the largest free area near the object of at least 0.5 square
+    /// meters, or in the largest free area if none is that large.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<FloorPoint>,
-    /// Whose coordinates `from` is in, and in which poses are told beside the scene's own
-    /// (`in_frame`).
+    /// Frame of `from`, and additional frame of the result (`in_frame`). Default: `scene`.
     #[serde(default)]
     #[cfg_attr(feature = "openapi", schema(default = "scene"))]
     pub frame: FrameChoice,
-    /// Least horizontal distance from the middle of the robot to the thing's nearest point,
-    /// metres.
+    /// Minimum horizontal distance from the robot's center to the object's nearest point, meters.
+    /// Default: 0.
     #[serde(default)]
     #[cfg_attr(feature = "openapi", schema(minimum = 0, maximum = 20, default = 0))]
     pub min_distance_m: f32,
-    /// Greatest horizontal distance from the middle of the robot to the thing's nearest point,
-    /// metres.
+    /// Maximum horizontal distance from the robot's center to the object's nearest point, meters.
+    /// Default: 2.5.
     #[serde(default = "default_distance")]
     #[cfg_attr(feature = "openapi", schema(exclusive_minimum = 0, maximum = 20, default = 2.5))]
     pub max_distance_m: f32,
-    /// Most poses to send back; fewer where there are not so many apart from each other.
+    /// Maximum number of poses. Fewer are returned if not enough lie apart from each other.
+    /// Default: 3.
     #[serde(default = "default_poses")]
     #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 20, default = 3))]
     pub max_poses: u32,
@@ -112,13 +113,13 @@ fn default_poses() -> u32 {
 }
 
 impl ApproachRequest {
-    /// To an instance, with everything else at its default.
+    /// Creates a request for an instance with default options.
     #[must_use]
     pub fn to(instance_id: InstanceId, robot: Robot) -> Self {
         Self { instance_id: Some(instance_id), ..Self::with(robot) }
     }
 
-    /// To what a question means, with everything else at its default.
+    /// Creates a request for a query with default options.
     #[must_use]
     pub fn asking(query: impl Into<String>, robot: Robot) -> Self {
         Self { query: Some(query.into()), ..Self::with(robot) }
@@ -141,12 +142,17 @@ impl ApproachRequest {
     }
 
     /// # Errors
-    /// A [`FieldError`] naming the field.
+    /// Returns a [`FieldError`] that names the field.
     pub fn check(&self) -> Result<(), FieldError> {
         match (&self.instance_id, &self.query) {
             (Some(_), None) => {}
             (None, Some(query)) => check_query(query)?,
-            _ => return Err(FieldError::new("", "one of instance_id and query is wanted")),
+            _ => {
+                return Err(FieldError::new(
+                    "",
+                    "exactly one of instance_id and query is required",
+                ));
+            }
         }
         let Robot { radius_m, height_m, eye_height_m, reach_m } = self.robot;
         numbers::above_zero("/robot/radius_m", radius_m, MAX_RADIUS_M)?;
@@ -173,10 +179,10 @@ impl ApproachRequest {
     }
 }
 
-/// Whether a height for a map of the floor makes sense.
+/// Checks the height for a floor map.
 ///
 /// # Errors
-/// A [`FieldError`] naming the parameter.
+/// Returns a [`FieldError`] that names the parameter.
 pub fn check_map_height(height_m: f32) -> Result<(), FieldError> {
     check_height("height_m", height_m)
 }
@@ -185,185 +191,185 @@ fn check_height(pointer: &str, height_m: f32) -> Result<(), FieldError> {
     numbers::in_range(pointer, height_m, MIN_HEIGHT_M..=MAX_HEIGHT_M)
 }
 
-/// Whether there is a place to stand.
+/// Whether a standing pose was found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ApproachStatus {
-    /// There is at least one: see `poses`.
+    /// At least one pose was found. See `poses`.
     Found,
-    /// There is none: `failed` says which condition left nothing.
+    /// No pose is possible. `failed` names the condition that excluded all positions.
     NonePossible,
-    /// The query's answer is not `grounded`, see `answer_status`, or means several things. Nothing
-    /// is driven to on a guess.
+    /// The answer to the query is not `grounded` (see `answer_status`) or refers to several
+    /// objects. The service computes no poses for uncertain targets.
     NotGrounded,
 }
 
-/// The first condition that left no place to stand, in the order they are looked at.
+/// The first condition that excluded all positions, in the order of checking.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum FailedCondition {
-    /// `from` is no place this robot can stand, nor is any within half a metre.
+    /// The robot cannot stand at `from` or within 0.5 m of it.
     StartNotFree,
-    /// Within the limits of distance no floor was seen on which nothing stands.
+    /// No free floor was observed within the distance limits.
     NoFloor,
-    /// There is floor, but obstacles leave this robot no room.
+    /// Obstacles leave no room for this robot.
     NoRoom,
-    /// There is room, but no way from `from` to where the thing is in sight and in reach.
+    /// No path leads from `from` to a position that sees and reaches the object.
     NotReachable,
-    /// There are places, but none from which the arm reaches.
+    /// The arm does not reach the object from any position.
     OutOfReach,
-    /// From none of the places is enough of the thing in sight.
+    /// No position sees enough of the object.
     NotVisible,
 }
 
-/// Cells of the floor that each condition left, of those that the conditions before it had left.
+/// Number of floor cells that remain after each condition.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct CellCounts {
-    /// Within the limits of distance.
+    /// Cells within the distance limits.
     pub near: u32,
-    /// With floor, and nothing on or above it that is lower than the robot.
+    /// Cells with observed floor and no obstacle lower than the robot.
     pub floor: u32,
-    /// No nearer to an obstacle than the robot's radius.
+    /// Cells at least the robot's radius away from obstacles.
     pub clear: u32,
-    /// In one free area with `from`; without it, in the largest near the thing that is no pocket.
+    /// Cells connected to `from`, or without `from` in the largest free area near the object.
     pub connected: u32,
-    /// From where the arm reaches; all where no reach was given.
+    /// Cells from which the arm reaches the object. All cells if no reach is given.
     pub in_reach: u32,
-    /// Looked from: the clearest of every nine cells.
+    /// Cells tested for visibility: the one with the most clearance in every nine cells.
     pub looked_from: u32,
-    /// From where enough of the thing is in sight.
+    /// Cells that see enough of the object.
     pub visible: u32,
 }
 
-/// Where the robot sets out.
+/// Start of the paths.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Start {
-    /// Where paths begin, metres, world frame: the nearest free cell to what was asked for.
+    /// X of the free cell nearest to `from`; meters, world frame.
     pub x: f32,
-    /// Metres along Y.
+    /// Y of this cell; meters, world frame.
     pub y: f32,
-    /// How far that is from what was asked for, metres; more than a cell where `from` was not
-    /// free.
+    /// Distance of this cell from `from`, meters. Larger than a cell if `from` was not free.
     pub moved_m: f32,
-    /// Whether the robot can stand where it says it is.
+    /// Whether the robot can stand at `from`.
     pub was_free: bool,
 }
 
-/// A place to stand, facing the thing. World frame (Z up), metres.
+/// A standing pose that faces the object; meters, world frame (Z up).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct StandingPose {
-    /// Middle of the robot's footprint, on the floor.
+    /// Center of the robot's footprint, on the floor.
     pub position: [f32; 3],
-    /// Direction it faces about +Z, radians; 0 looks along +X.
+    /// Heading about +Z, radians. 0 looks along +X.
     pub yaw_rad: f32,
-    /// What to look at: the middle of what is in sight of the thing.
+    /// Center of the visible part of the object.
     pub look_at: [f32; 3],
-    /// Horizontal distance to the thing's nearest point.
+    /// Horizontal distance from the robot's center to the object's nearest point, meters.
     pub distance_m: f32,
-    /// From the robot's cylinder to the thing's nearest point: what the arm has to reach.
+    /// Distance from the robot's cylinder to the object's nearest point, meters. The arm must reach
+    /// this far.
     pub reach_m: f32,
-    /// Share of the thing's points that nothing else hides from the eye, `0..=1`; what it hides of
-    /// itself counts as seen.
+    /// Share of the object's points that no other object occludes from the camera, `0..=1`.
+    /// Self-occlusion does not count.
     pub visible_share: f32,
-    /// From the middle of the robot to the nearest obstacle; never less than the robot's radius.
-    /// `null` where there is none at all.
+    /// Distance from the robot's center to the nearest obstacle, meters. At least the robot's
+    /// radius. `null` if there are no obstacles.
     pub clearance_m: Option<f32>,
-    /// Length of `path`; `null` without `from`.
+    /// Length of `path`, meters. `null` without `from`.
     pub path_m: Option<f32>,
-    /// From the start to here, corner by corner, straight in between; free of obstacles by the
-    /// robot's radius, to within half a cell of the grid. Empty without `from`.
+    /// Corners of the path from the start to this pose, connected by straight lines. Keeps the
+    /// robot's radius from obstacles, within half a grid cell. Empty without `from`.
     pub path: Vec<[f32; 2]>,
-    /// Why here, in words.
+    /// Explanation of the pose for people.
     pub why: String,
 }
 
-/// What is approached.
+/// The object to approach.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ApproachTarget {
-    /// Numbered from 1 within the parse.
+    /// Id within the parse, from 1.
     pub id: InstanceId,
-    /// What it is called.
+    /// Name of the object.
     pub name: String,
-    /// Axis-aligned box, stray points left out; metres, world frame (Z up).
+    /// Axis-aligned box without outlier points; meters, world frame (Z up).
     #[serde(rename = "box")]
     pub aabb: Aabb,
-    /// Box turned about the vertical to fit it.
+    /// Box rotated about the vertical axis.
     pub oriented_box: OrientedBox,
-    /// What it stands on or hangs on.
+    /// What the object stands on or hangs on.
     pub support: Support,
 }
 
-/// Where to stand for a thing, best first, or why nowhere.
+/// Standing poses for an object, best first, or the reason why none exists.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Approach {
     /// UUIDv7 of the scene.
     pub scene_id: String,
-    /// Number of the scene's parse, from 1; instance ids belong to it.
+    /// Version of the scene's parse, from 1. Instance ids belong to it.
     pub parse_version: u32,
-    /// Whether there is a place to stand.
+    /// Whether a standing pose was found.
     pub status: ApproachStatus,
-    /// The answer to `query`, at `/v1/answers/{id}`; `null` without one.
+    /// Id of the answer to `query`, available at `/v1/answers/{id}`. `null` without a query.
     pub answer_id: Option<String>,
-    /// What the answer to `query` came to; `null` without one.
+    /// Status of the answer to `query`. `null` without a query.
     pub answer_status: Option<Status>,
-    /// What is approached; `null` where `not_grounded`.
+    /// The object to approach. `null` if `not_grounded`.
     pub target: Option<ApproachTarget>,
-    /// Best first: near the thing, little to drive, much of it in sight, room around.
+    /// Poses, best first: near the object, with a short path, good visibility and much clearance.
     pub poses: Vec<StandingPose>,
-    /// Where paths begin; `null` without `from`, and where it is not free.
+    /// Start of the paths. `null` without `from`, or if it is not free.
     pub start: Option<Start>,
-    /// Why there is no pose; `null` where there is one, and where `not_grounded`.
+    /// Why there is no pose. `null` if there is one, or if `not_grounded`.
     pub failed: Option<FailedCondition>,
-    /// What came of it, in words.
+    /// The result in words, for people.
     pub detail: String,
-    /// Cells each condition left; `null` where `not_grounded`.
+    /// Number of cells left after each condition. `null` if `not_grounded`.
     pub cells: Option<CellCounts>,
-    /// Height of the floor, metres, world frame; `null` where `not_grounded`.
+    /// Height of the floor; meters, world frame. `null` if `not_grounded`.
     pub floor_z_m: Option<f32>,
-    /// The frame of all coordinates here, but those of `in_frame`.
+    /// The coordinate frame of all coordinates except those in `in_frame`.
     pub frame: CoordinateFrame,
-    /// The poses in the coordinates that were asked for; `null` for the scene's own, and where
-    /// `not_grounded`.
+    /// The poses in the requested frame. `null` for the scene's own frame, or if `not_grounded`.
     pub in_frame: Option<PosesInFrame>,
 }
 
-/// Places to stand in other coordinates than the scene's.
+/// Standing poses in another frame than the scene's.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct PosesInFrame {
     /// `source` or `map`.
     pub frame: FrameChoice,
-    /// What the map's frame is called, the scene's `map_frame_id`; `null` where nobody has said.
+    /// Name of the map frame: the scene's `map_frame_id`. `null` if not set.
     pub frame_id: Option<String>,
-    /// When this was told; with `frame_id` the header of a ROS message.
+    /// Time of the response. Together with `frame_id`, it forms the header of a ROS message.
     pub stamp: Stamp,
-    /// From the scene's coordinates to these: for everything else that is told.
+    /// Transform from the scene's frame to this frame, for the other coordinates of the response.
     pub scene_to_frame: SceneToFrame,
-    /// One for each of `poses`, in their order.
+    /// One pose for each of `poses`, in the same order.
     pub poses: Vec<PlacedPose>,
 }
 
-/// A place to stand as `geometry_msgs/Pose` has it.
+/// A standing pose in the format of `geometry_msgs/Pose`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct PlacedPose {
-    /// Middle of the robot's footprint, on the floor, in the frame's units.
+    /// Center of the robot's footprint, on the floor, in the units of the frame.
     pub position: [f64; 3],
-    /// Turns the robot's axes, X ahead and Z up, to the frame's: unit quaternion `x, y, z, w`.
+    /// Rotation from the robot's axes (X forward, Z up) to the frame's axes: unit quaternion `x, y,
+    /// z, w`.
     pub orientation: [f64; 4],
-    /// The corners of the way, in the frame's units.
+    /// Corners of the path, in the units of the frame.
     pub path: Vec<[f64; 3]>,
 }
 
 impl PlacedPose {
-    /// A place of the scene in other coordinates.
+    /// Transforms a pose to another frame.
     #[must_use]
     pub fn of(pose: &StandingPose, scene_to_frame: &SceneToFrame) -> Self {
         let [x, y, z] = pose.position.map(f64::from);
@@ -376,36 +382,37 @@ impl PlacedPose {
     }
 }
 
-/// The map of a scene's floor, as `map_server` of ROS reads it: this JSON is YAML too. The
-/// picture's upper left pixel is at the least x and the greatest y.
+/// Metadata of a scene's floor map in the format of the ROS `map_server`. The JSON is also valid
+/// YAML. The upper left pixel has the smallest x and the largest y.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct FloorMap {
-    /// Name of the picture beside this file.
+    /// File name of the image next to this file.
     #[cfg_attr(feature = "openapi", schema(example = "floor.png"))]
     pub image: String,
     /// Always `trinary`: a cell is free, occupied or unknown.
     #[cfg_attr(feature = "openapi", schema(example = "trinary"))]
     pub mode: String,
-    /// Side of a pixel, metres.
+    /// Size of a pixel, meters.
     pub resolution: f32,
-    /// x, y and yaw of the lower left corner of the lower left pixel; metres, world frame, and
-    /// radians, always 0.
+    /// x, y and yaw of the lower left corner of the lower left pixel; meters and radians, world
+    /// frame. The yaw is always 0.
     pub origin: [f32; 3],
-    /// Always 0: white is free, black occupied.
+    /// Always 0: white is free and black is occupied.
     pub negate: u8,
-    /// A pixel `p` is occupied where `(255 - p) / 255` is above this: black, 0.
+    /// A pixel `p` is occupied if `(255 - p) / 255` is above this value. Occupied pixels are black,
+    /// 0.
     pub occupied_thresh: f32,
-    /// A pixel `p` is free where `(255 - p) / 255` is below this: white, 254. In between it is
-    /// unknown: grey, 205.
+    /// A pixel `p` is free if `(255 - p) / 255` is below this value. Free pixels are white, 254.
+    /// Unknown pixels are gray, 205.
     pub free_thresh: f32,
-    /// Columns of the picture.
+    /// Width of the image, pixels.
     pub width: u32,
-    /// Rows of the picture.
+    /// Height of the image, pixels.
     pub height: u32,
-    /// What is higher above the floor than this is no obstacle, metres.
+    /// Maximum height of obstacles above the floor, meters. Anything higher is ignored.
     pub height_m: f32,
-    /// Height of the floor, metres, world frame.
+    /// Height of the floor; meters, world frame.
     pub floor_z_m: f32,
 }
 

@@ -1,4 +1,4 @@
-//! Lists of questions that are asked in the background.
+//! Batches: lists of questions that run in the background.
 
 use crate::job::JobError;
 use crate::question::GroundRequest;
@@ -6,94 +6,94 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 
-/// One question of a batch: the scene, and all that a question may have.
+/// One question of a batch: the scene and all fields of a question.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct BatchItem {
-    /// UUIDv7 of the scene that is asked about.
+    /// UUIDv7 of the scene.
     pub scene_id: String,
     /// The question.
     #[serde(flatten)]
     pub request: GroundRequest,
 }
 
-/// A list of questions, and what holds for all of them.
+/// A new batch: a list of questions and common options.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct BatchRequest {
-    /// Questions: `scene_id`, `query`, and whatever else a question may have. Longer lists are
-    /// sent as JSONL, an item a line.
+    /// Questions with `scene_id`, `query` and any other fields of a question. Send longer lists as
+    /// JSONL, one item per line.
     #[cfg_attr(feature = "openapi", schema(value_type = Vec<BatchItem>))]
     pub items: Vec<Map<String, Value>>,
-    /// Fields of every item that does not have them itself, `scene_id` too.
+    /// Default fields of all items, may include `scene_id`. Fields of an item take precedence.
     #[serde(default)]
     #[cfg_attr(feature = "openapi", schema(value_type = Object))]
     pub defaults: Map<String, Value>,
-    /// For people.
+    /// Display name, at most 200 characters.
     #[cfg_attr(feature = "openapi", schema(max_length = 200))]
     pub label: Option<String>,
-    /// Questions asked at once; default: 4.
+    /// Number of questions answered in parallel, 1 to 64. Default: 4.
     #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 64))]
     pub concurrency: Option<u32>,
-    /// Most that all questions together may cost, US dollars. Where it is spent, the batch pauses.
-    /// With it, `auto` items are asked as `vlm`.
+    /// Spending limit for the whole batch, US dollars. The batch pauses when it is reached. If set,
+    /// `auto` items use the vision-language model.
     #[cfg_attr(feature = "openapi", schema(minimum = 0))]
     pub max_cost_usd: Option<f64>,
 }
 
-/// Where a batch stands.
+/// State of a batch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum BatchState {
-    /// Its questions are being asked, or wait for their turn.
+    /// Its questions are running or queued.
     Running,
-    /// It waits to be resumed: somebody paused it, or `reason` says why.
+    /// Paused by a user, or for the cause in `reason`. It can be resumed.
     Paused,
-    /// Every item is answered or has failed.
+    /// All items have an answer or an error.
     Succeeded,
-    /// What was not asked by then never will be.
+    /// Cancelled. Remaining items will not run.
     Cancelled,
 }
 
 impl BatchState {
-    /// Whether it stays like this.
+    /// Returns whether the state is final.
     #[must_use]
     pub fn is_final(self) -> bool {
         matches!(self, Self::Succeeded | Self::Cancelled)
     }
 }
 
-/// A batch as it stands.
+/// A batch and its progress.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Batch {
-    /// UUIDv7; in order of time.
+    /// UUIDv7, so ids sort by time.
     pub id: String,
-    /// As it was submitted.
+    /// Display name.
     pub label: Option<String>,
-    /// Where it stands.
+    /// State of the batch.
     pub state: BatchState,
-    /// Why it is paused, where nobody asked for that: a stable code.
+    /// Why the server paused the batch: a stable code. Absent if a user paused it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// Questions in it.
+    /// Number of questions.
     pub items: u32,
-    /// Of those, answered or failed.
+    /// Number of questions that are answered or failed.
     pub done: u32,
-    /// Done ones by the status of their answer, or `failed`.
+    /// Number of finished questions by answer status, or `failed`.
     pub by_status: BTreeMap<String, u32>,
-    /// What the answers cost, US dollars.
+    /// Cost of the answers, US dollars.
     pub cost_usd: f64,
-    /// Seconds until all are done, as it went so far; absent while nobody can tell.
+    /// Estimated seconds until the batch is finished. Absent while unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub eta_s: Option<f32>,
-    /// The job that asks them: follow it at `/v1/jobs/{job_id}/events`.
+    /// Id of the job that runs the batch. Its progress is at `/v1/jobs/{job_id}/events`.
     pub job_id: Option<String>,
-    /// RFC 3339, UTC.
+    /// Creation time, RFC 3339 UTC.
     pub created_at: String,
-    /// RFC 3339, UTC.
+    /// Completion time, RFC 3339 UTC. `null` until then.
     pub finished_at: Option<String>,
 }
 
@@ -101,31 +101,30 @@ pub struct Batch {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct BatchList {
-    /// Newest first.
+    /// Batches, newest first.
     pub batches: Vec<Batch>,
-    /// `cursor` of the next page; `null` on the last.
+    /// Cursor of the next page. `null` on the last page.
     pub next_cursor: Option<String>,
 }
 
-/// What came of one item: a line of the results.
+/// Result of one item: one line of the results.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct BatchResult {
-    /// Its place in the batch, from 0.
+    /// Index of the item in the batch, from 0.
     pub item: u32,
-    /// The scene it asks about.
+    /// UUIDv7 of the scene.
     pub scene_id: String,
-    /// The question; empty where the item has none.
+    /// The question. Empty if the item has none.
     pub query: String,
     /// Status of the answer, or `failed`.
     pub status: String,
-    /// Where the answer is kept: `/v1/answers/{answer_id}`.
+    /// Id of the answer, available at `/v1/answers/{answer_id}`.
     pub answer_id: String,
-    /// The answer, whole; `null` where the item failed, or its scene or its answer was deleted
-    /// since.
+    /// The complete answer. `null` if the item failed, or if its scene or answer was deleted.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<crate::answer::Answer>))]
     pub answer: Option<Value>,
-    /// Why it failed.
+    /// Why the item failed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<JobError>,
 }

@@ -1,101 +1,100 @@
-//! What is different between two looks at a room.
+//! Differences between two scans or versions of a scene.
 
 use crate::geometry::boxes::Aabb;
 use crate::scene::InstanceId;
 use serde::{Deserialize, Serialize};
 
-/// What changed in a scene: since an earlier version of it, or from one scan of a room to another.
+/// Changes in a scene: since an earlier version, or between two scans of a room.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SceneChanges {
-    /// The earlier look.
+    /// The earlier version.
     pub from: SceneVersion,
-    /// The later one.
+    /// The later version.
     pub to: SceneVersion,
-    /// How the two scans lie to each other; `null` for versions of one scene, which share their
-    /// coordinates and ids.
+    /// Alignment of the two scans. `null` for versions of one scene, which share coordinates and
+    /// ids.
     pub alignment: Option<ScanAlignment>,
-    /// What is different.
+    /// The changes.
     pub changes: Changes,
 }
 
-/// A scene as it was parsed at some time.
+/// A version of a scene.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SceneVersion {
     /// UUIDv7 of the scene.
     pub scene_id: String,
-    /// Number of its parse, from 1.
+    /// Version of its parse, from 1.
     pub version: u32,
 }
 
-/// From the coordinates of the earlier scan to those of the later one: `to = rotation * from +
-/// translation_m`.
+/// Transform from the earlier scan to the later one: `to = rotation * from + translation_m`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ScanAlignment {
     /// Unit quaternion `x, y, z, w`.
     pub rotation: [f64; 4],
-    /// Metres.
+    /// Translation, meters.
     pub translation_m: [f64; 3],
-    /// Whether it was refined by laying the two clouds over each other.
+    /// Whether the transform was refined by registering the two clouds.
     pub refined: bool,
-    /// Share of the earlier scan's points that have one of the later scan's within 5 cm.
+    /// Share of the earlier scan's points with a point of the later scan within 5 cm, `0..=1`.
     pub overlap: f32,
-    /// Their root mean square distance to its surfaces, metres.
+    /// Root mean square distance of these points to the later scan's surfaces, meters.
     pub rms_m: f32,
 }
 
-/// Things that are not as they were. Floor, walls and ceilings are left out.
+/// Changed objects. Excludes floor, walls and ceilings.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Changes {
-    /// Things that stand where nothing was before.
+    /// New objects in places that were empty before.
     pub appeared: Vec<ChangedThing>,
-    /// Things whose place is empty now.
+    /// Objects whose place is now empty.
     pub gone: Vec<ChangedThing>,
-    /// Things that are gone in one place and, alike in size, colour and name, appeared in another.
+    /// Objects that disappeared from one place and appeared in another, with similar size, color
+    /// and name.
     pub moved: Vec<MovedThing>,
-    /// Things nobody had seen before, though they may have been there: no frame had looked at
-    /// their places, or too few for it to be known.
+    /// Objects observed for the first time that may have been there before, because too few earlier
+    /// frames show their places.
     pub first_seen: Vec<ChangedThing>,
-    /// Things in places that the later scan did not look at: nobody knows whether they are still
-    /// there.
+    /// Objects whose places the later scan did not observe. Whether they are still there is
+    /// unknown.
     pub not_seen: Vec<ChangedThing>,
-    /// Things of before that are no things of their own any more, though their surfaces are still
-    /// there: the same points are grouped otherwise.
+    /// Earlier objects whose points now belong to other instances. Their surfaces are still there.
     pub regrouped: Vec<ChangedThing>,
-    /// How many things stayed.
+    /// Number of unchanged objects.
     pub unchanged: u32,
 }
 
-/// A thing that changed.
+/// A changed object.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ChangedThing {
-    /// In the look it is in: the earlier one for what is gone, the later one for what appeared.
+    /// Instance id in its version: the earlier one for `gone`, the later one for `appeared`.
     pub id: InstanceId,
-    /// What it is called.
+    /// Name of the object.
     pub label: String,
-    /// Its box, metres, in the coordinates of that look.
+    /// Box, meters, in the coordinates of that version.
     #[serde(rename = "box")]
     pub aabb: Aabb,
 }
 
-/// A thing that is elsewhere.
+/// A moved object.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct MovedThing {
-    /// As it was, in the coordinates of the earlier look.
+    /// The object in the earlier version, in its coordinates.
     pub before: ChangedThing,
-    /// As it is, in those of the later one.
+    /// The object in the later version, in its coordinates.
     pub after: ChangedThing,
-    /// Between the middles of the two boxes, metres.
+    /// Distance between the centers of the two boxes, meters.
     pub distance_m: f32,
 }
 
 impl Changes {
-    /// Whether nothing changed.
+    /// Returns whether nothing changed.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         let Self { appeared, gone, moved, first_seen, not_seen, regrouped, unchanged: _ } = self;
@@ -103,8 +102,8 @@ impl Changes {
             && moved.is_empty()
     }
 
-    /// These changes and then later ones of the same scene, as one: what came and went again is not
-    /// told.
+    /// Combines these changes with later changes of the same scene. Omits objects that appeared and
+    /// then disappeared.
     #[must_use]
     pub fn then(mut self, later: Self) -> Self {
         let Self { appeared, gone, moved, first_seen, not_seen, regrouped, unchanged } = later;
@@ -133,13 +132,13 @@ impl Changes {
         self
     }
 
-    /// A thing that came in the time looked at.
+    /// Returns an object that appeared in the combined period.
     fn came(&mut self, id: InstanceId) -> Option<&mut ChangedThing> {
         self.appeared.iter_mut().chain(&mut self.first_seen).find(|thing| thing.id == id)
     }
 
-    /// Forgets a thing that came in the time looked at; else notes that it is no more, as it was at
-    /// first.
+    /// Removes an object that appeared in the combined period. Otherwise adds its original state to
+    /// a list.
     fn no_more(&mut self, thing: ChangedThing, list: impl Fn(&mut Self) -> &mut Vec<ChangedThing>) {
         if self.came(thing.id).is_some() {
             self.appeared.retain(|came| came.id != thing.id);

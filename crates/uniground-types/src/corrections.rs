@@ -1,60 +1,61 @@
-//! What people say of a parse that is wrong: kept beside it, used by later answers, exported as
-//! ground truth.
+//! Corrections of a parse by users. Later answers use them, and exports include them as ground
+//! truth.
 
 use crate::scene::InstanceId;
 use serde::{Deserialize, Serialize};
 
-/// What is to be different.
+/// A correction of the parse.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Change {
-    /// It is called something else.
+    /// Renames an instance.
     Rename {
-        /// Which instance.
+        /// Id of the instance.
         instance_id: InstanceId,
-        /// One line of 1 to 100 characters: what people would call it, "red mug".
+        /// The new name, one line of 1 to 100 characters: "red mug".
         #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 100))]
         name: String,
     },
-    /// They are no things at all: never an answer, never what an answer is told by.
+    /// Dismisses instances that are not objects. Answers do not use them.
     Dismiss {
-        /// Which instances, at most 100.
+        /// Ids of the instances, 1 to 100.
         #[cfg_attr(feature = "openapi", schema(min_items = 1, max_items = 100))]
         instance_ids: Vec<InstanceId>,
     },
-    /// They are one thing: a new instance of all their points, of which they are parts from now on.
+    /// Merges instances into a new instance with all their points. The merged instances become its
+    /// parts.
     Merge {
-        /// Two things or more, at most 100.
+        /// Ids of the instances, 2 to 100.
         #[cfg_attr(feature = "openapi", schema(min_items = 2, max_items = 100))]
         instance_ids: Vec<InstanceId>,
-        /// What people would call it; left out, its measures tell.
+        /// Name of the new instance, 1 to 100 characters. If omitted, it is named automatically.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 100))]
         name: Option<String>,
     },
-    /// It is not one thing: its parts take its place.
+    /// Splits an instance: its parts replace it.
     Split {
-        /// Which thing.
+        /// Id of the instance.
         instance_id: InstanceId,
     },
 }
 
-/// A change somebody has made.
+/// A stored correction.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Correction {
-    /// UUIDv7; in order of time, in which they take effect.
+    /// UUIDv7, so ids sort by time. Corrections apply in this order.
     pub id: String,
-    /// What is different.
+    /// The correction.
     pub change: Change,
-    /// The instance that a merge has made.
+    /// Id of the instance that a merge created.
     pub made: Option<InstanceId>,
-    /// Name of the key it was made with; `null` for the server's own, and where no key is wanted.
+    /// Name of the key that made it. `null` for the server's own key, and without authentication.
     pub author: Option<String>,
-    /// When it was made, RFC 3339 UTC.
+    /// Creation time, RFC 3339 UTC.
     pub created_at: String,
-    /// When it was taken back, RFC 3339 UTC; `null` while it holds.
+    /// Time when it was undone, RFC 3339 UTC. `null` while it applies.
     pub undone_at: Option<String>,
 }
 
@@ -62,6 +63,6 @@ pub struct Correction {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct CorrectionList {
-    /// Newest first, those that were taken back included.
+    /// Corrections, newest first, including undone ones.
     pub corrections: Vec<Correction>,
 }

@@ -1,32 +1,32 @@
-//! A scene with what was found in it, as a file.
+//! Export of a scene and its instances as a file.
 
 use crate::answer::CoordinateFrame;
 use crate::instances::InstanceView;
 use serde::{Deserialize, Serialize};
 
-/// Points of a file, where nothing else is said.
+/// Default number of points in a file.
 pub const DEFAULT_POINTS: u32 = 500_000;
-/// Most points of a file.
+/// Maximum number of points in a file.
 pub const MAX_POINTS: u32 = 2_000_000;
 
-/// What a scene can be written as.
+/// File format of an export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ExportFormat {
-    /// glTF 2.0, binary: a node for each thing, with its points and its box.
+    /// glTF 2.0 binary with a node for each object, its points and its box.
     Glb,
-    /// Points in their own colours, each with the id of its thing.
+    /// Points with their colors and the ids of their objects.
     Ply,
-    /// USD, one layer of text in an uncompressed archive: a prim for each thing, with its points
-    /// and its box.
+    /// USD, one text layer in an uncompressed archive, with a prim for each object, its points and
+    /// its box.
     Usdz,
-    /// What was found, without points.
+    /// The instances, without points.
     Json,
 }
 
 impl ExportFormat {
-    /// How names of such files end, without the dot.
+    /// Returns the file name extension without the dot.
     #[must_use]
     pub fn extension(self) -> &'static str {
         match self {
@@ -37,7 +37,7 @@ impl ExportFormat {
         }
     }
 
-    /// What such a file is sent as.
+    /// Returns the media type.
     #[must_use]
     pub fn media_type(self) -> &'static str {
         match self {
@@ -49,20 +49,19 @@ impl ExportFormat {
     }
 }
 
-/// What was found in a scene, as corrected.
+/// The instances of a scene, with corrections applied.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ExportedScene {
     /// UUIDv7.
     pub scene_id: String,
-    /// What the scene is called.
+    /// Name of the scene.
     pub name: String,
-    /// Which parse the instances are of: counted from 1, one more whenever the scene is parsed
-    /// again.
+    /// Version of the parse of the instances, from 1. Each new parse increments it.
     pub parse_version: u32,
-    /// The frame of all coordinates.
+    /// The coordinate frame of all coordinates.
     pub frame: CoordinateFrame,
-    /// Things, floor, walls and ceiling among them, then parts and wholes, in order of id; what
-    /// was dismissed is left out.
+    /// Objects including floor, walls and ceiling, then parts and wholes, ordered by id. Excludes
+    /// dismissed instances.
     pub instances: Vec<InstanceView>,
 }

@@ -1,108 +1,108 @@
-//! What is in a scene and how it stands to each other, as a graph.
+//! Scene graphs: the instances of a scene and the relations between them.
 
 use crate::answer::CoordinateFrame;
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::scene::InstanceId;
 use serde::{Deserialize, Serialize};
 
-/// A scene graph: things, parts, wholes, the building and zones, and relations between them.
-/// Metres, world frame (Z up).
+/// A scene graph: objects, parts, wholes, building elements and zones, with the relations between
+/// them. Meters, world frame (Z up).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SceneGraph {
     /// UUIDv7 of the scene.
     pub scene_id: String,
-    /// Number of the scene's parse, from 1; instance ids belong to it.
+    /// Version of the scene's parse, from 1. Instance ids belong to it.
     pub parse_version: u32,
-    /// The frame of all coordinates.
+    /// The coordinate frame of all coordinates.
     pub frame: CoordinateFrame,
-    /// In order of instance id, then zones.
+    /// Nodes ordered by instance id, then zones.
     pub nodes: Vec<GraphNode>,
-    /// In order of their nodes. What goes without saying is left out: a symmetric relation stands
-    /// once, and no relation has its inverse.
+    /// Edges in the order of their nodes. A symmetric relation is listed once, and inverse
+    /// relations are omitted.
     pub edges: Vec<GraphEdge>,
 }
 
-/// Something in the scene.
+/// A node of the graph.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct GraphNode {
-    /// `i12` for instance 12, `z1` for the first zone.
+    /// Node id: `i12` for instance 12, `z1` for the first zone.
     #[cfg_attr(feature = "openapi", schema(example = "i12"))]
     pub id: String,
-    /// What kind of node it is.
+    /// Kind of node.
     pub kind: NodeKind,
-    /// What it is called: "red sofa", "wall", "kitchen".
+    /// Name: "red sofa", "wall", "kitchen".
     pub name: String,
-    /// The instance; `null` for zones.
+    /// Id of the instance. `null` for zones.
     pub instance_id: Option<InstanceId>,
-    /// Axis-aligned box; of a zone, around the things that make it.
+    /// Axis-aligned box, meters. The box of a zone encloses the objects that define it.
     #[serde(rename = "box")]
     pub aabb: Aabb,
-    /// Box turned about the vertical to fit it; `null` for zones.
+    /// Box rotated about the vertical axis. `null` for zones.
     pub oriented_box: Option<OrientedBox>,
 }
 
-/// What kind of node it is.
+/// Kind of node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum NodeKind {
-    /// Something one would name: each point of the scan is in one or none.
+    /// An object. Each point of the scan belongs to at most one.
     Thing,
-    /// A piece of a thing.
+    /// A part of an object.
     Part,
-    /// Several things that are seen as one.
+    /// A group of objects that forms one unit.
     Whole,
     /// Floor, wall or ceiling.
     Structure,
-    /// A stretch of a room that is told by what stands there: a kitchen is where stove and
-    /// refrigerator are.
+    /// An area of a room that is defined by its objects: a kitchen contains a stove and a
+    /// refrigerator.
     Zone,
 }
 
-/// What holds between two nodes: `from` stands in the relation to `to`.
+/// A relation between two nodes: `from` has the relation to `to`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct GraphEdge {
-    /// A node's `id`.
+    /// `id` of a node.
     #[cfg_attr(feature = "openapi", schema(example = "i31"))]
     pub from: String,
-    /// Another node's `id`.
+    /// `id` of another node.
     #[cfg_attr(feature = "openapi", schema(example = "i12"))]
     pub to: String,
-    /// What holds.
+    /// The relation.
     pub relation: GraphRelation,
-    /// How well it holds by the geometry that answers questions, `0..=1`; 1 for what the parse
-    /// itself says (support, parts).
+    /// Geometric score of the relation, `0..=1`. 1 for relations from the parse itself (support,
+    /// parts).
     pub score: f32,
-    /// Shortest distance between the two boxes, metres; 0 where they touch.
+    /// Shortest distance between the two boxes, meters. 0 if they touch.
     pub distance_m: f32,
 }
 
-/// A relation of the graph.
+/// A relation between two nodes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum GraphRelation {
-    /// It is a part of the other; things are parts of a whole.
+    /// It is a part of the other node. Objects are parts of a whole.
     PartOf,
-    /// It stands or lies on the other, or on the floor.
+    /// It stands or lies on the other node or on the floor.
     On,
     /// It hangs on a wall.
     OnWall,
-    /// It is within the other.
+    /// It is inside the other node.
     Inside,
-    /// It hangs or stands above the other without touching it.
+    /// It is above the other node without contact.
     Above,
-    /// It is near the other, beside it; symmetric.
+    /// It is next to the other node. Symmetric.
     NextTo,
     /// It is in a zone.
     InZone,
 }
 
 impl GraphRelation {
-    /// Its name in data: `next_to`.
+    /// Returns the name in JSON, like `next_to`.
     #[must_use]
     pub fn word(self) -> &'static str {
         match self {
@@ -118,7 +118,7 @@ impl GraphRelation {
 }
 
 impl NodeKind {
-    /// Its name in data.
+    /// Returns the name in JSON.
     #[must_use]
     pub fn word(self) -> &'static str {
         match self {
@@ -131,7 +131,7 @@ impl NodeKind {
     }
 }
 
-/// How a graph is written.
+/// Format of a scene graph.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
@@ -139,8 +139,8 @@ pub enum GraphFormat {
     /// [`SceneGraph`] as JSON.
     #[default]
     Json,
-    /// `GraphML`, for programs that draw and analyse graphs.
+    /// `GraphML`, for tools that draw and analyze graphs.
     Graphml,
-    /// A line for each thing, short: to be shown to a language model.
+    /// Compact text with one line per object, for language models.
     Text,
 }

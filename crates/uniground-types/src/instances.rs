@@ -1,104 +1,103 @@
-//! Objects found in a scene, as callers see them.
+//! Instances of a scene as the API returns them.
 
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::scene::{InstanceId, Level, NameGuess, Structure, Support, View};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// One object candidate. Lengths in metres, world frame (Z up).
+/// One instance. Lengths in meters, world frame (Z up).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct InstanceView {
-    /// Numbered from 1 within the parse: things in falling order of points, then parts and wholes;
-    /// another parse numbers anew, but for scenes that have grown: what stays keeps its id
-    /// there, and what comes is numbered on.
+    /// Id within the parse, from 1: objects by descending number of points, then parts and wholes.
+    /// Another parse assigns new ids. Adding frames to a scene keeps the ids of existing objects
+    /// and appends new ones.
     pub id: InstanceId,
-    /// A thing, a part of one, or a whole of several.
+    /// Level: an object, a part of one, or a whole of several.
     #[serde(default)]
     pub level: Level,
-    /// The thing a part lies in; the things a whole is made of; empty for things.
+    /// For a part, the object that contains it. For a whole, its objects. Empty for objects.
     #[serde(default)]
     pub things: Vec<InstanceId>,
-    /// What the encoder would call it, without having heard a question.
+    /// Name of the object, independent of any question.
     pub label: String,
-    /// Axis-aligned box of the robust bounds.
+    /// Axis-aligned box without outlier points.
     #[serde(rename = "box")]
     pub aabb: Aabb,
-    /// Axis-aligned box of every point, strays included.
+    /// Axis-aligned box of all points, including outliers.
     pub raw_box: Aabb,
-    /// Box of the robust bounds, turned about the vertical so that its footprint is smallest.
+    /// Box without outlier points, rotated about the vertical axis to the smallest footprint.
     pub oriented_box: OrientedBox,
-    /// Points of the cloud that belong to it.
+    /// Number of points.
     pub point_count: u32,
-    /// Mean 8-bit sRGB.
+    /// Mean color, 8-bit sRGB.
     pub mean_rgb: [u8; 3],
-    /// Share of the points per colour name, those of 10 % and more.
+    /// Share of the points per color name, `0..=1`. Omits colors below 10 %.
     pub colours: BTreeMap<String, f32>,
-    /// Share of the points within 3 cm of the best plane.
+    /// Share of the points within 3 cm of the best-fitting plane, `0..=1`.
     pub planarity: f32,
-    /// Set for parts of the building.
+    /// Set for building elements: floor, wall or ceiling.
     pub structure: Option<Structure>,
-    /// What it stands on or hangs on.
+    /// What the object stands on or hangs on.
     pub support: Support,
-    /// Metres from the floor to the bottom of `box`; negative where it reaches below.
+    /// Height of the bottom of `box` above the floor, meters. Negative if below the floor.
     pub height_above_floor_m: f32,
-    /// Best first, at most five; empty for parts of the building, and where nothing fits.
+    /// Name guesses, best first, at most five. Empty for building elements, and if no name fits.
     pub names: Vec<NameGuess>,
-    /// What the configured vision-language model calls it, without having heard a question; `null`
-    /// until it was asked.
+    /// Name from the configured vision-language model, independent of any question. `null` if the
+    /// model has not named it.
     #[serde(default)]
     pub model_name: Option<String>,
-    /// What somebody has said it is called; `null` where nobody has.
+    /// Name set by a user. `null` if not set.
     #[serde(default)]
     pub given_name: Option<String>,
-    /// Somebody has said that it is no thing, or not one: no answer, and listed only with
-    /// `level=all`.
+    /// Whether a user dismissed it as no object, or merged or split it. Dismissed instances are no
+    /// answers and are listed only with `level=all`.
     #[serde(default)]
     pub dismissed: bool,
-    /// Of a scene that has grown: it was there in an earlier version. Its id is never another's;
-    /// dismissed as well.
+    /// Whether the object was in an earlier version and is gone after frames were added. Its id is
+    /// not reused, and it is also dismissed.
     #[serde(default)]
     pub gone: bool,
-    /// The instances that somebody has said are one thing, this one; empty for what the parse has
-    /// found.
+    /// Ids of the instances that a user merged into this one. Empty for instances of the parse.
     #[serde(default)]
     pub merged_from: Vec<InstanceId>,
-    /// The question it was found for: a vision-language model saw it in a photograph, and it was
-    /// no instance yet. `null` for what the parse has found.
+    /// Question for which a vision-language model found this instance in a photograph. `null` for
+    /// instances of the parse.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub found_for: Option<String>,
-    /// Frames that show it best; pictures at `/instances/{id}/views/{k}.jpg`, k from 0.
+    /// Best views. Their pictures are at `/instances/{id}/views/{k}.jpg` with k from 0.
     pub views: Vec<View>,
 }
 
-/// One page of a scene's instances.
+/// A page of a scene's instances.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct InstanceList {
-    /// In order of id.
+    /// Instances, ordered by id.
     pub instances: Vec<InstanceView>,
-    /// Pass as `cursor` for the next page; `null` on the last.
+    /// Cursor of the next page. `null` on the last page.
     pub next_cursor: Option<u32>,
 }
 
-/// Which instances to list.
+/// Filter for the level of instances.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Levels {
-    /// The pieces the scene is cut into: each point is in one or none.
+    /// Objects only. Each point belongs to at most one.
     #[default]
     Things,
-    /// Pieces of things that masks show by themselves.
+    /// Parts of objects only.
     Parts,
-    /// Several things that masks show as one.
+    /// Wholes only: groups of objects that form one unit.
     Wholes,
-    /// All of them, those that were dismissed as well.
+    /// All levels, including dismissed instances.
     All,
 }
 
 impl Levels {
-    /// Whether an instance of this level is listed; what was dismissed is only among all.
+    /// Returns whether an instance is listed. Dismissed instances are listed only with `All`.
     #[must_use]
     pub fn lists(self, level: Level, dismissed: bool) -> bool {
         match self {
@@ -111,14 +110,14 @@ impl Levels {
     }
 }
 
-/// Which picture of a view.
+/// Kind of picture of a view.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ViewPicture {
-    /// The full frame: the object outlined, with a red box around it.
+    /// The full frame with the object outlined and a red box around it.
     #[default]
     Frame,
-    /// A crop: the object outlined, its surroundings darker.
+    /// A crop with the object outlined and its surroundings darkened.
     Crop,
 }

@@ -1,26 +1,26 @@
-//! Work in the background.
+//! Background jobs.
 
 use serde::{Deserialize, Serialize};
 
-/// Where a job stands. `succeeded`, `failed` and `cancelled` are final.
+/// State of a job. `succeeded`, `failed` and `cancelled` are final.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum JobState {
-    /// Waits for its turn, or for another try.
+    /// Waits for a worker, or for a retry.
     Queued,
-    /// A worker is at it.
+    /// A worker is running it.
     Running,
-    /// Done; `message` says what came out.
+    /// Finished. `message` describes the result.
     Succeeded,
-    /// Given up; `error` says why.
+    /// Failed. `error` gives the reason.
     Failed,
-    /// Stopped because somebody asked for it.
+    /// Cancelled by a user.
     Cancelled,
 }
 
 impl JobState {
-    /// Whether it stays so: the job is over.
+    /// Returns whether the state is final.
     #[must_use]
     pub fn is_final(self) -> bool {
         matches!(self, Self::Succeeded | Self::Failed | Self::Cancelled)
@@ -31,7 +31,7 @@ impl JobState {
     const ALL: [Self; 5] =
         [Self::Queued, Self::Running, Self::Succeeded, Self::Failed, Self::Cancelled];
 
-    /// As it is written everywhere.
+    /// Returns the name of the state in JSON and the database.
     #[must_use]
     pub fn word(self) -> &'static str {
         match self {
@@ -51,45 +51,45 @@ impl TryFrom<String> for JobState {
         Self::ALL
             .into_iter()
             .find(|state| state.word() == word)
-            .ok_or_else(|| format!("{word:?} is no state of a job"))
+            .ok_or_else(|| format!("{word:?} is not a job state"))
     }
 }
 
-/// A job as the outside sees it.
+/// A background job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Job {
-    /// UUIDv7; in order of time.
+    /// UUIDv7, so ids sort by time.
     pub id: String,
-    /// What it does: `parse`, `naming`, `batch`.
+    /// Kind of job: `parse`, `naming`, `batch`.
     pub kind: String,
-    /// What it works on: the id of a scene, or of a batch.
+    /// Id of the scene or batch it works on.
     #[serde(default)]
     pub subject: String,
-    /// Where it stands.
+    /// State of the job.
     pub state: JobState,
-    /// While it waits, and where one job is asked for: how many of its kind were asked for before
-    /// it and wait as well. Keys take turns, so one with few jobs waits for fewer.
+    /// Number of queued jobs of this kind created before this one. Set only for a queued job that
+    /// is requested by id. Keys share the workers fairly, so a key with few jobs may wait for
+    /// fewer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ahead: Option<u32>,
-    /// Step it is in.
+    /// Current stage.
     pub stage: Option<String>,
-    /// `0..=1`.
+    /// Progress, `0..=1`.
     pub progress: f32,
-    /// Estimated seconds left; `null` while too little is done to tell.
+    /// Estimated remaining seconds. `null` while unknown.
     pub eta_s: Option<f32>,
-    /// How often it was started; 0 while it waits for the first time, or when its result was there
-    /// already.
+    /// Number of starts. 0 while it waits for the first start, or if the result already existed.
     pub attempts: u32,
-    /// What came out of it, in a sentence.
+    /// Result, one sentence.
     pub message: Option<String>,
     /// Why it failed.
     pub error: Option<JobError>,
-    /// When it was asked for, RFC 3339 UTC.
+    /// Creation time, RFC 3339 UTC.
     pub created_at: String,
-    /// When the latest attempt began, RFC 3339 UTC; `null` while it waits for its turn.
+    /// Start time of the latest attempt, RFC 3339 UTC. `null` while queued.
     pub started_at: Option<String>,
-    /// When it ended, however it did, RFC 3339 UTC; `null` until then.
+    /// End time, RFC 3339 UTC. `null` until then.
     pub finished_at: Option<String>,
 }
 
@@ -97,19 +97,19 @@ pub struct Job {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct JobList {
-    /// Newest first.
+    /// Jobs, newest first.
     pub jobs: Vec<Job>,
-    /// `cursor` of the next page; `null` on the last.
+    /// Cursor of the next page. `null` on the last page.
     pub next_cursor: Option<String>,
 }
 
-/// Why a job, or an item of a batch, failed; `code` is stable.
+/// Error of a job or of a batch item. `code` is stable.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct JobError {
-    /// Stable, like the codes of problems; `interrupted` when the server stopped too often while
-    /// the job ran.
+    /// Stable code, like the codes of problems. `interrupted` if the server stopped too often
+    /// during the job.
     pub code: String,
-    /// For people: names the file, frame or model at fault.
+    /// Description for people that names the file, frame or model.
     pub detail: String,
 }

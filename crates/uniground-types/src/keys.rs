@@ -1,25 +1,25 @@
-//! Keys of callers, and what was done with them.
+//! API keys and the audit log.
 
 use serde::{Deserialize, Serialize};
 
-/// What a key lets its holder do; each includes those before it.
+/// Scope of a key. Each scope includes the previous ones.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Scope {
-    /// Look at everything, and ask questions.
+    /// View everything and ask questions.
     Read,
-    /// Upload, parse, rename and delete scenes; submit batches; stop jobs.
+    /// Upload, parse, rename and delete scenes, submit batches, cancel jobs.
     Write,
-    /// Make and revoke keys; read what was done with them.
+    /// Create and revoke keys, read the audit log.
     Admin,
 }
 
 impl Scope {
-    /// From the least to the most.
+    /// All scopes, from least to most.
     pub const ALL: [Self; 3] = [Self::Read, Self::Write, Self::Admin];
 
-    /// As it is written everywhere.
+    /// Returns the name of the scope in JSON and the database.
     #[must_use]
     pub fn word(self) -> &'static str {
         match self {
@@ -37,81 +37,80 @@ impl TryFrom<String> for Scope {
         Self::ALL
             .into_iter()
             .find(|scope| scope.word() == word)
-            .ok_or_else(|| format!("{word:?} is no scope"))
+            .ok_or_else(|| format!("{word:?} is not a scope"))
     }
 }
 
-/// A key that is wanted.
+/// A new API key.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct NewKey {
-    /// Who holds it, for people: one line of 1 to 200 characters.
+    /// Name of the holder for display, one line of 1 to 200 characters.
     #[cfg_attr(
         feature = "openapi",
         schema(min_length = 1, max_length = 200, example = "kitchen robot")
     )]
     pub name: String,
-    /// What it lets its holder do.
+    /// Scope of the key.
     pub scope: Scope,
-    /// From then on it is refused, RFC 3339; default: never.
+    /// Expiry time, RFC 3339. Default: never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(format = DateTime))]
     pub expires_at: Option<String>,
-    /// Requests a minute; as many may come at once after a pause. Default: no limit.
+    /// Maximum number of requests per minute, with bursts up to the same number. Default: no limit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(minimum = 1))]
     pub requests_per_minute: Option<u32>,
-    /// Scenes it may have uploaded and not deleted. Default: no limit.
+    /// Maximum number of scenes the key may own. Default: no limit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_scenes: Option<u32>,
-    /// Most that its questions may cost in a day (UTC), US dollars. Default: what the server may
-    /// spend.
+    /// Spending limit for questions per day (UTC), US dollars. Default: the server's limit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(minimum = 0))]
     pub daily_usd: Option<f64>,
 }
 
-/// A key, but for its secret.
+/// An API key without its secret.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Key {
-    /// UUIDv7; in order of time.
+    /// UUIDv7, so ids sort by time.
     pub id: String,
-    /// Who holds it.
+    /// Name of the holder.
     pub name: String,
-    /// How the secret begins: enough to know it again.
+    /// Beginning of the secret, for recognition.
     #[cfg_attr(feature = "openapi", schema(example = "ug_5f1c02ab"))]
     pub prefix: String,
-    /// What it lets its holder do.
+    /// Scope of the key.
     pub scope: Scope,
-    /// From then on it is refused, RFC 3339 UTC; `null`: never.
+    /// Expiry time, RFC 3339 UTC. `null`: never.
     pub expires_at: Option<String>,
-    /// Requests a minute; `null`: no limit.
+    /// Maximum number of requests per minute. `null`: no limit.
     pub requests_per_minute: Option<u32>,
-    /// Scenes it may have uploaded and not deleted; `null`: no limit.
+    /// Maximum number of scenes the key may own. `null`: no limit.
     pub max_scenes: Option<u32>,
-    /// Most that its questions may cost in a day (UTC), US dollars; `null`: what the server may
-    /// spend.
+    /// Spending limit for questions per day (UTC), US dollars. `null`: the server's limit.
     pub daily_usd: Option<f64>,
-    /// What its questions cost today (UTC), US dollars.
+    /// Cost of the key's questions today (UTC), US dollars.
     pub spent_today_usd: f64,
-    /// RFC 3339, UTC.
+    /// Creation time, RFC 3339 UTC.
     pub created_at: String,
-    /// When it was last shown, to the minute, RFC 3339 UTC.
+    /// Time of the last use, to the minute, RFC 3339 UTC. `null`: never used.
     pub last_used_at: Option<String>,
-    /// Since when it is refused, RFC 3339 UTC.
+    /// Time of revocation, RFC 3339 UTC. `null` if not revoked.
     pub revoked_at: Option<String>,
 }
 
-/// A key that was just made.
+/// A newly created key with its secret.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct CreatedKey {
     /// The key.
     #[serde(flatten)]
     pub key: Key,
-    /// What callers show as a bearer token. It is told this once: only its hash is kept.
+    /// The secret that callers send as a bearer token. It is returned only once; the server stores
+    /// only its hash.
     #[cfg_attr(
         feature = "openapi",
         schema(example = "ug_5f1c02ab_HbMQtr0mJm1gwYNeLRuXl5AqLvMvmbfXZ3XWfBnXo6g")
@@ -123,38 +122,38 @@ pub struct CreatedKey {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct KeyList {
-    /// Newest first; revoked ones too.
+    /// Keys, newest first, including revoked ones.
     pub keys: Vec<Key>,
-    /// `cursor` of the next page; `null` on the last.
+    /// Cursor of the next page. `null` on the last page.
     pub next_cursor: Option<String>,
 }
 
-/// Something that was done: a request that changes what is stored.
+/// An entry of the audit log: a request that changed stored data.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct AuditEntry {
-    /// UUIDv7; in order of time.
+    /// UUIDv7, so ids sort by time.
     pub id: String,
-    /// RFC 3339, UTC.
+    /// Time, RFC 3339 UTC.
     pub at: String,
-    /// Whose key; `null`: the server's own key, or nobody's where none is wanted.
+    /// Id of the key. `null` for the server's own key, and without authentication.
     pub key_id: Option<String>,
     /// HTTP method.
     pub method: String,
-    /// What was asked for, without its query.
+    /// Path of the request, without the query.
     pub path: String,
-    /// HTTP status of the answer.
+    /// HTTP status of the response.
     pub status: u16,
-    /// As the header `x-request-id` and the log have it.
+    /// Request id, as in the header `x-request-id` and in the log.
     pub request_id: Option<String>,
 }
 
-/// A page of what was done, newest first.
+/// A page of the audit log, newest first.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct AuditList {
-    /// Newest first.
+    /// Entries, newest first.
     pub entries: Vec<AuditEntry>,
-    /// `cursor` of the next page; `null` on the last.
+    /// Cursor of the next page. `null` on the last page.
     pub next_cursor: Option<String>,
 }

@@ -1,4 +1,4 @@
-//! What scenes are filed under: a building, a floor, a customer.
+//! Labels of scenes, for example a building, a floor or a customer.
 
 use crate::problem::FieldError;
 use std::collections::BTreeMap;
@@ -11,21 +11,22 @@ const LONGEST_NAME: usize = 63;
 const LONGEST_VALUE: usize = 100;
 
 /// # Errors
-/// A [`FieldError`] below `at`: more than 20 labels; a name that is not 1 to 63 letters, digits,
-/// `.`, `_`, `-` and `/`; a value that is not one line of 1 to 100 characters without commas or
-/// blanks around it.
+/// Returns a [`FieldError`] below `at` if there are more than 20 labels, if a name is not 1 to 63
+/// letters, digits, `.`, `_`, `-` and `/`, or if a value is not one line of 1 to 100 characters
+/// without commas or surrounding blanks.
 pub fn check_labels(at: &str, labels: &Labels) -> Result<(), FieldError> {
     if labels.len() > MOST {
         return Err(FieldError::new(
             at,
-            format!("has {} labels, at most {MOST} are kept", labels.len()),
+            format!("has {} labels, must have at most {MOST}", labels.len()),
         ));
     }
     for (name, value) in labels {
         let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"._-/".contains(&byte);
         if !(1..=LONGEST_NAME).contains(&name.len()) || !name.bytes().all(plain) {
             let detail = format!(
-                "{name:?} is no name of a label: 1 to {LONGEST_NAME} letters, digits, '.', '_', '-' and '/'"
+                "{name:?} is not a label name: use 1 to {LONGEST_NAME} letters, digits, '.', '_', \
+                 '-' and '/'"
             );
             return Err(FieldError::new(at, detail));
         }
@@ -35,7 +36,8 @@ pub fn check_labels(at: &str, labels: &Labels) -> Result<(), FieldError> {
             || value.chars().any(|c| c.is_control() || c == ',')
         {
             let detail = format!(
-                "{name} must be one line of 1 to {LONGEST_VALUE} characters without commas or blanks around it"
+                "{name} must be one line of 1 to {LONGEST_VALUE} characters without commas or \
+                 surrounding blanks"
             );
             return Err(FieldError::new(at, detail));
         }
@@ -43,18 +45,21 @@ pub fn check_labels(at: &str, labels: &Labels) -> Result<(), FieldError> {
     Ok(())
 }
 
-/// Labels as parameters and flags have them: `building=A,floor=2`.
+/// Parses labels from a query parameter or a flag: `building=A,floor=2`.
 ///
 /// # Errors
-/// As [`check_labels`]; a part without `=`, and a name that stands twice.
+/// Returns the errors of [`check_labels`], and an error for a part without `=` or a repeated name.
 pub fn read_labels(at: &str, text: &str) -> Result<Labels, FieldError> {
     let mut labels = Labels::new();
     for part in text.split(',') {
         let Some((name, value)) = part.split_once('=') else {
-            return Err(FieldError::new(at, format!("{part:?} is no label: building=A,floor=2")));
+            return Err(FieldError::new(
+                at,
+                format!("{part:?} is not a label: use name=value, like building=A,floor=2"),
+            ));
         };
         if labels.insert(name.trim().to_owned(), value.trim().to_owned()).is_some() {
-            return Err(FieldError::new(at, format!("{} stands there twice", name.trim())));
+            return Err(FieldError::new(at, format!("{} is given twice", name.trim())));
         }
     }
     check_labels(at, &labels)?;

@@ -1,9 +1,8 @@
-//! The values that cross uniground's borders: what is asked, answered, told and set. The service,
-//! its client and the pipelines of `uniground-core` share them; nothing is computed here beyond
-//! what a value knows of itself.
+//! Types of uniground's public interface: requests, answers, settings and errors. The service, its
+//! client and the pipelines of `uniground-core` share them.
 //!
-//! Lengths are metres in a right-handed world with Z up, boxes are centre and full extent. With the
-//! feature `openapi` every type describes itself for an OpenAPI document.
+//! Lengths are in meters in a right-handed world frame with Z up. Boxes have a center and a full
+//! extent. The feature `openapi` adds OpenAPI schemas.
 
 #![warn(missing_docs)]
 

@@ -1,18 +1,18 @@
-//! Links that work without a key for a while: for `<img>`, `EventSource` and downloads, which can
-//! show none.
+//! Signed links that work without a key for a limited time: for `<img>`, `EventSource` and
+//! downloads, which cannot send a key.
 
 use serde::{Deserialize, Serialize};
 
-/// What is to be read without a key.
+/// Paths to access without a key.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct LinkRequest {
-    /// Paths of this server below `/v1/`, 1 to 500. One that ends in `/*` stands for everything
-    /// below it, like `/v1/scenes/{scene_id}/*`.
+    /// 1 to 500 paths of this server below `/v1/`. A path that ends in `/*`, like
+    /// `/v1/scenes/{scene_id}/*`, covers everything below it.
     #[cfg_attr(feature = "openapi", schema(min_items = 1, max_items = 500, example = json!(["/v1/scenes/01a1ff70-0000-7000-8000-000000000001/*"])))]
     pub paths: Vec<String>,
-    /// How long they work, seconds.
+    /// Validity of the links, seconds, 10 to 86400. Default: 600.
     #[serde(default = "ten_minutes")]
     #[cfg_attr(feature = "openapi", schema(minimum = 10, maximum = 86_400, default = 600))]
     pub expires_in_s: u32,
@@ -22,17 +22,17 @@ fn ten_minutes() -> u32 {
     600
 }
 
-/// A link, and until when it works.
+/// A signed link.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Link {
-    /// As it was asked for.
+    /// The requested path.
     pub path: String,
-    /// What makes it work: the query parameter `link` of any path it stands for.
+    /// Signature, sent as the query parameter `link` with any covered path.
     pub token: String,
-    /// The path with its token; `null` where the path stands for several.
+    /// The path with its token. `null` if the path covers several paths.
     pub url: Option<String>,
-    /// RFC 3339 UTC.
+    /// Expiry time, RFC 3339 UTC.
     pub expires_at: String,
 }
 
@@ -40,6 +40,6 @@ pub struct Link {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct LinkList {
-    /// One for each path.
+    /// One link for each requested path.
     pub links: Vec<Link>,
 }

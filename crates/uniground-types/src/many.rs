@@ -1,4 +1,4 @@
-//! Questions about many scenes: in which room is it?
+//! Questions about many scenes.
 
 use crate::answer::Answer;
 use crate::labels::{Labels, check_labels};
@@ -7,9 +7,9 @@ use crate::question::{GroundRequest, ReasonerChoice};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Most scenes that are answered in full.
+/// Maximum number of scenes that are answered in full.
 const MOST_ANSWERS: u32 = 20;
-/// Most scenes that one question names, and that are looked into one by one.
+/// Maximum number of scenes that a question may name, and that are searched one by one.
 pub const MOST_SCENES: usize = 1000;
 
 /// A question about many scenes.
@@ -17,33 +17,33 @@ pub const MOST_SCENES: usize = 1000;
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ManyGroundRequest {
-    /// What to find, in plain English.
+    /// Description of the object in English, 1 to 1000 characters.
     #[cfg_attr(
         feature = "openapi",
         schema(min_length = 1, max_length = 1000, example = "the red mug")
     )]
     pub query: String,
-    /// Ids of the scenes to look in; left out: all.
+    /// Ids of the scenes to search. If omitted, all scenes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(min_items = 1, max_items = 1000))]
     pub scenes: Option<Vec<String>>,
-    /// Of those, only scenes with all of these labels.
+    /// Only search scenes with all of these labels.
     #[serde(default)]
     pub labels: BTreeMap<String, String>,
-    /// How many scenes are answered in full: those that most likely have it.
+    /// Number of scenes answered in full, the most likely ones. 1 to 20. Default: 3.
     #[serde(default = "default_top_k")]
     #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 20, default = 3))]
     pub top_k: u32,
-    /// Who decides in those.
+    /// Reasoner for these answers.
     #[serde(default)]
     pub reasoner: ReasonerChoice,
-    /// Least belief for a `grounded` answer, as in a question about one scene.
+    /// Minimum confidence of a `grounded` answer, as in a question about one scene.
     #[cfg_attr(feature = "openapi", schema(minimum = 0, maximum = 1))]
     pub min_confidence: Option<f32>,
-    /// Most all of it may cost, US dollars. 0: no model is asked.
+    /// Spending limit for the whole search, US dollars. 0: no model is called.
     #[cfg_attr(feature = "openapi", schema(minimum = 0))]
     pub max_cost_usd: Option<f64>,
-    /// Give up after this many seconds.
+    /// Timeout, seconds, at most 3600.
     #[cfg_attr(feature = "openapi", schema(exclusive_minimum = 0, maximum = 3600))]
     pub timeout_s: Option<f32>,
 }
@@ -53,7 +53,7 @@ fn default_top_k() -> u32 {
 }
 
 impl ManyGroundRequest {
-    /// A question about all scenes, with everything else at its default.
+    /// Creates a question about all scenes with default options.
     #[must_use]
     pub fn of(query: impl Into<String>) -> Self {
         Self {
@@ -68,7 +68,7 @@ impl ManyGroundRequest {
         }
     }
 
-    /// What one scene is asked.
+    /// Returns the question for a single scene.
     #[must_use]
     pub fn of_one(&self) -> GroundRequest {
         GroundRequest {
@@ -76,14 +76,14 @@ impl ManyGroundRequest {
             min_confidence: self.min_confidence,
             max_cost_usd: self.max_cost_usd,
             timeout_s: self.timeout_s,
-            // Scenes of today and of a year ago are looked into together.
+            // Scenes may have been parsed with different encoders.
             allow_builtin: true,
             ..GroundRequest::of(&self.query)
         }
     }
 
     /// # Errors
-    /// A [`FieldError`] naming the field.
+    /// Returns a [`FieldError`] that names the field.
     pub fn check(&self) -> Result<(), FieldError> {
         self.of_one().check()?;
         check_labels("/labels", &self.labels)?;
@@ -92,56 +92,56 @@ impl ManyGroundRequest {
         }
         match self.scenes.as_ref().map(Vec::len) {
             Some(0) => {
-                Err(FieldError::new("/scenes", "must name a scene; leave it out to look in all"))
+                Err(FieldError::new("/scenes", "must name a scene; omit it to search all scenes"))
             }
             Some(named) if named > MOST_SCENES => Err(FieldError::new(
                 "/scenes",
-                format!("names {named} scenes, at most {MOST_SCENES}"),
+                format!("names {named} scenes, must name at most {MOST_SCENES}"),
             )),
             _ => Ok(()),
         }
     }
 }
-/// What came of a question about many scenes.
+/// Result of a question about many scenes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ManyAnswers {
-    /// As asked.
+    /// The query, unchanged.
     pub query: String,
-    /// How many scenes were looked into.
+    /// Number of searched scenes.
     pub looked_into: u32,
-    /// More than 1,000 scenes were meant: those were looked into that most likely have it, by what
-    /// their things are called.
+    /// Whether the search was limited to the 1,000 most likely scenes, selected by the names of
+    /// their objects.
     #[serde(default)]
     pub narrowed: bool,
-    /// Best first: what is grounded before what is ambiguous, uncertain, or not there; then by
+    /// Answers, best first: grounded, then ambiguous, uncertain and no match; within these by
     /// confidence.
     pub answers: Vec<SceneAnswer>,
-    /// Scenes that could not be asked, and why: those that are not parsed yet, for the most part.
+    /// Scenes that could not be searched, with the reason. Most of them are not parsed yet.
     pub not_asked: Vec<NotAsked>,
 }
 
-/// The answer of one of many scenes.
+/// Answer for one scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SceneAnswer {
     /// Name of the scene; its id is in the answer.
     pub scene_name: String,
-    /// Its labels.
+    /// Labels of the scene.
     pub labels: BTreeMap<String, String>,
-    /// As a question about that scene alone is answered; kept, as any.
+    /// The answer, as for a question about this scene alone. It is stored like any answer.
     pub answer: Answer,
 }
 
-/// A scene that could not be asked.
+/// A scene that could not be searched.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct NotAsked {
     /// UUIDv7 of the scene.
     pub scene_id: String,
-    /// The code that a question about this scene alone gets.
+    /// Error code of a question about this scene alone.
     pub code: String,
-    /// What that means.
+    /// Description of the error.
     pub detail: String,
 }
 

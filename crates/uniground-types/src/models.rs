@@ -2,12 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
-/// What a model is for.
+/// Role of a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
-    /// Cuts pictures into masks.
+    /// Segments pictures into masks.
     Masks,
     /// Compares pictures and words.
     Encoder,
@@ -22,25 +22,26 @@ impl std::fmt::Display for Role {
     }
 }
 
-/// A model in use, as told to callers.
+/// A loaded model.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct LoadedModel {
     /// Name of the bundle.
     pub name: String,
-    /// Which part of the work it does.
+    /// Role of the model.
     pub role: Role,
-    /// SHA-256 over the bundle's files; of the manifest and the server's models where those run
-    /// elsewhere.
+    /// SHA-256 over the bundle's files. On an inference server: over the manifest and the server's
+    /// models.
     pub fingerprint: String,
-    /// `cpu`, `cuda`, `tensorrt`, `coreml`, or the inference server's address.
+    /// Device or server that runs it: `cpu`, `cuda`, `tensorrt`, `coreml`, or the address of the
+    /// inference server.
     pub runs_on: String,
-    /// The library that computes; none where networks run elsewhere.
+    /// Name and version of the inference library. `null` on an inference server.
     pub library: Option<String>,
-    /// Dimensions of an embedding; none for masks.
+    /// Dimensions of an embedding. `null` for segmentation models.
     pub dimensions: Option<usize>,
-    /// Pictures, or prompts, per call.
+    /// Batch size: pictures or prompts per call.
     pub batch: usize,
-    /// As the bundle's manifest states it; empty where it does not.
+    /// License from the bundle's manifest. Empty if not stated.
     pub licence: String,
 }

@@ -1,19 +1,20 @@
-//! Checks of the numbers in a request: each refuses what is not finite, and names the field.
+//! Checks of numbers in requests. Each check rejects values that are not finite and names the
+//! field.
 //!
-//! Query parameters and the command line take the words `NaN` and `inf` for numbers, and a large
-//! number in JSON is an infinite `f32`.
+//! Query parameters and the command line accept `NaN` and `inf` as numbers, and a large number in
+//! JSON becomes an infinite `f32`.
 
 use crate::problem::FieldError;
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 
-/// The farthest coordinate from the origin that is accepted, whatever its unit.
+/// Maximum absolute value of a coordinate, in any unit.
 const FARTHEST: f64 = 1e9;
 
 /// Checks that a number is in a range.
 ///
 /// # Errors
-/// A [`FieldError`] naming the field.
+/// Returns a [`FieldError`] that names the field.
 pub fn in_range<T: PartialOrd + Display>(
     pointer: &str,
     value: T,
@@ -30,7 +31,7 @@ pub fn in_range<T: PartialOrd + Display>(
 /// Checks that a number is above zero and at most `most`.
 ///
 /// # Errors
-/// A [`FieldError`] naming the field.
+/// Returns a [`FieldError`] that names the field.
 pub fn above_zero<T: PartialOrd + Display + Default>(
     pointer: &str,
     value: T,
@@ -45,7 +46,7 @@ pub fn above_zero<T: PartialOrd + Display + Default>(
 /// Checks that a number is finite and not negative.
 ///
 /// # Errors
-/// A [`FieldError`] naming the field.
+/// Returns a [`FieldError`] that names the field.
 pub fn zero_or_more(pointer: &str, value: f64) -> Result<(), FieldError> {
     match value.is_finite() && value >= 0.0 {
         true => Ok(()),
@@ -56,7 +57,7 @@ pub fn zero_or_more(pointer: &str, value: f64) -> Result<(), FieldError> {
 /// Checks that a number is finite.
 ///
 /// # Errors
-/// A [`FieldError`] naming the field.
+/// Returns a [`FieldError`] that names the field.
 pub fn finite(pointer: &str, value: f64) -> Result<(), FieldError> {
     match value.is_finite() {
         true => Ok(()),
@@ -67,7 +68,7 @@ pub fn finite(pointer: &str, value: f64) -> Result<(), FieldError> {
 /// Checks that coordinates lie within a billion units of the origin.
 ///
 /// # Errors
-/// A [`FieldError`] naming the field.
+/// Returns a [`FieldError`] that names the field.
 pub fn coordinates(pointer: &str, values: &[f64]) -> Result<(), FieldError> {
     match values.iter().all(|value| value.abs() <= FARTHEST) {
         true => Ok(()),

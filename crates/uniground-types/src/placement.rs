@@ -1,5 +1,5 @@
-//! Other coordinates than the scene's: those of the files that were uploaded, and those of
-//! somebody's map. And who stands there.
+//! Transforms between the scene's frame, the frame of the uploaded files and the frame of a map,
+//! and the observer of a question.
 
 use crate::geometry::boxes::OrientedBox;
 use crate::numbers;
@@ -8,120 +8,120 @@ use crate::scene::{InstanceId, SourceToScene};
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Whose coordinates a question and its answer's boxes are in. The scene's own are told in any
-/// case.
+/// Frame of a question's observer, and additional frame of the answer's boxes. Boxes in the scene's
+/// frame are always returned.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum FrameChoice {
-    /// The scene's: metres, Z up.
+    /// The scene's frame: meters, Z up.
     #[default]
     Scene,
-    /// Those of the files that were uploaded, in their units (`import.source_to_scene`).
+    /// The frame of the uploaded files, in their units (`import.source_to_scene`).
     Source,
-    /// Those of the map that the scene lies in (`scene_to_map`).
+    /// The frame of the scene's map (`scene_to_map`).
     Map,
 }
 
-/// Somebody who stands in the room.
+/// An observer in the room.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Observer {
-    /// Metres, world frame (Z up), unless a question's `frame` says otherwise.
+    /// Position, meters. World frame (Z up) unless the question sets another `frame`.
     pub position: [f64; 3],
-    /// Direction of view about +Z, radians; 0 looks along +X.
+    /// View direction about +Z, radians. 0 looks along +X.
     pub yaw_rad: f32,
 }
 
-/// Where a scene lies in somebody's map: `map = rotation * scene + translation_m`, in metres on
-/// both sides.
+/// Transform from the scene to a map: `map = rotation * scene + translation_m`, with meters in both
+/// frames.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SceneToMap {
-    /// Unit quaternion `x, y, z, w`, as ROS has it.
+    /// Unit quaternion `x, y, z, w`, in the order of ROS.
     #[cfg_attr(feature = "openapi", schema(example = json!([0.0, 0.0, 0.0, 1.0])))]
     pub rotation: [f64; 4],
-    /// Metres, in the map's axes.
+    /// Translation in the map's axes, meters.
     #[cfg_attr(feature = "openapi", schema(example = json!([1.5, -2.0, 0.0])))]
     pub translation_m: [f64; 3],
 }
 
-/// How far from 1 the length of a quaternion may be that somebody has rounded.
+/// Tolerance for the length of a quaternion, which may be rounded.
 const ROUNDED: f64 = 1e-3;
 
 impl SceneToMap {
     /// # Errors
-    /// A [`FieldError`] below `/scene_to_map`.
+    /// Returns a [`FieldError`] below `/scene_to_map`.
     pub fn check(&self) -> Result<(), FieldError> {
         let length = self.rotation.iter().map(|v| v * v).sum::<f64>().sqrt();
         if !(length.is_finite() && (length - 1.0).abs() <= ROUNDED) {
             return Err(FieldError::new(
                 "/scene_to_map/rotation",
-                "it must be a unit quaternion x, y, z, w",
+                "must be a unit quaternion x, y, z, w",
             ));
         }
         numbers::coordinates("/scene_to_map/translation_m", &self.translation_m)
     }
 }
 
-/// From a scene's coordinates to others: `other = scale * rotation * scene + translation`.
+/// Transform from the scene to another frame: `other = scale * rotation * scene + translation`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SceneToFrame {
     /// Unit quaternion `x, y, z, w`.
     pub rotation: [f64; 4],
-    /// In units of the other coordinates.
+    /// Translation in the units of the other frame.
     pub translation: [f64; 3],
-    /// Units of the other coordinates to a metre; 1 for maps.
+    /// Units of the other frame per meter. 1 for maps.
     pub scale: f64,
 }
 
-/// The boxes of an answer in the coordinates that were asked for.
+/// The boxes of an answer in the requested frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct InFrame {
     /// `source` or `map`.
     pub frame: FrameChoice,
-    /// What the map's frame is called, the scene's `map_frame_id`; `null` where nobody has said.
+    /// Name of the map frame: the scene's `map_frame_id`. `null` if not set.
     pub frame_id: Option<String>,
-    /// When this was told; with `frame_id` the header of a ROS message. Absent in answers given
-    /// before it was.
+    /// Time of the answer. Together with `frame_id`, it forms the header of a ROS message. Absent
+    /// in answers from older versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stamp: Option<Stamp>,
-    /// From the scene's coordinates to these: for everything else the answer tells.
+    /// Transform from the scene's frame to this frame, for the other coordinates of the answer.
     pub scene_to_frame: SceneToFrame,
-    /// One for each of `targets`, in their order.
+    /// One box for each of `targets`, in the same order.
     pub boxes: Vec<PlacedBox>,
 }
 
-/// A moment, as `builtin_interfaces/Time` has it.
+/// A time in the format of `builtin_interfaces/Time`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Stamp {
     /// Seconds since 1970, UTC.
     pub sec: i64,
-    /// Nanoseconds on top.
+    /// Nanoseconds within the second.
     pub nanosec: u32,
 }
 
-/// A box anyhow turned. As `vision_msgs/BoundingBox3D` has it.
+/// A box with any orientation, in the format of `vision_msgs/BoundingBox3D`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct PlacedBox {
-    /// The instance it is of.
+    /// Id of the instance.
     pub id: InstanceId,
-    /// Centre, in the frame's units.
+    /// Center, in the units of the frame.
     pub center: [f64; 3],
-    /// Full extent along the box's own axes, in the frame's units.
+    /// Full extent along the box's own axes, in the units of the frame.
     pub size: [f64; 3],
-    /// Turns the box's own axes to the frame's: unit quaternion `x, y, z, w`.
+    /// Rotation from the box's axes to the frame's axes: unit quaternion `x, y, z, w`.
     pub orientation: [f64; 4],
 }
 
 impl SceneToFrame {
-    /// Into the map a scene lies in.
+    /// Returns the transform to a scene's map.
     #[must_use]
     pub fn to_map(to_map: &SceneToMap) -> Self {
         Self {
@@ -131,7 +131,7 @@ impl SceneToFrame {
         }
     }
 
-    /// Back into the files a scene was made of.
+    /// Returns the transform to the uploaded files.
     #[must_use]
     pub fn to_source(from_source: &SourceToScene) -> Self {
         let rotation = Matrix3::from_fn(|row, column| from_source.rotation[row][column]);
@@ -145,14 +145,14 @@ impl SceneToFrame {
         }
     }
 
-    /// A point of the scene in these coordinates.
+    /// Transforms a point from the scene to the other frame.
     #[must_use]
     pub fn apply(&self, scene: [f64; 3]) -> [f64; 3] {
         (turn(self.rotation) * Vector3::from(scene) * self.scale + Vector3::from(self.translation))
             .into()
     }
 
-    /// A point of these coordinates in the scene.
+    /// Transforms a point from the other frame to the scene.
     #[must_use]
     pub fn invert(&self, other: [f64; 3]) -> [f64; 3] {
         (turn(self.rotation).inverse()
@@ -160,7 +160,7 @@ impl SceneToFrame {
             .into()
     }
 
-    /// A box of the scene in these coordinates.
+    /// Transforms a box from the scene to the other frame.
     #[must_use]
     pub fn place(&self, id: InstanceId, of: &OrientedBox) -> PlacedBox {
         PlacedBox {
@@ -171,15 +171,15 @@ impl SceneToFrame {
         }
     }
 
-    /// Turns the axes of what stands upright in the scene, turned by an angle about its Z, to these
-    /// coordinates: unit quaternion `x, y, z, w`.
+    /// Returns the rotation of an upright object with a yaw in the scene, as a unit quaternion `x,
+    /// y, z, w` in the other frame.
     #[must_use]
     pub fn facing(&self, yaw_rad: f64) -> [f64; 4] {
         told(&(turn(self.rotation) * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad)))
     }
 
-    /// Somebody who stands in these coordinates, in the scene. Where they are tilted, the direction
-    /// of view is that seen from above.
+    /// Transforms an observer from the other frame to the scene. If the frames are tilted, projects
+    /// the view direction to the floor plane.
     #[must_use]
     pub fn observer(&self, other: &Observer) -> Observer {
         let yaw = f64::from(other.yaw_rad);
@@ -192,7 +192,7 @@ fn turn([x, y, z, w]: [f64; 4]) -> UnitQuaternion<f64> {
     UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
 }
 
-/// As `x, y, z, w`, of the two that turn alike the one with a positive `w`.
+/// Returns the quaternion as `x, y, z, w`, with the sign that makes `w` positive.
 fn told(turn: &UnitQuaternion<f64>) -> [f64; 4] {
     let sign = if turn.w < 0.0 { -1.0 } else { 1.0 };
     [turn.i, turn.j, turn.k, turn.w].map(|v| sign * v + 0.0)
@@ -230,7 +230,7 @@ mod tests {
                 && near(placed.orientation, [0.0, 0.0, S, S], 1e-6),
             "{placed:?}"
         );
-        // Who looks along the map's Y looks along the scene's X.
+        // Looking along the map's Y is looking along the scene's X.
         let observer = map.observer(&Observer { position: [10.0, 1.0, 1.5], yaw_rad: FRAC_PI_2 });
         assert!(
             near(observer.position, [1.0, 0.0, 1.0], 1e-5) && observer.yaw_rad.abs() < 1e-6,
@@ -279,7 +279,7 @@ mod tests {
     }
 
     proptest! {
-        /// The corners of a box are where the corners of the placed one are.
+        /// The transformed box has the transformed corners.
         #[test]
         fn a_placed_box_is_the_same_box(q in prop::array::uniform4(-1.0..1.0_f64), t in prop::array::uniform3(-1e3..1e3_f64), yaw in -0.7..0.7_f32) {
             prop_assume!(q.iter().map(|v| v * v).sum::<f64>() > 0.1);

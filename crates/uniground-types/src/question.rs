@@ -1,12 +1,12 @@
-//! What may be asked, and how.
+//! Questions and their options.
 
 use crate::numbers;
 pub use crate::placement::{FrameChoice, Observer};
 use crate::problem::FieldError;
 use serde::{Deserialize, Serialize};
 
-/// `min_confidence` where the request leaves it out: four of five grounded answers are right where
-/// things were named by somebody who looked (docs/EVALUATION.md).
+/// Default of `min_confidence`. About four of five grounded answers with at least this confidence
+/// are correct if a model or a person named the objects (docs/EVALUATION.md).
 pub const DEFAULT_MIN_CONFIDENCE: f32 = 0.5;
 
 const MAX_QUERY_CHARS: usize = 1000;
@@ -15,43 +15,43 @@ const MAX_TOP_K: u32 = 100;
 
 const MAX_TIMEOUT_S: f32 = 3600.0;
 
-/// Candidates that contact sheets show at least.
+/// Minimum number of candidates on contact sheets.
 const ON_SHEETS: u32 = 24;
 
-/// Who decides.
+/// The reasoner that decides.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ReasonerChoice {
-    /// A vision-language model when one is configured, else the built-in reasoner.
+    /// The vision-language model if one is configured, else the built-in reasoner.
     #[default]
     Auto,
-    /// The configured vision-language model; where it can not be asked, the request fails.
+    /// The configured vision-language model. The request fails if it cannot be called.
     Vlm,
-    /// Geometry, names and appearance: no call, no cost, unless a model is to read (`parser`).
+    /// Geometry, names and appearance. No model calls and no cost, unless `parser` requests a
+    /// model.
     Builtin,
 }
 
-/// Who reads the question.
+/// The parser of the question.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ParserChoice {
-    /// Grammar and lexicon; where they did not understand all of it and a model is configured, one
-    /// call to that. Never a call where the built-in reasoner is asked to decide; the grammar's
-    /// reading stands where the model can not be asked, told in the trace.
+    /// The built-in grammar and lexicon. If they do not understand the whole question, one call to
+    /// the configured model. No call if `reasoner` is `builtin`. If the call fails, the grammar's
+    /// result is used and the trace records it.
     #[default]
     Auto,
-    /// Grammar and lexicon: no call, no cost.
+    /// The built-in grammar and lexicon. No model calls and no cost.
     Builtin,
-    /// One call to the configured model; the grammar where its answer can not be used, told in the
-    /// trace.
+    /// One call to the configured model. If its reply cannot be used, the grammar's result is used
+    /// and the trace records it.
     Vlm,
 }
 
 impl ParserChoice {
-    /// Who reads where `reasoner` decides: who wants no model to decide gets none to read, unless
-    /// they ask for one.
+    /// Returns the effective parser. `auto` becomes `builtin` if the reasoner is `builtin`.
     #[must_use]
     pub fn beside(self, reasoner: ReasonerChoice) -> Self {
         match (self, reasoner) {
@@ -61,59 +61,59 @@ impl ParserChoice {
     }
 }
 
-/// Parts of an answer that can be left out of the reply.
+/// Optional parts of an answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Include {
-    /// The best instances, with rank, score and box.
+    /// The best instances with rank, score and box.
     Candidates,
-    /// Paths of the pictures that go with the answer.
+    /// Paths of the pictures used as evidence.
     Evidence,
-    /// Calls of models and what was corrected.
+    /// Model calls and corrections.
     Trace,
 }
 
-/// Parts of the paper's prompt left out; only a vision-language model has a prompt.
+/// Parts of the paper's prompt to omit. Applies only to a vision-language model.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Ablation {
-    /// Nothing is left out.
+    /// Omits nothing.
     #[default]
     Full,
-    /// No render of the room from above.
+    /// Omits the render of the room from above.
     NoGlobal,
-    /// No photographs of the candidates, and no names given from them.
+    /// Omits the photographs of the candidates and the names derived from them.
     NoCandidate,
-    /// Pictures, candidates and the question alone: no directions, anchors, steps or format.
+    /// Keeps only pictures, candidates and the question. Omits directions, anchors, steps and the
+    /// output format.
     SimplePrompt,
-    /// The simple prompt with one render of the room as it is, without boxes, words or photographs
+    /// The simple prompt with one plain render of the room, without boxes, labels or photographs
     /// (the paper's naive diagnostic).
     RawRender,
-    /// No closed loop: what the model says first is not asked about again.
+    /// Disables the closed loop: the first reply is final.
     NoLoop,
 }
 
-/// Who chooses the candidates: what a vision-language model is shown and may choose from.
+/// Source of the candidates that a vision-language model is shown and can choose from.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum CandidateSource {
-    /// Names somebody gave, the encoder, measures and the geometry of relations together; no walls
-    /// or floors unless asked for.
+    /// Combines given names, the encoder, measurements and spatial relations. Excludes walls and
+    /// floors unless the question asks for them.
     #[default]
     Fused,
-    /// The paper's: how alike an instance's looks and the question's words are (`query_text`), and
-    /// nothing else.
+    /// The paper's method: similarity between the appearance of an instance and the words of the
+    /// question (`query_text`) only.
     Encoder,
-    /// The built-in reasoner: what fits the question as it was read, then what stands where it
-    /// says.
+    /// The built-in reasoner: instances that match the parsed question, best location first.
     Reasoner,
 }
 
 impl CandidateSource {
-    /// As requests write it.
+    /// Returns the name in requests.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -124,20 +124,20 @@ impl CandidateSource {
     }
 }
 
-/// What a vision-language model is told.
+/// Version of the prompt for a vision-language model.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum PromptVersion {
-    /// The paper's blocks, with scores of candidates and anchors as predicted.
+    /// The paper's prompt, with scores of candidates and predicted anchors.
     Paper,
-    /// No scores; anchors are shown, may be wrong and may be chosen; what is seen but not listed
-    /// can be told.
+    /// Without scores. Anchors are shown as suggestions and may be chosen, and the model may report
+    /// an object that is not listed.
     #[default]
     Revised,
 }
 
-/// What a vision-language model is shown of the candidates.
+/// Pictures of the candidates that a vision-language model is shown.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
@@ -145,19 +145,18 @@ pub enum EvidenceMode {
     /// Photographs of every candidate with every question, as in the paper.
     #[default]
     Full,
-    /// Names that a model gave once, and a smaller render; photographs only of candidates the
-    /// question can not tell apart by name.
+    /// Cached names from a model and a smaller render. Photographs only of candidates that cannot
+    /// be distinguished by name.
     CachedNames,
-    /// One photograph each of 24 candidates and more, on one or two contact sheets.
+    /// One photograph of each of at least 24 candidates, on one or two contact sheets.
     Sheet,
-    /// Contact sheets first; then, with another call, photographs of the three candidates that
-    /// remain.
+    /// Contact sheets first, then photographs of the best three candidates in a second call.
     TwoStep,
 }
 
 impl EvidenceMode {
-    /// How many candidates are kept where `top_k` are asked for: as many as the contact sheets
-    /// hold, where there are some.
+    /// Returns the number of candidates for a `top_k`. With contact sheets it is at least their
+    /// capacity.
     #[must_use]
     pub fn candidates(self, top_k: u32) -> u32 {
         match self {
@@ -167,34 +166,34 @@ impl EvidenceMode {
     }
 }
 
-/// Which words are compared with instances for the shortlist.
+/// Text that is compared with instances to select candidates.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum QueryText {
     /// The whole sentence.
     Full,
-    /// The target phrase alone: "red chair".
+    /// Only the target phrase: "red chair".
     Target,
-    /// The mean of both, each of unit length: long captions are cut at the tower's context.
+    /// The mean of both embeddings, normalized. Reduces the effect of truncated long sentences.
     #[default]
     Mean,
 }
 
-/// Named conventions. World frame, Z up.
+/// Convention for left, right, front and back. World frame, Z up.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum DirectionConvention {
-    /// The paper's: left = +X, right = -X, front = -Y, back = +Y.
+    /// The paper's convention: left = +X, right = -X, front = -Y, back = +Y.
     #[default]
     Paper,
-    /// Somebody at -Y who looks along +Y: right = +X, front (nearer) = -Y.
+    /// A viewer at -Y who looks along +Y: right = +X, front (nearer) = -Y.
     Viewer,
 }
 
 impl DirectionConvention {
-    /// As requests and answers write it: `paper` or `viewer`.
+    /// Returns the name in requests and answers: `paper` or `viewer`.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -209,109 +208,113 @@ impl DirectionConvention {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct GroundRequest {
-    /// What to find, in plain English.
+    /// Description of the object in English, 1 to 1000 characters.
     #[cfg_attr(
         feature = "openapi",
         schema(min_length = 1, max_length = 1000, example = "the black chair closest to the door")
     )]
     pub query: String,
-    /// Candidates to keep; contact sheets (`evidence`) show 24 at least.
+    /// Maximum number of candidates, 1 to 100. Contact sheets (`evidence`) use at least 24.
+    /// Default: 5.
     #[serde(default = "default_top_k")]
     #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 100, default = 5))]
     pub top_k: u32,
-    /// Who reads the question. `auto`, which it is when left out: the grammar, and the configured
-    /// model where the grammar's reading leaves something open; never the model where
+    /// Parser of the question. Default: `auto`, which uses the grammar, and the configured model
+    /// for questions that the grammar does not fully understand. Never calls the model if
     /// `reasoner` is `builtin`.
     #[serde(default)]
     pub parser: ParserChoice,
-    /// Who decides.
+    /// The reasoner that decides. Default: `auto`.
     #[serde(default)]
     pub reasoner: ReasonerChoice,
-    /// Who chooses the candidates that a vision-language model is shown.
+    /// Source of the candidates for a vision-language model. Default: `fused`.
     #[serde(default)]
     pub candidates: CandidateSource,
-    /// Which words are compared with the instances' looks, where an encoder has seen them.
+    /// Text that is compared with the appearance of instances, if an encoder has processed the
+    /// scene. Default: `mean`.
     #[serde(default)]
     pub query_text: QueryText,
-    /// What a vision-language model is told.
+    /// Version of the prompt for a vision-language model. Default: `revised`.
     #[serde(default)]
     pub prompt: PromptVersion,
-    /// For experiments: what a vision-language model is not told.
+    /// For experiments: parts to omit from the prompt. Default: `full`, which omits nothing.
     #[serde(default)]
     pub ablation: Ablation,
-    /// What a vision-language model is shown of the candidates.
+    /// Pictures of the candidates that a vision-language model is shown. Default: `full`.
     #[serde(default)]
     pub evidence: EvidenceMode,
-    /// What left, right, front and back mean; an `observer` comes before it.
+    /// Convention for left, right, front and back. An `observer` takes precedence. Default:
+    /// `paper`.
     #[serde(default)]
     pub direction_convention: DirectionConvention,
-    /// Left, right, front and back as seen by this observer, and who is meant by "me": "the chair
-    /// closest to me". In the coordinates that `frame` names.
+    /// Observer for left, right, front and back, and for "me" in "the chair closest to me". In the
+    /// coordinates of `frame`.
     pub observer: Option<Observer>,
-    /// Whose coordinates `observer` is in, and boxes are told in beside the scene's own:
-    /// `in_frame` of the answer.
+    /// Frame of `observer`, and additional frame for the boxes (`in_frame` of the answer). Default:
+    /// `scene`.
     #[serde(default)]
     pub frame: FrameChoice,
-    /// Where the encoder fails, or is not the one the scene was parsed with, answer by names and
-    /// measures; the answer is marked `degraded`.
+    /// Whether to answer by names and measurements if the encoder fails or is not the one of the
+    /// parse. The answer is then marked as `degraded`. Default: `false`.
     #[serde(default)]
     pub allow_builtin: bool,
-    /// Least belief for a `grounded` answer, `0..=1`: below it the answer is `uncertain`. Left
-    /// out: 0.5, where four of five are right of what somebody named who looked, two of three
-    /// of what only measures name. 0: nothing is uncertain.
+    /// Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`.
+    /// Default: 0.5, where about four of five answers are correct for objects named by a model or a
+    /// person, and two of three for other objects. 0 disables `uncertain`.
     #[cfg_attr(feature = "openapi", schema(minimum = 0, maximum = 1))]
     pub min_confidence: Option<f32>,
-    /// Optional parts to send back; all when left out.
+    /// Optional parts to return. Default: all.
     pub include: Option<Vec<Include>>,
-    /// Most this question may cost, US dollars; the built-in reasoner costs nothing. 0: no model
-    /// is asked.
+    /// Spending limit for this question, US dollars. The built-in reasoner costs nothing. 0: no
+    /// model is called.
     #[cfg_attr(feature = "openapi", schema(minimum = 0))]
     pub max_cost_usd: Option<f64>,
-    /// Give up after this many seconds.
+    /// Timeout, seconds, at most 3600.
     #[cfg_attr(feature = "openapi", schema(exclusive_minimum = 0, maximum = 3600))]
     pub timeout_s: Option<f32>,
 }
 
-/// A query for candidates only.
+/// A query that returns only candidates.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ShortlistRequest {
-    /// What to find, in plain English.
+    /// Description of the object in English, 1 to 1000 characters.
     #[cfg_attr(
         feature = "openapi",
         schema(min_length = 1, max_length = 1000, example = "the black chair")
     )]
     pub query: String,
-    /// Most candidates to send back; fewer when fewer fit.
+    /// Maximum number of candidates, 1 to 100. Default: 5.
     #[serde(default = "default_top_k")]
     #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 100, default = 5))]
     pub top_k: u32,
-    /// Which words are compared with the instances, where an encoder has seen them.
+    /// Text that is compared with the instances, if an encoder has processed the scene. Default:
+    /// `mean`.
     #[serde(default)]
     pub query_text: QueryText,
-    /// Who chooses. By default the encoder, where one has seen the scene.
+    /// Source of the candidates. Default: `encoder`, if one has processed the scene.
     #[serde(default = "by_encoder")]
     #[cfg_attr(feature = "openapi", schema(default = "encoder"))]
     pub candidates: CandidateSource,
-    /// Scores are likelihoods against a vocabulary instead of cosines.
+    /// Whether scores are likelihoods against a vocabulary instead of cosines. Default: `false`.
     #[serde(default)]
     pub calibrated: bool,
-    /// Where the encoder fails, or is not the one the scene was parsed with, rank by names and
-    /// measures.
+    /// Whether to rank by names and measurements if the encoder fails or is not the one of the
+    /// parse. Default: `false`.
     #[serde(default)]
     pub allow_builtin: bool,
 }
 
 impl ShortlistRequest {
     /// # Errors
-    /// A [`FieldError`] naming the field.
+    /// Returns a [`FieldError`] that names the field.
     pub fn check(&self) -> Result<(), FieldError> {
         check_query(&self.query)?;
         check_top_k(self.top_k)
     }
 
-    /// A query with everything else at its default.
+    /// Creates a query with default options.
     #[must_use]
     pub fn of(query: impl Into<String>) -> Self {
         let (query, top_k) = (query.into(), default_top_k());
@@ -335,7 +338,7 @@ fn default_top_k() -> u32 {
 }
 
 impl GroundRequest {
-    /// A question with everything else at its default.
+    /// Creates a question with default options.
     #[must_use]
     pub fn of(query: impl Into<String>) -> Self {
         Self {
@@ -360,7 +363,7 @@ impl GroundRequest {
     }
 
     /// # Errors
-    /// A [`FieldError`] naming the field.
+    /// Returns a [`FieldError`] that names the field.
     pub fn check(&self) -> Result<(), FieldError> {
         check_query(&self.query)?;
         check_top_k(self.top_k)?;
@@ -384,11 +387,11 @@ pub(crate) fn check_query(query: &str) -> Result<(), FieldError> {
     if characters > MAX_QUERY_CHARS {
         return Err(FieldError::new(
             "/query",
-            format!("has {characters} characters, at most {MAX_QUERY_CHARS} are read"),
+            format!("has {characters} characters, must have at most {MAX_QUERY_CHARS}"),
         ));
     }
     if query.contains('\0') {
-        return Err(FieldError::new("/query", "holds a NUL character, which no text has"));
+        return Err(FieldError::new("/query", "must not contain a NUL character"));
     }
     Ok(())
 }

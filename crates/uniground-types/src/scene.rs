@@ -1,9 +1,9 @@
-//! What is told of a parsed scan: ids, supports, views, reports.
+//! Parts of a parsed scan: ids, supports, views and reports.
 
 use crate::geometry::up_axis::UpAxis;
 use serde::{Deserialize, Serialize};
 
-/// Position of a frame in the scan's own list; stable when frames are skipped.
+/// Index of a frame in the scan's own list. Skipped frames keep their index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(transparent)]
@@ -15,8 +15,8 @@ impl std::fmt::Display for FrameIndex {
     }
 }
 
-/// Number of an instance within its scene, counted from 1: things in falling order of points, then
-/// parts and wholes, best shown first.
+/// Id of an instance within its scene, from 1: objects by descending number of points, then parts
+/// and wholes, best visible first.
 #[derive(
     Debug, Clone, Copy, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize,
 )]
@@ -30,23 +30,23 @@ impl std::fmt::Display for InstanceId {
     }
 }
 
-/// What an instance is among the others. Every point belongs to one thing or none; parts and wholes
-/// overlap them.
+/// Level of an instance. Each point belongs to at most one object. Parts and wholes overlap
+/// objects.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Level {
-    /// One of the pieces the scene is cut into.
+    /// An object: one segment of the scene.
     #[default]
     Thing,
-    /// A piece of a thing that masks show by itself: a drawer, a seat.
+    /// A part of an object that masks show separately: a drawer, a seat.
     Part,
-    /// Several things that masks show as one: blanket and headboard of a bed.
+    /// A group of objects that masks show as one: blanket and headboard of a bed.
     Whole,
 }
 
 impl Level {
-    /// As the API says it: `thing`, `part`, `whole`.
+    /// Returns the name in the API: `thing`, `part`, `whole`.
     #[must_use]
     pub fn word(self) -> &'static str {
         match self {
@@ -57,21 +57,21 @@ impl Level {
     }
 }
 
-/// Part of the building rather than an object in it.
+/// Kind of building element.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Structure {
-    /// A level plane at the bottom of the room.
+    /// A horizontal plane at the bottom of the room.
     Floor,
-    /// A level plane at the top of the room.
+    /// A horizontal plane at the top of the room.
     Ceiling,
-    /// An upright plane at the rim of the room.
+    /// A vertical plane at the boundary of the room.
     Wall,
 }
 
 impl Structure {
-    /// As people and the API say it: `floor`, `ceiling`, `wall`.
+    /// Returns the name in the API: `floor`, `ceiling`, `wall`.
     #[must_use]
     pub fn word(self) -> &'static str {
         match self {
@@ -82,24 +82,24 @@ impl Structure {
     }
 }
 
-/// What an instance rests on.
+/// Support of an instance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(tag = "on", rename_all = "snake_case")]
 pub enum Support {
     /// It stands on the floor.
     Floor,
-    /// It stands on, or in, another instance.
+    /// It stands on or in another instance.
     Instance {
-        /// What carries it.
+        /// Id of the supporting instance.
         id: InstanceId,
     },
-    /// Nothing carries it; it hangs on a wall.
+    /// It hangs on a wall.
     Wall {
-        /// The wall, itself an instance.
+        /// Id of the wall instance.
         id: InstanceId,
     },
-    /// Nothing below or behind it was found.
+    /// No support was found below or behind it.
     Nothing,
 }
 
@@ -114,107 +114,106 @@ impl std::fmt::Display for Support {
     }
 }
 
-/// A picture that shows an instance well.
+/// A frame with a good view of an instance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct View {
-    /// Position of the frame in the scan's own list, from 0.
+    /// Index of the frame in the scan's own list, from 0.
     pub frame: FrameIndex,
-    /// Points of the instance visible in this frame.
+    /// Number of the instance's points that are visible in this frame.
     pub visible_points: u32,
-    /// Tight box of the visible points in the colour picture: left, top, right, bottom, pixels.
+    /// Tight box of the visible points in the color picture: left, top, right, bottom, pixels.
     pub box_px: [u32; 4],
-    /// What of the box shows the instance; left out in parses that were made before it was kept.
+    /// Mask of the instance within the box. Absent in parses from older versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mask: Option<ViewMask>,
 }
 
-/// The photographs of a scan, in its own order.
+/// The photographs of a scan, in their own order.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct FrameList {
-    /// Empty for a scan without frames, and in parses that were made before frames were kept.
+    /// Photographs. Empty for a scan without frames, and for parses from older versions.
     pub frames: Vec<FrameView>,
 }
 
-/// A photograph: pinhole camera and pose.
+/// A photograph with its pinhole camera and pose.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct FrameView {
-    /// Position in the scan's own list, from 0, as views name it; frames left out leave gaps.
+    /// Index in the scan's own list, from 0, as used by views. Skipped frames leave gaps.
     pub index: FrameIndex,
-    /// Columns of the photograph.
+    /// Width of the photograph, pixels.
     pub width: u32,
-    /// Rows of the photograph.
+    /// Height of the photograph, pixels.
     pub height: u32,
     /// Focal length along x, pixels.
     pub fx: f32,
     /// Focal length along y, pixels.
     pub fy: f32,
-    /// Column where the optical axis meets the photograph; 0 is the middle of the first pixel.
+    /// Column of the principal point, pixels. 0 is the center of the first pixel.
     pub cx: f32,
-    /// Row where the optical axis meets the photograph.
+    /// Row of the principal point, pixels. 0 is the center of the first pixel.
     pub cy: f32,
-    /// Takes points of the camera (x right, y down, z forward) to the scene's world (Z up),
-    /// metres; rows of a 4 x 4 matrix.
+    /// Transform from camera (x right, y down, z forward) to world coordinates (Z up), meters. Rows
+    /// of a 4 x 4 matrix.
     pub camera_to_world: [[f32; 4]; 4],
 }
 
-/// A mask over a box, in cells of equal size, as COCO writes run lengths: its tools read it.
+/// A mask over a box with cells of equal size, in COCO's run-length encoding.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ViewMask {
     /// Rows and columns of cells, at most 64 each.
     pub size: [u32; 2],
-    /// Lengths of runs down the columns, outside and inside by turns, in COCO's compressed
-    /// letters.
+    /// Run lengths down the columns, alternating outside and inside, in COCO's compressed format.
     pub counts: String,
 }
 
-/// A name the encoder would give without having heard a question.
+/// A name guess of the encoder, independent of any question.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct NameGuess {
-    /// An English noun of the built-in lexicon.
+    /// An English noun from the built-in lexicon.
     pub name: String,
-    /// How well the name fits and how usual such a thing is, `0..=1`.
+    /// Fit of the name combined with its frequency, `0..=1`.
     pub score: f32,
 }
 
-/// How poses are to be read.
+/// Direction of the poses in the files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum PoseConvention {
-    /// A pose takes points of the camera to the world.
+    /// A pose transforms camera coordinates to world coordinates.
     CameraToWorld,
-    /// A pose takes points of the world to the camera.
+    /// A pose transforms world coordinates to camera coordinates.
     WorldToCamera,
 }
 
-/// From the coordinates of the files that were uploaded to the scene's (metres, Z up): `scene =
-/// rotation * (metres_per_unit * source) + translation_m`. In double precision: what lies at map
-/// coordinates keeps its place.
+/// Transform from the uploaded files to the scene (meters, Z up): `scene = rotation *
+/// (metres_per_unit * source) + translation_m`. Double precision, so that large map coordinates
+/// keep their precision.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SourceToScene {
     /// Rows of a 3x3 rotation matrix.
     pub rotation: [[f64; 3]; 3],
-    /// Metres, in the scene's axes.
+    /// Translation in the scene's axes, meters.
     pub translation_m: [f64; 3],
-    /// Length of one unit of the files, metres.
+    /// Length of one unit of the files, meters.
     pub metres_per_unit: f64,
 }
 
 impl SourceToScene {
-    /// Files that are in the scene's own coordinates.
+    /// Transform of files that use the scene's coordinates.
     pub const IDENTITY: Self = Self {
         rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
         translation_m: [0.0; 3],
         metres_per_unit: 1.0,
     };
 
-    /// A point of the files, in their units, in the scene: metres, Z up.
+    /// Transforms a point from the files, in their units, to the scene: meters, Z up.
     #[must_use]
     pub fn apply(&self, source: [f64; 3]) -> [f64; 3] {
         let m = source.map(|c| c * self.metres_per_unit);
@@ -223,7 +222,7 @@ impl SourceToScene {
         })
     }
 
-    /// A point of the scene (metres, Z up) in the files' own coordinates and units.
+    /// Transforms a point from the scene (meters, Z up) to the files' coordinates and units.
     #[must_use]
     pub fn invert(&self, scene: [f64; 3]) -> [f64; 3] {
         let d: [f64; 3] = std::array::from_fn(|i| scene[i] - self.translation_m[i]);
@@ -233,108 +232,105 @@ impl SourceToScene {
     }
 }
 
-/// How level a scan's world is.
+/// Tilt of a scan's world and its correction.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Levelling {
-    /// Angle between the axis called up in the files and what was found to be up, degrees.
+    /// Angle between the up axis of the files and the estimated up direction, degrees.
     pub tilt_deg: f32,
-    /// Whether the scene was turned by it. Worlds that are level within a few degrees stay as they
-    /// are.
+    /// Whether the scene was rotated to correct the tilt. Small tilts of a few degrees are not
+    /// corrected.
     pub turned: bool,
-    /// Share of the surfaces looked at that are level or upright with it, `0..=1`.
+    /// Share of the examined surfaces that are horizontal or vertical after correction, `0..=1`.
     pub confidence: f32,
-    /// What it was told by, a sentence.
+    /// Evidence for the estimate, one sentence.
     pub evidence: String,
 }
 
-/// What the importer found; part of the scene's public record.
+/// Report of the importer. Part of the scene in the API.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ImportReport {
-    /// Layout that the files were read as: `uniground-scene/1`, `color-depth-pose`, `tum-rgbd` and
-    /// so on.
+    /// Detected layout of the files: `uniground-scene/1`, `color-depth-pose`, `tum-rgbd` and so on.
     pub format: String,
-    /// The axis of the files next to what is up; the stored scene has Z up. Of a tilted world
-    /// `levelling` says the rest.
+    /// Axis of the files that is nearest to up. The stored scene has Z up. `levelling` gives the
+    /// remaining tilt.
     pub up: UpAxis,
-    /// From the files' coordinates to the scene's; `null` in records of before it was kept.
+    /// Transform from the files to the scene. `null` in records from older versions.
     #[serde(default)]
     pub source_to_scene: Option<SourceToScene>,
-    /// How level the world of the files is, and by what that was told; `null` where nothing was
-    /// there to tell by.
+    /// Tilt of the files' world and its evidence. `null` if it could not be estimated.
     #[serde(default)]
     pub levelling: Option<Levelling>,
-    /// Which way the poses of the files were read.
+    /// Direction of the poses in the files.
     pub pose: PoseConvention,
     /// Camera axes of the files: `opencv` or `opengl`.
     pub camera_axes: String,
-    /// Frames that can be used: those left out are not counted.
+    /// Number of usable frames, without skipped ones.
     pub frames: u32,
-    /// Frames left out: their pose is marked as lost (infinite), or a file of theirs is damaged or
-    /// missing. The warnings name them.
+    /// Number of skipped frames: their pose is marked as lost (infinite), or one of their files is
+    /// damaged or missing. The warnings name them.
     pub frames_skipped: u32,
-    /// Points in the archive's own cloud; `null` when the cloud is fused from the frames.
+    /// Number of points in the archive's own cloud. `null` if the cloud is fused from the frames.
     pub cloud_points: Option<u64>,
-    /// Share of sampled points that agree with the depth pictures they project into, `0..=1`;
-    /// `null` where it could not be measured.
+    /// Share of sampled points that agree with the depth pictures they project into, `0..=1`.
+    /// `null` if it could not be measured.
     pub reprojection_agreement: Option<f32>,
-    /// What is odd but was accepted, each with its file or frame.
+    /// Unusual but accepted properties, each with its file or frame.
     pub warnings: Vec<String>,
 }
 
-/// What stage 1 did, for people who want to know what went wrong.
+/// Report of stage 1 (parsing) for diagnosis.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ParseReport {
-    /// Points of the cloud that was parsed.
+    /// Number of points in the parsed cloud.
     pub points: u64,
-    /// Frames looked at, a sample of those imported.
+    /// Number of frames used, a sample of the imported ones.
     pub frames_used: u32,
-    /// Small even patches the cloud was cut into before merging.
+    /// Number of superpoints: small uniform patches of the cloud.
     pub superpoints: u32,
-    /// Things found, structural ones included.
+    /// Number of objects, including building elements.
     pub instances: u32,
-    /// Parts of things, and wholes of several, that masks show beside them.
+    /// Number of parts of objects, and of wholes that group several.
     #[serde(default)]
     pub parts_and_wholes: u32,
-    /// Instances flagged as floor, wall or ceiling.
+    /// Number of instances classified as floor, wall or ceiling.
     pub structural: u32,
-    /// Regions that became no instance because the masks of the frames that see them show
-    /// something else; their points belong to nothing.
+    /// Number of regions rejected because the masks of the frames do not support them. Their points
+    /// belong to no instance.
     #[serde(default)]
     pub dropped: u32,
-    /// Regions that became no instance because they have too few points and no frame shows more of
-    /// them than a few pixels.
+    /// Number of regions rejected because they have too few points and are tiny in all frames.
     #[serde(default)]
     pub specks: u32,
-    /// Instances that no frame shows.
+    /// Number of instances that no frame shows.
     pub without_views: u32,
-    /// What each stage did and took, in order.
+    /// Result and duration of each stage, in order.
     pub stages: Vec<StageReport>,
-    /// What may have made the result worse, a sentence each.
+    /// Possible causes of a worse result, one sentence each.
     pub warnings: Vec<String>,
 }
 
-/// One stage of a parse: what it took and what came out.
+/// Report of one stage of a parse.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct StageReport {
-    /// `import`, `superpoints`, `masks_and_lifting`, `gaps`, `planes`, `merging`, `part_merging`,
-    /// `hierarchy`, `refinement`, `views`, `instances`, or with models `appearance`.
+    /// Name of the stage: `import`, `superpoints`, `masks_and_lifting`, `gaps`, `planes`,
+    /// `merging`, `part_merging`, `hierarchy`, `refinement`, `views`, `instances`, or with models
+    /// `appearance`.
     pub stage: String,
-    /// Wall-clock.
+    /// Wall-clock duration, seconds.
     pub seconds: f32,
-    /// How many came out: points, superpoints, masks over all frames, regions, proposals of parts
-    /// and wholes, instances, sightings of instances.
+    /// Number of results: points, superpoints, masks over all frames, regions, proposed parts and
+    /// wholes, instances, or views of instances.
     #[serde(default)]
     pub produced: u64,
-    /// Whether they were kept from an earlier parse of the scan that got so far under the same
-    /// settings.
+    /// Whether the results come from a checkpoint of an earlier parse with the same settings.
     #[serde(default)]
     pub reused: bool,
-    /// Largest resident memory of the whole process during the stage, 10^6 bytes; `null` where the
-    /// system does not tell.
+    /// Peak resident memory of the process during the stage, 10^6 bytes. `null` if the system does
+    /// not report it.
     #[serde(default)]
     pub peak_memory_mb: Option<u32>,
 }

@@ -1,4 +1,4 @@
-//! Scans and their parses, as callers see them.
+//! Scenes and their parses.
 
 use crate::geometry::boxes::Aabb;
 use crate::geometry::up_axis::UpAxis;
@@ -9,7 +9,7 @@ use crate::settings::{LevellingChoice, ParseModels, ParsePreset, ParseSettings};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
 
-/// How far a scene has come.
+/// Status of a scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
@@ -18,9 +18,9 @@ pub enum SceneStatus {
     Uploaded,
     /// The first parse is queued or running.
     Parsing,
-    /// Questions are answered.
+    /// Ready for questions.
     Ready,
-    /// The only parse so far failed or was cancelled; see `error`.
+    /// The only parse so far failed or was cancelled. See `error`.
     Failed,
 }
 
@@ -28,147 +28,147 @@ pub enum SceneStatus {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SceneCounts {
-    /// Points of the cloud.
+    /// Number of points in the cloud.
     pub points: u64,
-    /// Frames looked at, a sample of those imported.
+    /// Number of frames used, a sample of the imported ones.
     pub frames_used: u32,
-    /// Small even patches the cloud was cut into before merging.
+    /// Number of superpoints: small uniform patches of the cloud.
     pub superpoints: u32,
-    /// Instances found, floor, walls and ceiling included.
+    /// Number of instances, including floor, walls and ceiling.
     pub instances: u32,
 }
 
-/// A scene: one uploaded scan and its current parse.
+/// A scene: an uploaded scan and its current parse.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Scene {
-    /// UUIDv7; in order of time.
+    /// UUIDv7, so ids sort by time.
     pub id: String,
-    /// One line of 1 to 200 characters, given at the upload, taken from the archive, or `scene`.
-    /// Need not be unique.
+    /// Name, one line of 1 to 200 characters: set at the upload, taken from the archive, or
+    /// `scene`. Names may repeat.
     pub name: String,
-    /// Whether questions can be asked.
+    /// Status of the scene.
     pub status: SceneStatus,
-    /// SHA-256 of the uploaded bytes, hex; of a scene that has grown, of what it is made of.
+    /// SHA-256 of the uploaded bytes, hex. If frames were added, a hash over all uploads.
     pub content_hash: String,
-    /// Number of the current parse, from 1; 0 before the first. Questions use the current one
-    /// until a newer is ready.
+    /// Version of the current parse, from 1. 0 before the first. Questions use it until a newer one
+    /// is ready.
     pub parse_version: u32,
-    /// Sizes of the current parse; `null` before the first.
+    /// Sizes of the current parse. `null` before the first.
     pub counts: Option<SceneCounts>,
-    /// Box of all points, world frame (Z up), metres.
+    /// Box of all points; meters, world frame (Z up).
     pub extent: Option<Aabb>,
-    /// Where the scene lies in somebody's map; `null` where nobody has said.
+    /// Transform from the scene to a map. `null` if not set.
     #[serde(default)]
     pub scene_to_map: Option<SceneToMap>,
-    /// What that map's frame is called; `null` where nobody has said.
+    /// Name of the map frame. `null` if not set.
     #[serde(default)]
     pub map_frame_id: Option<String>,
-    /// What the scene is filed under: `building`, `floor`, whatever its owner says.
+    /// Labels, like `building` or `floor`.
     #[serde(default)]
     pub labels: BTreeMap<String, String>,
-    /// What the importer found.
+    /// Report of the importer.
     pub import: Option<ImportReport>,
-    /// What stage 1 did; `null` in lists.
+    /// Report of stage 1 (parsing). `null` in lists.
     pub report: Option<ParseReport>,
-    /// Settings of the current parse, defaults filled in; `null` before the first, and in lists.
+    /// Settings of the current parse, including defaults. `null` before the first parse, and in
+    /// lists.
     pub settings: Option<ParseSettings>,
-    /// Models of the current parse; `null` before the first.
+    /// Models of the current parse. `null` before the first.
     pub models: Option<ParseModels>,
-    /// The latest parse job on this scene.
+    /// Id of the latest parse job of this scene.
     pub job_id: Option<String>,
-    /// Why the latest parse failed; `null` after a cancel.
+    /// Error of the latest parse. `null` after a cancellation.
     pub error: Option<JobError>,
-    /// When it was uploaded, RFC 3339 UTC.
+    /// Upload time, RFC 3339 UTC.
     pub created_at: String,
-    /// When it was last changed, parsed, or asked to be, RFC 3339 UTC.
+    /// Time of the last change or parse request, RFC 3339 UTC.
     pub updated_at: String,
 }
 
-/// One page of scenes.
+/// A page of scenes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SceneList {
-    /// Newest first.
+    /// Scenes, newest first.
     pub scenes: Vec<Scene>,
-    /// Pass as `cursor` for the next page; `null` on the last.
+    /// Cursor of the next page. `null` on the last page.
     pub next_cursor: Option<String>,
 }
 
-/// A new scene and the job that parses it.
+/// A new scene and its parse job.
 #[derive(Debug, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Created {
-    /// As it stands now; with a known `Idempotency-Key`, the scene that key made before.
+    /// The scene. With a known `Idempotency-Key`, the scene of the first request.
     pub scene: Scene,
-    /// `null` when the scan was only stored.
+    /// The parse job. `null` if the scan was only stored.
     pub job: Option<Job>,
 }
 
-/// What is to be different about a scene; what is left out stays.
+/// Changes of a scene. Omitted fields stay unchanged.
 #[derive(Debug, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SceneChange {
-    /// One line of 1 to 200 characters, not blank, without control characters.
+    /// Name, one line of 1 to 200 characters, not blank, without control characters.
     #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 200))]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Where the scene lies in a map: questions may then ask for boxes in it. `null` takes it
-    /// away.
+    /// Transform from the scene to a map. Questions can then request boxes in the map. `null`
+    /// removes it.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<SceneToMap>))]
     #[serde(default, deserialize_with = "said", skip_serializing_if = "Option::is_none")]
     pub scene_to_map: Option<Option<SceneToMap>>,
-    /// What the map's frame is called, as tf has it: a name like a scene's. `null` takes it away.
+    /// Name of the map frame in tf, 1 to 200 characters. `null` removes it.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<String>, min_length = 1, max_length = 200, example = "map"))]
     #[serde(default, deserialize_with = "said", skip_serializing_if = "Option::is_none")]
     pub map_frame_id: Option<Option<String>>,
-    /// What the scene is filed under, all of it: labels that are left out are taken away. At most
-    /// 20; names of 1 to 63 letters, digits, `.`, `_`, `-` and `/`, values of 1 to 100
-    /// characters without commas.
+    /// Labels. They replace all existing labels. At most 20; names of 1 to 63 letters, digits, `.`,
+    /// `_`, `-` and `/`, values of 1 to 100 characters without commas.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub labels: Option<BTreeMap<String, String>>,
 }
 
-/// What a field says, `null` too: a field that is left out says nothing.
+/// Deserializes a field so that `null` and an omitted field differ.
 fn said<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
     deserializer: D,
 ) -> Result<Option<T>, D::Error> {
     T::deserialize(deserializer).map(Some)
 }
 
-/// A scan on the server's own disk.
+/// A scan on the server's disk to import.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ImportRequest {
-    /// A file or folder below the one that the server's operator named, relative to it: whatever
-    /// can be uploaded, a folder unpacked.
+    /// Path of a file or an unpacked folder, relative to the configured import folder. Same formats
+    /// as for uploads.
     #[cfg_attr(
         feature = "openapi",
         schema(min_length = 1, max_length = 4096, example = "monday/kitchen")
     )]
     pub path: String,
-    /// Name of the scene; default: what the archive calls itself.
+    /// Name of the scene. Default: the name in the archive.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 200))]
     pub name: Option<String>,
-    /// `false` only stores the scan.
+    /// `false` stores the scan without parsing it. Default: `true`.
     #[serde(default = "yes")]
     #[cfg_attr(feature = "openapi", schema(default = true))]
     pub parse: bool,
-    /// The axis that points up in the files, for scans that do not say; default: the axis the
+    /// Axis of the files that points up, for scans that do not state it. Default: the axis that the
     /// cameras hold up.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub up: Option<UpAxis>,
-    /// Length of one unit of the files' clouds and poses, metres, for files that are not in
-    /// metres; default: told by their size.
+    /// Length of one unit of the files' clouds and poses, meters. Default: estimated from their
+    /// size.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub metres_per_unit: Option<f64>,
-    /// Whether a world that is tilted is turned level.
+    /// Whether to level a tilted world.
     #[serde(default)]
     pub levelling: LevellingChoice,
-    /// Settings to parse with.
+    /// Preset of the parse settings.
     #[serde(default)]
     pub preset: ParsePreset,
 }
@@ -178,7 +178,7 @@ fn yes() -> bool {
 }
 
 impl ImportRequest {
-    /// Of a file or folder, to be parsed at once with the default settings.
+    /// Creates a request for a file or folder with default options.
     #[must_use]
     pub fn of(path: impl Into<String>) -> Self {
         Self {
@@ -193,37 +193,36 @@ impl ImportRequest {
     }
 }
 
-/// How to parse. An empty object parses with the default settings.
+/// Parse options. An empty object uses the default settings.
 #[derive(Debug, Default, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct ParseRequest {
-    /// What `settings` start from.
+    /// Preset from which `settings` start.
     pub preset: ParsePreset,
-    /// Single values that replace those of the preset, e.g. `{"parsing": {"superpoints":
-    /// {"voxel_m": 0.02}}}`.
+    /// Values that override the preset, e.g. `{"parsing": {"superpoints": {"voxel_m": 0.02}}}`.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<ParseSettings>))]
     pub settings: Option<serde_json::Value>,
 }
 
-/// Everything known about a scene's current parse.
+/// Full report of a scene's current parse.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SceneReport {
     /// UUIDv7 of the scene.
     pub scene_id: String,
-    /// Number of the current parse, from 1.
+    /// Version of the current parse, from 1.
     pub parse_version: u32,
-    /// What the importer found.
+    /// Report of the importer.
     pub import: Option<ImportReport>,
-    /// What every stage did and took.
+    /// Report of each stage.
     pub parse: Option<ParseReport>,
-    /// Settings of the parse, defaults filled in.
+    /// Settings of the parse, including defaults.
     pub settings: Option<ParseSettings>,
-    /// Models the parse was made with.
+    /// Models of the parse.
     pub models: Option<ParseModels>,
-    /// The cloud by superpoint and by instance, and instances over up to three frames; empty for
-    /// parses of old versions.
+    /// Pictures of the cloud by superpoint and by instance, and of instances in up to three frames.
+    /// Empty for parses from older versions.
     pub pictures: Vec<ReportPictureLink>,
 }
 
@@ -231,10 +230,10 @@ pub struct SceneReport {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ReportPictureLink {
-    /// `superpoints`, `instances`, `frame-1` and so on: the file without `.jpg`.
+    /// File name without `.jpg`: `superpoints`, `instances`, `frame-1` and so on.
     pub name: String,
-    /// What it shows.
+    /// Title of the picture.
     pub title: String,
-    /// JPEG, relative to the server.
+    /// URL of the JPEG, relative to the server.
     pub url: String,
 }

@@ -1,58 +1,56 @@
-//! Whether a server is alive and ready, and what it was started with.
+//! Health, readiness and models of a server.
 
 use crate::models::LoadedModel;
 use serde::{Deserialize, Serialize};
 
-/// Whether the process is alive.
+/// Health of the process.
 #[derive(Debug, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Health {
-    /// Always `ok`: a process that answers is alive.
+    /// Always `ok`.
     pub status: String,
     /// Version of the server, like `1.2.3`.
     pub version: String,
 }
 
-/// What the service needs to do its work, each `ok` or what is wrong.
+/// Readiness of the service. Each component is `ok` or describes its problem.
 #[derive(Debug, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Readiness {
-    /// Whether database, folder, disk, workers and inference server are all `ok`; the HTTP status
-    /// is 503 otherwise.
+    /// Whether database, folder, disk, workers and inference server are all `ok`. If not, the HTTP
+    /// status is 503.
     pub ready: bool,
-    /// `ok`, or why the database can not be written.
+    /// `ok`, or why the database cannot be written.
     pub database: String,
-    /// `ok`, or why nothing can be read or written where scans and results are kept.
+    /// `ok`, or why the storage of scans and results cannot be read or written.
     pub blob_folder: String,
-    /// `ok`, or how little room is left.
+    /// `ok`, or the remaining disk space if it is low.
     #[serde(default)]
     pub disk: String,
-    /// `ok`, or `stopped` with the kinds of jobs that are no longer worked on.
+    /// `ok`, or `stopped` with the kinds of jobs that are not processed.
     pub worker: String,
-    /// `ok`, or why the inference server does not answer; absent where networks run in the server
+    /// `ok`, or why the inference server does not respond. Absent if networks run in the server
     /// itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inference_server: Option<String>,
-    /// `ok`, or since when the vision-language model has answered no call; absent where none is
-    /// configured. It does not count for `ready`: built-in parts answer meanwhile.
+    /// `ok`, or the time since when the vision-language model has not responded. Absent if none is
+    /// configured. Does not affect `ready`, because built-in components take over.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vlm: Option<String>,
-    /// Where masks come from.
+    /// Source of 2D masks.
     pub masks: String,
-    /// How instances and words are compared.
+    /// Encoder that compares instances and words.
     pub encoder: String,
-    /// The neural models among these, loaded and run once at the start.
+    /// Loaded neural models. Each was run once at startup.
     pub models: Vec<LoadedModel>,
 }
 
-/// The models a server was started with.
+/// The models of a server.
 #[derive(Debug, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ModelList {
-    /// The neural models that take part in parses and questions; empty when all parts are built
-    /// in.
+    /// Neural models for parses and questions. Empty if only built-in components are used.
     pub models: Vec<LoadedModel>,
-    /// The vision-language model that reasons, by the name its endpoint knows it by; `null` when
-    /// none is configured.
+    /// Name of the vision-language model at its endpoint. `null` if none is configured.
     pub vlm: Option<String>,
 }

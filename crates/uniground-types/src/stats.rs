@@ -1,122 +1,121 @@
-//! What a server holds, does and may spend, in numbers: for people, and for programs without
-//! Prometheus.
+//! Statistics of a server: stored data, jobs, spending and disk usage.
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// A server in numbers.
+/// Statistics of a server.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Stats {
     /// Version of the server, like `1.2.3`.
     pub version: String,
-    /// When it was started, RFC 3339 UTC.
+    /// Start time, RFC 3339 UTC.
     pub started_at: String,
-    /// Whole seconds since then.
+    /// Uptime, whole seconds.
     pub uptime_s: u64,
-    /// What is stored.
+    /// Numbers of stored records.
     pub stored: StoredCounts,
-    /// By kind, in alphabetical order.
+    /// Job statistics per kind, in alphabetical order.
     pub jobs: Vec<JobStats>,
-    /// What models have cost.
+    /// Spending on models.
     pub spending: Spending,
-    /// How much room everything takes.
+    /// Disk usage.
     pub disk: DiskUse,
-    /// How long things are kept.
+    /// Retention settings.
     pub retention: Retention,
 }
 
-/// How many there are of what is stored.
+/// Numbers of stored records.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct StoredCounts {
-    /// Scenes, parsed or not.
+    /// Number of scenes, parsed or not.
     pub scenes: u32,
-    /// Finished parses; scenes with the same content and settings share one.
+    /// Number of finished parses. Scenes with the same content and settings share one.
     pub parses: u32,
-    /// Instances of all parses, of every level.
+    /// Number of instances of all parses and levels.
     pub instances: u32,
-    /// Answers that can be asked for again.
+    /// Number of stored answers.
     pub answers: u32,
-    /// Batches by state: `running`, `paused`, `succeeded`, `cancelled`; one whose job ended early
-    /// counts as running here.
+    /// Number of batches by state: `running`, `paused`, `succeeded`, `cancelled`. A batch whose job
+    /// ended early counts as running.
     pub batches: BTreeMap<String, u32>,
 }
 
-/// Jobs of one kind. Those that are over are kept on record.
+/// Statistics of one kind of job. Finished jobs count until retention removes them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct JobStats {
-    /// What they do: `parse`, `naming`, `batch`.
+    /// Kind of job: `parse`, `naming`, `batch`.
     pub kind: String,
-    /// Whether this server works on them.
+    /// Whether this server runs these jobs.
     pub working: bool,
-    /// Waiting for their turn, or for another try.
+    /// Number of jobs that wait for a worker or a retry.
     pub queued: u32,
-    /// In a worker's hands.
+    /// Number of running jobs.
     pub running: u32,
-    /// Done.
+    /// Number of succeeded jobs.
     pub succeeded: u32,
-    /// Given up.
+    /// Number of failed jobs.
     pub failed: u32,
-    /// Stopped because somebody asked for it.
+    /// Number of cancelled jobs.
     pub cancelled: u32,
-    /// How long ago the oldest that waits was asked for, seconds; `null` where none waits.
+    /// Age of the oldest queued job, seconds. `null` if none is queued.
     pub oldest_queued_s: Option<f64>,
 }
 
-/// What vision-language models have cost, at the prices the server was given.
+/// Spending on vision-language models at the configured prices.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Spending {
-    /// The day, UTC.
+    /// Day, UTC.
     pub day: String,
-    /// Spent on it, US dollars.
+    /// Spending on this day, US dollars.
     pub today_usd: f64,
-    /// What may be spent in a day, US dollars; `null` without a limit.
+    /// Spending limit per day, US dollars. `null` if none is set.
     pub daily_limit_usd: Option<f64>,
 }
 
-/// Bytes on the disk.
+/// Disk usage in bytes.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct DiskUse {
-    /// The database with its journal.
+    /// Size of the database with its journal.
     pub database_bytes: u64,
-    /// Files by kind: `contents` (scans), `parses`, `checkpoints`, `answers` (what models were
-    /// shown), `uploads` (in parts), `tmp`, `quarantine`. Measured in the background, a minute
-    /// apart at least; `null` until that was done once.
+    /// Size of files by kind: `contents` (scans), `parses`, `checkpoints`, `answers` (evidence of
+    /// models), `uploads` (unfinished), `tmp`, `quarantine`. Measured in the background at most
+    /// once a minute. `null` before the first measurement.
     pub blob_bytes: Option<BTreeMap<String, u64>>,
-    /// What may still be written.
+    /// Available disk space.
     pub free_bytes: u64,
 }
 
-/// How long things are kept, in days, and how much of what only saves time. 0 days: for ever,
-/// except for evidence.
+/// Retention periods in days and size limits. 0 keeps data forever, except for evidence.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Retention {
-    /// Answers.
+    /// Retention of answers, days.
     pub answers_days: u32,
-    /// Prompts, replies and pictures of answers; 0: none are kept.
+    /// Retention of prompts, replies and pictures of answers, days. 0 stores none.
     pub evidence_days: u32,
-    /// Jobs that are over and that no scene and no batch refers to.
+    /// Retention of finished jobs that no scene or batch refers to, days.
     pub jobs_days: u32,
-    /// Batches that are over, with their items.
+    /// Retention of finished batches and their items, days.
     pub batches_days: u32,
-    /// Idempotency keys of uploads.
+    /// Retention of idempotency keys, days.
     pub idempotency_days: u32,
-    /// What was done, and with whose key.
+    /// Retention of the audit log, days.
     pub audit_days: u32,
-    /// Parses, from when no scene and no answer refers to them.
+    /// Retention of parses that no scene or answer refers to, days.
     pub superseded_days: u32,
-    /// Uploads that come in parts, from the last part.
+    /// Retention of resumable uploads since their last part, days.
     pub uploads_days: u32,
-    /// Finished stages of parses, from their last use.
+    /// Retention of parse checkpoints since their last use, days.
     pub checkpoints_days: u32,
-    /// Of all finished stages together; those go first that were not used for longest.
+    /// Maximum total size of parse checkpoints, bytes. The least recently used ones are removed
+    /// first.
     pub checkpoints_bytes: u64,
-    /// Folders no record speaks of; not a setting.
+    /// Retention of quarantined orphan folders, days. Not configurable.
     pub quarantine_days: u32,
 }
 

@@ -1,68 +1,68 @@
-//! What a vision-language model was shown and said for an answer.
+//! Prompts and replies of a vision-language model for an answer.
 
 use serde::{Deserialize, Serialize};
 
-/// Every prompt of an answer, in order.
+/// All prompts of an answer, in order.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct AnswerPrompt {
-    /// The model that was asked, by the name its endpoint knows it by.
+    /// Name of the model at its endpoint.
     pub model: String,
-    /// In the order they were made.
+    /// Calls in order.
     pub calls: Vec<PromptCall>,
 }
 
-/// What was said to the model in one call.
+/// The prompt of one call.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct PromptCall {
-    /// `parse`, `naming`, `spatial`, or what was wrong: `out_of_set`, `unreadable`,
-    /// `inconsistent`.
+    /// Purpose of the call: `parse`, `naming`, `spatial`, or the defect of the previous reply:
+    /// `out_of_set`, `unreadable`, `inconsistent`.
     pub purpose: String,
-    /// The system message: what the model is there for.
+    /// The system message.
     pub system: String,
-    /// In the order the model got them.
+    /// Parts of the user message, in order.
     pub user: Vec<PromptPart>,
-    /// The JSON schema asked for, if one was.
+    /// The requested JSON schema. `null` if none was requested.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<Object>))]
     pub schema: Option<serde_json::Value>,
 }
 
-/// A piece of what the model was shown.
+/// A part of a prompt.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(tag = "type", rename_all = "snake_case")]
 pub enum PromptPart {
-    /// Plain text.
+    /// Text.
     Text {
-        /// As it was sent.
+        /// The text as sent.
         text: String,
     },
-    /// A picture by its path below this server.
+    /// A picture.
     Picture {
-        /// JPEG, as it was shown; relative to the server.
+        /// URL of the JPEG as sent, relative to the server.
         href: String,
     },
 }
 
-/// Every reply of an answer, in order.
+/// All replies for an answer, in order.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct AnswerReply {
-    /// The model that was asked, by the name its endpoint knows it by.
+    /// Name of the model at its endpoint.
     pub model: String,
-    /// In the order they were made, one for every prompt.
+    /// Replies in order, one for each prompt.
     pub calls: Vec<ReplyCall>,
 }
 
-/// What the model said in one call.
+/// The reply of one call.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ReplyCall {
-    /// Why it was asked, as in the prompt of the same place.
+    /// Purpose of the call, as in the prompt with the same index.
     pub purpose: String,
-    /// The model's words as they came; `null` when there were none.
+    /// Text of the reply, unchanged. `null` without a reply.
     pub text: Option<String>,
-    /// Why there was no reply; `null` when there was one.
+    /// Error if there was no reply, else `null`.
     pub error: Option<String>,
 }

@@ -1,44 +1,44 @@
-//! Uploads that come in parts, as callers see them.
+//! Resumable uploads.
 
 use crate::problem::Problem;
 use serde::{Deserialize, Serialize};
 
-/// How far an upload has come.
+/// State of an upload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum UploadState {
-    /// More bytes are waited for.
+    /// Waiting for more bytes.
     Receiving,
-    /// All of it is there; it is unpacked and checked.
+    /// Complete. The scan is being unpacked and checked.
     Making,
-    /// It has become a scene.
+    /// The scene was created.
     Done,
-    /// It is no scan that can be read; see `problem`.
+    /// The scan is invalid. See `problem`.
     Refused,
 }
 
-/// An upload that comes in parts.
+/// A resumable upload.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Upload {
-    /// UUIDv7; in order of time.
+    /// UUIDv7, so ids sort by time.
     pub id: String,
-    /// How far it has come.
+    /// State of the upload.
     pub state: UploadState,
-    /// Bytes that are on the server's disk: where to go on.
+    /// Number of received bytes. Resume from this offset.
     pub offset: u64,
-    /// Bytes it will have.
+    /// Total number of bytes.
     pub length: u64,
-    /// When it is removed unless more of it comes, RFC 3339 UTC; of one that is over, when it is
-    /// forgotten. `null`: never.
+    /// Time when the upload expires without further bytes, RFC 3339 UTC. For a finished upload,
+    /// when its record is removed. `null`: never.
     pub expires_at: Option<String>,
-    /// The scene it has become.
+    /// Id of the created scene.
     pub scene_id: Option<String>,
-    /// The job that parses the scene; `null` where it was only to be stored.
+    /// Id of the parse job. `null` if the scan is only stored.
     pub job_id: Option<String>,
-    /// Why it was refused.
+    /// Why the scan was rejected.
     pub problem: Option<Problem>,
-    /// When it was begun, RFC 3339 UTC.
+    /// Creation time, RFC 3339 UTC.
     pub created_at: String,
 }

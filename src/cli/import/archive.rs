@@ -1,4 +1,4 @@
-//! The neutral layout, written: what came in, as it was understood.
+//! Writes an imported scan in the neutral layout.
 
 use anyhow::Context;
 use camino::Utf8Path;
@@ -9,8 +9,8 @@ use uniground_core::scene::{FrameRef, Intrinsics, Optics, PointCloud, write_clou
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
-/// A zip with `scene.json`, the cloud, and every frame: rectified colour, registered depth in
-/// millimetres, its pose.
+/// Writes a zip with `scene.json`, the cloud, and every frame: rectified color, registered depth in
+/// millimeters, and its pose.
 pub(super) fn write(out: &Utf8Path, frames: &[FrameRef], cloud: &PointCloud) -> anyhow::Result<()> {
     let mut zip = ZipWriter::new(BufWriter::new(File::create(out)?));
     let stored = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
@@ -28,7 +28,7 @@ pub(super) fn write(out: &Utf8Path, frames: &[FrameRef], cloud: &PointCloud) -> 
         };
         let (colour, depth, pose) =
             (format!("color/{i}.{ending}"), format!("depth/{i}.png"), format!("pose/{i}.txt"));
-        // What is a pinhole picture already is not encoded again.
+        // Pictures without lens distortion are copied, not encoded again.
         let bytes = match &frame.optics.colour_lens {
             None if ending != "png" || frame.colour.extension() == Some("png") => {
                 fs::read(&frame.colour)?
@@ -47,7 +47,10 @@ pub(super) fn write(out: &Utf8Path, frames: &[FrameRef], cloud: &PointCloud) -> 
             measured.height,
             units,
         );
-        put(&depth, &png(picture.context("a depth picture of another size")?.into())?)?;
+        put(
+            &depth,
+            &png(picture.context("the size of the depth picture does not match")?.into())?,
+        )?;
         let m = frame.camera_to_world.to_homogeneous();
         let rows: String =
             m.row_iter().map(|r| format!("{} {} {} {}\n", r[0], r[1], r[2], r[3])).collect();

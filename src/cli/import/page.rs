@@ -1,4 +1,4 @@
-//! `index.html` of `uniground import --report`: what a person reads in a minute.
+//! Renders `index.html` of `uniground import --report`.
 
 use camino::Utf8Path;
 use image::RgbImage;
@@ -11,12 +11,12 @@ const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1060px;ma
 td{padding:.2rem .8rem;border-bottom:1px solid #ddd;vertical-align:top}img{max-width:100%;border:1px solid #ddd}\
 .warning td{background:#fff4d6}";
 
-/// Frames on the contact sheet, in columns of a width.
+/// Layout of the contact sheet: number of frames, columns, and width of a frame in pixels.
 const FRAMES: usize = 12;
 const COLUMNS: u32 = 4;
 const WIDTH: u32 = 256;
 
-/// The whole page; pictures are links to `<name>.jpg` beside it.
+/// Renders the page. Pictures are links to `<name>.jpg` beside it.
 pub(super) fn render(
     scan: &Utf8Path,
     lines: &[(&str, String)],
@@ -38,7 +38,7 @@ pub(super) fn render(
     page
 }
 
-/// A few frames spread over the scan; those that can not be decoded are left white.
+/// Renders a few frames spread over the scan. Frames that cannot be decoded stay white.
 pub(super) fn contact_sheet(frames: &[FrameRef]) -> Option<RgbImage> {
     let first = frames.first()?.colour_intrinsics;
     let height = (WIDTH * first.height / first.width.max(1)).clamp(1, 4 * WIDTH);

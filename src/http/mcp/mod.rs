@@ -1,6 +1,6 @@
-//! `/mcp`: the use cases as tools of the Model Context Protocol, so that a language model can call
-//! them. Streamable HTTP without sessions: every request stands alone, with the same keys, hosts
-//! and origins as all others. Over stdio for a folder of this machine.
+//! `/mcp`: the API as tools of the Model Context Protocol for language models. Streamable HTTP
+//! without sessions, with the same keys, host names and origins as all other routes. Also over
+//! stdio for a local data folder.
 
 mod resources;
 mod schema;
@@ -29,26 +29,28 @@ use uniground_service::error::Error;
 use uniground_service::{Caller, Services};
 use uniground_types::problem::Problem;
 
-const INSTRUCTIONS: &str = "Finds things in scanned rooms by plain words. Start with list_scenes; ground answers a question with a 3D box; \
-    find_in_scenes tells in which scene something is. Lengths are metres, Z is up, boxes are centre and full extent. Instance ids belong to \
-    one scene. A status other than grounded means that the thing is not surely known: ask the person, or look with render_view.";
+const INSTRUCTIONS: &str = "Finds objects in scanned rooms. Start with list_scenes. ground answers \
+    a question with a 3D box. find_in_scenes finds the scenes that contain an object. Lengths are \
+    in meters, Z is up, boxes have a center and a full extent. Instance ids belong to one scene. \
+    With a status other than grounded, the result is not certain: ask the user, or check with \
+    render_view.";
 
-/// A message has at most so many bytes: what is no method is told again, and logged.
+/// Maximum size of a message, bytes. Unknown methods are echoed and logged.
 const MOST_BYTES: usize = 64 << 10;
 
-/// The use cases as tools.
+/// Serves the API as MCP tools.
 #[derive(Clone)]
 pub struct Mcp {
     services: Services,
-    /// Who asks, where no request says it: over stdio, whoever started the program.
+    /// The caller over stdio, which is the user who started the program.
     local: Option<Caller>,
 }
 
-/// Answers MCP over HTTP.
+/// MCP over HTTP.
 pub type McpOverHttp = StreamableHttpService<Mcp, NeverSessionManager>;
 
 impl Mcp {
-    /// For requests over HTTP, which say themselves who asks.
+    /// Creates the service for HTTP. Each request has its own caller.
     #[must_use]
     pub fn over_http(services: Services, shutdown: CancellationToken) -> McpOverHttp {
         let config = StreamableHttpServerConfig::default()
@@ -56,7 +58,7 @@ impl Mcp {
             .with_json_response(true)
             .with_max_request_body_bytes(MOST_BYTES)
             .with_cancellation_token(shutdown)
-            // Hosts and origins are looked at once for all routes.
+            // Host names and origins are checked by the layers of the router.
             .disable_allowed_hosts()
             .disable_allowed_origins();
         let handler = Self { services, local: None };
@@ -67,10 +69,10 @@ impl Mcp {
         )
     }
 
-    /// Over stdin and stdout, until stdin ends. Whoever started the program may do everything.
+    /// Serves over stdin and stdout until stdin ends. The caller has all scopes.
     ///
     /// # Errors
-    /// When what comes in is no MCP.
+    /// Returns an error if the input is not MCP.
     pub async fn over_stdio(services: Services) -> anyhow::Result<()> {
         let handler = Self { services, local: Some(Caller::operator()) };
         Box::pin(handler.serve(rmcp::transport::io::stdio())).await?.waiting().await?;
@@ -83,11 +85,11 @@ impl Mcp {
         asked
             .or(self.local.as_ref())
             .cloned()
-            .ok_or_else(|| ErrorData::internal_error("nobody knows who asks", None))
+            .ok_or_else(|| ErrorData::internal_error("the request has no caller", None))
     }
 }
 
-/// A problem as an error of the protocol.
+/// Converts a problem to an MCP error.
 fn failed(error: Error) -> ErrorData {
     let problem = ProblemResponse::from(error).problem();
     let message = format!("{} ({})", problem.detail, problem.code);
@@ -128,7 +130,10 @@ impl ServerHandler for Mcp {
         .await;
         let unknown = || {
             ErrorData::invalid_params(
-                format!("there is no tool {:?}: tools/list tells which there are", request.name),
+                format!(
+                    "there is no tool {:?}: tools/list lists the available tools",
+                    request.name
+                ),
                 None,
             )
         };
@@ -159,33 +164,37 @@ impl ServerHandler for Mcp {
     ) -> Result<ReadResourceResponse, ErrorData> {
         let contents = resources::read(&self.services, &request.uri).await.map_err(failed)?;
         let contents = contents.ok_or_else(|| {
-            ErrorData::resource_not_found("resources are uniground://scenes/{scene_id} and uniground://scenes/{scene_id}/report", None)
+            ErrorData::resource_not_found(
+                "unknown resource: use uniground://scenes/{scene_id} or \
+                 uniground://scenes/{scene_id}/report",
+                None,
+            )
         })?;
         Ok(ReadResourceResult::new(vec![contents]).into())
     }
 }
 
-/// A message of JSON-RPC 2.0.
+/// A JSON-RPC 2.0 message.
 #[derive(utoipa::ToSchema)]
 #[schema(value_type = Object, example = json!({"jsonrpc": "2.0", "id": 1, "method": "tools/list"}))]
 pub(super) struct Message(
     #[expect(dead_code, reason = "only its schema is used")] serde_json::Value,
 );
 
-/// The Model Context Protocol, for agents: the tools `list_scenes`, `ground`, `find_in_scenes`,
-/// `list_objects`, `get_object`, `relations`, `approach` and `render_view`, and scenes and reports
-/// as resources.
+/// The Model Context Protocol for agents. Tools: `list_scenes`, `ground`, `find_in_scenes`,
+/// `list_objects`, `get_object`, `relations`, `approach` and `render_view`. Resources: scenes and
+/// reports.
 ///
-/// Streamable HTTP, revisions 2024-11-05 to 2026-07-28, without sessions; answers are JSON. A call
-/// a POST; nothing is sent unasked.
+/// Streamable HTTP, revisions 2024-11-05 to 2026-07-28, without sessions. Each call is one POST
+/// with a JSON response; the server sends no other messages.
 #[utoipa::path(
     post, path = "/mcp", operation_id = "mcp", tag = "agents", request_body = Message,
     responses(
-        (status = 200, description = "The answer, or an error of the protocol", body = Message),
-        (status = 202, description = "A notification was heard"),
+        (status = 200, description = "The response, or a protocol error", body = Message),
+        (status = 202, description = "Notification accepted"),
         (status = 400, content((Problem = "application/problem+json"), (Message = "application/json"))),
         (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such method", body = Message),
+        (status = 404, description = "Unknown method", body = Message),
         (status = 406, description = "`Accept` must name application/json and text/event-stream", body = Problem, content_type = "application/problem+json"),
         (status = 413, body = Problem, content_type = "application/problem+json"),
         (status = 415, body = Problem, content_type = "application/problem+json"),
@@ -202,9 +211,9 @@ pub(super) async fn answer(State(app): State<App>, request: Request) -> Response
     {
         return answered;
     }
-    // What the transport refuses in plain words is a problem as everywhere.
+    // Converts plain-text errors of the transport to problems.
     let status = match answered.status() {
-        // The body was no message.
+        // The body was not a valid message.
         StatusCode::UNSUPPORTED_MEDIA_TYPE if says_json => StatusCode::BAD_REQUEST,
         status => status,
     };

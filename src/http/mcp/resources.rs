@@ -10,10 +10,10 @@ use uniground_types::labels::Labels;
 const SCENES: &str = "uniground://scenes/";
 const REPORT: &str = "/report";
 const JSON: &str = "application/json";
-/// Scenes a page.
+/// Number of scenes per page.
 const PAGE: u32 = 50;
 
-/// What kinds of resources there are.
+/// Returns the resource templates.
 pub(super) fn templates() -> Vec<ResourceTemplate> {
     let template = |uri: &str, name: &str, description: &str| {
         let template = ResourceTemplate::new(format!("{SCENES}{uri}"), name);
@@ -23,17 +23,17 @@ pub(super) fn templates() -> Vec<ResourceTemplate> {
         template(
             "{scene_id}",
             "scene",
-            "A scan: name, state, sizes, how it was read, where it lies in a map",
+            "A scene: name, status, sizes, import report and map transform",
         ),
         template(
             "{scene_id}/report",
             "report",
-            "How a scan was imported and cut into things, stage by stage",
+            "Report of the import and the parse of a scene, stage by stage",
         ),
     ]
 }
 
-/// A page of scenes and their reports, newest first.
+/// Lists a page of scenes and their reports, newest first.
 pub(super) async fn list(
     services: &Services,
     cursor: Option<String>,
@@ -55,7 +55,7 @@ pub(super) async fn list(
     Ok(list)
 }
 
-/// What a resource holds; `None` where its address is none of ours.
+/// Returns the contents of a resource, or `None` for an unknown URI.
 pub(super) async fn read(
     services: &Services,
     uri: &str,

@@ -1,4 +1,4 @@
-//! JSON Schemas of tools, made of the same types that describe the API.
+//! JSON Schemas of the tools, generated from the types of the API.
 
 use rmcp::model::JsonObject;
 use serde_json::{Map, Value};
@@ -7,7 +7,7 @@ use utoipa::ToSchema;
 
 const COMPONENTS: &str = "#/components/schemas/";
 
-/// The schema of a type, whole: what it refers to stands within it.
+/// Returns the complete schema of a type with its definitions.
 pub(super) fn of<T: ToSchema>() -> Arc<JsonObject> {
     let mut parts = Vec::new();
     T::schemas(&mut parts);
@@ -32,7 +32,7 @@ fn written(schema: &impl serde::Serialize) -> Map<String, Value> {
     }
 }
 
-/// Has every reference lead to `$defs`, and leaves out what only descriptions of APIs know.
+/// Rewrites references to `$defs` and removes OpenAPI-only keywords.
 fn refer_within(schema: &mut Value) {
     match schema {
         Value::Object(fields) => {
@@ -41,8 +41,8 @@ fn refer_within(schema: &mut Value) {
             {
                 *reference = format!("#/$defs/{name}");
             }
-            // JSON Schema has a list of examples; a field may be called so too, and is an object
-            // then.
+            // JSON Schema uses a list of examples. A field may have this name too; it is then an
+            // object.
             if fields
                 .get("example")
                 .is_some_and(|example| !example.is_object() || fields.contains_key("type"))

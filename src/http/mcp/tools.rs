@@ -1,4 +1,4 @@
-//! The tools: each decodes, calls one use case, and tells.
+//! The MCP tools. Each parses its arguments, calls the service and returns the result.
 
 use super::schema;
 use super::values::{
@@ -22,45 +22,46 @@ use uniground_types::labels::Labels;
 use uniground_types::scene::InstanceId;
 use utoipa::ToSchema;
 
-/// Scenes a page.
+/// Number of scenes per page.
 const SCENES: u32 = 50;
-/// Objects a page.
+/// Number of objects per page.
 const OBJECTS: u32 = 100;
 
-/// All tools, in the order an agent needs them.
+/// Returns all tools, in the order an agent needs them.
 pub(super) fn all() -> Vec<Tool> {
     vec![
-        tool::<ListScenes, SceneBriefs>(
-            "list_scenes",
-            "Scans of rooms that can be asked about, newest first.",
-        ),
+        tool::<ListScenes, SceneBriefs>("list_scenes", "Lists the scenes, newest first."),
         tool::<Ground, Grounded>(
             "ground",
-            "Finds what a sentence means in a scene, and gives its 3D box: \"the black chair closest to the door\". Says so where nothing or several things fit.",
+            "Finds the object that a sentence describes and returns its 3D box: \"the black chair \
+             closest to the door\". The status shows whether no object or several objects fit.",
         ),
         tool::<FindInScenes, FoundBriefs>(
             "find_in_scenes",
-            "Finds out in which of all scenes something is.",
+            "Finds the scenes that contain an object.",
         ),
         tool::<ListObjects, ObjectBriefs>(
             "list_objects",
-            "What was found in a scene: names, boxes, and what stands on what.",
+            "Lists the objects of a scene with names, boxes and supports.",
         ),
         tool::<OneObject, InstanceView>(
             "get_object",
-            "Everything known of one thing: names, colours, boxes, support, and the photograph that shows it best.",
+            "Returns all data of one object: names, colors, boxes, support and best views.",
         ),
         tool::<Relations, SceneGraph>(
             "relations",
-            "How things stand to each other: what is on, inside, above and next to what, parts, and zones such as a kitchen.",
+            "Returns the relations between objects: on, inside, above, next to, parts, and zones \
+             such as a kitchen.",
         ),
         tool::<Approach, Approached>(
             "approach",
-            "Where a robot can stand to see a thing, or to reach it, with the way there; or which condition left no place.",
+            "Returns poses from which a robot can see or reach an object, with paths, or the \
+             condition that excluded all poses.",
         ),
         without_output::<RenderView>(
             "render_view",
-            "A picture of a scene with things marked, or the photograph that shows a thing best.",
+            "Renders a picture of a scene with marked objects, or returns the photograph with the \
+             best view of an object.",
         ),
     ]
 }
@@ -74,8 +75,8 @@ fn without_output<I: ToSchema>(name: &'static str, description: &'static str) ->
     Tool::new(name, description, schema::of::<I>()).with_annotations(hints)
 }
 
-/// Calls a tool; `None` where there is none of that name. What goes wrong is told as a result, so
-/// that whoever called can do better.
+/// Calls a tool, or returns `None` for an unknown name. Errors are returned as results, so that the
+/// model can correct its call.
 pub(super) async fn call(
     services: &Services,
     caller: Caller,
@@ -102,18 +103,18 @@ pub(super) async fn call(
     }))
 }
 
-/// The arguments of a tool.
+/// Parses the arguments of a tool.
 fn read<T: DeserializeOwned>(arguments: JsonObject) -> Result<T, Error> {
     serde_path_to_error::deserialize(Value::Object(arguments)).map_err(|error| {
         let path = error.path().to_string();
-        // The arguments themselves are a dot.
+        // The path `.` means the arguments themselves.
         let pointer =
             if path == "." { "/".to_owned() } else { format!("/{}", path.replace('.', "/")) };
         Error::invalid(pointer, error.into_inner().to_string())
     })
 }
 
-/// A value as it is, and as text for clients that read nothing else.
+/// Returns a value as structured content, and as text for clients that support only text.
 fn told(value: &impl Serialize) -> Result<CallToolResult, Error> {
     let text = serde_json::to_string(value)?;
     with_text(value, text)
@@ -121,7 +122,8 @@ fn told(value: &impl Serialize) -> Result<CallToolResult, Error> {
 
 fn with_text(value: &impl Serialize, text: String) -> Result<CallToolResult, Error> {
     let mut result = CallToolResult::success(vec![ContentBlock::text(text)]);
-    // By way of text: a value would tell an f32's 0.55 as 0.550000011920929.
+    // Serialized through text, because a direct conversion would turn an f32's 0.55 into
+    // 0.550000011920929.
     result.structured_content = Some(serde_json::from_str(&serde_json::to_string(value)?)?);
     Ok(result)
 }
@@ -134,7 +136,7 @@ async fn list_scenes(services: &Services, arguments: JsonObject) -> Result<CallT
     let ListScenes { name, cursor } = read(arguments)?;
     let (_, mut cursor) = paging::checked(SCENES, cursor)?;
     let mut scenes = Vec::new();
-    // A page of those that are meant, or all there are.
+    // Reads pages until enough scenes match.
     loop {
         let page = services.scenes.scenes(SCENES, cursor.as_deref(), Labels::new()).await?;
         scenes.extend(
@@ -222,7 +224,7 @@ async fn render_view(services: &Services, arguments: JsonObject) -> Result<CallT
     if instance_ids.len() > MOST_MARKED {
         return Err(Error::invalid(
             "/instance_ids",
-            format!("at most {MOST_MARKED} are marked in one picture"),
+            format!("must name at most {MOST_MARKED} instances"),
         ));
     }
     let ids: Vec<InstanceId> = instance_ids.into_iter().map(InstanceId).collect();
@@ -235,7 +237,7 @@ async fn render_view(services: &Services, arguments: JsonObject) -> Result<CallT
         (ViewKind::Photograph, None) => {
             return Err(Error::invalid(
                 "/instance_ids",
-                "a photograph is of an instance: name one",
+                "must name an instance for the view photograph",
             ));
         }
     };

@@ -1,4 +1,5 @@
-//! What tools take and tell: less than the API does, as language models read every word.
+//! Arguments and results of the tools. Shorter than those of the API, because language models read
+//! every word.
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -16,35 +17,35 @@ use utoipa::ToSchema;
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ListScenes {
-    /// Part of a name, in any case; left out, all.
+    /// Part of a name, case-insensitive. If omitted, all scenes.
     pub name: Option<String>,
-    /// `next_cursor` of the page before.
+    /// `next_cursor` of the previous page.
     pub cursor: Option<String>,
 }
 
-/// A scan that was uploaded.
+/// An uploaded scan.
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct SceneBrief {
     pub scene_id: String,
     pub name: String,
-    /// Questions are answered where `ready`.
+    /// Status of the scene. Questions require `ready`.
     pub status: SceneStatus,
-    /// Instances found, floor, walls and ceiling included; `null` before the first parse.
+    /// Number of instances, including floor, walls and ceiling. `null` before the first parse.
     pub instances: Option<u32>,
-    /// Box of everything, metres, Z up; `null` before the first parse.
+    /// Box of all points; meters, Z up. `null` before the first parse.
     pub extent: Option<Aabb>,
-    /// What the map is called that the scene lies in; `null` where nobody has said.
+    /// Name of the scene's map frame. `null` if not set.
     pub map_frame_id: Option<String>,
-    /// What it is filed under, such as a building and a floor.
+    /// Labels, such as a building and a floor.
     pub labels: BTreeMap<String, String>,
     pub created_at: String,
 }
 
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct SceneBriefs {
-    /// Newest first.
+    /// Scenes, newest first.
     pub scenes: Vec<SceneBrief>,
-    /// Pass as `cursor` for the next page; `null` on the last.
+    /// Cursor of the next page. `null` on the last page.
     pub next_cursor: Option<String>,
 }
 
@@ -60,14 +61,14 @@ impl From<Scene> for SceneBrief {
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Ground {
-    /// Of `list_scenes`.
+    /// Scene id from `list_scenes`.
     pub scene_id: String,
-    /// What to find, in plain English: "the black chair closest to the door", "all the mugs".
+    /// Description of the object in English: "the black chair closest to the door", "all the mugs".
     #[schema(min_length = 1, max_length = 1000)]
     pub query: String,
-    /// Who asks, where "left", "in front of me" and the like are theirs.
+    /// Observer for phrases like "left" and "in front of me".
     pub observer: Option<Observer>,
-    /// Whose coordinates `observer` and `in_frame` are in.
+    /// Frame of `observer` and `in_frame`.
     #[serde(default)]
     pub frame: FrameChoice,
 }
@@ -79,31 +80,31 @@ impl Ground {
     }
 }
 
-/// What a question comes to.
+/// Answer to a question.
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct Grounded {
-    /// `grounded`: `targets` has it. `uncertain`: likely, not surely. `ambiguous`: one of
-    /// `alternatives`. `no_match`: nothing fits.
+    /// Status. `grounded`: `targets` contains the object. `uncertain`: a likely guess. `ambiguous`:
+    /// one of `alternatives`. `no_match`: no object fits.
     pub status: Status,
-    /// Why nothing was chosen; `null` unless `no_match`.
+    /// Why no object was chosen. `null` unless `no_match`.
     pub no_match_reason: Option<NoMatchReason>,
-    /// Why, in words.
+    /// Explanation of the decision.
     pub explanation: String,
-    /// Belief in the answer, `0..=1`.
+    /// Confidence in the answer, `0..=1`.
     pub confidence: f32,
-    /// What is meant, best first, with boxes in metres, Z up.
+    /// The objects that the question refers to, best first, with boxes in meters, Z up.
     pub targets: Vec<Target>,
-    /// How many there are, where the question asks for several.
+    /// Number of matching objects, if the question asks for several.
     pub count: Option<u32>,
-    /// What else may be meant, likeliest first.
+    /// Other objects that the question may refer to, most likely first.
     pub alternatives: Vec<Alternative>,
-    /// Where a model sees what is asked for, though it is no instance.
+    /// Location where a model sees an object that is not an instance.
     pub seen: Option<Seen>,
-    /// Words of the question that could not be used.
+    /// Words that were ignored because they were not understood.
     pub not_understood: Vec<String>,
-    /// The boxes of `targets` in the coordinates that were asked for.
+    /// Boxes of `targets` in the requested frame.
     pub in_frame: Option<InFrame>,
-    /// For `render_view`.
+    /// Answer id, for `render_view`.
     pub answer_id: String,
 }
 
@@ -142,10 +143,10 @@ impl From<Answer> for Grounded {
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FindInScenes {
-    /// What to find, in plain English: "the red mug".
+    /// Description of the object in English: "the red mug".
     #[schema(min_length = 1, max_length = 1000)]
     pub query: String,
-    /// Look only in scenes with all of these labels; left out, in all.
+    /// Search only scenes with all of these labels. If omitted, all scenes.
     #[serde(default)]
     pub labels: BTreeMap<String, String>,
 }
@@ -157,29 +158,29 @@ impl FindInScenes {
     }
 }
 
-/// What one of many scenes answers.
+/// Answer for one scene.
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct FoundBrief {
     pub scene_id: String,
     pub scene_name: String,
-    /// `grounded`: `targets` has it. `uncertain`: likely, not surely. `ambiguous`: several there
-    /// fit alike. `no_match`: nothing there fits.
+    /// Status. `grounded`: `targets` contains the object. `uncertain`: a likely guess. `ambiguous`:
+    /// several objects fit equally well. `no_match`: no object fits.
     pub status: Status,
-    /// Belief in that, `0..=1`.
+    /// Confidence in the answer, `0..=1`.
     pub confidence: f32,
-    /// Why, in words.
+    /// Explanation of the decision.
     pub explanation: String,
-    /// What is meant, best first, with boxes in metres, Z up.
+    /// The objects that the question refers to, best first, with boxes in meters, Z up.
     pub targets: Vec<Target>,
 }
 
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct FoundBriefs {
-    /// The scenes that most likely have it, best first.
+    /// The most likely scenes, best first.
     pub found: Vec<FoundBrief>,
-    /// How many scenes were looked into.
+    /// Number of searched scenes.
     pub looked_into: u32,
-    /// How many could not be.
+    /// Number of scenes that could not be searched.
     pub not_asked: u32,
 }
 
@@ -208,38 +209,38 @@ impl From<ManyAnswers> for FoundBriefs {
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ListObjects {
-    /// Of `list_scenes`.
+    /// Scene id from `list_scenes`.
     pub scene_id: String,
-    /// Part of a name, in any case; left out, all.
+    /// Part of a name, case-insensitive. If omitted, all objects.
     pub name: Option<String>,
-    /// Things alone, their parts, wholes of several, or all of them.
+    /// Levels to list: objects (default), parts, wholes, or all.
     #[serde(default)]
     pub level: Levels,
-    /// `next_cursor` of the page before.
+    /// `next_cursor` of the previous page.
     #[serde(default)]
     pub cursor: u32,
 }
 
-/// A thing in a scene.
+/// An object in a scene.
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct ObjectBrief {
     pub instance_id: InstanceId,
     pub name: String,
     pub level: Level,
-    /// Set for parts of the building.
+    /// Set for building elements: floor, wall or ceiling.
     pub structure: Option<Structure>,
-    /// Axis-aligned box, metres, Z up.
+    /// Axis-aligned box; meters, Z up.
     #[serde(rename = "box")]
     pub aabb: Aabb,
-    /// What it stands on or hangs on.
+    /// What the object stands on or hangs on.
     pub support: Support,
 }
 
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct ObjectBriefs {
-    /// In order of id, the largest first.
+    /// Objects ordered by id, the largest first.
     pub objects: Vec<ObjectBrief>,
-    /// Pass as `cursor` for the next page; `null` on the last.
+    /// Cursor of the next page. `null` on the last page.
     pub next_cursor: Option<u32>,
 }
 
@@ -262,9 +263,9 @@ impl From<InstanceView> for ObjectBrief {
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct OneObject {
-    /// Of `list_scenes`.
+    /// Scene id from `list_scenes`.
     pub scene_id: String,
-    /// Of `ground` or `list_objects`.
+    /// Instance id from `ground` or `list_objects`.
     #[schema(minimum = 1)]
     pub instance_id: u32,
 }
@@ -272,10 +273,10 @@ pub(super) struct OneObject {
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Relations {
-    /// Of `list_scenes`.
+    /// Scene id from `list_scenes`.
     pub scene_id: String,
-    /// Of `ground` or `list_objects`: it and what it stands in a relation to, alone. Left out, the
-    /// whole scene.
+    /// Instance id from `ground` or `list_objects`. Limits the graph to this object and its
+    /// relations. If omitted, the whole scene.
     #[schema(minimum = 1)]
     pub instance_id: Option<u32>,
 }
@@ -283,18 +284,18 @@ pub(super) struct Relations {
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Approach {
-    /// Of `list_scenes`.
+    /// Scene id from `list_scenes`.
     pub scene_id: String,
-    /// Of `ground` or `list_objects`; one of this and `query`.
+    /// Instance id from `ground` or `list_objects`. Exactly one of this and `query` is required.
     #[schema(minimum = 1)]
     pub instance_id: Option<u32>,
-    /// What to find, in plain English.
+    /// Description of the object in English.
     #[schema(min_length = 1, max_length = 1000)]
     pub query: Option<String>,
     pub robot: Robot,
-    /// Where the robot is: then each pose has its path.
+    /// Start position of the robot. If set, each pose has a path.
     pub from: Option<FloorPoint>,
-    /// Whose coordinates `from` and `in_frame` are in.
+    /// Frame of `from` and `in_frame`.
     #[serde(default)]
     pub frame: FrameChoice,
 }
@@ -313,27 +314,27 @@ impl Approach {
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RenderView {
-    /// Of `list_scenes`.
+    /// Scene id from `list_scenes`.
     pub scene_id: String,
-    /// Instances to mark, at most 20; in a photograph the first is shown. Left out, the room
-    /// alone.
+    /// Ids of the instances to mark, at most 20. A photograph shows the first. If omitted, only the
+    /// room is drawn.
     #[serde(default)]
     #[schema(max_items = 20)]
     pub instance_ids: Vec<u32>,
-    /// The room from above, or the photograph that shows an instance best.
+    /// View: the room from above, or the photograph with the best view of an instance.
     #[serde(default)]
     pub view: ViewKind,
 }
 
-/// Instances that are marked in one picture.
+/// Maximum number of marked instances in one picture.
 pub(super) const MOST_MARKED: usize = 20;
 
 #[derive(Debug, Clone, Copy, Default, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum ViewKind {
-    /// The room from the south, well above: left is -X, the far wall +Y.
+    /// The room from above, seen from the south: left is -X, the far wall is at +Y.
     #[default]
     Room,
-    /// A photograph of the scan with the instance outlined.
+    /// A photograph of the scan with the object outlined.
     Photograph,
 }

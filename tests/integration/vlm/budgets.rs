@@ -115,9 +115,9 @@ async fn budgets_need_prices() {
         ..config(&script.serve(vec![says("Predicted ID: none")]).await)
     };
     for (wrong, told) in [
-        (VlmConfig { vlm_daily_usd: Some(1.0), ..free.clone() }, "--vlm-daily-usd needs"),
+        (VlmConfig { vlm_daily_usd: Some(1.0), ..free.clone() }, "--vlm-daily-usd requires"),
         (VlmConfig { vlm_prompt_usd: -1.0, ..free.clone() }, "--vlm-prompt-usd: must be 0 or more"),
-        (VlmConfig { vlm_model: None, ..free.clone() }, "--vlm-url needs --vlm-model"),
+        (VlmConfig { vlm_model: None, ..free.clone() }, "--vlm-url requires --vlm-model"),
     ] {
         let error = wrong
             .client(uniground_endpoints::chat::ReplayCache::Off)

@@ -3,27 +3,27 @@
 use super::{Point2, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Axis-aligned box in the world frame (metres, Z up): the benchmark's `(cx, cy, cz, dx, dy, dz)`.
+/// Axis-aligned box in the world frame (meters, Z up): the benchmark's `(cx, cy, cz, dx, dy, dz)`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Aabb {
-    /// Centre, metres, world frame (Z up).
+    /// Center; meters, world frame (Z up).
     #[cfg_attr(feature = "openapi", schema(value_type = [f32; 3]))]
     pub center: Point3<f32>,
-    /// Full extent along X, Y and Z, metres.
+    /// Full extent along X, Y and Z, meters.
     #[cfg_attr(feature = "openapi", schema(value_type = [f32; 3]))]
     pub size: Vector3<f32>,
 }
 
 impl Aabb {
-    /// The box from its least corner to its greatest, metres.
+    /// Returns the box between two opposite corners, meters.
     #[must_use]
     #[inline]
     pub fn from_corners(min: Point3<f32>, max: Point3<f32>) -> Self {
         Self { center: nalgebra::center(&min, &max), size: max - min }
     }
 
-    /// The tightest box around `points`; `None` when there are none.
+    /// Returns the tightest box around `points`, or `None` without points.
     pub fn around<'a>(points: impl IntoIterator<Item = &'a Point3<f32>>) -> Option<Self> {
         let mut points = points.into_iter();
         let first = *points.next()?;
@@ -31,21 +31,21 @@ impl Aabb {
         Some(Self::from_corners(min, max))
     }
 
-    /// The corner with the least X, Y and Z, metres.
+    /// Returns the corner with the smallest X, Y and Z, meters.
     #[must_use]
     #[inline]
     pub fn min(&self) -> Point3<f32> {
         self.center - self.size / 2.0
     }
 
-    /// The corner with the greatest X, Y and Z, metres.
+    /// Returns the corner with the largest X, Y and Z, meters.
     #[must_use]
     #[inline]
     pub fn max(&self) -> Point3<f32> {
         self.center + self.size / 2.0
     }
 
-    /// Whether a point lies in it, its faces included.
+    /// Returns whether the box contains a point. Points on a face count.
     #[must_use]
     #[inline]
     pub fn contains(&self, point: &Point3<f32>) -> bool {
@@ -53,14 +53,14 @@ impl Aabb {
         (0..3).all(|axis| away[axis] <= self.size[axis] / 2.0)
     }
 
-    /// Cubic metres.
+    /// Returns the volume, cubic meters.
     #[must_use]
     #[inline]
     pub fn volume(&self) -> f32 {
         self.size.x * self.size.y * self.size.z
     }
 
-    /// The eight corners; bit 0 of the index selects max X, bit 1 max Y, bit 2 max Z.
+    /// Returns the eight corners. Bit 0 of the index selects max X, bit 1 max Y, bit 2 max Z.
     #[must_use]
     #[inline]
     pub fn corners(&self) -> [Point3<f32>; 8] {
@@ -74,7 +74,7 @@ impl Aabb {
         })
     }
 
-    /// Intersection over union of two boxes, in `0..=1`; 0 for boxes without volume.
+    /// Returns the intersection over union of two boxes, in `0..=1`. 0 for boxes without volume.
     #[must_use]
     #[inline]
     pub fn iou(&self, other: &Self) -> f32 {
@@ -82,7 +82,7 @@ impl Aabb {
         if shared > 0.0 { shared / (self.volume() + other.volume() - shared) } else { 0.0 }
     }
 
-    /// Volume that lies in both boxes, cubic metres.
+    /// Returns the volume of the intersection, cubic meters.
     #[must_use]
     #[inline]
     pub fn shared_volume(&self, other: &Self) -> f32 {
@@ -90,21 +90,22 @@ impl Aabb {
         if overlap.iter().all(|&edge| edge > 0.0) { overlap.product() } else { 0.0 }
     }
 
-    /// Shortest distance between the surfaces of two boxes, metres; 0 when they touch or overlap.
+    /// Returns the shortest distance between two boxes, meters. 0 if they touch or overlap.
     #[must_use]
     #[inline]
     pub fn gap(&self, other: &Self) -> f32 {
         self.gap_per_axis(other).map(|g| g.max(0.0)).norm()
     }
 
-    /// Signed gap along each axis: positive when apart, negative by the depth of the overlap.
+    /// Returns the signed gap along each axis: positive if apart, negative by the depth of the
+    /// overlap.
     #[must_use]
     #[inline]
     pub fn gap_per_axis(&self, other: &Self) -> Vector3<f32> {
         (other.center - self.center).abs() - (self.size + other.size) / 2.0
     }
 
-    /// Share of this box's XY footprint that lies over the other's, in `0..=1`.
+    /// Returns the share of this box's XY footprint that overlaps the other's, in `0..=1`.
     #[must_use]
     #[inline]
     pub fn footprint_overlap(&self, other: &Self) -> f32 {
@@ -118,25 +119,26 @@ impl Aabb {
     }
 }
 
-/// A box turned about the vertical: the paper's output asks for an oriented box.
+/// A box rotated about the vertical axis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct OrientedBox {
-    /// Centre, metres, world frame (Z up).
+    /// Center; meters, world frame (Z up).
     #[cfg_attr(feature = "openapi", schema(value_type = [f32; 3]))]
     pub center: Point3<f32>,
-    /// Full extent along the box's own X, Y and the world's Z, metres.
+    /// Full extent along the box's own X and Y and the world's Z, meters.
     #[cfg_attr(feature = "openapi", schema(value_type = [f32; 3]))]
     pub size: Vector3<f32>,
-    /// Rotation of the box's X axis from the world's X axis about +Z, radians, in `-pi/4..=pi/4`.
+    /// Rotation from the world's X axis to the box's X axis about +Z, radians, in `-pi/4..=pi/4`.
     pub yaw_rad: f32,
 }
 
 impl OrientedBox {
-    /// The minimum-area rectangle of the XY points, extruded over `z_range` (metres).
+    /// Returns the minimum-area rectangle of the XY points, extruded over `z_range` (meters).
+    /// Returns `None` without points.
     ///
-    /// Rotating calipers over the convex hull: the best rectangle shares an edge with the hull.
-    /// `None` without points.
+    /// Uses rotating calipers over the convex hull: the best rectangle shares an edge with the
+    /// hull.
     #[must_use]
     #[inline]
     pub fn min_area(footprint: &[Point2<f32>], z_range: (f32, f32)) -> Option<Self> {
@@ -148,7 +150,7 @@ impl OrientedBox {
             if edge.norm_squared() < 1e-12 {
                 continue;
             }
-            // A rectangle is the same after a quarter turn: keep the yaw nearest to zero.
+            // A quarter turn does not change a rectangle, so the yaw nearest to zero is used.
             let quarter = std::f32::consts::FRAC_PI_2;
             let yaw = edge.y.atan2(edge.x);
             let yaw = yaw - (yaw / quarter).round() * quarter;
@@ -183,8 +185,8 @@ impl OrientedBox {
     }
 }
 
-/// Convex hull in counter-clockwise order (Andrew's monotone chain), without repeated or collinear
-/// points.
+/// Returns the convex hull in counterclockwise order (Andrew's monotone chain), without repeated or
+/// collinear points.
 fn convex_hull(points: &[Point2<f32>]) -> Vec<Point2<f32>> {
     let mut sorted = points.to_vec();
     sorted.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
@@ -255,7 +257,7 @@ mod tests {
     }
 
     proptest! {
-        /// The oriented box holds every point and is never larger than the axis-aligned one.
+        /// The oriented box contains every point and is never larger than the axis-aligned one.
         #[test]
         fn the_oriented_box_contains_its_points(points in prop::collection::vec((-5.0_f32..5.0, -5.0_f32..5.0), 1..40)) {
             let points: Vec<_> = points.into_iter().map(|(x, y)| Point2::new(x, y)).collect();

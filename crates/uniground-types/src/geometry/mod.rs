@@ -1,4 +1,4 @@
-//! Boxes and axes. Lengths in metres; angles in radians unless a name says otherwise.
+//! Boxes and axes. Lengths are in meters. Angles are in radians unless the name says otherwise.
 
 pub mod boxes;
 pub mod up_axis;

@@ -1,10 +1,10 @@
-//! Which way is up in a scan, and the one rotation that makes it Z.
+//! The up axis of a scan, and the rotation that maps it to Z.
 
 use super::{Isometry3, Matrix3, Vector3};
 use nalgebra::{Rotation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 
-/// The world axis that points up in the file; after import it is always `z`.
+/// The axis that points up in a file. After import it is always `z`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub enum UpAxis {
@@ -20,19 +20,19 @@ pub enum UpAxis {
     /// -Y points up.
     #[serde(rename = "-y")]
     NegY,
-    /// +Z points up: nothing has to be turned.
+    /// +Z points up: no rotation is needed.
     #[serde(rename = "z")]
     Z,
-    /// -Z points up: the scan lies on its head.
+    /// -Z points up: the scan is upside down.
     #[serde(rename = "-z")]
     NegZ,
 }
 
 impl UpAxis {
-    /// All six, the order in which they are tried.
+    /// All six axes, in the order in which they are tried.
     pub const ALL: [Self; 6] = [Self::X, Self::NegX, Self::Y, Self::NegY, Self::Z, Self::NegZ];
 
-    /// As files and requests write it: `x`, `-x` and so on.
+    /// Returns the name in files and requests: `x`, `-x` and so on.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -45,7 +45,7 @@ impl UpAxis {
         }
     }
 
-    /// Unit vector that points up in the file's world.
+    /// Returns the unit vector that points up in the file's world.
     #[must_use]
     pub fn direction(self) -> Vector3<f32> {
         match self {
@@ -58,10 +58,10 @@ impl UpAxis {
         }
     }
 
-    /// Rotation from the file's world to the Z-up world: a signed permutation of the axes.
+    /// Returns the rotation from the file's world to the Z-up world: a signed permutation of the
+    /// axes.
     ///
-    /// The two Y-up maps are the ones the paper names: `y`: (x,y,z) -> (x,-z,y); `-y`: (x,y,z) ->
-    /// (x,z,-y).
+    /// The two Y-up rotations match the paper: `y`: (x,y,z) -> (x,-z,y); `-y`: (x,y,z) -> (x,z,-y).
     #[must_use]
     pub fn to_z_up(self) -> Isometry3<f32> {
         let m = match self {
@@ -78,16 +78,16 @@ impl UpAxis {
         )
     }
 
-    /// The axis next to a direction (any length but 0).
+    /// Returns the axis nearest to a direction of nonzero length.
     #[must_use]
     pub fn nearest(direction: &Vector3<f32>) -> Self {
         let along = |axis: &Self| axis.direction().dot(direction);
         Self::ALL.into_iter().max_by(|a, b| along(a).total_cmp(&along(b))).unwrap_or(Self::Z)
     }
 
-    /// The axis most cameras hold upwards: people carry a camera roughly level, so image "up" (-Y
-    /// of an OpenCV camera), averaged over the path, points away from the ground. `None` when
-    /// no axis clearly wins.
+    /// Returns the axis that cameras hold upward. People hold a camera roughly level, so the
+    /// image's up direction (-Y of an OpenCV camera), averaged over the path, points away from the
+    /// ground. Returns `None` if no axis clearly wins.
     #[must_use]
     pub fn from_cameras(camera_to_world: &[Isometry3<f32>]) -> Option<Self> {
         let mean: Vector3<f32> =
@@ -97,7 +97,7 @@ impl UpAxis {
     }
 }
 
-/// Cosine of 40 degrees: further from an axis than that, the guess is not made.
+/// Cosine of 40 degrees, the maximum angle from an axis for a guess.
 const CLEARLY_UP: f32 = 0.766;
 
 #[cfg(test)]
@@ -121,7 +121,7 @@ mod tests {
 
     #[test]
     fn level_cameras_tell_up_and_tumbling_ones_do_not() {
-        // An OpenCV camera with identity pose looks along +Z with image-down = +Y: up is -Y.
+        // An OpenCV camera with the identity pose looks along +Z with image-down +Y, so up is -Y.
         assert_eq!(UpAxis::from_cameras(&[Isometry3::identity()]), Some(UpAxis::NegY));
         let upside_down = Isometry3::rotation(Vector3::z() * std::f32::consts::PI);
         assert_eq!(UpAxis::from_cameras(&[Isometry3::identity(), upside_down]), None);

@@ -1,4 +1,4 @@
-//! How a scan becomes a scene.
+//! Import settings.
 
 use crate::geometry::up_axis::UpAxis;
 use crate::numbers;
@@ -6,23 +6,23 @@ use crate::problem::FieldError;
 use serde::{Deserialize, Serialize};
 use std::ops::RangeInclusive;
 
-/// How a cloud is fused from depth pictures: a truncated signed distance volume.
+/// Fusion of depth pictures into a cloud with a truncated signed distance volume.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct FusionSettings {
-    /// Edge of the voxels, metres; points come out about as far apart.
+    /// Voxel size and approximate point distance, meters. Default: 0.018.
     pub voxel_m: f32,
-    /// Distances are kept this many voxels to either side of a surface. More survives more noise,
-    /// less keeps thin things apart.
+    /// Truncation distance in voxels on each side of a surface. Larger values tolerate more noise,
+    /// smaller ones separate thin objects better. Default: 5.
     pub truncation_voxels: f32,
-    /// Depth beyond this is not fused, metres: consumer sensors are noise out there.
+    /// Maximum depth, meters. Consumer sensors are unreliable beyond it. Default: 8.
     pub max_depth_m: f32,
-    /// A place becomes a point when it was seen by at least this share of the frames that see a
-    /// place on average: what hardly anybody saw is mostly noise.
+    /// Minimum number of observations of a point, as a share of the mean over all points. Rarely
+    /// observed points are mostly noise. Default: 0.25.
     pub min_share_of_mean: f32,
-    /// A pixel whose depth differs from a neighbour's by more than this share lies on a
-    /// silhouette, where sensors smear.
+    /// Relative depth difference to a neighboring pixel above which a pixel counts as a silhouette
+    /// and is ignored. Default: 0.05.
     pub silhouette_tolerance: f32,
 }
 
@@ -39,40 +39,39 @@ impl Default for FusionSettings {
 }
 
 impl FusionSettings {
-    /// Distances are kept this far to either side of a surface, metres.
+    /// Returns the truncation distance, meters.
     #[must_use]
     pub fn truncation_m(&self) -> f32 {
         self.truncation_voxels * self.voxel_m
     }
 }
 
-/// Whether a world that is tilted is turned level.
+/// Whether to level a tilted world.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum LevellingChoice {
-    /// When floors and walls clearly show that it is tilted.
+    /// If floors and walls clearly show a tilt.
     #[default]
     Auto,
-    /// Never: the axis that is up in the files is up.
+    /// Never. Keeps the up axis of the files.
     Off,
 }
 
 impl LevellingChoice {
-    // Left out of what is written, the settings of before it was there mean the same and hash the
-    // same.
+    // The default is not serialized, so that older settings keep their hash.
     fn is_auto(&self) -> bool {
         *self == Self::Auto
     }
 }
 
-/// Lengths of one unit of a scan's files that are accepted, metres.
+/// Accepted range for the length of one unit of a scan's files, meters.
 const METRES_PER_UNIT: RangeInclusive<f64> = 1e-6..=1e6;
 
 /// Checks the length of one unit of a scan's files.
 ///
 /// # Errors
-/// A [`FieldError`] naming the field, which is called `pointer` in the caller's request.
+/// Returns a [`FieldError`] that names the field by `pointer`.
 pub fn check_metres_per_unit(
     pointer: &str,
     metres_per_unit: Option<f64>,
@@ -80,21 +79,21 @@ pub fn check_metres_per_unit(
     metres_per_unit.map_or(Ok(()), |metres| numbers::in_range(pointer, metres, METRES_PER_UNIT))
 }
 
-/// How a scan becomes a scene; part of the parse settings, because they decide the result.
+/// Import settings. Part of the parse settings because they affect the result.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct ImportSettings {
-    /// The world axis that points up in the files. `null`: what the manifest says; without one,
-    /// the axis the cameras hold up.
+    /// Axis of the files that points up. `null` uses the manifest, or without one the axis that the
+    /// cameras hold up.
     pub up: Option<UpAxis>,
-    /// Length of one unit of the files' clouds and poses, metres. `null`: metres, unless a cloud
-    /// without cameras is far too large for that.
+    /// Length of one unit of the files' clouds and poses, meters. `null` means meters, unless a
+    /// cloud without cameras is far too large for that.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub metres_per_unit: Option<f64>,
-    /// Whether a world that is tilted is turned level.
+    /// Whether to level a tilted world. Default: `auto`.
     #[serde(skip_serializing_if = "LevellingChoice::is_auto")]
     pub levelling: LevellingChoice,
-    /// Used when the archive has no cloud of its own.
+    /// Fusion settings, used if the archive has no cloud of its own.
     pub fusion: FusionSettings,
 }

@@ -1,15 +1,16 @@
-//! Which frames are looked at, how regions become instances, and which views of them are kept.
+//! Settings for frame sampling, instances and their views.
 
 use serde::{Deserialize, Serialize};
 
-/// Which frames of a scan are looked at.
+/// Selection of the frames to process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct FrameSamplingSettings {
-    /// Every `max(1, floor(frames / this))`-th frame is used. Paper: 1000.
+    /// Uses every `max(1, floor(frames / this))`-th frame. Default and paper: 1000.
     pub stride_frames: u32,
-    /// At most this many frames, spread evenly along the camera path; `null` = no limit.
+    /// Maximum number of frames, spread evenly along the camera path. `null`: no limit. Default:
+    /// 400.
     pub max_frames: Option<u32>,
 }
 
@@ -19,33 +20,34 @@ impl Default for FrameSamplingSettings {
     }
 }
 
-/// Which regions become instances, and how stray points and the sensor's noise are kept out of
-/// their boxes.
+/// Filter for regions, and removal of outlier points and sensor noise from boxes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct InstanceSettings {
-    /// Share of the points at either end of each axis that bounds never rest on.
+    /// Share of the points at both ends of each axis that is ignored for the bounds. Default:
+    /// 0.001.
     pub stray_share: f32,
-    /// An extent up to this many standard deviations of the sensor's noise is thin. The noise is
-    /// measured on the scan itself.
+    /// Extents up to this many standard deviations of the sensor noise count as thin. The noise is
+    /// estimated from the scan. Default: 12.
     pub thin_sigmas: f32,
-    /// Bounds of thin extents move inwards by this many standard deviations,
+    /// Number of standard deviations by which the bounds of thin extents shrink. Default: 1.5.
     pub noise_sigmas: f32,
-    /// but leave at most this share of the points outside at either end of each axis.
+    /// Maximum share of the points that this excludes at each end of each axis. Default: 0.02.
     pub trim: f32,
-    /// A point with fewer neighbours than this in its voxel and the 26 around is stray.
+    /// Minimum number of neighbors in a point's voxel and the 26 around it. Points with fewer are
+    /// outliers. Default: 4.
     pub stray_neighbours: u32,
-    /// Edge of the voxels stray points are looked for in, metres.
+    /// Voxel size of the outlier search, meters, 0.001 to 10. Default: 0.03.
     pub stray_voxel_m: f32,
-    /// Regions with which no mask agrees better (IoU over their visible points, mean over frames)
-    /// are no instances. Not in the paper.
+    /// Minimum agreement of a region with its best mask (IoU over visible points, mean over
+    /// frames). Default: 0.2. Not in the paper.
     pub min_agreement: f32,
-    /// Regions of fewer points than this that no frame shows on 16 x 16 pixels are specks and no
-    /// instances; 0: none are. Not in the paper.
+    /// Minimum number of points of a region that no frame shows on 16 x 16 pixels. Smaller ones are
+    /// dropped as specks. 0 keeps all. Default: 50. Not in the paper.
     pub min_points: u32,
-    /// At most this many parts and wholes for each thing are offered beside the things; 0: none.
-    /// Not in the paper.
+    /// Maximum number of parts and wholes per object, 0 to 10. 0 disables them. Default: 1.5. Not
+    /// in the paper.
     pub parts_and_wholes: f32,
 }
 
@@ -65,14 +67,14 @@ impl Default for InstanceSettings {
     }
 }
 
-/// Which views of an instance are kept as pictures.
+/// Selection of the views stored as pictures.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct ViewSettings {
-    /// Views kept per instance. Paper: 3.
+    /// Number of views stored per instance, 1 to 16. Default and paper: 3.
     pub count: u32,
-    /// A view must show at least this share of what the best one shows.
+    /// Minimum visibility of a view, as a share of the best view's. Default: 0.4.
     pub min_share_of_best: f32,
 }
 

@@ -1,32 +1,35 @@
-//! 2D masks: the built-in ones and those of a segmentation model.
+//! Settings of 2D masks: built-in ones and those of a segmentation model.
 
 use serde::{Deserialize, Serialize};
 
-/// The built-in masks: even patches of colour and surface, joined into things.
+/// Built-in masks: patches of uniform color and surface, merged into objects.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct RgbdSettings {
-    /// Every `stride`-th pixel of the depth image is looked at.
+    /// Uses every `stride`-th pixel of the depth image, 1 to 16. Default: 2.
     pub stride: u32,
-    /// CIELAB difference between neighbouring pixels that counts as one unit of edge.
+    /// CIELAB difference between neighboring pixels that counts as one unit of edge. Default: 12.
     pub colour_edge: f32,
-    /// Angle between neighbouring normals that counts as one unit of edge where the surface is
-    /// concave, degrees.
+    /// Angle between neighboring normals on a concave surface that counts as one unit of edge,
+    /// degrees. Default: 25.
     pub concave_edge_deg: f32,
-    /// The same where it is convex: objects are allowed to bulge.
+    /// The same for a convex surface, degrees. Larger because objects are convex. Default: 60.
     pub convex_edge_deg: f32,
-    /// How readily even areas grow across edges (Felzenszwalb's k, in units of edge times pixels).
+    /// Felzenszwalb's k in units of edge times pixels. Larger values give larger patches. Default:
+    /// 30.
     pub patch_scale: f32,
-    /// Patches under this many grid pixels join their most similar neighbour.
+    /// Minimum size of a patch in grid pixels. Smaller ones join their most similar neighbor.
+    /// Default: 20.
     pub min_patch_pixels: u32,
-    /// Patches join into things while the cost of the cheapest border stays below this.
+    /// Maximum border cost for merging patches into objects. Default: 0.8.
     pub join_cost: f32,
-    /// Mean CIELAB difference of two patches that costs one unit.
+    /// Mean CIELAB difference of two patches that costs one unit. Default: 25.
     pub join_colour: f32,
-    /// Concave angle between two patches that costs one unit, degrees.
+    /// Concave angle between two patches that costs one unit, degrees. Default: 60.
     pub join_concave_deg: f32,
-    /// A flat patch of at least this area is a plane that things rest on, square metres.
+    /// Minimum area of a flat patch that counts as a supporting plane, square meters. Default:
+    /// 0.35.
     pub plane_area_m2: f32,
 }
 
@@ -47,63 +50,64 @@ impl Default for RgbdSettings {
     }
 }
 
-/// How masks that overlap are painted.
+/// Order in which overlapping masks are painted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum MaskOrder {
-    /// The mask the model is surest of comes last and stays whole.
+    /// By ascending quality: the mask with the highest predicted quality is painted last and stays
+    /// complete.
     AscendingQuality,
-    /// A part stays visible on what it is part of.
+    /// By descending size: parts stay visible on their objects.
     LargerFirst,
 }
 
-/// Where a promptable segmenter is asked.
+/// Prompt points of a promptable segmentation model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum SamPrompts {
-    /// At every point of a grid, as its authors do.
+    /// All points of a grid, as its authors do.
     Grid,
-    /// In the middle of each built-in mask that no sure mask of about its size covers yet, then at
-    /// the points of the grid that no sure mask covers at all: a fraction of the questions.
+    /// The centers of built-in masks that no confident mask of similar size covers, then uncovered
+    /// grid points. Needs far fewer prompts.
     Segments,
 }
 
-/// Masks of a promptable segmentation model, asked at points of each picture.
+/// Settings of a promptable segmentation model.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct SamSettings {
-    /// Where it is asked.
+    /// Prompt points. Default: `segments`.
     pub prompts: SamPrompts,
-    /// Points per side of the grid.
+    /// Points per side of the grid, 1 to 128. Default: 16.
     pub points_per_side: u32,
-    /// Also asks four overlapping quarters of each picture, each with half the points per side:
-    /// small things, at five times the encoding.
+    /// Also segments four overlapping quarters of each picture, each with half the points per side.
+    /// Finds smaller objects at five times the encoding cost. Default: `false`.
     pub quarters: bool,
-    /// Masks the model is less sure of are left out.
+    /// Minimum predicted quality (IoU) of a mask. Default: 0.5.
     pub min_predicted_iou: f32,
-    /// Least overlap of a mask with itself when its threshold moves by `stability_margin` both
-    /// ways.
+    /// Minimum overlap of a mask with itself when its threshold moves by `stability_margin` in both
+    /// directions. Default: 0.7.
     pub min_stability: f32,
-    /// In logits.
+    /// Change of the mask threshold for the stability test, in logits. Default: 1.
     pub stability_margin: f32,
-    /// Of two masks that overlap by more (IoU), the better stays.
+    /// IoU above which the worse of two overlapping masks is removed. Default: 0.7.
     pub max_overlap: f32,
-    /// Masks under this share of the picture are specks.
+    /// Minimum area of a mask as a share of the picture. Default: 0.0003.
     pub min_area: f32,
-    /// Masks over this share of the picture are the picture.
+    /// Maximum area of a mask as a share of the picture. Default: 0.9.
     pub max_area: f32,
-    /// Masks kept per picture, the best.
+    /// Maximum number of masks per picture. Keeps the best. Default: 400.
     pub max_masks: u32,
-    /// Which masks are painted last, over the others.
+    /// Order in which overlapping masks are painted. Default: `ascending_quality`.
     pub order: MaskOrder,
-    /// Whether a second id image has a vote, in which wholes cover their parts: masks up to a
-    /// quarter of the picture, the largest last.
+    /// Whether to vote with a second id image in which wholes cover their parts: masks up to a
+    /// quarter of the picture, the largest painted last. Default: `true`.
     pub wholes: bool,
-    /// Encoded pictures are kept on disk until the parse is done, for the prompts of defect
-    /// correction; at most so many megabytes.
+    /// Maximum disk space for encoded pictures during a parse, megabytes. Defect correction reuses
+    /// them. Default: 4096.
     pub cache_mb: u32,
 }
 
@@ -128,7 +132,7 @@ impl Default for SamSettings {
 }
 
 impl SamSettings {
-    /// What the segmenter's authors use, as the paper does where it says nothing else.
+    /// Returns the settings of the model's authors, which the paper also uses.
     #[must_use]
     pub fn paper() -> Self {
         Self {

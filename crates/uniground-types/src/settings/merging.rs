@@ -1,38 +1,39 @@
-//! Progressive merging: affinity (paper, Eq. 1), the stages of merging, and the joining of parts.
+//! Settings of progressive merging: affinity (paper, Eq. 1), stages, and merging of parts.
 
 use serde::{Deserialize, Serialize};
 
-/// How Eq. (1) averages over frames.
+/// Averaging of Eq. (1) over frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Normalisation {
-    /// `sum(w s) / sum(w)`: visibility weighs, but does not lower the affinity.
+    /// `sum(w s) / sum(w)`: visibility is a weight and does not lower the affinity.
     Normalised,
-    /// `mean(w s)`: as printed. Rarely passes the thresholds; kept for ablation.
+    /// `mean(w s)`, as printed in the paper. Rarely passes the thresholds. For ablations.
     Literal,
 }
 
-/// How superpoints are merged into regions, stage by stage.
+/// Merging of superpoints into regions in stages.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct MergeSettings {
-    /// Affinity a neighbour must reach, one value per stage. Paper: 0.9 0.8 0.7 0.6 0.5.
+    /// Minimum affinity per stage, 1 to 20 values. Default and paper: 0.9 0.8 0.7 0.6 0.5.
     pub thresholds: Vec<f32>,
-    /// Superpoints this many borders apart still count as neighbours. Paper: 2.
+    /// Maximum number of borders between neighboring superpoints, 1 to 4. Default and paper: 2.
     pub max_hop: u32,
-    /// A neighbour at hop `h` weighs `decay^(h-1)`. Paper: 0.5.
+    /// A neighbor at hop `h` has the weight `decay^(h-1)`. Default and paper: 0.5.
     pub hop_decay: f32,
-    /// Regions with fewer points join their most affine neighbour at the end. Paper: 50.
+    /// Minimum number of points of a region. Smaller ones join their most similar neighbor at the
+    /// end. Default and paper: 50.
     pub min_points: u32,
-    /// How Eq. (1) averages over frames.
+    /// Averaging of Eq. (1) over frames. Default: `normalised`.
     pub normalisation: Normalisation,
-    /// Superpoints on different planes of the building, or on one and before it, are never joined,
-    /// and small patches of a plane return to it. Not in the paper.
+    /// Never merges superpoints of different building planes, or of a plane and an object in front
+    /// of it, and returns small patches to their plane. Default: `true`. Not in the paper.
     pub keep_planes_apart: bool,
-    /// Superpoints with a small gap between them are no neighbours where frames see through it.
-    /// Not in the paper.
+    /// Separates superpoints with a small gap if frames see through the gap. Default: `true`. Not
+    /// in the paper.
     pub split_at_depth_edges: bool,
 }
 
@@ -50,20 +51,20 @@ impl Default for MergeSettings {
     }
 }
 
-/// How legs, backs and feet join the furniture they belong to. Not in the paper.
+/// Merging of legs, backs and feet with their furniture. Not in the paper.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct PartMergingSettings {
-    /// Whether parts are joined at all.
+    /// Whether parts are merged. Default: `true`.
     pub enabled: bool,
-    /// Legs and poles are no thicker than this, metres.
+    /// Maximum thickness of legs and poles, meters.
     pub leg_thickness_m: f32,
-    /// A plate is no thicker than this, metres.
+    /// Maximum thickness of a plate, meters.
     pub plate_thickness_m: f32,
-    /// A back is at least this share as wide as what it stands on, and at most the inverse.
+    /// Minimum width of a back relative to the part below it. The maximum is the inverse.
     pub back_width: f32,
-    /// Nothing longer than this is a part of furniture or is given parts, metres.
+    /// Maximum length of furniture and its parts for this step, meters.
     pub longest_m: f32,
 }
 

@@ -1,8 +1,7 @@
-//! Everything a parse depends on, beside the content of the scan: settings and the choice of
-//! models.
+//! Parse settings and the choice of models. Together with the scan they determine the result of a
+//! parse.
 //!
-//! Every number of stage 1 is a field here, with its default, the paper's value where the paper has
-//! one, and its unit.
+//! Every number of stage 1 is a field with its default, its unit and, if stated, the paper's value.
 
 mod import;
 mod instances;
@@ -23,74 +22,74 @@ pub use superpoints::SuperpointSettings;
 use crate::problem::FieldError;
 use serde::{Deserialize, Serialize};
 
-/// Everything a parse depends on, beside the content.
+/// Parse settings. Together with the scan they determine the result.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct ParseSettings {
-    /// How the files become a cloud and frames, Z up.
+    /// Import settings.
     pub import: ImportSettings,
-    /// How the cloud is cut into instances.
+    /// Settings of stage 1, which segments the cloud into instances.
     pub parsing: ParsingSettings,
-    /// Which models take part.
+    /// Choice of models.
     pub models: ModelChoice,
 }
 
-/// Which of the server's models take part.
+/// Choice of the server's models.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct ModelChoice {
-    /// Who cuts pictures into masks, and corrects projections of instances.
+    /// Component that segments pictures and corrects the outlines of instances.
     pub masks: PartChoice,
-    /// Who compares pictures and words.
+    /// Encoder that compares pictures and words.
     pub encoder: PartChoice,
-    /// Where a model fails the built-in parts do the work instead, and the report says so.
-    /// Otherwise the parse fails.
+    /// Whether built-in components replace a model that fails. The report then records it. If
+    /// `false`, the parse fails.
     pub allow_builtin: bool,
 }
 
-/// Who does a part of the work.
+/// Choice of a component.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum PartChoice {
-    /// What the server was started with.
+    /// The configured one of the server.
     #[default]
     Configured,
-    /// The part that needs no model.
+    /// The built-in one, without a model.
     Builtin,
 }
 
-/// Where settings start from; given settings then replace single values.
+/// Preset of settings. Given settings override its values.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ParsePreset {
-    /// What measures best over several rooms.
+    /// Best accuracy over several rooms.
     #[default]
     Default,
-    /// Every value the paper states.
+    /// The values of the paper.
     Paper,
 }
 
-/// Models a parse was made with: name and version each.
+/// Models of a parse, each with name and version.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ParseModels {
-    /// Cut pictures into masks: a model as `name@fingerprint`, or the built-in part, like
-    /// `rgbd-2`.
+    /// Component that segmented the pictures: a model as `name@fingerprint`, or a built-in
+    /// component like `rgbd-2`.
     pub masks: String,
-    /// Looked at instances: a model as `name@fingerprint`, or built-in names and measures, like
+    /// Encoder of the instances: a model as `name@fingerprint`, or a built-in component like
     /// `attributes-2`.
     pub encoder: String,
 }
 
 impl ParseSettings {
-    /// A preset with single values replaced by `overrides`, a partial settings object.
+    /// Returns a preset with `overrides`, a partial settings object, applied.
     ///
     /// # Errors
-    /// A [`FieldError`] with a JSON pointer below `/settings`.
+    /// Returns a [`FieldError`] with a JSON pointer below `/settings`.
     pub fn from_request(
         preset: ParsePreset,
         overrides: Option<serde_json::Value>,
@@ -117,7 +116,7 @@ impl ParseSettings {
         let fusion = &self.import.fusion;
         for (pointer, fine, expected) in [
             ("/min_share_of_mean", (0.0..=1.0).contains(&fusion.min_share_of_mean), "0 to 1"),
-            ("/voxel_m", (0.001..=1.0).contains(&fusion.voxel_m), "0.001 to 1 metres"),
+            ("/voxel_m", (0.001..=1.0).contains(&fusion.voxel_m), "0.001 to 1 meters"),
             ("/truncation_voxels", (1.0..=20.0).contains(&fusion.truncation_voxels), "1 to 20"),
             ("/max_depth_m", fusion.max_depth_m.is_finite() && fusion.max_depth_m > 0.0, "above 0"),
             (
@@ -140,10 +139,10 @@ impl ParseSettings {
     }
 }
 
-/// Settings that were called otherwise once: where they stand, the old name, the new one.
+/// Renamed settings: parent, old name, new name.
 const RENAMED: [(&str, &str, &str); 1] = [("/parsing", "wholes", "part_merging")];
 
-/// Gives settings, whole or in part, the names they have today.
+/// Renames old settings to their current names, in complete or partial settings.
 pub fn with_names_of_today(settings: &mut serde_json::Value) {
     for (place, old, new) in RENAMED {
         let Some(object) = settings.pointer_mut(place).and_then(serde_json::Value::as_object_mut)
@@ -156,8 +155,7 @@ pub fn with_names_of_today(settings: &mut serde_json::Value) {
     }
 }
 
-/// Replaces values in `base` by those of `over`, object by object. A list is no object, though
-/// serde would take it for one.
+/// Merges `over` into `base` recursively. Lists are replaced as a whole.
 fn merge(
     base: &mut serde_json::Value,
     over: serde_json::Value,
@@ -211,7 +209,7 @@ mod tests {
             (json!({"parsing": {"superpoint": {}}}), "/settings/parsing"),
             (json!({"import": {"fusion": {"voxel_m": 0}}}), "/settings/import/fusion/voxel_m"),
             (json!({"import": {"metres_per_unit": 0}}), "/settings/import/metres_per_unit"),
-            // Infinite as an f32.
+            // Infinite as an `f32`.
             (
                 json!({"parsing": {"superpoints": {"normal_weight": 1e300}}}),
                 "/settings/parsing/superpoints/normal_weight",

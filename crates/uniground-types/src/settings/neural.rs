@@ -1,21 +1,21 @@
-//! What networks do for instances: correction of projected masks, and appearance.
+//! Settings of neural models for instances: mask correction and appearance.
 
 use serde::{Deserialize, Serialize};
 
-/// How a segmentation model corrects the outlines of instances in pictures.
+/// Correction of instance outlines in pictures by a segmentation model.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct CorrectionSettings {
-    /// Prompts tried per view. Paper: 10. 0 leaves the projection as it is.
+    /// Maximum number of prompts per view, at most 100. 0 disables the correction. Default: 2.
+    /// Paper: 10.
     pub rounds: u32,
-    /// Random visible pixels per prompt. Paper: 5.
+    /// Number of random visible pixels per prompt, 1 to 100. Default and paper: 5.
     pub points: u32,
-    /// A mask agrees with the projection from this F-score on: it holds its pixels and not much
-    /// else.
+    /// Minimum F-score between a mask and the projection. Default: 0.6.
     pub min_agreement: f32,
-    /// From this F-score on a mask that was found in the frame anyway is believed, and the
-    /// segmenter not asked again. `null`: always ask.
+    /// F-score from which an existing mask of the frame is reused instead of a new prompt. `null`
+    /// always prompts. Default: 0.8.
     pub known_agreement: Option<f32>,
 }
 
@@ -26,28 +26,30 @@ impl Default for CorrectionSettings {
 }
 
 impl CorrectionSettings {
-    /// As many rounds as the paper makes.
+    /// Returns the settings of the paper.
     #[must_use]
     pub fn paper() -> Self {
         Self { rounds: 10, known_agreement: None, ..Self::default() }
     }
 }
 
-/// Which pictures of an instance an encoder looks at.
+/// Pictures of an instance for the encoder.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct AppearanceSettings {
-    /// Views looked at per instance, those that show most. Paper: 10.
+    /// Number of views per instance, best visible first, 1 to 100. Default: 5. Paper: 10.
     pub views: u32,
-    /// Least share of its points a view must show; the best view always counts. Paper: 0.2.
+    /// Minimum share of the instance's points that a view must show. The best view is always used.
+    /// Default and paper: 0.2.
     pub min_visible: f32,
-    /// Crops per view. Paper: 5.
+    /// Number of crops per view, 1 to 16. Default: 3. Paper: 5.
     pub levels: u32,
-    /// Level `l` grows the tight box by `l` times this share of its width and height, per side.
-    /// Paper: 0.1.
+    /// Crop `l` enlarges the tight box by `l` times this share of its width and height per side.
+    /// Default and paper: 0.1.
     pub level_step: f32,
-    /// Frames looked at as a whole, spread over the scan: for what is in no instance. Paper: none.
+    /// Number of full frames to encode, spread over the scan, for content outside of instances. At
+    /// most 1000. Default: 40. Paper: none.
     pub frames: u32,
 }
 
@@ -58,7 +60,7 @@ impl Default for AppearanceSettings {
 }
 
 impl AppearanceSettings {
-    /// As many views and crops as the paper takes.
+    /// Returns the settings of the paper.
     #[must_use]
     pub fn paper() -> Self {
         Self { views: 10, levels: 5, frames: 0, ..Self::default() }

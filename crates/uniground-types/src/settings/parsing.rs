@@ -1,5 +1,5 @@
-//! Every number stage 1 depends on. Two presets: `default` (what measures best) and `paper` (every
-//! value the paper states).
+//! Settings of stage 1 with two presets: `default` (best accuracy) and `paper` (the paper's
+//! values).
 
 use super::{
     AppearanceSettings, CorrectionSettings, FrameSamplingSettings, InstanceSettings, MergeSettings,
@@ -7,35 +7,36 @@ use super::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Settings of stage 1. Fields left out keep their default.
+/// Settings of stage 1. Omitted fields use their default.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct ParsingSettings {
-    /// Which frames are looked at.
+    /// Selection of the frames to process.
     pub frame_sampling: FrameSamplingSettings,
-    /// How finely the cloud is cut before anything is merged.
+    /// Segmentation of the cloud into superpoints.
     pub superpoints: SuperpointSettings,
-    /// The built-in masks.
+    /// Built-in masks.
     pub rgbd_masks: RgbdSettings,
-    /// Masks of a segmentation model, where the server has one.
+    /// Masks of a segmentation model, if the server has one.
     pub sam_masks: SamSettings,
-    /// A point fits the measured depth when `|z - d| <= this * d`. Paper: 0.15, which is loose;
-    /// 0.02 measures better.
+    /// Relative depth tolerance: a point fits the measured depth if `|z - d| <= this * d`. Default:
+    /// 0.02. Paper: 0.15.
     pub depth_tolerance: f32,
-    /// How superpoints are merged into regions.
+    /// Merging of superpoints into regions.
     pub merging: MergeSettings,
-    /// How parts join the furniture they belong to.
+    /// Merging of parts with their furniture.
     pub part_merging: PartMergingSettings,
-    /// Points at the border of a region go where most frames' masks put them. Not in the paper.
+    /// Whether points at the border of a region are reassigned by the masks of most frames.
+    /// Default: `true`. Not in the paper.
     pub refine_borders: bool,
-    /// How regions become instances with boxes.
+    /// Filtering of regions and computation of boxes.
     pub instances: InstanceSettings,
-    /// Which views of an instance are kept as pictures.
+    /// Selection of the views stored as pictures.
     pub views: ViewSettings,
-    /// What a segmentation model does about projections that lost or took along something.
+    /// Correction of instance outlines by a segmentation model.
     pub correction: CorrectionSettings,
-    /// What an encoder looks at, where the server has one.
+    /// Pictures for the encoder, if the server has one.
     pub appearance: AppearanceSettings,
 }
 
@@ -59,8 +60,8 @@ impl Default for ParsingSettings {
 }
 
 impl ParsingSettings {
-    /// Every value and step the paper states and none that it does not; where a step needs a value
-    /// the paper leaves out, the default.
+    /// Returns the paper's values and only the paper's steps. Uses the defaults for values that the
+    /// paper omits.
     #[must_use]
     pub fn paper() -> Self {
         Self {
@@ -97,10 +98,11 @@ impl ParsingSettings {
         }
     }
 
-    /// Names the first field whose value makes no sense, as a JSON pointer, and says what would.
+    /// Checks all values. The error contains the JSON pointer of the first invalid field and the
+    /// expected value.
     ///
     /// # Errors
-    /// The pointer and the expectation.
+    /// Returns the pointer and the expected value.
     pub fn check(&self) -> Result<(), (&'static str, &'static str)> {
         let Self {
             frame_sampling,
@@ -129,7 +131,7 @@ impl ParsingSettings {
             (
                 "/superpoints/voxel_m",
                 (0.001..=10.0).contains(&superpoints.voxel_m),
-                "0.001 to 10 metres",
+                "0.001 to 10 meters",
             ),
             (
                 "/superpoints/seed_m",
@@ -204,7 +206,7 @@ impl ParsingSettings {
             (
                 "/instances/stray_voxel_m",
                 (0.001..=10.0).contains(&instances.stray_voxel_m),
-                "0.001 to 10 metres",
+                "0.001 to 10 meters",
             ),
             ("/instances/min_agreement", share(instances.min_agreement), "0 to 1"),
             (
