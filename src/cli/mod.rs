@@ -1,5 +1,6 @@
 //! The command line: one file per subcommand.
 
+mod approach;
 mod backup;
 mod batch;
 mod completions;
@@ -61,6 +62,8 @@ enum Command {
     Upload(upload::UploadArgs),
     /// Find the scenes of a running server that contain an object
     Find(find::FindArgs),
+    /// Find where a robot can stand to see or reach an object
+    Approach(approach::ApproachArgs),
     /// List the scenes of a running server
     Scenes(scenes::ScenesArgs),
     /// Run many questions on a server
@@ -121,6 +124,7 @@ fn run_command(command: &Command) -> anyhow::Result<()> {
         Command::Ground(args) => asynchronous(ground::run(args)),
         Command::Upload(args) => asynchronous(upload::run(args)),
         Command::Find(args) => asynchronous(find::run(args)),
+        Command::Approach(args) => asynchronous(approach::run(args)),
         Command::Scenes(args) => asynchronous(scenes::run(args)),
         Command::Batch(args) => asynchronous(batch::run(args)),
         Command::Mcp(config) => asynchronous(mcp::run(config)),

@@ -6,6 +6,7 @@ use super::batches::media_type_of;
 use super::extract::{Path, Query};
 use super::paging::checked;
 use super::problem::ProblemResponse;
+use super::problems;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
@@ -17,7 +18,6 @@ use uniground_service::LineFormat;
 use uniground_service::error::Error;
 use uniground_storage::AnswerFilter;
 use uniground_types::answer::{Answer, AnswerList, Status};
-use uniground_types::problem::Problem;
 use uniground_types::transcript::{AnswerPrompt, AnswerReply};
 use utoipa::IntoParams;
 
@@ -55,9 +55,7 @@ pub struct ListParameters {
     get, path = "/v1/answers", operation_id = "list_answers", tag = "grounding", params(ListParameters),
     responses(
         (status = 200, content((AnswerList = "application/json"), (Answer = "application/jsonl"), (String = "text/csv"))),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Unprocessable,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -106,9 +104,7 @@ fn time(parameter: &str, text: Option<String>) -> Result<Option<Timestamp>, Erro
     get, path = "/v1/answers/{answer_id}", operation_id = "get_answer", tag = "grounding", params(("answer_id" = String, Path)),
     responses(
         (status = 200, body = Answer),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -132,9 +128,7 @@ pub async fn get(
     params(("answer_id" = String, Path), ("picture" = String, Path, description = "`global.jpg`, or a name from the answer's `evidence`")),
     responses(
         (status = 200, body = Binary, content_type = "image/jpeg"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -154,9 +148,7 @@ pub async fn picture(
     get, path = "/v1/answers/{answer_id}/prompt", operation_id = "get_answer_prompt", tag = "grounding", params(("answer_id" = String, Path)),
     responses(
         (status = 200, body = AnswerPrompt),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -172,9 +164,7 @@ pub async fn prompt(
     get, path = "/v1/answers/{answer_id}/reply", operation_id = "get_answer_reply", tag = "grounding", params(("answer_id" = String, Path)),
     responses(
         (status = 200, body = AnswerReply),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound,
     ),
     security(("key" = ["read"]), ())
 )]

@@ -2,6 +2,7 @@
 
 use super::extract::{Json, Path, Query};
 use super::problem::ProblemResponse;
+use super::problems;
 use super::{App, Binary, CallerExtension};
 use axum::Extension;
 use axum::extract::State;
@@ -9,7 +10,6 @@ use axum::http::header;
 use axum::response::IntoResponse;
 use serde::Deserialize;
 use uniground_types::approach::{Approach, ApproachRequest, FloorMap};
-use uniground_types::problem::Problem;
 use utoipa::IntoParams;
 
 /// Computes poses from which a robot can see or reach an object: on free floor, with a view of the
@@ -22,16 +22,9 @@ use utoipa::IntoParams;
     post, path = "/v1/scenes/{scene_id}/approach", operation_id = "approach", tag = "grounding", params(("scene_id" = String, Path)), request_body = ApproachRequest,
     responses(
         (status = 200, body = Approach),
-        (status = 400, body = Problem, content_type = "application/problem+json"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 413, body = Problem, content_type = "application/problem+json"),
-        (status = 415, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
-        (status = 502, body = Problem, content_type = "application/problem+json"),
-        (status = 503, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::BadRequest, problems::NotFound, problems::Conflict,
+        problems::TooLarge, problems::UnsupportedMediaType, problems::Unprocessable,
+        problems::BadGateway, problems::Unavailable,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -64,12 +57,8 @@ fn default_height() -> f32 {
     get, path = "/v1/scenes/{scene_id}/floor", operation_id = "get_floor", tag = "scenes", params(("scene_id" = String, Path), FloorParameters),
     responses(
         (status = 200, body = FloorMap),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
-        (status = 503, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict, problems::Unprocessable,
+        problems::Unavailable,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -87,12 +76,8 @@ pub async fn floor(
     get, path = "/v1/scenes/{scene_id}/floor.png", operation_id = "get_floor_picture", tag = "scenes", params(("scene_id" = String, Path), FloorParameters),
     responses(
         (status = 200, body = Binary, content_type = "image/png"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
-        (status = 503, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict, problems::Unprocessable,
+        problems::Unavailable,
     ),
     security(("key" = ["read"]), ())
 )]

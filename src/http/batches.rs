@@ -3,6 +3,7 @@
 use super::extract::{IdempotencyKey, Json, Path, Query};
 use super::paging::Page;
 use super::problem::ProblemResponse;
+use super::problems;
 use super::{App, CallerExtension};
 use axum::Extension;
 use axum::body::{Body, BodyDataStream};
@@ -13,7 +14,6 @@ use serde::Deserialize;
 use serde_json::{Map, Value};
 use uniground_service::{BatchBody, LineFormat, ResultRequest, Submission};
 use uniground_types::batch::{Batch, BatchList, BatchRequest, BatchResult};
-use uniground_types::problem::Problem;
 use utoipa::IntoParams;
 
 /// Options of a batch sent as JSONL.
@@ -47,13 +47,8 @@ pub struct CreateParameters {
     request_body(content((BatchRequest = "application/json"), (String = "application/jsonl"))),
     responses(
         (status = 202, body = Batch),
-        (status = 400, body = Problem, content_type = "application/problem+json"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 413, body = Problem, content_type = "application/problem+json"),
-        (status = 415, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::BadRequest, problems::Forbidden, problems::TooLarge,
+        problems::UnsupportedMediaType, problems::Unprocessable,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -126,9 +121,7 @@ pub async fn create(
     get, path = "/v1/batches", operation_id = "list_batches", tag = "batches", params(Page),
     responses(
         (status = 200, body = BatchList),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Unprocessable,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -145,9 +138,7 @@ pub async fn list(
     get, path = "/v1/batches/{batch_id}", operation_id = "get_batch", tag = "batches", params(("batch_id" = String, Path)),
     responses(
         (status = 200, body = Batch),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -181,10 +172,7 @@ pub struct ResultParameters {
     get, path = "/v1/batches/{batch_id}/results", operation_id = "get_batch_results", tag = "batches", params(("batch_id" = String, Path), ResultParameters),
     responses(
         (status = 200, content((BatchResult = "application/jsonl"), (String = "text/csv"))),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Unprocessable,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -217,11 +205,7 @@ pub(super) fn media_type_of(format: LineFormat) -> &'static str {
     post, path = "/v1/batches/{batch_id}/pause", operation_id = "pause_batch", tag = "batches", params(("batch_id" = String, Path)),
     responses(
         (status = 200, body = Batch),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Forbidden, problems::NotFound, problems::Conflict,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -237,11 +221,7 @@ pub async fn pause(
     post, path = "/v1/batches/{batch_id}/resume", operation_id = "resume_batch", tag = "batches", params(("batch_id" = String, Path)),
     responses(
         (status = 200, body = Batch),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Forbidden, problems::NotFound, problems::Conflict,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -257,11 +237,7 @@ pub async fn resume(
     post, path = "/v1/batches/{batch_id}/cancel", operation_id = "cancel_batch", tag = "batches", params(("batch_id" = String, Path)),
     responses(
         (status = 200, body = Batch),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Forbidden, problems::NotFound, problems::Conflict,
     ),
     security(("key" = ["write"]), ())
 )]

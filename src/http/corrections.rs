@@ -2,6 +2,7 @@
 
 use super::extract::{Json, Path};
 use super::problem::ProblemResponse;
+use super::problems;
 use super::{App, CallerExtension};
 use axum::Extension;
 use axum::extract::State;
@@ -9,7 +10,6 @@ use axum::http::{StatusCode, header};
 use axum::response::IntoResponse;
 use uniground_service::GroundTruth;
 use uniground_types::corrections::{Change, Correction, CorrectionList};
-use uniground_types::problem::Problem;
 
 /// Corrects the current parse: renames, dismisses, merges or splits instances.
 ///
@@ -20,15 +20,9 @@ use uniground_types::problem::Problem;
     request_body = Change,
     responses(
         (status = 201, body = Correction),
-        (status = 400, body = Problem, content_type = "application/problem+json"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 413, body = Problem, content_type = "application/problem+json"),
-        (status = 415, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::BadRequest, problems::Forbidden, problems::NotFound,
+        problems::Conflict, problems::TooLarge, problems::UnsupportedMediaType,
+        problems::Unprocessable,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -50,10 +44,7 @@ pub async fn create(
     get, path = "/v1/scenes/{scene_id}/corrections", operation_id = "list_corrections", tag = "instances", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = CorrectionList),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -70,11 +61,7 @@ pub async fn list(
     params(("scene_id" = String, Path), ("correction_id" = String, Path)),
     responses(
         (status = 200, body = Correction),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Forbidden, problems::NotFound, problems::Conflict,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -91,10 +78,7 @@ pub async fn undo(
     get, path = "/v1/scenes/{scene_id}/annotations", operation_id = "get_annotations", tag = "instances", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = GroundTruth),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict,
     ),
     security(("key" = ["read"]), ())
 )]

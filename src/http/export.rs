@@ -3,6 +3,7 @@
 use super::caching::send_bytes;
 use super::extract::{Path, Query};
 use super::problem::ProblemResponse;
+use super::problems;
 use super::{App, Binary};
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, header};
@@ -10,7 +11,6 @@ use axum::response::Response;
 use serde::Deserialize;
 use uniground_service::ExportFile;
 use uniground_types::export::{DEFAULT_POINTS, ExportFormat, ExportedScene};
-use uniground_types::problem::Problem;
 use utoipa::IntoParams;
 
 #[derive(Debug, Deserialize, IntoParams)]
@@ -42,12 +42,8 @@ fn default_points() -> u32 {
             (Binary = "model/gltf-binary"), (Binary = "model/vnd.usdz+zip"), (Binary = "application/octet-stream"),
             (ExportedScene = "application/json"),
         )),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
-        (status = 503, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict, problems::Unprocessable,
+        problems::Unavailable,
     ),
     security(("key" = ["read"]), ())
 )]

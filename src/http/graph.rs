@@ -3,6 +3,7 @@
 use super::App;
 use super::extract::{Path, Query};
 use super::problem::ProblemResponse;
+use super::problems;
 use axum::extract::State;
 use axum::http::header;
 use axum::response::IntoResponse;
@@ -10,7 +11,6 @@ use serde::Deserialize;
 use uniground_service::written;
 use uniground_types::graph::{GraphFormat, SceneGraph};
 use uniground_types::instances::Levels;
-use uniground_types::problem::Problem;
 use uniground_types::scene::InstanceId;
 use utoipa::IntoParams;
 
@@ -39,12 +39,8 @@ pub struct GraphParameters {
     get, path = "/v1/scenes/{scene_id}/graph", operation_id = "get_graph", tag = "instances", params(("scene_id" = String, Path), GraphParameters),
     responses(
         (status = 200, content((SceneGraph = "application/json"), (String = "application/graphml+xml"), (String = "text/plain"))),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
-        (status = 503, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict, problems::Unprocessable,
+        problems::Unavailable,
     ),
     security(("key" = ["read"]), ())
 )]

@@ -2,6 +2,7 @@
 
 use super::extract::{IdempotencyKey, Json, Path};
 use super::problem::ProblemResponse;
+use super::problems;
 use super::{App, CallerExtension};
 use axum::Extension;
 use axum::extract::State;
@@ -9,7 +10,6 @@ use axum::http::{HeaderMap, HeaderValue};
 use axum::response::{IntoResponse, Response};
 use uniground_types::answer::{Answer, Shortlisted};
 use uniground_types::many::{ManyAnswers, ManyGroundRequest};
-use uniground_types::problem::Problem;
 use uniground_types::question::{GroundRequest, ShortlistRequest};
 
 /// Answers a question about a parsed scene.
@@ -25,18 +25,10 @@ use uniground_types::question::{GroundRequest, ShortlistRequest};
     request_body = GroundRequest,
     responses(
         (status = 200, body = Answer, headers(("Idempotent-Replayed" = Option<String>, description = "`true` if the answer was stored earlier under the same `Idempotency-Key`"))),
-        (status = 400, body = Problem, content_type = "application/problem+json"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 402, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 413, body = Problem, content_type = "application/problem+json"),
-        (status = 415, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
-        (status = 502, body = Problem, content_type = "application/problem+json"),
-        (status = 503, body = Problem, content_type = "application/problem+json"),
-        (status = 504, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::BadRequest, problems::BudgetSpent, problems::NotFound,
+        problems::Conflict, problems::TooLarge, problems::UnsupportedMediaType,
+        problems::Unprocessable, problems::BadGateway, problems::Unavailable,
+        problems::GatewayTimeout,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -69,18 +61,10 @@ pub async fn ground(
     post, path = "/v1/ground", operation_id = "ground_many", tag = "grounding", request_body = ManyGroundRequest,
     responses(
         (status = 200, body = ManyAnswers),
-        (status = 400, body = Problem, content_type = "application/problem+json"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 402, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 413, body = Problem, content_type = "application/problem+json"),
-        (status = 415, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
-        (status = 502, body = Problem, content_type = "application/problem+json"),
-        (status = 503, body = Problem, content_type = "application/problem+json"),
-        (status = 504, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::BadRequest, problems::BudgetSpent, problems::NotFound,
+        problems::Conflict, problems::TooLarge, problems::UnsupportedMediaType,
+        problems::Unprocessable, problems::BadGateway, problems::Unavailable,
+        problems::GatewayTimeout,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -109,14 +93,8 @@ pub async fn ground_many(
     post, path = "/v1/scenes/{scene_id}/shortlist", operation_id = "shortlist", tag = "grounding", params(("scene_id" = String, Path)), request_body = ShortlistRequest,
     responses(
         (status = 200, body = Shortlisted),
-        (status = 400, body = Problem, content_type = "application/problem+json"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 413, body = Problem, content_type = "application/problem+json"),
-        (status = 415, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::BadRequest, problems::NotFound, problems::Conflict,
+        problems::TooLarge, problems::UnsupportedMediaType, problems::Unprocessable,
     ),
     security(("key" = ["read"]), ())
 )]

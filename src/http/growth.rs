@@ -4,6 +4,7 @@
 use super::Binary;
 use super::extract::{IdempotencyKey, Path, Query};
 use super::problem::ProblemResponse;
+use super::problems;
 use super::scenes::file_of_form;
 use super::{App, CallerExtension};
 use axum::Extension;
@@ -15,7 +16,6 @@ use uniground_service::NewFrames;
 use uniground_service::error::Error;
 use uniground_types::changes::SceneChanges;
 use uniground_types::placement::FrameChoice;
-use uniground_types::problem::Problem;
 use uniground_types::scenes::Created;
 use utoipa::IntoParams;
 
@@ -50,15 +50,8 @@ fn of_the_files() -> FrameChoice {
     request_body(content = Binary, content_type = "application/octet-stream", description = "As for a new scene: an archive, or a form with an archive"),
     responses(
         (status = 202, body = Created),
-        (status = 400, body = Problem, content_type = "application/problem+json"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 413, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
-        (status = 507, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::BadRequest, problems::Forbidden, problems::NotFound,
+        problems::Conflict, problems::TooLarge, problems::Unprocessable, problems::StorageFull,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -111,12 +104,8 @@ pub struct ChangesParameters {
     params(("scene_id" = String, Path), ChangesParameters),
     responses(
         (status = 200, body = SceneChanges),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
-        (status = 504, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict, problems::Unprocessable,
+        problems::GatewayTimeout,
     ),
     security(("key" = ["read"]), ())
 )]

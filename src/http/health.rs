@@ -1,19 +1,19 @@
 //! `/healthz`, `/readyz` and `/v1/models`
 
 use super::App;
+use super::problems;
 use axum::Json;
 use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use uniground_service::Health;
 use uniground_storage::StoreHealth;
-use uniground_types::problem::Problem;
 use uniground_types::service::{Health as Alive, ModelList, Readiness};
 
 /// Lists the models of this server. Empty if only built-in components are used.
 #[utoipa::path(
     get, path = "/v1/models", operation_id = "list_models", tag = "service",
-    responses((status = 200, body = ModelList), (status = 401, body = Problem, content_type = "application/problem+json"), (status = 429, body = Problem, content_type = "application/problem+json")),
+    responses((status = 200, body = ModelList), problems::Common),
     security(("key" = ["read"]), ())
 )]
 pub async fn models(State(app): State<App>) -> Json<ModelList> {

@@ -4,6 +4,7 @@ use super::App;
 use super::Binary;
 use super::extract::{Path, Query};
 use super::problem::ProblemResponse;
+use super::problems;
 use super::scene_media::send_picture;
 use axum::Json;
 use axum::extract::State;
@@ -11,7 +12,6 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
 use serde::Deserialize;
 use uniground_types::instances::{InstanceList, InstanceView, Levels, ViewPicture};
-use uniground_types::problem::Problem;
 use uniground_types::scene::InstanceId;
 use utoipa::IntoParams;
 
@@ -42,11 +42,7 @@ fn default_limit() -> u32 {
     get, path = "/v1/scenes/{scene_id}/instances", operation_id = "list_instances", tag = "instances", params(("scene_id" = String, Path), ListParameters),
     responses(
         (status = 200, body = InstanceList),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict, problems::Unprocessable,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -67,10 +63,7 @@ pub async fn list(
     params(("scene_id" = String, Path), ("instance_id" = u32, Path)),
     responses(
         (status = 200, body = InstanceView),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -98,11 +91,7 @@ pub struct ViewParameters {
     params(("scene_id" = String, Path), ("instance_id" = u32, Path), ("view" = String, Path, description = "`{k}.jpg`, k from 0"), ViewParameters),
     responses(
         (status = 200, body = Binary, content_type = "image/jpeg"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict, problems::Unprocessable,
     ),
     security(("key" = ["read"]), ())
 )]

@@ -4,6 +4,7 @@ use super::App;
 use super::extract::{Path, Query};
 use super::paging::{DEFAULT_LIMIT, checked};
 use super::problem::ProblemResponse;
+use super::problems;
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
@@ -16,7 +17,6 @@ use tokio_util::sync::CancellationToken;
 use uniground_jobs::{Job, JobList};
 use uniground_service::error::Error;
 use uniground_storage::{JobFilter, JobState};
-use uniground_types::problem::Problem;
 use utoipa::IntoParams;
 
 /// An event of a job's stream.
@@ -55,9 +55,7 @@ pub struct ListParameters {
     get, path = "/v1/jobs", operation_id = "list_jobs", tag = "jobs", params(ListParameters),
     responses(
         (status = 200, body = JobList),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Unprocessable,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -76,9 +74,7 @@ pub async fn list(
     get, path = "/v1/jobs/{job_id}", operation_id = "get_job", tag = "jobs", params(("job_id" = String, Path)),
     responses(
         (status = 200, body = Job),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -94,10 +90,7 @@ pub async fn get(
     delete, path = "/v1/jobs/{job_id}", operation_id = "cancel_job", tag = "jobs", params(("job_id" = String, Path)),
     responses(
         (status = 202, body = Job, description = "Cancellation requested; returns the job"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Forbidden, problems::NotFound,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -117,9 +110,7 @@ pub async fn cancel(
     params(("job_id" = String, Path), ("Last-Event-ID" = Option<String>, Header)),
     responses(
         (status = 200, body = JobEvent, content_type = "text/event-stream"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound,
     ),
     security(("key" = ["read"]), ())
 )]

@@ -4,10 +4,10 @@ use super::App;
 use super::extract::{Json, Path, Query};
 use super::paging::Page;
 use super::problem::ProblemResponse;
+use super::problems;
 use axum::extract::State;
 use axum::http::StatusCode;
 use uniground_types::keys::{AuditList, CreatedKey, Key, KeyList, NewKey};
-use uniground_types::problem::Problem;
 
 /// Creates an API key. Its secret is returned only in this response.
 ///
@@ -16,13 +16,8 @@ use uniground_types::problem::Problem;
     post, path = "/v1/keys", operation_id = "create_key", tag = "keys", request_body = NewKey,
     responses(
         (status = 201, body = CreatedKey),
-        (status = 400, body = Problem, content_type = "application/problem+json"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 413, body = Problem, content_type = "application/problem+json"),
-        (status = 415, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::BadRequest, problems::Forbidden, problems::TooLarge,
+        problems::UnsupportedMediaType, problems::Unprocessable,
     ),
     security(("key" = ["admin"]), ())
 )]
@@ -44,10 +39,7 @@ pub async fn create(
     get, path = "/v1/keys", operation_id = "list_keys", tag = "keys", params(Page),
     responses(
         (status = 200, body = KeyList),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Forbidden, problems::Unprocessable,
     ),
     security(("key" = ["admin"]), ())
 )]
@@ -64,10 +56,7 @@ pub async fn list(
     delete, path = "/v1/keys/{key_id}", operation_id = "revoke_key", tag = "keys", params(("key_id" = String, Path)),
     responses(
         (status = 200, body = Key),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Forbidden, problems::NotFound,
     ),
     security(("key" = ["admin"]), ())
 )]
@@ -84,10 +73,7 @@ pub async fn revoke(
     get, path = "/v1/audit", operation_id = "list_audit", tag = "keys", params(Page),
     responses(
         (status = 200, body = AuditList),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Forbidden, problems::Unprocessable,
     ),
     security(("key" = ["admin"]), ())
 )]

@@ -2,12 +2,12 @@
 
 use super::extract::Json;
 use super::problem::ProblemResponse;
+use super::problems;
 use super::{App, CallerExtension};
 use axum::Extension;
 use axum::extract::State;
 use jiff::Timestamp;
 use uniground_types::links::{LinkList, LinkRequest};
-use uniground_types::problem::Problem;
 
 /// Creates signed links that work without a key for a limited time, for pictures, clouds and event
 /// streams in a web page, where no header can be sent.
@@ -18,12 +18,8 @@ use uniground_types::problem::Problem;
     post, path = "/v1/links", operation_id = "create_links", tag = "keys", request_body = LinkRequest,
     responses(
         (status = 200, body = LinkList),
-        (status = 400, body = Problem, content_type = "application/problem+json"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 413, body = Problem, content_type = "application/problem+json"),
-        (status = 415, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::BadRequest, problems::TooLarge, problems::UnsupportedMediaType,
+        problems::Unprocessable,
     ),
     security(("key" = ["read"]), ())
 )]

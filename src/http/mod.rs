@@ -26,6 +26,7 @@ mod origins;
 mod page;
 mod paging;
 mod problem;
+mod problems;
 mod reports;
 mod scene_media;
 mod scenes;

@@ -5,12 +5,12 @@ use super::Binary;
 use super::caching::send_file;
 use super::extract::Path;
 use super::problem::ProblemResponse;
+use super::problems;
 use axum::Json;
 use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::response::Response;
 use uniground_service::error::Error;
-use uniground_types::problem::Problem;
 use uniground_types::scenes::SceneReport;
 
 /// Returns the report of the current parse: counts, seconds and memory per stage, warnings,
@@ -19,10 +19,7 @@ use uniground_types::scenes::SceneReport;
     get, path = "/v1/scenes/{scene_id}/report", operation_id = "get_report", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = SceneReport),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -39,10 +36,7 @@ pub async fn get(
     params(("scene_id" = String, Path), ("picture" = String, Path, description = "`{name}.jpg` as listed in the report")),
     responses(
         (status = 200, body = Binary, content_type = "image/jpeg"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict,
     ),
     security(("key" = ["read"]), ())
 )]

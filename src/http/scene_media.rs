@@ -3,13 +3,13 @@
 use super::caching::{send_download, send_file};
 use super::extract::{Path, Query};
 use super::problem::ProblemResponse;
+use super::problems;
 use super::{App, Binary};
 use axum::extract::State;
 use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use uniground_service::EvidenceFile;
-use uniground_types::problem::Problem;
 use uniground_types::scene::FrameList;
 use utoipa::IntoParams;
 
@@ -27,10 +27,7 @@ use utoipa::IntoParams;
         (status = 200, body = Binary, content_type = "application/octet-stream"),
         (status = 206, description = "The part requested by `Range`", body = Binary, content_type = "application/octet-stream"),
         (status = 307, description = "Redirect to the object store, if the server is configured for it", headers(("location" = String))),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -48,10 +45,7 @@ pub async fn points(
     get, path = "/v1/scenes/{scene_id}/thumbnail.jpg", operation_id = "get_thumbnail", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = Binary, content_type = "image/jpeg"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -68,10 +62,7 @@ pub async fn thumbnail(
     get, path = "/v1/scenes/{scene_id}/frames", operation_id = "list_frames", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = FrameList),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -99,11 +90,7 @@ pub struct PhotographParameters {
     params(("scene_id" = String, Path), ("frame" = u32, Path), PhotographParameters),
     responses(
         (status = 200, content((Binary = "image/jpeg"), (Binary = "image/png"))),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict, problems::Unprocessable,
     ),
     security(("key" = ["read"]), ())
 )]

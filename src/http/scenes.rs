@@ -5,6 +5,7 @@ use super::caching::send_download;
 use super::extract::{IdempotencyKey, Json, Path, Query};
 use super::paging::{DEFAULT_LIMIT, checked};
 use super::problem::ProblemResponse;
+use super::problems;
 use super::{App, CallerExtension};
 use axum::Extension;
 use axum::body::BodyDataStream;
@@ -22,7 +23,6 @@ use uniground_service::error::Error;
 use uniground_service::{NewScene, ParseFile};
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::labels::read_labels;
-use uniground_types::problem::Problem;
 use uniground_types::scenes::{
     Created, ImportRequest, ParseRequest, Scene, SceneChange, SceneList,
 };
@@ -78,12 +78,8 @@ fn yes() -> bool {
     ),
     responses(
         (status = 202, body = Created),
-        (status = 400, body = Problem, content_type = "application/problem+json"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 413, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::BadRequest, problems::Forbidden, problems::TooLarge,
+        problems::Unprocessable,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -132,15 +128,9 @@ pub async fn create(
     params(("Idempotency-Key" = Option<String>, Header, description = "A repeated key returns the scene of the first request")),
     responses(
         (status = 202, body = Created),
-        (status = 400, body = Problem, content_type = "application/problem+json"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 413, body = Problem, content_type = "application/problem+json"),
-        (status = 415, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
-        (status = 507, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::BadRequest, problems::Forbidden, problems::NotFound,
+        problems::TooLarge, problems::UnsupportedMediaType, problems::Unprocessable,
+        problems::StorageFull,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -195,9 +185,7 @@ pub(super) async fn file_of_form(
     post, path = "/v1/scenes/sample", operation_id = "create_sample_scene", tag = "scenes",
     responses(
         (status = 202, body = Created),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Forbidden,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -229,9 +217,7 @@ pub struct ListParameters {
     get, path = "/v1/scenes", operation_id = "list_scenes", tag = "scenes", params(ListParameters),
     responses(
         (status = 200, body = SceneList),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Unprocessable,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -253,9 +239,7 @@ pub async fn list(
     get, path = "/v1/scenes/{scene_id}", operation_id = "get_scene", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = Scene),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -271,14 +255,8 @@ pub async fn get(
     patch, path = "/v1/scenes/{scene_id}", operation_id = "change_scene", tag = "scenes", params(("scene_id" = String, Path)), request_body = SceneChange,
     responses(
         (status = 200, body = Scene),
-        (status = 400, body = Problem, content_type = "application/problem+json"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 413, body = Problem, content_type = "application/problem+json"),
-        (status = 415, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::BadRequest, problems::Forbidden, problems::NotFound,
+        problems::TooLarge, problems::UnsupportedMediaType, problems::Unprocessable,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -295,10 +273,7 @@ pub async fn change(
     delete, path = "/v1/scenes/{scene_id}", operation_id = "delete_scene", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 204, description = "Gone"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Forbidden, problems::NotFound,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -316,14 +291,8 @@ pub async fn delete(
     post, path = "/v1/scenes/{scene_id}/parse", operation_id = "parse_scene", tag = "scenes", params(("scene_id" = String, Path)), request_body = ParseRequest,
     responses(
         (status = 202, body = Job),
-        (status = 400, body = Problem, content_type = "application/problem+json"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 413, body = Problem, content_type = "application/problem+json"),
-        (status = 415, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::BadRequest, problems::Forbidden, problems::NotFound,
+        problems::TooLarge, problems::UnsupportedMediaType, problems::Unprocessable,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -347,11 +316,7 @@ pub async fn parse(
     post, path = "/v1/scenes/{scene_id}/names", operation_id = "name_instances", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 202, body = Job),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Forbidden, problems::NotFound, problems::Conflict,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -372,10 +337,7 @@ pub async fn name(
     responses(
         (status = 200, body = Binary, content_type = "application/octet-stream"),
         (status = 307, description = "Redirect to the object store, if the server is configured for it", headers(("location" = String))),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -394,10 +356,7 @@ pub async fn cloud(
     responses(
         (status = 200, body = Binary, content_type = "application/octet-stream"),
         (status = 307, description = "Redirect to the object store, if the server is configured for it", headers(("location" = String))),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -418,10 +377,7 @@ pub async fn instances_cloud(
     responses(
         (status = 200, body = Binary, content_type = "application/octet-stream"),
         (status = 307, description = "Redirect to the object store, if the server is configured for it", headers(("location" = String))),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::NotFound, problems::Conflict,
     ),
     security(("key" = ["read"]), ())
 )]

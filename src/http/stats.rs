@@ -2,13 +2,13 @@
 
 use super::App;
 use super::problem::ProblemResponse;
+use super::problems;
 use axum::Json;
 use axum::extract::{MatchedPath, Request, State};
 use axum::http::header;
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use uniground_telemetry::metrics::MEDIA_TYPE;
-use uniground_types::problem::Problem;
 use uniground_types::stats::Stats;
 
 /// Returns statistics of the server: stored data, jobs, spending, disk usage and retention.
@@ -16,8 +16,7 @@ use uniground_types::stats::Stats;
     get, path = "/v1/stats", operation_id = "get_stats", tag = "service",
     responses(
         (status = 200, body = Stats),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common,
     ),
     security(("key" = ["read"]), ())
 )]
@@ -30,8 +29,7 @@ pub async fn stats(State(app): State<App>) -> Result<Json<Stats>, ProblemRespons
     get, path = "/metrics", operation_id = "metrics", tag = "service",
     responses(
         (status = 200, body = String, content_type = "application/openmetrics-text"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common,
     ),
     security(("key" = ["read"]), ())
 )]

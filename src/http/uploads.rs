@@ -2,6 +2,7 @@
 
 use super::extract::{IdempotencyKey, Path, Query};
 use super::problem::ProblemResponse;
+use super::problems;
 use super::{App, CallerExtension, tus};
 use axum::Extension;
 use axum::body::Body;
@@ -112,16 +113,9 @@ fn word<T: DeserializeOwned>(key: &str, text: String) -> Result<T, ProblemRespon
             ("Upload-Offset" = u64, description = "Number of received bytes"),
             ("Upload-Expires" = String, description = "Time when the upload expires without further bytes"),
         )),
-        (status = 400, body = Problem, content_type = "application/problem+json"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 408, body = Problem, content_type = "application/problem+json"),
-        (status = 412, body = Problem, content_type = "application/problem+json"),
-        (status = 413, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
-        (status = 460, body = Problem, content_type = "application/problem+json"),
-        (status = 507, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::BadRequest, problems::Forbidden, problems::Timeout,
+        problems::PreconditionFailed, problems::TooLarge, problems::Unprocessable,
+        problems::ChecksumMismatch, problems::StorageFull,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -175,9 +169,7 @@ pub async fn create(
             ("Tus-Max-Size" = u64, description = "Maximum size of an upload, bytes"),
             ("Tus-Checksum-Algorithm" = String, description = "Supported checksum algorithms"),
         )),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Forbidden,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -190,11 +182,7 @@ pub async fn capabilities(State(app): State<App>) -> Response {
     get, path = "/v1/uploads/{upload_id}", operation_id = "get_upload", tag = "uploads", params(("upload_id" = String, Path)),
     responses(
         (status = 200, body = Upload),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 410, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Forbidden, problems::NotFound, problems::Gone,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -264,23 +252,13 @@ pub async fn head(
             ("uniground-scene-id" = String, description = "Id of the created scene"),
             ("uniground-job-id" = String, description = "Id of the parse job"),
         )),
-        (status = 400, body = Problem, content_type = "application/problem+json"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 408, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json", headers(
             ("Upload-Offset" = u64, description = "The current offset"),
         )),
-        (status = 410, body = Problem, content_type = "application/problem+json"),
-        (status = 412, body = Problem, content_type = "application/problem+json"),
-        (status = 413, body = Problem, content_type = "application/problem+json"),
-        (status = 415, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 423, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
-        (status = 460, body = Problem, content_type = "application/problem+json"),
-        (status = 507, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::BadRequest, problems::Forbidden, problems::NotFound,
+        problems::Timeout, problems::Gone, problems::PreconditionFailed, problems::TooLarge,
+        problems::UnsupportedMediaType, problems::Unprocessable, problems::Locked,
+        problems::ChecksumMismatch, problems::StorageFull,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -308,21 +286,10 @@ pub async fn append(
     request_body(content = super::Binary, content_type = "application/offset+octet-stream"),
     responses(
         (status = 204, description = "As for the selected method"),
-        (status = 400, body = Problem, content_type = "application/problem+json"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 408, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 410, body = Problem, content_type = "application/problem+json"),
-        (status = 412, body = Problem, content_type = "application/problem+json"),
-        (status = 413, body = Problem, content_type = "application/problem+json"),
-        (status = 415, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 423, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
-        (status = 460, body = Problem, content_type = "application/problem+json"),
-        (status = 507, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::BadRequest, problems::Forbidden, problems::NotFound,
+        problems::Timeout, problems::Conflict, problems::Gone, problems::PreconditionFailed,
+        problems::TooLarge, problems::UnsupportedMediaType, problems::Unprocessable,
+        problems::Locked, problems::ChecksumMismatch, problems::StorageFull,
     ),
     security(("key" = ["write"]), ())
 )]
@@ -353,13 +320,8 @@ pub async fn post(
     params(("upload_id" = String, Path), ("Tus-Resumable" = inline(tus::Version), Header, description = "Version of tus")),
     responses(
         (status = 204, description = "Gone"),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 403, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 410, body = Problem, content_type = "application/problem+json"),
-        (status = 412, body = Problem, content_type = "application/problem+json"),
-        (status = 423, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::Forbidden, problems::NotFound, problems::Gone,
+        problems::PreconditionFailed, problems::Locked,
     ),
     security(("key" = ["write"]), ())
 )]

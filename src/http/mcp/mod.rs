@@ -9,6 +9,7 @@ mod values;
 
 use super::App;
 use super::problem::ProblemResponse;
+use crate::http::problems;
 use axum::body::{Body, to_bytes};
 use axum::extract::{Request, State};
 use axum::http::request::Parts;
@@ -193,13 +194,10 @@ pub(super) struct Message(
         (status = 200, description = "The response, or a protocol error", body = Message),
         (status = 202, description = "Notification accepted"),
         (status = 400, content((Problem = "application/problem+json"), (Message = "application/json"))),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "Unknown method", body = Message),
         (status = 406, description = "`Accept` must name application/json and text/event-stream", body = Problem, content_type = "application/problem+json"),
-        (status = 413, body = Problem, content_type = "application/problem+json"),
-        (status = 415, body = Problem, content_type = "application/problem+json"),
-        (status = 422, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
+        problems::Common, problems::TooLarge, problems::UnsupportedMediaType,
+        problems::Unprocessable,
     ),
     security(("key" = ["read"]), ())
 )]
