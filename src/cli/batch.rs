@@ -4,11 +4,12 @@ use super::output::print_json;
 use super::resolve_scene;
 use super::server::ServerArgs;
 use crate::words;
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use serde_json::json;
+use serde_json::{Map, Value, json};
 use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::time::Duration;
@@ -31,12 +32,13 @@ enum Command {
 #[derive(Debug, clap::Args)]
 struct RunArgs {
     /// File with one question per line: plain text, or a JSON object with its own scene and any
-    /// other request fields
+    /// other request fields. A .csv file names its columns in the first line: question, scene, …
     file: Utf8PathBuf,
     /// Scene for lines that name none: its name, its id, or the beginning of either
     #[arg(long)]
     scene: Option<String>,
-    /// Write results to this file, one JSON object per line [default: standard output]
+    /// Write results to this file, one JSON object per line, or as a table if it ends in .csv
+    /// [default: standard output]
     #[arg(long)]
     out: Option<Utf8PathBuf>,
     /// Display name of the batch
@@ -57,8 +59,19 @@ struct RunArgs {
 
 pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyhow::Result<()> {
     let client = args.server.client()?;
-    let lines = lines_of(&fs::read_to_string(&args.file).with_context(|| args.file.to_string())?);
-    let mut out = ResultWriter::open(args.out.as_deref())?;
+    let text = fs::read_to_string(&args.file).with_context(|| args.file.to_string())?;
+    let lines = match is_csv(&args.file) {
+        true => {
+            let items = items_of_csv(&text).with_context(|| args.file.to_string())?;
+            with_scene_ids(&client, items).await?
+        }
+        false => lines_of(&text),
+    };
+    let table = args.out.as_deref().filter(|out| is_csv(out));
+    let mut out = match table {
+        Some(_) => ResultWriter::counting(),
+        None => ResultWriter::open(args.out.as_deref())?,
+    };
     let scene = match &args.scene {
         Some(scene) => Some(resolve_scene::id_of(&client, scene).await?),
         None => None,
@@ -93,6 +106,10 @@ pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyho
         }
     }
     bar.finish_and_clear();
+    if let Some(table) = table {
+        fs::write(table, client.batch_table(&batch.id).await?)
+            .with_context(|| table.to_string())?;
+    }
     eprintln!("{}", told(&batch));
     if args.json {
         print_json(&batch)?;
@@ -144,6 +161,65 @@ fn lines_of(text: &str) -> String {
     lines.map(|line| item(line) + "\n").collect()
 }
 
+fn is_csv(file: &Utf8Path) -> bool {
+    file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("csv"))
+}
+
+/// Items of a table whose header names their fields. A `question` is a `query`, a `scene` a
+/// `scene_id`. Empty cells are left out.
+fn items_of_csv(text: &str) -> anyhow::Result<Vec<Map<String, Value>>> {
+    let mut table = csv::ReaderBuilder::new()
+        .trim(csv::Trim::All)
+        .from_reader(text.trim_start_matches('\u{feff}').as_bytes());
+    let header: Vec<String> = table.headers()?.iter().map(str::to_lowercase).collect();
+    let names: Vec<&str> = header
+        .iter()
+        .map(|name| match name.as_str() {
+            "question" => "query",
+            "scene" => "scene_id",
+            name => name,
+        })
+        .collect();
+    ensure!(
+        names.contains(&"query"),
+        "the first line must name the columns, one of them \"query\" or \"question\""
+    );
+    let mut items = Vec::new();
+    for row in table.records() {
+        let row = row?;
+        let cells = names.iter().zip(row.iter()).filter(|(_, cell)| !cell.is_empty());
+        items.push(cells.map(|(name, cell)| ((*name).to_owned(), value_of(name, cell))).collect());
+    }
+    Ok(items)
+}
+
+/// Words stay text; numbers, `true`, `false` and JSON become what they say.
+fn value_of(name: &str, cell: &str) -> Value {
+    match name {
+        "query" | "scene_id" | "id" => Value::from(cell),
+        _ => serde_json::from_str(cell).unwrap_or_else(|_| Value::from(cell)),
+    }
+}
+
+/// JSONL of items, with the names of scenes replaced by their ids.
+async fn with_scene_ids(client: &Client, items: Vec<Map<String, Value>>) -> anyhow::Result<String> {
+    let mut ids: BTreeMap<String, String> = BTreeMap::new();
+    let mut lines = String::new();
+    for mut item in items {
+        if let Some(Value::String(scene)) = item.get_mut("scene_id") {
+            let id = match ids.get(scene) {
+                Some(id) => id.clone(),
+                None => resolve_scene::id_of(client, scene).await?,
+            };
+            ids.insert(scene.clone(), id.clone());
+            *scene = id;
+        }
+        lines += &serde_json::to_string(&item)?;
+        lines.push('\n');
+    }
+    Ok(lines)
+}
+
 /// Writes results and counts them.
 struct ResultWriter {
     to: Box<dyn Write>,
@@ -151,6 +227,11 @@ struct ResultWriter {
 }
 
 impl ResultWriter {
+    /// Counts results and writes them nowhere.
+    fn counting() -> Self {
+        Self { to: Box::new(io::sink()), lines: 0 }
+    }
+
     /// Opens the output for appending after the last complete line.
     fn open(path: Option<&Utf8Path>) -> anyhow::Result<Self> {
         let Some(path) = path else { return Ok(Self { to: Box::new(io::stdout()), lines: 0 }) };
@@ -211,4 +292,28 @@ fn told(batch: &Batch) -> String {
         statuses.join(", "),
         costs(batch)
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_of_a_table_become_items_named_by_its_header() {
+        let items = items_of_csv(
+            "\u{feff}Question, scene,top_k,id\n\"the mug, red\",kitchen,3,7\nthe sofa,,,\n",
+        );
+        let items = serde_json::to_value(items.unwrap()).unwrap();
+        let expected = json!([
+            {"query": "the mug, red", "scene_id": "kitchen", "top_k": 3, "id": "7"},
+            {"query": "the sofa"},
+        ]);
+        assert_eq!(items, expected);
+    }
+
+    #[test]
+    fn a_table_without_a_column_of_questions_is_an_error() {
+        let error = items_of_csv("the mug\nthe sofa\n").unwrap_err().to_string();
+        assert!(error.contains("first line"), "{error}");
+    }
 }

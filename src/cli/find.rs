@@ -4,15 +4,17 @@ use super::output::print_json;
 use super::server::ServerArgs;
 use super::{resolve_scene, table};
 use crate::words;
+use anyhow::bail;
 use std::io::{self, Write};
+use uniground_types::answer::Status;
 use uniground_types::labels::{Labels, read_labels};
-use uniground_types::many::{ManyAnswers, ManyGroundRequest};
+use uniground_types::many::{ManyAnswers, ManyGroundRequest, SceneAnswer};
 use uniground_types::question::ReasonerChoice;
 
 #[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Exit codes: 0 answered, even if nothing was found; 1 error; 2 invalid arguments."
+    after_help = "Exit codes: 0 found, surely or not; 1 found in no scene, or an error; 2 invalid arguments."
 )]
 pub struct FindArgs {
     /// Description of the object in English
@@ -61,9 +63,14 @@ pub async fn run(args: &FindArgs) -> anyhow::Result<()> {
     };
     let found = client.ground_many(&request).await?;
     match args.json {
-        true => print_json(&found),
-        false => print(&found),
+        true => print_json(&found)?,
+        false => print(&found)?,
     }
+    let is_found = |of: &SceneAnswer| of.answer.status != Status::NoMatch;
+    if !found.answers.iter().any(is_found) {
+        bail!("\"{}\" was found in none of the scenes", args.query);
+    }
+    Ok(())
 }
 
 fn print(found: &ManyAnswers) -> anyhow::Result<()> {

@@ -1,9 +1,12 @@
 //! Adds a last line to errors: a command or setting that helps.
 
 use camino::Utf8Path;
+use std::io;
 use uniground_client::ClientError;
 use uniground_core::ingest::{IngestError, IngestErrorKind};
+use uniground_core::models::neural::ModelError;
 use uniground_core::scan::ScanError;
+use uniground_storage::StoreError;
 use uniground_types::job::JobError;
 
 /// A failed parse, with the error of its job.
@@ -33,6 +36,9 @@ const OF_SCANS: [&str; 16] = [
 
 /// Adds a hint to the most common errors.
 pub fn with_help(error: anyhow::Error) -> anyhow::Error {
+    if let Some(help) = local_help(&error) {
+        return ended(&error, help);
+    }
     match error.chain().find_map(|cause| cause.downcast_ref::<ClientError>()) {
         Some(ClientError::Transport(transport)) if transport.is_connect() => {
             // The origin leaves out a password in the address.
@@ -74,6 +80,29 @@ pub fn with_help(error: anyhow::Error) -> anyhow::Error {
         ),
         _ => error,
     }
+}
+
+/// Returns a hint for errors of this machine.
+fn local_help(error: &anyhow::Error) -> Option<&'static str> {
+    error.chain().find_map(|cause| {
+        if let Some(error) = cause.downcast_ref::<io::Error>()
+            && error.kind() == io::ErrorKind::AddrInUse
+        {
+            return Some(
+                "another program uses this port. Stop it, or choose another port with --listen, \
+                 for example --listen 127.0.0.1:8081",
+            );
+        }
+        match (cause.downcast_ref(), cause.downcast_ref()) {
+            (Some(StoreError::InUse), _) => {
+                Some("stop that server, or choose another folder with --data-dir")
+            }
+            (_, Some(ModelError::NoLibrary { .. })) => {
+                Some("`uniground models fetch` downloads it, with the default models")
+            }
+            _ => None,
+        }
+    })
 }
 
 /// Adds the name of the scan and a hint to an error about it.
@@ -123,6 +152,15 @@ pub fn quoted(word: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_port_in_use_and_a_folder_in_use_say_what_to_do() {
+        let port = anyhow::Error::from(io::Error::from(io::ErrorKind::AddrInUse));
+        let port = with_help(port.context("cannot listen on 127.0.0.1:8080")).to_string();
+        assert!(port.starts_with("cannot listen") && port.contains("--listen"), "{port}");
+        let folder = with_help(StoreError::InUse.into()).to_string();
+        assert!(folder.contains("--data-dir"), "{folder}");
+    }
 
     #[test]
     fn words_are_quoted_as_shells_want_them() {

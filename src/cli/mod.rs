@@ -40,8 +40,15 @@ use crate::telemetry;
 use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
 
+/// What to try first, below the list of commands.
+const FIRST_STEPS: &str = "\
+First steps:
+  uniground demo                              parse a sample scan and ask four questions
+  uniground ground SCAN \"the red mug\"         ask about a scan of your own, without a server
+  uniground serve                             run the service and its page at http://127.0.0.1:8080";
+
 #[derive(Debug, Parser)]
-#[command(name = "uniground", version, about, max_term_width = 100)]
+#[command(name = "uniground", version, about, max_term_width = 100, after_help = FIRST_STEPS)]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,

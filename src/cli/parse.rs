@@ -1,7 +1,7 @@
 //! `uniground parse`: parses a folder or an archive, without a server.
 
 use super::{hints, report_page};
-use crate::config::{ChosenModels, ModelsConfig};
+use crate::config::{BUILTIN, BundlesConfig, ChosenModels, ModelsConfig};
 use crate::words;
 use anyhow::{Context, ensure};
 use camino::Utf8PathBuf;
@@ -35,8 +35,16 @@ pub struct ParseArgs {
     /// Axis that points up in the scan: x, -x, y, -y, z or -z
     #[arg(long, allow_hyphen_values = true, value_parser = up_axis)]
     up: Option<UpAxis>,
+    // Ignores the environment, like `ground`, so that the default takes seconds.
+    /// Source of 2D masks: builtin, auto, or a bundle name. A segmentation model takes seconds per
+    /// frame
+    #[arg(long, default_value = BUILTIN, value_name = "BUNDLE")]
+    masks: String,
+    /// Image and text encoder: builtin, auto, or a bundle name
+    #[arg(long, default_value = BUILTIN, value_name = "BUNDLE")]
+    encoder: String,
     #[command(flatten)]
-    models: ModelsConfig,
+    bundles: BundlesConfig,
     /// Print the report as JSON
     #[arg(long)]
     json: bool,
@@ -73,7 +81,12 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
     ensure!(args.scan.exists(), "{}: no such file or folder", args.scan);
     let folder =
         ScanFolder::of(&args.scan).map_err(|error| hints::of_scan(error.into(), &args.scan))?;
-    let ChosenModels { models, told, warnings } = args.models.load()?;
+    let ChosenModels { models, told, warnings } = ModelsConfig {
+        masks: args.masks.clone(),
+        encoder: args.encoder.clone(),
+        bundles: args.bundles.clone(),
+    }
+    .load()?;
     warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
     eprintln!("{told}");
 

@@ -396,6 +396,17 @@ impl Client {
         Ok(next)
     }
 
+    /// Returns the results of a batch as a CSV table: those before the first unfinished item.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn batch_table(&self, id: &str) -> Result<Vec<u8>, ClientError> {
+        let request = self
+            .request(Method::GET, &format!("v1/batches/{id}/results"))
+            .query(&[("format", "csv")]);
+        Ok(checked(request.send().await?).await?.bytes().await?.to_vec())
+    }
+
     /// # Errors
     /// [`ClientError`].
     pub async fn models(&self) -> Result<ModelList, ClientError> {

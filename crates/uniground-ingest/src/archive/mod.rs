@@ -66,7 +66,13 @@ impl ArchiveKind {
     }
 
     fn unreadable(self, reason: impl ToString) -> IngestError {
-        IngestError::ArchiveUnreadable { kind: self.name(), reason: reason.to_string() }
+        let reason = reason.to_string();
+        // The zip crate's words for a file whose directory, at its end, is missing.
+        let reason = match reason.contains("EOCD") {
+            true => "the file ends early. It is cut off, or no zip: transfer it again".into(),
+            false => reason,
+        };
+        IngestError::ArchiveUnreadable { kind: self.name(), reason }
     }
 }
 
@@ -204,7 +210,9 @@ mod tests {
     fn a_truncated_archive_is_named_as_such() {
         let zip = zip_of(&[("a.txt", &[7; 5000])]);
         let cut = unpack_bytes(&zip[..zip.len() - 30], ArchiveKind::Zip, &UnpackLimits::default());
-        assert!(matches!(cut, Err(IngestError::ArchiveUnreadable { kind: "zip", .. })), "{cut:?}");
+        let cut = cut.unwrap_err();
+        assert!(matches!(cut, IngestError::ArchiveUnreadable { kind: "zip", .. }), "{cut:?}");
+        assert!(cut.to_string().contains("transfer it again"), "{cut}");
         let noise = unpack_bytes(b"not an archive", ArchiveKind::TarZst, &UnpackLimits::default());
         assert!(
             matches!(noise, Err(IngestError::ArchiveUnreadable { kind: "tar.zst", .. })),

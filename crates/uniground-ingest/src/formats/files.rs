@@ -106,6 +106,14 @@ impl FolderListing {
 
     /// Describes the folder's content for people.
     pub fn describe(&self) -> String {
+        // The most common misunderstanding: what a camera alone writes.
+        if !self.names.is_empty() && self.names.iter().all(|name| is_picture(name)) {
+            return format!(
+                "{} pictures and nothing else. Depth pictures and camera poses are needed too: \
+                 export the scan, not its photographs",
+                self.names.len()
+            );
+        }
         let shown = self.names.iter().take(8).cloned().collect::<Vec<_>>().join(", ");
         match self.names.len() {
             0 => "nothing".into(),
@@ -113,6 +121,12 @@ impl FolderListing {
             _ => shown,
         }
     }
+}
+
+/// Whether a file name is that of a photograph.
+fn is_picture(name: &str) -> bool {
+    let extension = Utf8Path::new(name).extension().unwrap_or_default().to_lowercase();
+    ["jpg", "jpeg", "png", "heic", "webp"].contains(&extension.as_str())
 }
 
 /// Names of text files that belong to posed pictures. They contain lines of numbers too.
