@@ -311,9 +311,9 @@ mod tests {
 
     /// Queues so many, whether there is room or not.
     async fn fill(jobs: &Jobs, count: u32, key_id: Option<&str>) {
-        let new = NewJob { kind: Parsing::NAME, payload: "[]", key_id, done: None };
+        let job = JobRequest::<Parsing>::new(&vec![], key_id).unwrap();
         for _ in 0..count {
-            jobs.repository.insert_job("s", &new).await.unwrap();
+            jobs.repository.insert_job("s", &job.row()).await.unwrap();
         }
     }
 
@@ -461,7 +461,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 0).await;
         let job = JobRequest::<Parsing>::new(&vec![], None).unwrap();
-        let insert = || jobs.repository.insert_job("s", &job.row());
+        let new = job.row();
+        let insert = || jobs.repository.insert_job("s", &new);
         let full = jobs.enqueue(&job, insert()).await;
         assert!(matches!(full, Err(JobsError::QueueFull { queued: 0, .. })), "{full:?}");
         assert!(jobs.list(&JobFilter::default(), 9, None).await.unwrap().jobs.is_empty());

@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 use uniground_storage::{NewJob, StoreError};
 
 /// A request to queue a job of the kind `K`.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct JobRequest<K> {
     payload: String,
     key_id: Option<String>,
@@ -14,6 +14,18 @@ pub struct JobRequest<K> {
     /// Whether a full queue rejects the job.
     pub(super) is_limited: bool,
     kind: PhantomData<fn() -> K>,
+}
+
+impl<K> Clone for JobRequest<K> {
+    fn clone(&self) -> Self {
+        Self {
+            payload: self.payload.clone(),
+            key_id: self.key_id.clone(),
+            done: self.done.clone(),
+            is_limited: self.is_limited,
+            kind: PhantomData,
+        }
+    }
 }
 
 impl<K: JobKind> JobRequest<K> {

@@ -61,7 +61,7 @@ impl Jobs {
     async fn look(&self, id: &str) -> Result<Job, JobsError> {
         let running = self.running().get(id).map(|running| running.row.clone());
         match running {
-            Some(row) => Ok(self.as_it_stands(JobRow::clone(&row))),
+            Some(row) => Ok(self.to_job(JobRow::clone(&row))),
             None => self.get(id).await,
         }
     }

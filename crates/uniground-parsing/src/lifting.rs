@@ -454,8 +454,9 @@ mod tests {
                 move |stage, done| sink.lock().unwrap().push((stage, done)),
                 || false,
             );
-            let (lifted, all_kept) =
-                lifting.all(frames, checkpoints.log("masks", &0), &progress).unwrap();
+            let (lifted, all_kept) = lifting
+                .all(frames, &DepthCache::new(0), checkpoints.log("masks", &0), &progress)
+                .unwrap();
             let told = told.lock().unwrap().clone();
             (lifted, all_kept, halves.0.into_inner(), told)
         };

@@ -91,7 +91,8 @@ impl BatchService {
         let row = self.batch_row(id).await?;
         let payload = Payload { batch_id: id.to_owned() };
         let job = JobRequest::<BatchJob>::new(&payload, row.key_id.as_deref())?;
-        let resume = self.batch_repository.resume_batch(id, &job.row());
+        let new_job = job.row();
+        let resume = self.batch_repository.resume_batch(id, &new_job);
         match self.jobs.enqueue(&job, resume).await? {
             ResumeOutcome::By(_) | ResumeOutcome::GoesOn => {}
             ResumeOutcome::Over => {

@@ -409,7 +409,8 @@ impl BatchService {
         let payload = Payload { batch_id: received.id.to_owned() };
         // Its capacity was checked before the questions were received.
         let job = JobRequest::<BatchJob>::new(&payload, caller.key_id())?.without_limit();
-        let submit = self.batch_repository.submit_batch(received, &job.row());
+        let row = job.row();
+        let submit = self.batch_repository.submit_batch(received, &row);
         Ok(self.jobs.enqueue(&job, submit).await?)
     }
 }
