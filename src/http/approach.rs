@@ -1,6 +1,6 @@
 //! `/v1/scenes/{scene_id}/approach` and `/floor`
 
-use super::extract::{Json, Path, Query};
+use super::extract::{Json, Query, ScenePath};
 use super::problem::ProblemResponse;
 use super::problems;
 use super::{App, Binary, CallerExtension};
@@ -30,7 +30,7 @@ use utoipa::IntoParams;
 )]
 pub async fn approach(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     Extension(caller): CallerExtension,
     Json(request): Json<ApproachRequest>,
 ) -> Result<axum::Json<Approach>, ProblemResponse> {
@@ -64,7 +64,7 @@ fn default_height() -> f32 {
 )]
 pub async fn floor(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     Query(FloorParameters { height_m }): Query<FloorParameters>,
 ) -> Result<axum::Json<FloorMap>, ProblemResponse> {
     Ok(axum::Json(app.services.approach.floor(&scene_id, height_m).await?))
@@ -83,7 +83,7 @@ pub async fn floor(
 )]
 pub async fn floor_picture(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     Query(FloorParameters { height_m }): Query<FloorParameters>,
 ) -> Result<impl IntoResponse, ProblemResponse> {
     Ok((

@@ -1,6 +1,6 @@
 //! `/v1/scenes/{scene_id}/corrections` and `/annotations`
 
-use super::extract::{Json, Path};
+use super::extract::{Json, ScenePath};
 use super::problem::ProblemResponse;
 use super::problems;
 use super::{App, CallerExtension};
@@ -28,7 +28,7 @@ use uniground_types::corrections::{Change, Correction, CorrectionList};
 )]
 pub async fn create(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     Extension(caller): CallerExtension,
     Json(change): Json<Change>,
 ) -> Result<(StatusCode, axum::Json<Correction>), ProblemResponse> {
@@ -50,7 +50,7 @@ pub async fn create(
 )]
 pub async fn list(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
 ) -> Result<axum::Json<CorrectionList>, ProblemResponse> {
     Ok(axum::Json(app.services.corrections.corrections(&scene_id).await?))
 }
@@ -67,7 +67,7 @@ pub async fn list(
 )]
 pub async fn undo(
     State(app): State<App>,
-    Path((scene_id, correction_id)): Path<(String, String)>,
+    ScenePath((scene_id, correction_id)): ScenePath<(String, String)>,
 ) -> Result<axum::Json<Correction>, ProblemResponse> {
     Ok(axum::Json(app.services.corrections.undo_correction(&scene_id, &correction_id).await?))
 }
@@ -84,7 +84,7 @@ pub async fn undo(
 )]
 pub async fn annotations(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
 ) -> Result<impl IntoResponse, ProblemResponse> {
     let truth = app.services.corrections.ground_truth(&scene_id).await?;
     let name = format!("attachment; filename=\"{}.scene.json\"", truth.scene_id);

@@ -166,6 +166,13 @@ pub fn complete(openapi: &mut utoipa::openapi::OpenApi) {
             (options, true),
         ] {
             if let Some(operation) = operation {
+                for parameter in operation.parameters.iter_mut().flatten() {
+                    let RefOr::T(parameter) = parameter else { continue };
+                    if parameter.name == "scene_id" && parameter.description.is_none() {
+                        let text = "Id of the scene, or its name if no other scene has it";
+                        parameter.description = Some(text.into());
+                    }
+                }
                 may_meet(operation, path, changes);
                 operation
                     .responses

@@ -1,7 +1,7 @@
 //! `/v1/scenes/{scene_id}/export`
 
 use super::caching::send_bytes;
-use super::extract::{Path, Query};
+use super::extract::{Query, ScenePath};
 use super::problem::ProblemResponse;
 use super::problems;
 use super::{App, Binary};
@@ -49,7 +49,7 @@ fn default_points() -> u32 {
 )]
 pub async fn export(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     Query(ExportParameters { format, points }): Query<ExportParameters>,
     asked: HeaderMap,
 ) -> Result<Response, ProblemResponse> {

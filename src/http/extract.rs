@@ -1,5 +1,6 @@
 //! Extractors that fail with a [`Problem`] naming the field.
 
+use super::App;
 use super::problem::ProblemResponse;
 use axum::body::to_bytes;
 use axum::extract::{FromRequest, FromRequestParts, Request};
@@ -125,6 +126,44 @@ impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for Path<T>
                 Err(ProblemResponse::new(StatusCode::NOT_FOUND, "not_found", rejection.body_text()))
             }
         }
+    }
+}
+
+/// The path of a route below a scene. The scene may be given by its id or by its name; handlers get
+/// the id.
+pub struct ScenePath<T>(pub T);
+
+/// The parameters of a path that begins with a scene.
+pub trait BeginsWithScene {
+    fn scene_mut(&mut self) -> &mut String;
+}
+
+impl BeginsWithScene for String {
+    fn scene_mut(&mut self) -> &mut String {
+        self
+    }
+}
+
+impl<A> BeginsWithScene for (String, A) {
+    fn scene_mut(&mut self) -> &mut String {
+        &mut self.0
+    }
+}
+
+impl<A, B> BeginsWithScene for (String, A, B) {
+    fn scene_mut(&mut self) -> &mut String {
+        &mut self.0
+    }
+}
+
+impl<T: BeginsWithScene + DeserializeOwned + Send> FromRequestParts<App> for ScenePath<T> {
+    type Rejection = ProblemResponse;
+
+    async fn from_request_parts(parts: &mut Parts, app: &App) -> Result<Self, ProblemResponse> {
+        let Path(mut value) = Path::<T>::from_request_parts(parts, app).await?;
+        let scene = value.scene_mut();
+        *scene = app.services.scene_lookup.resolve(std::mem::take(scene)).await?;
+        Ok(Self(value))
     }
 }
 

@@ -1,7 +1,7 @@
 //! `/v1/scenes/{scene_id}/graph`
 
 use super::App;
-use super::extract::{Path, Query};
+use super::extract::{Query, ScenePath};
 use super::problem::ProblemResponse;
 use super::problems;
 use axum::extract::State;
@@ -46,7 +46,7 @@ pub struct GraphParameters {
 )]
 pub async fn get(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     Query(GraphParameters { format, level, around }): Query<GraphParameters>,
 ) -> Result<impl IntoResponse, ProblemResponse> {
     let graph = app.services.instances.graph(&scene_id, level, around.map(InstanceId)).await?;

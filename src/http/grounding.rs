@@ -1,6 +1,6 @@
 //! `/v1/scenes/{scene_id}/ground` and `/shortlist`, and `/v1/ground`
 
-use super::extract::{IdempotencyKey, Json, Path};
+use super::extract::{IdempotencyKey, Json, ScenePath};
 use super::problem::ProblemResponse;
 use super::problems;
 use super::{App, CallerExtension};
@@ -34,7 +34,7 @@ use uniground_types::question::{GroundRequest, ShortlistRequest};
 )]
 pub async fn ground(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     Extension(caller): CallerExtension,
     IdempotencyKey(key): IdempotencyKey,
     Json(request): Json<GroundRequest>,
@@ -100,7 +100,7 @@ pub async fn ground_many(
 )]
 pub async fn shortlist(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     Json(request): Json<ShortlistRequest>,
 ) -> Result<axum::Json<Shortlisted>, ProblemResponse> {
     Ok(axum::Json(app.services.grounding.shortlist(&scene_id, request).await?))

@@ -2,7 +2,7 @@
 //! changes.
 
 use super::Binary;
-use super::extract::{IdempotencyKey, Path, Query};
+use super::extract::{IdempotencyKey, Query, ScenePath};
 use super::problem::ProblemResponse;
 use super::problems;
 use super::scenes::file_of_form;
@@ -57,7 +57,7 @@ fn of_the_files() -> FrameChoice {
 )]
 pub async fn add_frames(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     Query(AddParameters { world }): Query<AddParameters>,
     Extension(caller): CallerExtension,
     IdempotencyKey(idempotency_key): IdempotencyKey,
@@ -111,7 +111,7 @@ pub struct ChangesParameters {
 )]
 pub async fn changes(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     Query(ChangesParameters { since, to, align }): Query<ChangesParameters>,
 ) -> Result<axum::Json<SceneChanges>, ProblemResponse> {
     let changes = match (since, to) {

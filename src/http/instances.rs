@@ -2,7 +2,7 @@
 
 use super::App;
 use super::Binary;
-use super::extract::{Path, Query};
+use super::extract::{Query, ScenePath};
 use super::problem::ProblemResponse;
 use super::problems;
 use super::scene_media::send_picture;
@@ -48,7 +48,7 @@ fn default_limit() -> u32 {
 )]
 pub async fn list(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     Query(ListParameters { limit, cursor, level }): Query<ListParameters>,
 ) -> Result<Json<InstanceList>, ProblemResponse> {
     if !(1..=1000).contains(&limit) {
@@ -69,7 +69,7 @@ pub async fn list(
 )]
 pub async fn get(
     State(app): State<App>,
-    Path((scene_id, instance_id)): Path<(String, u32)>,
+    ScenePath((scene_id, instance_id)): ScenePath<(String, u32)>,
 ) -> Result<Json<InstanceView>, ProblemResponse> {
     Ok(Json(app.services.instances.instance(&scene_id, InstanceId(instance_id)).await?))
 }
@@ -97,7 +97,7 @@ pub struct ViewParameters {
 )]
 pub async fn view(
     State(app): State<App>,
-    Path((scene_id, instance_id, view)): Path<(String, u32, String)>,
+    ScenePath((scene_id, instance_id, view)): ScenePath<(String, u32, String)>,
     Query(ViewParameters { picture }): Query<ViewParameters>,
     asked: HeaderMap,
 ) -> Result<Response, ProblemResponse> {

@@ -186,6 +186,7 @@ fn status_of(error: &Error) -> StatusCode {
             JobsError::Store(_) => StatusCode::INTERNAL_SERVER_ERROR,
         },
         Error::SceneNotFound { .. }
+        | Error::SceneNameAmbiguous { .. }
         | Error::ImportNotFound { .. }
         | Error::InstanceNotFound { .. }
         | Error::ViewNotFound { .. }

@@ -3,7 +3,7 @@
 use super::App;
 use super::Binary;
 use super::caching::send_file;
-use super::extract::Path;
+use super::extract::ScenePath;
 use super::problem::ProblemResponse;
 use super::problems;
 use axum::Json;
@@ -25,7 +25,7 @@ use uniground_types::scenes::SceneReport;
 )]
 pub async fn get(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
 ) -> Result<Json<SceneReport>, ProblemResponse> {
     Ok(Json(app.services.parses.scene_report(&scene_id).await?))
 }
@@ -42,7 +42,7 @@ pub async fn get(
 )]
 pub async fn picture(
     State(app): State<App>,
-    Path((scene_id, picture)): Path<(String, String)>,
+    ScenePath((scene_id, picture)): ScenePath<(String, String)>,
     asked: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     let name = picture

@@ -1,7 +1,7 @@
 //! Media for viewing a scene: points, thumbnail, photographs and their poses.
 
 use super::caching::{send_download, send_file};
-use super::extract::{Path, Query};
+use super::extract::{Query, ScenePath};
 use super::problem::ProblemResponse;
 use super::problems;
 use super::{App, Binary};
@@ -33,7 +33,7 @@ use utoipa::IntoParams;
 )]
 pub async fn points(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     asked: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     send_download(app.services.media.points(&scene_id).await?, "application/octet-stream", &asked)
@@ -51,7 +51,7 @@ pub async fn points(
 )]
 pub async fn thumbnail(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     asked: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     send_picture(app.services.media.thumbnail(&scene_id).await?, &asked).await
@@ -68,7 +68,7 @@ pub async fn thumbnail(
 )]
 pub async fn frames(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
 ) -> Result<axum::Json<FrameList>, ProblemResponse> {
     Ok(axum::Json(app.services.media.frames(&scene_id).await?))
 }
@@ -96,7 +96,7 @@ pub struct PhotographParameters {
 )]
 pub async fn photograph(
     State(app): State<App>,
-    Path((scene_id, frame)): Path<(String, u32)>,
+    ScenePath((scene_id, frame)): ScenePath<(String, u32)>,
     Query(PhotographParameters { instances }): Query<PhotographParameters>,
     asked: HeaderMap,
 ) -> Result<Response, ProblemResponse> {

@@ -2,7 +2,7 @@
 
 use super::Binary;
 use super::caching::send_download;
-use super::extract::{IdempotencyKey, Json, Path, Query};
+use super::extract::{IdempotencyKey, Json, Query, ScenePath};
 use super::paging::{DEFAULT_LIMIT, checked};
 use super::problem::ProblemResponse;
 use super::problems;
@@ -245,7 +245,7 @@ pub async fn list(
 )]
 pub async fn get(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
 ) -> Result<axum::Json<Scene>, ProblemResponse> {
     Ok(axum::Json(app.services.scene_lookup.scene(&scene_id).await?))
 }
@@ -262,7 +262,7 @@ pub async fn get(
 )]
 pub async fn change(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     Json(change): Json<SceneChange>,
 ) -> Result<axum::Json<Scene>, ProblemResponse> {
     Ok(axum::Json(app.services.scenes.change_scene(&scene_id, change).await?))
@@ -279,7 +279,7 @@ pub async fn change(
 )]
 pub async fn delete(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
 ) -> Result<StatusCode, ProblemResponse> {
     app.services.scenes.delete_scene(&scene_id).await?;
     Ok(StatusCode::NO_CONTENT)
@@ -298,7 +298,7 @@ pub async fn delete(
 )]
 pub async fn parse(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     Extension(caller): CallerExtension,
     Json(ParseRequest { preset, settings }): Json<ParseRequest>,
 ) -> Result<(StatusCode, axum::Json<Job>), ProblemResponse> {
@@ -322,7 +322,7 @@ pub async fn parse(
 )]
 pub async fn name(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     Extension(caller): CallerExtension,
 ) -> Result<(StatusCode, axum::Json<Job>), ProblemResponse> {
     Ok((
@@ -343,7 +343,7 @@ pub async fn name(
 )]
 pub async fn cloud(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     asked: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     let file = app.services.parses.parse_file(&scene_id, ParseFile::Cloud).await?;
@@ -362,7 +362,7 @@ pub async fn cloud(
 )]
 pub async fn instances_cloud(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     asked: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     let file = app.services.parses.parse_file(&scene_id, ParseFile::Instances).await?;
@@ -383,7 +383,7 @@ pub async fn instances_cloud(
 )]
 pub async fn embeddings(
     State(app): State<App>,
-    Path(scene_id): Path<String>,
+    ScenePath(scene_id): ScenePath<String>,
     asked: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     let file = app.services.parses.parse_file(&scene_id, ParseFile::Embeddings).await?;

@@ -26,6 +26,8 @@ pub enum Error {
     Store(#[from] StoreError),
     #[error("there is no scene {id}")]
     SceneNotFound { id: String },
+    #[error("several scenes are named {name:?}: use the id of one of them")]
+    SceneNameAmbiguous { name: String },
     #[error("scene {scene_id} has no instance {id}")]
     InstanceNotFound { scene_id: String, id: InstanceId },
     #[error("instance {id} has {views} views, numbered from 0; there is no view {view}")]
@@ -338,6 +340,7 @@ impl Error {
                 JobsError::Store(_) => "storage_failed",
             },
             Self::SceneNotFound { .. } => "scene_not_found",
+            Self::SceneNameAmbiguous { .. } => "scene_name_ambiguous",
             Self::InstanceNotFound { .. } => "instance_not_found",
             Self::ViewNotFound { .. } => "view_not_found",
             Self::ReportPictureNotFound { .. } => "report_picture_not_found",

@@ -191,6 +191,17 @@ impl SceneRepository {
         Ok(Some(job))
     }
 
+    /// Returns the ids of scenes with this name, at most two.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn scene_ids_by_name(&self, name: &str) -> Result<Vec<String>, StoreError> {
+        Ok(sqlx::query_scalar("SELECT id FROM scenes WHERE name = $1 ORDER BY id DESC LIMIT 2")
+            .bind(name)
+            .fetch_all(&self.database.reader)
+            .await?)
+    }
+
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn scene(&self, id: &str) -> Result<Option<SceneRow>, StoreError> {

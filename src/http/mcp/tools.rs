@@ -83,6 +83,10 @@ pub(super) async fn call(
     name: &str,
     arguments: JsonObject,
 ) -> Option<CallToolResult> {
+    let arguments = match with_scene_id(services, arguments).await {
+        Ok(arguments) => arguments,
+        Err(error) => return Some(failed(error)),
+    };
     let result = match name {
         "list_scenes" => list_scenes(services, arguments).await,
         "ground" => ground(services, caller, arguments).await,
@@ -94,13 +98,26 @@ pub(super) async fn call(
         "render_view" => render_view(services, arguments).await,
         _ => return None,
     };
-    Some(result.unwrap_or_else(|error| {
-        let problem = ProblemResponse::from(error).problem();
-        CallToolResult::error(vec![ContentBlock::text(format!(
-            "{} ({})",
-            problem.detail, problem.code
-        ))])
-    }))
+    Some(result.unwrap_or_else(failed))
+}
+
+/// Replaces the name of a scene in `scene_id` by its id.
+async fn with_scene_id(
+    services: &Services,
+    mut arguments: JsonObject,
+) -> Result<JsonObject, Error> {
+    if let Some(Value::String(scene)) = arguments.get_mut("scene_id") {
+        *scene = services.scene_lookup.resolve(std::mem::take(scene)).await?;
+    }
+    Ok(arguments)
+}
+
+fn failed(error: Error) -> CallToolResult {
+    let problem = ProblemResponse::from(error).problem();
+    CallToolResult::error(vec![ContentBlock::text(format!(
+        "{} ({})",
+        problem.detail, problem.code
+    ))])
 }
 
 /// Parses the arguments of a tool.

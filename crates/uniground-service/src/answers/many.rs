@@ -8,6 +8,7 @@ use crate::vlm::OF_QUESTION;
 use crate::{Caller, GroundingService};
 use futures::{StreamExt, stream};
 use std::collections::HashSet;
+use std::mem;
 use std::time::{Duration, Instant};
 use tokio::time::sleep;
 use uniground_grounding::Status;
@@ -36,10 +37,13 @@ impl GroundingService {
     /// be asked in full, the error of the first one.
     pub async fn ground_many(
         &self,
-        request: ManyGroundRequest,
+        mut request: ManyGroundRequest,
         caller: Caller,
     ) -> Result<ManyAnswers, Error> {
         request.check()?;
+        for scene in request.scenes.iter_mut().flatten() {
+            *scene = self.scene_lookup.resolve(mem::take(scene)).await?;
+        }
         let (start, question) = (Instant::now(), request.of_one());
         // Fails early for a question that insists on a model that cannot be had.
         QuestionModels::decide(self.vlm.as_ref(), &question, &caller, Vec::new())?;

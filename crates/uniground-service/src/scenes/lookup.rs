@@ -8,6 +8,7 @@ use uniground_storage::{
     JobState, NamedLock, ParseRecord, ParseRepository, SceneRepository, SceneRow,
 };
 use uniground_types::scenes::{Scene, SceneCounts, SceneStatus};
+use uuid::Uuid;
 
 /// Finds scenes and their parses.
 #[derive(Clone)]
@@ -19,6 +20,22 @@ pub struct SceneLookup {
 }
 
 impl SceneLookup {
+    /// Returns the id of a scene that is given by its id or its name. An id is returned unchecked.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], or [`Error::SceneNameAmbiguous`] if several scenes have the name.
+    pub async fn resolve(&self, id_or_name: String) -> Result<String, Error> {
+        if Uuid::try_parse(&id_or_name).is_ok() {
+            return Ok(id_or_name);
+        }
+        let ids = self.scene_repository.scene_ids_by_name(&id_or_name).await?;
+        match <[String; 1]>::try_from(ids) {
+            Ok([id]) => Ok(id),
+            Err(ids) if ids.is_empty() => Err(Error::SceneNotFound { id: id_or_name }),
+            Err(_) => Err(Error::SceneNameAmbiguous { name: id_or_name }),
+        }
+    }
+
     /// # Errors
     /// [`Error::SceneNotFound`].
     pub async fn scene(&self, id: &str) -> Result<Scene, Error> {
